@@ -1,7 +1,7 @@
-"""Closed forms of chapter 6, with their factors taken from the closure itself.
+"""Closed forms of chapter 6, with coefficients derived from the closure itself.
 
-A closure row that is a squared length in the unknown position, or in one joint angle, has
-factors that follow from evaluating it: no model is written twice.
+If a closure row is a squared length in the unknown position, or in one joint angle, its
+coefficients follow from evaluating it. So no model is written twice.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def positions(mechanism: Mechanism, q: Any, p: Named, R: Any = None) -> tuple[Any, Any]:
-    """Both solutions of the general position problem (eqs 6.1-6.6), NaN where none is real.
+    """Find both solutions of the general position problem (eqs 6.1-6.6); NaN if none is real.
 
     The first three closure rows are spheres: c (P.P + V.P + H) with a constant c.
     """
@@ -35,11 +35,11 @@ def positions(mechanism: Mechanism, q: Any, p: Named, R: Any = None) -> tuple[An
 
 
 def three_spheres(centres: Sequence[Any], squares: Sequence[Any]) -> tuple[Any, Any]:
-    """Points common to three spheres of given centres and squared radii.
+    """Intersect three spheres of given centres and squared radii in two points.
 
-    Eq. 6.2 solves for x and y as functions of z and fails when the centres lie in a vertical
-    plane; along the normal of their own plane the same problem has no such case. (The printed
-    root of eq. 6.4 has +4LQ; with eq. 6.5's Q it must be -4LQ.)
+    Eq. 6.2 solves for x and y as functions of z and fails if the centres are in a vertical plane.
+    This function solves along the normal of the centres' plane instead, which has no such case.
+    (The printed root of eq. 6.4 has +4LQ; with eq. 6.5's Q it must be -4LQ.)
     """
     a, b = centres[1] - centres[0], centres[2] - centres[0]
     n = ca.cross(a, b)
@@ -51,9 +51,10 @@ def three_spheres(centres: Sequence[Any], squares: Sequence[Any]) -> tuple[Any, 
 
 
 def joint_angles(mechanism: Mechanism, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
-    """Both angles of every joint by eqs 6.23-6.24, NaN where none is real.
+    """Find both angles of every joint by eqs 6.23-6.24; NaN if none is real.
 
-    Row i must depend on joint i alone, as k0 + ka cos q + kb sin q: three values give them.
+    Row i must depend on joint i alone, as k0 + ka cos q + kb sin q. Its values at three angles give
+    the coefficients.
     """
     n = len(mechanism.joints)
 
@@ -63,13 +64,10 @@ def joint_angles(mechanism: Mechanism, r: Any, R: Any, p: Named) -> list[tuple[A
     zero, quarter, half = rows(0.0), rows(ca.pi / 2), rows(ca.pi)
     constant = (zero + half) / 2
     a, b, c = (zero - half) / 2, quarter - constant, -constant
-    return [_cosine_sum(a[i], b[i], c[i]) for i in range(n)]
-
-
-def _cosine_sum(a: Any, b: Any, c: Any) -> tuple[Any, Any]:
-    """Both solutions of a cos q + b sin q = c (eq. 6.24)."""
+    # Both solutions of a cos q + b sin q = c (eq. 6.24)
     s = ca.sqrt(a**2 + b**2 - c**2)
-    return ca.atan2(b * c + a * s, a * c - b * s), ca.atan2(b * c - a * s, a * c + b * s)
+    one, other = ca.atan2(b * c + a * s, a * c - b * s), ca.atan2(b * c - a * s, a * c + b * s)
+    return [(one[i], other[i]) for i in range(n)]
 
 
 def _at_zero(expression: Any, symbol: Any) -> Any:

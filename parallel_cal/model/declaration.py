@@ -1,4 +1,4 @@
-"""What a mechanism's class may lack, miscount or misname: the errors of a user's own file."""
+"""Checks of a mechanism's class, such as a user's own: missing, miscounted or misnamed parts."""
 
 from __future__ import annotations
 
@@ -19,22 +19,9 @@ SI = ("m", "rad", "s", "kg", "N", "K", "degC")
 
 
 def check(m: Mechanism) -> None:
-    """ModelError for the first thing that is wrong, whatever the closure says."""
+    """Check everything but the closure; ModelError for the first error."""
     if missing := [part for part in PARTS if not hasattr(m, part)]:
         raise ModelError(f"the class does not define {', '.join(missing)}")
-    _coordinates(m)
-    _counts(m)
-    _units(m)
-    numbers = [*m.parameters.nominal, *m.parameters.tolerance, *m.home.configuration]
-    if not np.isfinite(numbers).all():
-        raise ModelError("nominal values, tolerances and home must be finite numbers")
-    if not m.length > 0:
-        raise ModelError(
-            f"length is {m.length} m, expected above 0 (it is the scale that weighs angles)"
-        )
-
-
-def _coordinates(m: Mechanism) -> None:
     if not set(m.controlled) <= set(m.moved):
         astray = [c for c in m.controls if c not in m.moves]
         raise ModelError(f"it controls {', '.join(astray)}, which it does not move")
@@ -42,9 +29,6 @@ def _coordinates(m: Mechanism) -> None:
         raise ModelError(
             f"it controls {' '.join(m.controls)}, but has only the joints {', '.join(m.joints)}"
         )
-
-
-def _counts(m: Mechanism) -> None:
     for key, found, members in (
         ("joint_limits", m.joint_limits, m.joints),
         ("home.joints", m.home.joints, m.joints),
@@ -54,16 +38,20 @@ def _counts(m: Mechanism) -> None:
         if len(found) != len(members):
             each = f"{len(members)}, one for each of {', '.join(members)}"
             raise ModelError(f"{key} has {len(found)} entries, expected {each}")
-
-
-def _units(m: Mechanism) -> None:
     if not {*m.joint_units} <= {"rad", "m"}:
         raise ModelError(f"joint units are {', '.join(m.joint_units)}, expected rad or m")
     check_parameters(m.parameters)
+    numbers = [*m.parameters.nominal, *m.parameters.tolerance, *m.home.configuration]
+    if not np.isfinite(numbers).all():
+        raise ModelError("nominal values, tolerances and home must be finite numbers")
+    if not m.length > 0:
+        raise ModelError(
+            f"length is {m.length} m, expected above 0 (it is the scale that weighs angles)"
+        )
 
 
 def check_parameters(parameters: Iterable[Parameter]) -> None:
-    """SI units and tolerances above 0, of a mechanism's or an effect's numbers (ModelError)."""
+    """Check that all parameters have SI units and tolerances above 0 (ModelError)."""
     for parameter in parameters:
         if not parameter.tolerance > 0:
             raise ModelError(

@@ -1,4 +1,4 @@
-"""What a mechanism draws of itself: lines through the points that its closure ties together."""
+"""Drawings of mechanisms: lines through the points of the closure."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ class Line:
 
 
 def ring(kind: str, points: Sequence[Any], *shows: str) -> Line:
-    """A closed line."""
+    """Draw a closed line."""
     return Line(kind, (*points, points[0]), shows)
 
 
 def axis(point: Any, direction: Any, half: float, *shows: str) -> Line:
-    """A joint's axis: so far to both sides of a point on it."""
+    """Draw a joint's axis, `half` (m) to both sides of a point on it."""
     return Line("axis", (point - half * direction, point + half * direction), shows)

@@ -15,7 +15,7 @@ from parallel_cal.base.options import split_options
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
-# Conditions of a sample: unit, the value that means "nothing special", one a joint or not.
+# Conditions of a sample: unit, neutral value, whether each joint has one.
 CONDITIONS: dict[str, tuple[str, float, bool]] = {
     "time": ("s", 0.0, False),
     "temperature": ("degC", 20.0, False),
@@ -85,18 +85,18 @@ class Effect(ABC):
     """
 
     needs: ClassVar[tuple[str, ...]] = ()
-    reads: ClassVar[tuple[str, ...]] = ()  # patterns of sensors' channels that it acts on
-    fixed: ClassVar[tuple[str, ...]] = ()  # patterns of its numbers that are given, not identified
-    of_device: ClassVar[bool] = False  # an error of the measurement, which the robot must not learn
-    widens: ClassVar[bool] = False  # what it adds is the mechanism's next larger model
-    refines: ClassVar[bool] = True  # between two settings of a scan there are others
+    reads: ClassVar[tuple[str, ...]] = ()  # patterns of the sensor channels on which it acts
+    fixed: ClassVar[tuple[str, ...]] = ()  # patterns of its parameters that are known
+    of_device: ClassVar[bool] = False  # an error of the device, which a controller must not correct
+    widens: ClassVar[bool] = False  # adding it replaces the mechanism by the next larger model
+    refines: ClassVar[bool] = True  # values between two settings of a scan exist
     physics: ClassVar[str]
-    remedy: ClassVar[str] = ""  # what to do about it at the machine
+    remedy: ClassVar[str] = ""  # action at the machine
     source: ClassVar[str]
     lookalikes: ClassVar[tuple[str, ...]] = ()
     separated_by: ClassVar[str] = ""
-    family: ClassVar[str] = ""  # in words, what it and others are that data seldom tell apart
-    told_from: ClassVar[Mapping[str, str]] = {}  # by lookalike, where another measurement tells it
+    family: ClassVar[str] = ""  # group of effects that data rarely distinguish
+    told_from: ClassVar[Mapping[str, str]] = {}  # by lookalike: a better measurement
 
     @abstractmethod
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
@@ -172,12 +172,14 @@ class Effect(ABC):
             raise wrap_plugin_error(self.name, error) from error
         each = zip(mechanism.joints, mechanism.joint_gearing, strict=False)
         gears = {joint: gear for joint, gear in each if gear != 1.0}
-        return ParameterTable(
-            replace(
-                _scale_by_gear(p, gears, mechanism), name=f"{self.name}.{p.name}", group="effect"
-            )
-            for p in own
-        )
+        table = []
+        for p in own:
+            scaled, joint = p, p.name.partition(".")[0]
+            if joint in gears and p.unit == mechanism.joint_units[mechanism.joints.index(joint)]:
+                # The reading is taken before the gear, so its errors are larger by the gear ratio.
+                scaled = p.with_tolerance(gears[joint] * p.tolerance)
+            table.append(replace(scaled, name=f"{self.name}.{p.name}", group="effect"))
+        return ParameterTable(table)
 
     def conditions(self, mechanism: Mechanism) -> list[str]:
         """Return the condition columns that it needs: `direction` becomes one for each joint."""
@@ -194,18 +196,9 @@ class Effect(ABC):
         return columns
 
 
-def _scale_by_gear(p: Parameter, gears: Mapping[str, float], mechanism: Mechanism) -> Parameter:
-    """Return the parameter with its tolerance scaled to a reading taken before the gear."""
-    joint = p.name.partition(".")[0]
-    gear = gears.get(joint, 1.0)
-    if gear == 1.0 or p.unit != mechanism.joint_units[mechanism.joints.index(joint)]:
-        return p
-    return p.with_tolerance(gears[joint] * p.tolerance)
-
-
 def parse_effects(text: str) -> list[tuple[str, dict[str, float]]]:
     """Parse one or several effects, joined by `+`."""
-    return [parse_effect(part) for part in re.split(r"\+(?=[A-Za-z_])", text)]  # none is 1e+3
+    return [parse_effect(part) for part in re.split(r"\+(?=[A-Za-z_])", text)]  # not at 1e+3
 
 
 def parse_effect(text: str) -> tuple[str, dict[str, float]]:

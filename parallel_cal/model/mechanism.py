@@ -69,7 +69,7 @@ class Box:
     high: tuple[float, float, float]
 
     def __str__(self) -> str:
-        """Its sides in mm."""
+        """Sides of the box, in mm."""
         sides = zip("xyz", self.low, self.high, strict=True)
         return ", ".join(f"{axis} {1e3 * a:g}..{1e3 * b:g}" for axis, a, b in sides) + " mm"
 
@@ -121,7 +121,7 @@ class Mechanism(ABC):
 
     joints: tuple[str, ...]
     joint_unit: str = "rad"
-    periodic: bool = True  # a whole turn of a joint changes nothing (a spool's does)
+    periodic: bool = True  # a full turn of a joint changes nothing (False for a spool)
     moves: tuple[str, ...] = POSE
     controls: tuple[str, ...] = POSE
     parameters: ParameterTable
@@ -129,14 +129,14 @@ class Mechanism(ABC):
     home: Home
     workspace: Workspace
     joint_limits: tuple[tuple[float, float], ...]
-    joint_rates: tuple[tuple[float, float], ...] = ()  # velocity, acceleration; inf = not known
+    joint_rates: tuple[tuple[float, float], ...] = ()  # velocity, acceleration; inf = unknown
     keep_out: tuple[Box, ...] = ()
-    joint_gearing: tuple[float, ...] = ()  # of the reading to the joint behind the gear; none = 1
-    closed_forms: tuple[str, ...] = ()  # "direct", "inverse": whose candidates are all there are
+    joint_gearing: tuple[float, ...] = ()  # reading per joint angle behind the gear; empty = 1
+    closed_forms: tuple[str, ...] = ()  # "direct", "inverse": candidates are all solutions
     length: float = 0.1
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)  # m/s^2 in {B}
-    bodies: Mapping[str, Sequence[str]] = {}  # patterns of the lengths that are of one material
-    parts: tuple[str, ...] = ()  # kinds of links whose centres of mass it knows
+    bodies: Mapping[str, Sequence[str]] = {}  # patterns of the lengths of one material
+    parts: tuple[str, ...] = ()  # kinds of links whose centres of mass are known
     options: Mapping[str, Any] = {}
 
     @abstractmethod
@@ -171,11 +171,11 @@ class Mechanism(ABC):
         """Return the candidate pose nearest to home, which is in the robot's assembly mode."""
         position, rotation = Mechanism.candidates(self, q, p)[0]
 
-        def apart(pose: tuple[Any, Any]) -> Any:
-            turned = ca.sumsqr(pose[1] - rotation) / 2  # the angle squared, where it is small
+        def distance(pose: tuple[Any, Any]) -> Any:
+            turned = ca.sumsqr(pose[1] - rotation) / 2  # the squared angle, if it is small
             return ca.sumsqr(pose[0] - position) + self.length**2 * turned
 
-        return nearest(self.candidates(q, p), apart)
+        return nearest(self.candidates(q, p), distance)
 
     def start_inverse(self, r: Any, R: Any, p: Named) -> Any:
         """Return the candidate nearest to home for each joint."""
@@ -192,11 +192,14 @@ class Mechanism(ABC):
         """Return each joint's values with angles moved to within half a turn of home."""
         if not self.periodic:
             return candidates
-        choices = zip(candidates, self.joint_units, self.home.joints, strict=True)
-        return [
-            tuple(_wrap_angle_to_home(q, home) for q in joint) if unit == "rad" else joint
-            for joint, unit, home in choices
-        ]
+        turn, wrapped = 2 * ca.pi, list[tuple[Any, ...]]()
+        for joint, unit, home in zip(candidates, self.joint_units, self.home.joints, strict=True):
+            wrapped.append(
+                tuple(q - turn * ca.floor((q - home) / turn + 0.5) for q in joint)
+                if unit == "rad"
+                else joint
+            )
+        return wrapped
 
     def rod_lengths(self, p: Named) -> list[Any]:
         """Return the length (m) of every passive rod; a length that a pair shares occurs twice."""
@@ -274,10 +277,6 @@ def _places(coordinates: Sequence[str]) -> list[int]:
     if unknown := [c for c in coordinates if c not in POSE]:
         raise ModelError(f"coordinates {unknown}, expected some of {' '.join(POSE)}")
     return [POSE.index(c) for c in coordinates]
-
-
-def _wrap_angle_to_home(q: Any, home: float) -> Any:
-    return q - 2 * ca.pi * ca.floor((q - home) / (2 * ca.pi) + 0.5)
 
 
 def nearest(candidates: Sequence[Any], distance: Callable[[Any], Any]) -> Any:

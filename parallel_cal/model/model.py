@@ -80,14 +80,14 @@ class Model:
     effects: tuple[Effect, ...]
     values: np.ndarray
     covariance: np.ndarray | None = None
-    fixed: np.ndarray = None  # type: ignore[assignment]  # the mechanism's own where not given
+    fixed: np.ndarray = None  # type: ignore[assignment]  # default: the mechanism's own mask
     noise: Noise = Noise()
     history: tuple[dict[str, Any], ...] = ()
     frames: Mapping[str, str] = field(
         default_factory=lambda: {"base": "base", "platform": "platform"}
     )
     sensors: tuple[Sensor, ...] = ()
-    tolerances: Mapping[str, float] = field(default_factory=dict)  # of effects' and sensors' own
+    tolerances: Mapping[str, float] = field(default_factory=dict)  # of effects and sensors
 
     def __post_init__(self) -> None:
         values = np.array(self.values, dtype=float)
@@ -141,15 +141,13 @@ class Model:
         if any(effect.name == name for effect in self.effects):
             raise ModelError(f"the model already has the effect '{name}'")
         effect = load_effect(name)
-        if reason := effect.applies(self.mechanism) or self._explain_unread(effect):
+        reason = effect.applies(self.mechanism)
+        if effect.reads and not reason and not any(map(effect.acts_on, self.structure.channels)):
+            reason = f"no sensor measures {' or '.join(effect.reads)}"
+        if reason:
             raise ModelError(f"effect {name} does not apply to {self.mechanism.name}: {reason}")
         more = self.widen() if effect.widens else self.with_effects((*self.effects, effect))
         return more.with_settings(name, settings or {})
-
-    def _explain_unread(self, effect: Effect) -> str:
-        """Return why the effect acts on no sensor of the model; empty if it acts on one."""
-        lacking = effect.reads and not any(map(effect.acts_on, self.structure.channels))
-        return f"no sensor measures {' or '.join(effect.reads)}" if lacking else ""
 
     def with_settings(self, effect: str, settings: Mapping[str, float]) -> Model:
         """Return the model with some parameters of an effect, by short name, fixed at values."""
@@ -177,28 +175,22 @@ class Model:
         """Return the model without one of its effects."""
         kept = tuple(effect for effect in self.effects if effect.name != name)
         if len(kept) == len(self.effects):
-            has = ", ".join(effect.name for effect in self.effects) or "none"
-            why = self._built_in(name)
-            raise ModelError(f"the model has no effect '{name}'; it has {has}{why}")
+            text = ", ".join(effect.name for effect in self.effects) or "none"
+            steps = [step.get("step") for step in self.history if step.get("effect") == name]
+            if steps[-1:] == ["add"]:  # an effect that widened the mechanism
+                text += (
+                    f": it was added by changing the mechanism to {self.mechanism.name}. To "
+                    "undo it, go back to the model file from before"
+                )
+            raise ModelError(f"the model has no effect '{name}'; it has {text}")
         return self.with_effects(kept)
-
-    def _built_in(self, name: str) -> str:
-        """Return the reason if the effect was added by changing the mechanism, else ""."""
-        steps = [step.get("step") for step in self.history if step.get("effect") == name]
-        if steps[-1:] != ["add"]:
-            return ""
-        return (
-            f": it was added by changing the mechanism to {self.mechanism.name}. To "
-            "undo it, go back to the model file from before"
-        )
 
     def with_effects(self, effects: tuple[Effect, ...]) -> Model:
         """Return the model with these effects; existing parameters keep value and mask."""
         return self._with_parts(effects, self.sensors)
 
     def with_sensors(self, sensors: tuple[Sensor, ...]) -> Model:
-        """The model with these sensors; numbers that it has already keep value, mask and
-        covariance."""
+        """Return the model with these sensors; existing parameters keep value, mask, covariance."""
         changed = self._with_parts(self.effects, sensors)
         if self.covariance is None:
             return changed
@@ -227,9 +219,9 @@ class Model:
         )
 
     def widen(self) -> Model:
-        """The same robot in the next larger model (delta24 -> delta54): equal poses.
+        """Return the same robot in the next larger model (delta24 -> delta54): equal poses.
 
-        Effects, sensors and whatever else both models name keep their values and masks.
+        Effects, sensors and parameters that both models have keep their values and masks.
         """
         m = self.mechanism
         own = m.parameters
@@ -243,10 +235,6 @@ class Model:
         effects = [effect.name for effect in self.effects]
         wide = new_model(larger, effects=effects, sensors=self.sensors)
         values = self.table.mapping(self.values) | values
-        return replace(self._transfer_to(wide, values), covariance=None)
-
-    def _transfer_to(self, wide: Model, values: Mapping[str, float]) -> Model:
-        """Another model with these values, and with this one's masks where names are the same."""
         masks = dict(zip(self.table.names, self.fixed, strict=True))
         names = wide.table.names
         return replace(
@@ -255,12 +243,13 @@ class Model:
             effects=wide.effects,
             values=np.array([values.get(n, v) for n, v in zip(names, wide.values, strict=True)]),
             fixed=np.array([masks.get(n, f) for n, f in zip(names, wide.fixed, strict=True)]),
+            covariance=None,
         )
 
     def condition_rows(self, at: Mapping[str, Any] | None, n: int) -> np.ndarray:
-        """(n, n_conditions) from named scalars or (n,) columns; neutral where not given.
+        """Arrange conditions, scalars or (n,) columns by name, as (n, n_conditions).
 
-        A condition of a joint that is not named is neutral too (direction 0: mid-play).
+        A condition that is not given is neutral (direction 0: the middle of the backlash).
         """
         rows = np.empty((n, len(self.conditions)))
         for k, neutral in enumerate(self.structure.neutral):

@@ -13,9 +13,7 @@ import numpy as np
 from parallel_cal.base.errors import ModelError
 
 MAX_TOLERANCES = 10.0  # tolerances from nominal: further away a number is not of such a robot
-RANGE_MARGIN_SIGMAS = (
-    3.0  # of its own sigmas: so far an estimate may lie outside its range by chance
-)
+RANGE_MARGIN_SIGMAS = 3.0  # sigmas by which an estimate may exceed its range by chance
 
 
 @dataclass(frozen=True)
@@ -59,13 +57,10 @@ class Parameter:
         """Return the lowest and the highest plausible value.
 
         The range is ten tolerances around the nominal value, within the physical bounds, extended
-        by
-        three of the value's own `sigma`: noise may move a backlash of zero slightly below zero.
+        by three of the value's own `sigma`: noise may move a backlash of zero slightly below zero.
         """
-        reach, slack = (
-            MAX_TOLERANCES * self.tolerance,
-            RANGE_MARGIN_SIGMAS * sigma if sigma > 0 else 0.0,
-        )
+        reach = MAX_TOLERANCES * self.tolerance
+        slack = RANGE_MARGIN_SIGMAS * sigma if sigma > 0 else 0.0
         low, high = max(self.low, self.nominal - reach), min(self.high, self.nominal + reach)
         return low - slack, high + slack
 
@@ -180,22 +175,22 @@ class Named:
         return self[key]
 
     def get(self, key: str, default: Any) -> Any:
-        """The entry, or `default` where there is none."""
+        """Return the entry, or `default` if there is none."""
         return self[key] if self._prefix + key in self._names else default
 
     def vector(self, *keys: str) -> Any:
-        """Several entries stacked as a column: `chain.vector("D_x", "D_y", "D_z")`."""
+        """Stack several entries as a column: `chain.vector("D_x", "D_y", "D_z")`."""
         import casadi as ca
 
         return ca.vertcat(*[self[key] for key in keys])
 
     @property
     def column(self) -> Any:
-        """All the entries, in their order."""
+        """All entries, in order."""
         return self._vector
 
     def replaced(self, changes: Mapping[str, Any]) -> Named:
-        """The same names with some entries changed (an effect edits a parameter this way)."""
+        """Return the vector with some entries changed, as an effect that acts on geometry does."""
         import casadi as ca
 
         entries = [changes.get(name, self._vector[i]) for i, name in enumerate(self._names)]

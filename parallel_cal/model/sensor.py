@@ -38,8 +38,8 @@ class Sensor(ABC):
     physics: ClassVar[str]
     source: ClassVar[str]
     fixed: tuple[str, ...] = ()  # patterns of its own parameters that are known
-    # Standard deviation of one reading (m). None: nobody stated it, so `guessed_sigma` weighs the
-    # readings, and a fit scales it by its residuals before anything is judged by it.
+    # Standard deviation of one reading (m). None: not stated; `guessed_sigma` weighs the readings,
+    # and a fit scales it by its residuals before the diagnosis uses it.
     sigma: float | None = 0.0
     guessed_sigma: ClassVar[float] = 20e-6
 

@@ -1,4 +1,4 @@
-"""The shelves: what is on them by file name, or a user's own by Python path."""
+"""The shelves: plug-ins by file name, or a user's own by Python path."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _own_allowed = True
 
 
 def forbid_foreign() -> None:
-    """From here on this process imports nothing by a Python path from outside the package."""
+    """Forbid imports by Python path from outside the package, for the rest of the process."""
     global _own_allowed
     _own_allowed = False
 
 
 def require_allowed(path: str, error: type[ParallelCalError] = ModelError) -> None:
-    """An `error` for a module from outside the package where these are forbidden."""
+    """Raise `error` for a module from outside the package if these are forbidden."""
     if not _own_allowed and not path.startswith("parallel_cal."):
         raise error(
             f"{path}: modules from outside the package are not imported here; to "
@@ -39,7 +39,7 @@ def require_allowed(path: str, error: type[ParallelCalError] = ModelError) -> No
 
 
 def load_mechanism(name: str, /, **options: Any) -> Mechanism:
-    """A mechanism by file name (`delta54`) or Python path (`my_pkg.my_robot`)."""
+    """Load a mechanism by file name (`delta54`) or Python path (`my_pkg.my_robot`)."""
     cls = load_class("mechanisms", name, Mechanism)
     try:
         signature(cls).bind(**options)
@@ -56,7 +56,7 @@ def load_mechanism(name: str, /, **options: Any) -> Mechanism:
 
 
 def load_effect(name: str) -> Effect:
-    """An effect by file name (`backlash`) or Python path (`my_pkg.my_effect`)."""
+    """Load an effect by file name (`backlash`) or Python path (`my_pkg.my_effect`)."""
     cls = load_class("effects", name, Effect)
     try:
         return cls()
@@ -65,7 +65,7 @@ def load_effect(name: str) -> Effect:
 
 
 def load_sensor(name: str, **options: Any) -> Sensor:
-    """A sensor by file name (`plane_spheres`) or Python path, with its fields as options."""
+    """Load a sensor by file name (`plane_spheres`) or Python path; its fields are the options."""
     try:
         return load_class("sensors", name, Sensor)(**options)
     except TypeError as error:
@@ -73,9 +73,16 @@ def load_sensor(name: str, **options: Any) -> Sensor:
 
 
 def load_class(shelf: str, name: str, base: type) -> type:
-    """The one subclass of `base` in parallel_cal/<shelf>/<name>.py or at a Python path."""
+    """Load the one subclass of `base` in parallel_cal/<shelf>/<name>.py or at a Python path."""
     module = load_module(shelf, name)
-    found = [c for c in vars(module).values() if _is_defined_in(c, base, module.__name__)]
+    found = [
+        member
+        for member in vars(module).values()
+        if isinstance(member, type)
+        and issubclass(member, base)
+        and member.__module__ == module.__name__  # not imported there
+        and not member.__name__.startswith("_")
+    ]
     if len(found) != 1:
         raise ModelError(
             f"{module.__name__} defines {len(found)} subclasses of {base.__name__}, expected 1"
@@ -84,7 +91,7 @@ def load_class(shelf: str, name: str, base: type) -> type:
 
 
 def load_module(shelf: str, name: str, error: type[ParallelCalError] = ModelError) -> ModuleType:
-    """parallel_cal/<shelf>/<name>.py, or the file at a Python path; an `error` for neither."""
+    """Load parallel_cal/<shelf>/<name>.py or the module at a Python path; `error` for neither."""
     path = name if "." in name else f"parallel_cal.{shelf}.{name}"
     require_allowed(path, error)
     try:
@@ -104,17 +111,8 @@ def load_module(shelf: str, name: str, error: type[ParallelCalError] = ModelErro
         raise wrap_plugin_error(path, raised) from raised
 
 
-def _is_defined_in(candidate: Any, base: type, module: str) -> bool:
-    return (
-        isinstance(candidate, type)
-        and issubclass(candidate, base)
-        and candidate.__module__ == module
-        and not candidate.__name__.startswith("_")
-    )
-
-
 def wrap_plugin_function(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of a user's own file: whatever it raises is told in one line that says where."""
+    """Wrap a function of a user's own file: its exceptions become one line that says where."""
     if "." not in name:
         return function
 

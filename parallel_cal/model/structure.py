@@ -1,4 +1,4 @@
-"""The functions that follow from a model's closure, whatever its numbers."""
+"""The functions that follow from a model's closure and do not depend on its values."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from parallel_cal.model.shelf import load_effect
 
 
 class Structure:
-    """The symbolic half of a model: everything but its numbers; shared and cached.
+    """The symbolic part of a model, without values; shared and cached.
 
     Symbols: q joints, r position, R9 rotation (row-major), v parameter vector, a conditions.
     """
@@ -47,7 +47,7 @@ class Structure:
 
     @cached_property
     def neutral(self) -> list[float]:
-        """The value of each condition at which effects do nothing, or nothing is known."""
+        """The neutral value of each condition: effects do nothing, or nothing is known."""
         return [CONDITIONS[name.split(".")[0]][1] for name in self.conditions]
 
     @property
@@ -56,7 +56,7 @@ class Structure:
 
     @property
     def configuration(self) -> Any:
-        """(q, r, R9) as one column: what the closure ties together."""
+        """(q, r, R9) as one column: the coordinates of the closure."""
         return ca.vertcat(self.q, self.r, self.R9)
 
     @cached_property
@@ -69,28 +69,25 @@ class Structure:
         return seen
 
     def _apply_effect(self, effect: Effect, seen: Seen, numbers: Named, at: Named) -> Seen:
-        """What an effect with these numbers, under these conditions, lets see of what is seen."""
+        """Apply one effect and check its result."""
         try:
-            return self._check_seen(effect.ideal(seen, numbers[effect.name], at, self.mechanism))
+            ideal: Any = effect.ideal(seen, numbers[effect.name], at, self.mechanism)
+            if not isinstance(ideal, Seen):
+                raise ModelError(
+                    f"ideal returns a {type(ideal).__name__}, expected the Seen that it was "
+                    "given, with changes"
+                )
+            found = [ca.SX(part).shape for part in (ideal.q, ideal.r, ideal.R)]
+            expected = [self.q.shape, (3, 1), (3, 3)]
+            if found != expected:
+                raise ModelError(f"ideal returns q, r, R of shapes {found}, expected {expected}")
         except Exception as error:
             raise wrap_plugin_error(effect.name, error) from error
-
-    def _check_seen(self, seen: Any) -> Seen:
-        """What an effect lets through, which must still be joints and a pose."""
-        if not isinstance(seen, Seen):
-            raise ModelError(
-                f"ideal returns a {type(seen).__name__}, expected the Seen that it was "
-                "given, with changes"
-            )
-        found = [ca.SX(part).shape for part in (seen.q, seen.r, seen.R)]
-        expected = [self.q.shape, (3, 1), (3, 3)]
-        if found != expected:
-            raise ModelError(f"ideal returns q, r, R of shapes {found}, expected {expected}")
-        return seen
+        return ideal
 
     @cached_property
     def phi(self) -> Any:
-        """The closure of the ideal mechanism at what the effects let it see."""
+        """The closure of the ideal mechanism, at its inputs after the effects."""
         seen = self.seen
         try:
             phi = self.mechanism.closure(seen.q, seen.r, seen.R, seen.p)
@@ -99,9 +96,10 @@ class Structure:
         return self._check_closure(phi)
 
     def _check_closure(self, phi: Any) -> Any:
+        """The closure as SX, after checks of type, shape, symbols and values at home."""
         its, moved = f"{self.mechanism.name}: its closure", len(self.mechanism.moves)
         try:
-            phi = ca.cse(ca.SX(phi))  # before it is differentiated: once, not once a slope
+            phi = ca.cse(ca.SX(phi))  # before differentiation: once, not for each derivative
         except NotImplementedError:
             kind = type(phi).__name__
             raise ModelError(f"{its} is a {kind}, expected casadi.vertcat of its rows") from None
@@ -122,7 +120,7 @@ class Structure:
     @cached_property
     def jacobian_pose(self) -> Any:
         """d phi / d (r, w) with R <- exp(w) R, shape (rows, 6)."""
-        # Through a small left turn, not through R's nine entries: a third fewer operations.
+        # Differentiate by a small rotation w, not by R's nine entries: a third fewer operations.
         w = ca.SX.sym("w", 3)
         turned = ca.substitute(self.phi, self.R9, ca.vec((self.R + ca.skew(w) @ self.R).T))
         by_turn = ca.substitute(ca.jacobian(turned, w), w, ca.DM.zeros(3))
@@ -134,7 +132,7 @@ class Structure:
         return ca.horzcat(ca.jacobian(self.phi, self.q), self.jacobian_pose)
 
     def _slopes(self, rows: Any) -> tuple[Any, Any]:
-        """d rows / d (q, r, w) and d rows / dv: in one, they share most of their operations."""
+        """d rows / d (q, r, w) and d rows / dv in one pass: they share most of their operations."""
         J, n = ca.jacobian(rows, ca.vertcat(self.configuration, self.v)), self.q.numel() + 3
         return ca.horzcat(J[:, :n], J[:, n : n + 9] @ left_generators(self.R)), J[:, n + 9 :]
 
@@ -152,15 +150,15 @@ class Structure:
     def jacobians(
         self, x: np.ndarray, a: np.ndarray, v: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """d phi/d(q, r, w) and d phi/dv of N samples: (N, rows, columns) each."""
-        _, J_x, J_v = self.closure_batch(x, a, v)  # column by column
+        """Compute d phi/d(q, r, w) and d phi/dv of N samples: (N, rows, columns) each."""
+        _, J_x, J_v = self.closure_batch(x, a, v)  # stored column by column
         rows, n = self.phi.shape[0], len(x)
         J_x, J_v = (J.reshape(n, J.shape[1] // rows, rows) for J in (J_x, J_v))
         return J_x.transpose(0, 2, 1), J_v.transpose(0, 2, 1)
 
     @cached_property
     def platform_pose(self) -> tuple[Any, Any]:
-        """The pose of {P} in {B} where the pose device shows (r, R)."""
+        """The pose of {P} in {B} if the pose device shows (r, R)."""
         r, R, numbers = self.r, self.R, Named(self.table.names, self.v)
         for sensor in self._with_numbers:
             r, R = sensor.pose(r, R, numbers[sensor.name])
@@ -168,7 +166,7 @@ class Structure:
 
     @cached_property
     def to_device(self) -> Batch:
-        """(r and R9 of {P} in {B}, v) -> r, R9 as the pose device shows them."""
+        """(r and R9 of {P} in {B}, v) -> r, R9 that the pose device shows."""
         r, R, numbers = self.r, self.R, Named(self.table.names, self.v)
         for sensor in reversed(self._with_numbers):
             r, R = sensor.shown(r, R, numbers[sensor.name])
@@ -176,7 +174,7 @@ class Structure:
 
     @cached_property
     def to_base(self) -> Batch:
-        """The inverse of `shown`: what the device shows, as a pose of {P} in {B}."""
+        """The inverse of `to_device`: (r and R9 that the device shows, v) -> pose of {P} in {B}."""
         return Batch(self._pose_function("located", *self.platform_pose))
 
     def _pose_function(self, name: str, r: Any, R: Any) -> ca.Function:
@@ -188,30 +186,30 @@ class Structure:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """What the sensors read beside the pose, one row each."""
+        """The channels of all sensors besides the pose, one row each."""
         return tuple(c for sensor in self.sensors for c in sensor.channels)
 
     @property
     def standard_uncertainty(self) -> np.ndarray:
-        """Standard deviation of each channel (m), a guess where nobody stated one."""
+        """Standard deviation of each channel (m); a guess if none is stated."""
         return np.array([s.weighing_sigma for s in self.sensors for _ in s.channels], dtype=float)
 
     @property
     def channels_without_sigma(self) -> tuple[str, ...]:
-        """Channels of which nobody stated how much their readings scatter."""
+        """Channels without a stated standard deviation."""
         return tuple(c for s in self.sensors if s.sigma is None for c in s.channels)
 
     @cached_property
     def rows(self) -> Any:
-        """What measurements are held against: the closure where the device puts the platform,
-        then what every channel shows there."""
+        """The rows of the measurement equations: the closure at the measured pose, then the
+        reading of every channel there."""
         r, R = self.platform_pose
         numbers = Named(self.table.names, self.v)
         readings = [self._readings(s, r, R, numbers) for s in self._with_numbers]
         return ca.vertcat(self._substitute_platform_pose(self.phi), *readings)
 
     def _readings(self, sensor: Sensor, r: Any, R: Any, numbers: Named) -> Any:
-        """What a sensor's channels show at a pose, after the effects on them."""
+        """Readings of a sensor's channels at a pose, after the effects on them."""
         s, rows = numbers[sensor.name], ca.SX(0, 1)
         for k, channel in enumerate(sensor.channels):
             pose = r, R
@@ -241,39 +239,42 @@ class Structure:
 
     @cached_property
     def rows_compiled(self) -> Batch:
-        """The same as machine code: very many samples repay the second that compiling takes."""
+        """`rows_function` as machine code; compiling takes a second, which many samples repay."""
         return Batch(self.rows_function, compile=True)
 
     @lru_cache(maxsize=256)  # noqa: B019  (lives as long as the structure, which is cached itself)
     def columns(self, which: tuple[int, ...]) -> Batch:
-        """(configuration, a, v) -> d rows/d(some of v), on arrays: what a new effect would do."""
+        """(configuration, a, v) -> d rows/d(some of v), on arrays; used for a new effect."""
         inputs = (self.configuration, self.a, self.v)
         by_v = ca.jacobian(self.rows, ca.vertcat(*[self.v[i] for i in which]))
         return Batch(dense("columns", inputs, (by_v,)))
 
     @cached_property
     def seen_batch(self) -> Batch:
-        """(configuration, a, v) -> what the effects let the closure see, as one column: q, r, R9
+        """(configuration, a, v) -> inputs of the closure after the effects, as one column: q, r, R9
         and geometry, on arrays of samples."""
         inputs = (self.configuration, self.a, self.v)
         return Batch(dense("seen", inputs, (self._substitute_platform_pose(_column(self.seen)),)))
 
     @cached_property
     def ideal(self) -> Structure:
-        """The mechanism without effects and sensors: its coordinates are what they let see."""
+        """The mechanism without effects and sensors."""
         return structure_of(self.mechanism, ())
 
     @cached_property
     def seen_jacobian(self) -> Batch:
-        """Of an ideal mechanism: q, r, R9 and geometry -> d phi/d these, column by column."""
+        """(q, r, R9 and geometry) -> d phi/d these, column by column; for an ideal mechanism."""
         z = ca.vertcat(self.configuration, self.v)
         return Batch(dense("by_seen", (z,), (ca.jacobian(self.phi, z),)))
 
     @lru_cache(maxsize=256)  # noqa: B019
     def effect_jacobian(self, name: str, which: tuple[int, ...]) -> tuple[Batch, np.ndarray]:
-        """Of an ideal mechanism: (q, r, R9 and geometry as effects before let see them, conditions
-        and numbers of one more) -> d seen/d(some of these), without the entries of `seen` that
-        these leave alone; the second answer numbers those it has."""
+        """Build the derivatives of `seen` by some parameters of one more effect.
+
+        For an ideal mechanism: (q, r, R9 and geometry after the effects before, conditions,
+        parameters of the effect) -> d seen/d(parameters `which`). Entries of `seen` that these
+        parameters do not change are omitted; the second result lists the indices of the others.
+        """
         effect = load_effect(name)
         names, at = effect.table(self.mechanism).names, effect.conditions(self.mechanism)
         e, a = ca.SX.sym("e", len(names)), ca.SX.sym("a", len(at))
@@ -284,13 +285,13 @@ class Structure:
         return Batch(dense("seen_by", inputs, (J[moved.tolist(), :],))), moved
 
     def _substitute_platform_pose(self, expression: Any) -> Any:
-        """An expression of {P} in {B} where the device shows what is measured."""
+        """An expression of the pose of {P} in {B}, in terms of the measured pose."""
         r, R = self.platform_pose
         return ca.substitute([expression], [self.r, self.R9], [r, ca.vec(ca.SX(R).T)])[0]
 
     @cached_property
     def closure_configuration(self) -> ca.Function:
-        """(configuration, a, v) -> phi, d phi/d(q, r, w): what a careful solver needs."""
+        """(configuration, a, v) -> phi, d phi/d(q, r, w), for the careful solver."""
         inputs = (self.configuration, self.a, self.v)
         return dense("closure_configuration", inputs, (self.phi, self.jacobian_configuration))
 
@@ -301,21 +302,21 @@ class Structure:
 
     @cached_property
     def candidates(self) -> ca.Function:
-        """(q, v) -> one column (r, R9) for each pose the direct problem may start from."""
+        """(q, v) -> one column (r, R9) for each candidate pose of the direct problem."""
         poses = self.mechanism.candidates(self.q, self.geometry)
         columns = [ca.vertcat(r, ca.vec(ca.SX(R).T)) for r, R in poses]
         return dense("candidates", (self.q, self.v), [ca.horzcat(*columns)])
 
     @cached_property
     def joint_candidates(self) -> ca.Function:
-        """(r, R9, v) -> for each joint one column of the values it may start from."""
+        """(r, R9, v) -> for each joint one column of its candidate values."""
         m = self.mechanism
         choices = m.wrap_to_home(m.joint_candidates(self.r, self.R, self.geometry))
         return dense("joints", (self.r, self.R9, self.v), [ca.vertcat(*c) for c in choices])
 
     @cached_property
     def scale(self) -> np.ndarray:
-        """Metres a unit of each of (q, r, w) moves things: the mechanism's length for angles."""
+        """Motion in metres per unit of each of (q, r, w): the mechanism's length for angles."""
         m = self.mechanism
         joints = [m.length if unit == "rad" else 1.0 for unit in m.joint_units]
         return np.array(joints + [1.0] * 3 + [m.length] * 3)
@@ -326,7 +327,7 @@ def _column(seen: Seen) -> Any:
     return ca.vertcat(ca.SX(seen.q), ca.SX(seen.r), ca.vec(ca.SX(seen.R).T), seen.p.column)
 
 
-@lru_cache(maxsize=256)  # a diagnosis that finds two effects goes through ninety of 2 MB each
+@lru_cache(maxsize=256)  # a diagnosis of two effects uses ninety of 2 MB each
 def _cached_structure(
     mechanism: Mechanism, effects: tuple[str, ...], sensors: tuple[Sensor, ...]
 ) -> Structure:
@@ -336,5 +337,5 @@ def _cached_structure(
 def structure_of(
     mechanism: Mechanism, effects: tuple[Effect, ...], sensors: tuple[Sensor, ...] = ()
 ) -> Structure:
-    """The structure of a mechanism with effects and sensors, derived once."""
+    """Return the structure of a mechanism with effects and sensors; it is derived once."""
     return _cached_structure(mechanism, tuple(effect.name for effect in effects), sensors)

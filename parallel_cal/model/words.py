@@ -9,7 +9,7 @@ from parallel_cal.model.parameters import ParameterTable
 
 
 def describe(name: str, table: ParameterTable) -> str:
-    """`chain2.Lb` -> `rod length of chain 2`; a parameter without a label keeps its name."""
+    """Describe `chain2.Lb` as `rod length of chain 2`; without a label, the name is kept."""
     *owners, key = name.split(".")
     word = (table[name].label if name in table.names else "") or key
     readable = [re.sub(r"(?<=[a-z])(\d+)$", r" \1", o).replace("_", " ") for o in owners]
@@ -17,8 +17,10 @@ def describe(name: str, table: ParameterTable) -> str:
 
 
 def direction_in_words(parts: Mapping[str, float], table: ParameterTable) -> str:
-    """A direction as `A against B`: what grows and what shrinks together, unseen (largest
-    first; parts in tolerances, as `observability.combination` gives them)."""
+    """Describe an unidentifiable direction as `A against B`: A grows while B shrinks.
+
+    `parts` are in tolerances, largest first, as `observability.combination` returns them.
+    """
     grows = [name for name, weight in parts.items() if weight > 0]
     shrinks = [name for name, weight in parts.items() if weight < 0]
     sides = [_join_groups(side, table) for side in (grows, shrinks) if side]
@@ -26,23 +28,20 @@ def direction_in_words(parts: Mapping[str, float], table: ParameterTable) -> str
 
 
 def _join_groups(names: list[str], table: ParameterTable, most: int = 3) -> str:
-    """The first few of them; owners that share a word are named together."""
+    """The first few parameters; equal parameters of several chains share one phrase."""
     grouped: dict[str, list[str]] = {}
     for name in names:
         grouped.setdefault(name.rpartition(".")[2], []).append(name)
-    told = [_format_group(group, table) for group in list(grouped.values())[:most]]
-    rest = len(grouped) - len(told)
-    return " with ".join(told) + (f" and {rest} more" if rest else "")
-
-
-def _format_group(names: list[str], table: ParameterTable) -> str:
-    """`rod length of chain 1, 2, 3` for one parameter of several chains."""
-    first, *others = (describe(name, table) for name in sorted(names))
-    return ", ".join([first, *(other.rpartition(" ")[2] for other in others)])
+    phrases = []  # such as `rod length of chain 1, 2, 3`
+    for group in list(grouped.values())[:most]:
+        first, *others = (describe(name, table) for name in sorted(group))
+        phrases.append(", ".join([first, *(other.rpartition(" ")[2] for other in others)]))
+    rest = len(grouped) - len(phrases)
+    return " with ".join(phrases) + (f" and {rest} more" if rest else "")
 
 
 def parameters_in_words(names: Iterable[str], table: ParameterTable) -> str:
-    """`D_x, D_y of chain 1, 2 and z of plate of probe`: what is alike of several parts together."""
+    """Describe parameters, grouped: `D_x, D_y of chain 1, 2 and z of plate of probe`."""
     owners: dict[tuple[str, str], dict[str, None]] = {}
     for name in names:
         word, _, owner = describe(name, table).partition(" of ")
@@ -51,5 +50,5 @@ def parameters_in_words(names: Iterable[str], table: ParameterTable) -> str:
     parts: dict[tuple[str, str], list[str]] = {}
     for (word, family), numbers in owners.items():
         parts.setdefault((family, ", ".join(sorted(numbers))), []).append(word)
-    told = [f"{', '.join(words)} of {f} {n}".rstrip() for (f, n), words in parts.items()]
-    return " and ".join(told).replace(" of  ", " ").removesuffix(" of")
+    phrases = [f"{', '.join(words)} of {f} {n}".rstrip() for (f, n), words in parts.items()]
+    return " and ".join(phrases).replace(" of  ", " ").removesuffix(" of")

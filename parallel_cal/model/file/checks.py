@@ -1,4 +1,4 @@
-"""What the numbers and names in a model file may be; each check raises ModelFileError."""
+"""Checks of the values and names in a model file; each raises ModelFileError."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ FOREIGN = {
     "m": (("mm", 1e-3), ("um", 1e-6), ("inch", 0.0254)),
     "rad": (("degrees", math.pi / 180), ("mrad", 1e-3), ("arcmin", math.pi / 10800)),
 }
-MAX_LIMIT_RAD = 50.0  # rad; limits beyond it, eight turns, are degrees
+MAX_LIMIT_RAD = 50.0  # eight turns; larger limits are probably in degrees
 
 
 def names(document: Document, path: Path, found: Iterable[str], expected: Iterable[str]) -> None:
-    """Every expected parameter, and no other."""
+    """Check that the file has every expected parameter and no other."""
     known = list(expected)
     for name in found:
         if name not in known:
@@ -31,7 +31,7 @@ def names(document: Document, path: Path, found: Iterable[str], expected: Iterab
 
 
 def unit(document: Document, path: Path, parameter: Parameter, found: str) -> None:
-    """Files hold SI units only."""
+    """Check a parameter's unit: files contain SI units only."""
     if found != parameter.unit:
         raise document.error(
             (*path, "unit"),
@@ -40,13 +40,13 @@ def unit(document: Document, path: Path, parameter: Parameter, found: str) -> No
 
 
 def length(document: Document, path: Path, values: Sequence[object], n: int, what: str) -> None:
-    """A list of the right length."""
+    """Check the length of a list."""
     if len(values) != n:
         raise document.error(path, f"found {len(values)} values, expected {n}, {what}")
 
 
 def joint(document: Document, name: str, expected: str, part: JointPart) -> None:
-    """A joint's name, unit and limits."""
+    """Check a joint's name, unit and limits."""
     path: Path = ("joints", name)
     if not name or any(c.isspace() or c == "." for c in name):
         raise document.error(path, f"the name {name!r} must not contain spaces or dots")
@@ -60,14 +60,14 @@ def joint(document: Document, name: str, expected: str, part: JointPart) -> None
 
 
 def box(document: Document, path: Path, low: Sequence[float], high: Sequence[float]) -> None:
-    """A box that is not inside out."""
+    """Check that no low side of a box is above the high one."""
     for i, (a, b) in enumerate(zip(low, high, strict=True)):
         if a > b:
             raise document.error((*path, "low", i), f"{a} is above high, {b}")
 
 
 def gravity(document: Document, found: Sequence[float]) -> None:
-    """A direction in {B} and m/s^2, not a bare direction or mm/s^2; zero is weightless."""
+    """Check that gravity is in m/s^2, not in mm/s^2 or a unit vector; zero is weightless."""
     size = math.hypot(*found)
     if size and not 1.5 < size < 25.0:  # m/s^2: from the Moon to Jupiter
         text = f"{[*found]} has the length {size:.6g} m/s^2, expected about 9.81 (zero: weightless)"
@@ -77,38 +77,31 @@ def gravity(document: Document, found: Sequence[float]) -> None:
 def number(
     document: Document, path: Path, parameter: Parameter, value: float, sigma: float | None
 ) -> None:
-    """A value within ten tolerances of nominal and within what is physically possible, or less
-    than three of its own sigmas beyond."""
+    """Check that a value is plausible: within ten tolerances of nominal and its physical bounds,
+    or less than three of its own sigmas beyond."""
     low, high = parameter.plausible_range(sigma or 0.0)
     if low <= value <= high:
         return
     low, high = parameter.plausible_range()
     expected = f"expected {low:.6g} to {high:.6g} {parameter.unit}"
-    text = f"{value!r} {parameter.unit} {_why(parameter, value)}; {expected}"
-    raise document.error((*path, "value"), text + _foreign_unit(parameter, value))
-
-
-def _why(parameter: Parameter, value: float) -> str:
-    if not parameter.low <= value <= parameter.high:
-        return "is physically impossible"
-    away = abs(value - parameter.nominal) / parameter.tolerance
-    return (
-        f"is {away:.3g} tolerances from its nominal {parameter.nominal:g} "
-        f"(1 tolerance = {parameter.tolerance:g} {parameter.unit})"
+    why = "is physically impossible"
+    if parameter.low <= value <= parameter.high:
+        away = abs(value - parameter.nominal) / parameter.tolerance
+        why = (
+            f"is {away:.3g} tolerances from its nominal {parameter.nominal:g} "
+            f"(1 tolerance = {parameter.tolerance:g} {parameter.unit})"
+        )
+    guesses = (
+        f"; is it in {name}? That would be {value * factor:.6g} {parameter.unit}"
+        for name, factor in FOREIGN.get(parameter.unit, ())
+        if low <= value * factor <= high
     )
-
-
-def _foreign_unit(parameter: Parameter, value: float) -> str:
-    """A guess which other unit an implausible value is in."""
-    low, high = parameter.plausible_range()
-    for name, factor in FOREIGN.get(parameter.unit, ()):
-        if low <= value * factor <= high:
-            return f"; is it in {name}? That would be {value * factor:.6g} {parameter.unit}"
-    return ""
+    text = f"{value!r} {parameter.unit} {why}; {expected}{next(guesses, '')}"
+    raise document.error((*path, "value"), text)
 
 
 class Hint:
-    """What stands at a parameter's keys, for errors about the file's shape."""
+    """Describe the expected value at a parameter's key, for errors in the file's structure."""
 
     def __init__(self, document: Document, table: ParameterTable):
         self._document, self._table = document, table
@@ -141,7 +134,7 @@ def covariance(
     table: ParameterTable,
     sigmas: Sequence[float | None],
 ) -> np.ndarray | None:
-    """(n, n) from the lower triangle, or from the sigmas alone; None where there is neither."""
+    """Build the covariance (n, n) from the lower triangle or from sigmas; None without both."""
     if part is None:
         if all(sigma is None for sigma in sigmas):
             return None
@@ -161,7 +154,7 @@ def covariance(
 
 
 def _triangle(document: Document, part: CovariancePart, table: ParameterTable) -> np.ndarray:
-    """The full matrix of a lower triangle; zero where a parameter is not in it."""
+    """The full matrix of a lower triangle; zero for parameters that it does not contain."""
     path: Path = ("covariance", "lower")
     unknown = [name for name in part.names if name not in table.names]
     if unknown or len(set(part.names)) != len(part.names):

@@ -1,4 +1,4 @@
-"""The YAML model file: read with every number checked, written whole or not at all."""
+"""The YAML model file: every number is checked when read; it is written atomically."""
 
 from __future__ import annotations
 
@@ -24,9 +24,7 @@ __all__ = [
     "write_text",
 ]
 
-MAX_MODEL_FILE_BYTES = (
-    4 * MEGABYTE
-)  # of a file: a second each, in which streams of the node that reads it suffer
+MAX_MODEL_FILE_BYTES = 4 * MEGABYTE  # a node takes 1 s per MB, and its streams wait
 
 
 def read_model(path: str | Path) -> Model:
@@ -55,7 +53,7 @@ def read_model(path: str | Path) -> Model:
 
 
 def model_text(path: str | Path) -> str:
-    """The text of a model file; ModelFileError where it cannot be read or is none."""
+    """Read the text of a model file; ModelFileError if it cannot be read or is not text."""
     try:
         return read_text(path, MAX_MODEL_FILE_BYTES)
     except OSError as error:
@@ -65,7 +63,7 @@ def model_text(path: str | Path) -> str:
 
 
 def parse_model(text: str, name: str = "model") -> Model:
-    """The model in a text; `name` stands for the file in errors (ModelFileError)."""
+    """Parse the text of a model file; errors (ModelFileError) call the file `name`."""
     from parallel_cal.model.file.reader import Reader  # pydantic costs 50 ms
 
     return Reader(parse_yaml(text, name)).model()
@@ -97,13 +95,15 @@ def write_model(model: Model, path: str | Path) -> None:
 
 
 def replace_model(model: Model, path: str | Path) -> None:
-    """The same; a file that was there is laid aside as `PATH.previous`."""
+    """Write a model file like `write_model`; an existing file is kept as `PATH.previous`."""
     replace_text(path, readable_text(model, path))
 
 
 def replace_text(path: str | Path, text: str) -> None:
-    """Write a model file's text, and keep the one before beside it, with its permissions;
-    ModelFileError, and both files as they were, for a text that could not be read back."""
+    """Write a model file's text and keep the previous file, with its permissions, beside it.
+
+    ModelFileError for a text that could not be read back; both files then stay unchanged.
+    """
     parse_model(text, f"{path} (not written)")
     if Path(path).exists():
         write_text(f"{path}{BACKUP_SUFFIX}", model_text(path), like=path)
@@ -111,11 +111,10 @@ def replace_text(path: str | Path, text: str) -> None:
 
 
 def readable_text(model: Model, name: str | Path) -> str:
-    """The text of a model's file, which the reader accepts; `name` stands for the file in the
-    ModelFileError where it does not.
+    """Return the text of a model's file if the reader accepts it, else raise ModelFileError.
 
-    Whatever stores a model takes its text from here: `dump_model` alone also gives texts that
-    nobody can read back.
+    The error calls the file `name`. Use this function to store a model: `dump_model` alone may
+    return a text that the reader refuses.
     """
     text = dump_model(model)
     parse_model(text, f"{name} (not written)")
@@ -123,8 +122,10 @@ def readable_text(model: Model, name: str | Path) -> str:
 
 
 def write_text(path: str | Path, text: str, like: str | Path | None = None) -> None:
-    """Write the text of a model file in one step, unchecked: for one that was just read, or that
-    is laid aside as it is. ModelFileError where the file cannot be written."""
+    """Write the text of a model file atomically, unchecked; ModelFileError if this fails.
+
+    It is for text that was just checked, and for a copy of an existing file.
+    """
     try:
         write_atomically(path, text, like)
     except OSError as error:

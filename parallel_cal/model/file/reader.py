@@ -1,4 +1,4 @@
-"""From the data of a model file to a model, each step trusting what the steps before checked."""
+"""From the data of a model file to a model; each step relies on the checks before it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ VERSION = 1
 
 
 class Reader:
-    """One document on its way to a model; any step may raise ModelFileError."""
+    """Build a model from one document; any step may raise ModelFileError."""
 
     def __init__(self, document: Document):
         self._document = document
@@ -63,12 +63,12 @@ class Reader:
             },
         )
         try:
-            model.structure.phi  # noqa: B018  (a user's closure is read here, not when it is needed)
+            model.structure.phi  # noqa: B018  (evaluate a user's closure now, not at its first use)
         except ModelError as error:
             raise self._error(("mechanism",), str(error)) from None
         return model
 
-    # ------------------------------------------------------------------ what the file is about
+    # ------------------------------------------------------------------ version, mechanism, parts
 
     def _check_version(self) -> None:
         data = self._document.data
@@ -101,12 +101,12 @@ class Reader:
         return read_sensor(self._document, (*path, "options"), name, options)
 
     def _load_parts(self, key: str, load: Callable[[Path, str, dict[str, Any]], Any]) -> list[Any]:
-        """What the entries of a list name, each once, in their order."""
+        """Load the parts that a list names, each once, in order."""
         entries = self._document.data.get(key)
         loaded: list[Any] = []
         for i, entry in enumerate(entries if isinstance(entries, list) else []):
             name = entry.get("name") if isinstance(entry, dict) else None
-            if not isinstance(name, str):  # the schema's business
+            if not isinstance(name, str):  # the schema reports it
                 continue
             if any(part.name == name for part in loaded):
                 raise self._error((key, i, "name"), f"the {key[:-1]} '{name}' occurs twice")
@@ -119,7 +119,7 @@ class Reader:
     # ------------------------------------------------------------------ this robot's mechanism
 
     def _configure(self, mechanism: Mechanism, file: FilePart) -> None:
-        """Give the mechanism this robot's joints, home, workspace, nominal values, tolerances."""
+        """Set joints, home, workspace, nominal values and tolerances of this robot."""
         self._set_joints(mechanism, file)
         n, controls = len(mechanism.joints), mechanism.controls
         if file.home is not None:
@@ -146,16 +146,15 @@ class Reader:
         mechanism.parameters = self._own_table(mechanism, file)
 
     def _check_tolerances(self, mechanism: Mechanism, file: FilePart) -> None:
-        """They are of numbers that effects of this mechanism have, alone or by shell pattern."""
+        """Check that each tolerance matches a parameter of an effect, by name or shell pattern."""
         for name in file.tolerances:
-            path = ("tolerances", name)
             try:
                 load_effect(name.partition(".")[0]).table(mechanism).matching([name])
             except ModelError as error:
-                raise self._error(path, str(error)) from None
+                raise self._error(("tolerances", name), str(error)) from None
 
     def _set_joints(self, mechanism: Mechanism, file: FilePart) -> None:
-        """Names in messages and limits; the order is the mechanism's."""
+        """Set names, limits, gearing and rates of the joints, in the mechanism's order."""
         names, own = tuple(file.joints), mechanism.joints
         expected = f"{mechanism.name} has {len(own)}: {', '.join(own)}"
         found = f"found {', '.join(names) or 'none'}; {expected}"
@@ -166,7 +165,13 @@ class Reader:
         for (name, joint), unit in zip(file.joints.items(), mechanism.joint_units, strict=True):
             checks.joint(self._document, name, unit, joint)
         mechanism.joints = names
-        mechanism.joint_limits = tuple(_limits(joint) for joint in file.joints.values())
+        mechanism.joint_limits = tuple(
+            (
+                -math.inf if joint.low is None else joint.low,
+                math.inf if joint.high is None else joint.high,
+            )
+            for joint in file.joints.values()
+        )
         mechanism.joint_gearing = tuple(joint.gearing for joint in file.joints.values())
         rates = [(joint.velocity, joint.acceleration) for joint in file.joints.values()]
         if any(rate is not None for each in rates for rate in each):
@@ -212,7 +217,7 @@ class Reader:
         table: ParameterTable,
         numbers: Mapping[str, OwnNumberPart],
     ) -> Iterator[tuple[Path, Parameter, OwnNumberPart]]:
-        """The parameters of an effect or a sensor, which the file has by their short names."""
+        """The parameters of an effect or a sensor; the file contains their short names."""
         short = {p.name.removeprefix(f"{part.name}."): p for p in table}
         checks.names(self._document, path, numbers, short)
         for name, parameter in short.items():
@@ -228,8 +233,3 @@ def _full_table(
     parts: list[Effect | Sensor] = [*effects, *sensors]
     tables = [part.table(mechanism) for part in parts]
     return ParameterTable([*mechanism.parameters, *(p for table in tables for p in table)])
-
-
-def _limits(joint: Any) -> tuple[float, float]:
-    low = -math.inf if joint.low is None else joint.low
-    return low, math.inf if joint.high is None else joint.high

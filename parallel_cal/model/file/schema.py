@@ -1,4 +1,4 @@
-"""The shape of a model file (pydantic); what its numbers may be is checked in modelfile.py."""
+"""The shape of a model file (pydantic); checks.py checks its values."""
 
 from __future__ import annotations
 
@@ -22,16 +22,18 @@ class Part(BaseModel):
 
 
 class MechanismPart(Part):
-    """Which mechanism, and what its file lets one choose (a number of legs)."""
+    """The mechanism and the options of its class (a number of legs)."""
 
     name: str
     options: dict[str, Any] = {}
 
 
 class JointPart(Part):
-    """One joint: its name in joint_states is the key; limits in its unit, none = endless; the most
-    that joint commands may ask of it, per s and s^2; how much its reading moves where the joint
-    behind the gear moves by one."""
+    """One joint; its key is its name in joint_states.
+
+    Limits are in its unit; None means endless. `velocity` and `acceleration` are the limits of
+    joint commands, per s and s^2. `gearing` is the reading per unit of the joint behind the gear.
+    """
 
     unit: str
     low: float | None = None
@@ -42,7 +44,7 @@ class JointPart(Part):
 
 
 class HomePart(Part):
-    """A configuration of the assembly mode the robot works in (m, rad, x y z w)."""
+    """A configuration of the assembly mode in which the robot works (m, rad, x y z w)."""
 
     joints: list[float]
     position: Vector
@@ -50,7 +52,7 @@ class HomePart(Part):
 
 
 class WorkspacePart(Part):
-    """The box of controlled coordinates that poses are drawn from (m, rad)."""
+    """The box of controlled coordinates from which poses are drawn (m, rad)."""
 
     low: list[float]
     high: list[float]
@@ -71,7 +73,7 @@ class FramesPart(Part):
 
 
 class NoisePart(Part):
-    """Measurement noise, 1 sigma: rad or m, m, rad; null = not known."""
+    """Measurement noise, 1 sigma: rad or m, m, rad; null = unknown."""
 
     joint: NotNegative | None = None
     position: NotNegative | None = None
@@ -79,7 +81,7 @@ class NoisePart(Part):
 
 
 class ModelNoisePart(NoisePart):
-    """The noise a model is fitted with, and whether anybody measured it."""
+    """The noise with which a model is fitted, and whether it is assumed, not measured."""
 
     assumed: bool = False
 
@@ -94,7 +96,7 @@ class NumberPart(Part):
 
 
 class OwnNumberPart(NumberPart):
-    """One parameter of an effect or a sensor; `tolerance` where this robot's is another one."""
+    """One parameter of an effect or a sensor; `tolerance` if it differs from the catalogue."""
 
     tolerance: Positive | None = None
 
@@ -114,7 +116,7 @@ class EffectPart(Part):
 
 
 class SensorPart(Part):
-    """One measuring set-up beside the pose device: its fields, its parameters (none: nominal)."""
+    """One measuring set-up besides the pose device: fields, and parameters (None: nominal)."""
 
     name: str
     options: dict[str, Any] = {}
@@ -153,7 +155,7 @@ class FilePart(Part):
     history: list[dict[str, JsonValue]] = []
 
 
-# where a key may stand -> the keys known there; `*` is any name or number
+# Position of a key -> the part whose keys are known there; `*` is any name or number.
 KNOWN: dict[Path, type[Part]] = {
     (): FilePart,
     ("mechanism",): MechanismPart,
@@ -187,9 +189,9 @@ EXPECTED = {
 
 
 def validate(document: Document, hint: Any) -> FilePart:
-    """The document as a checked structure; ModelFileError for the first thing wrong.
+    """Check the structure of a document; ModelFileError for the first error.
 
-    `hint(path)` says what the value at a path should be ("m, 0.066 to 0.086").
+    `hint(path)` describes the expected value at a path ("m, 0.066 to 0.086").
     """
     try:
         return FilePart.model_validate(document.data)
@@ -201,7 +203,7 @@ def validate(document: Document, hint: Any) -> FilePart:
 
 
 def sentence(error: Any, path: Path) -> str:
-    """What is wrong with the value at a path, from pydantic's account of it."""
+    """Describe pydantic's error in the value at a path."""
     kind = error["type"]
     if kind == "extra_forbidden":
         return "unknown key" + suggestion(str(path[-1]), _known_at(path[:-1]))
@@ -223,7 +225,7 @@ def _known_at(path: Path) -> list[str]:
 
 
 def suggestion(word: str, known: list[str]) -> str:
-    """The nearest known words, or all of them where none is near and they are few."""
+    """Suggest the nearest known words, or else list the first ones."""
     if near := format_suggestion(word, known):
         return near
     return f"; expected one of {', '.join(known[:24])}" if known else ""

@@ -18,9 +18,9 @@ from parallel_cal.model.shelf import load_class
 
 
 def read_sensor(document: Document, path: Path, name: str, options: Mapping[str, Any]) -> Sensor:
-    """The sensor `name` with options as YAML has them; ModelFileError names the bad one's key.
+    """Make the sensor `name` with options from YAML; ModelFileError names the key of a bad one.
 
-    ModelError where there is no such sensor.
+    ModelError if there is no such sensor.
     """
     made = load_class("sensors", name, Sensor)
     known = [field.name for field in fields(made)]
@@ -41,7 +41,7 @@ def read_sensor(document: Document, path: Path, name: str, options: Mapping[str,
 
 
 def own_numbers(sensor: Sensor, table: ParameterTable) -> dict[str, OwnNumberPart]:
-    """The numbers of a sensor whose entry gives none: nominal, fixed where it knows them."""
+    """Return nominal parameters for a sensor whose entry gives none; known ones are fixed."""
     fixed = table.matching(sensor.fixed_patterns())
     return {
         p.name.removeprefix(f"{sensor.name}."): OwnNumberPart(

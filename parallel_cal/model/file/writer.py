@@ -1,4 +1,4 @@
-"""A model as the text of its file; equal models give equal text in every process."""
+"""Text of a model file; equal models give equal text in every process."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ parallel_cal: 1
 
 
 def dump_model(model: Model) -> str:
-    """The file's text; ModelFileError where a number is not finite."""
+    """Write a model as text; ModelFileError if a number is not finite."""
     parts = (_setup, _parameters, _effects, _sensors, _tolerances, _covariance, _history)
     return HEAD + "".join(f"{line}\n" for part in parts for line in part(model))
 
@@ -87,7 +87,7 @@ def _effects(model: Model) -> Iterator[str]:
 
 
 def _sensors(model: Model) -> Iterator[str]:
-    """Nothing where there is none: most robots are measured by a pose device in {B}."""
+    """No section without sensors: most robots are measured by a pose device in {B}."""
     if model.sensors:
         yield "sensors:"
     for sensor in model.sensors:
@@ -97,7 +97,7 @@ def _sensors(model: Model) -> Iterator[str]:
 
 
 def _tolerances(model: Model) -> Iterator[str]:
-    """Those of effects that the model has not; those of its own stand beside their numbers."""
+    """Tolerances of effects outside the model; the others are beside their parameters."""
     if others := {k: float(v) for k, v in model.tolerances.items() if k not in model.table.names}:
         yield "tolerances:"
         yield from (f"  {flow(name)}: {flow(value)}" for name, value in others.items())
@@ -125,7 +125,7 @@ def _entry(model: Model, i: int, parameter: Parameter, own: Mapping[str, float])
 
 
 def _covariance(model: Model) -> Iterator[str]:
-    """Names and lower triangle of the estimated parameters; nothing where sigmas say it all."""
+    """Names and lower triangle of the estimated parameters; omitted if sigmas suffice."""
     if model.covariance is None:
         return
     full = np.asarray(model.covariance)

@@ -1,6 +1,6 @@
 """YAML text <-> plain data, with the line of every key and numbers that survive exactly.
 
-Scalars follow YAML 1.2 (`1e-5` is a number, `on` a word), whatever the parser underneath does.
+Scalars follow YAML 1.2 (`1e-5` is a number, `on` a word), unlike PyYAML.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 WHOLE = re.compile(r"[-+]?[0-9]+")
 NOT_FINITE = re.compile(r"[-+]?\.?(inf|infinity|nan)", re.IGNORECASE)
 PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./+-]*( [A-Za-z0-9_./+-]+)*")
-MAX_DEPTH = 30  # levels; a model file has six, and parsers go down by recursion
-DIGITS = 18  # of a whole number: what 64 bits hold
+MAX_DEPTH = 30  # levels; a model file has six, and parsers are recursive
+DIGITS = 18  # of an integer: 64 bits
 AMBIGUOUS = {"null", "true", "false", "yes", "no", "on", "off", "y", "n", "nan", "inf", "infinity"}
 
 
@@ -35,20 +35,20 @@ class Document:
     lines: Mapping[Path, int]
 
     def line(self, path: Path) -> int:
-        """The line of a key, or of the nearest thing around it."""
+        """Return the line of a key, or of the nearest key around it."""
         while path and path not in self.lines:
             path = path[:-1]
         return self.lines.get(path, 1)
 
     def error(self, path: Path, text: str) -> ModelFileError:
-        """An error that names file, line and key."""
+        """Make an error that names file, line and key."""
         key = ".".join(str(part) for part in path)
         where = f"{self.name}:{self.line(path)}: "
         return ModelFileError(f"{where}{key}: {text}" if key else where + text)
 
 
 def parse_yaml(text: str, name: str) -> Document:
-    """The document in a text; ModelFileError where it is not YAML or a key occurs twice."""
+    """Parse a text; ModelFileError if it is not YAML or a key occurs twice."""
     import yaml
 
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -67,7 +67,7 @@ def parse_yaml(text: str, name: str) -> Document:
 
 
 def _check_depth(events: Iterable[Any], name: str) -> None:
-    """ModelFileError before anything recurses; events come one by one."""
+    """Check the depth without recursion, as YAML events arrive one by one (ModelFileError)."""
     depth = 0
     for event in events:
         kind = type(event).__name__
@@ -87,7 +87,7 @@ class _Builder:
 
     def value(self, node: Any, path: Path) -> Any:
         self._lines.setdefault(path, node.start_mark.line + 1)
-        # An alias may contain itself; a model file has no use for one.
+        # An alias may contain itself; a model file does not need one.
         if id(node) in self._seen or not node.tag.startswith("tag:yaml.org,2002:"):
             raise self._error(path, "YAML aliases (*name) and custom tags (!name) are not allowed")
         self._seen.add(id(node))
@@ -135,7 +135,7 @@ def _scalar(node: Any) -> Any:
 
 
 def flow(value: Any) -> str:
-    """A value on one line; floats as Python's repr, which reads back to the same bits."""
+    """Format a value on one line; floats like Python's repr, which reads back to the same bits."""
     value = value.tolist() if hasattr(value, "tolist") else value
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{flow(str(k))}: {flow(v)}" for k, v in value.items()) + "}"
@@ -143,19 +143,14 @@ def flow(value: Any) -> str:
         return "[" + ", ".join(flow(v) for v in value) + "]"
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
+    if isinstance(value, int):
+        return str(value)
     if isinstance(value, float):
-        return _float(value)
-    return str(value) if isinstance(value, int) else _text(str(value))
-
-
-def _float(value: float) -> str:
-    if not math.isfinite(value):
-        raise ModelFileError(f"a model file cannot contain the number {value}")
-    text = repr(value)
-    # YAML 1.1 readers take `1e-05` for a word.
-    return text.replace("e", ".0e") if "e" in text and "." not in text else text
-
-
-def _text(text: str) -> str:
+        if not math.isfinite(value):
+            raise ModelFileError(f"a model file cannot contain the number {value}")
+        text = repr(value)
+        # YAML 1.1 readers take `1e-05` for a word.
+        return text.replace("e", ".0e") if "e" in text and "." not in text else text
+    text = str(value)
     plain = PLAIN.fullmatch(text) and text.lower() not in AMBIGUOUS
     return text if plain else json.dumps(text, ensure_ascii=False)
