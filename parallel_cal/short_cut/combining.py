@@ -1,7 +1,7 @@
-"""Loops put together: one generalised least-squares problem in the Delta's parameters.
+"""All loops together: one generalised least-squares problem in the Delta's parameters.
 
 Near its estimate g0 a loop's chi2 is |r + A (g - g0)|^2 with A^T A the inverse of its covariance,
-and its numbers g(p) are functions of model 54's parameters p.
+and its parameters g(p) are functions of model 54's parameters p.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Rows = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True)
 class CombinedFit:
-    """Parameters (n,) of least chi2, whitened residuals (N,) and their Jacobian (N, n_free)."""
+    """Parameters (n,) of least chi2, whitened residuals (N,), and their Jacobian (N, n_free)."""
 
     values: np.ndarray
     residual: np.ndarray
@@ -32,9 +32,9 @@ class CombinedFit:
 def fit_combined(
     robot: Model, loops: Sequence[tuple[Loop, FitResult]], relinearise: bool
 ) -> CombinedFit:
-    """The Delta's parameters from all loops' numbers, its tolerances as priors.
+    """Fit the Delta's parameters to all loops, with its tolerances as priors.
 
-    `relinearise` follows the closures' curvature from step to step; without it only the loops'
+    `relinearise` evaluates the loops' closures again in each step. Without it, only the loops'
     estimates and covariances are used.
     """
     rows = closures if relinearise else linearise_closures
@@ -54,13 +54,13 @@ def fit_combined(
 
 
 def closures(result: FitResult) -> Rows:
-    """A loop's whitened closures (N,) and their Jacobian (N, 9) as functions of its numbers."""
+    """Make the function g -> a loop's whitened closures (N,) and their Jacobian (N, 9)."""
     every = np.ones(len(result.model.values), dtype=bool)
     linearise = Linearisation(result.model, result.observations, every, weighted=True)
 
     def rows(g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         x = linearise.start()
-        for _ in range(3):  # the readings settle on the loop, each time with the error squared
+        for _ in range(3):  # the readings converge quadratically to the loop
             system = linearise(g, x)
             x = system.adjusted(np.zeros(len(g)))
         return system.residual.ravel(), system.jacobian.reshape(-1, len(g))
@@ -69,7 +69,7 @@ def closures(result: FitResult) -> Rows:
 
 
 def linearise_closures(result: FitResult) -> Rows:
-    """The same to first order about the loop's estimate: estimate and covariance, as rows."""
+    """Make the same function to first order about the loop's estimate g0."""
     g0 = np.array(result.model.values)
     r, A = closures(result)(g0)
     return lambda g: (r + A @ (g - g0), A)

@@ -1,7 +1,7 @@
 """The short-cut set-up: a Delta identified from its own encoders (sections 4.2.7 and 5.4.5).
 
-The platform is taken off, and balls of two arms are tied by one of the robot's rods: an RSSR loop
-that two encoders see. Each loop is identified by `fit`; together they give model 54.
+The platform is removed, and balls of two arms are joined by one of the robot's rods. This is an
+RSSR loop with two encoders. `fit` identifies each loop; together they give model 54.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from parallel_cal.short_cut.unidentifiable import blind_spots
 
 @dataclass(frozen=True)
 class LoopResult:
-    """One loop's identification, and how many of its nine numbers its data see."""
+    """The identification of one loop; `rank` of its nine parameters are identifiable."""
 
     loop: Loop
     fit: FitResult
@@ -37,8 +37,10 @@ class LoopResult:
 
 @dataclass(frozen=True)
 class Combination:
-    """A Delta (model 54) with its covariance from loops: what no loop sees keeps its nominal
-    value and its tolerance, and `unseen` says in words what that is."""
+    """A Delta (model 54) with its covariance from loops.
+
+    Directions that no loop determines keep nominal value and tolerance; `unseen` describes them.
+    """
 
     model: Model
     loops: tuple[LoopResult, ...]
@@ -52,10 +54,11 @@ class Combination:
         return self.chi2 / self.dof if self.dof > 0 else float("nan")
 
     def document(self) -> dict[str, Any]:
-        """The JSON document of `parallel-cal short-cut`; all values SI, None where not known.
+        """Return the JSON document of `parallel-cal short-cut`; SI units, None if unknown.
 
-        A loop's errors before and after are those of the whole Delta's model: `orientation` is
-        the second arm's angle from the first's, `joint` the first's from the second's.
+        A loop's errors before and after are those of the whole Delta's model: `orientation` is the
+        error of the second arm's angle computed from the first, `joint` that of the first from the
+        second.
         """
         sigma = np.sqrt(np.diag(np.asarray(self.model.covariance)))
         return {
@@ -72,19 +75,19 @@ class Combination:
         }
 
     def _loop(self, found: LoopResult) -> dict[str, Any]:
-        own = found.fit.document()
+        fitted = found.fit.document()
         combined = loop_model(self.model, found.loop, found.fit.model.mechanism.home)
         keys = ("samples", "before", "parameters", "chi2_per_dof", "noise_from", "dataset")
         return {
             "loop": str(found.loop),
             "rank": found.rank,
-            **{key: own[key] for key in keys},
+            **{key: fitted[key] for key in keys},
             "after": errors(combined, found.fit.observations).document(),
         }
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the loops do not see, and whether they contradict each other."""
+        """Warnings: what the loops do not determine, and whether they contradict each other."""
         words = [f"the loops cannot tell {what}" for what in self.unseen]
         low, high = chi2_band(self.dof)
         if self.dof > 0 and not low <= self.chi2_per_dof <= high:
@@ -105,34 +108,26 @@ def short_cut(
     joint_sigma: float | None = None,
     relinearise: bool = True,
 ) -> Combination:
-    """Model 54 of a Delta (24 or 54) from recordings of its arms' readings in loops.
+    """Identify model 54 of a Delta (24 or 54) from recordings of its arms' readings in loops.
 
-    `fix` are patterns of what is known, like the lengths of two measured rods (`chain1.Lb`,
-    `chain1.dLb`): angles do not see the size. FitError where an arm is in no loop or a loop
+    `fix` are patterns of known parameters, such as the lengths of two measured rods (`chain1.Lb`,
+    `chain1.dLb`): angles do not determine the size. FitError if an arm is in no loop or a loop
     cannot be identified.
     """
-    robot = _model54(robot)
-    robot = replace(robot, fixed=robot.fixed | robot.table.matching(fix))
-    _check_arms([loop for loop, _ in recordings])
-    found = [identify(robot, loop, data, joint_sigma) for loop, data in recordings]
-    return combine(robot, found, relinearise)
-
-
-def _model54(robot: Model) -> Model:
     name, extra = robot.mechanism.name, len(robot.effects) + len(robot.sensors)
     if name not in ("delta24", "delta54") or extra:
         raise FitError(
             f"the model is {name} with {extra} effects and sensors; expected delta24 or delta54 "
             "with neither: loops tell the geometry alone"
         )
-    return robot.widen() if name == "delta24" else robot
-
-
-def _check_arms(loops: Sequence[Loop]) -> None:
-    missing = {0, 1, 2} - {arm for loop in loops for arm in loop.arms}
+    robot = robot.widen() if name == "delta24" else robot
+    robot = replace(robot, fixed=robot.fixed | robot.table.matching(fix))
+    missing = {0, 1, 2} - {arm for loop, _ in recordings for arm in loop.arms}
     if missing:
         names = ", ".join(str(arm + 1) for arm in sorted(missing))
         raise FitError(f"no loop holds arm {names}: record it tied to another arm")
+    found = [identify(robot, loop, data, joint_sigma) for loop, data in recordings]
+    return combine(robot, found, relinearise)
 
 
 @single_threaded()
@@ -142,7 +137,10 @@ def identify(
     dataset: Dataset,
     joint_sigma: float | None = None,
 ) -> LoopResult:
-    """One loop by the weighted implicit method, the Delta's tolerances as priors, its rod held."""
+    """Identify one loop by the weighted implicit method.
+
+    The Delta's tolerances are priors; the rod's length is fixed.
+    """
     try:
         data = loop_dataset(robot, loop, dataset, joint_sigma)
         model = loop_model(robot, loop, recorded_home(data))
@@ -156,8 +154,10 @@ def identify(
 
 @single_threaded()
 def combine(robot: Model, loops: Sequence[LoopResult], relinearise: bool = True) -> Combination:
-    """All loops as one Delta: covariance = (sum G^T A^T A G + T^-2)^-1, with A^T A the inverse of
-    a loop's covariance, G = d g/dp and T the tolerances. FitError where they do not go together.
+    """Combine all loops to one Delta; FitError if the result is implausible.
+
+    covariance = (sum G^T A^T A G + T^-2)^-1, with A^T A the inverse of a loop's covariance,
+    G = d g/dp and T the tolerances.
     """
     found = fit_combined(robot, [(k.loop, k.fit) for k in loops], relinearise)
     r, J, free = found.residual, found.jacobian, ~robot.fixed
@@ -166,13 +166,20 @@ def combine(robot: Model, loops: Sequence[LoopResult], relinearise: bool = True)
     covariance[np.ix_(free, free)] = seen.covariance
     model = robot.with_values(found.values, covariance)
     _check_plausible(model)
-    model = replace(model, history=(*robot.history, _entry(loops)))
+    datasets = [k.fit.dataset for k in loops]
+    step = {
+        "step": "short-cut",
+        "loops": [str(k.loop) for k in loops],
+        "samples": sum(k.fit.samples for k in loops),
+        "dataset": [{"source": d.source, "sha256": d.sha256} for d in datasets],
+    }
+    model = replace(model, history=(*robot.history, step))
     unseen = blind_spots([k.loop for k in loops], model, J)
     return Combination(model, tuple(loops), float(r @ r), len(r) - seen.rank, seen, unseen)
 
 
 def _check_plausible(model: Model) -> None:
-    """Loops that are not what they are called pull dimensions out of all proportion."""
+    """Refuse implausible dimensions, which indicate wrongly named loops (FitError)."""
     sigma = np.sqrt(np.diag(np.asarray(model.covariance)))
     for p, value, own, fixed in zip(model.table, model.values, sigma, model.fixed, strict=True):
         low, high = p.plausible_range(own)
@@ -182,14 +189,3 @@ def _check_plausible(model: Model) -> None:
                 f"{high:.6g}), though each is plausible alone: is a ball or rod named wrongly, or "
                 "was an encoder set to zero in between?"
             )
-
-
-def _entry(loops: Sequence[LoopResult]) -> dict[str, Any]:
-    """What the model file's history says of this step."""
-    datasets = [k.fit.dataset for k in loops]
-    return {
-        "step": "short-cut",
-        "loops": [str(k.loop) for k in loops],
-        "samples": sum(k.fit.samples for k in loops),
-        "dataset": [{"source": d.source, "sha256": d.sha256} for d in datasets],
-    }

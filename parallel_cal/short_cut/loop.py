@@ -1,7 +1,7 @@
-"""RSSR loops made of a Delta's own parts: which balls, which rod, what they say about the Delta.
+"""RSSR loops of a Delta's own parts: balls, rod, and their relation to the Delta's parameters.
 
-Two arms without platform, tied by a rod (section 4.2.7, figure 4.7). A loop has nine numbers g(p)
-of its own (section 5.4.5), which are functions of model 54's parameters p.
+A loop is two arms without platform, joined by a rod (section 4.2.7, figure 4.7). Its nine
+parameters g(p) (section 5.4.5) are functions of model 54's parameters p.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from parallel_cal.model.parameters import Named, ParameterTable
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.samples import READING
 
-RODS = ("11", "12", "21", "22", "31", "32")  # figure 3.9: chain, then its first or second
+RODS = ("11", "12", "21", "22", "31", "32")  # figure 3.9: chain, then first or second rod
 QUARTERS = (0.0, np.pi / 2, np.pi)
-POINTS = 3 * len(RODS) * len(QUARTERS)  # coordinates of the balls' places
+POINTS = 3 * len(RODS) * len(QUARTERS)  # number of coordinates of the balls
 
 
 @dataclass(frozen=True)
 class Loop:
-    """Balls `one` and `other` tied by `rod`: `12` is the second ball of arm 1, or its rod."""
+    """Balls `one` and `other` joined by `rod`; `12` is the second ball of arm 1, or its rod."""
 
     one: str
     other: str
@@ -38,7 +38,7 @@ class Loop:
 
     @classmethod
     def parse(cls, text: str) -> Loop:
-        """`12:21:11`; FitError where it is none."""
+        """Parse `12:21:11`; FitError for other text."""
         names = text.split(":")
         if len(names) != 3 or not set(names) <= set(RODS) or names[0][0] == names[1][0]:
             raise FitError(
@@ -76,8 +76,10 @@ def _numbers(loop: Loop) -> Single:
 
 
 def compute_parts(robot: Model, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """All that a loop can be made of (60,) and its derivative by the parameters (60, n), in m:
-    each ball's place at three angles of its arm, then the rods' lengths."""
+    """Compute the parts of loops (60,) and their derivative by the parameters (60, n), in m.
+
+    They are the positions of each ball at three angles of its arm, then the rods' lengths.
+    """
     parts, flat = _parts(robot.mechanism)(values)
     return parts, flat.reshape(-1, len(parts)).T
 
@@ -85,10 +87,9 @@ def compute_parts(robot: Model, values: np.ndarray) -> tuple[np.ndarray, np.ndar
 def loop_numbers(
     robot: Model, loop: Loop, values: np.ndarray, length: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The loop's numbers g (9,) in the order of `rssr`, and G = d g/dp (9, n).
+    """Compute the loop's parameters g (9,) in the order of `rssr`, and G = d g/dp (9, n).
 
-    The size is not among them, for two encoders do not see it: they are those of the loop
-    scaled to a rod of `length` (m).
+    Two encoders do not determine the size. The loop is therefore scaled to a rod of `length` (m).
     """
     parts, by_p = compute_parts(robot, values)
     g, flat = _numbers(loop)(parts, [length])
@@ -96,7 +97,7 @@ def loop_numbers(
 
 
 def split_by_loop(dataset: Dataset) -> list[tuple[Loop, Dataset]]:
-    """Each loop's samples: a channel `reading.12:21:11` is read where that loop was tied."""
+    """Split samples by loop: the channel `reading.12:21:11` is finite if that loop was joined."""
     channels = [name for name in dataset.conditions if name.startswith(READING)]
     if not channels:
         raise FitError(
@@ -112,10 +113,10 @@ def split_by_loop(dataset: Dataset) -> list[tuple[Loop, Dataset]]:
 
 
 def loop_model(robot: Model, loop: Loop, home: Home) -> Model:
-    """The loop as an RSSR model: values and tolerances follow from the Delta's.
+    """Make the RSSR model of a loop; values and tolerances follow from the Delta's.
 
-    `home` is a configuration in the assembly mode that was recorded. The rod is held, and what
-    the Delta's file fixes has the tolerance of the mechanism `rssr`.
+    `home` is a configuration in the recorded assembly mode. The rod's length is fixed. Parameters
+    that are fixed in the Delta have the tolerance of the mechanism `rssr`.
     """
     length = compute_parts(robot, robot.values)[0][POINTS + RODS.index(loop.rod)]
     values, G = loop_numbers(robot, loop, robot.values, length)
@@ -135,7 +136,7 @@ def loop_model(robot: Model, loop: Loop, home: Home) -> Model:
 def loop_dataset(
     robot: Model, loop: Loop, dataset: Dataset, joint_sigma: float | None = None
 ) -> Dataset:
-    """Joint readings as the loop sees them: the second encoder is its pose, turned about z."""
+    """Convert joint readings to samples of a loop: the second encoder is its rotation about z."""
     observations, (i, o) = observe(robot, dataset, joint_sigma), loop.arms
     q, sigma = observations.x, np.sqrt(np.diagonal(observations.S, axis1=1, axis2=2))
     turn = np.zeros((len(q), 3))
@@ -155,7 +156,7 @@ def loop_dataset(
 
 
 def recorded_home(dataset: Dataset) -> Home:
-    """The recorded configuration in the middle of the first arm's travel."""
+    """Return the recorded configuration in the middle of the first arm's travel."""
     middle = np.argsort(dataset.q[:, 0], kind="stable")[len(dataset) // 2]
     turned = matrix_to_quaternion(dataset.R[middle])
     return Home((float(dataset.q[middle, 0]),), quaternion=tuple(turned.tolist()))  # type: ignore[arg-type]

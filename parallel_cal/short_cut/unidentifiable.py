@@ -1,4 +1,4 @@
-"""What a set of loops does not see of a Delta, in words (section 5.4.5)."""
+"""Directions of a Delta's parameters that a set of loops does not determine (section 5.4.5)."""
 
 from __future__ import annotations
 
@@ -14,26 +14,24 @@ from parallel_cal.short_cut.loop import POINTS, RODS, Loop, compute_parts
 
 
 def blind_spots(loops: Sequence[Loop], robot: Model, J: np.ndarray) -> tuple[str, ...]:
-    """Directions that the loops' whitened Jacobian J (n, n_free) does not see, by name."""
+    """Describe the directions that the whitened Jacobian J (n, n_free) does not determine."""
     free = ~robot.fixed
     scaled = J * robot.table.tolerance[free]
     floor = RELATIVE_RANK * _largest(scaled)
     words, blind = [], _null(scaled, floor)
     for what, move in _moves(loops, robot).items():
         lost = move @ _null(scaled @ move, floor)
-        if lost.shape[1]:
-            words.append(f"{what} ({_format_count(lost.shape[1])})")
-            blind = _remove_directions(blind, lost)
+        if count := lost.shape[1]:
+            words.append(f"{what} ({count} direction{'s' if count > 1 else ''})")
+            # Keep an orthonormal basis of the part of `blind` that is perpendicular to `lost`.
+            basis, sizes, _ = np.linalg.svd(blind - lost @ (np.linalg.pinv(lost) @ blind))
+            blind = basis[:, : int(np.sum(sizes > 0.5))]
     names = [n for n, f in zip(robot.table.names, free, strict=True) if f]
     return (*words, *(direction_in_words(combination(d, names), robot.table) for d in blind.T))
 
 
-def _format_count(n: int) -> str:
-    return f"{n} direction{'s' if n > 1 else ''}"
-
-
 def _moves(loops: Sequence[Loop], robot: Model) -> dict[str, np.ndarray]:
-    """Directions (n_free, k), in tolerances, that these loops might not see."""
+    """Directions (n_free, k), in tolerances, that these loops may not determine, by description."""
     free = ~robot.fixed
     parts, by_p = compute_parts(robot, robot.values)
     by_p = by_p[:, free] * robot.table.tolerance[free]
@@ -56,7 +54,7 @@ def _moves(loops: Sequence[Loop], robot: Model) -> dict[str, np.ndarray]:
 
 
 def _part_moves(name: str) -> np.ndarray:
-    """Unit changes (m, k) of one rod's length or of one ball's points."""
+    """Unit changes (m, k) of one rod's length or of one ball's coordinates."""
     kind, _, number = name.partition(" ")
     owner = np.append(np.arange(POINTS) // 3 % len(RODS), np.arange(len(RODS)))
     is_rod = np.arange(len(owner)) >= POINTS
@@ -79,9 +77,3 @@ def _find_moving_parameters(by_p: np.ndarray, moved: np.ndarray) -> np.ndarray:
     steps = np.linalg.lstsq(by_p, moved, rcond=1e-9)[0]
     missed = moved - by_p @ steps
     return np.linalg.qr(steps @ _null(missed, 1e-6 * _largest(moved)))[0]
-
-
-def _remove_directions(basis: np.ndarray, removed: np.ndarray) -> np.ndarray:
-    """An orthonormal basis of what of `basis` is square to `removed`."""
-    left, sizes, _ = np.linalg.svd(basis - removed @ (np.linalg.pinv(removed) @ basis))
-    return left[:, : int(np.sum(sizes > 0.5))]
