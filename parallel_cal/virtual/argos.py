@@ -1,8 +1,8 @@
 """The Argos from lines, pantograph bars and points in space (section 3.5, figures 3.14a and b).
 
-Each chain is built as it would be on a bench: a motor's line, a pantograph hinged to the part that
-the motor turns, and a ball at the long end of the pantograph's distal bar. The pantograph's swing
-is an unknown here: no closure without passive joints is written down.
+Each chain is built like the real one: a motor axis, a pantograph hinged to the part that the motor
+turns, and a ball at the long end of the pantograph's distal bar. The swing of the pantograph is an
+unknown: there is no closure without passive joints.
 SI units: the unit sphere of the thesis has the mock-up's radius, 110 mm.
 """
 
@@ -36,8 +36,8 @@ ANGLES_5_22 = {
     **{"chain3.Omega": 90.45, "chain3.Phi": 91.85, "chain3.omega": 91.18, "chain3.phi": -87.56},
 }
 TABLE_5_22 = TABLE_5_21 | {name: float(np.radians(v)) for name, v in ANGLES_5_22.items()}
-# Table 5.25: model 27 as identified (degrees, mm); the nine angles' third row is lost in the scan
-# and stays nominal.
+# Table 5.25: model 27 as identified (degrees, mm). The third row of the nine angles is missing in
+# the scan; they stay nominal.
 _ROWS_5_25 = {
     "chain1": {"alpha0": -39.33, "da": 2.39, "dc": -3.20, "gamma": 94.85, "dR": -4.95, "R": 105.86},
     "chain2": {
@@ -58,14 +58,14 @@ TABLE_5_25 = TABLE_5_21 | {
 
 
 class Line(NamedTuple):
-    """A line in space with a mark on it: a point, the line's direction and a direction across."""
+    """A line in space: a point on it, its direction and a perpendicular direction."""
 
     point: Array
     along: Array
     across: Array
 
     def next(self, turned: Array, slide: Array, step: Array, twist: Array) -> Line:
-        """The line reached along the common normal (table 3.15, DH with x on the joint's axis).
+        """Go to the next line by the common normal (table 3.15, DH with x on the joint's axis).
 
         Turn `across` about this line, slide along the line, step along `across`, twist about it.
         """
@@ -107,20 +107,21 @@ class Argos(Assembly):
         self.offset, self.radius = self.values("alpha0"), self.values("R")
 
     def values(self, name: str) -> Array:
-        """A number of each chain, zero where the frames {b} and {p} are placed to make it so."""
+        """Return one parameter of each chain; zero if the choice of frames makes it zero."""
         return stack(self.parameters.get(f"chain{i}.{name}", 0.0) for i in (1, 2, 3))
 
     def hinges(self, q: Array) -> tuple[Array, Line]:
-        """Centres of the balls' circles, and the axes of the pantographs' hinges."""
+        """Compute centres of the balls' circles, and the axes of the pantographs' hinges."""
         arm = (self.values(name) for name in ("da", "dc", "gamma"))
         axis = self.motors.next(q + self.offset, *arm)
         return axis.point + axis.along * self.values("dR")[..., None], axis
 
     def pantographs(self, q: Array, swing: Array, size: float = 0.05) -> Pantograph:
-        """Both bars turned on their hinges by `swing` from the arm's `across`.
+        """Turn both bars on their hinges by `swing` from the arm's `across`.
 
-        The distal bar is parallel to the line of the hinges on the motor's part, and its long end
-        reaches as far beyond the near bar as that hinge lies outside: there is the ball.
+        The distal bar is parallel to the line of the hinges on the motor's part. Its long end, with
+        the ball, extends as far beyond the near bar as that bar's hinge is from the circle's
+        centre.
         """
         centre, axis = self.hinges(q)
         base = np.cross(axis.along, axis.across)
@@ -132,25 +133,25 @@ class Argos(Assembly):
         )
 
     def hidden(self, q: Array, r: Array, R: Array) -> Array:
-        """The swings that bring the pantographs' balls nearest to the platform's."""
+        """Estimate the swings at which the pantographs' balls are nearest to the platform's."""
         centre, axis = self.hinges(q)
         reach = self.sockets(r, R) - centre
         height = np.sum(reach * axis.across, -1)
         return np.arctan2(np.sum(np.cross(axis.across, reach) * axis.along, -1), height)
 
     def sockets(self, r: Array, R: Array) -> Array:
-        """Where the platform at pose (r, R) wants the balls, shape (..., 3 chains, 3)."""
+        """Compute the platform's sockets at pose (r, R), shape (..., 3 chains, 3)."""
         return r[..., None, :] + apply(R[..., None, :, :], self.balls)
 
     def gaps(self, q: Array, r: Array, R: Array, hidden: Array) -> Array:
-        """From the platform's sockets to the pantographs' balls, nine coordinates."""
+        """Compute the vectors from pantograph balls to platform sockets, nine coordinates."""
         apart = self.sockets(r, R) - self.pantographs(q, hidden).ball
         return apart.reshape(*apart.shape[:-2], 9)
 
     def orientation_at_origin(self, q: ArrayLike, start: ArrayLike) -> Array:
-        """The orientation with the centre held at the origin, for models 9 and nominal (3.23).
+        """Find the orientation with the centre at the origin, for models 9 and nominal (3.23).
 
-        The balls cannot leave the sphere, so two gaps a chain remain; three swings and three
+        The balls cannot leave the sphere, so two gaps per chain remain. Three swings and three
         angles close them.
         """
         q, R0 = np.asarray(q, dtype=float), np.asarray(start, dtype=float)
@@ -169,5 +170,5 @@ class Argos(Assembly):
 
 
 def spherical(parameters: Parameters) -> Parameters:
-    """Model 9's or the nominal model's parameters with all that they leave out at table 5.21."""
+    """Complete the parameters of model 9 or the nominal model by those of table 5.21."""
     return {**TABLE_5_21, **parameters}

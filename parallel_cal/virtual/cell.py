@@ -1,7 +1,7 @@
-"""A robot, its controller and a tracker on one desk of simulated time.
+"""A robot, its controller and a tracker in simulated time.
 
-Nothing runs by itself: `advance` says how far, and answers with every message that was due. Equal
-seeds and commands give equal messages, however the time is cut.
+Time advances only by `advance`, which returns all messages of that time. Equal seeds and commands
+give equal messages, however the time is divided.
 """
 
 from __future__ import annotations
@@ -19,19 +19,18 @@ from parallel_cal.virtual.machines import MACHINES
 from parallel_cal.virtual.robot import Array, apply_device_effects, solve_true_pose, turn
 from parallel_cal.virtual.tracker import Tracker
 
-ERROR_CORRELATION_TRAVEL = (
-    0.01  # rad, or of a sliding joint so many levers: the way on which errors are forgotten
-)
-CENTIKELVIN = 2  # digits of a temperature
+# rad (times `lever` for sliding joints): travel after which the instruments' errors decorrelate
+ERROR_CORRELATION_TRAVEL = 0.01
+CENTIKELVIN = 2  # decimal places of a temperature
 
 Box = tuple[Array, Array]  # opposite corners (3,) in {B}, m
 
 
 @dataclass(frozen=True)
 class Circumstances:
-    """What a person, or bad luck, does to the cell; joints count from 1, 0 is none of them.
+    """Conditions and faults of the cell. Joints are counted from 1; 0 means none.
 
-    `slipped`: so far the first joint's coupling has slipped under its encoder (rad or m).
+    `slipped`: slip of the first joint's coupling relative to its encoder (rad or m).
     """
 
     payload: float = 0.0
@@ -49,8 +48,8 @@ class Circumstances:
 
 @dataclass(frozen=True, eq=False)
 class Messages:
-    """What was due: joint states at `time` (n,), q and speed (n, nq); poses r (m, 3), R (m, 3, 3)
-    that the tracker stamped `stamp` (m,)."""
+    """Messages of a time span: joint states at `time` (n,), q and speed (n, nq); poses r (m, 3),
+    R (m, 3, 3) with the tracker's time stamps `stamp` (m,)."""
 
     time: Array
     q: Array
@@ -68,7 +67,7 @@ FIELDS = ("time", "q", "speed", "stamp", "r", "R")
 
 
 class Moment(NamedTuple):
-    """The drives, each joint's last direction and its way since, and the instruments' errors."""
+    """State of the drives, direction and travel of each joint, and the instruments' errors."""
 
     state: State
     direction: Array
@@ -78,10 +77,10 @@ class Moment(NamedTuple):
 
 @dataclass(eq=False)
 class Cell:
-    """One robot by its name in MACHINES; `effects` are names of KINDS, `hidden` for a drawn one.
+    """One robot by its name in MACHINES; `effects` are names of KINDS, `hidden` for a random one.
 
-    `noise` is a factor on the instruments' errors, `air` how far (degC) the temperature wanders,
-    `period` (s) the controller's and the joint states'.
+    `noise` is a factor on the instruments' errors, `air` the amplitude (degC) of the temperature's
+    variation, `period` (s) that of controller and joint states.
     """
 
     robot: str = "delta"
@@ -113,23 +112,23 @@ class Cell:
         self._frozen = home
         self._blocked = False
         self._known: tuple[Any, Any] = (None, None)
-        self._pose = self._stands_at(home)
+        self._pose: tuple[Array, Array] = self.built.forward(home)  # start of the next solution
         self._due: list[tuple[float, dict[str, Any]]] = []
 
-    # ------------------------------------------------------------------ what is done to it
+    # ------------------------------------------------------------------ commands
 
     @property
     def time(self) -> float:
-        """s since its beginning, as the robot's clock has it."""
+        """Time since the beginning (s), by the robot's clock."""
         return self.drive.state.time
 
     @property
     def idle(self) -> bool:
-        """Whether nothing moves, nor will until a command comes."""
+        """Whether nothing moves, and nothing will before the next command."""
         return self.drive.idle
 
     def follow(self, time: Any, positions: Any, velocities: Any = None) -> None:
-        """A trajectory's points (n, nq) at times (n,) s from now, as the controller takes it."""
+        """Follow a trajectory with points (n, nq) at times (n,) s from now."""
         positions, velocities = (
             None if part is None else np.asarray(part, dtype=float)
             for part in (positions, velocities)
@@ -142,30 +141,33 @@ class Cell:
         self.drive.follow(np.asarray(time, dtype=float), positions, velocities)
 
     def stop(self) -> None:
-        """Brake and hold."""
+        """Brake and hold the position."""
         self.drive.stop()
 
     def change(self, **circumstances: Any) -> None:
-        """From now on: fields of Circumstances."""
+        """Change fields of Circumstances from now on."""
         self.now = replace(self.now, **circumstances)
         axes = np.arange(1, len(self.machine.joints) + 1)
         self.drive.stuck = (axes == self.now.stuck_axis) | self.now.drives_off
 
     def change_at(self, time: float, **circumstances: Any) -> None:
-        """The same at a time to come."""
+        """Change fields of Circumstances at a future time."""
         self._due = sorted([*self._due, (time, circumstances)], key=lambda due: due[0])
 
-    # ------------------------------------------------------------------ what comes of it
+    # ------------------------------------------------------------------ results
 
     def temperature(self, time: Array | float) -> Array:
-        """What a thermometer shows of the air, degC; it wanders, so that it is no other clock."""
+        """Return the air temperature (degC); it varies, so that it is not proportional to time."""
         t = 2 * np.pi * np.asarray(time)
         wander = 0.7 * np.sin(t / 97 + 0.4) + 0.3 * np.sin(t / 41 + 2)
         return np.asarray(np.round(self.now.temperature + self.air * wander, CENTIKELVIN))
 
     def true_pose(self, q: Any = None, direction: Any = None) -> tuple[Array, Array]:
-        """Where the platform truly is, (3,) and (3, 3) in {B}, or would be at readings `q` (nq,)
-        that were come to in a `direction` (nq,)."""
+        """Compute the true pose of the platform, (3,) and (3, 3) in {B}.
+
+        `q` (nq,) are readings and `direction` (nq,) their last directions; by default the present
+        ones.
+        """
         moment = self._moment
         q = moment.state.q if q is None else np.asarray(q, dtype=float)
         direction = moment.direction if direction is None else np.asarray(direction, dtype=float)
@@ -176,7 +178,7 @@ class Cell:
         return r[0], R[0]
 
     def advance(self, until: float) -> Messages:
-        """Everything up to a time; ValueError where the robot would have to come apart."""
+        """Simulate up to a time; ValueError if the robot would have to come apart."""
         parts = []
         while self._due and self._due[0][0] <= until:
             time, circumstances = self._due.pop(0)
@@ -200,7 +202,7 @@ class Cell:
     # ------------------------------------------------------------------ motion
 
     def _path(self, n: int) -> list[Moment]:
-        """The next n moments; where something is in the way the robot stays before it."""
+        """The next n moments; the robot stops before an obstacle."""
         errors = self._walk.standard_normal((n, len(self._sigma)))
         if not (self.now.obstacles and n):
             self._blocked = False
@@ -219,9 +221,9 @@ class Cell:
         return path + self._step_drives(errors[len(path) :])
 
     def _step_drives(self, errors: Array) -> list[Moment]:
-        """A moment for each row of fresh errors."""
+        """One moment for each row of new errors."""
         path, now = list[Moment](), self._moment
-        forgotten = ERROR_CORRELATION_TRAVEL * self.machine.lever
+        correlation = ERROR_CORRELATION_TRAVEL * self.machine.lever
         for k, fresh in enumerate(errors):
             if self.drive.idle and (now.state.q == self.drive.state.q).all():
                 for _ in range(len(errors) - k):
@@ -230,12 +232,12 @@ class Cell:
                 return path
             state = self.drive.step(self._blocked)
             moved = state.q - now.state.q
-            moved[np.abs(moved) < REST_TOLERANCE] = 0.0  # no rounding error turns a joint back
+            moved[np.abs(moved) < REST_TOLERANCE] = 0.0  # a rounding error is not a reversal
             if moved.any():
                 sign = np.where(moved == 0, now.direction, np.sign(moved))
                 travel = np.where(sign == now.direction, now.travel + moved, moved)
-                way = np.abs(moved)
-                keep = np.exp(-np.append(way, np.full(6, way.max())) / forgotten)
+                size = np.abs(moved)
+                keep = np.exp(-np.append(size, np.full(6, size.max())) / correlation)
                 wandered = keep * now.errors + np.sqrt(1 - keep**2) * fresh
                 now = Moment(state, sign, travel, wandered)
             now = now._replace(state=state)
@@ -243,7 +245,7 @@ class Cell:
         return path
 
     def _is_in_obstacle(self, q: Array) -> Array:
-        """Whether the platform's origin would be inside an obstacle at joints (n, nq)."""
+        """Whether the platform's origin is inside an obstacle at joints (n, nq)."""
         n = len(q)
         still = np.broadcast_to(self._moment.direction, q.shape)
         at = self._make_visit(np.full(n, self.time), still, 0 * q, 0 * q)
@@ -254,7 +256,7 @@ class Cell:
     # ------------------------------------------------------------------ instruments
 
     def _readings(self, path: Sequence[Moment]) -> Array:
-        """What the encoders show, (n, nq)."""
+        """Readings of the encoders, (n, nq)."""
         n = len(self.machine.joints)
         if not path:
             return np.zeros((0, n))
@@ -269,7 +271,7 @@ class Cell:
         return shown
 
     def _poses(self, path: Sequence[Moment], taken: Array) -> tuple[Array, Array, Array]:
-        """What the tracker stamps and sees at times (m,) between the first moment and the last."""
+        """Time stamps and poses of the tracker at times (m,) between the first and last moment."""
         n, jitter = len(self.machine.joints), self.machine.noise.jitter
         gaps = self._blinks.random(len(taken))
         shaken = jitter * self._shaken.standard_normal((len(taken), 6))
@@ -292,7 +294,7 @@ class Cell:
         return self.tracker.stamps(taken), r + errors[:, :3], turn(errors[:, 3:]) @ R
 
     def _solve_true_poses(self, q: Array, at: Visit) -> tuple[Array, Array]:
-        """Poses (m, 3), (m, 3, 3); solved once while the robot rests."""
+        """True poses (m, 3), (m, 3, 3); solved once if the robot is at rest."""
         same = not at.velocity.any() and bool((at.temperature == at.temperature[0]).all())
         key = q[0].tobytes(), at.direction[0].tobytes(), float(at.temperature[0]), self.now
         if same and key == self._known[0]:
@@ -309,13 +311,8 @@ class Cell:
         m = len(q)
         return np.broadcast_to(r, (m, 3)), np.broadcast_to(R, (m, 3, 3))
 
-    def _stands_at(self, q: Array) -> tuple[Array, Array]:
-        """The pose at joints (nq,) by which later ones are found."""
-        r, R = self.built.forward(q)
-        return r, R
-
     def _arms(self, q: Array) -> Array:
-        """Readings (n, nq) less what has slipped."""
+        """Readings (n, nq) minus the slip."""
         return q - self.now.slipped * np.eye(1, q.shape[1])
 
     def _make_visit(self, time: Array, direction: Array, travel: Array, speed: Array) -> Visit:

@@ -1,4 +1,4 @@
-"""A controller and its drives: set points within limits, and joints that follow them late."""
+"""A controller and its drives: set points within limits, and joints that follow with a lag."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ from numpy.typing import NDArray
 
 from parallel_cal.virtual.robot import Array
 
-REST_TOLERANCE = (
-    1e-9  # rad or m, and a hundred times that a second: nearer than that it stands still
-)
+REST_TOLERANCE = 1e-9  # rad or m (and 100 times that per s); below it a joint is at rest
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Of every joint: velocity (rad/s or m/s), acceleration, the brake's deceleration, mechanical
-    stops, how fast the loop follows (1/s), and the lag at which a drive gives up."""
+    """Limits of every joint.
+
+    `velocity` (rad/s or m/s), `acceleration`, deceleration of the `brake`, mechanical stops `low`
+    and `high`, `bandwidth` (1/s) of the loop, and the lag `trip` at which a drive gives up.
+    """
 
     velocity: float
     acceleration: float
@@ -32,10 +33,10 @@ class Limits:
 
 @dataclass(frozen=True, eq=False)
 class SetPointTrajectory:
-    """Set points (n, nq) at times (n,), the first where the robot was told to be when it came.
+    """Set points (n, nq) at times (n,); the first is the set point when the trajectory began.
 
-    Cubic from point to point where there are velocities (n, nq), else straight: as
-    joint_trajectory_controller interpolates.
+    Like in joint_trajectory_controller, the interpolation is cubic with velocities (n, nq), else
+    linear.
     """
 
     time: list[float]
@@ -43,7 +44,7 @@ class SetPointTrajectory:
     velocities: Array | None
 
     def at(self, time: float) -> Array:
-        """The set point (nq,) then; the last one ever after."""
+        """Interpolate the set point (nq,) at a time; the last one remains afterwards."""
         k = bisect_left(self.time, time)
         if k >= len(self.time):
             return self.positions[-1]
@@ -61,7 +62,7 @@ class SetPointTrajectory:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Of the drives at a time: the limited set point and its speed, the joints and theirs."""
+    """State of the drives at a time: limited set point and joints, each with its speed."""
 
     time: float
     target: Array
@@ -71,16 +72,16 @@ class State:
 
     @property
     def is_at_rest(self) -> bool:
-        """Whether the joints stand still where they are told to be."""
+        """Whether set point and joints do not move."""
         return not self.target_speed.any() and not self.speed.any()
 
 
 class Drive:
-    """Joints that follow a course: a set point that keeps the limits, and a critically damped loop
-    behind it, which cannot overshoot and so keeps them, too.
+    """Joints that follow a trajectory.
 
-    `stuck` joints stay where they are. One that lags by more than `limits.trip` makes the drives
-    give up: the course is forgotten, and the robot holds where it is.
+    The set point respects the limits. A critically damped loop follows it; it cannot overshoot, so
+    it respects the limits, too. `stuck` joints do not move. If a joint lags by more than
+    `limits.trip`, the drives give up: they drop the trajectory, and the robot holds its position.
     """
 
     def __init__(self, q: Array, limits: Limits, period: float):
@@ -92,7 +93,7 @@ class Drive:
         self._goal, self._braking = q, False
 
     def follow(self, time: Array, positions: Array, velocities: Array | None = None) -> None:
-        """Take a course of points (n, nq) at times (n,) s from now on; the one before is over."""
+        """Replace the trajectory by points (n, nq) at times (n,) s from now."""
         now = self.state
         if velocities is not None:
             velocities = np.vstack([now.target_speed, velocities])
@@ -102,13 +103,13 @@ class Drive:
         self._goal, self._braking = positions[-1], False
 
     def stop(self) -> None:
-        """Brake, and hold where that ends."""
+        """Brake, and hold the position where braking ends."""
         now = self.state
-        way = now.target_speed * np.abs(now.target_speed) / (2 * self.limits.brake)
-        self._course, self._goal, self._braking = None, now.target + way, True
+        distance = now.target_speed * np.abs(now.target_speed) / (2 * self.limits.brake)
+        self._course, self._goal, self._braking = None, now.target + distance, True
 
     def step(self, held: bool = False) -> State:
-        """One period further; `held` where something is in the way of all joints."""
+        """Advance by one period; if `held`, an obstacle stops all joints."""
         self.state = self._move_joints(self._compute_set_point(), self.stuck | held)
         now = self.state
         if np.abs(now.target - now.q).max() > self.limits.trip:
@@ -116,32 +117,32 @@ class Drive:
         return self.state
 
     def rest(self) -> None:
-        """One period further without a motion to come."""
+        """Advance by one period without motion."""
         self.state = replace(self.state, time=self.state.time + self.period)
 
     def mark(self) -> tuple[Any, ...]:
-        """What `back_to` goes back to."""
+        """Save the state for `back_to`."""
         return self.state, self._course, self._goal, self._braking, self.tripped
 
     def back_to(self, mark: tuple[Any, ...]) -> None:
-        """As if nothing had happened since the mark."""
+        """Restore the state of a mark."""
         self.state, self._course, self._goal, self._braking, self.tripped = mark
 
     @property
     def idle(self) -> bool:
-        """Whether nothing moves, and nothing will until somebody says so."""
+        """Whether nothing moves, and nothing will before the next command."""
         there = bool((self._goal == self.state.q).all())
         return self._course is None and self.state.is_at_rest and there
 
     def give_up(self) -> None:
-        """Hold where the joints are."""
+        """Hold the present position of the joints."""
         now, zero = self.state, np.zeros(len(self.stuck))
         self.state = replace(now, target=now.q, target_speed=zero, speed=zero)
         self._course, self._goal = None, now.q
         self.tripped += 1
 
     def _compute_set_point(self) -> State:
-        """The next set point: what the course says, or nearer to it as fast as the limits allow."""
+        """The next set point: that of the trajectory, or as near as the limits allow."""
         now, dt, limits = self.state, self.period, self.limits
         time = now.time + dt
         if self._course is None:
@@ -150,18 +151,19 @@ class Drive:
             before, after = self._course.at(now.time), self._course.at(time)
             if time >= self._course.time[-1]:
                 self._course = None
-        most = limits.brake if self._braking else limits.acceleration
+        rate = limits.brake if self._braking else limits.acceleration
         missing = before - now.target
-        # The speed from which whole periods of braking end there, and no more than gets there now.
+        # Catch up at the speed from which braking in whole periods ends at the set point, but do
+        # not pass it within this period.
         size = np.abs(missing)
-        catch = most * dt * (np.sqrt(0.25 + 2 * size / (most * dt**2)) - 0.5)
+        catch = rate * dt * (np.sqrt(0.25 + 2 * size / (rate * dt**2)) - 0.5)
         wanted = (after - before) / dt + np.sign(missing) * np.minimum(size / dt, catch)
-        speed = np.clip(wanted, now.target_speed - most * dt, now.target_speed + most * dt)
+        speed = np.clip(wanted, now.target_speed - rate * dt, now.target_speed + rate * dt)
         speed = np.clip(speed, -limits.velocity, limits.velocity)
         return replace(now, time=time, target=now.target + dt * speed, target_speed=speed)
 
     def _move_joints(self, now: State, held: NDArray[np.bool_]) -> State:
-        """The joints a period later: y'' + 2 w y' + w^2 y = 0 of the lag y, solved exactly."""
+        """The joints a period later: exact solution of y'' + 2 w y' + w^2 y = 0 for the lag y."""
         w, dt, limits = self.limits.bandwidth, self.period, self.limits
         lag = now.q - now.target
         push = now.speed + w * lag

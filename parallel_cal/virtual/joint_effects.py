@@ -1,6 +1,6 @@
-"""Hidden physics of encoders, gears, clocks and measuring devices, for the virtual robots.
+"""Hidden physics of encoders, gears and measuring devices, for the virtual robots.
 
-Each is told as a mechanic would tell it, and nothing of it comes from other rooms.
+Each class is written from the mechanics alone; it uses nothing from other rooms.
 """
 
 from __future__ import annotations
@@ -16,8 +16,7 @@ from parallel_cal.virtual.robot import Array, Effect, SampleConditions, apply, t
 
 @dataclass(frozen=True)
 class Visit(SampleConditions):
-    """Circumstances of each sample; also each joint's way since it last turned back, its speed,
-    and the number of the recording."""
+    """Conditions of each sample, with the travel and velocity of each joint and the session."""
 
     travel: Array
     velocity: Array
@@ -26,7 +25,7 @@ class Visit(SampleConditions):
 
 @dataclass(frozen=True)
 class OvalDisc(Effect):
-    """An oval encoder disc: the reading runs ahead and behind twice a turn, most at `phase`."""
+    """An oval encoder disc: the reading leads and lags twice per turn, most at `phase` (rad)."""
 
     size: tuple[float, ...]
     phase: tuple[float, ...]
@@ -37,7 +36,7 @@ class OvalDisc(Effect):
 
 @dataclass(frozen=True)
 class WrongPitch(Effect):
-    """A spindle or belt that moves the joint by a little more than it says."""
+    """A spindle or belt that moves the joint by a factor 1 + `excess` of the reading."""
 
     excess: tuple[float, ...]
 
@@ -47,7 +46,7 @@ class WrongPitch(Effect):
 
 @dataclass(frozen=True)
 class DraggedNeighbours(Effect):
-    """Shafts led through one another: `drag[i][j]` of what joint j has turned is added to i."""
+    """Coaxial shafts: joint i also moves by `drag[i][j]` times the reading of joint j."""
 
     drag: tuple[tuple[float, ...], ...]
 
@@ -57,7 +56,7 @@ class DraggedNeighbours(Effect):
 
 @dataclass(frozen=True)
 class UnevenScrew(Effect):
-    """Screws that wobble once per lead (m), whose pitch grows along them by 2 `bend` a metre."""
+    """Screws that wobble once per lead (m); their pitch grows by a factor 2 `bend` per metre."""
 
     lead: float
     size: tuple[float, ...]
@@ -71,7 +70,7 @@ class UnevenScrew(Effect):
 
 @dataclass(frozen=True)
 class GearRipple(Effect):
-    """A gear whose output runs ahead and behind once, and a third as much twice, an input turn."""
+    """A gear whose output ripples once per input turn, and a third as much twice per turn."""
 
     ratio: float
     size: tuple[float, ...]
@@ -84,19 +83,19 @@ class GearRipple(Effect):
 
 @dataclass(frozen=True)
 class WindUp(Effect):
-    """A drive that lags behind after a reversal, the more the further it has come since."""
+    """A drive that lags after a reversal; the lag grows with the travel since the reversal."""
 
     lag: tuple[float, ...]
     width: float
 
     def arm(self, reading: Array, robot: Any, at: Visit) -> Array:  # type: ignore[override]
-        fading = np.exp(-2 * np.abs(at.travel) / self.width)
-        return reading - np.array(self.lag) * at.direction * (1 - fading) / (1 + fading)
+        e = np.exp(-2 * np.abs(at.travel) / self.width)
+        return reading - np.array(self.lag) * at.direction * (1 - e) / (1 + e)  # lag * tanh
 
 
 @dataclass(frozen=True)
 class CreepingStand(Effect):
-    """The robot's stand slides and turns slowly under the device's eyes."""
+    """The robot's stand slides (m/s) and turns (rad/s) slowly relative to the device."""
 
     slide: tuple[float, float, float]
     spin: tuple[float, float, float]

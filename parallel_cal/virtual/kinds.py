@@ -1,4 +1,4 @@
-"""The kinds of physics that a cell may hide, each drawn at a size that real machines have."""
+"""The kinds of physics that a cell may hide, with sizes of real machines."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from parallel_cal.virtual import load_effects as loads
 from parallel_cal.virtual.machines import MACHINES, Machine
 from parallel_cal.virtual.robot import Array, Backlash, Effect, EncoderEccentricity
 
-HIDDEN = "hidden"  # a kind that is drawn, and told to nobody
+HIDDEN = "hidden"  # stands for a random, undisclosed kind
 TURNING, SLIDING = ("delta", "argos"), ("stewart", "linear_delta")
 LOADED, RODS = ("delta", "stewart", "linear_delta"), ("delta", "linear_delta")
 PRINTED, CAST, ALUMINIUM = 90e-6, 60e-6, 23e-6  # 1/K; the first two are polymers
@@ -20,10 +20,10 @@ PRINTED, CAST, ALUMINIUM = 90e-6, 60e-6, 23e-6  # 1/K; the first two are polymer
 
 @dataclass(frozen=True)
 class Kind:
-    """Physics of the machines whose geometry cannot imitate it: `effect` is the one of the
-    catalogue that a diagnosis is to name, `make` draws one.
+    """One kind of physics, for the machines whose geometry cannot imitate it.
 
-    `asks` is what must change for it to show: temperature, payload or time.
+    `effect`: the effect of the catalogue that a diagnosis should name. `make` draws an example.
+    `asks`: the condition that must change to make it visible: temperature, payload or time.
     """
 
     effect: str
@@ -33,7 +33,7 @@ class Kind:
 
 
 def draw_sizes(size: float, machine: Machine, rng: np.random.Generator) -> tuple[float, ...]:
-    """One number a joint, none of them far from the size (rad; a slide's are so many levers)."""
+    """Draw one number per joint near `size` (rad; for sliding joints times `lever`)."""
     return tuple(size * machine.lever * rng.uniform(0.6, 1.4, len(machine.joints)))
 
 
@@ -43,7 +43,7 @@ def draw_signed_sizes(size: float, machine: Machine, rng: np.random.Generator) -
 
 
 def draw_angles(machine: Machine, rng: np.random.Generator) -> tuple[float, ...]:
-    """One angle a joint."""
+    """Draw one angle per joint."""
     return tuple(rng.uniform(-np.pi, np.pi, len(machine.joints)))
 
 
@@ -53,7 +53,7 @@ def make_wind_up(machine: Machine, rng: np.random.Generator) -> Effect:
 
 
 def make_shaft_twist(machine: Machine, rng: np.random.Generator) -> Effect:
-    """Of a slide in m/N: less than what its lever makes of rad/Nm."""
+    """Draw shaft compliances: rad/Nm, or m/N for sliding joints, which are stiffer."""
     size = 1.5e-3 if machine.lever == 1 else 0.4e-3 * machine.lever
     return loads.ShaftTwist(draw_sizes(size, machine, rng))
 
@@ -64,7 +64,7 @@ def make_creeping_stand(machine: Machine, rng: np.random.Generator) -> Effect:
 
 
 def make_warmth(machine: Machine, rng: np.random.Generator) -> Effect:
-    """Arms (or the platform), rods (or legs) and base, each of another material."""
+    """Draw the materials of arms (or platform), rods (or legs) and base, all different."""
     arms, rods, base = rng.permutation([PRINTED, CAST, ALUMINIUM])
     parts = {"La": arms, "Lb": rods, "dLb": rods, "D": base, "b": base}
     return loads.Warmth(parts | {"B": arms, "L0": rods, "C": base})
@@ -130,32 +130,33 @@ KINDS = {
 
 
 def _draw_drag(n: int, rng: np.random.Generator) -> tuple[tuple[float, ...], ...]:
-    """What each of n joints in a ring takes over from the two beside it."""
+    """Couplings of n joints in a ring with their two neighbours."""
     drag: Array = rng.uniform(0.8e-3, 1.5e-3, (n, n)) * rng.choice([-1, 1], (n, n))
-    beside = np.roll(np.eye(n), 1, axis=1) + np.roll(np.eye(n), -1, axis=1)
-    return tuple(map(tuple, drag * (beside > 0)))
+    neighbours = np.roll(np.eye(n), 1, axis=1) + np.roll(np.eye(n), -1, axis=1)
+    return tuple(map(tuple, drag * (neighbours > 0)))
 
 
 def kinds_of(robot: str) -> list[str]:
-    """What may be hidden in a robot."""
+    """List the kinds that a robot may hide."""
     return [name for name, kind in KINDS.items() if robot in kind.machines]
 
 
 def words_of(text: str) -> list[str]:
-    """Names of kinds in a text, by commas."""
+    """Split a text with commas into names of kinds."""
     return [word.strip() for word in text.split(",") if word.strip()]
 
 
 def hide(robot: str, words: Sequence[str], seed: int) -> tuple[list[str], list[Effect]]:
-    """Names and physics of the kinds named; `hidden` stands for one that `seed` draws.
+    """Draw the physics of the named kinds; `hidden` stands for a kind that `seed` draws.
 
-    ValueError for a word that names none of this robot's kinds.
+    ValueError for a word that is not a kind of this robot.
     """
     rng, names = np.random.default_rng([seed, 42]), list[str]()
-    may = kinds_of(robot)
+    known = kinds_of(robot)
     for word in words:
-        if word != HIDDEN and word not in may:
-            raise ValueError(f"effect {word}: a {robot} supports {', '.join(may)} or {HIDDEN}")
-        left = [name for name in may if name not in (*names, *words)]
-        names.append(str(rng.choice(left)) if word == HIDDEN else word)
+        if word != HIDDEN and word not in known:
+            supported = f"{', '.join(known)} or {HIDDEN}"
+            raise ValueError(f"effect {word}: a {robot} supports {supported}")
+        others = [name for name in known if name not in (*names, *words)]
+        names.append(str(rng.choice(others)) if word == HIDDEN else word)
     return names, [KINDS[name].make(MACHINES[robot], rng) for name in names]

@@ -1,4 +1,4 @@
-"""The linear Delta from rails, points and rods; nothing of it comes from other rooms."""
+"""The linear Delta from rails, points and rods; it uses no other room."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from parallel_cal.virtual.stewart import Assembly, column, numbered, vectors
 class LinearDelta(Assembly):
     """Three carriages on rails, six rods to the platform: 3[P(2S/2S)] of table 3.1, 48 parameters.
 
-    As for the Delta (table 3.10), D leads from the balls' middle on the platform, thought to be
-    attached to the base, to the carriage at reading zero. A rail is vertical (or leans outwards by
-    `inclination`) but for small turns alpha about x, then beta about y; chains stand 120 degrees
+    Like in the Delta (table 3.10), D is the vector from the middle of the platform's balls, moved
+    to the base, to the carriage at reading zero. A rail is vertical (or leans outwards by
+    `inclination`) except for small turns alpha about x, then beta about y. Chains are 120 degrees
     apart. Platform balls are at b +- d, carriage balls at +- (d + dC), rods Lb +- dLb long.
     """
 
@@ -45,12 +45,12 @@ class LinearDelta(Assembly):
         self.rods = np.concatenate(lengths, -1)
 
     def ends(self, q: Array, r: Array, R: Array) -> tuple[Array, Array]:
-        """The rods' ends on carriages and platform, shape (..., 6 rods, 3) each."""
+        """Compute the rods' ends on carriages and platform, shape (..., 6 rods, 3) each."""
         slid = self.rail * q[..., None]
         platform = [r[..., None, :] + apply(R[..., None, :, :], ball) for ball in self.balls]
         return np.concatenate([c + slid for c in self.carriages], -2), np.concatenate(platform, -2)
 
     def gaps(self, q: Array, r: Array, R: Array, hidden: Array) -> Array:
-        """How far each rod is too short to reach from ball to ball."""
+        """Compute by how much each rod is too short to reach from ball to ball."""
         carriage, platform = self.ends(q, r, R)
         return np.linalg.norm(platform - carriage, axis=-1) - self.rods

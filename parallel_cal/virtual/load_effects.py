@@ -1,7 +1,7 @@
-"""Hidden physics of weight and warmth, for the virtual robots; nothing comes from other rooms.
+"""Hidden physics of weight and temperature, for the virtual robots; it uses no other room.
 
-Forces are slopes of the energy that a person would measure with a weight and a pair of scales: move
-one joint, or make one rod longer, and see how much everything is lifted.
+Forces are differences of the potential energy: move one joint, or lengthen one rod, and compute how
+much all masses rise.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ DOWN = (0.0, 0.0, -9.81)
 
 @dataclass(frozen=True)
 class Weights:
-    """kg of the platform, of each arm and of each rod; gravity in m/s^2. The payload comes on top.
+    """Masses (kg) of the platform, of each arm and of each rod, without payload; gravity in m/s^2.
 
-    Arms and rods are even bars: they weigh half way between their ends.
+    Arms and rods are uniform bars: their centres of mass are in the middle.
     """
 
     platform: float = 0.0
@@ -30,7 +30,7 @@ class Weights:
     gravity: tuple[float, float, float] = DOWN
 
     def energy(self, robot: Any, angle: Array, payload: Array) -> Array:
-        """Potential energy (J) of everything that moves, with the joints at `angle`."""
+        """Compute the potential energy (J) of all moving masses, with the joints at `angle`."""
         r, R = robot.forward(angle)
         height = -np.array(self.gravity)
         energy = (self.platform + payload) * (r @ height)
@@ -42,13 +42,13 @@ class Weights:
         return energy
 
     def torques(self, robot: Any, angle: Array, payload: Array, step: float = 1e-5) -> Array:
-        """What the weights exert on each joint, Nm (N): energy lost per turn (metre)."""
+        """Compute the load of the weights on each joint, Nm (N): energy lost per rad (m)."""
         turns = step * np.eye(angle.shape[-1])[:, None]
         before, after = (self.energy(robot, angle + t, payload) for t in (-turns, turns))
         return np.moveaxis(before - after, 0, -1) / (2 * step)
 
     def tensions(self, robot: Any, angle: Array, payload: Array, step: float = 1e-6) -> Array:
-        """What pulls at each rod, N: energy lost per metre that it is made longer."""
+        """Compute the tension of each rod, N: energy lost per metre of its elongation."""
         more = step * np.eye(robot.rods.shape[-1])[:, None]
         angle = np.broadcast_to(angle, (len(more), *angle.shape))
         short, long = (
@@ -58,7 +58,7 @@ class Weights:
 
 
 def with_rods(robot: Any, rods: Array) -> Any:
-    """The same robot with other rods, one set for all samples or one a sample."""
+    """Return the robot with other rods, one set for all samples or one per sample."""
     other = copy.copy(robot)
     other.rods = rods
     return other
@@ -66,14 +66,14 @@ def with_rods(robot: Any, rods: Array) -> Any:
 
 @dataclass(frozen=True)
 class ShaftTwist(Effect):
-    """Shafts (or spindles) that give by so much per Nm (N) that they hold."""
+    """Shafts (or spindles) that deflect by `compliance` (rad/Nm or m/N) under load."""
 
     compliance: tuple[float, ...]
     weights: Weights = field(default_factory=Weights)
 
     def arm(self, reading: Array, robot: Any, at: SampleConditions) -> Array:
         angle = reading
-        for _ in range(4):  # the load moves as the shafts give way
+        for _ in range(4):  # fixed point: the load depends on the deflection
             torque = self.weights.torques(robot, angle, at.payload)
             angle = reading + np.array(self.compliance) * torque
         return angle
@@ -81,7 +81,7 @@ class ShaftTwist(Effect):
 
 @dataclass(frozen=True)
 class SoftRods(Effect):
-    """Rods that are springs: longer by so many metres per newton that pulls at them."""
+    """Rods that are springs: `compliance` (m/N) times their tension is their elongation."""
 
     compliance: float
     weights: Weights = field(default_factory=Weights)
@@ -96,7 +96,7 @@ class SoftRods(Effect):
 
 @dataclass(frozen=True)
 class Warmth(Effect):
-    """Named dimensions grow by so much per kelvin above 20 degC: {"Lb": 1e-6}."""
+    """Named dimensions that grow by `growth` (1/K) above 20 degC: {"Lb": 1e-6}."""
 
     growth: dict[str, float]
 
@@ -110,7 +110,7 @@ class Warmth(Effect):
 
 @dataclass(frozen=True)
 class SoftFrame(Effect):
-    """A frame on legs: it sinks by `settle` m/N, and leans by `tilt` rad/(Nm) under the moment."""
+    """A frame on legs: it sinks by `settle` (m/N) and leans by `tilt` (rad/Nm) of the moment."""
 
     settle: float
     tilt: float

@@ -1,4 +1,4 @@
-"""The robots that a cell may hold: as drawn, as built, and what drives and measures them."""
+"""The robots of a virtual cell: as drawn, as built, with their drives and instruments."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ MM, DEGREE = 1e-3, np.pi / 180
 
 @dataclass(frozen=True, eq=False)
 class Machine:
-    """A kind of robot: its dimensions as drawn, and how far workshops stray from them.
+    """A kind of robot: nominal dimensions, and how far manufacturing deviates from them.
 
-    `spread` is 1 sigma of a dimension by its name less the chain's (m, rad); one that is not there
-    is exact. `lever` (m a unit of a joint) makes an error of a turning joint one of a sliding one.
+    `spread` is 1 sigma of a dimension (m, rad), by its name without the chain; a dimension without
+    entry is exact. `lever` (m per unit of a joint) converts errors of revolute joints to those of
+    sliding ones.
     """
 
     kind: Callable[[Parameters], Any]
@@ -36,11 +37,11 @@ class Machine:
     sees_position: bool = True
 
     def make_nominal(self) -> Any:
-        """The robot that its controller believes in."""
+        """Make the robot with nominal dimensions, as its controller assumes."""
         return self.kind(self.nominal)
 
     def make_built(self, seed: int) -> Any:
-        """A robot whose every dimension is a little off."""
+        """Make a robot with random errors in all dimensions."""
         rng = np.random.default_rng([seed, 41])
         built = {
             name: value + self.spread.get(name.split(".")[1], 0.0) * rng.standard_normal()
@@ -50,13 +51,13 @@ class Machine:
 
 
 def ring(radius: float, degrees: ArrayLike) -> Array:
-    """Points on a circle in the plane z = 0."""
+    """Place points on a circle in the plane z = 0."""
     angle = np.radians(degrees)
     return radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))], -1)
 
 
 def hexapod(error: float, seed: int = 0) -> dict[str, float]:
-    """Balls in pairs on circles of 0.15 and 0.25 m, legs of 0.25 m, all off by `error` m."""
+    """Make balls in pairs on circles of 0.15 and 0.25 m, and legs of 0.25 m, with errors (m)."""
     rng = np.random.default_rng(seed)
     rows = {
         "B": ring(0.15, [-50, 50, 70, 170, 190, 290]),
@@ -103,7 +104,7 @@ MACHINES = {
         dict.fromkeys(("alpha0", "Omega", "Phi", "omega", "phi"), 1.0 * DEGREE),
         THREE,
         Limits(2.0, 40.0, 80.0, -80 * DEGREE, 80 * DEGREE, 200.0, 0.1),
-        # Section 2.4.2: a gimbal's steps of 2.7 arcmin, which sees no position
+        # Section 2.4.2: a gimbal with steps of 2.7 arcmin, which measures no position
         Noise(orientation=2.7 * 60 / 12**0.5 * ARCSEC),
         sees_position=False,
     ),

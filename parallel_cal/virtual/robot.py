@@ -1,9 +1,8 @@
-"""The truth: robots built from points and rods, solved by plain root finding.
+"""Ground truth: robots built from points and rods, solved by plain root finding.
 
-This room shares no line and no idea with the others: no closure, no derivative, no CasADi.
-A robot is where its balls sit and how long its rods are. An effect is a piece of physics on the
-way from the encoder reading to the measured pose.
-Everything is in SI, and every function takes a batch: arrays of shape (..., 3).
+This room is independent of the others: no closure, no analytic derivative, no CasADi. A robot is
+the positions of its balls and the lengths of its rods. An effect is physics between the encoder
+reading and the measured pose. All units are SI. Every function takes a batch: arrays (..., 3).
 """
 
 from __future__ import annotations
@@ -31,20 +30,20 @@ ANGLES = {"theta", "alpha", "dalpha", "dbeta"}
 
 
 def table(*chains: str) -> dict[str, float]:
-    """Three printed rows (mm, degrees) as named SI parameters."""
+    """Convert three printed rows (mm, degrees) to named SI parameters."""
     unit = {name: np.pi / 180 if name in ANGLES else 1e-3 for name in COLUMNS}
     rows = [zip(COLUMNS, map(float, row.split()), strict=True) for row in chains]
     return {f"chain{i}.{k}": v * unit[k] for i, row in enumerate(rows, 1) for k, v in row}
 
 
-# Table 5.12: the nominal mock-up, which is what a controller believes. D_x is illegible in the
-# scan; 76 mm is the value at which tables 5.12 and 5.18 give the errors that table 5.15 measured.
+# Table 5.12: the nominal mock-up, which the controller assumes. D_x is illegible in the scan; with
+# 76 mm, tables 5.12 and 5.18 give the errors that table 5.15 measured.
 TABLE_5_12 = table(
     "76 -16.5 0   0 90 119.963 -3 240   20 0 0  0 0 0 0  24 0 0",
     "76 -16.5 0 120 90 119.963 -3 240   20 0 0  0 0 0 0  24 0 0",
     "76 -16.5 0 240 90 119.963 -3 240   20 0 0  0 0 0 0  24 0 0",
 )
-# Table 5.18: the mock-up as identified, which is what the virtual robot is.
+# Table 5.18: the mock-up as identified, which is the virtual robot.
 TABLE_5_18 = table(
     "75.902 -16.318 -0.642  -0.517 89.513 119.967 -3.693 240.074"
     "   20  0.343 0.582 -0.023 -0.005 -0.006  0.092  24 0 0",
@@ -59,7 +58,7 @@ TABLE_5_18 = table(
 
 
 def turn(w: ArrayLike) -> Array:
-    """Rotation matrix about the direction of `w` by its length (Rodrigues), exact at w = 0."""
+    """Compute the rotation about `w` by its length (Rodrigues), exact at w = 0."""
     w = np.asarray(w, dtype=float)
     angle = np.linalg.norm(w, axis=-1)[..., None, None]
     zero = np.zeros_like(w[..., 0])
@@ -70,7 +69,7 @@ def turn(w: ArrayLike) -> Array:
 
 
 def axis_rotation(axis: str, angle: ArrayLike) -> Array:
-    """Rotation matrix about the coordinate axis `x`, `y` or `z`."""
+    """Compute the rotation about the coordinate axis `x`, `y` or `z`."""
     return turn(np.asarray(angle)[..., None] * np.eye(3)["xyz".index(axis)])
 
 
@@ -80,12 +79,12 @@ def apply(rotation: Array, vector: Array) -> Array:
 
 
 def stack(values: Iterable[ArrayLike]) -> Array:
-    """Numbers, or equal batches of them, along a new last axis."""
+    """Stack numbers, or equal batches of them, along a new last axis."""
     return np.stack(np.broadcast_arrays(*[np.asarray(v, float) for v in values]), -1)
 
 
 def solve(gap: Callable[[Array], Array], u: Array, step: float = 1e-6) -> Array:
-    """A root of `gap` near `u`: Newton's method with slopes measured by central differences."""
+    """Find a root of `gap` near `u` by Newton's method with central differences."""
     for _ in range(50):
         slopes = [(gap(u + e) - gap(u - e)) / (2 * step) for e in step * np.eye(u.shape[-1])]
         move = apply(np.linalg.inv(np.stack(slopes, -1)), -gap(u))
@@ -97,7 +96,7 @@ def solve(gap: Callable[[Array], Array], u: Array, step: float = 1e-6) -> Array:
 
 
 class RodRobot:
-    """A platform held by six rods; a sibling says where the balls sit and how long rods are."""
+    """A platform on six rods; subclasses define the positions of balls and lengths of rods."""
 
     home = np.array([0.0, 0.0, 0.2])
     home_joints: Array
@@ -106,26 +105,26 @@ class RodRobot:
         self.parameters = parameters
 
     def joint_points(self, q: ArrayLike) -> Array:
-        """Ball centres on the driven side, shape (..., rods, 3)."""
+        """Compute ball centres on the driven side, shape (..., rods, 3)."""
         raise NotImplementedError
 
     def platform_points(self, r: ArrayLike, R: ArrayLike) -> Array:
-        """Ball centres on the platform at pose (r, R), shape (..., rods, 3)."""
+        """Compute ball centres on the platform at pose (r, R), shape (..., rods, 3)."""
         raise NotImplementedError
 
     def lengths(self, q: ArrayLike) -> Array:
-        """Rod lengths, shape (..., rods)."""
+        """Return rod lengths, shape (..., rods)."""
         raise NotImplementedError
 
     def gaps(self, q: ArrayLike, r: ArrayLike, R: ArrayLike) -> Array:
-        """How far each rod is too short to reach from ball to ball, metres."""
+        """Compute by how much each rod is too short to reach from ball to ball, m."""
         rods = self.platform_points(r, R) - self.joint_points(q)
         return np.linalg.norm(rods, axis=-1) - self.lengths(q)
 
     def forward(
         self, q: ArrayLike, start: tuple[Array, Array] | None = None
     ) -> tuple[Array, Array]:
-        """The pose (r, R) that the joints `q` hold, nearest to `start`."""
+        """Find the pose (r, R) of the joints `q` that is nearest to `start`."""
         q = np.asarray(q, dtype=float)
         r0, R0 = start or (self.home, np.eye(3))
         u = np.zeros((*q.shape[:-1], 6))
@@ -136,7 +135,7 @@ class RodRobot:
     def inverse(
         self, r: ArrayLike, start: tuple[Array, Array] | None = None
     ) -> tuple[Array, Array]:
-        """The joints that put the platform at `r`, and the orientation R that follows."""
+        """Find the joints that place the platform at `r`, and the resulting orientation R."""
         r = np.asarray(r, dtype=float)
         q0, R0 = start or (self.home_joints, np.eye(3))
         u = np.zeros((*r.shape[:-1], 6))
@@ -148,8 +147,8 @@ class RodRobot:
 class Delta(RodRobot):
     """Three motor-driven arms, each carrying the platform by two rods (figure 3.9, table 3.10).
 
-    An arm is one solid body with two balls, hinged on its motor's axis: a line in space.
-    A parameter may be an array, one value a sample, where the geometry changes on the way.
+    An arm is one rigid body with two balls, hinged on its motor's axis. A parameter may be an array
+    with one value per sample, if the geometry changes with time.
     """
 
     home_joints = np.full(3, np.radians(30.65))
@@ -169,35 +168,35 @@ class Delta(RodRobot):
         arm, error = vector("La_x", "La_y", ""), vector("dC_x", "dC_y", "dC_z")
         self.hub = apply(frame, ball + vector("D_x", "D_y", "D_z"))
         self.axis = motor[..., :, 2]
-        # Ball centres at q = 0 as seen from the hub; first and second ball of each chain.
+        # Ball centres at q = 0 relative to the hub; first and second ball of each chain.
         self.arms = [apply(motor, arm + s * (half + error)) for s in (1, -1)]
         self.balls = [apply(frame, ball + s * half) for s in (1, -1)]
         self.rods = np.concatenate([value("Lb") + s * value("dLb") for s in (1, -1)], -1)
 
     def joint_points(self, q: ArrayLike) -> Array:
-        """C_11 C_21 C_31 C_12 C_22 C_32: the arms' balls, turned about the motor lines by q."""
+        """Compute C_11 C_21 C_31 C_12 C_22 C_32: the arms' balls, turned by q."""
         swing = turn(self.axis * np.asarray(q)[..., None])
         return np.concatenate([self.hub + apply(swing, arm) for arm in self.arms], -2)
 
     def platform_points(self, r: ArrayLike, R: ArrayLike) -> Array:
-        """B_11 B_21 B_31 B_12 B_22 B_32: the platform's balls at pose (r, R)."""
+        """Compute B_11 B_21 B_31 B_12 B_22 B_32: the platform's balls at pose (r, R)."""
         turned = [apply(np.asarray(R)[..., None, :, :], ball) for ball in self.balls]
         return np.asarray(r)[..., None, :] + np.concatenate(turned, -2)
 
     def lengths(self, q: ArrayLike) -> Array:
-        """Lb + dLb of the first rods, then Lb - dLb of the second."""
+        """Return Lb + dLb of the first rods, then Lb - dLb of the second."""
         return self.rods
 
 
 NOMINAL, MOCK_UP = Delta(TABLE_5_12), Delta(TABLE_5_18)
 
 # ---------------------------------------------------------------------------------------------
-# Hidden physics: one class an effect
+# Hidden physics: one class per effect
 
 
 @dataclass(frozen=True)
 class SampleConditions:
-    """The circumstances of each sample: seconds, degC, kg, and each joint's last direction."""
+    """Conditions of each sample: s, degC, kg, and the direction of each joint's last motion."""
 
     time: Array
     temperature: Array
@@ -207,32 +206,32 @@ class SampleConditions:
 
 @dataclass(frozen=True)
 class Effect:
-    """One disturbance; it overrides the stage of the measuring chain at which it acts."""
+    """Base class of effects; a subclass overrides the stage of the measurement in which it acts."""
 
     def geometry(self, parameters: Parameters, at: SampleConditions) -> Parameters:
-        """The dimensions the robot has under these circumstances."""
+        """Return the dimensions of the robot under these conditions."""
         return parameters
 
     def arm(self, reading: Array, robot: RodRobot, at: SampleConditions) -> Array:
-        """The angle at which the arm stands when its encoder shows `reading`."""
+        """Return the angle of the arm if its encoder shows `reading`."""
         return reading
 
     def loaded_robot(self, robot: Any, angle: Array, at: SampleConditions) -> Any:
-        """The robot with the rods it has under load."""
+        """Return the robot with its rods under load."""
         return robot
 
     def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
-        """The pose that the measuring device shows for the true pose."""
+        """Return the pose that the measuring device shows for the true pose."""
         return r, R
 
     def taken(self, stamp: Array) -> Array:
-        """When the poses were taken that the measuring device stamps `stamp`."""
+        """Return when the poses were taken that the measuring device stamps `stamp`."""
         return stamp
 
 
 @dataclass(frozen=True)
 class EncoderEccentricity(Effect):
-    """An encoder disc mounted off-centre: once per turn the reading runs ahead and behind."""
+    """An encoder disc mounted off-centre: the reading leads and lags once per turn."""
 
     sin: tuple[float, ...]
     cos: tuple[float, ...]
@@ -243,7 +242,7 @@ class EncoderEccentricity(Effect):
 
 @dataclass(frozen=True)
 class Backlash(Effect):
-    """Play in the gear: the encoder, on the motor's side, leads the arm by half the width."""
+    """Backlash of a gear: the encoder, on the motor side, leads the arm by half the width."""
 
     width: tuple[float, ...]
 
@@ -258,7 +257,7 @@ def truth(
     at: SampleConditions,
     start: tuple[Array, Array] | None = None,
 ) -> tuple[Array, Array, Array]:
-    """From encoder readings to (arm angles, position, rotation) as an errorless device shows."""
+    """Compute (arm angles, position, rotation) that a perfect device shows at encoder readings."""
     angle, r, R = solve_true_pose(robot, effects, reading, at, start)
     return angle, *apply_device_effects(effects, r, R, at)
 
@@ -270,8 +269,10 @@ def solve_true_pose(
     at: SampleConditions,
     start: tuple[Array, Array] | None = None,
 ) -> tuple[Array, Array, Array]:
-    """From encoder readings to (arm angles, position, rotation) as they are: the pose that is
-    nearest to `start`, else to the robot's home."""
+    """Compute true (arm angles, position, rotation) at encoder readings.
+
+    The pose is the one nearest to `start`, by default to the robot's home.
+    """
     parameters, angle = robot.parameters, reading
     for effect in effects:
         parameters = effect.geometry(parameters, at)
@@ -286,7 +287,7 @@ def solve_true_pose(
 def apply_device_effects(
     effects: Sequence[Effect], r: Array, R: Array, at: SampleConditions
 ) -> tuple[Array, Array]:
-    """The pose that an errorless device shows of the one that is."""
+    """Compute the pose that a perfect device shows for the true pose."""
     for effect in effects:
         r, R = effect.device(r, R, at)
     return r, R
@@ -298,7 +299,7 @@ def apply_device_effects(
 
 @dataclass(frozen=True)
 class Noise:
-    """Section 4.2's instruments, 1 sigma: an error a dwell, and a fraction of it each message."""
+    """Instruments of section 4.2, 1 sigma: one error per dwell, and `jitter` of it per message."""
 
     joint: float = 25 * ARCSEC
     position: float = 10e-6
@@ -306,7 +307,7 @@ class Noise:
     jitter: float = 0.2
 
     def draw(self, rng: np.random.Generator, n: int, joints: int = 3) -> tuple[Array, Array, Array]:
-        """Errors of n readings: joints, position, rotation vector about the base's axes."""
+        """Draw errors of n readings: joints, position, rotation vector about the base's axes."""
         q, r, w = (rng.normal(size=(n, size)) for size in (joints, 3, 3))
         return q * self.joint, r * self.position, w * self.orientation
 

@@ -1,7 +1,7 @@
-"""Stewart platforms from balls and legs, and how any robot of rigid parts is put together.
+"""Stewart platforms from balls and legs, and the assembly of any robot of rigid parts.
 
-Nothing here comes from other rooms: a robot is a list of gaps between parts that must touch, and
-a pose is found by moving the parts until the gaps are gone (`robot.solve`).
+This module uses no other room. A robot is a list of gaps between parts that must touch. A pose is
+found by moving the parts until the gaps vanish (`robot.solve`).
 SI units; every function takes batches, arrays of shape (..., 3).
 """
 
@@ -20,12 +20,12 @@ POSE = ["x", "y", "z", "rx", "ry", "rz"]
 
 
 def column(parameters: Parameters, name: str, members: Sequence[str]) -> Array:
-    """One number of each of a robot's legs, chains or lines: shape (..., members)."""
+    """Stack one parameter of all legs, chains or lines: shape (..., members)."""
     return stack(parameters[f"{member}.{name}"] for member in members)
 
 
 def vectors(parameters: Parameters, names: Sequence[str], members: Sequence[str]) -> Array:
-    """A point of each of a robot's legs, chains or lines: shape (..., members, 3).
+    """Stack one point of all legs, chains or lines: shape (..., members, 3).
 
     `names` are its three coordinates; an empty name is a coordinate that is zero.
     """
@@ -34,15 +34,15 @@ def vectors(parameters: Parameters, names: Sequence[str], members: Sequence[str]
 
 
 def numbered(what: str, count: int) -> list[str]:
-    """leg1, leg2, ..."""
+    """List names such as leg1, leg2, ..."""
     return [f"{what}{i}" for i in range(1, count + 1)]
 
 
 class Assembly:
-    """Rigid parts that must touch; a sibling says what moves, what is driven, and what gaps.
+    """Rigid parts that must touch; subclasses define their coordinates, joints and gaps.
 
-    `moves` are the pose coordinates the structure leaves free, `controls` those that are chosen
-    in the inverse problem. `hidden` passive joints may be unknowns as well.
+    `moves` are the pose coordinates that the structure leaves free, `controls` those that are given
+    in the inverse problem. Passive joints (`hidden`) may be unknowns, too.
     """
 
     moves = "x y z rx ry rz"
@@ -55,20 +55,20 @@ class Assembly:
         self.parameters: Mapping[str, Any] = parameters
 
     def gaps(self, q: Array, r: Array, R: Array, hidden: Array) -> Array:
-        """Distances between parts that ought to touch, metres, shape (..., gaps)."""
+        """Compute the distances between parts that must touch, m, shape (..., gaps)."""
         raise NotImplementedError
 
     def hidden(self, q: Array, r: Array, R: Array) -> Array:
-        """Passive joints that bring the parts about together; none, unless a sibling has some."""
+        """Estimate passive joints at which the parts nearly touch; by default there are none."""
         return np.zeros((*np.shape(r)[:-1], 0))
 
     def max_gap(self, q: ArrayLike, r: ArrayLike, R: ArrayLike) -> Array:
-        """The largest gap with the passive joints where they fit best, shape (...)."""
+        """Compute the largest gap at the best passive joints, shape (...)."""
         q, r, R = (np.asarray(part, dtype=float) for part in (q, r, R))
         return np.abs(self.gaps(q, r, R, self.hidden(q, r, R))).max(axis=-1)
 
     def forward(self, q: ArrayLike, start: tuple[ArrayLike, ArrayLike] | None = None) -> Pose:
-        """The pose (r, R) that the joints `q` hold, nearest to `start`."""
+        """Find the pose (r, R) of the joints `q` that is nearest to `start`."""
         q = np.asarray(q, dtype=float)
         r0, R0 = _batch(q.shape[:-1], *(start or (self.home, self.home_turn)))
         pose, n = _make_pose_function(r0, R0, self.moves.split()), len(self.moves.split())
@@ -82,7 +82,7 @@ class Assembly:
         R: ArrayLike | None = None,
         start: ArrayLike | None = None,
     ) -> tuple[Array, Array, Array]:
-        """Joints q that reach the controlled coordinates of (r, R), and the pose that follows."""
+        """Find joints q for the controlled coordinates of (r, R), and the resulting pose."""
         given = self.home if r is None else r, self.home_turn if R is None else R
         shape = np.broadcast_shapes(np.shape(given[0])[:-1], np.shape(given[1])[:-2])
         r0, R0 = _batch(shape, *given)
@@ -103,7 +103,7 @@ def _batch(shape: tuple[int, ...], r: ArrayLike, R: ArrayLike) -> Pose:
 def _make_pose_function(
     r0: Array, R0: Array, coordinates: Sequence[str]
 ) -> Callable[[Array], Pose]:
-    """Poses near (r0, R0): shifts along, and turns about, some of the base's axes."""
+    """Make a function to poses near (r0, R0), shifted along and turned about some base axes."""
     places = [POSE.index(c) for c in coordinates]
 
     def pose(u: Array) -> Pose:
@@ -117,7 +117,7 @@ def _make_pose_function(
 class Stewart(Assembly):
     """Six legs between balls B on the platform and balls C on the base (figure 3.8, eq. 3.8).
 
-    A leg is as long as its transducer reads plus its offset L0.
+    The length of a leg is the reading of its transducer plus its offset L0.
     """
 
     home = (0.0, 0.0, 0.3)
@@ -131,20 +131,20 @@ class Stewart(Assembly):
         self.home_joints = self.leg_lengths(np.asarray(self.home), np.eye(3)) - self.offset
 
     def leg_lengths(self, r: Array, R: Array) -> Array:
-        """Ball to ball distances at pose (r, R), shape (..., legs)."""
+        """Compute distances from ball to ball at pose (r, R), shape (..., legs)."""
         balls = r[..., None, :] + apply(R[..., None, :, :], self.platform)
         return np.linalg.norm(balls - self.base, axis=-1)
 
     def gaps(self, q: Array, r: Array, R: Array, hidden: Array) -> Array:
-        """How far each leg is too short to reach from ball to ball."""
+        """Compute by how much each leg is too short to reach from ball to ball."""
         return self.leg_lengths(r, R) - q - self.offset
 
 
 class PlanarStewart(Stewart):
     """Three legs in a plane (figure 3.2, eq. 3.4: 18 parameters).
 
-    With the transducer at zero the balls of a leg are L0 apart; then one ball slides along an axis
-    that is turned by delta against the line between the balls.
+    At reading zero the balls of a leg are L0 apart. One ball slides along an axis that is turned by
+    delta relative to the line between the balls.
     """
 
     moves = controls = "x y rz"
@@ -158,6 +158,6 @@ class PlanarStewart(Stewart):
         self.slide = stack([np.cos(lean), np.sin(lean)])
 
     def gaps(self, q: Array, r: Array, R: Array, hidden: Array) -> Array:
-        """How far each leg's ball, slid by q, is from where the platform's ball is."""
+        """Compute the distance of each leg's ball, slid by q, from the platform's ball."""
         ball = stack([self.offset, np.zeros(len(self.legs))]) + q[..., None] * self.slide
         return self.leg_lengths(r, R) - np.linalg.norm(ball, axis=-1)

@@ -1,4 +1,4 @@
-"""A pose device beside the robot: where it stands, what it looks at, its clock and its gaps."""
+"""A pose device: its frame, its target, its clock and its missing poses."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ import numpy as np
 
 from parallel_cal.virtual.robot import Array, apply, turn
 
-# Another target in the field of view, as seen from the one that is meant: m, rotation vector.
+# Another target in the field of view, relative to the correct one: m, rotation vector
 OTHER_SHIFT, OTHER_TURN = np.array([0.03, -0.02, 0.01]), np.array([0.0, 0.1, 0.2])
 
 
 @dataclass(frozen=True)
 class Tracker:
-    """Takes a pose every `period` s, the first at `begin`; a share `missing` of them is lost.
+    """A tracker that takes a pose every `period` s from `begin`; a share `missing` is lost.
 
-    It stands at `shift` (m), turned by `spin` (rotation vector) against the base; the target sits
-    at `target` on the platform, turned by `target_spin`. Its clock shows `offset` s more than the
-    robot's at the beginning and gains `drift` s a second.
+    Its frame is at `shift` (m) in the base, rotated by `spin` (rotation vector). The target is at
+    `target` on the platform, rotated by `target_spin`. Its clock is ahead of the robot's by
+    `offset` s at time 0 and gains `drift` s per second.
     """
 
     period: float = 0.05
@@ -32,16 +32,16 @@ class Tracker:
     target_spin: Array = field(default_factory=lambda: np.zeros(3))
 
     def sampling_times(self, after: float, until: float) -> Array:
-        """When (n,) poses are taken, after a time and up to another."""
+        """Return the times (n,) of poses after one time and up to another."""
         first, last = (np.floor((t - self.begin) / self.period) for t in (after, until))
         return self.begin + self.period * np.arange(max(first + 1, 0), last + 1)
 
     def stamps(self, taken: Array) -> Array:
-        """What its clock shows then."""
+        """Return the tracker's time stamps of these times."""
         return taken * (1 + self.drift) + self.offset
 
     def observe(self, r: Array, R: Array, swapped: bool = False) -> tuple[Array, Array]:
-        """The target's poses in the device's frame, for poses of the platform in the base."""
+        """Convert poses of the platform in the base to those of the target in the device."""
         if swapped:
             r, R = r + apply(R, OTHER_SHIFT), R @ turn(OTHER_TURN)
         away = r + apply(R, self.target) - self.shift
