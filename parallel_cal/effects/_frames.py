@@ -12,11 +12,11 @@ from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
 AXES = "xyz"
-Size = tuple[str, float, float]  # unit, tolerance, and what never happens
+Size = tuple[str, float, float]  # unit, tolerance, and upper bound
 
 
 def find_translation_axes(mechanism: Mechanism) -> list[str]:
-    """The axes of {B} along which the platform moves."""
+    """Return the axes of {B} along which the platform moves."""
     return [a for a in AXES if a in mechanism.moves]
 
 

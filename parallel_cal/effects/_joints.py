@@ -11,8 +11,8 @@ from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
-SMOOTH = "a smooth error of the joint's angle"  # family of all that waves or grows with it
-WAVE = {"sin": "sine part", "cos": "cosine part"}  # of an error that comes round: its labels
+SMOOTH = "a smooth error of the joint's angle"  # family of effects that are waves or powers of it
+WAVE = {"sin": "sine part", "cos": "cosine part"}  # labels of a periodic error
 
 
 def find_revolute_joints(mechanism: Mechanism) -> list[str]:
@@ -57,7 +57,7 @@ class Harmonic(Effect):
     separated_by = "poses over the whole range of every joint"
     family = SMOOTH
     order: ClassVar[int]
-    tolerance: ClassVar[float]  # rad; no real encoder misreads by ten of it
+    tolerance: ClassVar[float]  # rad; ten of it bound the error of real encoders
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         size, most = self.tolerance, 10 * self.tolerance

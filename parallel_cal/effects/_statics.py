@@ -13,7 +13,7 @@ from parallel_cal.model.mechanism import POSE, Home, Mechanism
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 PAYLOAD = "payload"
-MIN_WEIGHT_FORCE = 1e-6  # Nm or N, under 1 kg: below it nothing is lifted
+MIN_WEIGHT_FORCE = 1e-6  # Nm or N, under 1 kg; a joint below it carries no weight
 
 
 def masses(mechanism: Mechanism) -> list[Parameter]:

@@ -10,7 +10,7 @@ from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
-SIZE = {"rad": (0.3e-3, 3e-3), "m": (20e-6, 0.2e-3)}  # tolerance and what no real drive exceeds
+SIZE = {"rad": (0.3e-3, 3e-3), "m": (20e-6, 0.2e-3)}  # tolerance and upper bound of real drives
 
 
 class Backlash(Effect):

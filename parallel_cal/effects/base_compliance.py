@@ -37,7 +37,7 @@ class BaseCompliance(Effect):
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         down = ca.DM(mechanism.gravity) / ca.norm_2(ca.DM(mechanism.gravity))
         upright = seen
-        for _ in range(2):  # the lever arm is that of the pose before it leant
+        for _ in range(2):  # fixed point: the lever arm depends on the pose before tilting
             back = cayley(vector(e, "lean") * ca.cross(upright.r, down)).T
             upright = seen.with_pose(back @ seen.r, back @ seen.R)
         return upright

@@ -11,9 +11,9 @@ from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 from parallel_cal.model.sensor import point_on_platform
 
-# Powers of x and y, of second and third order: the plate's own height and tilt are the sensor's.
+# Powers of x and y, of second and third order. Height and tilt of the plate belong to the sensor.
 POWERS = ((2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
-SIZE = {2: ("1/m", 10e-3, 0.1), 3: ("1/m^2", 0.1, 1.0)}  # tolerance and what no plate exceeds
+SIZE = {2: ("1/m", 10e-3, 0.1), 3: ("1/m^2", 0.1, 1.0)}  # tolerance and upper bound of plates
 
 
 class BedShape(Touch):

@@ -12,7 +12,7 @@ from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
-MOMENTS = 20  # tried, with equally many samples between them
+MOMENTS = 20  # moments to try, with equally many samples between them
 
 
 class DeviceBump(Effect):
@@ -34,7 +34,7 @@ class DeviceBump(Effect):
     separated_by = "the first poses, measured again at the end"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
-        time = Parameter("time", "s", 0.0, 10e3, low=0.0)  # of one day at most
+        time = Parameter("time", "s", 0.0, 10e3, low=0.0)  # within one day
         return [time, *shift_and_turn(mechanism, ("m", 50e-6, 2e-3), ("rad", 0.2e-3, 10e-3))]
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:

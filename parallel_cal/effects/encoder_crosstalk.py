@@ -8,11 +8,11 @@ from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
-# A coupling is at most one to one, and what is made up for of it errs as its belt's pitch does.
+# A coupling is at most one to one; if compensated, it has the relative error of its belt's pitch.
 TOLERANCE = 0.2e-3
 MAX_COUPLING_ERROR = 1.6e-3
-WHEEL = 0.1  # m, radius of one that turns travel into an angle
-# of the one that is read and of its neighbour: unit, and by how much both are multiplied
+WHEEL = 0.1  # m, radius of a wheel that converts travel into an angle
+# (unit of the joint, unit of its neighbour): unit of the coupling, and its scale
 SIZE = {
     ("rad", "rad"): ("1", 1.0),
     ("m", "m"): ("1", 1.0),

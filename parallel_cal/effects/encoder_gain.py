@@ -9,7 +9,7 @@ from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
-SIZE = {"rad": (0.5e-3, 5e-3), "m": (0.1e-3, 1e-3)}  # tolerance and what no real drive exceeds
+SIZE = {"rad": (0.5e-3, 5e-3), "m": (0.1e-3, 1e-3)}  # tolerance and upper bound of real drives
 
 
 class EncoderGain(Effect):

@@ -11,7 +11,7 @@ from parallel_cal.effects._joints import Harmonic
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Parameter
 
-ORDERS = range(3, 9)  # 1 and 2 have causes, and files, of their own; above, poles and gears
+ORDERS = range(3, 9)  # 1 and 2 are effects of their own; higher orders are poles and gears
 
 
 class EncoderHarmonic(Harmonic):
@@ -41,7 +41,7 @@ class EncoderHarmonic(Harmonic):
     def scan(
         self, mechanism: Mechanism, recorded: Mapping[str, Any]
     ) -> Iterator[Mapping[str, float]]:
-        """Every order that a mounting has."""
+        """Return every order that mountings cause."""
         return ({"order": float(order)} for order in ORDERS)
 
     def period(self, setting: Mapping[str, float]) -> float:

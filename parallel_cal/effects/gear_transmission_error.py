@@ -19,7 +19,7 @@ from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
-RATIOS = (3.0, 150.0)  # below them an encoder's harmonics, above them more than poses can follow
+RATIOS = (3.0, 150.0)  # below: an encoder's harmonics; above: too fine for the poses
 
 
 class GearTransmissionError(Effect):
@@ -72,7 +72,7 @@ class GearTransmissionError(Effect):
     def scan(
         self, mechanism: Mechanism, recorded: Mapping[str, Any]
     ) -> Iterator[Mapping[str, float]]:
-        """Ratios pi / travel apart: a sine over the travel T has a peak 2 pi / T to each side.
+        """Return ratios pi / travel apart: a peak reaches 2 pi / travel to each side.
 
         The travel is the longest that was recorded.
         """

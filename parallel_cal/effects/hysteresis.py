@@ -12,8 +12,8 @@ from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
-LAG = {"rad": (0.3e-3, 3e-3), "m": (10e-6, 0.1e-3)}  # tolerance and what no real drive exceeds
-WIDTH = {"rad": 20e-3, "m": 0.3e-3}  # of travel, until most of the lag has built up
+LAG = {"rad": (0.3e-3, 3e-3), "m": (10e-6, 0.1e-3)}  # tolerance and upper bound of real drives
+WIDTH = {"rad": 20e-3, "m": 0.3e-3}  # travel after which most of the lag has built up
 
 
 class Hysteresis(Effect):
@@ -63,10 +63,10 @@ class Hysteresis(Effect):
 
 
 def _make_joint_parameters(joint: str, unit: str) -> list[Parameter]:
-    tolerance, most = LAG[unit]
+    tolerance, highest = LAG[unit]
     width = WIDTH[unit]
     return [
-        Parameter(f"{joint}.lag", unit, 0.0, tolerance, low=0.0, high=most),
+        Parameter(f"{joint}.lag", unit, 0.0, tolerance, low=0.0, high=highest),
         Parameter(
             f"{joint}.width",
             unit,

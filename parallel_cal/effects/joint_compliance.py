@@ -9,7 +9,7 @@ from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
-# unit: unit of the compliance, tolerance, and what no real drive exceeds
+# unit: unit of the compliance, tolerance, and upper bound of real drives
 SIZE = {"rad": ("rad/(N m)", 1e-3, 1e-2), "m": ("m/N", 1e-6, 1e-5)}
 
 

@@ -44,10 +44,10 @@ class LineStretch(Effect):
 
 
 def _stiffness(seen: Seen, lines: int) -> ca.SX:
-    """Force (N) a metre of displacement of lines with EA = 1 N."""
+    """Force per displacement (N/m) of lines with EA = 1 N."""
     K = ca.SX.zeros(3, 3)
     for i in range(1, lines + 1):
         line = seen.p[f"line{i}"]
-        way = line.vector("A_x", "A_y", "A_z") - seen.r
-        K += line.advantage * way @ way.T / ca.norm_2(way) ** 3
+        to_anchor = line.vector("A_x", "A_y", "A_z") - seen.r
+        K += line.advantage * to_anchor @ to_anchor.T / ca.norm_2(to_anchor) ** 3
     return K

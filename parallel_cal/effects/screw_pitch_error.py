@@ -13,7 +13,7 @@ from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
-LEADS = (1e-3, 25e-3)  # m, of spindles that drive robots
+LEADS = (1e-3, 25e-3)  # m; spindles of robots
 
 
 class ScrewPitchError(Effect):
@@ -55,7 +55,7 @@ class ScrewPitchError(Effect):
     def scan(
         self, mechanism: Mechanism, recorded: Mapping[str, Any]
     ) -> Iterator[Mapping[str, float]]:
-        """Leads 1 / (2 travel) apart in turns per metre: half a peak's width, as for a gear.
+        """Return leads 1 / (2 travel) apart in turns per metre: half a peak's width, as for a gear.
 
         The travel is the longest that was recorded.
         """

@@ -9,12 +9,8 @@ from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
-LATER_SESSIONS = (
-    1,
-    2,
-    3,
-)  # sessions that may begin with a shift; the first one's zero is the geometry's
-SIZE = {"rad": (0.5e-3, 5e-3), "m": (50e-6, 0.5e-3)}  # tolerance and what homing never misses by
+LATER_SESSIONS = (1, 2, 3)  # may begin with a shift; the zero of session 0 is in the geometry
+SIZE = {"rad": (0.5e-3, 5e-3), "m": (50e-6, 0.5e-3)}  # tolerance and upper bound of homing errors
 
 
 class ZeroShift(Effect):

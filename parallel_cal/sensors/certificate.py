@@ -12,7 +12,7 @@ from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Parameter, ParameterTable
 from parallel_cal.model.sensor import Sensor
 
-# Volumetric accuracy (m) and scale (1) over a robot's space, as data sheets have them.
+# Volumetric accuracy (m) and scale (1) over a robot's workspace, from data sheets
 KINDS = {
     "cmm": (5e-6, 5e-6),  # ISO 10360-2: 2-5 um and 3-5 um/m
     "laser_tracker": (30e-6, 10e-6),  # ISO 10360-10: 15 um and 6 um/m
@@ -20,7 +20,7 @@ KINDS = {
     "cameras": (100e-6, 100e-6),  # VDI 2634: 50-100 um with coded targets
     "motion_capture": (300e-6, 500e-6),  # 0.2-0.5 mm after a wand calibration
 }
-REFERENCE_ACCURACY_M = 20e-6  # m: the device that the catalogue's tolerances of drift stand for
+REFERENCE_ACCURACY_M = 20e-6  # of the device for which the catalogue's drift tolerances hold
 
 
 @dataclass(frozen=True)
@@ -71,23 +71,19 @@ class Certificate(Sensor):
         return []
 
     def tolerances(self, table: ParameterTable, mechanism: Mechanism) -> Mapping[str, float]:
-        accuracy, reach = self._accuracy or REFERENCE_ACCURACY_M, _reach(mechanism)
+        accuracy = self._accuracy or REFERENCE_ACCURACY_M
+        # m: distance from the middle of the workspace to its corner
+        low, high = np.array(mechanism.workspace.low), np.array(mechanism.workspace.high)
+        along = [c in ("x", "y", "z") for c in mechanism.controls]
+        reach = float(np.linalg.norm((high - low)[along])) / 2 or mechanism.length
         found = {}
         for p in table:
             effect, _, number = p.name.partition(".")
-            if effect == "device_field":  # six numbers an axis
+            if effect == "device_field":  # six parameters per axis
                 found[p.name] = accuracy / (6**0.5 * reach**2)
             elif effect == "device_axes":  # up to three
-                own = self._scale if number.startswith("scale") else None
-                found[p.name] = own or accuracy / (3**0.5 * reach)
+                known = self._scale if number.startswith("scale") else None
+                found[p.name] = known or accuracy / (3**0.5 * reach)
             elif effect == "base_drift":
                 found[p.name] = p.tolerance * accuracy / REFERENCE_ACCURACY_M
         return found
-
-
-def _reach(mechanism: Mechanism) -> float:
-    """From the middle of the workspace to its corner (m)."""
-    low, high = (np.array(corner) for corner in (mechanism.workspace.low, mechanism.workspace.high))
-    along = [c in ("x", "y", "z") for c in mechanism.controls]
-    half = float(np.linalg.norm((high - low)[along])) / 2
-    return half if half > 0 else mechanism.length

@@ -21,8 +21,8 @@ class DeviceFrame(Sensor):
     """{B} -> {device} and {P} -> {target}, six numbers each around nominal frames, and the
     zeros of a gimbal x-y-z that measures the orientation: the nine of 5.5.1 for the Argos.
 
-    Only coordinates that the mechanism moves are asked for, and {P} -> {target} only where
-    the platform turns: else its shift is the frame's shift. `gimbal` adds the three zeros.
+    Only coordinates that the mechanism moves have parameters, and {P} -> {target} only if the
+    platform rotates: otherwise its shift equals the frame's shift. `gimbal` adds the three zeros.
     """
 
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -38,12 +38,13 @@ class DeviceFrame(Sensor):
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         moves = [c for c in POSE if c in mechanism.moves]
         turns = any(c.startswith("r") for c in moves)
-        # A frame turns even where the platform does not; a platform at rest needs no shift.
+        # The frame rotates even if the platform does not; a platform at rest needs no shift.
         frame = POSE if "x" in moves else POSE[3:]
         target = moves if turns else []
         names = [*(f"frame.{c}" for c in frame), *(f"target.{c}" for c in target)]
         names += [f"zero.{c}" for c in POSE[3:]] if self.gimbal else []
-        return [_parameter(name) for name in names]
+        units = {name: "rad" if name[-2] == "r" else "m" for name in names}
+        return [Parameter(name, unit, 0.0, TOLERANCE[unit]) for name, unit in units.items()]
 
     def pose(self, r: Any, R: Any, s: Named) -> tuple[Any, Any]:
         """{B}<-{P} = {B}<-{device} ({device}<-{target}) {target}<-{P}."""
@@ -60,7 +61,7 @@ class DeviceFrame(Sensor):
         return frame, _frame(s, "target", self.target_position, self.target_quaternion)
 
     def _gimbal(self, R: Any, s: Named, sign: int) -> Any:
-        """The rotation with the three encoders' zeros added to its x-y-z angles."""
+        """Add the zeros of the three encoders to the x-y-z angles of a rotation."""
         if not self.gimbal:
             return R
         angles = (
@@ -71,11 +72,6 @@ class DeviceFrame(Sensor):
         zeros = s.vector("zero.rx", "zero.ry", "zero.rz")
         a, b, c = (angle + sign * zeros[i] for i, angle in enumerate(angles))
         return rot_x(a) @ rot_y(b) @ rot_z(c)
-
-
-def _parameter(name: str) -> Parameter:
-    unit = "rad" if name[-2] == "r" else "m"
-    return Parameter(name, unit, 0.0, TOLERANCE[unit])
 
 
 def _frame(s: Named, name: str, position: Any, quaternion: Any) -> tuple[Any, Any]:
