@@ -133,7 +133,6 @@ class LooseBalls(Effect):
         loose = robot
         for _ in range(3):
             e = np.exp(-2 * self.weights.tensions(loose, angle, at.payload) / self.force)
-            loose = with_rods(
-                robot, robot.rods + self.play * (1 - e) / (1 + e)
-            )  # tanh of the tension
+            # (1 - e) / (1 + e) is the tanh of tension / force.
+            loose = with_rods(robot, robot.rods + self.play * (1 - e) / (1 + e))
         return loose

@@ -32,9 +32,8 @@ def orientations(
     u, v, c = (np.asarray(a, dtype=float) for a in (u, v, c))
     size_u, size_v = np.linalg.norm(u, axis=1), np.linalg.norm(v, axis=1)
     u, v, c = u / size_u[:, None], v / size_v[:, None], c / (size_u * size_v)
-    first = int(
-        np.argmin(np.abs(c))
-    )  # the widest circle; a point would leave one angle undetermined
+    # Begin with the widest circle: a circle of radius zero would leave one angle undetermined.
+    first = int(np.argmin(np.abs(c)))
     if abs(c[first]) > 1:
         return np.empty((0, 3, 3))
     A = _find_carrying_rotation(v[first], u[first], c[first])
