@@ -278,10 +278,14 @@ def test_a_bad_model_file_is_a_message(full):
 
 def test_no_request_overwrites_what_is_not_of_its_kind_or_lies_elsewhere(full):
     before = full.model_file.read_bytes()
-    for path in (str(full.model_file), "/dev/null", str(full.folder / ".." / "x.json")):
+    for path, reason in (
+        (str(full.model_file), "not a samples file"),
+        ("/dev/null", "allowed_folders"),
+        (str(full.folder / ".." / "x.json"), "allowed_folders"),
+    ):
         answer = full.call(SaveSamples, "save_samples", path=path)
         assert not answer.success
-        assert "not a samples file" in answer.message or "allowed_folders" in answer.message
+        assert reason in answer.message
     hidden = full.folder / ".bash_profile"
     answer = full.call(SaveSamples, "save_samples", path=str(hidden))
     assert f"{hidden}: a samples file's name must end in .json" in answer.message

@@ -581,6 +581,7 @@ def test_samples_survive_the_file_bit_for_bit(robot, tmp_path):
         old, new = getattr(robot, item.name), getattr(back, item.name)
         if item.name == "conditions":
             assert old.keys() == new.keys()
+            assert len(old) > 1
             assert all(np.array_equal(old[k], new[k]) for k in old)
         elif isinstance(old, np.ndarray):
             assert old.dtype == new.dtype
@@ -719,8 +720,6 @@ def test_look_leaves_out_the_samples_it_is_told_to(tmp_path):
 @pytest.mark.wide
 @pytest.mark.parametrize("name", ["delta_clean", "delta_eccentricity", "delta_backlash"])
 def test_shipped_recordings_give_their_94_dwells_directions_and_replicates(name):
-    if not (BAGS / name).exists():
-        pytest.skip(f"bags/{name} not generated")
     truth = yaml.safe_load((BAGS / "truth" / f"{name}.yaml").read_text())
     dwells = truth["dwells_arrive_leave_pose_direction"]
     dataset = dataset_from_recording(read_bag(BAGS / name))

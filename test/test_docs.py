@@ -116,7 +116,7 @@ def execute(words, folder):
 @pytest.mark.parametrize(("command", "lines"), list(cases()))
 def test_the_tutorial_shows_what_the_command_prints(run, command, lines):
     if measured_elsewhere(command) and not TABLE.exists():
-        pytest.skip("the measured cable robot is not here")
+        pytest.skip(f"needs {TABLE}, which is not in every clone")
     code, printed = run(command)
     refused = any(line.startswith("error:") for line in lines)
     assert code == (1 if refused else 0), "\n".join(printed)

@@ -247,7 +247,8 @@ def test_a_start_that_is_no_number_does_no_harm():
     home = np.array(exported.model.mechanism.home.joints)
     _, expected = exported.direct(home)
     status, answer = exported.direct(home, start=exported.kind())  # all zero: no rotation
-    assert status in (Status.CONVERGED, Status.UNREACHABLE, Status.NOT_CONVERGED)
+    assert status == Status.CONVERGED
+    np.testing.assert_allclose(answer.position[:], expected.position[:], atol=1e-10)
     nothing = exported.kind()
     nothing.position[0] = np.nan
     status, answer = exported.direct(home, start=nothing)
@@ -259,7 +260,8 @@ def test_targets_out_of_reach_are_a_status():
     exported = Exported("cable")
     exported_delta = Exported("delta54")
     assert exported_delta.inverse([0.0, 0.0, 5.0])[0] == Status.UNREACHABLE
-    assert exported.inverse([0.0, 0.0, 50.0])[0] in (Status.CONVERGED, Status.OUTSIDE_LIMITS)
+    # The lines of a cable robot have no end in the model.
+    assert exported.inverse([0.0, 0.0, 50.0])[0] == Status.CONVERGED
 
 
 # ------------------------------------------------------------------ the command

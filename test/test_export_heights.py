@@ -353,7 +353,7 @@ def test_a_setups_probe_takes_the_noise_that_somebody_states(tmp_path, capsys):
 
 
 @pytest.mark.wide
-@pytest.mark.skipif(not SHARED.is_dir(), reason="the real printer's files are not here")
+@pytest.mark.skipif(not SHARED.is_dir(), reason=f"needs {SHARED}, which is not in every clone")
 def test_a_real_printers_bed_gets_as_good_as_its_firmware_can(tmp_path):
     """54.0 um as it was; nine factors of the firmware, fitted by somebody else, reach 43.7 um."""
     names = ("config.g", "config-override.g")

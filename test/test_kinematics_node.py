@@ -344,6 +344,8 @@ def test_of_a_burst_of_requests_none_is_lost(robot):
     request = ComputeFK.Request(configurations=configurations([0.5] * 3))
     sent = [client.call_async(request) for _ in range(300)]
     robot.client.wait(lambda: all(future.done() for future in sent), "all answers")
+    statuses = {future.result().results[0].solutions[0].status for future in sent}
+    assert statuses == {Solution.CONVERGED}
 
 
 def test_a_bad_file_is_reported_in_status_and_diagnostics_and_the_model_stays(robot):
@@ -551,6 +553,7 @@ def test_a_jump_is_given_the_time_it_needs_and_one_out_of_the_workspace_is_refus
     targets.publish(PoseStamped(pose=pose((0.0, 0.0, 0.262))))
     robot.client.wait(lambda: told[-1].status == CommandStatus.REFUSED, "the refusal")
     assert "workspace" in told[-1].message
+    assert heard
     assert all(list(command.points[0].positions) == goal.tolist() for command in heard)
 
 

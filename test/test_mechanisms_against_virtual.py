@@ -102,8 +102,6 @@ def largest_gap(model, joints, positions, rotations):
 
 def situation(case, seed, n=100):
     """A strayed model, and joints and poses at which its virtual twin closes."""
-    if case.name not in SHELF:
-        pytest.skip(f"mechanisms/{case.name}.py is not there yet")
     mechanism = load_mechanism(case.name, **dict(case.options))
     model = strayed(mechanism, seed)
     robot = case.build(model.table.mapping(model.values))
@@ -194,8 +192,6 @@ def test_every_mechanism_of_the_shelf_has_a_virtual_twin():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_six_axis_arm_stands_as_its_homogeneous_matrices_say(seed):
-    if "serial" not in SHELF:
-        pytest.skip("mechanisms/serial.py is not there yet")
     model = strayed(load_mechanism("serial", links=SIX_R), seed)
     kinds = [("base", "")] + [(f"link{i}", "R") for i in range(1, 7)]
     twin = vs.Serial(model.table.mapping(model.values), kinds)

@@ -377,8 +377,7 @@ def test_an_unknown_key_is_refused_and_the_nearest_is_suggested(text):
 
 def test_an_unknown_key_of_a_parameter_is_refused(text):
     bad = text.replace(LINK, LINK.replace("tolerance", "tolerence"))
-    message = refused(bad, "parameters.chain1.D_x")
-    assert "tolerence: unknown key; did you mean 'tolerance'?" in message or "missing" in message
+    refused(bad, "parameters.chain1.D_x", "tolerence: unknown key; did you mean 'tolerance'?")
 
 
 def test_an_unknown_parameter_is_refused_and_the_nearest_is_suggested(text):

@@ -28,7 +28,9 @@ COLUMNS = ROOT / "config/columns/hangprinter_hp4.yaml"
 EACH_POSE = 1e-3  # share left out: as many folds as poses
 BUILDUP = "spool_buildup.Q"
 
-pytestmark = pytest.mark.skipif(not TABLE.exists(), reason="the measured cable robot is not here")
+pytestmark = pytest.mark.skipif(
+    not TABLE.exists(), reason=f"needs {TABLE}, which is not in every clone"
+)
 
 
 def run(*arguments):

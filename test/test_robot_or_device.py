@@ -46,6 +46,7 @@ def test_what_the_device_may_have_made_is_not_called_explained(refracted):
     found = diagnose(new_model("delta54"), refracted)
     robots = [name for name in found.effects if name not in ("device_field", "device_axes")]
     assert found.verdict.word != "explained"
+    assert robots
     assert list(found.robot_or_device) == robots
     assert all(
         f"the measuring device may cause {name}:" in found.verdict.summary for name in robots

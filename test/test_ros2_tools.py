@@ -54,7 +54,7 @@ EXPECTED = {
 def prefix(tmp_path_factory):
     """An environment with the tools, and the package installed where they look for it."""
     if not (TOOLS / "install").exists():
-        pytest.skip("the ros2 tools are not here (ROS2_TOOLS)")
+        pytest.skip(f"the ros2 tools are not in {TOOLS}; set ROS2_TOOLS")
     prefix = tmp_path_factory.mktemp("ros2") / "venv"
     venv.create(prefix, with_pip=True)
     (site,) = prefix.glob("lib/python3*/site-packages")

@@ -46,7 +46,7 @@ def test_a_step_leaves_a_state_with_its_errors_and_its_model(session):
 
 def test_an_effect_that_helps_is_added_and_one_that_does_not_leaves_no_state(session):
     before = session.state
-    with pytest.raises(FitError):
+    with pytest.raises(FitError, match="thermal_expansion"):
         session.add("thermal_expansion")
     assert session.state == before
     after = session.add("backlash")
@@ -179,7 +179,7 @@ def test_a_folder_without_a_session_and_one_with_are_told(session, tmp_path):
         Session(tmp_path)
     with pytest.raises(SessionError, match="already holds a session"):
         Session.new(session.folder, read_model(MODEL), [BAG])
-    with pytest.raises(BagError):
+    with pytest.raises(BagError, match="none: no such"):
         Session.new(tmp_path / "new", read_model(MODEL), [tmp_path / "none"])
     assert not (tmp_path / "new").exists()
 

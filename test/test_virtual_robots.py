@@ -436,7 +436,7 @@ def test_a_slack_line_is_noticed():
         robot.forward(q + [0, 0, 0, 1.0])
 
 
-@pytest.mark.skipif(not HP4.exists(), reason="the measured cable robot is not on this machine")
+@pytest.mark.skipif(not HP4.exists(), reason=f"needs {HP4}, which is not in every clone")
 def test_the_measured_cable_robot_behaves_so_with_its_makers_numbers():
     data = np.genfromtxt(HP4, delimiter=",", names=True)
     r = np.stack([data[f"{c}_mm"] for c in "xyz"], -1) / 1000

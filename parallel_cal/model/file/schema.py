@@ -196,9 +196,14 @@ def validate(document: Document, hint: Any) -> FilePart:
     try:
         return FilePart.model_validate(document.data)
     except ValidationError as error:
-        first, *others = error.errors(include_url=False)
+        errors = error.errors(include_url=False)
+        first = errors[0]
+        if first["type"] == "missing":
+            # A misspelt key is missing and unknown: only "unknown" comes with a suggestion.
+            unknown = (e for e in errors if e["type"] == "extra_forbidden")
+            first = next((e for e in unknown if e["loc"][:-1] == first["loc"][:-1]), first)
         path = tuple(first["loc"])
-        more = f" (and {len(others)} more)" if others else ""
+        more = f" (and {len(errors) - 1} more)" if errors[1:] else ""
         raise document.error(path, sentence(first, path) + hint(path) + more) from None
 
 
