@@ -8,6 +8,17 @@ import signal
 import tempfile
 
 import pytest
+from hypothesis import settings
+
+# The same examples in every run, and nothing stored on disk; more of them where wide tests run.
+settings.register_profile("quick", deadline=None, derandomize=True, database=None, max_examples=40)
+settings.register_profile("wide", settings.get_profile("quick"), max_examples=400)
+
+
+def pytest_configure(config):
+    marks = config.getoption("markexpr", "")
+    settings.load_profile("quick" if not marks or "not wide" in marks else "wide")
+
 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")

@@ -96,7 +96,8 @@ def json_lines(path: str | Path, most: int) -> Iterator[dict[str, Any]]:
     """Yield the JSON objects of a file with one object per line. Skip damaged lines: a crash may
     leave a line that is cut off or not text."""
     for line in read_text(path, most, errors="replace").splitlines():
-        with contextlib.suppress(json.JSONDecodeError):
+        # A number of thousands of digits is a ValueError, a thousand brackets a RecursionError.
+        with contextlib.suppress(ValueError, RecursionError):
             said = json.loads(line)
             if isinstance(said, dict) and "\ufffd" not in line:
                 yield said

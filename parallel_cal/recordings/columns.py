@@ -8,6 +8,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, field_validator
 
+from parallel_cal.base.errors import ModelFileError
+from parallel_cal.base.files import read_text
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.file.schema import NoisePart, Part, sentence, suggestion
 from parallel_cal.model.file.yamltext import Document, parse_yaml
@@ -118,7 +120,12 @@ class ColumnMap(Part):
 
 def read_column_map(path: Path) -> ColumnMap:
     """Read a column map; ModelFileError names line and key of an error."""
-    document = parse_yaml(path.read_text(encoding="utf-8"), str(path))
+    try:
+        document = parse_yaml(read_text(path), str(path))
+    except OSError as error:
+        raise ModelFileError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ModelFileError(f"{path}:1: not YAML: the file is not text (UTF-8)") from None
     try:
         found = ColumnMap.model_validate(document.data)
     except ValidationError as error:

@@ -55,6 +55,8 @@ def parse_yaml(text: str, name: str) -> Document:
     try:
         _check_depth(yaml.parse(text, Loader=loader), name)
         root = yaml.compose(text, Loader=loader)
+    except UnicodeEncodeError:  # an argument of the command line that is not UTF-8
+        raise ModelFileError(f"{name}:1: not YAML: it is not text (UTF-8)") from None
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = mark.line + 1 if mark else 1
@@ -153,4 +155,9 @@ def flow(value: Any) -> str:
         return text.replace("e", ".0e") if "e" in text and "." not in text else text
     text = str(value)
     plain = PLAIN.fullmatch(text) and text.lower() not in AMBIGUOUS
-    return text if plain else json.dumps(text, ensure_ascii=False)
+    if plain:
+        return text
+    text = text.encode(errors="backslashreplace").decode()  # a file name that is not UTF-8
+    # YAML forbids some characters that JSON leaves as they are, and folds others (U+2028).
+    quoted = json.dumps(text, ensure_ascii=False)
+    return "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in quoted)
