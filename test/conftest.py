@@ -11,7 +11,7 @@ import pytest
 from hypothesis import settings
 
 # The same examples in every run, and nothing stored on disk; more of them where wide tests run.
-settings.register_profile("quick", deadline=None, derandomize=True, database=None, max_examples=40)
+settings.register_profile("quick", deadline=None, derandomize=True, database=None, max_examples=30)
 settings.register_profile("wide", settings.get_profile("quick"), max_examples=400)
 
 

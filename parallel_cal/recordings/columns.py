@@ -122,8 +122,6 @@ def read_column_map(path: Path) -> ColumnMap:
     """Read a column map; ModelFileError names line and key of an error."""
     try:
         document = parse_yaml(read_text(path), str(path))
-    except OSError as error:
-        raise ModelFileError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise ModelFileError(f"{path}:1: not YAML: the file is not text (UTF-8)") from None
     try:
