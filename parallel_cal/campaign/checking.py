@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.base.units import ERROR_UNITS
 from parallel_cal.campaign.cell import CellError
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.prediction_errors import errors
-from parallel_cal.identification.units import UNITS
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model
 from parallel_cal.planning.expectation import prediction_blocks
@@ -60,7 +60,7 @@ class Checker:
         for kind, usual in self._usual.items():
             error = float(found.norms(kind)[0])
             if error > MAX_ERROR_RATIO * usual:
-                factor, unit = next((factor, unit) for one, factor, unit in UNITS if one == kind)
+                unit, factor = ERROR_UNITS[kind]
                 raise ImplausibleSample(
                     f"the {kind} is {factor * error:.3g} {unit} from the model's prediction, "
                     f"{error / usual:.0f} times the usual error ({factor * usual:.3g} {unit}): "

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.base.units import ARCMIN
 from parallel_cal.cli.arguments import Json, ModelFile
 from parallel_cal.reporting import console
 from parallel_cal.reporting.readable import format_fixed_vector, value_unit
@@ -208,7 +209,7 @@ def _format_solution_count(found: Solutions) -> str:
 
 
 def _pose_sigma(sigma: np.ndarray) -> str:
-    turned = format_fixed_vector(sigma[3:], 60 * 180 / math.pi, 3)
+    turned = format_fixed_vector(sigma[3:], 1 / ARCMIN, 3)
     return f"position {format_fixed_vector(sigma[:3], 1e6, 1)} um, orientation {turned} arcmin"
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from parallel_cal.base.documents import to_json_value
+from parallel_cal.base.units import ARCMIN
 from parallel_cal.cli.arguments import Json, ModelFile, with_options
 from parallel_cal.planning.options import PlanOptions
 from parallel_cal.reporting import console
@@ -16,8 +17,6 @@ from parallel_cal.reporting.readable import format_fixed, format_fixed_vector
 
 if TYPE_CHECKING:
     from parallel_cal.planning.plan import Plan
-
-ARCMIN = 60 * 180 / math.pi
 
 
 @with_options
@@ -97,7 +96,10 @@ def _show(found: Plan, document: dict[str, Any]) -> None:
     expected = (document["expected"], document["random"]["expected"])
     rows += [
         ["expected position error, rms [um]", *_numbers(expected, "position", 1e6)],
-        ["expected orientation error, rms [arcmin]", *_numbers(expected, "orientation", ARCMIN)],
+        [
+            "expected orientation error, rms [arcmin]",
+            *_numbers(expected, "orientation", 1 / ARCMIN),
+        ],
     ]
     console.table(("", "planned", "random"), rows)
     _show_parameters(found, document["expected"]["parameters"])

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
+from parallel_cal.base.units import ARCMIN
 from parallel_cal.cli.arguments import (
     Bags,
     Data,
@@ -18,8 +18,6 @@ from parallel_cal.cli.arguments import (
 from parallel_cal.cli.calibration import read_model_and_data
 from parallel_cal.reporting import console
 from parallel_cal.reporting.readable import format_fixed, in_unit
-
-ARCMIN = 60 * 180 / math.pi
 
 
 def short_cut(
@@ -66,7 +64,7 @@ def _show(document: dict[str, Any]) -> None:
             k["loop"],
             str(k["samples"]),
             str(k["rank"]),
-            *(format_fixed(k[when]["orientation_rms"], ARCMIN) for when in ("before", "after")),
+            *(format_fixed(k[when]["orientation_rms"], 1 / ARCMIN) for when in ("before", "after")),
         )
         for k in document["loops"]
     ]

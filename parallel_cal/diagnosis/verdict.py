@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from parallel_cal.base.units import ERROR_UNITS, MM
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.noise_shape import NoiseShape
@@ -23,7 +24,7 @@ from parallel_cal.diagnosis.thresholds import (
     MIN_EXPLAINED_SHARE,
     MIN_FAMILY_MEMBERS,
 )
-from parallel_cal.identification.acceptance import UNITS, acceptance, format_errors
+from parallel_cal.identification.acceptance import acceptance, format_errors
 from parallel_cal.identification.fit_warnings import format_distinctly
 from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.model.shelf import load_effect
@@ -240,7 +241,7 @@ def _noise(found: Findings) -> str:
 def _uncertainty(found: Findings) -> str:
     """Describe the part of the validation error that the model uncertainty makes."""
     result = found.best.fitted
-    for kind, factor, unit in UNITS:
+    for kind, (unit, factor) in ERROR_UNITS.items():
         error, stated = result.held_out.summary.rms(kind), result.noise_floor.rms(kind)
         floor = (stated or 0.0) * (found.noise.misstated or 1.0)
         if error is not None and floor and error > MAX_ERROR_TO_NOISE_RATIO * floor:
@@ -265,6 +266,7 @@ def _size(structure: LackOfFit, before: str = ",") -> str:
     m = structure.map
     if m.share <= 0:
         return ""
+    unit, factor = ERROR_UNITS[m.kind]
     if m.kind == "position":
-        return f"{before} {m.size * 1e6:.0f} um over {m.length * 1e3:.0f} mm"
-    return f"{before} {m.size * 3437.75:.2f} arcmin"
+        return f"{before} {m.size * factor:.0f} {unit} over {m.length / MM:.0f} mm"
+    return f"{before} {m.size * factor:.2f} {unit}"

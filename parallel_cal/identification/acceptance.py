@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.units import ERROR_UNITS
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.observations import blocks
 from parallel_cal.identification.prediction_errors import Errors, Summary, held_out_ratio
-from parallel_cal.identification.units import UNITS
 
 IN_SAMPLE = (
     "the model was fitted to these samples before, so its own error is in-sample; for the error at "
@@ -112,7 +112,7 @@ def _squared(result: FitResult, found: Errors) -> np.ndarray:
 def format_errors(after: Summary, before: Summary | None = None) -> str:
     """Format rms errors, `before` to `after`."""
     parts = []
-    for kind, factor, unit in UNITS:
+    for kind, (unit, factor) in ERROR_UNITS.items():
         now, then = after.rms(kind), before.rms(kind) if before else None
         if now is not None:
             was = "" if then is None else f"{_digits(then * factor)} to "

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from parallel_cal.base.units import ANGLES, LARGE_UNITS, LENGTHS, UNITS
 from parallel_cal.identification.thresholds import (
     MAX_ARC,
     MAX_DISTANCE,
@@ -20,10 +21,8 @@ from parallel_cal.identification.thresholds import (
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
-from parallel_cal.recordings.table import ANGLES, LENGTHS
 
 USUAL_UNITS = {"m": ("mm", "cm", "um"), "rad": ("deg", "mrad")}  # that people mistake for SI
-SHOWN_IN = {"m": ("mm", 1e3), "rad": ("deg", 180 / np.pi)}
 
 
 def doubt_readings(
@@ -92,7 +91,7 @@ def _guess(model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray, i: 
             return (
                 f"By the measured poses the readings are in {nearest}: {cure.format(nearest, unit)}"
             )
-        shown, factor = SHOWN_IN[unit]
+        shown, factor = LARGE_UNITS[unit]
         one, turn = f"{scale * factor:.4g} {shown}", f"{2 * np.pi * scale * factor:.4g} {shown}"
         return (
             f"By the measured poses one unit of the readings is {one}. They may be a motor's "
@@ -102,7 +101,7 @@ def _guess(model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray, i: 
     low, high = model.mechanism.joint_limits[i]
     margin = (high - low) / 2
     for name in USUAL_UNITS[unit]:
-        there = read * (LENGTHS | ANGLES)[name]
+        there = read * UNITS[name]
         if low - margin <= there.min() and there.max() <= high + margin:
             return f"In {name} the readings would be near the limits: {cure.format(name, unit)}"
     other = " or ".join(USUAL_UNITS[unit])

@@ -16,6 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.settings import Settings
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
@@ -23,7 +24,6 @@ from parallel_cal.model.model import Model, new_model
 from parallel_cal.model.shelf import load_mechanism, load_sensor
 from parallel_cal.recordings.recording import Array
 
-MM, DEGREE = 1e-3, np.pi / 180
 JOINT_NAMES = ("joint1", "joint2", "joint3")
 HOME_HEIGHT_M = 0.05  # m above the bed, the middle of what is used
 FLAT = 1e-6  # of a triangle on the unit circle: with less area it has no sense of rotation

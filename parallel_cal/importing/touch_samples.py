@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from parallel_cal.base.errors import DatasetError
-from parallel_cal.importing.deltas import JOINT_NAMES, MM, Delta
+from parallel_cal.base.units import MM
+from parallel_cal.importing.deltas import JOINT_NAMES, Delta
 from parallel_cal.importing.settings import SourceLine, sha256
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.loading import order_joints

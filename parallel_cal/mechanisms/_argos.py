@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.rotation import rot_x, rot_y
-from parallel_cal.mechanisms._delta import DEGREE, MM
+from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.model.closed_form import joint_angles
 from parallel_cal.model.drawing import Line, ring
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace

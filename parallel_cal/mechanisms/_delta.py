@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
+from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.model.drawing import Line, ring
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
-
-MM, DEGREE = 1e-3, np.pi / 180
 
 Entry = tuple[str, float, float, str]
 # name: unit, nominal value (table 5.12), tolerance of a real robot (1 sigma), label.

@@ -8,8 +8,8 @@ from typing import Any
 import casadi as ca
 
 from parallel_cal.base.rotation import rot_x, rot_z
+from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.mechanisms._argos import RADIUS, Argos, pantographs
-from parallel_cal.mechanisms._delta import DEGREE, MM
 from parallel_cal.model.drawing import Line
 from parallel_cal.model.mechanism import POSE
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable

@@ -9,12 +9,12 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
+from parallel_cal.base.units import MM
 from parallel_cal.model.closed_form import three_spheres
 from parallel_cal.model.drawing import Line
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
-MM = 1e-3
 GEAR, RADIUS = 255 / 20, 75 * MM
 
 # The Hangprinter HP4: three lines pull low and share one spool radius, the fourth pulls high.

@@ -24,7 +24,8 @@ from parallel_cal.base.rotation import (
     rotation_matrix,
     rotation_vector,
 )
-from parallel_cal.mechanisms._delta import DEGREE, MM, Delta, rod_pairs
+from parallel_cal.base.units import DEGREE, MM
+from parallel_cal.mechanisms._delta import Delta, rod_pairs
 from parallel_cal.mechanisms.delta54 import Delta54
 from parallel_cal.model.closed_form import joint_angles, positions
 from parallel_cal.model.drawing import Line, axis, ring

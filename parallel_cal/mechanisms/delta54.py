@@ -8,9 +8,8 @@ from typing import Any
 import casadi as ca
 
 from parallel_cal.base.rotation import rot_x, rot_y, rot_z
+from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.mechanisms._delta import (
-    DEGREE,
-    MM,
     POSITION,
     Delta,
     chain_parameters,

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from parallel_cal.mechanisms._delta import DEGREE, MM, POSITION
+from parallel_cal.base.units import DEGREE, MM
+from parallel_cal.mechanisms._delta import POSITION
 from parallel_cal.mechanisms.delta24 import Delta24
 from parallel_cal.model.mechanism import Home, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable

@@ -9,12 +9,12 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
+from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.model.closed_form import joint_angles
 from parallel_cal.model.drawing import Line
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
-MM, DEGREE = 1e-3, np.pi / 180
 CRANK, ROD = 100 * MM, 150 * MM
 HEIGHT = float(CRANK * np.sin(60 * DEGREE) + np.sqrt(ROD**2 - CRANK**2))  # m: the point at home
 SIDES = {"left": -1, "right": 1}

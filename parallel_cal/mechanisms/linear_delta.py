@@ -8,7 +8,8 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.rotation import rot_x, rot_y, rot_z
-from parallel_cal.mechanisms._delta import DEGREE, MM, pair_errors, pair_lengths, rod_pairs
+from parallel_cal.base.units import DEGREE, MM
+from parallel_cal.mechanisms._delta import pair_errors, pair_lengths, rod_pairs
 from parallel_cal.model.closed_form import positions
 from parallel_cal.model.drawing import Line
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace

@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
 from parallel_cal.base.rotation import rot_z
+from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.model.drawing import Line
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
-MM, DEGREE = 1e-3, np.pi / 180
 NOMINAL = {  # the paper's table 2: unit, nominal value, tolerance
     "q0": ("rad", 0.0, 0.5 * DEGREE),
     "a1_x": ("m", 125 * MM, 1 * MM),

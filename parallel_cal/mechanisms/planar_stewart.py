@@ -8,13 +8,13 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.rotation import rot_z
+from parallel_cal.base.units import DEGREE
 from parallel_cal.mechanisms.stewart42 import one_leg, ring
 from parallel_cal.model.drawing import Line
 from parallel_cal.model.drawing import ring as closed
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
-DEGREE = np.pi / 180
 BASE_RADIUS, PLATFORM_RADIUS, RETRACTED = 0.3, 0.08, 0.15  # m
 BASE_ANGLES, PLATFORM_ANGLES = (0, 120, 240), (30, 150, 270)  # turned: no leg points at the centre
 

@@ -13,12 +13,11 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.rotation import rot_x, rot_z
+from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.model.closed_form import joint_angles
 from parallel_cal.model.drawing import Line, axis
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
-
-MM, DEGREE = 1e-3, np.pi / 180
 
 # Chains 1 and 2 of table 5.12: axes tangent to a circle of 76 + 24 mm, 120 degrees apart; they
 # meet 173.2 mm from the arms, whose inner balls are 20 mm nearer. Encoder zero: arm horizontal.

@@ -7,7 +7,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.mechanisms.serial import DEGREE, Serial
+from parallel_cal.base.units import DEGREE
+from parallel_cal.mechanisms.serial import Serial
 from parallel_cal.model.mechanism import Workspace
 from parallel_cal.model.parameters import Named
 

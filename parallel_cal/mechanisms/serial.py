@@ -13,11 +13,11 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import matrix_to_quaternion, rot_x, rot_y, rot_z
+from parallel_cal.base.units import DEGREE
 from parallel_cal.model.drawing import Line, axis
 from parallel_cal.model.mechanism import POSE, Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
-DEGREE = np.pi / 180
 UNITS = {"theta": "rad", "d": "m", "a": "m", "b": "m", "alpha": "rad", "beta": "rad"}
 # Table 3.5: position of the next axis relative to this frame's z, and its kind -> parameters of
 # the link. Two rows are ours: {B} on the first axis (Hayati's theta is undefined there), and {P}.

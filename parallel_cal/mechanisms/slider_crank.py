@@ -7,11 +7,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.model.drawing import Line
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
-MM, DEGREE = 1e-3, np.pi / 180
 A, B, X = 80 * MM, 50 * MM, 100 * MM  # eq. 5.8; the slider at home
 BODIES = {"crank": ("a",), "rod": ("b",)}
 

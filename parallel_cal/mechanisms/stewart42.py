@@ -8,12 +8,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from parallel_cal.base.units import DEGREE
 from parallel_cal.model.drawing import Line
 from parallel_cal.model.drawing import ring as closed
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
-DEGREE = np.pi / 180
 BASE_RADIUS, PLATFORM_RADIUS, HEIGHT, RETRACTED = 0.25, 0.15, 0.3, 0.25  # m
 # Joints come in pairs 20 degrees apart; each leg leads to the nearer pair of the platform.
 BASE_ANGLES = (-10, 10, 110, 130, 230, 250)

@@ -10,14 +10,11 @@ from pydantic import Field, ValidationError, field_validator
 
 from parallel_cal.base.errors import ModelFileError
 from parallel_cal.base.files import read_text
+from parallel_cal.base.units import UNITS, Angle, Length
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.file.schema import NoisePart, Part, sentence, suggestion
 from parallel_cal.model.file.yamltext import Document, parse_yaml
 from parallel_cal.recordings.channels import list_channels
-from parallel_cal.recordings.table import UNITS
-
-Length = Literal["m", "cm", "mm", "um", "nm", "in", "ft", "mil"]
-Angle = Literal["rad", "mrad", "deg", "arcmin", "arcsec", "gon", "rev"]
 
 
 class JointColumn(Part):

@@ -12,6 +12,7 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.rotation import quaternion_to_matrix
+from parallel_cal.base.units import LENGTHS, UNITS
 from parallel_cal.recordings.columns import (
     ColumnMap,
     Join,
@@ -21,7 +22,7 @@ from parallel_cal.recordings.columns import (
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Dropped
 from parallel_cal.recordings.samples import READING
-from parallel_cal.recordings.table import LENGTHS, UNITS, Table, read_table, split_unit
+from parallel_cal.recordings.table import Table, read_table, split_unit
 
 
 def import_csv(paths: str | Path | Sequence[str | Path], columns: str | Path) -> Dataset:

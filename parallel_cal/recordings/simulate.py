@@ -11,6 +11,7 @@ import numpy as np
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import matrix_to_quaternion, rotation_matrix
 from parallel_cal.base.threads import single_threaded
+from parallel_cal.base.units import ARCSEC
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.effect import parse_effect
 from parallel_cal.model.mechanism import poses_in_workspace
@@ -30,7 +31,6 @@ POSES_PER_PAYLOAD = 5
 MEAN_TEMPERATURE_DEGC = 21.0
 TEMPERATURE_AMPLITUDE_DEGC = 3.0
 TEMPERATURE_PERIOD_S = 180.0
-ARCSEC = np.pi / 180 / 3600
 # Of instruments a model file says nothing about: those of the thesis (sections 2.3.2 and 4.2).
 TYPICAL = {"rad": 25 * ARCSEC, "m": 10e-6, "position": 10e-6, "orientation": 15 * ARCSEC}
 MIN_TARGET_DISTANCE = 0.02  # of a joint's travel

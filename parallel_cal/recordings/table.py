@@ -16,59 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError
-
-LENGTHS = {
-    "m": 1.0,
-    "cm": 1e-2,
-    "mm": 1e-3,
-    "um": 1e-6,
-    "nm": 1e-9,
-    "in": 0.0254,
-    "ft": 0.3048,
-    "mil": 25.4e-6,
-}
-ANGLES = {
-    "rad": 1.0,
-    "mrad": 1e-3,
-    "deg": math.pi / 180,
-    "arcmin": math.pi / 10_800,
-    "arcsec": math.pi / 648_000,
-    "gon": math.pi / 200,
-    "rev": 2 * math.pi,
-}
-UNITS = ANGLES | LENGTHS
-UNIT_ALIASES = {
-    "°": "deg",
-    "degree": "deg",
-    "degrees": "deg",
-    "radian": "rad",
-    "radians": "rad",
-    "revolutions": "rev",
-    "turns": "rev",
-    "grad": "gon",
-    "µm": "um",
-    "μm": "um",
-    "micrometers": "um",
-    "micrometres": "um",
-    "microns": "um",
-    "micron": "um",
-    "inch": "in",
-    "inches": "in",
-    "feet": "ft",
-    "foot": "ft",
-    "mils": "mil",
-    "thou": "mil",
-    "millimeters": "mm",
-    "millimetres": "mm",
-    "millimeter": "mm",
-    "millimetre": "mm",
-    "centimeters": "cm",
-    "centimetres": "cm",
-    "meters": "m",
-    "metres": "m",
-    "meter": "m",
-    "metre": "m",
-}
+from parallel_cal.base.units import UNIT_ALIASES, UNITS
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator
 
+from parallel_cal.base.units import ERROR_UNITS
 from parallel_cal.fleet.findings import Change, EffectOfFleet, Findings
 from parallel_cal.fleet.fleet import Fleet
 from parallel_cal.fleet.rows import ERRORS
-from parallel_cal.reporting.readable import ARCMIN, columns, format_fixed, in_unit
+from parallel_cal.reporting.readable import columns, format_fixed, in_unit
 
-UNITS = {"position": ("um", 1e6), "reading": ("um", 1e6), "orientation": ("arcmin", ARCMIN)}
+ERROR_KINDS = ("position", "reading", "orientation")  # the first that was measured is shown
 DAY = 86400.0
 MAX_WORST_RECORDINGS = 10  # recordings that are listed
 MAX_NAMED_ROBOTS = 5
@@ -40,7 +41,8 @@ def verdicts_in_words(fleet: Fleet) -> str:
 def kind_of(fleet: Fleet) -> str | None:
     """Return the kind of error of the fleet: position if it was measured."""
     return next(
-        (kind for kind in UNITS if any(row["after"][f"{kind}_rms"] for row in fleet.judged)), None
+        (kind for kind in ERROR_KINDS if any(row["after"][f"{kind}_rms"] for row in fleet.judged)),
+        None,
     )
 
 
@@ -49,7 +51,7 @@ def _worst(fleet: Fleet) -> Iterator[str]:
     kind = kind_of(fleet)
     if kind is None:
         return
-    (unit, factor), key = UNITS[kind], f"{kind}_rms"
+    (unit, factor), key = ERROR_UNITS[kind], f"{kind}_rms"
     worst = sorted(fleet.judged, key=lambda row: -(row["after"][key] or 0.0))[:MAX_WORST_RECORDINGS]
     header = ("robot", "recording", f"{kind} error [{unit}]", "fitted", "with effects")
     yield columns(

@@ -9,14 +9,13 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeGuard
 
-ARCMIN = 60 * 180 / math.pi
-SMALL = {
-    "m": ("µm", 1e6),
-    "rad": ("arcmin", ARCMIN),
+from parallel_cal.base.units import ERROR_SI_UNITS, LARGE_UNITS, SMALL_UNITS
+
+SMALL = SMALL_UNITS | {
+    "m": ("µm", SMALL_UNITS["m"][1]),
     "rad|m": ("µrad|µm", 1e6),  # a norm of revolute and prismatic joints has no common unit
 }
-LARGE = {"m": ("mm", 1e3), "rad": ("deg", 180 / math.pi), "degC": ("°C", 1.0), "1": ("", 1.0)}
-SI_UNITS = {"position": "m", "orientation": "rad", "reading": "m"}
+LARGE = LARGE_UNITS | {"degC": ("°C", 1.0), "1": ("", 1.0)}
 MISSING = "–"
 
 
@@ -89,7 +88,7 @@ def percent(share: float | None, digits: int = 0, missing: str = MISSING) -> str
 def unit_of(kind: str, joint_units: Mapping[str, str]) -> str:
     """Return the SI unit of an error kind; rad|m for a mix of revolute and prismatic joints."""
     units = set(joint_units.values())
-    return SI_UNITS.get(kind) or (units.pop() if len(units) == 1 else "rad|m")
+    return ERROR_SI_UNITS.get(kind) or (units.pop() if len(units) == 1 else "rad|m")
 
 
 def format_fixed(value: float | None, factor: float = 1.0, digits: int = 2) -> str:

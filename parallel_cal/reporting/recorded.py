@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from parallel_cal.base.units import ARCMIN
 from parallel_cal.recordings.channels import CHANNELS, list_channels
-from parallel_cal.reporting.readable import ARCMIN, format_fixed_vector
+from parallel_cal.reporting.readable import format_fixed_vector
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -94,7 +95,7 @@ def _print_noise(document: dict[str, Any], console: Console) -> None:
         parts = []
         if any(v is not None for v in pose):
             parts.append(f"position {format_fixed_vector(pose[:3], 1e6, 1)} um")
-            parts.append(f"orientation {format_fixed_vector(pose[3:], ARCMIN, 2)} arcmin")
+            parts.append(f"orientation {format_fixed_vector(pose[3:], 1 / ARCMIN, 2)} arcmin")
         if "joint" in noise:
             parts.append(f"joints {format_fixed_vector(noise['joint'], 1e3, 4)} mrad|mm")
         about = f" ({noise['dof']} degrees of freedom)" if "dof" in noise else ""

@@ -8,13 +8,12 @@ from html import escape
 
 import numpy as np
 
+from parallel_cal.base.units import ERROR_SI_UNITS, ERROR_UNITS
 from parallel_cal.reporting.colours import ACCENT, MEASURED, QUIET, WARNING
 from parallel_cal.reporting.figures import LEGEND, Spec
 from parallel_cal.reporting.markup import Plot, paragraph, section, sentence, table
 from parallel_cal.reporting.page import PageBuilder
 from parallel_cal.reporting.readable import (
-    ARCMIN,
-    SI_UNITS,
     columns,
     error_unit,
     format_fixed,
@@ -25,7 +24,7 @@ from parallel_cal.reporting.readable import (
 from parallel_cal.study.power import HALF, MOSTLY, Detectable, Power
 from parallel_cal.study.tolerance import Share, Tolerances
 
-UNITS = {"position": ("um", 1e6, 1), "orientation": ("arcmin", ARCMIN, 2)}
+DIGITS = {"position": 1, "orientation": 2}
 ERRORS = ("rms", "95 %", "largest", "rms of 95 % of robots", "rms of the budget")
 PARAMETER_COLUMNS = ("parameters", "tolerance", "unit", "count")
 SIZES = ("predicted 50 %", "90 %", "found 50 %", "90 %")
@@ -37,12 +36,12 @@ def format_tolerances(found: Tolerances) -> str:
     """Format the errors, the budget and the remarks."""
     robots, poses = found.errors[found.kind].shape
     errors = [
-        (f"{k} error [{UNITS[k][0]}]", *(_format_error(v, k) for v in _figures(found, k)))
+        (f"{k} error [{ERROR_UNITS[k][0]}]", *(_format_error(v, k) for v in _figures(found, k)))
         for k in found.errors
     ]
     header = [f(k) for k in found.errors for f in (_headed, "{} share [%]".format)]
     shown = [
-        one for one in found.budget if any(_share(found, one, k) > MIN_BUDGET_SHARE for k in UNITS)
+        one for one in found.budget if any(_share(found, one, k) > MIN_BUDGET_SHARE for k in DIGITS)
     ]
     rows = [
         (
@@ -77,12 +76,11 @@ def _figures(found: Tolerances, kind: str) -> list[float]:
 
 
 def _headed(kind: str) -> str:
-    return f"{kind} [{UNITS[kind][0]}]"
+    return f"{kind} [{ERROR_UNITS[kind][0]}]"
 
 
 def _format_error(value: float, kind: str) -> str:
-    _, factor, digits = UNITS[kind]
-    return format_fixed(value, factor, digits)
+    return format_fixed(value, ERROR_UNITS[kind][1], DIGITS[kind])
 
 
 def _share(found: Tolerances, one: Share, kind: str) -> float:
@@ -104,7 +102,7 @@ def remarks(found: Tolerances) -> Iterator[str]:
     yield (
         f"{what}, {' '.join(_tolerance(one))}, contributes most: "
         f"{format_fixed(_share(found, one, kind), 100, 0)} % of the squared {kind} error; half "
-        f"the tolerance would reduce the error from {whole} to {halved} {UNITS[kind][0]}"
+        f"the tolerance would reduce the error from {whole} to {halved} {ERROR_UNITS[kind][0]}"
     )
     for kind in found.errors:
         if found.differs(kind):
@@ -117,7 +115,7 @@ def remarks(found: Tolerances) -> Iterator[str]:
         yield f"{found.unreached} poses were out of reach of a random robot and are not counted"
     if found.calibrated:
         left = vars(found.calibrated)
-        shown = [f"{_format_error(left[f'{k}_rms'], k)} {UNITS[k][0]}" for k in found.errors]
+        shown = [f"{_format_error(left[f'{k}_rms'], k)} {ERROR_UNITS[k][0]}" for k in found.errors]
         yield (
             f"error after a calibration at the {found.planned} poses of the plan: "
             f"{', '.join(shown)}"
@@ -129,7 +127,7 @@ def tolerances_page(found: Tolerances) -> str:
     drawn, (robots, poses) = PageBuilder(), found.errors[found.kind].shape
     summary = "".join(paragraph(sentence(text), "verdict") for text in remarks(found))
     rows = [
-        (kind, *(with_unit(v, SI_UNITS[kind]) for v in _figures(found, kind)))
+        (kind, *(with_unit(v, ERROR_SI_UNITS[kind]) for v in _figures(found, kind)))
         for kind in found.errors
     ]
     figures = "".join(_distribution(found, kind, drawn.plot) for kind in found.errors)
@@ -145,7 +143,7 @@ def tolerances_page(found: Tolerances) -> str:
 
 def _bars(found: Tolerances, kind: str, plot: Plot) -> str:
     """Draw the first-order error of each group of parameters, the largest on top."""
-    unit, factor = error_unit(SI_UNITS[kind])
+    unit, factor = error_unit(ERROR_SI_UNITS[kind])
     upwards = sorted(found.budget, key=lambda one: one.rms[kind])
     upwards = [one for one in upwards if _share(found, one, kind) > MIN_BUDGET_SHARE]
     bars: Spec = {
@@ -159,8 +157,8 @@ def _bars(found: Tolerances, kind: str, plot: Plot) -> str:
         "hovertext": [
             escape(
                 f"{one.label or one.name}, {' '.join(_tolerance(one))}: "
-                f"{with_unit(one.rms[kind], SI_UNITS[kind])}; total if halved: "
-                f"{with_unit(one.halved[kind], SI_UNITS[kind])}"
+                f"{with_unit(one.rms[kind], ERROR_SI_UNITS[kind])}; total if halved: "
+                f"{with_unit(one.halved[kind], ERROR_SI_UNITS[kind])}"
             )
             for one in upwards
         ],
@@ -178,7 +176,7 @@ def _bars(found: Tolerances, kind: str, plot: Plot) -> str:
 
 def _distribution(found: Tolerances, kind: str, plot: Plot) -> str:
     """Draw the distribution of the robots' rms errors, with that of the budget."""
-    unit, factor = error_unit(SI_UNITS[kind])
+    unit, factor = error_unit(ERROR_SI_UNITS[kind])
     count, edges = np.histogram(found.robots(kind) * factor, bins="auto")
     *_, keep, budget = _figures(found, kind)
     traces: list[Spec] = [
@@ -217,7 +215,7 @@ def _distribution(found: Tolerances, kind: str, plot: Plot) -> str:
 
 def format_power(found: Power) -> str:
     """Format the detectable sizes, the effects that cannot be found, and the false alarms."""
-    unit = UNITS[found.kind][0]
+    unit = ERROR_UNITS[found.kind][0]
     header = ("effect", "parameter", "unit", *SIZES, f"{found.kind} error [{unit}] 50 %", "90 %")
     rows = [
         (one.effect, one.number, error_unit(one.unit)[0].replace("µ", "u"), *_sizes(found, one))
@@ -276,7 +274,7 @@ def power_page(found: Power) -> str:
     """Make the page of a power study: ranges of sizes with their predictions, and all numbers."""
     drawn = PageBuilder()
     shown = [one for one in found.effects if not one.reason]
-    unit = error_unit(SI_UNITS[found.kind])[0]
+    unit = error_unit(ERROR_SI_UNITS[found.kind])[0]
     header = (
         "effect",
         "parameter",
@@ -308,7 +306,7 @@ def power_page(found: Power) -> str:
 
 def _ranges(found: Power, shown: list[Detectable], plot: Plot) -> str:
     """Draw the pose errors at which the effect is found in 50 % and in 90 % of the sessions."""
-    unit, factor = error_unit(SI_UNITS[found.kind])
+    unit, factor = error_unit(ERROR_SI_UNITS[found.kind])
     upwards = shown[::-1]
     names = [escape(one.effect) for one in upwards]
     half, mostly = (

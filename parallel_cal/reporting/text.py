@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.units import ARCMIN
 from parallel_cal.diagnosis.comparison import Comparison
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.entries import Entry
@@ -16,7 +17,6 @@ from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.prediction_errors import ERRORS, Summary
 from parallel_cal.model.model import Model
 from parallel_cal.reporting.readable import (
-    ARCMIN,
     columns,
     error_unit,
     format_fixed,
@@ -217,7 +217,9 @@ def _worst(comparison: Comparison) -> str:
         shown["error [um]"] = [format_fixed_vector(e, 1e6, 0) for e in errors.position[worst]]
         shown["|error| [um]"] = [format_fixed(e, 1e6, 0) for e in norms["position"][worst]]
     if np.isfinite(norms["orientation"]).any():
-        shown["turned [arcmin]"] = [format_fixed(e, ARCMIN) for e in norms["orientation"][worst]]
+        shown["turned [arcmin]"] = [
+            format_fixed(e, 1 / ARCMIN) for e in norms["orientation"][worst]
+        ]
     for channel, read in zip(comparison.model.structure.channels, errors.reading.T, strict=True):
         shown[f"{channel} [um]"] = [format_fixed(e, 1e6, 0) for e in read[worst]]
     return columns(tuple(shown), list(zip(*shown.values(), strict=True)))

@@ -9,11 +9,10 @@ import casadi as ca
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import cayley
+from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 from parallel_cal.model.sensor import Sensor, point_on_platform, point_parameters
-
-MM, DEGREE = 1e-3, 0.017453292519943295
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.files import read_text, write_atomically
+from parallel_cal.base.units import ERROR_UNITS
 from parallel_cal.identification.options import FitOptions
-from parallel_cal.identification.units import UNITS
 
 VERSION = 1
 FILE, LOCK = "session.json", ".lock"
@@ -225,7 +225,7 @@ class History:
 
 def format_first_error(errors: Mapping[str, float | None]) -> str:
     """Format the first known kind of error: `30 um`, `0.43 arcmin`."""
-    for kind, factor, unit in UNITS:
+    for kind, (unit, factor) in ERROR_UNITS.items():
         if (value := errors.get(f"{kind}_rms")) is not None:
             return f"{value * factor:.3g} {unit}"
     return "-"

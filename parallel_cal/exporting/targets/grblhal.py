@@ -14,9 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
+from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.exporting.deltas import ROTARY, fit_equal_shoulders
 from parallel_cal.exporting.projection import Firmware, Projection
-from parallel_cal.importing.deltas import DEGREE, MM, Shoulders
+from parallel_cal.importing.deltas import Shoulders
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines
 from parallel_cal.model.model import Model
 

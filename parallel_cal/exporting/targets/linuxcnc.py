@@ -14,10 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
+from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.exporting.deltas import LINEAR, ROTARY, fit_equal_shoulders, fit_equal_towers
 from parallel_cal.exporting.projection import Firmware, Frame, Machine, Projection, fit_numbers
 from parallel_cal.exporting.targets import c
-from parallel_cal.importing.deltas import DEGREE, MM, Shoulders
+from parallel_cal.importing.deltas import Shoulders
 from parallel_cal.importing.importers import linuxcnc
 from parallel_cal.importing.importers.linuxcnc import HOMED
 from parallel_cal.importing.settings import Settings

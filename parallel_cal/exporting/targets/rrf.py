@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from parallel_cal.base.errors import ModelError
+from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.exporting.deltas import LINEAR, ROTARY, TOWERS, shoulders, towers
 from parallel_cal.exporting.editing import read_verbatim
 from parallel_cal.exporting.projection import Firmware, Frame, Machine, Projection, fit_numbers
-from parallel_cal.importing.deltas import DEGREE, MM
 from parallel_cal.importing.fivebar import TURNS, FiveBars
 from parallel_cal.importing.gcode import settings as settings_of
 from parallel_cal.importing.hangprinter import Hangprinter

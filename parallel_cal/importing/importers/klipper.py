@@ -14,16 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
+from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.importing import deltas
 from parallel_cal.importing.controller_files import ConfiguredRobot
-from parallel_cal.importing.deltas import (
-    DEGREE,
-    MM,
-    Delta,
-    Shoulders,
-    Towers,
-    are_counter_clockwise,
-)
+from parallel_cal.importing.deltas import Delta, Shoulders, Towers, are_counter_clockwise
 from parallel_cal.importing.sections import settings
 from parallel_cal.importing.settings import Settings
 from parallel_cal.importing.touch_samples import make_joint_samples, make_printed_ends

@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError
+from parallel_cal.base.units import DEGREE, UNITS
 from parallel_cal.importing import deltas, sections
 from parallel_cal.importing.controller_files import ConfiguredRobot
-from parallel_cal.importing.deltas import DEGREE, Towers
+from parallel_cal.importing.deltas import Towers
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines
 from parallel_cal.importing.touch_samples import make_printed_ends, make_touch_samples
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.recordings.table import UNITS
 
 CONFIGURATION = (".hal",)
 AXES = "XYZABCUVW"

@@ -16,9 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError
+from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.importing import deltas
 from parallel_cal.importing.controller_files import ConfiguredRobot
-from parallel_cal.importing.deltas import DEGREE, MM, Towers
+from parallel_cal.importing.deltas import Towers
 from parallel_cal.importing.gcode import parse_settings_line
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines
 from parallel_cal.importing.touch_samples import make_joint_samples, make_printed_ends

@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError, ModelError
+from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.importing import deltas
 from parallel_cal.importing.controller_files import ConfiguredRobot
-from parallel_cal.importing.deltas import DEGREE, MM, Delta, Shoulders, Towers
+from parallel_cal.importing.deltas import Delta, Shoulders, Towers
 from parallel_cal.importing.fivebar import TURNS, FiveBars
 from parallel_cal.importing.gcode import settings
 from parallel_cal.importing.hangprinter import Hangprinter

@@ -17,12 +17,13 @@ from itertools import pairwise
 from pathlib import Path
 
 from parallel_cal.base.errors import DatasetError
+from parallel_cal.base.units import UNIT_ALIASES, UNITS
 from parallel_cal.importing.settings import SourceLine, read_lines
 from parallel_cal.model.file.schema import NoisePart
 from parallel_cal.recordings.columns import ColumnMap, Join, JointColumn, PositionColumns
 from parallel_cal.recordings.csv_import import make_dataset
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.recordings.table import UNIT_ALIASES, UNITS, Table, split_unit
+from parallel_cal.recordings.table import Table, split_unit
 
 REMARKS = ("#", "//", "%", "!")
 XYZ = ("x", "y", "z")

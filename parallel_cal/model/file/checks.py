@@ -7,14 +7,15 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from parallel_cal.base.units import si_factor
 from parallel_cal.model.file.schema import CovariancePart, JointPart, suggestion
 from parallel_cal.model.file.yamltext import Document, Path
 from parallel_cal.model.parameters import Parameter, ParameterTable
 
-# A value off by one of these factors was probably pasted in another unit.
+# Units in which people paste values: one of them may explain an implausible value.
 FOREIGN = {
-    "m": (("mm", 1e-3), ("um", 1e-6), ("inch", 0.0254)),
-    "rad": (("degrees", math.pi / 180), ("mrad", 1e-3), ("arcmin", math.pi / 10800)),
+    "m": ("mm", "um", "inch"),
+    "rad": ("degrees", "mrad", "arcmin"),
 }
 MAX_LIMIT_RAD = 50.0  # eight turns; larger limits are probably in degrees
 
@@ -93,8 +94,8 @@ def number(
         )
     guesses = (
         f"; is it in {name}? That would be {value * factor:.6g} {parameter.unit}"
-        for name, factor in FOREIGN.get(parameter.unit, ())
-        if low <= value * factor <= high
+        for name in FOREIGN.get(parameter.unit, ())
+        if low <= value * (factor := si_factor(name)) <= high
     )
     text = f"{value!r} {parameter.unit} {why}; {expected}{next(guesses, '')}"
     raise document.error((*path, "value"), text)

@@ -1,0 +1,81 @@
+"""Units: their names and SI factors, and the units in which people read a quantity.
+
+Files and messages hold SI units. Other units come from tables and controllers, and go to screens.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+Length = Literal["m", "cm", "mm", "um", "nm", "in", "ft", "mil"]
+Angle = Literal["rad", "mrad", "deg", "arcmin", "arcsec", "gon", "rev"]
+
+# name -> m
+LENGTHS: dict[str, float] = {
+    "m": 1.0,
+    "cm": 1e-2,
+    "mm": 1e-3,
+    "um": 1e-6,
+    "nm": 1e-9,
+    "in": 0.0254,
+    "ft": 0.3048,
+    "mil": 25.4e-6,
+}
+# name -> rad
+ANGLES: dict[str, float] = {
+    "rad": 1.0,
+    "mrad": 1e-3,
+    "deg": math.pi / 180,
+    "arcmin": math.pi / 10_800,
+    "arcsec": math.pi / 648_000,
+    "gon": math.pi / 200,
+    "rev": 2 * math.pi,
+}
+UNITS = ANGLES | LENGTHS
+UNIT_ALIASES = {
+    "°": "deg",
+    "degree": "deg",
+    "degrees": "deg",
+    "radian": "rad",
+    "radians": "rad",
+    "revolutions": "rev",
+    "turns": "rev",
+    "grad": "gon",
+    "µm": "um",
+    "μm": "um",
+    "micrometers": "um",
+    "micrometres": "um",
+    "microns": "um",
+    "micron": "um",
+    "inch": "in",
+    "inches": "in",
+    "feet": "ft",
+    "foot": "ft",
+    "mils": "mil",
+    "thou": "mil",
+    "millimeters": "mm",
+    "millimetres": "mm",
+    "millimeter": "mm",
+    "millimetre": "mm",
+    "centimeters": "cm",
+    "centimetres": "cm",
+    "meters": "m",
+    "metres": "m",
+    "meter": "m",
+    "metre": "m",
+}
+MM = LENGTHS["mm"]
+DEGREE, ARCMIN, ARCSEC = ANGLES["deg"], ANGLES["arcmin"], ANGLES["arcsec"]
+
+# SI unit -> (unit, factor from SI) in which people read errors, and values such as lengths.
+SMALL_UNITS = {"m": ("um", 1 / UNITS["um"]), "rad": ("arcmin", 1 / UNITS["arcmin"])}
+LARGE_UNITS = {"m": ("mm", 1 / UNITS["mm"]), "rad": ("deg", 1 / UNITS["deg"])}
+
+ERROR_SI_UNITS = {"position": "m", "orientation": "rad", "reading": "m"}
+ERROR_UNITS = {kind: SMALL_UNITS[unit] for kind, unit in ERROR_SI_UNITS.items()}
+
+
+def si_factor(name: str) -> float:
+    """Return what one of a unit is in m or rad; KeyError for an unknown name."""
+    return UNITS[UNIT_ALIASES.get(name, name)]
