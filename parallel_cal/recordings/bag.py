@@ -1,4 +1,4 @@
-"""Read a recording on disk (rosbag2: mcap or sqlite3); the only file that opens a bag."""
+"""Read a recording on disk (rosbag2: mcap or sqlite3); the only module that opens a bag."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from parallel_cal.base.errors import BagError, ParallelCalError
 from parallel_cal.base.progress import Progress
-from parallel_cal.recordings.channels import CHANNELS, Channel, stamp_of
+from parallel_cal.recordings.channels import CHANNELS, stamp_of
 from parallel_cal.recordings.cleaning import assemble
 from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.recording import Raw, Recording, TopicInfo
@@ -108,8 +108,18 @@ class _Bag:
             raise BagError(f"{self.path}: no such file or directory")
         if self.path.is_dir() and not (self.path / "metadata.yaml").exists():
             files = _data_files(self.path)
-            if len(files) != 1:
-                raise BagError(self._no_metadata(files))
+            if not files:
+                raise BagError(
+                    f"{self.path}: not a rosbag2 recording: it contains neither metadata.yaml "
+                    f"nor a {', '.join(DATA_FILES)} file. Give the folder that 'ros2 bag "
+                    "record' wrote."
+                )
+            if len(files) > 1:
+                raise BagError(
+                    f"{self.path}: no metadata.yaml; data files: "
+                    f"{', '.join(f.name for f in files)}. "
+                    "Give one data file, or rebuild it with 'ros2 bag reindex'."
+                )
             self.notes.append(f"{self.path}: no metadata.yaml; read {files[0].name} directly")
             return files[0]
         if self.path.is_file() and self.path.suffix not in (".mcap", ".db3"):
@@ -118,18 +128,6 @@ class _Bag:
                 "or .db3 (convert a ROS 1 .bag with 'rosbags-convert')"
             )
         return self.path
-
-    def _no_metadata(self, files: list[Path]) -> str:
-        if not files:
-            return (
-                f"{self.path}: not a rosbag2 recording: it contains neither metadata.yaml "
-                f"nor a {', '.join(DATA_FILES)} file. Give the folder that 'ros2 bag "
-                "record' wrote."
-            )
-        return (
-            f"{self.path}: no metadata.yaml; data files: {', '.join(f.name for f in files)}. "
-            "Give one data file, or rebuild it with 'ros2 bag reindex'."
-        )
 
     def messages(self, connections: list[Any]) -> Iterator[tuple[Any, int, bytes]]:
         """Yield (connection, log time in ns, bytes) of every message on some connections."""
@@ -155,27 +153,23 @@ def _read_messages(
     """Decode the chosen topics' messages in one pass."""
     from rosbags.typesys import Stores, get_typestore
 
-    # the standard types as Jazzy defines them: a bag's odd custom definitions cannot get in the way
+    # Use the standard types of Jazzy, so that a bag's own definitions cannot interfere.
     store = get_typestore(Stores.ROS2_JAZZY)
     raws = {channel: Raw(topic.name, topic.type) for channel, topic in chosen.items()}
     targets = {(raw.topic, raw.type): (CHANNELS[c], raw) for c, raw in raws.items()}
     connections = [c for c in bag.reader.connections if (c.topic, c.msgtype) in targets]
     total = max(1, sum(c.msgcount for c in connections))
     for i, (connection, log, data) in enumerate(bag.messages(connections)):
-        _decode(*targets[connection.topic, connection.msgtype], log, data, store)
+        channel, raw = targets[connection.topic, connection.msgtype]
+        try:
+            message = store.deserialize_cdr(data, raw.type)
+            row = channel.decode(message)
+        except Exception:  # bytes that are not a message fail in any manner; they are counted
+            raw.undecodable += 1
+        else:
+            raw.append(log, stamp_of(message), row)
         if progress and i % 2000 == 0:
             progress(f"reading {bag.path.name}", i / total)
     if progress:
         progress(f"read {bag.path.name}", 1.0)
     return raws
-
-
-def _decode(channel: Channel, raw: Raw, log: int, data: bytes, store: Any) -> None:
-    """Append one message's time and content to its topic."""
-    try:
-        message = store.deserialize_cdr(data, raw.type)
-        row = channel.decode(message)
-    except Exception:  # bytes that are no message fail in any way; they are counted
-        raw.undecodable += 1
-        return
-    raw.append(log, stamp_of(message), row)

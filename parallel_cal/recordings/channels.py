@@ -22,16 +22,19 @@ Kind = Literal["joints", "poses", "condition", "words", "readings"]
 
 @dataclass(frozen=True)
 class Channel:
-    """What may come on a channel: message `types`, the usual one first, and how one is decoded.
+    """The message types of a channel, the usual one first, and how a message is decoded.
 
-    `decode` makes the row that its kind is cleaned as: joints (names, q, effort); poses (frame,
-    position, quaternion or None, covariance or None); condition (value,), a number among the
-    samples' conditions, interpolated or, where it is `held`, the last one said; words (text,),
-    what holds the tip until the next; readings (device's channel, m), in the mean over a dwell.
+    `decode` returns a row. Its content depends on the kind:
 
-    Where its type serves for many things it is chosen `by_name` of its topic only. A `latched` one
-    is often said once, before anybody listens. A condition outside `plausible` (in `unit`) is
-    warned of.
+    - joints: (names, q, effort)
+    - poses: (frame, position, quaternion or None, covariance or None)
+    - condition: (value,), interpolated between messages, or, if `held`, valid until the next one
+    - words: (text,), the constraint of the tip until the next message
+    - readings: (the device's channel, m), averaged over a dwell
+
+    A channel whose message type has many uses is chosen `by_name` of its topic only. A `latched`
+    topic is often published once, before anything subscribes. A condition outside `plausible` (in
+    `unit`) causes a warning.
     """
 
     kind: Kind
@@ -45,7 +48,7 @@ class Channel:
 
 
 def joint_row(message: Any) -> tuple:
-    """(names, positions, efforts); rclpy gives array.array, which takes no list as index."""
+    """Return (names, positions, efforts) as numpy arrays; rclpy gives array.array."""
     return (
         tuple(message.name),
         np.asarray(message.position, float),
@@ -54,7 +57,7 @@ def joint_row(message: Any) -> tuple:
 
 
 def pose_row(message: Any) -> tuple:
-    """(frame, position, quaternion, covariance); None for what the message's type does not have."""
+    """Return (frame, position, quaternion, covariance); None for what the type does not contain."""
     if hasattr(message, "point"):
         return message.header.frame_id, _xyz(message.point), None, None
     covariance = getattr(message.pose, "covariance", None)
@@ -67,7 +70,7 @@ def _xyz(point: Any) -> tuple:
     return point.x, point.y, point.z
 
 
-# The name of a channel is also that of its usual topic.
+# The name of a channel is also the name of its usual topic.
 CHANNELS = {
     "joint_states": Channel("joints", ("sensor_msgs/msg/JointState",), joint_row),
     "measured_pose": Channel(
@@ -81,7 +84,7 @@ CHANNELS = {
         ("sensor_msgs/msg/Temperature",),
         lambda message: (message.temperature,),
         unit="degC",
-        plausible=(-60.0, 150.0),  # kelvin lie beyond
+        plausible=(-60.0, 150.0),  # a temperature in kelvin is outside
     ),
     "payload": Channel(
         "condition",
@@ -109,12 +112,12 @@ CHANNELS = {
 
 
 def list_channels(*kinds: Kind) -> list[str]:
-    """The channels of some kinds."""
+    """Return the names of the channels of some kinds."""
     return [name for name, channel in CHANNELS.items() if channel.kind in kinds]
 
 
 def register_channels(path: str) -> None:
-    """Add the channels of a user's own module, by Python path, under the names they have there."""
+    """Add the channels of a plug-in module, by its Python path, under their names in the module."""
     require_allowed(path, BagError)
     try:
         own = {k: v for k, v in vars(import_module(path)).items() if isinstance(v, Channel)}
@@ -126,7 +129,7 @@ def register_channels(path: str) -> None:
 
 
 def stamp_of(message: Any) -> int:
-    """The time in a message's header in ns; 0 where it has no header."""
+    """Return the time of a message's header in ns; 0 if it has no header."""
     if not hasattr(message, "header"):
         return 0
     stamp = message.header.stamp

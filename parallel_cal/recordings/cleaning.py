@@ -1,7 +1,7 @@
-"""Raw messages by channel -> a clean Recording on one clock.
+"""Make a clean Recording on one clock from the raw messages of each channel.
 
-`bag.py` fills the raw lists from a file and a live node fills them from its callbacks; both get the
-same checks. A bad message is dropped and counted; a stream without a good one is a BagError.
+`bag.py` fills the raw lists from a file, and a live node fills them from its callbacks. Both get
+the same checks. A bad message is dropped and counted. A stream without a good one is a BagError.
 """
 
 from __future__ import annotations

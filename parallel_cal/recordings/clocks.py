@@ -6,9 +6,9 @@ robot's model is not needed: b and B are fitted for every delay, and the delay w
 residual is chosen. A driver's few milliseconds are the effect `latency`; more than that are two
 clocks.
 
-Noise has a best delay as well. So only joints that move more than their noise count, the pose must
-move too, and the best delay must explain more than so many parameters explain of noise at the best
-of so many delays.
+Pure noise has a best delay as well. So only joints that move more than their noise count, the pose
+must move too, and the best delay must explain more than the same number of parameters would explain
+of noise at the best of the compared delays.
 """
 
 from __future__ import annotations
@@ -23,23 +23,21 @@ from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.recordings.dwells import jitter, noise_span
 from parallel_cal.recordings.recording import Array, Bools, JointStream, PoseStream, Recording
 
-MAX_DRIVER_DELAY_S = (
-    50e-3  # s: what one clock's stamps may differ by, and the effect `latency` reaches
-)
-MAX_STEPS = 800  # neighbouring poses that are looked at
-MIN_STEPS = 60  # of them: with fewer nothing is said
-MAX_UNEXPLAINED_SHARE = (
-    0.5  # of the steps' squares: what the delay must take of what was left, and leave at most
-)
-RIDGE_REGULARISATION = 1e-9  # of a unit column: joints that move alike are no fault here
-MAX_COARSE_SAMPLES = 1 << 18  # moments of the coarse search
+MAX_DRIVER_DELAY_S = 50e-3  # s by which stamps of one clock may differ; `latency` covers them
+MAX_STEPS = 800  # steps between neighbouring poses that are used
+MIN_STEPS = 60  # with fewer steps, no delay is estimated
+# Share of the steps' squares: the delay must leave less than this, and less than this share of what
+# delay 0 leaves.
+MAX_UNEXPLAINED_SHARE = 0.5
+RIDGE_REGULARISATION = 1e-9  # per unit column, because joints may move alike
+MAX_COARSE_SAMPLES = 1 << 18  # samples of the coarse search
 N_HALVINGS = 14  # halvings of the fine search
-MIN_TRAVEL = 1.5  # noise spans that a joint or a coordinate moves through, or it stands still
-NOISE_WINDOW, NOISE_READINGS = 0.5, 60  # s and readings that the noise is estimated from, at least
-# Two steps of white noise that share a reading are correlated by -1/2, those of the joints as those
-# of the pose: regression of one on the other explains 1 + 2 / 4 times as much by chance.
+MIN_TRAVEL = 1.5  # noise spans; a joint or coordinate that moves less stands still
+NOISE_WINDOW, NOISE_READINGS = 0.5, 60  # s and readings from which noise is estimated, at least
+# Two steps of white noise that share a reading have the correlation -1/2, in the joints as in the
+# pose. So a regression of one on the other explains 1 + 2 / 4 times as much by chance.
 SHARED_READINGS = 1.5
-MAX_CHANCE = 1e-9  # that pure noise looks as much like motion; a live collector looks often
+MAX_CHANCE = 1e-9  # probability that pure noise looks like this; a live collector tests often
 
 
 @dataclass(frozen=True)
@@ -84,7 +82,7 @@ def clock_offset(joints: JointStream, pose: PoseStream) -> Offset | None:
     least = steps.unexplained_share(delay)
     if abs(delay) <= MAX_DRIVER_DELAY_S or least > MAX_UNEXPLAINED_SHARE * min(at_once, 1.0):
         return None
-    # Motion that repeats is explained a period later, too: then it is the driver that is late.
+    # A periodic motion fits a period later as well. Then the driver is late, not a second clock.
     own = steps.best_near(0.0)
     if abs(own) <= MAX_DRIVER_DELAY_S and least > MAX_UNEXPLAINED_SHARE * steps.unexplained_share(
         own
@@ -97,8 +95,7 @@ def clock_offset(joints: JointStream, pose: PoseStream) -> Offset | None:
 
 @dataclass(frozen=True)
 class _Steps:
-    """Steps `y` (n, 3) of the pose from times `begin` to `end` (n,), and the readings of the joints
-    that move."""
+    """Steps `y` (n, 3) of the pose from times `begin` to `end` (n,), and the joints that move."""
 
     joints: JointStream
     begin: Array
@@ -134,7 +131,7 @@ class _Steps:
         return cls(joints, pose.time[at], pose.time[at + 1], y, period)
 
     def _explain(self, delay: float) -> _Explained:
-        """How much of the steps the joints' steps `delay` earlier explain."""
+        """Fit the steps by the joints' steps `delay` earlier."""
         t = self.joints.time
         used = (self.begin - delay >= t[0]) & (self.end - delay <= t[-1])
         if used.sum() < max(MIN_STEPS, 0.5 * len(used)):
@@ -150,17 +147,17 @@ class _Steps:
         y = self.y[used]
         B = np.linalg.solve(X.T @ X + RIDGE_REGULARISATION * np.eye(X.shape[1]), X.T @ y)
         squares = y.T @ y
-        # One coordinate that is much noisier than the others counts alone.
+        # If one coordinate is much noisier than the others, it is the only one that counts.
         independent = np.trace(squares) ** 2 / max(np.sum(squares**2), 1e-300)
         left, total = float(np.sum((y - X @ B) ** 2)), float(np.sum(y**2))
         return _Explained(left, total, int(used.sum()), X.shape[1], float(independent))
 
     def unexplained_share(self, delay: float) -> float:
-        """Share of the steps' squares that the joints' steps `delay` earlier do not explain."""
+        """Return the share of squares that the joint steps `delay` earlier do not explain."""
         return self._explain(delay).unexplained
 
     def best_near(self, delay: float) -> float:
-        """The delay near this one that explains most of the steps."""
+        """Return the delay near this one that explains most of the steps."""
         width = max(self.period, MAX_DRIVER_DELAY_S)
         for _ in range(N_HALVINGS):
             delay = min((delay - width, delay, delay + width), key=self.unexplained_share)
@@ -168,25 +165,28 @@ class _Steps:
         return delay
 
     def chance(self, delay: float) -> float:
-        """Probability that steps of noise are explained as well as the steps at this delay."""
+        """Return the probability that noise is explained as well as the steps at this delay."""
         return self._explain(delay).chance
 
     def sigma(self, delay: float) -> float:
-        """Of the delay: where the squares' parabola is one variance above its least."""
+        """Return the sigma of the delay: the squares rise by one variance above their minimum."""
         here, h, bend = self._explain(delay), self.period / 4, 0.0
         for _ in range(N_HALVINGS):
             low, high = self._explain(delay - h), self._explain(delay + h)
             bend = (low.left + high.left - 2 * here.left) / h**2
             if bend > 0:
                 break
-            h *= 2  # so near, interpolated noise hides how the squares rise
+            h *= 2  # at short distances, interpolated noise hides how the squares rise
         return float(np.sqrt(2 * here.left / max(3 * here.steps, 1) / max(bend, 1e-300)))
 
 
 @dataclass(frozen=True)
 class _Explained:
-    """Squares `left` of the `total` that `terms` fitted numbers a coordinate leave of `steps`;
-    `coordinates` (1 to 3) are as many independent ones of equal size as the steps have."""
+    """Result of a fit: the squares `left` of `total`, with `terms` fitted numbers per coordinate.
+
+    `coordinates` (1 to 3) is the number of independent coordinates of equal size to which the steps
+    are equivalent.
+    """
 
     left: float
     total: float
@@ -196,19 +196,19 @@ class _Explained:
 
     @property
     def spare(self) -> int:
-        """Steps more than terms, of each coordinate."""
+        """Degrees of freedom of each coordinate: steps minus terms."""
         return self.steps - self.terms
 
     @property
     def unexplained(self) -> float:
-        """Share of the mean square that is left, less what so many terms explain of any noise."""
+        """Share of the mean square that is left, corrected for the number of terms."""
         if self.spare <= 0:
             return np.inf
         return self.left / self.spare / max(self.total / self.steps, 1e-300)
 
     @property
     def chance(self) -> float:
-        """Probability that so many terms leave as little of white noise: an F-test."""
+        """Probability (F-test) that as many terms leave as little of white noise."""
         from scipy.special import betainc
 
         if self.spare <= 0:
@@ -223,7 +223,7 @@ TOO_FEW = _Explained(np.inf, 1.0, 0, 0, 1.0)
 
 
 def _moving(time: Array, values: Array) -> Bools:
-    """Which columns (n,) go further than their noise and the device's steps reach at rest."""
+    """Mark the columns (n,) that move further than noise and the device's steps would."""
     if len(time) < MIN_STEPS:
         return np.zeros(values.shape[1], dtype=bool)
     window = max(NOISE_WINDOW, NOISE_READINGS * float(np.median(np.diff(time))))
@@ -234,8 +234,7 @@ def _moving(time: Array, values: Array) -> Bools:
 def _find_candidate_delays(
     joints: JointStream, pose: PoseStream, steps: _Steps
 ) -> tuple[list[float], int]:
-    """Delays at which the two streams' speeds look most alike, wherever either one begins, and of
-    how many delays."""
+    """Return the delays at which both streams' speeds are most alike, and how many were tried."""
     dt = max(
         steps.period,
         joints.period,
@@ -251,7 +250,7 @@ def _find_candidate_delays(
 
 
 def _speed(time: Array, values: Array, dt: float) -> Array:
-    """Speed on a regular raster from the first reading on, less its mean."""
+    """Return the speed on a regular raster from the first reading on, minus its mean."""
     raster = np.arange(time[0], time[-1], dt)
     even = np.stack([np.interp(raster, time, column) for column in values.T], axis=1)
     speed = np.linalg.norm(np.diff(even, axis=0), axis=1)

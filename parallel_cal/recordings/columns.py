@@ -13,7 +13,7 @@ from parallel_cal.base.files import read_text
 from parallel_cal.base.units import UNITS, Angle, Length
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.file.schema import NoisePart, Part, sentence, suggestion
-from parallel_cal.model.file.yamltext import Document, parse_yaml
+from parallel_cal.model.file.yamltext import parse_yaml
 from parallel_cal.recordings.channels import list_channels
 
 
@@ -78,8 +78,8 @@ class AngleColumns(Part):
 class Join(Part):
     """Rows of several tables that belong together.
 
-    They are equal in the column `by`; or, if it contains seconds, the nearest ones `within` so many
-    seconds.
+    Their cells in the column `by` are equal, or, if `by` contains seconds, the nearest ones that
+    differ by at most `within` seconds.
     """
 
     by: str
@@ -124,7 +124,14 @@ def read_column_map(path: Path) -> ColumnMap:
     try:
         found = ColumnMap.model_validate(document.data)
     except ValidationError as error:
-        raise _invalid(document, error.errors(include_url=False)[0]) from None
+        first: Any = error.errors(include_url=False)[0]
+        place = tuple(first["loc"])
+        if first["type"] == "extra_forbidden":
+            known = list(ColumnMap.model_fields) if len(place) == 1 else []
+            text = "unknown key" + suggestion(str(place[-1]), known)
+        else:
+            text = sentence(first, place)
+        raise document.error(place, text) from None
     if found.orientation and found.angles:
         raise document.error(("angles",), "orientation is given as well: remove one of the two")
     if not (found.position or found.orientation or found.angles or found.readings):
@@ -133,19 +140,9 @@ def read_column_map(path: Path) -> ColumnMap:
         )
     for name in found.conditions:
         if name.split(".")[0] not in (*CONDITIONS, *list_channels("condition")):
-            raise document.error(("conditions", name), f"unknown condition; {_conditions()}")
+            names = [f"{name}.JOINT" if given[2] else name for name, given in CONDITIONS.items()]
+            expected = ", ".join(dict.fromkeys([*names, *list_channels("condition")]))
+            raise document.error(
+                ("conditions", name), f"unknown condition; expected one of {expected}"
+            )
     return found
-
-
-def _invalid(document: Document, error: Any) -> Exception:
-    path = tuple(error["loc"])
-    if error["type"] == "extra_forbidden":
-        known = list(ColumnMap.model_fields) if len(path) == 1 else []
-        return document.error(path, "unknown key" + suggestion(str(path[-1]), known))
-    return document.error(path, sentence(error, path))
-
-
-def _conditions() -> str:
-    names = [f"{name}.JOINT" if given[2] else name for name, given in CONDITIONS.items()]
-    known = dict.fromkeys([*names, *list_channels("condition")])
-    return f"expected one of {', '.join(known)}"

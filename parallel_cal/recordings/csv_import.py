@@ -46,17 +46,25 @@ def make_dataset(given: Sequence[Table], wanted: ColumnMap, asks: str) -> Datase
         READING + name: found.si([one.column], one.unit, gaps=True)[:, 0]
         for name, one in wanted.readings.items()
     }
-    conditions = _conditions(wanted, found, n) | readings
+    conditions = {
+        name: found.numbers([given])[:, 0] if isinstance(given, str) else np.full(n, given)
+        for name, given in wanted.conditions.items()
+    }
+    noise = wanted.noise  # as the manufacturers state it; NaN if they do not
+    sigma = np.repeat([noise.position or np.nan, noise.orientation or np.nan], 3)
+    pose_id = None
+    if wanted.group is not None:
+        pose_id = np.unique(found.texts(wanted.group), return_inverse=True)[1]
     return Dataset.from_arrays(
         tuple(wanted.joints),
         np.hstack(joints),
         np.zeros((n, 3)) if r is None else r,
         R,
         measured=np.repeat([r is not None, R is not None], 3),
-        pose_cov=_covariance(wanted),
+        pose_cov=np.where(np.isnan(sigma), np.nan, np.diag(sigma**2)),
         joint_sigma=wanted.noise.joint,
-        conditions=conditions,
-        pose_id=_visits(wanted, found),
+        conditions=conditions | readings,
+        pose_id=pose_id,
         source=" + ".join(str(table.path) for table in given),
         sha256=hashlib.sha256(b"".join(table.path.read_bytes() for table in given)).hexdigest(),
         dropped=tuple(dropped),
@@ -71,7 +79,7 @@ class Columns:
     map: str
 
     def check(self, wanted: ColumnMap) -> Columns:
-        """The same; DatasetError for a column that none, or more than one, of the tables has."""
+        """Return self; DatasetError for a column that no table or more than one table has."""
         for name in wanted.columns:
             having = [str(table.path) for table in self.tables if table.find(name)]
             if len(having) > 1:
@@ -87,7 +95,7 @@ class Columns:
         return self
 
     def si(self, names: Sequence[str], unit: str | None, gaps: bool = False) -> np.ndarray:
-        """(N, len(names)) in m or rad; `gaps`: an empty cell is NaN, else an error."""
+        """Return columns (N, len(names)) in m or rad; with `gaps`, an empty cell is NaN."""
         return np.column_stack([self._column(name, unit, gaps) for name in names])
 
     def joint(self, wanted: JointColumn) -> np.ndarray:
@@ -134,7 +142,7 @@ class Columns:
 
 
 def _join_tables(tables: list[Table], join: Join | None) -> tuple[list[Table], list[Dropped]]:
-    """Return tables of rows that correspond, and the rows without a partner in all of them."""
+    """Return tables of corresponding rows, and the rows that lack a partner in a table."""
     if len(tables) == 1:
         return tables, []
     if join is None:
@@ -156,7 +164,7 @@ def _join_tables(tables: list[Table], join: Join | None) -> tuple[list[Table], l
             f"no row of {one.path} has the same {join.by} as a row of the other tables"
         )
     unpaired = [(one, np.flatnonzero(~kept).tolist())]
-    if join.within is None:  # of a log, most rows belong to no sample
+    if join.within is None:  # in a log by time, most rows belong to no sample
         for table, rows in zip(tables, partners[kept].T, strict=True):
             if table is not one:
                 unpaired.append((table, sorted({*range(len(table.rows))} - {*rows.tolist()})))
@@ -170,7 +178,12 @@ def _join_tables(tables: list[Table], join: Join | None) -> tuple[list[Table], l
         for k in rest
     ]
     chosen = [t.select(rows.tolist()) for t, rows in zip(tables, partners[kept].T, strict=True)]
-    return [chosen[0], *(_hide_column(t, join.by) for t in chosen[1:])], dropped
+    # Only the first table keeps the column that joins them: a column must be in one table only.
+    others = [
+        dataclasses.replace(t, header=["" if w == t.find(join.by) else w for w in t.header])
+        for t in chosen[1:]
+    ]
+    return [chosen[0], *others], dropped
 
 
 def _find_partners(one: Table, other: Table, join: Join) -> np.ndarray:
@@ -194,12 +207,6 @@ def _find_partners(one: Table, other: Table, join: Join) -> np.ndarray:
     return np.array([rows.get(text, -1) for text in one.texts(mine)])
 
 
-def _hide_column(table: Table, name: str) -> Table:
-    """The same with the column it was joined by under no name that a map asks for."""
-    header = ["" if word == table.find(name) else word for word in table.header]
-    return dataclasses.replace(table, header=header)
-
-
 def _rotation(wanted: ColumnMap, found: Columns) -> np.ndarray | None:
     if (turned := wanted.angles) is not None:
         from scipy.spatial.transform import Rotation
@@ -218,23 +225,3 @@ def _rotation(wanted: ColumnMap, found: Columns) -> np.ndarray | None:
             "quaternion x y z w of length 1"
         )
     return quaternion_to_matrix(quaternions)
-
-
-def _covariance(wanted: ColumnMap) -> np.ndarray:
-    """Return (6, 6) as the device's manufacturer states it; NaN where it is not stated."""
-    noise = wanted.noise
-    sigma = np.repeat([noise.position or np.nan, noise.orientation or np.nan], 3)
-    return np.where(np.isnan(sigma), np.nan, np.diag(sigma**2))
-
-
-def _conditions(wanted: ColumnMap, found: Columns, n: int) -> dict[str, np.ndarray]:
-    return {
-        name: found.numbers([given])[:, 0] if isinstance(given, str) else np.full(n, given)
-        for name, given in wanted.conditions.items()
-    }
-
-
-def _visits(wanted: ColumnMap, found: Columns) -> np.ndarray | None:
-    if wanted.group is None:
-        return None
-    return np.unique(found.texts(wanted.group), return_inverse=True)[1]

@@ -1,4 +1,4 @@
-"""Channels -> Dataset: raw joints and poses per sample, conditions, replicates, folds, a file."""
+"""The Dataset: joints and poses per sample, conditions, replicates, folds, and its file."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from parallel_cal.recordings.samplefile import (
 if TYPE_CHECKING:
     from parallel_cal.model.model import Model
 
-NUMBER = "number"  # the condition that keeps a sample's number where others were excluded
+NUMBER = "number"  # the condition that keeps the numbers of samples after others were excluded
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,7 @@ class Dataset:
         Numbers of readings that were averaged.
     conditions : dict of array (N,)
         time, temperature, payload, direction.JOINT (-1, 0, 1), travel.JOINT (distance since the
-        last
-        reversal), velocity.JOINT; for several recordings also session, counted from 0.
+        last reversal), velocity.JOINT; for several recordings also session, counted from 0.
     pose_id : array of int (N,)
         Number of the commanded pose.
     mode : str
@@ -155,7 +154,9 @@ class Dataset:
         R = np.broadcast_to(np.eye(3), (n, 3, 3)) if R is None else np.array(R, float)
         cov = np.full((6, 6), np.nan) if pose_cov is None else np.array(pose_cov, float)
         given = {k: np.array(v, float) for k, v in (conditions or {}).items()}
-        time = given.get("time", np.arange(n, dtype=float))  # an order is no time: not recorded
+        time = given.get(
+            "time", np.arange(n, dtype=float)
+        )  # without times, the order only; it is no condition
         scatter, one = np.full((n, nq), np.nan), np.ones(n, np.int64)
         if pose_id is None:
             pose_id = replicate_ids(Configuration(q, r, R), measured, scatter)
@@ -224,7 +225,7 @@ class Dataset:
     def folds(
         self, fraction: float = 0.25, seed: int = 0
     ) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-        """(train, test) indices of round(1/fraction) folds; every sample is tested once.
+        """Return (train, test) indices of round(1/fraction) folds; every sample is tested once.
 
         Replicates of a pose stay together, as do neighbours in time of a continuous motion.
         """
@@ -254,7 +255,7 @@ class Dataset:
 
 
 def check_inputs(model: Model, dataset: Dataset) -> None:
-    """Raise ModelError or DatasetError if an argument is of another kind, such as a file's path."""
+    """Raise ModelError or DatasetError if an argument has the wrong type, such as a path."""
     for name, value, attribute, error, cure in (
         ("model", model, "mechanism", ModelError, "read_model(path) or new_model(name)"),
         ("dataset", dataset, "joint_names", DatasetError, "load_dataset(path)"),

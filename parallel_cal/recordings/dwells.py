@@ -12,13 +12,13 @@ from parallel_cal.recordings.recording import Array
 
 Indices = NDArray[np.intp]
 
-# The tolerance is a few times the spread seen while still, kept between these parts of the travel:
-# below FLOOR, settling would cut dwells short; a calm spread above SLOW may be slow motion, and
-# nothing above CEILING is noise of a robot worth calibrating.
+# The standstill tolerance is a few times the spread at rest, limited to these shares of the travel.
+# Below MIN_TOLERANCE_SHARE, settling would cut dwells short. A calm spread above MAX_CALM_SHARE may
+# be slow motion. Above MAX_TOLERANCE_SHARE, it is not noise of a robot that can be calibrated.
 MIN_TOLERANCE_SHARE = 2e-5
 MAX_CALM_SHARE = 1e-3
 MAX_TOLERANCE_SHARE = 5e-2
-MIN_READINGS_PER_WINDOW = 8  # in a window: with fewer, noise cannot be told from motion
+MIN_READINGS_PER_WINDOW = 8  # with fewer, noise cannot be distinguished from motion
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def window_spread(time: Array, q: Array, length: float) -> Array:
 
 
 def _range(q: Array, first: Indices, last: Indices) -> Array:
-    """max - min of q[first..last] for many windows: two overlapping blocks of length 2^k each."""
+    """Return max - min of q[first..last] for many windows, from two overlapping blocks of 2^k."""
     spread = np.zeros((len(first), q.shape[1]))
     level = np.frexp(last - first + 1)[1] - 1
     low = high = q
@@ -101,7 +101,7 @@ def encoder_step(q: Array) -> Array:
 def still_intervals(
     time: Array, q: Array, tolerance: Array, shortest: float, max_gap: float
 ) -> list[Interval]:
-    """Maximal intervals of at least `shortest` s without gap in which every joint stays put."""
+    """Return the maximal intervals of at least `shortest` s without motion and without gap."""
     n = len(time)
     if n < 3:
         return []
@@ -111,7 +111,7 @@ def still_intervals(
     last = last[first]
     gaps = np.concatenate([[0], np.cumsum(np.diff(time) > max_gap)])
     still = (_range(q, first, last) <= tolerance).all(axis=1) & (gaps[last] == gaps[first])
-    # a reading belongs with the next where any still window holds both
+    # Two successive readings belong together if a still window contains both.
     joined = np.zeros(n, np.int64)
     np.add.at(joined, first[still], 1)
     np.add.at(joined, last[still], -1)
@@ -141,7 +141,7 @@ def _split(q: Array, first: int, last: int, tolerance: Array) -> list[Interval]:
         part = q[a : b + 1]
         near = np.all(np.abs(part - np.median(part, axis=0)) <= tolerance, axis=1)
         runs = _runs(near)
-        if not runs:  # a median of several joints that none of the readings is close to
+        if not runs:  # no reading is near the median in all joints
             pending += [(a, (a + b) // 2), ((a + b) // 2 + 1, b)]
             continue
         i, j = max(runs, key=lambda run: run[1] - run[0])
@@ -170,7 +170,7 @@ def approach(q: Array, at: Sequence[int], level: Array, threshold: Array) -> NDA
 
 
 def _came_from(before: Array, level: float, threshold: float) -> int:
-    """Return the sign of the last motion; look back in growing steps: it is mostly recent."""
+    """Return the sign of the last motion, which is mostly recent: look back in growing steps."""
     end, step = len(before), 256
     while end > 0:
         begin = max(0, end - step)

@@ -27,7 +27,7 @@ from parallel_cal.recordings.samples import READING
 def info(
     path: str | Path, options: ReadOptions | None = None, progress: Progress | None = None
 ) -> dict[str, Any]:
-    """Describe what a recording holds and what of it can be used.
+    """Describe what a recording contains and how much of it is usable.
 
     Parameters
     ----------
@@ -64,7 +64,17 @@ def info(
     try:
         dataset = dataset_from_recording(recording, options.with_values(assume_units=True))
     except DatasetError as error:
-        return document | _nothing_usable(recording, str(error))
+        return document | {
+            "mode": None,
+            "samples": 0,
+            "poses": 0,
+            **_dropped(recording.dropped),
+            "replicates": {"poses": 0, "samples": 0},
+            "conditions": {},
+            "readings": {},
+            "noise": {},
+            "warnings": [*recording.notes, str(error)],
+        }
     return document | _dataset_part(dataset.excluding(options.exclude))
 
 
@@ -84,7 +94,7 @@ def info_of(dataset: Dataset) -> dict[str, Any]:
 
 
 def _recording_part(recording: Recording, duration: float) -> dict[str, Any]:
-    """Topics, channels, joints and conditions as recorded."""
+    """Describe topics, channels, joints and measured coordinates as recorded."""
     channels: dict[str, Any] = {
         "joints": recording.joints,
         "pose": recording.pose,
@@ -108,12 +118,12 @@ def _recording_part(recording: Recording, duration: float) -> dict[str, Any]:
 
 
 def _coordinates(measured: np.ndarray) -> list[str]:
-    """Those that any of the rows (n, 6) marks."""
+    """List the coordinates that any row (n, 6) marks."""
     return np.array(COORDINATES)[measured.any(axis=0)].tolist()
 
 
 def _joint_ranges(names: Sequence[str], q: np.ndarray) -> dict[str, dict[str, float]]:
-    """Least and greatest reading of each joint, in rad or m."""
+    """Return the smallest and largest reading of each joint, in rad or m."""
     return {name: _range(readings) for name, readings in zip(names, q.T, strict=True)}
 
 
@@ -121,23 +131,8 @@ def _range(values: np.ndarray) -> dict[str, float]:
     return {"min": float(values.min()), "max": float(values.max())}
 
 
-def _nothing_usable(recording: Recording, why: str) -> dict[str, Any]:
-    """The rest of the document for a recording without samples."""
-    return {
-        "mode": None,
-        "samples": 0,
-        "poses": 0,
-        **_dropped(recording.dropped),
-        "replicates": {"poses": 0, "samples": 0},
-        "conditions": {},
-        "readings": {},
-        "noise": {},
-        "warnings": [*recording.notes, why],
-    }
-
-
 def _dataset_part(dataset: Dataset) -> dict[str, Any]:
-    """Samples kept and dropped, replicates, conditions, noise, warnings."""
+    """Describe samples, replicates, conditions, noise and warnings."""
     visits = np.bincount(dataset.pose_id, minlength=1)
     repeated = int((visits > 1).sum())
     return {
@@ -162,7 +157,7 @@ def _dataset_part(dataset: Dataset) -> dict[str, Any]:
 
 
 def _noise(dataset: Dataset) -> dict[str, Any]:
-    """Typical 1-sigma scatter: of single readings, between replicates, and as the device states."""
+    """Return the scatter (1 sigma) of readings and of replicates, and what the device states."""
     noise = dataset.replicate_noise()
     with np.errstate(invalid="ignore"):
         stated = np.sqrt(np.diagonal(dataset.pose_cov, axis1=1, axis2=2))
@@ -181,13 +176,13 @@ def _noise(dataset: Dataset) -> dict[str, Any]:
 
 
 def _medians(values: np.ndarray) -> list[float | None]:
-    """Median per column of the numbers there are."""
+    """Return the median of the finite numbers per column."""
     columns = [column[np.isfinite(column)] for column in values.T]
     return [float(np.median(column)) if len(column) else None for column in columns]
 
 
 def _thin_conditions(dataset: Dataset) -> list[str]:
-    """Return what the recording cannot determine because it never varied or was never repeated."""
+    """List what the recording cannot determine because it never varied or was never repeated."""
     said = []
     if dataset.mode == "dwell" and len(np.unique(dataset.pose_id)) == len(dataset) > 1:
         said.append("no pose was visited twice: noise cannot be distinguished from missing effects")
@@ -201,7 +196,7 @@ def _thin_conditions(dataset: Dataset) -> list[str]:
 
 
 def _dropped(dropped: Sequence[Dropped]) -> dict[str, Any]:
-    """Reason -> how many, most frequent first; and each by itself."""
+    """Count the dropped messages by reason, most frequent first, and list them."""
     counts = Counter[str]()
     for item in dropped:
         counts[item.reason] += item.count

@@ -1,4 +1,4 @@
-"""Several datasets of one robot as one."""
+"""Join several datasets of one robot."""
 
 from __future__ import annotations
 
@@ -25,22 +25,35 @@ def join_datasets(
     starts: Sequence[int] | None = None,
     tolerance: float | None = None,
 ) -> Dataset:
-    """One dataset of all samples, times (also of what was dropped) from the first one's start.
+    """Return one dataset of all samples, with all times in s since the start of the first one.
 
-    Without `starts` each is a session, `session` 0, 1, ... among its samples' conditions: time goes
-    on from one to the next, whatever lay between, and poses are replicates within a session only.
-    With `starts` (ns, 0 where unknown: the next follows its samples) they are parts of one session
-    and replicates are looked for anew, within `tolerance`. A condition that one lacks is left out
-    with a warning, a sensor's reading is NaN there. DatasetError where they do not go together, or
-    a recording comes twice.
+    Without `starts`, each dataset is a session, and the condition `session` numbers them 0, 1, ...
+    Each session begins at the end of the one before, however long the pause was. Poses are
+    replicates within a session only.
+
+    With `starts` (ns), the datasets are parts of one session, and replicates are detected again,
+    within `tolerance`. A start of 0 is unknown: the next part follows its last sample.
+
+    A condition that one dataset lacks is dropped with a warning. A missing reading of a sensor is
+    NaN. DatasetError if the datasets differ in their set-up, or if a recording is given twice.
     """
-    _check_different(datasets)
-    _check_alike(datasets, SETUP_FIELDS if starts is None else ["joint_names"])
-    times = _times(datasets) if starts is None else _compute_part_starts(starts, datasets[0])
+    _check_joinable(datasets, SETUP_FIELDS if starts is None else ["joint_names"])
+    if starts is None:
+        ends = [float(np.max(d.time + d.duration / 2, initial=0.0)) for d in datasets]
+        times = np.cumsum([0.0, *ends[:-1]])
+    else:
+        times = _compute_part_starts(starts, datasets[0])
     parts = [_shift_times(d, time) for d, time in zip(datasets, times, strict=True)]
     if starts is None:
         firsts = np.cumsum([0, *[int(d.pose_id.max(initial=-1)) + 1 for d in parts[:-1]]])
-        parts = [_session(d, k, firsts[k]) for k, d in enumerate(parts)]
+        parts = [
+            dataclasses.replace(
+                d,
+                pose_id=d.pose_id + firsts[k],
+                conditions={**d.conditions, "session": np.full(len(d), float(k))},
+            )
+            for k, d in enumerate(parts)
+        ]
     columns: dict[str, Any] = {
         name: np.concatenate([getattr(d, name) for d in parts]) for name in PER_SAMPLE
     }
@@ -48,7 +61,12 @@ def join_datasets(
         at = Configuration(columns["q"], columns["r"], columns["R"])
         columns["pose_id"] = replicate_ids(at, columns["measured"], columns["scatter_q"], tolerance)
     shared = _join_conditions(parts)
-    warnings = [*(w for d in parts for w in d.warnings), *_list_missing_conditions(parts, shared)]
+    warnings = [w for d in parts for w in d.warnings]
+    for d in parts:
+        if lost := [name for name in d.conditions if name not in shared]:
+            warnings.append(
+                f"{', '.join(lost)} of {d.source} is not used: it was not recorded in every session"
+            )
     together = dataclasses.replace(
         parts[0],
         **columns,
@@ -63,7 +81,7 @@ def join_datasets(
 
 
 def fingerprint(dataset: Dataset) -> str:
-    """sha256 of the samples' numbers, for data that is in no file."""
+    """Return the sha256 of the samples' numbers, for data that is in no file."""
     digest = hashlib.sha256()
     for name in ("q", "r", "R", "measured", "pose_cov", "time"):
         digest.update(np.ascontiguousarray(getattr(dataset, name)).tobytes())
@@ -72,7 +90,8 @@ def fingerprint(dataset: Dataset) -> str:
     return digest.hexdigest()
 
 
-def _check_different(datasets: Sequence[Dataset]) -> None:
+def _check_joinable(datasets: Sequence[Dataset], equal: Sequence[str]) -> None:
+    """Raise DatasetError if a recording is given twice, or if the `equal` fields differ."""
     known: dict[str, str] = {}
     for dataset in datasets:
         if dataset.sha256 and dataset.sha256 in known:
@@ -81,11 +100,8 @@ def _check_different(datasets: Sequence[Dataset]) -> None:
                 "it once, otherwise the uncertainties would be too small"
             )
         known[dataset.sha256] = dataset.source
-
-
-def _check_alike(datasets: Sequence[Dataset], names: Sequence[str]) -> None:
     for other in datasets[1:]:
-        for name in names:
+        for name in equal:
             one, two = getattr(datasets[0], name), getattr(other, name)
             if not np.array_equal(one, two):
                 raise DatasetError(
@@ -94,16 +110,11 @@ def _check_alike(datasets: Sequence[Dataset], names: Sequence[str]) -> None:
                 )
 
 
-def _times(datasets: Sequence[Dataset]) -> Array:
-    """When each session begins (s): at the end of the last sample of the one before."""
-    lengths = [float(np.max(d.time + d.duration / 2, initial=0.0)) for d in datasets]
-    return np.cumsum([0.0, *lengths[:-1]])
-
-
 def _compute_part_starts(starts: Sequence[int], first: Dataset) -> Array:
-    """When each part begins, in s since the first; samples of a file do not know their start."""
+    """Return the starts of the parts, in s since the first one's start."""
     if starts[0]:
         return np.array([(start - starts[0]) * 1e-9 for start in starts])
+    # Samples from a file do not know when they began: the next part follows the last of them.
     end = float(first.time.max())
     return np.array([0.0, *[end + (start - starts[1]) * 1e-9 for start in starts[1:]]])
 
@@ -112,20 +123,13 @@ def _shift_times(dataset: Dataset, start: float) -> Dataset:
     time = dataset.time + start
     late = tuple(dataclasses.replace(d, time=d.time + start) for d in dataset.dropped)
     conditions = dict(dataset.conditions)
-    if "time" in conditions:  # else its samples have an order only, and that is no time
+    if "time" in conditions:  # otherwise only the order of the samples is known
         conditions["time"] = time
     return dataclasses.replace(dataset, time=time, dropped=late, conditions=conditions)
 
 
-def _session(dataset: Dataset, number: int, first: int) -> Dataset:
-    """The samples of one session, their pose numbers behind those before it."""
-    known = {**dataset.conditions, "session": np.full(len(dataset), float(number))}
-    return dataclasses.replace(dataset, pose_id=dataset.pose_id + first, conditions=known)
-
-
 def _join_conditions(parts: Sequence[Dataset]) -> dict[str, Array]:
-    """Conditions (N,) of several datasets as one: those that all have, and every reading, NaN
-    in the parts where its sensor read nothing."""
+    """Return the conditions (N,) that all parts have, and every reading, NaN if a part lacks it."""
     names = dict.fromkeys(name for part in parts for name in part.conditions)
     return {
         name: np.concatenate(
@@ -134,13 +138,3 @@ def _join_conditions(parts: Sequence[Dataset]) -> dict[str, Array]:
         for name in names
         if name.startswith(READING) or all(name in part.conditions for part in parts)
     }
-
-
-def _list_missing_conditions(parts: Sequence[Dataset], shared: dict[str, Array]) -> list[str]:
-    """A sentence for each part's conditions that the others do not have."""
-    lost = [(d.source, [c for c in d.conditions if c not in shared]) for d in parts]
-    return [
-        (f"{', '.join(names)} of {source} is not used: it was not recorded in every session")
-        for source, names in lost
-        if names
-    ]

@@ -1,4 +1,4 @@
-"""Joint states as they came -> readings in the wanted order, matched by name."""
+"""Order recorded joint states by joint name."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from parallel_cal.recordings.sieve import MAX_PLAUSIBLE_READING, Sieve
 def clean_joints(
     raw: Raw, sieve: Sieve, wanted: Sequence[str] | None, notes: list[str]
 ) -> JointStream:
-    """Joint readings in the order of `wanted`, matched by name; rows are (names, q, effort)."""
+    """Return joint readings in the order of `wanted`; the raw rows are (names, q, effort)."""
     names = _joint_names(raw, wanted, notes)
     q = np.full((len(raw.rows), len(names)), np.nan)
     effort = np.full_like(q, np.nan)
@@ -43,7 +43,7 @@ def clean_joints(
 
 
 def _joint_names(raw: Raw, wanted: Sequence[str] | None, notes: list[str]) -> tuple[str, ...]:
-    """The requested joints, or those of most messages; BagError when one is never reported."""
+    """Return the requested joints, or those of most messages; BagError if one never occurs."""
     counts = Counter(row[0] for row in raw.rows)
     names = tuple(wanted) if wanted else counts.most_common(1)[0][0]
     seen = list(dict.fromkeys(name for present in counts for name in present))

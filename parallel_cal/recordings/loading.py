@@ -1,9 +1,9 @@
-"""Recordings and sample files -> Dataset, with what looks suspicious about them."""
+"""Read recordings and sample files as a Dataset, with warnings about suspicious values."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,12 +29,8 @@ from parallel_cal.recordings.sampling import conditions_of, samples_of
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-MAX_POSITION_M = (
-    10.0  # positions typically further than this from the origin are taken for millimetres
-)
-MAX_JOINT_TRAVEL_RAD = (
-    4.0 * np.pi
-)  # joints that travel further are taken for degrees, or turn endlessly
+MAX_POSITION_M = 10.0  # m from the origin; positions that are mostly further out look like mm
+MAX_JOINT_TRAVEL_RAD = 4.0 * np.pi  # joints that travel further look like degrees
 
 
 def load_dataset(
@@ -88,7 +84,7 @@ def load_stamped(
     progress: Progress | None = None,
     **given: Unpack[ReadKeywords],
 ) -> tuple[Dataset, int]:
-    """Read samples and the stamp (ns) from which their times count: 0 for a file of samples."""
+    """Read samples and the stamp (ns) of their time zero; 0 for a file of samples."""
     options = (options or ReadOptions()).with_values(**given)
     if holds_samples(Path(path)):
         dataset, start = order_joints(Dataset.from_json(path), options.joints), 0
@@ -146,15 +142,15 @@ def dataset_from_recording(recording: Recording, options: SampleOptions | None =
     _drop_millimetres(samples)
     conditions = conditions_of(recording, samples, warnings)
     dataset = _stack(recording, samples, conditions, options)
-    far = _position_suspicions(dataset)
+    far = _list_position_suspicions(dataset)
     if far and not options.assume_units:
         raise UnfitError(f"{recording.source}: {far[0]}, or set assume_units")
-    warnings += far + _joint_suspicions(dataset) + _condition_suspicions(conditions)
+    warnings += far + _list_unit_suspicions(dataset)
     return dataclasses.replace(dataset, warnings=tuple(warnings))
 
 
 def _drop_millimetres(samples: Samples) -> None:
-    """Drop the few poses that lie hundreds of times further out than the others."""
+    """Drop the few poses that lie more than 100 times further out than the others."""
     distance = np.array([np.linalg.norm(s.r) for s in samples.kept])
     placed = distance[[s.measured[:3].any() for s in samples.kept]]
     usual = float(np.quantile(placed, 0.75)) if len(placed) else 0.0
@@ -166,8 +162,8 @@ def _drop_millimetres(samples: Samples) -> None:
     samples.kept = [s for s, b in zip(samples.kept, bad, strict=True) if not b]
 
 
-def _position_suspicions(dataset: Dataset) -> list[str]:
-    """A sentence if the positions do not look like metres."""
+def _list_position_suspicions(dataset: Dataset) -> list[str]:
+    """Warn if the positions do not look like metres."""
     distance = np.linalg.norm(dataset.r, axis=1)[dataset.measured[:, :3].any(axis=1)]
     if not len(distance) or np.median(distance) <= MAX_POSITION_M:
         return []
@@ -178,10 +174,10 @@ def _position_suspicions(dataset: Dataset) -> list[str]:
     return [KeyedWarning(text, "unit", "measured position")]
 
 
-def _joint_suspicions(dataset: Dataset) -> list[str]:
-    """A sentence for each joint that does not look like radians or metres."""
-    travel = np.ptp(dataset.q, axis=0)  # of at least one sample, see samples_of
-    return [
+def _list_unit_suspicions(dataset: Dataset) -> list[str]:
+    """Warn of each joint and condition that does not look like its unit."""
+    travel = np.ptp(dataset.q, axis=0)  # samples_of returns at least one sample
+    joints = [
         KeyedWarning(
             f"{name} looks like degrees or millimetres: its range is {width:.4g}; "
             "expected rad or m (correct if the joint turns endlessly)",
@@ -191,11 +187,7 @@ def _joint_suspicions(dataset: Dataset) -> list[str]:
         for name, width in zip(dataset.joint_names, travel, strict=True)
         if width > MAX_JOINT_TRAVEL_RAD
     ]
-
-
-def _condition_suspicions(conditions: Mapping[str, Array]) -> list[str]:
-    """A sentence for each condition that can hardly be in its unit."""
-    return [
+    conditions = [
         KeyedWarning(
             f"{name} does not look like {channel.unit}: it ranges from {values.min():.4g} to "
             f"{values.max():.4g}; expected {low:g} to {high:g}",
@@ -204,15 +196,16 @@ def _condition_suspicions(conditions: Mapping[str, Array]) -> list[str]:
         )
         for name, channel in CHANNELS.items()
         for low, high in [channel.plausible]
-        for values in [conditions.get(name, np.zeros(0))]
+        for values in [dataset.conditions.get(name, np.zeros(0))]
         if len(values) and not (low <= values.min() and values.max() <= high)
     ]
+    return [*joints, *conditions]
 
 
 def _stack(
     recording: Recording, samples: Samples, conditions: dict[str, Array], options: SampleOptions
 ) -> Dataset:
-    """The samples as one block of arrays."""
+    """Stack the samples into the arrays of a Dataset."""
     columns: dict[str, Any] = {
         name: np.array([getattr(s, name) for s in samples.kept])
         for name in PER_SAMPLE
@@ -220,7 +213,7 @@ def _stack(
     }
     names = recording.joints.names
     sigma = options.joint_sigma
-    ids = np.arange(len(samples.kept))  # a moving robot does not revisit poses in our sense
+    ids = np.arange(len(samples.kept))  # a moving robot has no replicates
     if samples.mode == "dwell":
         at = Configuration(columns["q"], columns["r"], columns["R"])
         ids = replicate_ids(
@@ -242,7 +235,7 @@ def _stack(
 
 
 def order_joints(dataset: Dataset, joints: Sequence[str] | None) -> Dataset:
-    """The dataset with its joints in the wanted order; DatasetError when one is missing."""
+    """Return the dataset with its joints in the given order; DatasetError if one is missing."""
     if joints is None or tuple(joints) == dataset.joint_names:
         return dataset
     missing = [name for name in joints if name not in dataset.joint_names]

@@ -76,14 +76,11 @@ class SampleOptions:
             raise DatasetError(f"mode='{self.mode}'; expected one of {', '.join(MODES)}")
         for name, least in MIN_VALUES.items():
             value = getattr(self, name)
-            if value is not None and not (_is_number(value) and least <= value < np.inf):
+            is_number = isinstance(value, int | float) and not isinstance(value, bool)
+            if value is not None and not (is_number and least <= value < np.inf):
                 raise DatasetError(f"{name}={value}: expected a number of at least {least:g}")
         if not isinstance(self.assume_units, bool):
             raise DatasetError(f"assume_units={self.assume_units}: expected true or false")
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 @dataclass(frozen=True)

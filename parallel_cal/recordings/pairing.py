@@ -1,4 +1,4 @@
-"""Channels -> one sample per pose message of a moving robot, joints interpolated to its time."""
+"""Make one sample per pose message of a moving robot, with joints interpolated to its time."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from parallel_cal.recordings.samples import Sample, Samples, max_gap
 
 
 def paired_samples(recording: Recording, options: SampleOptions, tolerance: Array) -> Samples:
-    """One sample per pose message, with the joints interpolated to its time."""
+    """Return one sample per pose message, with the joints interpolated to its time."""
     joints, pose = recording.joints, recording.pose
     if recording.constraint or recording.distances:
         raise UnfitError(
@@ -62,7 +62,7 @@ def paired_samples(recording: Recording, options: SampleOptions, tolerance: Arra
 
 
 def find_bracketed(joints: JointStream, time: Array, gap: float) -> Bools:
-    """True (m,) where two joint readings close in time enclose the pose, or one coincides."""
+    """Mark (m,) the poses between two joint readings close in time, or at the time of one."""
     after = np.searchsorted(joints.time, time).clip(0, len(joints.time) - 1)
     before = (after - 1).clip(0)
     inside = (joints.time[before] <= time) & (time <= joints.time[after])
@@ -71,12 +71,12 @@ def find_bracketed(joints: JointStream, time: Array, gap: float) -> Bools:
 
 
 def _interpolate_joints(joints: JointStream, time: Array) -> tuple[Array, Array, Array]:
-    """Joint position, effort and velocity (m, nq) each at the given times."""
+    """Return joint position, effort and velocity (m, nq) at the given times."""
 
     def at(values: Array, when: Array) -> Array:
         return np.stack([np.interp(when, joints.time, c) for c in values.T], axis=1)
 
-    # ends are clipped so that the difference is divided by the time that it really spans
+    # At the ends of the recording the difference spans less time.
     late = np.minimum(time + 2 * joints.period, joints.time[-1])
     early = np.maximum(time - 2 * joints.period, joints.time[0])
     span = np.maximum(late - early, 1e-9)[:, None]

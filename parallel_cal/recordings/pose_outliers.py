@@ -1,4 +1,4 @@
-"""Whether the device stood as still as the joints: pose readings that stray from their dwell."""
+"""Find pose readings that stray from their dwell: the device must stand as still as the joints."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from parallel_cal.recordings.windows import Dwell
 
 
 def _deviation(pose: PoseStream, dwell: Dwell) -> Array:
-    """Deviations (n, 6) of a dwell's messages from their middle; 0 where not measured."""
+    """Return deviations (n, 6) of a dwell's messages from their middle; 0 where not measured."""
     r = pose.position[dwell.poses]
     middle = mean_rotation(pose.rotation[dwell.poses])
     turned = rotation_vector(pose.rotation[dwell.poses] @ middle.T)
@@ -26,12 +26,13 @@ def _deviation(pose: PoseStream, dwell: Dwell) -> Array:
 
 
 def pose_limits(pose: PoseStream, dwells: list[Dwell], length: float) -> Array:
-    """How far (2,) a single reading may lie off its dwell's middle, in m and rad.
+    """Return how far (2,) a single reading may lie from its dwell's middle, in m and rad.
 
-    Eight times what is usual over all dwells; but where the device's clock is not the joints', no
-    dwell is calm: at most 20 times what half its readings keep to (up to 5e-2 of all that the
-    device saw), or what stands still by its own stream. At least 1.5 of the device's steps, 1e-4 of
-    the workspace and 1e-4 rad.
+    The limit is eight times the largest deviation that is usual in a dwell. If the device's clock
+    differs from the joints' clock, no dwell is calm and that would allow anything. So the limit is
+    at most the larger of two: 20 times the deviation that half the readings keep (up to 5e-2 of the
+    device's range), and the standstill tolerance of the device's own stream. It is at least 1.5
+    steps of the device, 1e-4 of the workspace, and 1e-4 rad.
     """
     dwells = [d for d in dwells if len(d.poses)]
     if not dwells:
@@ -39,21 +40,17 @@ def pose_limits(pose: PoseStream, dwells: list[Dwell], length: float) -> Array:
     strays = [np.abs(_deviation(pose, d)) for d in dwells]
     largest = np.median([s.max(axis=0) for s in strays], axis=0)
     half = np.median([np.median(s, axis=0) for s in strays], axis=0)
-    seen = _clip_pose_coordinates(pose)
+    # Position and rotation about the middle of all messages, a few wild ones clipped.
+    turned = rotation_vector(pose.rotation @ mean_rotation(pose.rotation).T)
+    seen = np.hstack([pose.position, turned])
+    seen = np.clip(seen, *np.quantile(seen, [0.01, 0.99], axis=0))
     calm = np.minimum(20.0 * half, MAX_TOLERANCE_SHARE * np.ptp(seen, axis=0))
     calm = np.maximum(calm, still_tolerance(pose.time, seen, length))
-    calm = np.maximum(calm, 6.0 * jitter(pose.time, seen, length))  # where nothing ever moves
+    calm = np.maximum(calm, 6.0 * jitter(pose.time, seen, length))  # if nothing ever moves
     limits = np.maximum(np.minimum(8.0 * largest, calm), 1.5 * encoder_step(seen))
     centres = np.array([np.median(pose.position[d.poses], axis=0) for d in dwells])
     extent = np.ptp(np.quantile(centres, [0.05, 0.95], axis=0), axis=0).max()
     return np.maximum([limits[:3].max(), limits[3:].max()], [1e-4 * extent + 1e-9, 1e-4])
-
-
-def _clip_pose_coordinates(pose: PoseStream) -> Array:
-    """Position and rotation off the middle (m, 6) of all messages, a few wild ones clipped."""
-    turned = rotation_vector(pose.rotation @ mean_rotation(pose.rotation).T)
-    seen = np.hstack([pose.position, turned])
-    return np.clip(seen, *np.quantile(seen, [0.01, 0.99], axis=0))
 
 
 def drop_outliers(

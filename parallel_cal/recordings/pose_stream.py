@@ -1,4 +1,4 @@
-"""Measured poses as they came -> positions, unit quaternions, covariances and what is measured."""
+"""Clean measured poses: positions, unit quaternions, covariances, and what is measured."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ import numpy as np
 from parallel_cal.recordings.recording import COORDINATES, Array, Bools, PoseStream, Raw
 from parallel_cal.recordings.sieve import MAX_PLAUSIBLE_READING, Sieve
 
-NOT_MEASURED = 1e3  # a variance above this says "this coordinate is not measured"
-NOT_GIVEN = 1e-24  # no device knows a pose to 1e-12 m or rad: a variance up to this is no statement
+NOT_MEASURED = 1e3  # a larger variance means that the coordinate is not measured
+NOT_GIVEN = 1e-24  # up to this, a variance states nothing: no device measures to 1e-12 m or rad
 
 
 def clean_poses(
     raw: Raw, sieve: Sieve, measures: Sequence[str] | None, notes: list[str]
 ) -> PoseStream:
-    """Poses with what each measures; rows are (frame, position, quaternion or None, covariance)."""
+    """Return clean poses; the raw rows are (frame, position, quaternion or None, covariance)."""
     position = np.array([row[1] for row in raw.rows], float)
     quaternion = np.array([row[2] or (0.0, 0.0, 0.0, 1.0) for row in raw.rows], float)
     has_rotation = np.array([row[2] is not None for row in raw.rows])
     variance = [np.zeros(36) if row[3] is None else row[3] for row in raw.rows]
     covariance, measured = read_covariance(np.array(variance).reshape(-1, 6, 6))
-    notes += _without_impossible_correlations(covariance, raw.topic)
+    notes += _remove_impossible_correlations(covariance, raw.topic)
     measured[:, 3:] &= has_rotation[:, None]
     if measures is not None:
         measured &= np.isin(COORDINATES, measures)
@@ -52,7 +52,7 @@ def clean_poses(
 
 
 def read_covariance(covariance: Array) -> tuple[Array, Bools]:
-    """Covariance (n, 6, 6), NaN where not given (variance <= 1e-24), what is measured (n, 6)."""
+    """Return the covariance (n, 6, 6), NaN where not given, and what is measured (n, 6)."""
     covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
     variance = np.diagonal(covariance, axis1=1, axis2=2)
     measured = ~(variance > NOT_MEASURED)
@@ -62,8 +62,8 @@ def read_covariance(covariance: Array) -> tuple[Array, Bools]:
     return covariance, measured
 
 
-def _without_impossible_correlations(covariance: Array, topic: str) -> list[str]:
-    """Leave matrices (n, 6, 6) that are no covariance their variances only; a sentence if any."""
+def _remove_impossible_correlations(covariance: Array, topic: str) -> list[str]:
+    """Reduce matrices (n, 6, 6) that are not a covariance to their variances; return a warning."""
     sigma = np.sqrt(np.nan_to_num(np.diagonal(covariance, axis1=1, axis2=2)))
     sigma[sigma == 0.0] = 1.0
     with np.errstate(over="ignore"):
@@ -84,7 +84,7 @@ def _without_impossible_correlations(covariance: Array, topic: str) -> list[str]
 
 
 def _sieve_poses(sieve: Sieve, position: Array, quaternion: Array, measured: Bools) -> None:
-    """Drop poses that are not finite or no rotation; put placeholders where nothing is measured."""
+    """Drop poses that are not finite or not a rotation; fill unmeasured parts with placeholders."""
     rotates = measured[:, 3:].any(axis=1)
     position[~measured[:, :3]] = 0.0
     quaternion[~rotates] = (0.0, 0.0, 0.0, 1.0)

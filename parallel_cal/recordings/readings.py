@@ -1,4 +1,4 @@
-"""What sensors beside the pose device show: the plane or sphere that holds the tip, distances."""
+"""Readings of other sensors than the pose device: constraints of the tip, and distances."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from parallel_cal.recordings.samples import READING, Sample
 
 
 def words_between(stream: TextStream | None, start: float, end: float) -> list[str]:
-    """The words that held between two times, in their order; before the first, no word."""
+    """Return the words that were valid between two times, in order; "" before the first one."""
     if stream is None:
         return [""]
     first, last = np.searchsorted(stream.time, [start, end], side="right")
@@ -21,7 +21,7 @@ def words_between(stream: TextStream | None, start: float, end: float) -> list[s
 
 
 def readings_between(recording: Recording, start: float, end: float) -> dict[str, float]:
-    """Mean reading (m) of each channel between two times; what holds the tip reads zero."""
+    """Return the mean reading (m) of each channel between two times; a constraint reads zero."""
     word = words_between(recording.constraint, start, end)[0]
     readings = {word: 0.0} if word else {}
     for channel, stream in recording.distances.items():
@@ -32,7 +32,7 @@ def readings_between(recording: Recording, start: float, end: float) -> dict[str
 
 
 def reading_columns(samples: Sequence[Sample]) -> dict[str, Array]:
-    """`reading.CHANNEL` (N,) of every channel that was read, NaN in samples where it was not."""
+    """Return `reading.CHANNEL` (N,) of every channel with a reading; NaN in samples without one."""
     channels = dict.fromkeys(channel for sample in samples for channel in sample.readings)
     return {
         READING + channel: np.array([s.readings.get(channel, np.nan) for s in samples])

@@ -1,4 +1,4 @@
-"""Poses visited more than once: found, counted, measured for noise, kept together in folds."""
+"""Find poses that were visited more than once, estimate noise from them, and make folds."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from parallel_cal.recordings.recording import Array, Bools
 from parallel_cal.recordings.samples import mean_rotation
 
 Ids = NDArray[np.int64]
-MIN_POSITION_TOLERANCE_M = 1e-3  # m that a device's noise may lie between two visits
+MIN_POSITION_TOLERANCE_M = 1e-3  # m; a device's noise separates two visits by less
+MAX_ROTATION_RAD = 0.1  # rad between two visits; it only has to separate assembly modes
 
 
 @dataclass(frozen=True)
@@ -22,8 +23,8 @@ class ReplicateNoise:
     """Pooled 1-sigma scatter of revisited poses about their group's mean.
 
     `joint` (nq,) in rad or m and `pose` (6,) in m and rad, NaN where not measured or without
-    replicates; `dof` = samples in groups minus groups. A robot does not come back to exactly the
-    same joints, so part of `pose` is the robot's own.
+    replicates; `dof` = samples in groups minus groups. A robot does not return to exactly the same
+    joints, so part of `pose` is motion of the robot.
     """
 
     joint: Array
@@ -34,14 +35,16 @@ class ReplicateNoise:
 def replicate_ids(
     at: Configuration, measured: Bools, scatter_q: Array, tolerance: float | None = None
 ) -> Ids:
-    """Group number (N,) of each sample; samples of one pose share it.
+    """Return the group number (N,) of each sample; samples of one pose share it.
 
     A sample joins the first earlier pose whose joints all lie within the tolerance: 0.2 % of the
-    joint's travel (backlash and encoder errors stay below) but at most a fifth of the robot's usual
-    step, so that a fine sweep is not merged, and at least 20 times the scatter within a dwell. The
-    measured pose must agree to 5 % of its range (1 mm at least: some robots only turn) and 0.1 rad,
-    which only tells assembly modes apart: what replicates reveal (backlash, warming) must not split
-    them.
+    joint's travel (backlash and encoder errors stay below), but at most a fifth of the robot's
+    usual step, so that a fine sweep is not merged, and at least 20 times the scatter within a
+    dwell.
+
+    The measured pose must agree to 5 % of its range (at least 1 mm, because some robots only turn)
+    and to 0.1 rad. These wide limits only separate assembly modes: the effects that replicates
+    reveal (backlash, warming) must not split a group.
     """
     q, r, R = at.q, at.r, at.R
     scale = _joint_scale(q, scatter_q, tolerance)
@@ -51,7 +54,9 @@ def replicate_ids(
         near = (np.abs(q[leaders] - q[i]) <= scale).all(axis=1)
         apart = np.abs(r[leaders] - r[i]) * (measured[leaders, :3] & measured[i, :3])
         near &= (apart <= reach).all(axis=1)
-        near &= _chord(R[leaders], R[i], measured[leaders], measured[i]) <= 0.1
+        turns = measured[leaders, 3:].all(axis=1) & measured[i, 3:].all()
+        angle = np.linalg.norm(R[leaders] - R[i], axis=(1, 2)) / np.sqrt(2.0)  # if it is small
+        near &= ~turns | (angle <= MAX_ROTATION_RAD)
         found = np.flatnonzero(near)
         ids[i] = found[0] if len(found) else len(leaders)
         if not len(found):
@@ -60,7 +65,7 @@ def replicate_ids(
 
 
 def _joint_scale(q: Array, scatter_q: Array, tolerance: float | None) -> Array:
-    """Largest joint difference (nq,) between two visits of one pose."""
+    """Return the largest joint difference (nq,) between two visits of one pose."""
     if tolerance is not None:
         return np.full(q.shape[1], float(tolerance))
     if len(q) < 2:
@@ -69,13 +74,6 @@ def _joint_scale(q: Array, scatter_q: Array, tolerance: float | None) -> Array:
     part = 2e-3 * np.ptp(q, axis=0) + 1e-12
     usual_step = np.quantile((np.abs(np.diff(q, axis=0)) / part).max(axis=1), 0.75)
     return np.maximum(noise, part * min(1.0, 0.2 * usual_step))
-
-
-def _chord(many: Array, one: Array, measured: Bools, here: Bools) -> Array:
-    """Angle (n,) in rad, for small angles, between fully measured rotations; 0 for others."""
-    compare = measured[:, 3:].all(axis=1) & here[3:].all()
-    distance = np.linalg.norm(many - one, axis=(1, 2)) / np.sqrt(2.0)
-    return np.where(compare, distance, 0.0)
 
 
 def replicate_noise(ids: Ids, at: Configuration, measured: Bools) -> ReplicateNoise:
@@ -94,12 +92,12 @@ def replicate_noise(ids: Ids, at: Configuration, measured: Bools) -> ReplicateNo
 
 
 def _subtract_group_means(values: Array, group: NDArray[np.intp]) -> Array:
-    """Rows (M, k) minus the mean of their group, groups numbered from 0."""
+    """Subtract from rows (M, k) the mean of their group; groups are numbered from 0."""
     return values - average_groups(values, group)[group]
 
 
 def average_groups(values: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """Rows (N, k) averaged within groups, one row a group."""
+    """Average rows (N, k) within groups; one row per group."""
     names, inverse, count = np.unique(group, return_inverse=True, return_counts=True)
     sums = np.zeros((len(names), values.shape[1]))
     np.add.at(sums, inverse, values)
@@ -107,7 +105,7 @@ def average_groups(values: np.ndarray, group: np.ndarray) -> np.ndarray:
 
 
 def _pool_scatter(deviation: Array, group: NDArray[np.intp]) -> Array:
-    """Standard deviation per column with one degree of freedom less per group; NaN without any."""
+    """Return the standard deviation per column; each group takes one degree of freedom."""
     known = np.isfinite(deviation)
     groups = np.array([len(np.unique(group[column])) for column in known.T])
     dof = known.sum(axis=0) - groups
@@ -118,7 +116,7 @@ def _pool_scatter(deviation: Array, group: NDArray[np.intp]) -> Array:
 def make_folds(
     groups: Ids, fraction: float, seed: int
 ) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """(train, test) indices of round(1/fraction) folds that never split a group."""
+    """Return (train, test) indices of round(1/fraction) folds that never split a group."""
     if not 0.0 < fraction <= 0.5:
         raise DatasetError(f"hold-out fraction {fraction}; expected above 0 and at most 0.5")
     names, size = np.unique(groups, return_counts=True)

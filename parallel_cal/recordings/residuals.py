@@ -1,4 +1,4 @@
-"""Measured minus predicted at every sample, as messages that ROS tools draw without ours."""
+"""Residuals of every sample as standard messages, which ROS tools draw without plug-ins."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 from parallel_cal.recordings.recording import Array
 from parallel_cal.recordings.writer import Messages, write_messages
 
-ROOT = "/calibration_node/residuals"  # where the node publishes them, so one layout serves both
+ROOT = "/calibration_node/residuals"  # the node publishes there, so one layout shows both
 VECTOR, POSE = "geometry_msgs/msg/Vector3Stamped", "geometry_msgs/msg/PoseStamped"
-# Below ROOT: all arrows at once; then of each sample what is known of it.
+# Topics below ROOT: first all arrows at once, then one message per sample.
 TOPICS = {
     "": "visualization_msgs/msg/MarkerArray",
     "/measured": POSE,
@@ -26,13 +26,16 @@ TOPICS = {
     "/joints": "sensor_msgs/msg/JointState",
     "/sigmas": "std_msgs/msg/Float64",
 }
-ARROW_WIDTH_RATIO = 0.004  # of an arrow, in parts of the workspace's extent
+ARROW_WIDTH_RATIO = 0.004  # width of an arrow per extent of the workspace
 
 
 @dataclass(frozen=True)
 class Residuals:
-    """Of N samples: numbers and stamps (ns), joint residuals (N, nq) rad or m, rms in sigmas (N,),
-    `vectors` (N, 3) and `poses` ((N, 3) m, (N, 4) x y z w) by topic; NaN where not known."""
+    """Residuals of N samples; NaN where not known.
+
+    Numbers and stamps (ns) of the samples, joint residuals (N, nq) in rad or m, their rms in sigmas
+    (N,), and, by topic, `vectors` (N, 3) and `poses` ((N, 3) in m, (N, 4) x y z w).
+    """
 
     numbers: Array
     stamps: Array
@@ -45,7 +48,7 @@ class Residuals:
 
 
 class Message(NamedTuple):
-    """A topic below ROOT, a stamp (ns) and the message as it is sent."""
+    """A topic below ROOT, a stamp (ns) and the serialized message."""
 
     topic: str
     stamp: int
@@ -53,24 +56,24 @@ class Message(NamedTuple):
 
 
 def residual_messages(of: Residuals, scale: float) -> Iterator[Message]:
-    """Every residual as messages: the arrows, `scale` times as long, then sample by sample."""
+    """Yield all residuals as messages: arrows, `scale` times as long, then sample by sample."""
     make = _Residuals()
     for topic, stamp, message in make.of(of, scale):
         yield Message(topic, stamp, bytes(make.store.serialize_cdr(message, TOPICS[topic])))
 
 
 def write_residuals(of: Residuals, path: Path, scale: float) -> None:
-    """The same as an MCAP file, at the samples' times; BagError where it cannot be written."""
+    """Write all residuals as an MCAP file at the samples' times; BagError if that fails."""
     kinds = {ROOT + topic: kind for topic, kind in TOPICS.items()}
     stream = sorted(residual_messages(of, scale), key=lambda m: m.stamp)
     write_messages(path, kinds, ((ROOT + m.topic, m.stamp, m.data) for m in stream), {ROOT})
 
 
 class _Residuals(Messages):
-    """Residuals as ROS messages."""
+    """Makes the ROS messages of residuals."""
 
     def of(self, of: Residuals, scale: float) -> Iterator[tuple[str, int, Any]]:
-        """(topic, stamp, message): arrows first, known at the first sample."""
+        """Yield (topic, stamp, message); the arrows come first, at the first sample's time."""
         if len(of.stamps):
             yield "", int(of.stamps.min()), self._arrows(of, scale)
         for i, stamp in enumerate(of.stamps.tolist()):
@@ -88,17 +91,18 @@ class _Residuals(Messages):
             yield "/sigmas", stamp, self.kind("std_msgs/Float64")(float(of.sigmas[i]))
 
     def _arrows(self, of: Residuals, scale: float) -> Any:
-        """From each measured position along measured minus predicted; the first deletes older."""
+        """Draw an arrow from each measured position along measured minus predicted."""
         start, error = of.poses["/measured"][0], of.vectors["/position"]
         known = np.flatnonzero(np.isfinite(start + error).all(axis=1))
         thickness = (
             ARROW_WIDTH_RATIO * float(np.ptp(start[known], axis=0).max()) if len(known) else 0.0
         )
         none = np.zeros((0, 3))
+        # The first marker deletes all older arrows.
         markers = [self._arrow(of.frame, 0, 3, none, np.ones(3), 0.0)]
         for i in known:
             ends = np.stack([start[i], start[i] + scale * error[i]])
-            # Red, green, blue say how much of the direction is along x, y, z; dark is negative.
+            # Red, green and blue are the direction's x, y and z; dark is negative.
             colour = 0.5 + 0.5 * error[i] / max(float(np.linalg.norm(error[i])), 1e-300)
             markers.append(self._arrow(of.frame, int(of.numbers[i]), 0, ends, colour, thickness))
         return self.kind("visualization_msgs/MarkerArray")(markers)
@@ -106,7 +110,7 @@ class _Residuals(Messages):
     def _arrow(
         self, frame: str, number: int, action: int, ends: Array, colour: Array, thickness: float
     ) -> Any:
-        """An arrow (type 0), to be added (action 0) or in whose stead all go (3)."""
+        """Return a marker of type 0 (arrow) that adds an arrow (action 0) or deletes all (3)."""
         rgba = self.kind("std_msgs/ColorRGBA")
         forever = self.kind("builtin_interfaces/Duration")(0, 0)
         no_texture = self.kind("sensor_msgs/CompressedImage")(

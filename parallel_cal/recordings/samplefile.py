@@ -1,6 +1,6 @@
-"""The file that samples are saved in: JSON, SI units, null for a number that was not measured.
+"""The sample file: JSON, SI units, null for a number that was not measured.
 
-Read with every column checked: whoever reads a Dataset takes its shapes for granted.
+Reading checks every column, because the users of a Dataset rely on its shapes.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ PER_SAMPLE = (
     "count_pose",
     "pose_id",
 )
-MAX_SAMPLE_FILE_BYTES = 512 * MEGABYTE  # of a sample file: a million samples
-NULLABLE_FIELDS = ("pose_cov", "scatter_q", "scatter_pose")  # null where the device does not say
-MAX_ORTHOGONALITY_ERROR = 1e-6  # what R R^T may differ from the identity
+MAX_SAMPLE_FILE_BYTES = 512 * MEGABYTE  # a million samples
+NULLABLE_FIELDS = ("pose_cov", "scatter_q", "scatter_pose")  # null if the device does not state it
+MAX_ORTHOGONALITY_ERROR = 1e-6  # largest difference of an entry of R R^T from the identity
 
 
 def holds_samples(path: Path) -> bool:
-    """Whether a path is a sample file: by its name or, under another one, by its first byte."""
+    """Return whether a path is a sample file: by its suffix .json, else by its first byte."""
     if path.suffix == ".json" or not path.is_file():
         return path.suffix == ".json"
     with path.open("rb") as stream:
@@ -45,7 +45,7 @@ def holds_samples(path: Path) -> bool:
 
 
 def read_document(path: Path) -> dict[str, Any]:
-    """The JSON document of a sample file; DatasetError when it is none."""
+    """Return the JSON document of a sample file; DatasetError if it is not one."""
     try:
         document = json.loads(read_text(path, MAX_SAMPLE_FILE_BYTES))
     except OSError as error:
@@ -65,7 +65,7 @@ def read_document(path: Path) -> dict[str, Any]:
 
 
 def restore_field(name: str, document: Mapping[str, Any]) -> Any:
-    """A field from JSON, with the type and shape it had; DatasetError that names the key."""
+    """Return a field of the document with its type and shape; DatasetError names a wrong key."""
     try:
         value = _convert_field(name, document)
     except KeyError:
@@ -80,9 +80,13 @@ def restore_field(name: str, document: Mapping[str, Any]) -> Any:
         for key, column in value.items():
             _check_length(f"conditions.{key}", column, len(document["time"]))
     if name == "joint_names":
-        _check_names(value)
+        good = isinstance(value, tuple) and all(isinstance(n, str) for n in value)
+        if not good or not value or len(set(value)) < len(value):
+            raise DatasetError(f"joint_names are {value}: expected a name for each joint")
     if name == "joint_sigma" and value is not None:
-        _check_sigma(value, len(document["joint_names"]))
+        joints = len(document["joint_names"])
+        if value.shape != (joints,) or not (value > 0).all():
+            raise DatasetError(f"joint_sigma is {value}: expected {joints} numbers above 0")
     return value
 
 
@@ -109,17 +113,6 @@ def _check_column(name: str, column: np.ndarray, n: int) -> None:
 def _check_length(name: str, column: np.ndarray, n: int) -> None:
     if column.ndim < 1 or len(column) != n:
         raise DatasetError(f"{name} has {np.shape(column)[:1]} entries; time has {n}")
-
-
-def _check_names(names: Any) -> None:
-    good = isinstance(names, tuple) and all(isinstance(n, str) for n in names)
-    if not good or not names or len(set(names)) < len(names):
-        raise DatasetError(f"joint_names are {names}: expected a name for each joint")
-
-
-def _check_sigma(sigma: np.ndarray, joints: int) -> None:
-    if sigma.shape != (joints,) or not (sigma > 0).all():
-        raise DatasetError(f"joint_sigma is {sigma}: expected {joints} numbers above 0")
 
 
 def _convert_field(name: str, document: Mapping[str, Any]) -> Any:

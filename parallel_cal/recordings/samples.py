@@ -1,4 +1,4 @@
-"""A sample, and sums that both ways of making samples share."""
+"""The Sample, and statistics that dwells and continuous motion share."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from parallel_cal.base.rotation import nearest_rotation
 from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.recording import Array, Bools, Dropped, JointStream
 
-READING = "reading."  # a dataset's columns of what sensors beside the pose device show, in m
+READING = "reading."  # prefix of a dataset's columns of other sensors than the pose device, in m
 
 
 @dataclass
 class Sample:
     """One sample: joints, pose, measured coordinates and the scatter of single readings.
 
-    `readings` (m) are those of the other sensors, by channel.
+    `readings` (m) are the readings of other sensors, by channel.
     """
 
     time: float
@@ -35,7 +35,7 @@ class Sample:
     scatter_pose: Array
     count_q: int
     count_pose: int
-    first_reading: int  # of the untrimmed interval: motion before it tells the direction
+    first_reading: int  # of the untrimmed interval; motion before it determines the direction
     readings: dict[str, float] = field(default_factory=dict)
 
 
@@ -51,7 +51,7 @@ class Samples:
 
 
 def broadcast_to_joints(value: float | Sequence[float], names: Sequence[str], what: str) -> Array:
-    """A positive number per joint (nq,) from one number or one per joint; DatasetError if not."""
+    """Return a positive number per joint (nq,) from one number or one per joint."""
     try:
         values = np.atleast_1d(np.asarray(value, float))
     except (TypeError, ValueError):
@@ -64,25 +64,25 @@ def broadcast_to_joints(value: float | Sequence[float], names: Sequence[str], wh
 
 
 def max_gap(joints: JointStream, options: SampleOptions) -> float:
-    """The longest silence in s that may lie inside a sample."""
+    """Return the longest gap in s between joint messages of one sample."""
     if options.max_gap is not None:
         return options.max_gap
     return max(0.5, 5.0 * joints.period)
 
 
 def mean_rotation(R: Array) -> Array:
-    """Mean (3, 3) of rotations (n, 3, 3): the rotation closest to all of them by chords."""
+    """Return the chordal mean (3, 3) of rotations (n, 3, 3)."""
     return nearest_rotation(R.mean(axis=0))
 
 
 def sample_sd(values: Array) -> Array:
-    """Sample standard deviation per column; NaN for a single row."""
+    """Return the sample standard deviation per column; NaN for a single row."""
     if len(values) < 2:
         return np.full(values.shape[1], np.nan)
     return values.std(axis=0, ddof=1)
 
 
 def slope(time: Array, values: Array) -> Array:
-    """Mean velocity: the slope of the line through the readings."""
+    """Return the mean velocity: the slope of the line through the readings."""
     t = time - time.mean()
     return t @ values / max(float(t @ t), 1e-300)

@@ -1,4 +1,4 @@
-"""Channels -> samples and the conditions each was taken under."""
+"""Make samples from channels, with the conditions of each sample."""
 
 from __future__ import annotations
 
@@ -12,44 +12,33 @@ from parallel_cal.recordings.dwells import approach, still_tolerance
 from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.pairing import paired_samples
 from parallel_cal.recordings.readings import reading_columns
-from parallel_cal.recordings.recording import Array, JointStream, Recording, ScalarStream
+from parallel_cal.recordings.recording import Array, Recording, ScalarStream
 from parallel_cal.recordings.samples import Samples, broadcast_to_joints
 from parallel_cal.recordings.standstill import standstill_samples
 from parallel_cal.recordings.travel import travel
 
 
 def samples_of(recording: Recording, options: SampleOptions) -> Samples:
-    """Make samples of a recording; DatasetError when there is none."""
+    """Make the samples of a recording; DatasetError if there are none."""
     joints = recording.joints
-    tolerance = _tolerance(joints, options)
+    if options.still_tolerance is None:
+        tolerance = still_tolerance(joints.time, joints.position, options.min_dwell)
+    else:
+        tolerance = broadcast_to_joints(options.still_tolerance, joints.names, "still_tolerance")
     if options.mode == "continuous":
         return paired_samples(recording, options, tolerance)
     samples = standstill_samples(recording, options, tolerance)
     if not samples.kept:
-        raise DatasetError(_why_none(recording, options, samples))
+        reasons = sorted({d.reason for d in samples.dropped})
+        raise DatasetError(
+            f"{recording.source}: no usable dwell of at least {options.min_dwell} s "
+            f"(dropped candidates: {'; '.join(reasons) or 'none found'}; standstill "
+            f"tolerance of the joints: {', '.join(f'{t:.2g}' for t in tolerance)}). Let the robot "
+            "stand still at each pose, adjust min_dwell, trim_start, trim_end or still_tolerance, "
+            "read by log time if clocks differ (stamps='log'), or pair every pose with the moving "
+            "joints: mode='continuous'." + "".join(f" {warning}." for warning in samples.warnings)
+        )
     return samples
-
-
-def _tolerance(joints: JointStream, options: SampleOptions) -> Array:
-    """The standstill tolerance (nq,): the user's or the data's."""
-    if options.still_tolerance is None:
-        return still_tolerance(joints.time, joints.position, options.min_dwell)
-    return broadcast_to_joints(options.still_tolerance, joints.names, "still_tolerance")
-
-
-def _why_none(recording: Recording, options: SampleOptions, samples: Samples) -> str:
-    """Return the message for a recording without a usable dwell."""
-    reasons = sorted({d.reason for d in samples.dropped})
-    tolerance = ", ".join(f"{t:.2g}" for t in samples.tolerance)
-    said = "".join(f" {warning}." for warning in samples.warnings)
-    return (
-        f"{recording.source}: no usable dwell of at least {options.min_dwell} s "
-        f"(dropped candidates: {'; '.join(reasons) or 'none found'}; standstill "
-        f"tolerance of the joints: {tolerance}). Let the robot stand still at "
-        "each pose, adjust min_dwell, trim_start, trim_end or still_tolerance, "
-        "read by log time if clocks differ (stamps='log'), or pair every pose "
-        f"with the moving joints: mode='continuous'.{said}"
-    )
 
 
 def conditions_of(
@@ -67,14 +56,14 @@ def conditions_of(
             else np.interp(time, stream.time, stream.value)
         )
     level = np.array([s.q for s in kept])
-    # a motion counts as real when it is more than what passes for standing still
+    # A motion counts if it exceeds the tolerance of a standstill.
     before = [s.first_reading for s in kept]
     direction = approach(joints.position, before, level, samples.tolerance)
-    way = travel(joints.position, before, level, direction, samples.tolerance)
+    distance = travel(joints.position, before, level, direction, samples.tolerance)
     effort = np.array([s.effort for s in kept])
     for j, name in enumerate(joints.names):
         conditions[f"direction.{name}"] = direction[:, j].astype(float)
-        conditions[f"travel.{name}"] = way[:, j]
+        conditions[f"travel.{name}"] = distance[:, j]
         conditions[f"velocity.{name}"] = np.array([s.velocity[j] for s in kept])
         if np.isfinite(effort[:, j]).all():
             conditions[f"effort.{name}"] = effort[:, j]
@@ -82,7 +71,7 @@ def conditions_of(
 
 
 def _select_latest_values(stream: ScalarStream, time: Array, warnings: list[str]) -> Array:
-    """The last value before each time; the first value, with a warning, before any."""
+    """Return the last value before each time; if there is none, the first value, with a warning."""
     index = np.searchsorted(stream.time, time, side="right") - 1
     if (index < 0).any():
         text = (

@@ -1,4 +1,4 @@
-"""Which messages of a topic can be used, and when each was said."""
+"""Decide which messages of a topic can be used, and at which time each was sent."""
 
 from __future__ import annotations
 
@@ -9,26 +9,37 @@ from parallel_cal.base.errors import BagError
 from parallel_cal.recordings.recording import Array, Bools, Dropped, Raw
 
 CLOCK_JUMP = 1_000_000_000  # ns; a stamp further back than this is a clock that was reset
-MAX_PLAUSIBLE_READING = (
-    1e9  # m or rad: no robot reads this, and the sums of its squares would overflow
-)
+# m or rad: no robot has such readings, and the sums of their squares would overflow
+MAX_PLAUSIBLE_READING = 1e9
 
 
 class Sieve:
-    """Marks single messages of one topic as unusable, remembers why, and counts them."""
+    """Marks messages of one topic as unusable, and counts them by reason."""
 
     def __init__(self, raw: Raw, stamp: NDArray[np.int64], start_ns: int) -> None:
         self.topic = raw.topic
         self.time = np.asarray((stamp - start_ns) * 1e-9, float)
         self.keep: Bools = np.ones(len(stamp), bool)
         self.dropped: list[Dropped] = []
-        self._stamps(stamp)
+
+        latest = np.maximum.accumulate(stamp)
+        before = np.concatenate([[stamp[0] - 1], latest[:-1]])
+        for i in np.flatnonzero(stamp < before - CLOCK_JUMP)[:1]:
+            raise BagError(
+                f"{self.topic}: time runs backwards at message {i}: {stamp[i] * 1e-9:.3f} s comes "
+                f"after {before[i] * 1e-9:.3f} s. Record again with one clock, cut the bag there, "
+                "or read it by log time (stamps='log')."
+            )
+        self.drop(stamp < before, "stamp earlier than the message before")
+        self.drop(stamp == before, "stamp repeats the message before")
 
     def drop(
         self, bad: ArrayLike, reason: str, hint: str = "", values: Array | None = None
     ) -> None:
-        """Drop the messages marked in `bad` (n,), the first of them told with its row of `values`;
-        BagError when nothing is left."""
+        """Drop the messages marked in `bad` (n,); BagError if no message remains.
+
+        The report shows the first one with its row of `values`.
+        """
         bad = np.asarray(bad, bool) & self.keep
         if not bad.any():
             return
@@ -46,23 +57,9 @@ class Sieve:
         detail = f"{self.topic}: {count} of {len(bad)} messages; the first is {message}"
         self.dropped.append(Dropped(float(self.time[first]), reason, detail, count))
 
-    def _stamps(self, stamp: NDArray[np.int64]) -> None:
-        """Drop messages that are late or repeat a time; BagError when the clock jumped back."""
-        latest = np.maximum.accumulate(stamp)
-        before = np.concatenate([[stamp[0] - 1], latest[:-1]])
-        jump = np.flatnonzero(stamp < before - CLOCK_JUMP)[:1]
-        for i in jump:
-            raise BagError(
-                f"{self.topic}: time runs backwards at message {i}: {stamp[i] * 1e-9:.3f} s comes "
-                f"after {before[i] * 1e-9:.3f} s. Record again with one clock, cut the bag there, "
-                "or read it by log time (stamps='log')."
-            )
-        self.drop(stamp < before, "stamp earlier than the message before")
-        self.drop(stamp == before, "stamp repeats the message before")
-
 
 def resolve_stamps(raw: Raw, stamps: str, notes: list[str]) -> NDArray[np.int64]:
-    """Time (n,) in ns of each message: the header's, or the log's where headers carry none."""
+    """Return the time (n,) in ns of each message: of its header, or of the log if headers are 0."""
     if not raw.stamp:
         why = f" ({raw.undecodable} cannot be decoded)" if raw.undecodable else ""
         raise BagError(
@@ -77,6 +74,6 @@ def resolve_stamps(raw: Raw, stamps: str, notes: list[str]) -> NDArray[np.int64]
     if np.mean(empty) > 0.5:
         notes.append(f"{raw.topic}: header stamps are zero; the log time is used instead")
         return log
-    # a few zeros among real stamps repeat the time before them, and the sieve drops repeats
+    # A zero among real stamps repeats the stamp before it, and the sieve drops repeated stamps.
     last = np.maximum.accumulate(np.where(empty, int(np.argmin(empty)), np.arange(len(header))))
     return header[last]

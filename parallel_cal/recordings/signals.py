@@ -1,4 +1,4 @@
-"""What one sample was made of: the readings around its dwell, as they were recorded."""
+"""The recorded readings around the dwell of one sample."""
 
 from __future__ import annotations
 
@@ -22,8 +22,11 @@ MARGIN_S = 1.0  # s before and after the dwell
 
 @dataclass(frozen=True)
 class Signals:
-    """Readings around one sample: times (s) from its middle, joints (n, nq) rad or m, measured
-    positions (m, 3) m, both minus the sample's own; `duration` s of the dwell."""
+    """Readings around one sample; times (s) count from its middle.
+
+    `joints` (n, nq) in rad or m and the measured `position` (m, 3) in m are relative to the
+    sample's values. `duration` (s) is the length of the dwell.
+    """
 
     joint_names: tuple[str, ...]
     time: Array
@@ -36,7 +39,7 @@ class Signals:
 def signals(
     dataset: Dataset, number: int, paths: Sequence[str | Path], options: ReadOptions
 ) -> Signals:
-    """Those of a sample of `load_sessions(paths)`; DatasetError where only samples were kept."""
+    """Return the signals of a sample of `load_sessions(paths)`; DatasetError for a sample file."""
     at = list(dataset.numbers).index(number)
     session = dataset.conditions.get("session", np.zeros(len(dataset))).astype(int)
     path = paths[session[at]]
@@ -46,7 +49,7 @@ def signals(
         )
     recording = align_clocks(read_bag(path, options))
     of_it = np.flatnonzero(session == session[at])
-    # In a later session time goes on from the one before.
+    # The time of a session continues from the one before.
     start = 0.0
     if session[at]:
         start = float(dataset.time[of_it[0]] - load_dataset(path, options).time[0])

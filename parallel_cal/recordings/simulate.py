@@ -1,4 +1,4 @@
-"""A session of a robot that does not exist: a model, some effects, poses, noise -> arrays."""
+"""Simulate a measuring session: model, effects, poses and noise give the recorded arrays."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from parallel_cal.recordings.joining import fingerprint
 from parallel_cal.recordings.loading import dataset_from_recording
 from parallel_cal.recordings.recording import JointStream, PoseStream, Recording, ScalarStream
 
-MOVE, DWELL = 0.5, 1.0  # s at a time
-JOINT_RATE, POSES_EVERY = 100, 5  # Hz; the device reports at every fifth reading, 20 Hz
-JITTER = 0.2  # of the noise sigma anew in every message; the noise itself is one draw a dwell
-# kg, changed after so many poses
+MOVE, DWELL = 0.5, 1.0  # s per motion and per dwell
+JOINT_RATE, POSES_EVERY = 100, 5  # Hz; the device reports at every fifth joint reading, 20 Hz
+JITTER = 0.2  # part of the noise sigma drawn for every message; the rest is one draw per dwell
+# The payload (kg) changes after this number of poses.
 PAYLOADS = (0.0, 0.5)
 POSES_PER_PAYLOAD = 5
-# degC, degC, s: the workshop's temperature is a wave
+# The temperature of the workshop is a sine wave.
 MEAN_TEMPERATURE_DEGC = 21.0
 TEMPERATURE_AMPLITUDE_DEGC = 3.0
 TEMPERATURE_PERIOD_S = 180.0
-# Of instruments a model file says nothing about: those of the thesis (sections 2.3.2 and 4.2).
+# Noise if the model file states none: the instruments of the thesis (sections 2.3.2 and 4.2).
 TYPICAL = {"rad": 25 * ARCSEC, "m": 10e-6, "position": 10e-6, "orientation": 15 * ARCSEC}
-MIN_TARGET_DISTANCE = 0.02  # of a joint's travel
-MAX_DRAWS = 20  # draws a pose before the workspace counts as unreachable
+MIN_TARGET_DISTANCE = 0.02  # of a joint's travel, between successive targets
+MAX_DRAWS = 20  # draws per pose before the workspace counts as unreachable
 
 
 @dataclass(frozen=True)
 class Simulation:
-    """What the robot `model` and the device would have published."""
+    """What a robot like `model` and its measuring device would publish."""
 
     model: Model
     recording: Recording
@@ -48,14 +48,17 @@ class Simulation:
         return f"Simulation({self.model!r}, {self.recording!r})"
 
     def dataset(self) -> Dataset:
-        """Its samples, as of a recording of it (`write_bag`)."""
+        """Return its samples; a recording of it (`write_bag`) has the same."""
         samples = dataset_from_recording(self.recording)
         return replace(samples, sha256=fingerprint(samples))
 
 
 def with_effects(model: Model, effects: Iterable[tuple[str, Mapping[str, float]]]) -> Model:
-    """The robot that has these effects too; a number that is not given is its tolerance, one that
-    people know (a mass, a gear's ratio) what it usually is."""
+    """Return the robot with these effects in addition.
+
+    A parameter that is not given has the value of its tolerance, or, if it is known rather than
+    identified (a mass, a gear's ratio), its nominal value.
+    """
     for name, given in effects:
         if all(effect.name != name for effect in model.effects):
             model = model.with_effect(name)
@@ -72,7 +75,7 @@ def with_effects(model: Model, effects: Iterable[tuple[str, Mapping[str, float]]
 
 
 def _matching(model: Model, effect: str, key: str) -> np.ndarray:
-    """`width` means every joint's width, `joint1.width` one, `joint?.width` a pattern."""
+    """Select parameters: `width` is every joint's, `joint1.width` one, `joint?.width` a pattern."""
     names = model.table.names
     tail = any(n.startswith(f"{effect}.") and n.endswith(f".{key}") for n in names)
     exact = f"{effect}.{key}" in names
@@ -136,8 +139,12 @@ def simulate(
         )
     motion = _motion(model, targets)
     if model.structure.phi.shape[0] > len(model.mechanism.moves):
-        # More lines than coordinates: joints must fit each other under the very conditions.
-        motion = _motion(model, _adjust_joints_to_conditions(model, targets, motion))
+        # With more lines than coordinates, the joints depend on each other, and an effect changes
+        # how. Use the joints of the same poses under the conditions at the end of each dwell.
+        last = np.searchsorted(motion.dwell, np.arange(len(targets)), side="right") - 1
+        pose = Kinematics(model).direct(targets)
+        at = {key: column[last] for key, column in motion.at.items()}
+        motion = _motion(model, Kinematics(model).inverse(pose.position, pose.rotation, at).joints)
     stated = stated_noise(model)
     errors = _Errors(model, Noise() if quiet else stated, len(targets), rng)
     joints = JointStream(
@@ -148,25 +155,23 @@ def simulate(
         np.full_like(motion.joints, np.nan),
     )
     measured = _measure_poses(model, motion, errors, np.diag(_pose_sigma(stated) ** 2))
-    return Simulation(model, Recording("simulated", 0, joints, measured, _slow_streams(motion)))
-
-
-def _adjust_joints_to_conditions(model: Model, targets: np.ndarray, motion: _Motion) -> np.ndarray:
-    """The joints (n, nq) of the same poses under the conditions at the end of each dwell."""
-    last = np.searchsorted(motion.dwell, np.arange(len(targets)), side="right") - 1
-    pose = Kinematics(model).direct(targets)
-    at = {key: column[last] for key, column in motion.at.items()}
-    return Kinematics(model).inverse(pose.position, pose.rotation, at).joints
+    slow, payload = np.arange(0.0, motion.time[-1], 1.0), motion.at["payload"]
+    changes = np.flatnonzero(np.diff(payload, prepend=np.nan) != 0)
+    conditions = {
+        "temperature": ScalarStream("temperature", slow, _temperature(slow)),
+        "payload": ScalarStream("payload", motion.time[changes], payload[changes]),
+    }
+    return Simulation(model, Recording("simulated", 0, joints, measured, conditions))
 
 
 def _measure_poses(
     model: Model, motion: _Motion, errors: _Errors, covariance: np.ndarray
 ) -> PoseStream:
-    """What the device reports, with the covariance (6, 6) that it states."""
+    """Return the poses that the device reports, with the covariance (6, 6) that it states."""
     seen = slice(None, None, POSES_EVERY)
     at = {key: column[seen] for key, column in motion.at.items()}
     answer = Kinematics(model).direct(motion.joints[seen], at)
-    # On its straight way between two poses a robot may pass where it has no solution.
+    # On its straight path between two poses, a robot may pass configurations without a solution.
     solved = answer.solved
     position, rotation = errors.add_to_pose(answer.position, answer.rotation, motion.dwell[seen])
     m = int(solved.sum())
@@ -181,32 +186,23 @@ def _measure_poses(
     )
 
 
-def _slow_streams(motion: _Motion) -> dict[str, ScalarStream]:
-    """The temperature (once a second) and the payload (on change)."""
-    slow = np.arange(0.0, motion.time[-1], 1.0)
-    payload = motion.at["payload"]
-    changes = np.flatnonzero(np.diff(payload, prepend=np.nan) != 0)
-    return {
-        "temperature": ScalarStream("temperature", slow, _temperature(slow)),
-        "payload": ScalarStream("payload", motion.time[changes], payload[changes]),
-    }
-
-
 def _separate_neighbours(targets: np.ndarray) -> np.ndarray:
-    """The targets in an order in which two near ones do not follow each other: they would be
-    taken for one long rest."""
+    """Reorder the targets so that two near ones do not follow each other.
+
+    Otherwise they would look like one long dwell.
+    """
     order = targets / np.maximum(np.ptp(targets, axis=0), 1e-12)
     targets = targets.copy()
     for k in range(1, len(order)):
         far = np.abs(order[k:] - order[k - 1]).max(axis=1) > MIN_TARGET_DISTANCE
-        other = k + int(np.argmax(far))  # k itself where it is far, or none is
+        other = k + int(np.argmax(far))  # k itself if it is far, or if none is
         for rows in (order, targets):
             rows[[k, other]] = rows[[other, k]]
     return targets
 
 
 def _targets(model: Model, n: int, rng: np.random.Generator) -> np.ndarray:
-    """Joints (n, nq) of poses in the workspace that the robot reaches within its limits."""
+    """Draw joints (n, nq) of poses in the workspace that the robot reaches within its limits."""
     kinematics, found = Kinematics(model), np.empty((0, len(model.joints)))
     for _ in range(MAX_DRAWS):
         r, R = poses_in_workspace(model.mechanism, n, rng)
@@ -227,7 +223,7 @@ def _targets(model: Model, n: int, rng: np.random.Generator) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Motion:
-    """Time (n,), joints (n, nq), conditions (n,), and which dwell each moment belongs to (n,)."""
+    """Time (n,), joints (n, nq), conditions (n,), and the number of the dwell at each time (n,)."""
 
     time: np.ndarray
     joints: np.ndarray
@@ -236,7 +232,7 @@ class _Motion:
 
 
 def _motion(model: Model, targets: np.ndarray) -> _Motion:
-    """From home to each target (N, nq) in turn, joints in straight lines, a rest at each."""
+    """Move from home to each target (N, nq) in turn, joints in straight lines, and dwell there."""
     stops = np.vstack([model.mechanism.home.joints, targets])
     n = round(len(targets) * (MOVE + DWELL) * JOINT_RATE)
     time = np.arange(n) / JOINT_RATE
@@ -247,8 +243,8 @@ def _motion(model: Model, targets: np.ndarray) -> _Motion:
     moving = part < 1
     at = {"time": time, "temperature": _temperature(time)}
     at["payload"] = np.array(PAYLOADS)[dwell // POSES_PER_PAYLOAD % len(PAYLOADS)]
-    direction = _directions(steps)
-    travel = _compute_travel(steps, direction)[dwell] + part * steps[dwell]
+    direction, travel = _track_reversals(steps)
+    travel = travel[dwell] + part * steps[dwell]
     for j, name in enumerate(model.joints):
         at[f"direction.{name}"] = direction[dwell, j]
         at[f"travel.{name}"] = travel[:, j]
@@ -256,21 +252,16 @@ def _motion(model: Model, targets: np.ndarray) -> _Motion:
     return _Motion(time, joints, at, dwell)
 
 
-def _directions(steps: np.ndarray) -> np.ndarray:
-    """Sign of each joint's last motion, which a joint that does not move keeps."""
-    signs = np.where(np.abs(steps) > 1e-9, np.sign(steps), 0.0)
-    for k in range(1, len(signs)):
-        signs[k] = np.where(signs[k] == 0, signs[k - 1], signs[k])
-    return signs
-
-
-def _compute_travel(steps: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """How far each joint has come since its last reversal when a step (N, nq) begins."""
-    ways = np.zeros(steps.shape)
+def _track_reversals(steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return each joint's direction during a step, and its travel when the step begins (N, nq)."""
+    direction = np.where(np.abs(steps) > 1e-9, np.sign(steps), 0.0)
+    travel = np.zeros(steps.shape)
     for k in range(1, len(steps)):
+        # A joint that does not move keeps the direction of its last motion.
+        direction[k] = np.where(direction[k] == 0, direction[k - 1], direction[k])
         goes_on = direction[k] == direction[k - 1]
-        ways[k] = np.where(goes_on, ways[k - 1] + steps[k - 1], 0.0)
-    return ways
+        travel[k] = np.where(goes_on, travel[k - 1] + steps[k - 1], 0.0)
+    return direction, travel
 
 
 def _temperature(time: np.ndarray) -> np.ndarray:
@@ -281,7 +272,7 @@ def _temperature(time: np.ndarray) -> np.ndarray:
 
 
 class _Errors:
-    """Measurement errors: one draw a dwell, and a fifth of it anew in every message."""
+    """Measurement errors: one draw per dwell, plus a smaller one per message (JITTER)."""
 
     def __init__(self, model: Model, noise: Noise, dwells: int, rng: np.random.Generator):
         self.joint_sigma = np.full(len(model.joints), noise.joint or 0.0)
@@ -304,7 +295,7 @@ class _Errors:
 
 
 def stated_noise(model: Model) -> Noise:
-    """The model's noise, completed by that of typical instruments."""
+    """Return the model's noise, completed with that of typical instruments."""
     unit, own = model.mechanism.joint_unit, model.noise
     return Noise(
         TYPICAL[unit] if own.joint is None else own.joint,
@@ -314,8 +305,10 @@ def stated_noise(model: Model) -> Noise:
 
 
 def with_noise(model: Model) -> Model:
-    """The model with typical noise where it says nothing of joints or of the device; of a device
-    that states one of position and orientation, the other is taken for not measured."""
+    """Return the model with typical noise of the joints and of the device if it states none.
+
+    A device for which only one of position and orientation is stated does not measure the other.
+    """
     own, stated = model.noise, stated_noise(model)
     joint, device = stated.joint, (own.position, own.orientation)
     if device == (None, None) and not model.structure.channels:
@@ -328,7 +321,7 @@ def _pose_sigma(noise: Noise) -> np.ndarray:
 
 
 def document(session: Simulation, poses: int, replicates: int) -> dict[str, Any]:
-    """What was simulated, for the command line: counts, duration in s, the effects' values."""
+    """Describe a simulation for the command line: counts, duration in s, the effects' values."""
     model, joints = session.model, session.recording.joints.time
     start = len(model.mechanism.parameters)
     names: Sequence[str] = model.table.names[start:]

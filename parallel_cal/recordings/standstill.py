@@ -1,4 +1,4 @@
-"""Channels -> one sample per standstill, and the reason for each standstill that is not used."""
+"""Make one sample per standstill, with the reason for each standstill that is not used."""
 
 from __future__ import annotations
 
@@ -22,9 +22,16 @@ from parallel_cal.recordings.windows import Dwell, make_dwell
 
 
 def standstill_samples(recording: Recording, options: SampleOptions, tolerance: Array) -> Samples:
-    """One sample per standstill, and the reason for each that is not used."""
+    """Return one sample per standstill, and the reason for each that is not used."""
     joints, pose = recording.joints, recording.pose
-    found = Samples("dwell", [], tolerance, [], _too_slow(joints, options))
+    found = Samples("dwell", [], tolerance, [])
+    if joints.period > options.min_dwell:  # short standstills look like motion
+        text = (
+            f"{joints.topic}: one message per {joints.period:.2g} s; only standstills of "
+            f"{10 * joints.period:.2g} s or more are detected reliably. Publish faster, or stand "
+            "still longer"
+        )
+        found.warnings.append(KeyedWarning(text, "slow joint states", joints.topic))
     intervals = still_intervals(
         joints.time, joints.position, tolerance, options.min_dwell / 3, max_gap(joints, options)
     )
@@ -49,20 +56,8 @@ def standstill_samples(recording: Recording, options: SampleOptions, tolerance: 
     return found
 
 
-def _too_slow(joints: JointStream, options: SampleOptions) -> list[str]:
-    """A sentence if the readings come so rarely that short standstills look like motion."""
-    if joints.period <= options.min_dwell:
-        return []
-    text = (
-        f"{joints.topic}: one message per {joints.period:.2g} s; only standstills of "
-        f"{10 * joints.period:.2g} s or more are detected reliably. Publish faster, or stand still "
-        "longer"
-    )
-    return [KeyedWarning(text, "slow joint states", joints.topic)]
-
-
 def _min_pose_messages(windows: list[Dwell], options: SampleOptions, warnings: list[str]) -> int:
-    """How many pose messages a dwell needs: 3, or 1 for a device that is triggered once a pose."""
+    """Return how many pose messages a dwell needs: 3, or 1 if the device is triggered per pose."""
     if options.min_pose_messages is not None:
         return max(1, options.min_pose_messages)
     counts = [len(w.poses) for w in windows if len(w.poses)]
@@ -81,7 +76,7 @@ def _unusable(
     tolerance: Array,
     minimum: int,
 ) -> tuple[str, str] | None:
-    """(reason, detail) if the dwell cannot be used."""
+    """Return (reason, detail) if the dwell cannot be used."""
     joints, pose = recording.joints, recording.pose
     whole = slice(dwell.interval.first, dwell.interval.last + 1)
     length = joints.time[dwell.interval.last] - joints.time[dwell.interval.first]
@@ -133,7 +128,7 @@ def _dwell_sample(joints: JointStream, pose: PoseStream, dwell: Dwell) -> Sample
 
 
 def _mean_pose(pose: PoseStream, dwell: Dwell) -> dict[str, Array]:
-    """The averages of a dwell's pose messages; placeholders where there are none."""
+    """Average a dwell's pose messages; return placeholders if there are none."""
     at = dwell.poses
     if not len(at):
         nothing = {"pose_cov": np.full((6, 6), np.nan), "scatter_pose": np.full(6, np.nan)}
@@ -154,7 +149,7 @@ def _report_lonely_poses(
     """Report poses outside every dwell, if the device gives single poses rather than a stream."""
     period = np.median(np.diff(pose.time)) if len(pose.time) > 1 else np.inf
     if period < options.min_dwell:
-        return  # a stream: most of the messages between dwells were never meant
+        return  # in a stream, messages between dwells are expected
     used = np.zeros(len(pose.time), bool)
     for dwell in windows:
         a, b = np.searchsorted(pose.time, [dwell.start, dwell.end])

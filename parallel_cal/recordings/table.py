@@ -1,6 +1,7 @@
 """A table in a text file: a header and rows, read as numbers by column.
 
-Cells are apart by commas, semicolons or tabs; decimals by a point, or a comma where cells are not.
+Commas, semicolons or tabs separate the cells. The decimal sign is a point, or a comma if commas do
+not separate the cells.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from parallel_cal.base.units import UNIT_ALIASES, UNITS
 
 @dataclass(frozen=True)
 class Table:
-    """The header's names, the rows of a table as text, and the line each stands in."""
+    """The header of a table, its rows as text, and the line number of each row."""
 
     path: Path
     header: list[str]
@@ -30,17 +31,17 @@ class Table:
     decimal: str = "."
 
     def find(self, name: str) -> str | None:
-        """The header's word for a column: the same, or the same and a unit (`x [mm]`, `x_mm`)."""
+        """Return the header's word for a column: its name, or name and unit (`x [mm]`, `x_mm`)."""
         if name in self.header:
             return name
         return next((word for word in self.header if split_unit(word)[0] == name), None)
 
     def select(self, rows: Sequence[int]) -> Table:
-        """Some of its rows, in that order."""
+        """Return the table with some rows, in this order."""
         return replace(self, rows=[self.rows[k] for k in rows], lines=[self.lines[k] for k in rows])
 
     def drop_empty_rows(self) -> Table:
-        """Without rows that hold nothing; DatasetError where a cell is missing or a name twice."""
+        """Return the table without empty rows; DatasetError for a missing cell or repeated name."""
         kept = [k for k, row in enumerate(self.rows) if any(map(str.strip, row))]
         if not kept:
             raise DatasetError(f"{self.path}: expected a header line and rows, found only 1 line")
@@ -55,17 +56,17 @@ class Table:
         return self.select(kept)
 
     def texts(self, name: str) -> list[str]:
-        """A column's cells; empty in rows that are shorter or longer than the header."""
+        """Return a column's cells; empty in rows whose length differs from the header's."""
         column, width = self.header.index(name), len(self.header)
         return [row[column].strip() if len(row) == width else "" for row in self.rows]
 
     def column(self, name: str) -> np.ndarray:
-        """(N,) numbers, NaN for what is none."""
+        """Return a column's numbers (N,); NaN for a cell that is not a number."""
         texts = (text.replace(self.decimal, ".") for text in self.texts(name))
         return np.array([_number(text) for text in texts], dtype=float)
 
     def numbers(self, names: Sequence[str]) -> np.ndarray:
-        """(N, len(names)); DatasetError at the first cell that is not a finite number."""
+        """Return (N, len(names)); DatasetError at the first cell that is not a finite number."""
         for name in names:
             for k in np.flatnonzero(~np.isfinite(self.column(name))):
                 raise DatasetError(
@@ -77,8 +78,10 @@ class Table:
 
 
 def read_table(path: Path) -> Table:
-    """A table with a header line, empty and leading `#` lines skipped; DatasetError where it is
-    none."""
+    """Read a table with a header line; skip empty lines and leading `#` lines.
+
+    DatasetError if the file is not such a table.
+    """
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
@@ -103,7 +106,7 @@ def read_table(path: Path) -> Table:
 
 
 def split_unit(word: str) -> tuple[str, str | None]:
-    """`x [mm]`, `x (mm)`, `x_mm`, `x/mm` or `x mm` as name and unit; (word, None) without one."""
+    """Split `x [mm]`, `x (mm)`, `x_mm`, `x/mm` or `x mm`; (word, None) if there is no unit."""
     match = re.fullmatch(r"(.+?)\s*(?:\[(.+)\]|\((.+)\)|[_/ ]\s*([^_/ ]+))", word)
     if match is None:
         return word, None

@@ -1,4 +1,4 @@
-"""Which topic of a recording serves which channel, by name and by message type."""
+"""Choose the topic of each channel of a recording, by name and by message type."""
 
 from __future__ import annotations
 
@@ -14,15 +14,17 @@ Types = tuple[str, ...]
 POSES = CHANNELS["measured_pose"].types
 POINTS = CHANNELS["measured_position"].types
 
-# a topic named like this is what the robot was told or what a model computed, not a measurement
+# Topics with these words in their name are commands or computed by a model, not measured.
 NOT_MEASUREMENTS = ("target", "command", "goal", "desired", "setpoint", "kinematics")
 
 
 def choose_topics(
     available: Sequence[TopicInfo], topics: Mapping[str, str], notes: list[str]
 ) -> dict[str, TopicInfo]:
-    """The topic of each channel that has one, of those that hold poses one at most; BagError
-    without joints, or without anything measured."""
+    """Return the topic of each channel that has one, and at most one topic of poses.
+
+    BagError if there are no joints, or nothing measured.
+    """
     names = {channel: topics.get(channel, channel) for channel in CHANNELS}
     offer = _Offer(available, notes)
     joints = CHANNELS["joint_states"].types
@@ -30,7 +32,7 @@ def choose_topics(
 
     def choose(kind: Kind) -> None:
         for channel in list_channels(kind):
-            # Where a type serves for many things, only the name tells that these are meant.
+            # If a message type has many uses, only the topic's name identifies the channel.
             guess, types = not CHANNELS[channel].by_name, CHANNELS[channel].types
             if found := offer.optional(channel, names[channel], types, guess):
                 chosen[channel] = found
@@ -44,7 +46,7 @@ def choose_topics(
 
 
 def _pose(offer: _Offer, names: Mapping[str, str], needed: bool) -> TopicInfo | None:
-    """The pose device's topic; where another sensor was recorded, only by its name."""
+    """Return the pose device's topic; only by its name if another sensor was recorded."""
     pose = offer.find_named(names["measured_pose"], POSES)
     point = offer.find_named(names["measured_position"], POINTS + POSES)
     if pose and point:
@@ -72,13 +74,13 @@ def _pose(offer: _Offer, names: Mapping[str, str], needed: bool) -> TopicInfo | 
 
 @dataclass(frozen=True)
 class _Offer:
-    """The topics there are, and notes of those that were guessed."""
+    """The topics of a recording, and notes about guessed ones."""
 
     available: Sequence[TopicInfo]
     notes: list[str]
 
     def find_named(self, name: str, types: Types) -> TopicInfo | None:
-        """The topic of that name, None if absent or empty; BagError if its type is another."""
+        """Return the topic of this name, or None; BagError if its type does not fit."""
         found = [t for t in self.available if name and t.name.strip("/") == name.strip("/")]
         fitting = [t for t in found if t.type in types]
         if found and not fitting:
@@ -89,7 +91,7 @@ class _Offer:
         return max(fitting, key=lambda t: t.count, default=None)
 
     def optional(self, channel: str, name: str, types: Types, guess: bool) -> TopicInfo | None:
-        """The named topic; by a default name, where one may `guess`, the only one of that type."""
+        """Return the named topic; with a default name and `guess`, the only one of its type."""
         found = self.find_named(name, types)
         if found and found.count:
             return found
@@ -119,7 +121,7 @@ class _Offer:
         return None
 
     def require(self, channel: str, name: str, types: Types, hint: str = "") -> TopicInfo:
-        """The same, but a channel without topic is a BagError."""
+        """Return the topic as `optional` does; BagError if there is none."""
         found = self.optional(channel, name, types, guess=True)
         if found is None:
             raise BagError(

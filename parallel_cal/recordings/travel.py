@@ -1,4 +1,4 @@
-"""How far a joint has come since it last turned back."""
+"""The travel of a joint: its signed distance since the last reversal."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ def travel(
     direction: NDArray[np.int64],
     threshold: Array,
 ) -> Array:
-    """Signed way (N, nq) of each joint since its last reversal, up to the sample's `level`.
+    """Return the signed distance (N, nq) from each joint's last reversal to the sample's `level`.
 
-    `direction` (N, nq) is that of the last motion, as `dwells.approach` tells it; way back by no
-    more than `threshold` (nq,) is noise and no reversal. 0 where the joint never moved.
+    `direction` (N, nq) is the direction of the last motion, from `dwells.approach`. A motion back
+    by at most `threshold` (nq,) is noise, not a reversal. 0 if the joint never moved.
     """
-    ways = np.zeros(level.shape)
+    distance = np.zeros(level.shape)
     for i, end in enumerate(at):
         for j in np.flatnonzero(direction[i]):
             behind = direction[i, j] * (level[i, j] - q[:end, j])
-            ways[i, j] = direction[i, j] * _since_reversal(behind, threshold[j])
-    return ways
+            distance[i, j] = direction[i, j] * _since_reversal(behind, threshold[j])
+    return distance
 
 
 def _since_reversal(behind: Array, threshold: float) -> float:
-    """How far `behind` (n,) the readings were at the last reversal; looks back in growing steps.
+    """Return how far `behind` (n,) the joint was at its last reversal; look back in growing steps.
 
-    Going back in time the joint falls further behind, until it comes nearer again.
+    Back in time, the distance grows until the reversal and then shrinks again.
     """
     step = 256
     while True:

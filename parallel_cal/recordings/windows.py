@@ -1,4 +1,4 @@
-"""A standstill under examination: what was read, measured and said during its calm part."""
+"""Cut the calm part out of a standstill, with its readings, poses and constraints."""
 
 from __future__ import annotations
 
@@ -14,9 +14,12 @@ from parallel_cal.recordings.recording import Bools, Recording
 
 @dataclass
 class Dwell:
-    """A standstill under examination: its readings, its pose messages and what they measure,
-    the words that held the tip meanwhile and what other sensors showed (m). Messages that measure
-    `less` than most are not among its poses."""
+    """The calm part of a standstill.
+
+    `readings` and `poses` select its joint readings and pose messages, and `measured` says what the
+    poses measure. Messages in `less` measure fewer coordinates and are not used. `held` are the
+    constraints of the tip in their order, and `shown` the means of other sensors (m).
+    """
 
     interval: Interval
     start: float
@@ -30,14 +33,14 @@ class Dwell:
 
 
 def make_dwell(recording: Recording, interval: Interval, options: SampleOptions) -> Dwell:
-    """The trimmed part of an interval: the robot settles at its start and may leave at its end."""
+    """Trim an interval: the robot settles at its start, and may leave before its end."""
     joints, pose = recording.joints, recording.pose
     start = joints.time[interval.first] + options.trim_start
     end = joints.time[interval.last] - options.trim_end
     a, b = np.searchsorted(joints.time, [start, end])
     c, d = np.searchsorted(pose.time, [start, end])
     poses = np.arange(c, max(c, d))
-    # a coordinate counts as measured when most messages measure it; the others are left out
+    # A coordinate counts as measured if most messages measure it; the others are not used.
     measured = pose.measured[poses].mean(axis=0) > 0.5 if len(poses) else np.zeros(6, bool)
     enough = (pose.measured[poses] | ~measured).all(axis=1)
     readings = slice(int(a), int(max(a, b)))

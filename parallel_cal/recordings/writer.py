@@ -1,4 +1,4 @@
-"""A simulated session or messages -> a recording; the only file that writes a bag."""
+"""Write a simulated session or messages as a recording; the only module that writes a bag."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ import numpy as np
 
 from parallel_cal.base.errors import BagError
 from parallel_cal.recordings.channels import CHANNELS
-from parallel_cal.recordings.recording import PoseStream
 
 if TYPE_CHECKING:
     from parallel_cal.recordings.simulate import Simulation
 
-START = 1_767_225_600_000_000_000  # 2026-01-01 00:00:00 UTC, in ns: equal seeds, equal files
+START = 1_767_225_600_000_000_000  # ns, 2026-01-01 00:00:00 UTC: equal seeds give equal files
 STORAGES = ("mcap", "sqlite3")
 WRITTEN_CHANNELS = ("payload", "temperature", "joint_states", "measured_pose")
 
@@ -64,7 +63,7 @@ def write_messages(
     messages: Iterable[tuple[str, int, Any]],
     latched: Container[str],
 ) -> None:
-    """Write (topic, stamp in ns, serialized) as one MCAP file; `kinds` are the topics' types."""
+    """Write messages (topic, stamp in ns, bytes) as an MCAP file; `kinds` are the topics' types."""
     _write(Path(path), kinds, messages, latched, "mcap", lambda folder: next(folder.glob("*.mcap")))
 
 
@@ -76,13 +75,13 @@ def _write(
     storage: str,
     wanted: Callable[[Path], Path],
 ) -> None:
-    """Whole or not at all; `wanted` is the folder or what of it takes the target's name."""
+    """Write completely or not at all; `wanted` selects what is moved to the target."""
     if target.exists():
         raise BagError(f"{target}: already exists; remove it or give another name")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=target.parent, prefix=".bag") as scratch:
-            # A bag's data file carries its folder's name.
+            # The writer names the data file after its folder.
             folder = Path(scratch) / target.name
             _record(folder, kinds, messages, latched, storage)
             shutil.move(wanted(folder), target)
@@ -101,7 +100,7 @@ def _record(
 
     store = Messages().store
     writer = Writer(folder, version=9, storage_plugin=StoragePlugin[storage.upper()])
-    if storage == "mcap":  # inside the file; sqlite3 can only be packed as a whole
+    if storage == "mcap":  # compresses within the file; sqlite3 could only be packed as a whole
         writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
     with writer:
         topics = {
@@ -115,7 +114,7 @@ def _record(
 
 
 def _quality(latched: bool) -> Any:
-    """Reliable; a latched topic also reaches whoever subscribes late."""
+    """Return a reliable quality of service; a latched topic also reaches late subscribers."""
     from rosbags import interfaces as qos
 
     forever, durability = qos.QosTime(9223372036, 854775807), qos.QosDurability
@@ -133,7 +132,7 @@ def _quality(latched: bool) -> Any:
 
 
 class Messages:
-    """What messages are made of, without ROS."""
+    """Makes ROS messages without ROS."""
 
     @cached_property
     def store(self) -> Any:
@@ -159,20 +158,25 @@ class Messages:
         return self.kind("geometry_msgs/Pose")(self.point(position), turn)
 
     def joint_state(self, stamp: int, names: Sequence[str], q: np.ndarray) -> Any:
-        """Position only: an encoder knows neither velocity nor effort."""
+        """Return a joint state with positions only: an encoder knows no velocity or effort."""
         kind, nothing = self.kind("sensor_msgs/JointState"), np.zeros(0)
         return kind(self.header(stamp), list(names), q, nothing, nothing)
 
 
 class _Session(Messages):
-    """A session's arrays as ROS messages."""
+    """Makes the ROS messages of a simulated session."""
 
     def of(self, session: Simulation) -> Iterator[tuple[int, str, Any]]:
-        """(stamp in ns, topic, message), topic by topic."""
+        """Yield (stamp in ns, topic, message), topic by topic."""
         recording, platform = session.recording, session.model.frames["platform"]
         payload, temperature = (recording.conditions[name] for name in ("payload", "temperature"))
         for time, mass in zip(_stamps(payload.time), payload.value, strict=True):
-            yield time, "payload", self._payload(time, platform, float(mass))
+            # A point mass at the platform's origin.
+            inertia = self.kind("geometry_msgs/Inertia")(
+                float(mass), self.vector(np.zeros(3)), *[0.0] * 6
+            )
+            stamped = self.kind("geometry_msgs/InertiaStamped")
+            yield time, "payload", stamped(self.header(time, platform), inertia)
         for time, warmth in zip(_stamps(temperature.time), temperature.value, strict=True):
             air = self.kind("sensor_msgs/Temperature")
             yield time, "temperature", air(self.header(time), float(warmth), 0.01)
@@ -180,21 +184,13 @@ class _Session(Messages):
         for time, q in zip(_stamps(joints.time), joints.position, strict=True):
             yield time, "joint_states", self.joint_state(time, joints.names, q)
         for i, time in enumerate(_stamps(pose.time)):
-            yield time, "measured_pose", self._measured(time, pose, i)
-
-    def _measured(self, stamp: int, poses: PoseStream, i: int) -> Any:
-        pose, stated = self.pose(poses.position[i], poses.quaternion[i]), poses.covariance[i]
-        inner = self.kind("geometry_msgs/PoseWithCovariance")(pose, stated.ravel())
-        return self.kind("geometry_msgs/PoseWithCovarianceStamped")(
-            self.header(stamp, poses.frame), inner
-        )
-
-    def _payload(self, stamp: int, frame: str, mass: float) -> Any:
-        """A point mass on the platform."""
-        inertia = self.kind("geometry_msgs/Inertia")(mass, self.vector(np.zeros(3)), *[0.0] * 6)
-        return self.kind("geometry_msgs/InertiaStamped")(self.header(stamp, frame), inertia)
+            measured = self.kind("geometry_msgs/PoseWithCovariance")(
+                self.pose(pose.position[i], pose.quaternion[i]), pose.covariance[i].ravel()
+            )
+            stamped = self.kind("geometry_msgs/PoseWithCovarianceStamped")
+            yield time, "measured_pose", stamped(self.header(time, pose.frame), measured)
 
 
 def _stamps(time: np.ndarray) -> list[int]:
-    """Seconds since the start as time stamps, exact to the microsecond."""
+    """Return seconds since the start as time stamps in ns, rounded to microseconds."""
     return [START + round(1e6 * t) * 1000 for t in time.tolist()]
