@@ -1,1 +1,1 @@
-"""The calibrated model as others compute it: controllers, tables, files of other tools."""
+"""Export the calibrated model to controllers, tables and files of other tools."""

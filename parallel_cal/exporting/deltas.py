@@ -1,4 +1,4 @@
-"""Deltas put into the numbers of firmwares: towers and shoulders, alike or each its own."""
+"""Express Deltas in the numbers of firmwares: towers or shoulders, equal or different."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from parallel_cal.exporting.projection import Array, Bed, Frame, Machine, fit_nu
 from parallel_cal.importing.deltas import Shoulders, Towers, are_counter_clockwise
 from parallel_cal.model.model import Model
 
-TOWERS = np.radians([210.0, 330.0, 90.0])  # where firmwares have them, about z
+TOWERS = np.radians([210.0, 330.0, 90.0])  # about z, as in firmwares
 LINEAR, ROTARY = ("linear_delta",), ("delta24", "delta54", "delta_nominal")
-MAX_TOWER_TRIM = np.radians(15)  # of its place a tower is trimmed, further off the frame is turned
+MAX_TOWER_TRIM = np.radians(15)  # a tower further from its place turns the whole frame
 UPSIDE_DOWN = np.diag([1.0, -1.0, -1.0])
 
 
 @dataclass(frozen=True)
 class Chains:
-    """A Delta's chains in a firmware's order and coordinates, arms' angles upwards (m, rad)."""
+    """A Delta's chains in a firmware's order and frame (m, rad); angles of arms count upwards."""
 
     frame: Frame
     stops: Array  # readings at the end-stops, in the model's order
@@ -31,22 +31,23 @@ class Chains:
     homed: Array
     arms: Array
     tilt: tuple[float, float]
-    bed: Bed | None  # where a probe touched it
+    bed: Bed | None  # known if a probe touched it
 
     def machine(self, delta: Towers | Shoulders, origin: Array | None = None) -> Machine:
-        """The firmware with these numbers, its origin shifted from the frame's by `origin`."""
+        """Return the firmware with these numbers; `origin` shifts its origin from the frame's."""
         moved = self.frame.origin + (0 if origin is None else origin)
         return Machine(delta, replace(self.frame, origin=moved), self.stops)
 
 
 def chains_of(model: Model, places: Array | None) -> Chains:
-    """The chains of a Delta whose towers shall be near `places` (3,) rad; None: wherever they are.
+    """Return the chains of a Delta for a firmware whose towers are near `places` (3,) in rad.
 
-    Without `places` the frame is not turned about z, and the chains are in the model's order, or
-    1, 3, 2 where only this order is counter-clockwise seen from above in the firmware's frame.
+    Without `places`, the towers may be anywhere. The frame is then not turned about z, and the
+    chains are in the model's order, or in the order 1, 3, 2 if only this is counter-clockwise seen
+    from above in the firmware's frame.
 
-    Height 0 is the plate of a sensor `probe`; else {B}'s, or where z of {B} points down the far end
-    of the workspace.
+    Height 0 is the plate of a sensor `probe`. Without a probe, it is the origin of {B}, or, if z of
+    {B} points down, the far end of the workspace.
     """
     model = model.widen() if model.mechanism.name == "delta_nominal" else model
     m, linear = model.mechanism, model.mechanism.name in LINEAR
@@ -70,12 +71,11 @@ def chains_of(model: Model, places: Array | None) -> Chains:
     if height is None:
         height = m.workspace.high[2] if down else 0.0
     angles, planned = (-each if down else each for each in (angles, planned))
-    turn = 0.0 if places is None else _turn(planned, places)
-    angles = angles - turn
     if places is None:
-        order = (0, 1, 2) if are_counter_clockwise(planned) else (0, 2, 1)
+        turn, order = 0.0, (0, 1, 2) if are_counter_clockwise(planned) else (0, 2, 1)
     else:
-        order = _order(planned - turn, places)
+        turn, order = _match_places(planned, places)
+    angles = angles - turn
     axes = (UPSIDE_DOWN if down else np.eye(3)) @ rotation_matrix(np.array([0.0, 0.0, turn]))
     slope = np.eye(3)
     slope[2, :2] = tilt
@@ -94,7 +94,7 @@ def chains_of(model: Model, places: Array | None) -> Chains:
 
 
 def towers(model: Model, places: Array | None, tilted: bool) -> tuple[Towers, Chains]:
-    """One radius; rods, angles and end-stops of each tower; `tilted`: and the plate's slopes."""
+    """Fit one radius, rods, angles and end-stops, and, if `tilted`, the plate's slopes."""
     c = chains_of(model, places)
 
     def made(v: Array) -> Towers:
@@ -108,8 +108,7 @@ def towers(model: Model, places: Array | None, tilted: bool) -> tuple[Towers, Ch
 
 
 def shoulders(model: Model, places: Array | None, level: bool) -> tuple[Shoulders, Chains]:
-    """One radius; arms, rods, angles, end-stops of each chain, and heights unless they are
-    `level`."""
+    """Fit one radius, arms, rods, angles and end-stops, and one height (`level`) or three."""
     c = chains_of(model, places)
 
     def made(v: Array) -> Shoulders:
@@ -123,7 +122,7 @@ def shoulders(model: Model, places: Array | None, level: bool) -> tuple[Shoulder
 
 
 def fit_equal_towers(model: Model, places: Array) -> tuple[Towers, Machine]:
-    """Equal towers at `places`, each with its end-stop, about an origin of their own."""
+    """Fit equal towers at `places`, an end-stop for each, and the origin."""
     c = chains_of(model, places)
 
     def machine(v: Array) -> Machine:
@@ -137,8 +136,10 @@ def fit_equal_towers(model: Model, places: Array) -> tuple[Towers, Machine]:
 
 
 def fit_equal_shoulders(model: Model, places: Array, one_stop: bool) -> tuple[Shoulders, Machine]:
-    """Equal chains at `places` about an origin in the plane of their motors; `one_stop`: all
-    end-stops at one angle."""
+    """Fit equal chains at `places` about an origin in the plane of their motors.
+
+    With `one_stop`, all end-stops are at one angle.
+    """
     c = chains_of(model, places)
 
     def machine(v: Array) -> Machine:
@@ -161,7 +162,7 @@ def _read_three(model: Model, name: str) -> Array:
 
 
 def _angles(model: Model) -> Array:
-    """Where the chains stand, (3,) rad about z of {B}."""
+    """Return the directions (3,) of the chains, in rad about z of {B}."""
     if model.mechanism.name not in LINEAR:
         return _read_three(model, "theta")
     around = model.mechanism.options.get("direction", 0.0) + np.arange(3) * 2 * np.pi / 3
@@ -169,7 +170,7 @@ def _angles(model: Model) -> Array:
 
 
 def _plate(model: Model) -> tuple[float | None, tuple[float, float]]:
-    """Height and slopes in x and y of the plate that a probe touches."""
+    """Return height and slopes in x and y of the plate that a probe touches."""
     for sensor in model.sensors:
         if sensor.name == "probe":
             z, rx, ry = (model.value(f"probe.plate.{name}") for name in ("z", "rx", "ry"))
@@ -178,17 +179,14 @@ def _plate(model: Model) -> tuple[float | None, tuple[float, float]]:
 
 
 def _wrap_angles(angles: Array) -> Array:
-    """From -half to half a turn."""
+    """Wrap angles to -pi ... pi."""
     return np.asarray((angles + np.pi) % (2 * np.pi) - np.pi)
 
 
-def _order(angles: Array, places: Array) -> tuple[int, int, int]:
-    away = np.abs(_wrap_angles(angles - places[:, None]))
-    a, b, c = (int(i) for i in away.argmin(axis=1))
-    return a, b, c
-
-
-def _turn(angles: Array, places: Array) -> float:
-    """By how much (rad, about z) the firmware's frame is turned for its towers to be there."""
+def _match_places(angles: Array, places: Array) -> tuple[float, tuple[int, int, int]]:
+    """Return the turn (rad about z) of the firmware's frame, and the chain at each place."""
     near = (np.abs(_wrap_angles(angles - places[:, None])).min(axis=0) < MAX_TOWER_TRIM).all()
-    return 0.0 if near else float(angles[0] - places[0])
+    turn = 0.0 if near else float(angles[0] - places[0])
+    away = np.abs(_wrap_angles(angles - turn - places[:, None]))
+    a, b, c = (int(i) for i in away.argmin(axis=1))
+    return turn, (a, b, c)

@@ -1,4 +1,4 @@
-"""Numbers in somebody's configuration: each where it counts, comments and order kept."""
+"""Edit values in configuration files, and keep comments and order."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from parallel_cal.importing.settings import Settings
 
 
 def format_settings(settings: Mapping[str, str]) -> str:
-    """A file with these settings alone: fields `M665 L`, `[section] key`, `$641` or `pin.name`."""
+    """Format a file of settings; fields are `M665 L`, `[section] key`, `$641` or `pin.name`."""
     found = []
     for head, group in groupby(settings, _head):
         fields = list(group)
@@ -29,12 +29,16 @@ def format_settings(settings: Mapping[str, str]) -> str:
 def edit_files(
     stated: Settings, settings: Mapping[str, str], files: Sequence[Path]
 ) -> dict[Path, str]:
-    """The texts of `files` with these settings: where one was stated last, else beside its
-    neighbours, else at the last file's end."""
+    """Return the texts of `files` with new settings.
+
+    A setting replaces its last value. A new one is inserted next to settings of the same command or
+    section, or at the end of the last file.
+    """
     lines = {path: read_verbatim(path).splitlines(keepends=True) for path in files}
     places = {field: (place.path, place.line - 1) for field, (_, place) in stated.texts.items()}
     for field, value in settings.items():
-        path, k = places.get(field) or _neighbour(field, places) or (None, 0)
+        near = [place for other, place in places.items() if _head(other) == _head(field)]
+        path, k = places.get(field) or (near[-1] if near else (None, 0))
         if path is None:
             end = lines[files[-1]]
             end.append(
@@ -51,14 +55,14 @@ def edit_files(
 
 
 def read_verbatim(path: Path) -> str:
-    """The text of a file, its line ends kept."""
-    read_text(path)  # which refuses what is no plain file
+    """Read the text of a file with its line ends."""
+    read_text(path)  # refuses anything but a plain file
     with path.open(encoding="utf-8", newline="") as stream:
         return stream.read()
 
 
 def _head(field: str) -> str:
-    """`M665`, `[section]`, `$`, or the pin's component: what stands together."""
+    """Return the group of a field: `M665`, `[section]`, `$`, or the pin's component."""
     return re.match(r"\[[^\]]*\]|[GM]\d+(?= )|\$|[^.]*", field)[0]  # type: ignore[index]
 
 
@@ -67,7 +71,7 @@ def _key(field: str) -> str:
 
 
 def _line(field: str, value: str) -> str:
-    """How a setting is written, without what stands before it in its line or section."""
+    """Format a setting without its command or section."""
     if field[0] in "GM":
         return _key(field) + value
     if field[0] == "[":
@@ -75,16 +79,10 @@ def _line(field: str, value: str) -> str:
     return f"{field}={value}" if field[0] == "$" else f"setp {field} {value}"
 
 
-def _neighbour(field: str, places: Mapping[str, tuple[Path, int]]) -> tuple[Path, int] | None:
-    """The last place of a setting that stands with this one."""
-    near = [place for other, place in places.items() if _head(other) == _head(field)]
-    return near[-1] if near else None
-
-
 def _replace_value(line: str, field: str, old: str, new: str) -> str:
-    """With another value at the last place of a line that is no comment."""
+    """Replace a field's value at its last place in a line outside comments."""
     begins = "" if field[0] == "$" else r"(?<![\w.])"
-    signal = re.match(r"\s*sets\s+(\S+)", line)  # of LinuxCNC, led to the pin
+    signal = re.match(r"\s*sets\s+(\S+)", line)  # of LinuxCNC, connected to the pin
     key = re.escape(signal[1] if signal else _key(field))
     pattern = rf"(?i){begins}{key}(\s*[:=]?\s*){re.escape(old)}(?![\w.])"
     comment = r"\([^)]*\)|;.*" if field[0] in "GM" else r"(?<=\s)[#;].*"
@@ -96,7 +94,7 @@ def _replace_value(line: str, field: str, old: str, new: str) -> str:
 
 
 def _insert_setting(line: str, field: str, value: str) -> str:
-    """A word more in a command, or a line more after this one."""
+    """Add a word to a command, or a line after this one."""
     if field[0] in "GM":
         command, comment = re.fullmatch(r"([^;(\r\n]*?)(\s*(?:[;(].*)?\s*)", line, re.S).groups()  # type: ignore[union-attr]
         return f"{command} {_line(field, value)}{comment}"

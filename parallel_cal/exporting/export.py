@@ -1,4 +1,4 @@
-"""A model as files for somebody else, by the name of a target."""
+"""Export a model as files for a controller or a program, by the name of a target."""
 
 from __future__ import annotations
 
@@ -28,8 +28,11 @@ SHELF = "exporting.targets"
 
 @dataclass(frozen=True)
 class ExportResult:
-    """The files that were written; where a firmware has its own, fewer numbers: what it loses, what
-    it lost with the numbers it had, heights at touches of its bed, and what else to know."""
+    """The written files.
+
+    For a firmware, `loss` is the loss of accuracy by its numbers, `before` the loss with its old
+    numbers, `heights` the heights at touches of its bed, and `remarks` are further notes.
+    """
 
     paths: list[Path]
     loss: Mapping[str, Any] | None = None
@@ -53,21 +56,21 @@ def export(
     target : str
         `"NAME"` or `"NAME:option=value,..."`, such as `"c"`, `"urdf"`, `"klipper"`; a Python path
         names your own. A target is a module with a function
-        `files(model, option=default, ...) -> {name: text}`, or one of a firmware: the mechanisms
-        that it `HOLDS`, `project(model)` and `firmware(settings(paths))`.
+        `files(model, option=default, ...) -> {name: text}`. The module of a firmware has instead
+        the mechanisms that it `HOLDS`, `project(model)` and `firmware(settings(paths))`.
     folder : str or Path
     touches : Touches, optional
         Samples of a bed probe. The heights at the touches are computed by the firmware's formula.
 
     Returns
     -------
-    Exported
+    ExportResult
         `paths` of the files, `loss` of accuracy (m, rad), `remarks`.
 
     Raises
     ------
     ModelError
-        If the target is unknown or cannot hold this model.
+        If the target is unknown or cannot represent this model.
 
     Examples
     --------
@@ -95,7 +98,10 @@ def export(
         made |= {file: format_settings(numbers) for file, numbers in projection.settings.items()}
         heights = None if touches is None else bed_heights(robot, None, found, touches)
         result = ExportResult([], loss(robot, found), None, _remarks(robot, projection), heights)
-    result.paths.extend(_write_files(Path(folder), made))
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    for file, text in made.items():
+        write_atomically(Path(folder) / file, text)
+        result.paths.append(Path(folder) / file)
     return result
 
 
@@ -107,17 +113,19 @@ def export_into(
     touches: Touches | None = None,
     force: bool = False,
 ) -> ExportResult:
-    """Put a firmware's numbers into its own configuration files, comments and order kept; what they
-    were stays beside them as `NAME.previous`.
+    """Write a firmware's numbers into its own configuration files, and keep comments and order.
 
-    ModelError, and no file is changed, where heights at `touches` of the bed get worse, unless
-    somebody insists (`force`).
+    The old files remain as `NAME.previous`. If the heights at `touches` of the bed get worse, no
+    file is changed and the result is a ModelError, unless `force` is set.
     """
     module, robot = load_module(SHELF, target), model.robot()
     if not _holds(module, model):
         raise _refusal(target, module, model)
     stated: Settings = module.settings(files)
-    later = _read_later(module, files)
+    # Files that the firmware reads after these: their values override the new ones.
+    given = {file.resolve() for file in files}
+    later: list[Path] = module.read_later(files) if hasattr(module, "read_later") else []
+    later = [path for path in later if path.resolve() not in given]
     now = module.firmware(module.settings([*files, *later]))
     projection, found = _project(target, module, robot)
     if type(now) is not type(found.firmware):
@@ -154,14 +162,8 @@ def export_into(
     return ExportResult(list(texts), after, before, remarks, heights)
 
 
-def _read_later(module: ModuleType, files: Sequence[Path]) -> list[Path]:
-    """Files that a firmware reads after these, though nobody named them: their numbers won."""
-    later: list[Path] = module.read_later(files) if hasattr(module, "read_later") else []
-    return [path for path in later if path.resolve() not in {file.resolve() for file in files}]
-
-
 def _worse_bed(files: Sequence[Path], heights: BedHeights) -> ModelError:
-    """That new numbers would make the bed worse, by how much, and what to do."""
+    """Return the error for new numbers that make the bed worse, with the cure."""
     before, after = 1e6 * (heights.before or 0.0), 1e6 * heights.after
     words = (
         f"the new numbers make the bed worse: rms height error at {heights.touches} touches by the "
@@ -182,26 +184,23 @@ def _holds(module: ModuleType, model: Model) -> bool:
 def _refusal(
     name: str, module: ModuleType, model: Model, given: Mapping[str, str] | None = None
 ) -> ModelError:
-    """Why a target cannot take a model, and which can."""
+    """Return the error for a target that cannot represent a model; it names targets that can."""
     if not hasattr(module, "HOLDS"):
         return ModelError(f"{name} is not an export target: it has no function files(model)")
     if given and _holds(module, model):
         key, value = next(iter(given.items()))
         return ModelError(f"option '{key}={value}': {name} has none")
     others = [other for other in list_plugins(SHELF) if other not in (name, "urdf")]
-    can = [other for other in others if _can_export(load_module(SHELF, other), model)]
+    modules = {other: load_module(SHELF, other) for other in others}
+    can = [other for other, m in modules.items() if hasattr(m, "files") or _holds(m, model)]
     return ModelError(
         f"{name} has no numbers for {model.mechanism.name}, only for "
         f"{', '.join(module.HOLDS)}; {', '.join(can)} can represent it"
     )
 
 
-def _can_export(module: ModuleType, model: Model) -> bool:
-    return hasattr(module, "files") or _holds(module, model)
-
-
 def _project(name: str, module: ModuleType, robot: Model) -> tuple[Projection, Machine]:
-    """A firmware's numbers, and the machine that it is with these as they are written."""
+    """Return a firmware's numbers, and the machine that has them as they are written."""
     projection: Projection = wrap_plugin_function(name, module.project)(robot)
     texts = {Path(file): format_settings(numbers) for file, numbers in projection.settings.items()}
     firmware = _read(module, [*texts], texts)
@@ -209,7 +208,7 @@ def _project(name: str, module: ModuleType, robot: Model) -> tuple[Projection, M
 
 
 def _read(module: ModuleType, files: Sequence[Path], texts: Mapping[Path, str]) -> Firmware:
-    """The firmware that reads these texts in place of what the files have now."""
+    """Return the firmware that reads these texts in place of the files' present texts."""
     with TemporaryDirectory() as kept:
         copies = [Path(kept) / str(k) / path.name for k, path in enumerate(files)]
         for copy, path in zip(copies, files, strict=True):
@@ -219,7 +218,7 @@ def _read(module: ModuleType, files: Sequence[Path], texts: Mapping[Path, str]) 
 
 
 def _remarks(robot: Model, projection: Projection) -> list[str]:
-    """Where the firmware's coordinates lie, and what it knows nothing of."""
+    """List where the firmware's frame is, and what its numbers cannot represent."""
     frame, remarks = projection.frame, [*projection.remarks]
     if np.any(frame.origin) or not np.array_equal(frame.axes, np.eye(3)):
         origin, axes = np.round(1e3 * frame.origin, 3) + 0.0, np.round(frame.axes, 6) + 0.0
@@ -237,10 +236,3 @@ def _remarks(robot: Model, projection: Projection) -> list[str]:
     if robot.conditions:
         remarks.append(f"neutral conditions: {', '.join(robot.conditions)}")
     return remarks
-
-
-def _write_files(folder: Path, made: Mapping[str, str]) -> list[Path]:
-    folder.mkdir(parents=True, exist_ok=True)
-    for file, text in made.items():
-        write_atomically(folder / file, text)
-    return [folder / file for file in made]

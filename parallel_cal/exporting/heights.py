@@ -1,9 +1,9 @@
-"""How high a firmware believes its nozzle at touches of the bed: what it prints a first layer by.
+"""Compute the nozzle's height by the firmware at touches of the bed; it decides the first layer.
 
-At a touch the motors stand where they stood, counted in steps from their end-stops. From there the
-firmware's own formula computes the nozzle's height with its numbers of then or of now. Less what
-the touch says of that height (the probe's trigger height, or the height that was stored) it should
-be 0, as a firmware takes its bed for the plane z = 0. No plane is fitted to it.
+A touch determines the motors' positions, counted in steps from the end-stops. From these the
+firmware's formula computes the nozzle's height, with its old or its new numbers. This height minus
+the touch's height (the probe's trigger height, or the stored height) should be 0, because the
+firmware assumes that its bed is the plane z = 0. No plane is fitted.
 """
 
 from __future__ import annotations
@@ -20,14 +20,16 @@ from parallel_cal.model.model import Model
 
 PROBE = "probe"
 MAX_STEPS = 50  # of Newton's method; three are usual
-CLOSE = 1e-10  # m: a smaller step has arrived
+CLOSE = 1e-10  # m; a smaller step has converged
 DIFFERENCE = 1e-6  # m, for slopes of the firmware's formula
 
 
 @dataclass(frozen=True)
 class BedHeights:
-    """Root mean square heights (m) at `touches` touches, with the numbers that the firmware's file
-    had (None where there is no such file) and with the new ones."""
+    """Rms heights (m) at `touches` touches, before and after the new numbers.
+
+    `before` is None if there is no file of the firmware.
+    """
 
     touches: int
     before: float | None
@@ -39,8 +41,7 @@ class BedHeights:
 
 
 def why_not(model: Model) -> str:
-    """Why a firmware's heights at touches of a model's bed cannot be computed; empty where they
-    can."""
+    """Return why a firmware's heights at touches cannot be computed; empty if they can."""
     names = [sensor.name for sensor in model.sensors]
     if PROBE not in names:
         return (
@@ -56,8 +57,10 @@ def why_not(model: Model) -> str:
 
 
 def nozzle_heights(model: Model, machine: Machine, touches: Touches) -> Array:
-    """Heights (N,) m of the nozzle over the firmware's bed, less what the touches say of them; NaN
-    where its formula reaches no point with these motors."""
+    """Return heights (N,) in m of the nozzle over the firmware's bed, minus the touches' heights.
+
+    NaN if the firmware's formula has no solution for these motors.
+    """
     frame, firmware = machine.frame, machine.firmware
     motors = firmware.homed + frame.motors(touches.q - machine.stops)
     near = Kinematics(model, quick=True).direct(touches.q)
@@ -82,15 +85,14 @@ def nozzle_heights(model: Model, machine: Machine, touches: Touches) -> Array:
         r = np.where(np.abs(step) > CLOSE, np.nan, r)
     tip = next(sensor for sensor in model.sensors if sensor.name == PROBE).options.get("tip")
     below = 0.0 if tip is None else float(tip[2])
-    upwards = np.sign(frame.turn[2, 2])  # of the firmware's z along that of {B}
+    upwards = np.sign(frame.turn[2, 2])  # 1 if z of the firmware points along z of {B}, else -1
     return np.asarray(r[:, 2] + upwards * (below - touches.height))
 
 
 def bed_heights(
     model: Model, before: Machine | None, after: Machine, touches: Touches
 ) -> BedHeights:
-    """Rms heights at touches, before and after; ModelError where a touch is beyond what a firmware
-    reaches."""
+    """Return rms heights at touches, before and after; ModelError if a touch is out of reach."""
     if words := why_not(model):
         raise ModelError(words)
 

@@ -1,7 +1,7 @@
-"""A model put into the few numbers of a firmware, and what is lost by that.
+"""Fit the few numbers of a firmware to a model, and compute the loss of accuracy.
 
-The firmware's own kinematics is refitted: its motors shall stand where the calibrated model, with
-its effects, wants them over the workspace. All in SI.
+The fit makes the motors of the firmware's own kinematics agree with those of the calibrated model
+and its effects over the workspace. All values are in SI units.
 """
 
 from __future__ import annotations
@@ -21,42 +21,44 @@ from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Model
 
 Array = np.ndarray
-# poses over the workspace that numbers are fitted to, and judged at
+# Poses over the workspace, for the fit and for its validation.
 N_FIT_POSES = 400
 N_VALIDATION_POSES = 2000
-BED_POSES = 200  # on the plate of a probe, where a printer's first layer is
-BED_WEIGHT = 10.0  # of a height on that plate beside any other error over the workspace
+BED_POSES = 200  # on the plate that a probe touched, where the first layer is printed
+BED_WEIGHT = 10.0  # weight of a height on that plate; other errors have 1
 STEP = 1e-6  # rad or m, for differences
-MICRO = 1e6  # of m or rad: the fit's unit, so that its tolerances are far below any digit
+MICRO = 1e6  # the fit is in um and urad, so that its tolerances are below any written digit
 
 
 class Firmware(Protocol):
-    """What a controller computes with its numbers."""
+    """The kinematics that a controller computes with its numbers."""
 
     @property
     def homed(self) -> Array:
         """Motors (n,), m or rad, at their end-stops."""
 
     def joints(self, r: Array, R: Array) -> Array:
-        """Motors (N, n) with which it goes to r (N, 3), R (N, 3, 3); NaN beyond its reach."""
+        """Return motors (N, n) for the pose r (N, 3), R (N, 3, 3); NaN out of reach."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Its coordinates, r = origin + axes r_F in {B}; its k-th motor is joint order[k] of the model,
-    whose reading grows by signs[k] times it."""
+    """The frame of a firmware: r = origin + axes r_F in {B}.
+
+    Motor k is joint order[k] of the model, and the reading grows by signs[k] times the motor.
+    """
 
     order: tuple[int, ...]
     signs: Array
     origin: Array = field(default_factory=lambda: np.zeros(3))
     axes: Array = field(default_factory=lambda: np.eye(3))
-    turn: Array = field(default_factory=lambda: np.eye(3))  # axes but for a tilted plate
+    turn: Array = field(default_factory=lambda: np.eye(3))  # axes without the tilt of the plate
 
     def poses(self, r: Array, R: Array) -> tuple[Array, Array]:
         return np.linalg.solve(self.axes, (r - self.origin).T).T, self.turn.T @ R
 
     def motors(self, q: Array) -> Array:
-        """Readings (..., n) in the firmware's order and sense."""
+        """Return readings (..., n) in the firmware's order and direction."""
         return np.asarray(q)[..., list(self.order)] * self.signs
 
     def readings(self, motors: Array) -> Array:
@@ -65,8 +67,10 @@ class Frame:
 
 @dataclass(frozen=True)
 class Machine:
-    """A firmware that moves the robot: its motors count from the end-stops, where the robot's
-    joints read `stops` (n,)."""
+    """A firmware that moves the robot.
+
+    Its motors count from the end-stops, where the robot's joints read `stops` (n,).
+    """
 
     firmware: Firmware
     frame: Frame
@@ -79,8 +83,10 @@ class Machine:
 
 @dataclass(frozen=True)
 class Projection:
-    """A firmware's numbers for a model: by file and field, as text with its digits; the frame and
-    what the joints read at the end-stops are what no number says."""
+    """A firmware's numbers for a model, as text by file and field.
+
+    No number states the frame and the joint readings at the end-stops (`stops`).
+    """
 
     settings: Mapping[str, Mapping[str, str]]
     frame: Frame
@@ -100,13 +106,13 @@ class Bed:
         return np.array([-self.slopes[0], -self.slopes[1], 1.0])
 
     def poses(self, model: Model, n: int) -> tuple[Array, Array]:
-        """Poses (n,) on it, evenly over the round bed around the workspace's box."""
+        """Return n poses on the plate, spread evenly over the circle around the workspace's box."""
         low, high = (
             np.array(corner)
             for corner in (model.mechanism.workspace.low, model.mechanism.workspace.high)
         )
         k = np.arange(n) + 0.5
-        out, around = np.sqrt(k / n), k * np.pi * (3 - 5**0.5)  # a sunflower's seeds
+        out, around = np.sqrt(k / n), k * np.pi * (3 - 5**0.5)  # the sunflower pattern
         xy = np.column_stack([np.cos(around), np.sin(around)]) * out[:, None]
         xy = (low + high)[:2] / 2 + xy * (high - low)[:2] / 2**0.5
         z = self.height + xy @ np.array(self.slopes)
@@ -114,7 +120,7 @@ class Bed:
 
 
 class TargetPoses:
-    """Those of some poses that a model reaches, and how its joints stand there."""
+    """The poses that a model reaches, with its joints."""
 
     def __init__(self, model: Model, r: Array, R: Array):
         self.kinematics, m = Kinematics(model, quick=True), model.mechanism
@@ -124,7 +130,7 @@ class TargetPoses:
 
     @classmethod
     def over_workspace(cls, model: Model, n: int, seed: int) -> TargetPoses:
-        """Of n poses over the model's workspace; ModelError where none is reached."""
+        """Draw n poses over the model's workspace; ModelError if none is reached."""
         rng = np.random.default_rng(seed)
         wanted = cls(model, *poses_in_workspace(model.mechanism, n, rng))
         if not len(wanted.at):
@@ -133,16 +139,21 @@ class TargetPoses:
 
     @classmethod
     def on_bed(cls, model: Model, bed: Bed, machine: Machine) -> TargetPoses:
-        """Of poses on a bed, whose rim lies outside the workspace's box: where both the model and
-        a machine reach."""
+        """Take poses on a bed that both the model and a machine reach.
+
+        The rim of the bed is outside the workspace's box.
+        """
         r, R = bed.poses(model, BED_POSES)
         reached = np.isfinite(machine.readings(r, R)).all(axis=1)
         return cls(model, r[reached], R[reached])
 
     @cached_property
     def controlled_jacobian(self) -> Array:
-        """What is controlled by joint, (N, m, n); where joints are more, these themselves (rad or
-        m), as lines that pull against each other must not be let go either."""
+        """Derivative (N, m, n) of the controlled coordinates by the joints.
+
+        With more joints than coordinates, the errors are those of the joints (rad or m), because
+        lines that pull against each other must not slacken either.
+        """
         q, columns = self.at.joints, []
         if self.more:
             return np.broadcast_to(np.diag(self.winds), (len(q), q.shape[1], q.shape[1]))
@@ -159,7 +170,7 @@ class TargetPoses:
 
 
 def compute_pose_difference(wanted: Solutions, found: Solutions) -> Array:
-    """By how much poses (N, 6) differ: m, and rad about base axes."""
+    """Return the difference (N, 6) of poses: m, and rad about the base axes."""
     turned = rotation_vector(found.rotation @ wanted.rotation.transpose(0, 2, 1))
     return np.hstack([found.position - wanted.position, turned])
 
@@ -167,11 +178,11 @@ def compute_pose_difference(wanted: Solutions, found: Solutions) -> Array:
 def fit_numbers(
     model: Model, start: Array, machine: Callable[[Array], Machine], bed: Bed | None = None
 ) -> Array:
-    """The numbers (k,) with which a machine's motors take the robot where it shall go, by least
-    squares in what it controls; `start` is near them.
+    """Return the numbers (k,) with which a machine moves the robot closest to the wanted poses.
 
-    Heights on a printer's `bed` weigh more: what the firmware cannot follow (leaning towers) shall
-    not be traded for them.
+    The fit is a least-squares fit of the controlled coordinates, from `start`. Heights on a
+    printer's `bed` have more weight, so that errors that the firmware cannot represent (leaning
+    towers) do not spoil them.
     """
     from scipy.optimize import least_squares
 
@@ -198,8 +209,10 @@ def fit_numbers(
 
 
 def loss(model: Model, machine: Machine) -> dict[str, Any]:
-    """Where the robot goes less where its controller sends it, at poses that the fit did not see;
-    of robots with more joints than freedoms that of their lines, too (m)."""
+    """Return the loss: reached minus commanded pose, at poses that the fit did not use.
+
+    For robots with more joints than degrees of freedom, also the error of the lines (m).
+    """
     wanted = TargetPoses.over_workspace(model, N_VALIDATION_POSES, seed=1)
     q = machine.readings(wanted.at.position, wanted.at.rotation)
     start = wanted.at[np.isfinite(q).all(axis=1)]
@@ -214,7 +227,7 @@ def loss(model: Model, machine: Machine) -> dict[str, Any]:
 
 
 def summary(model: Model, wanted: Solutions, found: Solutions) -> dict[str, Any]:
-    """Mean and largest difference of what the robot controls, and where it is largest."""
+    """Return mean and largest error of the controlled coordinates, and where it is largest."""
     change = compute_pose_difference(wanted, found)
     document: dict[str, Any] = {}
     for kind, part in (("position", range(3)), ("orientation", range(3, 6))):

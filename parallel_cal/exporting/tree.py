@@ -1,4 +1,4 @@
-"""A mechanism's drawing as a tree of links: driven joints, and passive ones that close loops."""
+"""Turn a mechanism's drawing into a tree of links with driven and passive joints."""
 
 from __future__ import annotations
 
@@ -17,16 +17,18 @@ from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Model
 
-FIXED_POINT_TOLERANCE_M = 1e-7  # m: a point that moves less in a body's frame is fixed on it
-JOINT_SWING = 0.5  # rad or 1 m: how far a joint is moved to find its axis
-TELESCOPE_HALF_FRACTION = 0.6  # of the shortest length: how long each half of a telescope is
+FIXED_POINT_TOLERANCE_M = 1e-7  # m; a point that moves less in a body's frame is fixed to it
+JOINT_SWING = 0.5  # rad or m by which a joint is moved to find its axis
+TELESCOPE_HALF_FRACTION = 0.6  # length of each half of a telescope, per shortest total length
 X, Y, Z = np.eye(3)
 
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint at `origin` (m) of its parent, frames parallel where it stands at zero; `value` is
-    what a passive one is at, None for the robot's own."""
+    """A joint at `origin` (m) of its parent; both frames are parallel at zero.
+
+    `value` is the expression of a passive joint's position, and None for a driven joint.
+    """
 
     name: str
     turns: bool
@@ -39,7 +41,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class Segment:
-    """A piece of a link from one point (3,) of its frame to another, m."""
+    """A piece of a link between two points (3,) of its frame, m."""
 
     kind: str
     ends: tuple[np.ndarray, np.ndarray]
@@ -47,7 +49,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class _Body:
-    """A frame that moves: R and origin p in {B} as expressions of the configuration."""
+    """A moving frame: R and origin p in {B} as expressions of the configuration."""
 
     name: str
     R: Any
@@ -73,12 +75,12 @@ class Tree:
         return Single(dense("passive", [self.model.structure.configuration], [ca.vertcat(*values)]))
 
     def values(self, x: np.ndarray) -> np.ndarray:
-        """Where the passive joints stand (rad, m) at a configuration (nq + 12,)."""
+        """Return the positions of the passive joints (rad, m) at a configuration (nq + 12,)."""
         return self._values(x)[0]
 
 
 def tree_of(model: Model) -> Tree:
-    """The tree of a model's geometry; ModelError where the mechanism does not draw itself."""
+    """Return the tree of a model's geometry; ModelError if the mechanism has no drawing."""
     return _Builder(model).tree
 
 
@@ -89,8 +91,10 @@ class _Builder:
         lines = model.mechanism.drawing(s.q, s.r, s.R, s.geometry)
         if not lines:
             raise ModelError(f"{model.mechanism.name} has no drawing, so there is no tree of it")
+        values = ca.DM(model.values)
         self._lines = [
-            (line.kind, [self._substitute_values(p) for p in line.points]) for line in lines
+            (line.kind, [ca.substitute(ca.SX(p), s.v, values) for p in line.points])
+            for line in lines
         ]
         self._samples = _samples(model)
         base, platform = (model.frames[name] for name in ("base", "platform"))
@@ -103,11 +107,8 @@ class _Builder:
             for j, ends in enumerate(pairwise(points)):
                 self._add_segment(f"{kind}{k}" + (f"_{j}" if len(points) > 2 else ""), kind, *ends)
 
-    def _substitute_values(self, expression: Any) -> Any:
-        return ca.substitute(ca.SX(expression), self._s.v, ca.DM(self._model.values))
-
     def _numbers(self, expression: Any, x: np.ndarray | None = None) -> np.ndarray:
-        """An expression at configurations (K, nq + 12): (K, ...), those of the samples."""
+        """Evaluate an expression at configurations (K, nq + 12), by default at the samples."""
         f = ca.Function("f", [self._s.configuration], [expression])
         rows = self._samples if x is None else x
         return np.array([np.array(f(row)) for row in rows]).squeeze(-1)
@@ -115,7 +116,7 @@ class _Builder:
     # ------------------------------------------------------------------ bodies
 
     def _add_driven(self, i: int) -> None:
-        """The body that joint i alone moves, if something is drawn on it."""
+        """Add the body that only joint i moves, if a line is drawn on it."""
         s, m = self._s, self._model.mechanism
         own, others = s.q[i], [s.q[j] for j in range(s.q.numel()) if j != i] + [s.r, s.R9]
         points = [
@@ -128,15 +129,18 @@ class _Builder:
             return
         x = np.array([m.home.configuration] * 3)
         x[:, i] += (-JOINT_SWING, 0.0, JOINT_SWING)
-        ways = [self._numbers(p, x) for p in points]
-        before, at, after = max(ways, key=lambda way: float(np.linalg.norm(way[2] - way[0])))
+        # The point that moves most shows the axis best.
+        paths = [self._numbers(p, x) for p in points]
+        before, at, after = max(paths, key=lambda path: float(np.linalg.norm(path[2] - path[0])))
         turns, name = m.joint_units[i] == "rad", self._model.joints[i]
         if turns:
             axis = np.cross(at - before, after - at)
             axis, middle = axis / np.linalg.norm(axis), (before + after) / 2
             inwards = (middle - at) / np.linalg.norm(middle - at)
             origin = at + inwards * np.linalg.norm(after - before) / (2 * np.sin(JOINT_SWING))
-            R, p = _rotation_about(axis, own), ca.DM(origin)
+            K = ca.skew(ca.DM(axis))
+            R = ca.SX.eye(3) + ca.sin(own) * K + (1 - ca.cos(own)) * (K @ K)  # Rodrigues
+            p = ca.DM(origin)
         else:
             axis, origin = (after - at) / JOINT_SWING, np.zeros(3)
             R, p = ca.SX.eye(3), ca.DM(axis) * own
@@ -145,7 +149,7 @@ class _Builder:
         self._join(Joint(name, turns, self._bodies[0].name, body.name, axis, origin))
 
     def _add_platform(self, name: str) -> None:
-        """Free in the base: three ways, then turns about z, y, x."""
+        """Add the platform, free in the base: three translations, then rotations about z, y, x."""
         r, R = self._s.r, self._s.R
         turns = [
             ca.atan2(R[1, 0], R[0, 0]),
@@ -161,19 +165,19 @@ class _Builder:
         self._bodies.append(_Body(name, R, r))
 
     def _place(self, body: _Body, point: Any) -> np.ndarray | None:
-        """A point in a body's frame, where it is fixed there."""
+        """Return a point in a body's frame if it is fixed there, else None."""
         places = self._numbers(body.R.T @ (point - body.p))
         return places[0] if np.abs(places - places[0]).max() < FIXED_POINT_TOLERANCE_M else None
 
     # ------------------------------------------------------------------ segments
 
     def _add_segment(self, name: str, kind: str, a: Any, b: Any) -> None:
-        """On the body that holds both ends; else as a rod, from a body that holds one."""
-        held = [(body, self._place(body, a), self._place(body, b)) for body in self._bodies]
-        for body, at_a, at_b in held:
+        """Add a segment to the body of both ends; else add a rod to the body of one end."""
+        places = [(body, self._place(body, a), self._place(body, b)) for body in self._bodies]
+        for body, at_a, at_b in places:
             if at_a is not None and at_b is not None:
                 return self.tree.links[body.name].append(Segment(kind, (at_a, at_b)))
-        for body, at_a, at_b in sorted(held, key=lambda one: one[0] is held[-1][0]):
+        for body, at_a, at_b in sorted(places, key=lambda one: one[0] is places[-1][0]):
             if at_a is not None:
                 return self._add_rod(name, kind, body, at_a, a, b)
             if at_b is not None:
@@ -185,8 +189,10 @@ class _Builder:
     def _add_rod(
         self, name: str, kind: str, body: _Body, origin: np.ndarray, a: Any, b: Any
     ) -> None:
-        """Along x from a body's point, which it may turn about; a telescope where its length
-        changes, driven where a joint's reading is that change."""
+        """Add a rod along x from a point of a body, about which it turns.
+
+        It is a telescope if its length changes, and driven if a joint reads this change.
+        """
         d = body.R.T @ (b - a)
         flat = ca.sqrt(d[0] ** 2 + d[1] ** 2)
         steps = [("yaw", True, Z, ca.atan2(d[1], d[0])), ("pitch", True, Y, ca.atan2(-d[2], flat))]
@@ -205,7 +211,7 @@ class _Builder:
         self.tree.links[f"{name}_tip"].append(Segment(kind, (-half, np.zeros(3))))
 
     def _drive(self, name: str, length: Any) -> tuple[str, np.ndarray]:
-        """The joint that reads a length's change, and its length at zero; else a passive one."""
+        """Return the joint that reads a length's change, with the length at zero; else `name`."""
         for i, joint in enumerate(self._model.joints):
             rest = self._numbers(length - self._s.q[i]).ravel()
             if (
@@ -218,7 +224,7 @@ class _Builder:
     def _chain(
         self, parent: str, origin: np.ndarray, name: str, steps: Sequence[tuple[Any, ...]]
     ) -> None:
-        """Passive joints one behind the other, to a link of this name."""
+        """Add passive joints in series, up to a link of this name."""
         for k, (what, turns, axis, value) in enumerate(steps):
             child = name if k == len(steps) - 1 else f"{name}_{what}_link"
             self._join(Joint(f"{name}_{what}", turns, parent, child, axis, origin, value))
@@ -230,20 +236,14 @@ class _Builder:
 
 
 def _make_sliding_steps(point: Any) -> list[tuple[Any, ...]]:
-    """Three sliding joints to a point."""
+    """Return three sliding joints to a point."""
     return [("x", False, X, point[0]), ("y", False, Y, point[1]), ("z", False, Z, point[2])]
 
 
 def _samples(model: Model) -> np.ndarray:
-    """Configurations of the closed mechanism, (K, nq + 12)."""
+    """Return configurations (K, nq + 12) of the closed mechanism."""
     r, R = poses_in_workspace(model.mechanism, 20, np.random.default_rng(0))
     found = Kinematics(model).inverse(r, R)
     if not found.solved.any():
         raise ModelError(f"{model.mechanism.name}: no pose of its workspace is reached")
     return found[found.solved].configuration.rows
-
-
-def _rotation_about(axis: np.ndarray, angle: Any) -> Any:
-    """Rotation about a unit axis (Rodrigues)."""
-    K = ca.skew(ca.DM(axis))
-    return ca.SX.eye(3) + ca.sin(angle) * K + (1 - ca.cos(angle)) * (K @ K)

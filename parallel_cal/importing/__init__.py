@@ -1,1 +1,1 @@
-"""What controllers store, as samples and as model files of their machines as configured."""
+"""Read what controllers store: samples, and models of their machines as configured."""

@@ -1,4 +1,4 @@
-"""The door of this room: samples of what a controller stored, and the model it moves by."""
+"""Read the samples that a controller stored, and the model with which it moves."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ SHELF = "importing.importers"
 
 @dataclass(frozen=True)
 class ConfiguredRobot:
-    """A machine as its controller is configured, and what of it no controller has a number for."""
+    """A machine as its controller is configured, and what the configuration does not state."""
 
     model: Model
     remarks: tuple[str, ...] = ()
 
 
 def samples(kind: str, paths: Sequence[Path], **options: Any) -> Dataset:
-    """The samples in a controller's files; DatasetError naming file, line and field."""
+    """Read the samples in a controller's files; DatasetError names file, line and field."""
     read = load_module(SHELF, kind, DatasetError).samples
     takes = [str(p.replace(annotation=p.empty)) for p in [*signature(read).parameters.values()][1:]]
     try:
@@ -36,7 +36,7 @@ def samples(kind: str, paths: Sequence[Path], **options: Any) -> Dataset:
 
 
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
-    """The model of a machine by its configuration, whose file name's end says the controller's."""
+    """Return the model of a configured machine; the file's suffix identifies the controller."""
     modules = {name: load_module(SHELF, name) for name in list_plugins(SHELF)}
     kinds = {n: m.CONFIGURATION for n, m in modules.items() if hasattr(m, "CONFIGURATION")}
     for name, ends in kinds.items():

@@ -1,8 +1,13 @@
-"""Delta printers as firmwares compute them, and the shelf's mechanisms with the same numbers.
+"""Delta printers as firmwares compute them, and the corresponding mechanisms.
 
-All in SI. Linear: carriage i is at height z + tilt . (x, y) + sqrt(L_i^2 - |(x, y) - tower_i|^2)
-+ zero_i. Rotary: arm i, of length U_i, is turned up by t from the horizontal, its end L_i from
-the effector: (dx cos t + dz sin t) 2 U = L^2 - U^2 - dx^2 - dz^2 - y^2, the elbow outwards.
+All values are in SI units.
+
+- Linear: the height of carriage i is
+  z + tilt . (x, y) + sqrt(L_i^2 - |(x, y) - tower_i|^2) + zero_i.
+- Rotary: arm i of length U_i is turned up by t from the horizontal, and a rod of length L_i joins
+  its end to the effector: (dx cos t + dz sin t) 2 U = L^2 - U^2 - dx^2 - dz^2 - y^2, with the elbow
+  outwards.
+
 Sources: Duet documentation, "Configuring RepRapFirmware for a delta printer" and "M669";
 Klipper documentation, "Configuration reference", "Delta calibration".
 """
@@ -25,8 +30,8 @@ from parallel_cal.model.shelf import load_mechanism, load_sensor
 from parallel_cal.recordings.recording import Array
 
 JOINT_NAMES = ("joint1", "joint2", "joint3")
-HOME_HEIGHT_M = 0.05  # m above the bed, the middle of what is used
-FLAT = 1e-6  # of a triangle on the unit circle: with less area it has no sense of rotation
+HOME_HEIGHT_M = 0.05  # m above the bed; the middle of the used height
+FLAT = 1e-6  # twice the area of a triangle on the unit circle; a smaller one has no orientation
 NOT_STATED = (
     "inclinations of towers or motors, errors between the two rods of a pair "
     "and the size of the effector have no number in the firmware: they have "
@@ -47,15 +52,15 @@ class Delta(Protocol):
         """Joints (3,) at the end-stops."""
 
     def joints(self, r: Array, R: Array | None = None) -> Array:
-        """Joints (N, 3), m or rad, at which the nozzle is believed at r (N, 3); NaN beyond."""
+        """Return joints (N, 3) in m or rad for the nozzle at r (N, 3); NaN out of reach."""
 
     def mechanism(self) -> Mechanism:
-        """The shelf's mechanism around these numbers."""
+        """Return the mechanism with these numbers."""
 
 
 @dataclass(frozen=True)
 class Towers:
-    """A linear Delta: `first` and `trim` give the towers' angles (rad), `end_stops` their tops."""
+    """A linear Delta; `first` and `trim` give the towers' angles (rad), `end_stops` the joints."""
 
     radius: Array
     rods: Array
@@ -70,15 +75,18 @@ class Towers:
     def of(
         cls, radius: float, rods: ArrayLike, trim: ArrayLike, heights: ArrayLike, **more: Any
     ) -> Towers:
-        """As firmwares have it, in mm and degrees: one radius (mm), and `heights` (mm) at which the
-        nozzle is believed where only that tower is at its end-stop."""
+        """Return the Delta of a firmware's numbers in mm and degrees.
+
+        `heights` (mm) are the nozzle's heights by the firmware when one tower is at its end-stop
+        and the nozzle is on the axis.
+        """
         long = np.asarray(rods) * MM
         tops = np.asarray(heights) * MM + np.sqrt(long**2 - (radius * MM) ** 2)
         return cls(np.full(3, radius * MM), long, np.asarray(trim) * DEGREE, tops, **more)
 
     @property
     def heights(self) -> Array:
-        """What `of` is given (m)."""
+        """The heights (m) that `of` takes."""
         return self.end_stops - np.sqrt(self.rods**2 - self.radius**2)
 
     @property
@@ -87,7 +95,7 @@ class Towers:
 
     @property
     def towers(self) -> Array:
-        """Where each stands (3, 2)."""
+        """Positions (3, 2) of the towers, m."""
         around = self.first + np.arange(3) * 120 * DEGREE + self.trim
         return np.column_stack([self.radius * np.cos(around), self.radius * np.sin(around)])
 
@@ -114,7 +122,7 @@ class Towers:
 
 @dataclass(frozen=True)
 class Shoulders:
-    """A rotary Delta: `angles` are the directions of its motors about z (rad)."""
+    """A rotary Delta; `angles` (rad) are the directions of its motors about z."""
 
     radius: float
     heights: Array
@@ -155,13 +163,13 @@ class Shoulders:
 
 
 def are_counter_clockwise(angles: Array) -> bool:
-    """Whether three directions (rad about z) follow each other counter-clockwise from above."""
+    """Return whether three directions (rad about z) are counter-clockwise seen from above."""
     steps = np.roll(angles, -1) - angles
     return bool(np.sin(steps).sum() > FLAT)  # twice the area of the triangle on a unit circle
 
 
 def check_reach(delta: Delta, stated: Settings, field: str) -> None:
-    """DatasetError at a field, where the arms do not reach the middle of the bed."""
+    """Raise DatasetError at a field if the arms do not reach the middle of the bed."""
     if np.isnan(delta.joints(np.array([[0.0, 0.0, HOME_HEIGHT_M]]))).any():
         raise stated.error(
             field, f"lengths that reach {HOME_HEIGHT_M / MM:.0f} mm above the centre of the bed"
@@ -169,7 +177,7 @@ def check_reach(delta: Delta, stated: Settings, field: str) -> None:
 
 
 def _set_home(mechanism: Mechanism, delta: Delta, reach: float) -> Mechanism:
-    """At home in the middle of its bed, which it uses `reach` m around."""
+    """Place home above the middle of the bed, with a workspace of radius `reach` (m)."""
     home = delta.joints(np.array([[0.0, 0.0, HOME_HEIGHT_M]]))[0]
     mechanism.home = Home(tuple(map(float, home)), (0.0, 0.0, HOME_HEIGHT_M))
     mechanism.workspace = Workspace((-reach / 2**0.5,) * 2 + (0.0,), (reach / 2**0.5,) * 2 + (0.1,))
@@ -182,8 +190,10 @@ def make_configured_robot(
     plate: tuple[float, float] = (0.0, 0.0),
     remarks: Sequence[str] = (),
 ) -> ConfiguredRobot:
-    """The model of a printer whose probe has its tip at `tip` (m of {P}) and whose bed is
-    z = plate . (x, y)."""
+    """Return the model of a printer with a probe and a bed.
+
+    `tip` is the probe's tip in {P} (m). The bed is the plane z = plate . (x, y).
+    """
     at = {"tip": tuple(map(float, tip))} if np.any(tip) else {}
     probe = load_sensor("probe", height=0.0, sigma=None, **at)
     model: Model = new_model(delta.mechanism(), sensors=[probe])

@@ -1,7 +1,7 @@
-"""Five-bars as RepRapFirmware computes them: a crank's elbow is a rod from the point.
+"""Five-bars as RepRapFirmware computes them: a rod joins each crank's elbow to the point.
 
-Of the two angles of a crank that one is taken at which the point lies to the left (`turns` 1) or to
-the right (-1) of the crank. Source: Duet documentation, "M669" (K9) and "Five bar parallel SCARA".
+A crank has two possible angles. With `turns` 1 the point lies to the left of the crank, with -1 to
+its right. Source: Duet documentation, "M669" (K9) and "Five bar parallel SCARA".
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.shelf import load_mechanism
 from parallel_cal.recordings.recording import Array
 
-TURNS = {1: (1, 1), 2: (-1, 1), 4: (-1, -1)}  # by work mode, of the left and the right crank
+TURNS = {1: (1, 1), 2: (-1, 1), 4: (-1, -1)}  # work mode -> turns of left and right crank
 
 
 @dataclass(frozen=True)
@@ -29,17 +29,17 @@ class FiveBars:
     limits: tuple[tuple[float, float], ...] = ((0.0, np.pi),) * 2
 
     def joints(self, r: Array, R: Array | None = None) -> Array:
-        """Angles (N, 2) of the cranks from x, rad, from 0 to a turn."""
-        way = r[:, None, :2] - self.axes
-        away = np.linalg.norm(way, axis=2)
+        """Return the angles (N, 2) of the cranks from x, in rad from 0 to 2 pi."""
+        offset = r[:, None, :2] - self.axes
+        away = np.linalg.norm(offset, axis=2)
         cosine = (away**2 + self.cranks**2 - self.rods**2) / (2 * away * self.cranks)
         with np.errstate(invalid="ignore"):
             opened = np.arccos(cosine)
-        aim = np.arctan2(way[..., 1], way[..., 0])
+        aim = np.arctan2(offset[..., 1], offset[..., 0])
         return np.asarray((aim - np.array(self.turns) * opened) % (2 * np.pi))
 
     def mechanism(self) -> Mechanism:
-        """The shelf's mechanism around these numbers, at home half way out."""
+        """Return the mechanism with these numbers, with home in front of the axes."""
         found = load_mechanism("five_bar", switches=self.homed.tolist())
         nominal: dict[str, float] = {}
         for k, side in enumerate(("left", "right")):

@@ -1,4 +1,4 @@
-"""Settings in G-code: the last word of each command counts."""
+"""Settings in G-code; the last value of each word counts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ COMMAND = re.compile(r"\s*(?:N\d+\s*)?([GM]\d+)(?![\d.])(.*)", re.IGNORECASE)
 
 
 def settings(paths: Sequence[Path], codes: Sequence[str]) -> Settings:
-    """The words of `codes` in files of G-code, blanks between the words, by `M665 L`."""
+    """Read the words of some commands in G-code files, by fields such as `M665 L`."""
     texts: dict[str, tuple[str, SourceLine]] = {}
     for path in paths:
         for place, line in read_lines(path):
@@ -23,7 +23,7 @@ def settings(paths: Sequence[Path], codes: Sequence[str]) -> Settings:
 def parse_settings_line(
     texts: dict[str, tuple[str, SourceLine]], place: SourceLine, line: str, codes: Sequence[str]
 ) -> str | None:
-    """Adds a line's words to those stated before; the command's name, where it is one of them."""
+    """Add a line's words to `texts`; return the command if it is one of `codes`."""
     found = COMMAND.match(re.sub(r"\([^)]*\)|;.*", "", line))
     code = found[1].upper() if found else ""
     if code == "G20":

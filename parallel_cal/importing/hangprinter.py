@@ -1,8 +1,9 @@
-"""Hangprinters as their firmware computes them: lines from anchors on spools that grow.
+"""Hangprinters as their firmware computes them: lines from anchors, on spools whose radius grows.
 
-Line i is let out by l = |r - A_i| - |A_i|, its motor turned by 2 g a l / (R + sqrt(R^2 - a Q l)):
-gear g, advantage a, radius R at the origin, build-up Q (m) of all lines on the spool together.
-Source: Duet documentation, "M666" and "Configuring RepRapFirmware for a Hangprinter".
+Line i is l = |r - A_i| - |A_i| longer than at the origin, and its motor turns by 2 g a l / (R +
+sqrt(R^2 - a Q l)), with the gear ratio g, the mechanical advantage a, the radius R at the origin,
+and the build-up Q (m) of all lines on the spool together. Source: Duet documentation, "M666" and
+"Configuring RepRapFirmware for a Hangprinter".
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ class Hangprinter:
 
     @property
     def homed(self) -> Array:
-        """At the origin, where motors are zero."""
+        """The motors at the origin: zero."""
         return np.zeros(len(self.anchors))
 
     def joints(self, r: Array, R: Array | None = None) -> Array:
-        """Motors (N, n), rad, for the end point at r (N, 3) m."""
+        """Return the motors (N, n) in rad for the end point at r (N, 3) in m."""
         away = np.linalg.norm(r[:, None] - self.anchors, axis=2)
         line = self.advantages * (away - np.linalg.norm(self.anchors, axis=1))
         with np.errstate(invalid="ignore"):
@@ -40,8 +41,10 @@ class Hangprinter:
         return np.asarray(2 * self.gears * line / (self.radii + left))
 
     def model(self) -> Model:
-        """The cable robot with spool_buildup; lines on spools of one radius and advantage share
-        it."""
+        """Return the cable robot with the effect spool_buildup.
+
+        Lines whose spools have the same radius and advantage share the radius as a parameter.
+        """
         alike = [*dict.fromkeys(zip(self.radii, self.advantages, strict=True))]
         spools = [alike.index(p) + 1 for p in zip(self.radii, self.advantages, strict=True)]
         mechanism = load_mechanism(

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines
 
-SAVE_CONFIG_PREFIX = "#*#"  # before every line of what Klipper's SAVE_CONFIG wrote
+SAVE_CONFIG_PREFIX = "#*#"  # before every line that Klipper's SAVE_CONFIG wrote
 
 
 def settings(paths: Sequence[Path]) -> Settings:
-    """The values in files of sections by `[section] key`; what SAVE_CONFIG wrote counts last."""
+    """Read values by `[section] key`; those that SAVE_CONFIG wrote override the others."""
     texts: dict[str, tuple[str, SourceLine]] = {}
     for path in paths:
         section, saved = "", False
@@ -21,12 +21,12 @@ def settings(paths: Sequence[Path]) -> Settings:
                 section, saved = "", True
             own = line.removeprefix(SAVE_CONFIG_PREFIX).removeprefix(" ") if saved else line
             plain = re.split(r"(?:^|\s)[#;]", own, maxsplit=1)[0]
-            if not plain.strip() or plain[0].isspace():  # a macro's lines among them
+            if not plain.strip() or plain[0].isspace():  # indented lines belong to macros
                 continue
             if header := re.fullmatch(r"\[([^\]]+)\]", plain.strip()):
                 section = header[1].strip()
                 continue
-            if saved and not section:  # what introduces the block
+            if saved and not section:  # the introduction of the SAVE_CONFIG block
                 continue
             pair = re.fullmatch(r"([^:=]+)[:=](.*)", plain)
             if not pair or not section:

@@ -1,4 +1,4 @@
-"""Numbers as a file states them: each knows its file and line, so that a wrong one is named."""
+"""Values stated in files, with file and line for messages about wrong ones."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class SourceLine:
     def number(
         self, field: str, text: str, expected: str, low: float = -math.inf, high: float = math.inf
     ) -> float:
-        """A finite number from `low` to `high`."""
+        """Parse a finite number from `low` to `high`."""
         try:
             value = float(text)
         except ValueError:
@@ -48,14 +48,14 @@ class Settings:
         return field in self.texts
 
     def text(self, field: str, expected: str) -> tuple[str, SourceLine]:
-        """A field's text; DatasetError where no file has it."""
+        """Return a field's text and line; DatasetError if no file has the field."""
         if field not in self.texts:
             files = ", ".join(map(str, self.paths))
             raise DatasetError(f"{files}: no {field}, expected {expected}")
         return self.texts[field]
 
     def error(self, field: str, expected: str) -> DatasetError:
-        """For a field whose text is not as expected."""
+        """Return the error for a field whose text is not as expected."""
         text, place = self.text(field, expected)
         return place.error(field, text, expected)
 
@@ -80,7 +80,7 @@ class Settings:
         default: float | None = None,
         low: float = -math.inf,
     ) -> np.ndarray:
-        """`count` numbers with colons between; one stands for all."""
+        """Parse `count` numbers separated by colons; a single one stands for all."""
         if default is not None and field not in self.texts:
             return np.full(count, default)
         text, place = self.text(field, expected)
@@ -92,7 +92,7 @@ class Settings:
 
 
 def read_lines(path: Path) -> list[tuple[SourceLine, str]]:
-    """The lines of a text file; DatasetError where it is none."""
+    """Read the lines of a text file; DatasetError if it is not text."""
     try:
         text = read_text(path, encoding="utf-8-sig")
     except OSError as error:

@@ -1,7 +1,7 @@
 """Hexapods as LinuxCNC's genhexkins computes them: a joint is the length of a strut.
 
-q_i = |r + R a_i - b_i|, a of the platform and b of the base. Source: LinuxCNC documentation,
-kins(9), "genhexkins".
+q_i = |r + R a_i - b_i|, with ends a on the platform and b on the base. Source: LinuxCNC
+documentation, kins(9), "genhexkins".
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Touches on a plate as samples: joints at which the machine believed to touch."""
+"""Touches of a plate as samples: the joints that a controller stored for each touch."""
 
 from __future__ import annotations
 
@@ -28,8 +28,7 @@ NO_SIZE = (
 
 @dataclass(frozen=True)
 class Touches:
-    """Joints (N, nq), m or rad, at touches of a bed, and the height (N,) m of the probe's tip over
-    it that was stored."""
+    """Joints (N, nq) in m or rad at touches of a bed, and stored heights (N,) of the tip in m."""
 
     q: Array
     height: Array
@@ -38,7 +37,7 @@ class Touches:
 
 
 def touches_in(dataset: Dataset, joints: Sequence[str]) -> Touches:
-    """The touches among a dataset's samples, by joints in this order; DatasetError without any."""
+    """Return the touches among a dataset's samples; DatasetError if there are none."""
     height = dataset.conditions.get(PROBE, np.full(len(dataset), np.nan))
     touched = np.isfinite(height)
     if not touched.any():
@@ -90,8 +89,11 @@ def make_touch_samples(
     *,
     printed: PrintedEnds,
 ) -> Dataset:
-    """Touches with the nozzle believed at (N, 3) m, each from a line of a file; `step` (m or rad)
-    of a motor rounds its joint, equal `visits` are of one place."""
+    """Return touches whose nozzle positions (N, 3) in m the controller stored.
+
+    `places` are the lines of the file. A motor's `step` (m or rad) rounds its joint. Touches with
+    equal `visits` are replicates.
+    """
     at = np.array(nozzle, float).reshape(-1, 3)
     q = delta.joints(at)
     for k in np.flatnonzero(~np.isfinite(q).all(axis=1))[:1]:
@@ -112,8 +114,10 @@ def make_joint_samples(
     *,
     printed: PrintedEnds,
 ) -> Dataset:
-    """Touches at joints (N, 3), m or rad, where the tip is `height` (N,) m above the plate; behind
-    them the ends of what was printed."""
+    """Return touches at joints (N, 3) in m or rad, followed by the ends of printed lengths.
+
+    The tip is `height` (N,) in m above the plate.
+    """
     files = ", ".join(map(str, paths))
     if not len(q):
         raise DatasetError(f"{files}: the files contain no touches")

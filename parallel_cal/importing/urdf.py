@@ -1,7 +1,7 @@
 """A serial arm from a URDF: the chain between two of its links as DH and Hayati links.
 
-Frames with their z on the joints' axes are laid along the chain as table 3.5 wants them, so that
-the same numbers are identified as of an arm written by hand. Source: ROS wiki, "urdf/XML/joint".
+Frames with z along the joints' axes follow table 3.5 along the chain, so that the parameters are
+the same as those of an arm that was described by hand. Source: ROS wiki, "urdf/XML/joint".
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from parallel_cal.recordings.recording import Array
 KINDS = {"revolute": "R", "continuous": "R", "prismatic": "P", "fixed": None}
 MAX_PARALLEL_SINE = 0.1  # sine of the angle between axes below which they count as parallel
 MAX_COINCIDENT_DISTANCE_M = 1e-3  # m between parallel axes below which they count as one
-ROUNDING_TOLERANCE = 1e-13  # m or 1: what only rounding has left
+ROUNDING_TOLERANCE = 1e-13  # m or 1; smaller values are rounding errors
 
 
 @dataclass(frozen=True)
 class Joint:
-    """One joint of a chain: its frame (4, 4) in its parent's and its axis there."""
+    """One joint of a chain: its frame (4, 4) in its parent's frame, and its axis in its own."""
 
     name: str
     kind: str | None
@@ -42,8 +42,10 @@ class Joint:
 
 
 def arm(path: Path, start: str = "", end: str = "", **options: Any) -> ConfiguredRobot:
-    """The model of the chain from link `start` (the root) to `end` (the only leaf); `options` are
-    those of the mechanism `serial` but its links."""
+    """Return the model of the chain from link `start` (the root) to `end` (the only leaf).
+
+    `options` are the options of the mechanism `serial` except its links.
+    """
     joints = _chain(path, _joints(path), start, end)
     driven = [joint for joint in joints if joint.kind]
     if not driven:
@@ -132,7 +134,7 @@ def _read_one(
 
 
 def _rotation_from_rpy(rpy: Array) -> Array:
-    """About the fixed x, then y, then z."""
+    """Return the rotation about the fixed x, then y, then z."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
     return np.array(
         [
@@ -144,7 +146,7 @@ def _rotation_from_rpy(rpy: Array) -> Array:
 
 
 def _chain(path: Path, joints: Sequence[Joint], start: str, end: str) -> list[Joint]:
-    """The joints from one link to another; DatasetError where there is no one way."""
+    """Return the joints from one link to another; DatasetError if the chain is not unique."""
     children = {joint.child: joint for joint in joints}
     links = {*children, *(joint.parent for joint in joints)}
     for link in (start, end):
@@ -157,33 +159,35 @@ def _chain(path: Path, joints: Sequence[Joint], start: str, end: str) -> list[Jo
         raise DatasetError(
             f"{path}: the chain may end in {', '.join(leaves)}: choose one with --to-link"
         )
-    way, at = list[Joint](), end or leaves[0]
-    while at != start and at in children and len(way) <= len(joints):
-        way.append(children[at])
+    chain, at = list[Joint](), end or leaves[0]
+    while at != start and at in children and len(chain) <= len(joints):
+        chain.append(children[at])
         at = children[at].parent
     if start and at != start:
         raise DatasetError(
             f"{path}: link '{end or leaves[0]}' does not descend from link '{start}'"
         )
-    for joint in way:
+    for joint in chain:
         if joint.kind not in (*KINDS.values(), "R", "P"):
             kinds = "revolute, continuous, prismatic or fixed"
             raise DatasetError(
                 f"{path}: joint '{joint.name}': type '{joint.kind}', expected {kinds}"
             )
-    if not way:
+    if not chain:
         raise DatasetError(f"{path}: '{start}' and '{end}' are the same link")
-    return way[::-1]
+    return chain[::-1]
 
 
 # ------------------------------------------------------------------ the links
 
 
 def _links(joints: Sequence[Joint]) -> list[dict[str, Any]]:
-    """Numbers of every link of the mechanism `serial`: the first without a joint leads to the first
-    axis, the last to {P}."""
+    """Return the numbers of every link of the mechanism `serial`.
+
+    The first link has no joint and leads to the first axis; the last one leads to {P}.
+    """
     at, links, kind = np.eye(4), list[dict[str, Any]](), None
-    frame = np.eye(4)  # of the joint that is passed, at reading zero
+    frame = np.eye(4)  # of the current joint, at reading zero
     for joint in joints:
         frame = frame @ joint.origin
         if joint.kind:
@@ -194,12 +198,12 @@ def _links(joints: Sequence[Joint]) -> list[dict[str, Any]]:
 
 
 def _to_axis(F: Array, p: Array, u: Array, kind: str) -> tuple[dict[str, Any], Array]:
-    """Numbers of the link from frame F to the axis through p along u, and the frame there."""
-    way, toward = F[:3, :3].T @ (p - F[:3, 3]), F[:3, :3].T @ u
+    """Return the link from frame F to the axis through p along u, and the frame there."""
+    offset, toward = F[:3, :3].T @ (p - F[:3, 3]), F[:3, :3].T @ u
     normal = np.array([-toward[1], toward[0], 0.0])  # z x u
     if np.linalg.norm(normal) > MAX_PARALLEL_SINE:
-        return _perpendicular(F, way, toward, normal / np.linalg.norm(normal), kind)
-    foot = way - toward * way[2] / toward[2] if kind == "R" else np.zeros(3)
+        return _perpendicular(F, offset, toward, normal / np.linalg.norm(normal), kind)
+    foot = offset - toward * offset[2] / toward[2] if kind == "R" else np.zeros(3)
     a = float(np.hypot(*foot[:2]))
     polar = a > MAX_COINCIDENT_DISTANCE_M
     theta = float(np.arctan2(foot[1], foot[0])) if polar else 0.0
@@ -218,28 +222,28 @@ def _to_axis(F: Array, p: Array, u: Array, kind: str) -> tuple[dict[str, Any], A
 
 
 def _perpendicular(
-    F: Array, way: Array, toward: Array, normal: Array, kind: str
+    F: Array, offset: Array, toward: Array, normal: Array, kind: str
 ) -> tuple[dict[str, Any], Array]:
-    """DH's numbers: x along the common normal, from this axis to the next one."""
-    a = float(way @ normal)
+    """Return the DH link: x is along the common normal, from this axis to the next one."""
+    a = float(offset @ normal)
     if a < 0:
         normal, a = -normal, -a
     alpha = float(np.arctan2(np.cross([0.0, 0.0, 1.0], toward) @ normal, toward[2]))
-    # where the axis is nearest to z: p + s u with the same x, y as the normal's end
+    # d is the height at which the next axis is nearest to z.
     across = np.array([-normal[1], normal[0], 0.0])
-    d = float(way[2] - toward[2] * (way @ across) / (toward @ across))
+    d = float(offset[2] - toward[2] * (offset @ across) / (toward @ across))
     step = {
         "axes": "perpendicular",
         "theta": float(np.arctan2(normal[1], normal[0])),
         "alpha": alpha,
     }
     if kind == "R":
-        step |= {"d": d, "a": a}  # of a slide only the direction counts
+        step |= {"d": d, "a": a}  # for a sliding joint only the direction counts
     return _remove_rounding(step), F @ _matrix(_remove_rounding(step))
 
 
 def _to_frame(F: Array, P: Array, kind: str | None) -> list[dict[str, Any]]:
-    """The last link; where {P}'s y-axis is nearly along its z, turned by a quarter before."""
+    """Return the last link; if {P}'s y-axis is nearly along z, a quarter turn comes before it."""
     first: list[dict[str, Any]] = []
     left = np.linalg.solve(F, P)
     if abs(left[2, 1]) > 0.9:
@@ -255,7 +259,7 @@ def _to_frame(F: Array, P: Array, kind: str | None) -> list[dict[str, Any]]:
 
 
 def _matrix(step: dict[str, Any]) -> Array:
-    """Rz(theta) Tz(d) Tx(a) Ty(b) Rx(alpha) Ry(beta), (4, 4)."""
+    """Return Rz(theta) Tz(d) Tx(a) Ty(b) Rx(alpha) Ry(beta), (4, 4)."""
     theta, d, a, b, alpha, beta = (
         step.get(k, 0.0) for k in ("theta", "d", "a", "b", "alpha", "beta")
     )
@@ -271,7 +275,7 @@ def _matrix(step: dict[str, Any]) -> Array:
 
 
 def _remove_rounding(step: dict[str, Any]) -> dict[str, Any]:
-    """Without what rounding has left."""
+    """Set values that are only rounding errors to zero."""
     return {
         k: 0.0 if isinstance(v, float) and abs(v) < ROUNDING_TOLERANCE else v
         for k, v in step.items()

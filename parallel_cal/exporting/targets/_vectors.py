@@ -1,4 +1,4 @@
-"""Python's answers at poses over the workspace, beyond it and at no pose at all, as a table."""
+"""Test vectors: Python's solutions over the workspace, out of reach, and for NaN."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from parallel_cal.kinematics.solving import controlled_pose
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Model
 
-# How conditions are drawn: from these values, or about neutral by this much (1 sigma).
+# Conditions are drawn from these values, or about neutral with this sigma.
 CONDITION_CHOICES = {"direction": (-1.0, 0.0, 1.0), "session": (0.0, 1.0, 2.0)}
 CONDITION_SIGMAS = {
     "temperature": 5.0,
@@ -21,20 +21,22 @@ CONDITION_SIGMAS = {
     "velocity": 0.5,
     "travel": 0.1,
 }
-N_UNREACHABLE_POSES = 20  # so many poses lie out of reach,
-JOINT_DISAGREEMENT_SIGMA = (
-    1e-5  # rad or m, 1 sigma, by which joints disagree where there are more than coordinates
-)
-# m that a pose is moved, rad or m that its joints then may
+N_UNREACHABLE_POSES = 20
+UNREACHABLE_DISTANCE_FACTOR = 10.0  # sigma of their distance, per length of the mechanism
+# rad or m (1 sigma) by which joints disagree with each other if there are more than coordinates
+JOINT_DISAGREEMENT_SIGMA = 1e-5
+# If a pose moves by this (m), its joints may move by that (rad or m).
 POSE_PERTURBATION_M = 1e-9
 MAX_JOINT_CHANGE = 1e-3
-UNREACHABLE_DISTANCE_FACTOR = 10.0  # by this times the mechanism's length (1 sigma)
 
 
 def vectors(model: Model, poses: int) -> str:
-    """One problem a line: inverse (1) or direct (0), status, conditions, joints, position, rotation
-    row by row; what was not given is the answer, NaN where invalid. Poses whose answer a nanometre
-    makes another one are left out."""
+    """Return a table of problems, one per line.
+
+    A line contains: inverse (1) or direct (0), status, conditions, joints, position, and rotation
+    row by row. The part that is not given is the solution, NaN if invalid. Poses whose solution
+    changes if the pose moves by a nanometre are not used.
+    """
     rng = np.random.default_rng(0)
     r, R = poses_in_workspace(model.mechanism, poses, rng)
     r[:N_UNREACHABLE_POSES] += (
@@ -51,8 +53,8 @@ def vectors(model: Model, poses: int) -> str:
     at = {name: a[:, k] for k, name in enumerate(model.conditions)}
     kinematics = Kinematics(model)
     inverse = kinematics.inverse(r, turned, at)
-    # An arm's search from home may end on another branch by the last digit: no two programs agree
-    # there, and such poses are no test.
+    # The last digit may decide on which branch an arm's search from home ends. Two programs differ
+    # there, so such poses are no test.
     near = kinematics.inverse(r + POSE_PERTURBATION_M, turned, at)
     steady = np.isclose(near.joints, inverse.joints, rtol=0, atol=MAX_JOINT_CHANGE).all(axis=1)
     steady = (steady | ~inverse.solved) & (near.status == inverse.status)
@@ -80,7 +82,7 @@ def _draw_condition(condition: str, n: int, rng: np.random.Generator) -> np.ndar
 
 
 def _rows(problem: int, a: np.ndarray, answers: Solutions, **given: np.ndarray) -> list[str]:
-    """Lines; where nothing was solved what was given stands alone, the rest zero."""
+    """Format lines; without a solution, only the given part is stated and the rest is zero."""
     parts = {name: getattr(answers, name).copy() for name in ("joints", "position", "rotation")}
     for name, part in parts.items():
         if name in given:

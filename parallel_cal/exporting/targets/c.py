@@ -1,6 +1,6 @@
-"""One C99 file and header: direct and inverse problem, Jacobians; no dependency, no allocation.
+"""C99 source and header for both problems and the Jacobians, without dependency or allocation.
 
-With a program that checks them against Python's answers.
+A program comes with them that checks them against Python's solutions.
 """
 
 from __future__ import annotations
@@ -49,8 +49,10 @@ check: @robot@_check
 
 
 def files(model: Model, name: str = "", poses: int = 1000) -> dict[str, str]:
-    """By file name: C source, header, check, Makefile and `poses` test vectors. `name` begins all
-    names in them, the mechanism's where not given."""
+    """Return C source, header, check, Makefile and `poses` test vectors by file name.
+
+    `name` is the prefix of all names in them; the default is the mechanism's name.
+    """
     robot = name or re.sub(r"\W", "_", model.mechanism.name.split(".")[-1])
     if not re.fullmatch(r"[A-Za-z]\w*", robot):
         raise ModelError(f"name={robot}: expected a valid C identifier")
@@ -76,7 +78,7 @@ def fill_template(text: str, words: Mapping[str, str]) -> str:
 
 
 def _words(model: Model, robot: str) -> dict[str, str]:
-    """What stands for each @word@ of the templates."""
+    """Return the replacement of each @word@ in the templates."""
     s, m, n = model.structure, model.mechanism, len(model.joints)
     newton = [newton_functions(s, problem) for problem in PROBLEMS]
     unknown = [functions.columns for functions in newton]
@@ -132,13 +134,13 @@ def _words(model: Model, robot: str) -> dict[str, str]:
 
 
 def _condition_names(model: Model) -> list[str]:
-    """As members of a struct, each once."""
+    """Return the conditions as unique names of struct members."""
     names = [re.sub(r"\W", "_", name) for name in model.conditions]
     return [f"{c}_{k}" if names.count(c) > 1 else c for k, c in enumerate(names)]
 
 
 def _generate_copy(to: str, source: str, coordinates: list[int]) -> list[str]:
-    """C that copies these coordinates of a pose; a rotation can only be copied as a whole."""
+    """Generate C that copies coordinates of a pose; a rotation is copied as a whole."""
     lines = [f"{to}[NQ + {i}] = {source}position[{i}];" for i in coordinates if i < 3]
     if any(i >= 3 for i in coordinates):
         lines.append(f"memcpy({to} + NQ + 3, {source}rotation, 9 * sizeof *{to});")
@@ -150,18 +152,15 @@ def _lines(lines: Any, indent: int = 4) -> str:
 
 
 def _list(values: Any) -> str:
-    return ", ".join(_number(v) for v in np.asarray(values).tolist())
-
-
-def _number(value: float) -> str:
-    return repr(value) if np.isfinite(value) else f"{'-' if value < 0 else ''}HUGE_VAL"
+    infinite = {np.inf: "HUGE_VAL", -np.inf: "-HUGE_VAL"}
+    return ", ".join(infinite.get(v) or repr(v) for v in np.asarray(values).tolist())
 
 
 # ------------------------------------------------------------------ CasADi's expressions as C
 
 
 def _generate_functions(model: Model, newton: list[NewtonFunctions]) -> str:
-    """The functions that the templates call, the model's numbers in them."""
+    """Generate the functions that the templates call, with the model's numbers."""
     s = model.structure
     parts = [s.closure_configuration(s.configuration, s.a, ca.DM(model.values))]
     functions = [(dense("closure", [s.configuration, s.a], list(parts[0])), "x a", "phi slopes")]
@@ -183,7 +182,7 @@ def _rename_function(function: ca.Function, name: str) -> ca.Function:
 
 
 def _c_function(function: ca.Function, inputs: list[str], outputs: list[str]) -> str:
-    """CasADi's C of an expression, with named arrays in place of its calling convention."""
+    """Return CasADi's C code of a function, with named arrays as arguments."""
     code = ca.CodeGenerator("code.c")
     code.add(function)
     found = re.search(r"static int casadi_f0\(.*?\) \{\n(.*?)  return 0;\n\}", code.dump(), re.S)

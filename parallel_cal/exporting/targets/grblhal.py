@@ -1,9 +1,9 @@
 """grblHAL: settings $641 to $646 of its symmetric rotary Delta.
 
-All motors alike, z = 0 in the plane of their axes, angles down from the horizontal. What the
-settings call radii are sides of triangles: an axis is tan(30)/2 times theirs from the centre, of
-which only the difference counts ($644 is 0). Source: grblHAL core, kinematics/delta.c and its
-settings' descriptions.
+All motors are alike, z = 0 is the plane of their axes, and angles count down from the horizontal.
+The settings called radii are sides of triangles: an axis is tan(30)/2 times the side from the
+centre. Only the difference of the two counts, so $644 is 0. Source: grblHAL core,
+kinematics/delta.c and its settings' descriptions.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from parallel_cal.model.model import Model
 HOLDS = ROTARY
 FILE = "settings.txt"
 SHOULDER_ANGLES = np.radians([270.0, 30.0, 150.0])
-SIDE = np.tan(np.radians(30)) / 2  # from a triangle's side to what its axis is from the centre
+SIDE = np.tan(np.radians(30)) / 2  # distance of an axis from the centre, per side of its triangle
 
 
 def settings(paths: Sequence[Path]) -> Settings:
-    """`$641=250.000`, as `$$` lists them."""
+    """Read settings such as `$641=250.000`, as `$$` lists them."""
     texts: dict[str, tuple[str, SourceLine]] = {}
     for path in paths:
         for place, line in read_lines(path):

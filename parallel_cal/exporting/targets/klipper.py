@@ -1,9 +1,10 @@
 """Klipper: the numbers of `kinematics: delta` and `rotary_delta` in printer.cfg.
 
-Klipper takes the steppers at any angle, but counter-clockwise seen from above: of the two points
-where the rods meet, its forward problem finds the lower one only then (klippy/mathutil.py,
-trilateration). Its axes are those of {B}, turned over about x where z of {B} points down.
-Sources: Klipper documentation, "Configuration reference" and "Delta calibration".
+The steppers may be at any angle, but must be counter-clockwise seen from above. Only then does
+Klipper's forward kinematics find the lower of the two points where the rods meet
+(klippy/mathutil.py, trilateration). The axes are those of {B}, turned by 180 degrees about x if z
+of {B} points down. Sources: Klipper documentation, "Configuration reference" and "Delta
+calibration".
 """
 
 from __future__ import annotations
@@ -54,23 +55,18 @@ def project(model: Model) -> Projection:
     found |= {f"[printer] {key}": f"{number:.{DECIMALS}f}" for key, number in printer.items()}
     for i, stepper in enumerate(STEPPERS):
         found |= {f"{stepper} {key}": f"{three[i]:.{DECIMALS}f}" for key, three in each.items()}
-    return Projection({FILE: found}, c.frame, c.stops, _remarks(model, c.frame.order))
-
-
-def _remarks(model: Model, order: tuple[int, ...]) -> tuple[str, ...]:
-    """Which steppers drive other joints than the model's order suggests, and why."""
-    moved = [(STEPPERS[i], model.joints[k]) for i, k in enumerate(order) if i != k]
-    if not moved:
-        return ()
-    drives = " and ".join(f"{stepper} drives {joint}" for stepper, joint in moved)
-    return (
-        f"{drives}. Klipper needs its steppers counter-clockwise seen from above: "
-        "the pins in these sections must be those of these joints",
-    )
+    remarks = []
+    if moved := [(STEPPERS[i], model.joints[k]) for i, k in enumerate(c.frame.order) if i != k]:
+        drives = " and ".join(f"{stepper} drives {joint}" for stepper, joint in moved)
+        remarks.append(
+            f"{drives}. Klipper needs its steppers counter-clockwise seen from above: "
+            "the pins in these sections must be those of these joints"
+        )
+    return Projection({FILE: found}, c.frame, c.stops, tuple(remarks))
 
 
 def end_stop_heights(delta: Shoulders) -> np.ndarray:
-    """Where the nozzle in the middle (3,) m is believed with one arm at its end-stop."""
+    """Return the nozzle's heights (3,) in m on the axis with one arm at its end-stop."""
     out = delta.radius + delta.arms * np.cos(delta.homed)
     if (out > delta.rods).any():
         raise ModelError("with the arms at their end-stops no rod reaches the middle")

@@ -1,7 +1,8 @@
-"""LinuxCNC: a kinematics component of any model, and numbers for the kinematics that come with it.
+"""LinuxCNC: a kinematics component of any model, and numbers for its own kinematics.
 
-genhexkins for hexapods, lineardeltakins and rotarydeltakins for Deltas whose chains are alike: pins
-in a .hal file, HOME_OFFSET in the .ini file, mm and degrees. Source: LinuxCNC documentation,
+Its own kinematics are genhexkins for hexapods, and lineardeltakins and rotarydeltakins for Deltas
+with equal chains. The numbers are pins in a .hal file and HOME_OFFSET in the .ini file, in mm and
+degrees. Source: LinuxCNC documentation,
 kins(9), lineardeltakins(9), "INI configuration", and src/emc/kinematics.
 """
 
@@ -38,7 +39,7 @@ ROTARY_PINS = {"platformradius": "R", "thighlength": "U", "shinlength": "L", "fo
 
 
 def files(model: Model, name: str = "") -> dict[str, str]:
-    """The exported C and a component `name`_kins around it."""
+    """Return the exported C, and a component `name`_kins around it."""
     made = c.files(model, name)
     robot = next(file for file in made if file.endswith(".h")).removesuffix(".h")
     if len(model.joints) > 9:
@@ -68,7 +69,7 @@ def settings(paths: Sequence[Path]) -> Settings:
 
 
 def firmware(stated: Settings) -> Firmware:
-    """With the kinematics whose pins are set."""
+    """Return the kinematics whose pins are set."""
     unit = stated.texts.get("[TRAJ] LINEAR_UNITS")
     if unit and unit[0] != "mm":
         raise unit[1].error("[TRAJ] LINEAR_UNITS", unit[0], "mm")
@@ -124,7 +125,7 @@ def project(model: Model) -> Projection:
 
 
 def _struts(model: Model) -> tuple[Struts, Machine]:
-    """Both hexagons and the lengths at the upper ends of the legs."""
+    """Fit both hexagons, and the lengths at the upper limits of the legs."""
     legs = [f"leg{i}." for i in range(1, 7)]
     ends = [[[model.value(f"{leg}{end}_{a}") for a in "xyz"] for leg in legs] for end in "CB"]
     stops = np.array(model.mechanism.joint_limits, float)[:, 1]

@@ -30,10 +30,8 @@ from parallel_cal.model.model import Model
 HOLDS = (*LINEAR, *ROTARY, "five_bar", "cable")
 FILE, OVERRIDE = "config.g", "config-override.g"
 LOADS_OVERRIDE = re.compile(r"^\s*M501\b", re.MULTILINE | re.IGNORECASE)
-TEETH = 20  # of a motor's gear, where they suit
-MIN_BUILDUP_M = (
-    2e-6  # m: the firmware divides by the build-up, and less than this drowns in its rounding
-)
+TEETH = 20  # of a motor's gear, if they give the ratio
+MIN_BUILDUP_M = 2e-6  # m; the firmware divides by it, and rounding hides a smaller one
 
 
 def settings(paths: Sequence[Path]) -> Settings:
@@ -41,7 +39,7 @@ def settings(paths: Sequence[Path]) -> Settings:
 
 
 def read_later(paths: Sequence[Path]) -> list[Path]:
-    """`config-override.g` beside a file whose M501 has the firmware read it."""
+    """Return each `config-override.g` that the firmware reads because of an M501."""
     overrides = [
         path.with_name(OVERRIDE) for path in paths if LOADS_OVERRIDE.search(read_verbatim(path))
     ]
@@ -100,8 +98,8 @@ def _five_bar(model: Model) -> Projection:
     home = model.mechanism.home
     bars_of: Any = model.mechanism
     angles, stops = np.array(home.joints) + q0, np.array(bars_of.switches)
-    way = np.array(home.position[:2]) - np.column_stack([x, y])
-    left = np.sign(np.cos(angles) * way[:, 1] - np.sin(angles) * way[:, 0])
+    reach = np.array(home.position[:2]) - np.column_stack([x, y])
+    left = np.sign(np.cos(angles) * reach[:, 1] - np.sin(angles) * reach[:, 0])
     turns = (int(left[0]), int(left[1]))
     if turns not in TURNS.values():
         raise ModelError(
@@ -133,8 +131,7 @@ def _five_bar(model: Model) -> Projection:
 
 
 def _cable(model: Model) -> Projection:
-    """Anchors, radii and the build-up are refitted; gears and advantages are counted, not
-    measured."""
+    """Fit anchors, radii and the build-up; gears and advantages are counted, not measured."""
     n = len(model.joints)
     rows = range(1, n + 1)
     anchors = np.array([[model.value(f"line{i}.A_{axis}") for axis in "xyz"] for i in rows])
@@ -185,7 +182,7 @@ def _cable(model: Model) -> Projection:
 
 
 def _teeth(gear: float) -> tuple[int, int]:
-    """Of the motor's and the spool's gear."""
+    """Return the teeth of the motor's and the spool's gear."""
     if abs(TEETH * gear - round(TEETH * gear)) < 1e-9:
         return TEETH, round(TEETH * gear)
     ratio = Fraction(gear).limit_denominator(200)

@@ -1,6 +1,6 @@
-"""The look-up table of section 6.1: corrections to the nominal solution, with the error it leaves.
+"""The look-up table of section 6.1: corrections to the nominal solution, and their error.
 
-For a controller that can do no more than look up and interpolate linearly.
+It is for a controller that can only look up values and interpolate linearly.
 """
 
 from __future__ import annotations
@@ -20,15 +20,19 @@ from parallel_cal.model.mechanism import POSE, poses_in_workspace
 from parallel_cal.model.model import Model
 
 PROBLEMS = ("inverse", "direct")
-MAX_GRID_POINTS = 100_000  # grid points: a minute's work
+MAX_GRID_POINTS = 100_000  # they take a minute
 N_VALIDATION_POSES = 2000  # poses over the workspace, none of them on the grid
 
 
 def files(
     model: Model, problem: str = "inverse", size: int = 9, order: str = "linear"
 ) -> dict[str, str]:
-    """A line for each of `size` grid points an axis: given coordinates, corrections (joints, or the
-    pose's x y z and small turn); beside it what it corrects, and the error that is left."""
+    """Return a table with one line per grid point, and its description.
+
+    There are `size` grid points per axis. A line contains the given coordinates and the corrections
+    of the joints, or of the pose: x y z and a small rotation. The description states the nominal
+    values and the remaining error.
+    """
     if problem not in PROBLEMS:
         raise ModelError(f"problem={problem}: expected one of {', '.join(PROBLEMS)}")
     given = len(model.mechanism.controls if problem == "inverse" else model.joints)
@@ -63,8 +67,11 @@ def files(
 
 
 def _error(model: Model, table: LookUpTable, problem: str) -> dict[str, Any]:
-    """Of poses at random: where the robot goes less where it was sent (m, rad); direct: where it is
-    told to be less where it is. `without` is the same of the nominal solution alone."""
+    """Return the error (m, rad) with the table, and `without` it, at random poses.
+
+    For the inverse problem it is the reached minus the commanded pose, for the direct problem the
+    computed minus the true pose.
+    """
     exact, m = Kinematics(model), model.mechanism
     r, R = poses_in_workspace(m, N_VALIDATION_POSES, np.random.default_rng(1))
     wanted = exact.inverse(r, R)

@@ -1,6 +1,6 @@
-"""A URDF for RViz: the drawing's links, driven joints and the passive ones that close the loops.
+"""A URDF for RViz: the drawing's links, driven joints, and passive joints that close the loops.
 
-kinematics_node tells where the passive joints stand on `~/passive_joint_states`.
+kinematics_node publishes the passive joints on `~/passive_joint_states`.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ COLOURS = {
     "rod": "0.10 0.45 0.70 1",
     "platform": "0.15 0.60 0.35 1",
 }
-THICKNESS = 0.008  # of a link, in parts of the drawing's extent
-UNLIMITED = 1e3  # m: the limit of what has none
+THICKNESS = 0.008  # of a link, per extent of the drawing
+UNLIMITED = 1e3  # the limit (SI) of joints without limits
 
 
 def files(model: Model, name: str = "robot") -> dict[str, str]:
-    """`name`.urdf; lengths in m, links as cylinders."""
+    """Return `name`.urdf, with lengths in m and links as cylinders."""
     tree = tree_of(model)
     root = ElementTree.Element("robot", name=name)
     for kind, colour in COLOURS.items():
@@ -44,7 +44,7 @@ def files(model: Model, name: str = "robot") -> dict[str, str]:
 
 
 def _draw(link: ElementTree.Element, segment: Segment, radius: float) -> None:
-    """A cylinder, which URDF draws along z about its middle."""
+    """Draw a segment as a cylinder; URDF draws it along z about its middle."""
     a, b = segment.ends
     x, y, z = b - a
     turned = _numbers([0.0, np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)])
@@ -57,7 +57,13 @@ def _draw(link: ElementTree.Element, segment: Segment, radius: float) -> None:
 
 
 def _join(root: ElementTree.Element, joint: Joint, tree: Tree) -> None:
-    low, high, speed = _limits(joint, tree)
+    none = np.inf if joint.turns else UNLIMITED
+    low, high, speed = -none, none, UNLIMITED
+    if joint.value is None:  # a driven joint
+        i = tree.model.joints.index(joint.name)
+        low, high = np.clip(tree.model.mechanism.joint_limits[i], -none, none)
+        if rates := tree.model.mechanism.joint_rates:
+            speed = min(rates[i][0], UNLIMITED)
     endless = joint.turns and not np.isfinite([low, high]).all()
     kind = "continuous" if endless else "revolute" if joint.turns else "prismatic"
     part = ElementTree.SubElement(root, "joint", name=joint.name, type=kind)
@@ -69,17 +75,6 @@ def _join(root: ElementTree.Element, joint: Joint, tree: Tree) -> None:
     if endless:
         limits = {"velocity": speed, "effort": UNLIMITED}
     ElementTree.SubElement(part, "limit", {k: _numbers([v]) for k, v in limits.items()})
-
-
-def _limits(joint: Joint, tree: Tree) -> tuple[float, float, float]:
-    """Lowest and highest position and the speed of a joint of the robot; of a passive one none."""
-    model, none = tree.model, np.inf if joint.turns else UNLIMITED
-    if joint.value is not None:
-        return -none, none, UNLIMITED
-    i = model.joints.index(joint.name)
-    low, high = np.clip(model.mechanism.joint_limits[i], -none, none)
-    rates = model.mechanism.joint_rates
-    return low, high, min(rates[i][0], UNLIMITED) if rates else UNLIMITED
 
 
 def _numbers(values: object) -> str:

@@ -1,7 +1,7 @@
-"""Klipper: `printer.cfg` of linear and rotary Deltas, with what DELTA_CALIBRATE stored in it.
+"""Klipper: `printer.cfg` of linear and rotary Deltas, with the results of DELTA_CALIBRATE.
 
-A stored position counts a motor's steps from its end-stop, so it stays true where the
-configuration changed; a height is that of the nozzle above the bed there. Sources: Klipper
+A stored position counts a motor's steps from its end-stop, so it stays valid if the configuration
+changes. A stored height is the nozzle's height above the bed at this position. Sources: Klipper
 documentation, "Configuration reference", "Delta calibration", "Rotation distance".
 """
 
@@ -28,15 +28,17 @@ CONFIGURATION = (".cfg",)
 TOUCHES = "[delta_calibrate]"
 STEPPERS = [f"[stepper_{a}]" for a in "abc"]
 KINDS = "delta or rotary_delta"
-TOWERS, SHOULDERS = (210.0, 330.0, 90.0), (30.0, 150.0, 270.0)  # degrees, where nobody says
+TOWERS, SHOULDERS = (210.0, 330.0, 90.0), (30.0, 150.0, 270.0)  # degrees, the defaults
 UNUSED = "distances are not used: --option printed_x=[sent, measured] determines the size"
 
 
 def samples(
     paths: Sequence[Path], printed_x: Sequence[float] = (), printed_y: Sequence[float] = ()
 ) -> Dataset:
-    """The heights of [delta_calibrate]; its distances and, beside an offset probe, its manual
-    heights are not used, which the warnings say."""
+    """Read the heights of [delta_calibrate].
+
+    Its distances are not used, nor its manual heights if the probe has an offset. Warnings say so.
+    """
     stated = settings(paths)
     step, top = _steps(stated), delta(stated).homed
     beside = bool(np.any(_probe(stated)))
@@ -64,7 +66,7 @@ def samples(
 
 
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
-    """The printer as its configuration has it."""
+    """Return the printer as configured."""
     stated = settings(paths)
     printer = delta(stated)
     if isinstance(printer, Shoulders):
@@ -81,8 +83,10 @@ def _position(stated: Settings, field: str) -> Array:
 
 
 def _probe(stated: Settings) -> Array:
-    """The probe's tip beside the nozzle (3,) m; stored heights are the nozzle's."""
-    depths = (field for field in stated.texts if field.endswith("] z_offset"))  # of any probe's
+    """Return the probe's tip (3,) beside the nozzle in m; stored heights are the nozzle's."""
+    depths = (
+        field for field in stated.texts if field.endswith("] z_offset")
+    )  # of any kind of probe
     kind = next(depths, "[probe] z_offset").removesuffix(" z_offset")
     beside = [stated.number(f"{kind} {a}_offset", "mm", 0.0) * MM for a in "xy"]
     return np.array([*beside, 0.0])
@@ -95,7 +99,7 @@ def _read_stepper_values(
     defaults: Sequence[float] | None = None,
     low: float = -1e4,
 ) -> Array:
-    """A key of the three steppers (3,): b and c without it have that of a, or `defaults`."""
+    """Read a key of the three steppers (3,); b and c default to the value of a, or `defaults`."""
     values: list[float] = []
     for i, stepper in enumerate(STEPPERS):
         default = defaults[i] if defaults else values[0] if values else None
@@ -104,7 +108,7 @@ def _read_stepper_values(
 
 
 def _steps(stated: Settings) -> Array:
-    """m or rad of a microstep (3,)."""
+    """Return the length of a microstep (3,) in m or rad."""
     found = []
     for stepper in STEPPERS:
         turn = 2 * np.pi
@@ -118,7 +122,7 @@ def _steps(stated: Settings) -> Array:
 
 
 def _gear(stated: Settings, field: str) -> float:
-    """`57:11, 2:1`: the product of the ratios."""
+    """Return the product of ratios such as `57:11, 2:1`."""
     if field not in stated:
         return 1.0
     text, place = stated.text(field, "")
@@ -144,10 +148,10 @@ def delta(stated: Settings) -> Delta:
 
 
 def _angles(stated: Settings, defaults: Sequence[float]) -> Array:
-    """Where the steppers stand (3,) degrees; DatasetError unless they are counter-clockwise.
+    """Return the steppers' angles (3,) in degrees; DatasetError unless counter-clockwise.
 
-    Klipper solves its forward problem for this order alone: of another one it takes the mirror
-    image of the nozzle above the joints, homes there, and moves the arms beyond their reach.
+    Klipper's forward kinematics is valid for this order only. With another order it returns the
+    mirror image of the nozzle above the joints, homes there, and moves the arms out of reach.
     """
     angles = _read_stepper_values(stated, "angle", "degrees", defaults)
     if are_counter_clockwise(angles * DEGREE):
@@ -181,7 +185,7 @@ def _towers(stated: Settings) -> Towers:
 
 
 def _shoulders(stated: Settings) -> Shoulders:
-    """The end-stops are where the nozzle in the middle is believed at their height."""
+    """Return the rotary Delta; an end-stop is where the nozzle on the axis has its height."""
     height = stated.number("[printer] shoulder_height", "mm", low=1.0) * MM
     rotary = Shoulders(
         stated.number("[printer] shoulder_radius", "mm", low=1e-3) * MM,

@@ -1,8 +1,9 @@
-"""LinuxCNC: a probe log of a linear Delta and the HAL file that sets lineardeltakins up.
+"""LinuxCNC: a probe log of a linear Delta, and the HAL file that configures lineardeltakins.
 
-A log that (PROBEOPEN) opened holds X Y Z A B C U V W of each touch, one a line, in the program's
-coordinates and units: probe with no offsets active. Sources: LinuxCNC documentation, "G-codes"
-(G38.x, Probe Logging), "Kinematics" and the manual page lineardeltakins(9).
+A log that (PROBEOPEN) opened contains X Y Z A B C U V W of each touch, one touch per line, in the
+program's coordinates and units. So no offsets may be active while probing. Sources: LinuxCNC
+documentation, "G-codes" (G38.x, Probe Logging), "Kinematics" and the manual page
+lineardeltakins(9).
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from parallel_cal.recordings.dataset import Dataset
 CONFIGURATION = (".hal",)
 AXES = "XYZABCUVW"
 KINS = "lineardeltakins."
-HOMED = "[JOINT_{}] HOME_OFFSET"  # in the .ini file: where a joint is at its switch
+HOMED = "[JOINT_{}] HOME_OFFSET"  # in the .ini file: the joint at its switch
 NO_PROBE = np.zeros(3)
 
 
@@ -36,7 +37,7 @@ def samples(
     printed_x: Sequence[float] = (),
     printed_y: Sequence[float] = (),
 ) -> Dataset:
-    """The touches of logs beside a .hal file, both in `unit`; `step` (m) of a motor or encoder."""
+    """Read the touches of logs, with a .hal file, both in `unit`; `step` (m) is a motor's step."""
     logs = [path for path in paths if path.suffix not in (*CONFIGURATION, ".ini")]
     if unit not in ("m", "mm", "in"):
         raise DatasetError(f"unit={unit}: expected mm, in or m, the unit of the program")
@@ -58,14 +59,16 @@ def samples(
 
 
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
-    """The machine as `setp lineardeltakins.R` and `.L` have it, in mm."""
+    """Return the machine that `setp lineardeltakins.R` and `.L` describe, in mm."""
     remark = "lengths in the HAL file are assumed to be in mm"
     return deltas.make_configured_robot(towers(settings(paths), "mm"), NO_PROBE, remarks=[remark])
 
 
 def towers(stated: Settings, unit: str) -> Towers:
-    """R, L and J0off, J1off, J2off of lineardeltakins, whose joint 0 stands along y; at their
-    switches joints are at HOME_OFFSET."""
+    """Return the Delta of lineardeltakins: R, L, J0off, J1off, J2off, and HOME_OFFSET in the .ini.
+
+    Joint 0 stands along y.
+    """
     size = UNITS[unit]
     radius = stated.number(f"{KINS}R", f"setp, the radius in {unit}", low=1e-3) * size
     expected = f"setp, the rods' length in {unit}, more than R"
@@ -83,8 +86,10 @@ def towers(stated: Settings, unit: str) -> Towers:
 
 
 def settings(paths: Sequence[Path]) -> Settings:
-    """The pins that `setp` sets in .hal files, or `sets` the signal that `net` leads to them, by
-    name; of .ini files `[section] key`."""
+    """Read the values of pins in .hal files by name, and of .ini files by `[section] key`.
+
+    A pin's value comes from `setp`, or from `sets` of the signal that `net` connects to it.
+    """
     setups = [path for path in paths if path.suffix == ".ini"]
     texts = dict(sections.settings(setups).texts)
     signals: dict[str, tuple[str, SourceLine]] = {}
@@ -95,5 +100,5 @@ def settings(paths: Sequence[Path]) -> Settings:
                 (texts if found[1] == "setp" else signals)[found[2]] = (found[3], place)
             elif found := re.match(r"\s*net\s+([\w.-]+)([^#]*)", line):
                 nets |= dict.fromkeys(found[2].split(), found[1])
-    led = {pin: signals[name] for pin, name in nets.items() if name in signals}
-    return Settings(led | texts, paths)
+    connected = {pin: signals[name] for pin, name in nets.items() if name in signals}
+    return Settings(connected | texts, paths)

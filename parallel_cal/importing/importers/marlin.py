@@ -1,10 +1,10 @@
 """Marlin: a captured log of a linear Delta, with M503 and the touches of G29, G30 or G33.
 
-Touches are lines `Bed X: Y: Z:` (G29 V4, G30), and the report of `G33 P2 V3` or `P3`, whose
-numbers are single touches (but for a mean near the centre); of P4 and more they are means over the
-bed. Each belongs to the settings before it, and joints count from the end-stops, so that settings
-may change; the last ones are the machine's. Sources: Marlin documentation, "M665", "M666", "M851",
-"G29", "G30", "G33 - Delta Auto Calibration".
+Touches are the lines `Bed X: Y: Z:` (G29 V4, G30), and the report of `G33 P2 V3` or `P3`, whose
+numbers are single touches (except for a mean near the centre). With P4 and more they are means over
+the bed and are not used. A touch belongs to the settings before it. Joints count from the
+end-stops, so the settings may change within a log; the last ones are the machine's. Sources: Marlin
+documentation, "M665", "M666", "M851", "G29", "G30", "G33 - Delta Auto Calibration".
 """
 
 from __future__ import annotations
@@ -37,23 +37,17 @@ SETTING = re.compile(r"(Height|E[xyz]|Radius|T[xyz]):\s*([-+.\w]+)")
 FIELDS = {"Height": "M665 H", "Radius": "M665 R"}
 FIELDS |= {f"E{a}": f"M666 {a.upper()}" for a in "xyz"}
 FIELDS |= {f"T{a}": f"M665 {a.upper()}" for a in "xyz"}
-POINT_ANGLES_DEG = {
-    "x": 210,
-    "xy": 270,
-    "y": 330,
-    "yz": 30,
-    "z": 90,
-    "zx": 150,
-}  # degrees of G33's points
-Z_ONLY = np.array([0.0, 0.0, 1.0])  # G33 has the nozzle over its points, with O the probe
-STEPS = 80.0  # a mm, where M92 is not in the log
+# The points of G33.
+POINT_ANGLES_DEG = {"x": 210, "xy": 270, "y": 330, "yz": 30, "z": 90, "zx": 150}
+Z_ONLY = np.array([0.0, 0.0, 1.0])  # G33 moves the nozzle over its points, with O the probe
+STEPS = 80.0  # per mm, if M92 is not in the log
 MEANS = "G33's numbers are means of several touches, except for P2 and P3: not used"
 
 
 def samples(
     paths: Sequence[Path], printed_x: Sequence[float] = (), printed_y: Sequence[float] = ()
 ) -> Dataset:
-    """The touches of a log; G33 with more than P3, or whose command is not in it, is not used."""
+    """Read the touches of a log; G33 with more than P3, or without its command, is not used."""
     texts: dict[str, tuple[str, SourceLine]] = {}
     stated, found, skipped = Settings(texts, paths), [], False
     radius, single, shift = None, False, Z_ONLY
@@ -75,7 +69,9 @@ def samples(
             skipped |= not single
             for name, text in report if single else ():
                 z = place.number(f"G33 {name}", text, "mm within 20 of the bed", -20.0, 20.0)
-                out = 0.0 if name == "c" else _radius(stated, radius)
+                out = 0.0
+                if name != "c":  # older versions state the circle by M665 B
+                    out = radius or stated.number("M665 B", "'at radius:' of G33, in mm", low=1.0)
                 turn = POINT_ANGLES_DEG.get(name, 0) * DEGREE
                 nozzle = np.array([out * np.cos(turn), out * np.sin(turn), z])
                 found.append(_reading(stated, nozzle * MM - tip(stated) * shift))
@@ -91,7 +87,7 @@ def samples(
 
 
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
-    """The printer as the last settings in a log have it."""
+    """Return the printer that the last settings in a log describe."""
     texts: dict[str, tuple[str, SourceLine]] = {}
     for _ in _iterate_lines(paths, texts):
         pass
@@ -100,14 +96,14 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
 
 
 def tip(stated: Settings) -> Array:
-    """The probe's tip in {P} (m): M851, from the nozzle to the probe."""
+    """Return the probe's tip in {P} (m): M851, from the nozzle to the probe."""
     return np.array([stated.number(f"M851 {a}", "mm", 0.0, -200, 200) for a in "XYZ"]) * MM
 
 
 def _iterate_lines(
     paths: Sequence[Path], texts: dict[str, tuple[str, SourceLine]]
 ) -> Iterator[tuple[SourceLine, str]]:
-    """Every line without what the host writes before it, its settings taken into `texts`."""
+    """Yield every line without the host's prefix, and add its settings to `texts`."""
     for path in paths:
         for place, line in read_lines(path):
             plain = HOST_PREFIX.sub("", line).strip()
@@ -118,7 +114,7 @@ def _iterate_lines(
 
 
 def _reading(stated: Settings, nozzle: Array) -> Array:
-    """Carriages (3,) m from their end-stops."""
+    """Return the carriages (3,) in m from their end-stops."""
     towers = _towers(stated)
     q = towers.joints(nozzle[None])[0] - towers.end_stops
     if np.isfinite(q).all():
@@ -126,17 +122,14 @@ def _reading(stated: Settings, nozzle: Array) -> Array:
     raise stated.error("M665 L", f"rods that reach {np.round(nozzle / MM, 2).tolist()} mm")
 
 
-def _radius(stated: Settings, radius: float | None) -> float:
-    """Of G33's circle (mm): as it says, or as M665 B of older versions does."""
-    return radius or stated.number("M665 B", "'at radius:' of G33, its circle in mm", low=1.0)
-
-
 def _towers(stated: Settings) -> Towers:
-    """M665 L R H X Y Z, A B C added to the rods, and M666 X Y Z, by which the nozzle is lowered
-    from its end-stop to where it is at H."""
+    """Return the Delta of M665 L R H X Y Z, with A B C added to the rods, and of M666 X Y Z.
+
+    M666 is the distance by which the nozzle is lowered from its end-stop to the height H.
+    """
     radius = stated.number("M665 R", "the delta radius in mm", low=1.0)
     more = [0.0, 0.0, 0.0]
-    if "M665 A" in stated or "M665 C" in stated:  # without them B is a radius
+    if "M665 A" in stated or "M665 C" in stated:  # otherwise B is a radius
         more = [stated.number(f"M665 {t}", "mm", 0.0, -10, 10) for t in "ABC"]
     rod = stated.number("M665 L", "the rods' length in mm, more than the radius", low=radius)
     stops = [stated.number(f"M666 {t}", "mm, 0 or less", 0.0, high=0.0) for t in "XYZ"]

@@ -1,8 +1,9 @@
 """RepRapFirmware (Duet): `heightmap.csv` and `config.g` of linear and rotary Deltas.
 
-A cell of the map is the believed height of the nozzle, less the probe's trigger height, where the
-probe triggered over that point of the bed. Sources: Duet documentation, "Mesh bed compensation",
-"Configuring RepRapFirmware for a delta printer", G-code dictionary (G31, M92, M665, M666, M669).
+A cell of the map is the height of the nozzle by the firmware, minus the probe's trigger height,
+when the probe triggered over this point of the bed. Sources: Duet documentation, "Mesh bed
+compensation", "Configuring RepRapFirmware for a delta printer", G-code dictionary (G31, M92, M665,
+M666, M669).
 """
 
 from __future__ import annotations
@@ -36,15 +37,15 @@ LABELS = (
     "xmin,xmax,ymin,ymax,radius,xspacing,yspacing,xnum,ynum",
     "xmin,xmax,ymin,ymax,radius,spacing,xnum,ynum",
 )
-MAX_HEIGHT_MM = 20.0  # mm: further from its nominal plane no probe looks for a bed
-STEPS = 80.0  # a mm, or a degree, where M92 says nothing
-ANCHORS = "ABCDI"  # in M669, whose other letters are taken
+MAX_HEIGHT_MM = 20.0  # from the nominal plane; no probe searches for a bed further away
+STEPS = 80.0  # per mm or degree, if M92 is missing
+ANCHORS = "ABCDI"  # letters of M669 that are anchors
 
 
 def samples(
     paths: Sequence[Path], printed_x: Sequence[float] = (), printed_y: Sequence[float] = ()
 ) -> Dataset:
-    """The touches of height maps, the nozzle beside and above the probe's tip as G31 says."""
+    """Read the touches of height maps; G31 is the offset of the probe's tip from the nozzle."""
     maps = [path for path in paths if path.suffix.lower() == ".csv"]
     if not maps or len(maps) == len(paths):
         raise DatasetError(
@@ -53,7 +54,8 @@ def samples(
             "config-override.g, in the order in which they are read)"
         )
     stated = settings([path for path in paths if path not in maps], CODES)
-    delta, unit = read_delta(stated), _unit(stated)
+    delta = read_delta(stated)
+    unit = DEGREE if kind(stated) == 10 else MM  # in which M92 counts the steps
     read = [read_map(path) for path in maps]
     points = np.concatenate([each[0] for each in read])
     return make_touch_samples(
@@ -69,7 +71,7 @@ def samples(
 
 
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
-    """The printer as its configuration has it; M666 A and B are where the bed lies."""
+    """Return the printer as configured; M666 A and B are the slopes of the bed."""
     stated = settings(paths, CODES)
     if kind(stated) == 6:
         remarks = ["lines on spools of one radius and advantage share it"]
@@ -90,13 +92,13 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
 
 
 def tip(stated: Settings) -> Array:
-    """The probe's tip in {P} (m): X and Y beside the nozzle, the trigger height Z below it."""
+    """Return the probe's tip in {P} (m): G31 X and Y beside the nozzle, Z below it."""
     x, y, z = (stated.number(f"G31 {axis}", "the probe's offset in mm", 0.0) for axis in "XYZ")
     return np.array([x, y, -z]) * MM
 
 
 def read_map(path: Path) -> tuple[Array, list[SourceLine], list[Dropped]]:
-    """Points (N, 3) m of a height map, the line of each, and cells that were not probed."""
+    """Read points (N, 3) in m of a height map, the line of each, and cells without a touch."""
     rows = read_lines(path)
     if not rows or not rows[0][1].startswith(HEAD):
         first = rows[0][1][:40] if rows else ""
@@ -131,7 +133,7 @@ def read_map(path: Path) -> tuple[Array, list[SourceLine], list[Dropped]]:
 
 
 def _grid(place: SourceLine, line: str, names: Sequence[str]) -> tuple[list[float], list[float]]:
-    """The grid's x and y (mm)."""
+    """Return the grid's x and y (mm)."""
     cells = [cell.strip() for cell in line.split(",")]
     if len(cells) != len(names):
         raise place.error(
@@ -161,11 +163,6 @@ def kind(stated: Settings) -> int:
     return int(stated.number("M669 K", KINDS, 3.0))
 
 
-def _unit(stated: Settings) -> float:
-    """What M92 counts the steps of: mm, or degrees."""
-    return DEGREE if kind(stated) == 10 else MM
-
-
 def read_delta(stated: Settings) -> Delta:
     if kind(stated) == 3:
         return _towers(stated)
@@ -175,7 +172,7 @@ def read_delta(stated: Settings) -> Delta:
 
 
 def _towers(stated: Settings) -> Towers:
-    """M665 L R H B X Y Z and M666 X Y Z A B; A and B in per cent."""
+    """Return the Delta of M665 L R H B X Y Z and M666 X Y Z A B; A and B are in per cent."""
     radius = stated.number("M665 R", "the delta radius in mm", low=1.0)
     least = "rod lengths in mm, longer than the delta radius"
     rods = stated.numbers("M665 L", least, 3, low=radius)
@@ -189,7 +186,7 @@ def _towers(stated: Settings) -> Towers:
 
 
 def _shoulders(stated: Settings) -> Shoulders:
-    """M669 K10 U L H A R B X Y Z and M666 X Y Z (degrees)."""
+    """Return the Delta of M669 K10 U L H A R B X Y Z and M666 X Y Z (degrees)."""
     arm = "least:most degrees of an arm"
     reach = stated.numbers("M669 A", arm, 2) if "M669 A" in stated else np.array([-45.0, 45.0])
     trim = [stated.number(f"M669 {tower}", "degrees", 0.0, -30, 30) for tower in "XYZ"]
@@ -214,9 +211,14 @@ def _reach(stated: Settings, field: str) -> float | None:
 
 
 def read_hangprinter(stated: Settings) -> Hangprinter:
-    """M669 K6 N and a triple an anchor, M666 Q R U O L H; q = 0 at home."""
+    """Return the Hangprinter of M669 K6 N with one triple per anchor, and M666 Q R U O L H."""
     n = int(stated.number("M669 N", "the number of anchors", 4.0, 4, len(ANCHORS)))
-    anchors = np.array([_anchor(stated, f"M669 {letter}") for letter in ANCHORS[:n]])
+    rows, expected = [], "x:y:z of the anchor in mm"
+    for field in (f"M669 {letter}" for letter in ANCHORS[:n]):
+        if ":" not in stated.text(field, expected)[0]:  # a single number does not stand for all
+            raise stated.error(field, expected)
+        rows.append(stated.numbers(field, expected, 3))
+    anchors = np.array(rows)
 
     def each(letter: str, what: str) -> Array:
         return stated.numbers(f"M666 {letter}", what, n, low=1e-6)
@@ -230,17 +232,11 @@ def read_hangprinter(stated: Settings) -> Hangprinter:
     return Hangprinter(anchors * MM, radii, gears, each("U", "mechanical advantages"), buildup)
 
 
-def _anchor(stated: Settings, field: str) -> Array:
-    """x, y, z (mm); of one number alone nobody can know which."""
-    expected = "x:y:z of the anchor in mm"
-    if ":" not in stated.text(field, expected)[0]:
-        raise stated.error(field, expected)
-    return stated.numbers(field, expected, 3)
-
-
 def read_five_bars(stated: Settings) -> FiveBars:
-    """M669 K9 X Y P, D with cantilevers of 0, the work mode L, B at the switches and C, the cranks'
-    limits (degrees)."""
+    """Return the five-bar of M669 K9: X, Y, P, D (cantilevers of 0), L, B and C.
+
+    L is the work mode, B the angles at the switches, and C the limits of the cranks (degrees).
+    """
 
     def both(letter: str, what: str, low: float = -np.inf) -> Array:
         return stated.numbers(f"M669 {letter}", f"{what} of left:right", 2, low=low)

@@ -1,9 +1,9 @@
 """Positions of a laser tracker or a measuring machine, and a log of joints.
 
-A table of points with the columns x, y and z, after whatever stands before its header, and a table
-of joint readings, cells apart by commas, semicolons or tabs. Rows belong together by a column that
-both have: a point's name or number, or the time. A unit stands in the header (`X [mm]`), in a line
-before it (`Units: Millimeters`), or is given.
+One table contains points with the columns x, y and z, and another one joint readings. Any lines may
+precede the header. Commas, semicolons or tabs separate the cells. A column that both tables have
+joins their rows: a point's name or number, or the time. The unit is in the header (`X [mm]`), in a
+line before it (`Units: Millimeters`), or an option.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ TIMES = ("t", "time", "timestamp", "stamp", "datetime")
 EPOCH = date(1970, 1, 1)
 CLOCK = re.compile(
     r"(?:(\d{4}-\d\d-\d\d)[T ])?(\d{1,2}):(\d\d):(\d\d(?:\.\d*)?)(Z|[+-]\d\d:?\d\d)?"
-)  # any number of digits behind the seconds, which fromisoformat of Python 3.10 does not take
+)  # any number of decimals of the seconds, which fromisoformat of Python 3.10 does not accept
 UNIT_STATEMENT = re.compile(r"\bunits?\b\W*(\w+)", re.IGNORECASE)
 
 
@@ -46,14 +46,16 @@ def samples(
     sigma: float | None = None,
     joint_sigma: float | None = None,
 ) -> Dataset:
-    """Points and joints whose rows agree in the column `by`, or are `within` s of each other there;
-    `position` and `joints` are the columns' names, sigmas in m and rad."""
+    """Read points and joints whose rows agree in the column `by`, or differ by `within` s there.
+
+    `position` and `joints` are names of columns. The sigmas are in m and rad.
+    """
     for name, given in (("unit", unit), ("joint_unit", joint_unit)):
         if given and given not in UNITS:
             raise DatasetError(f"{name}={given}: expected one of {', '.join(UNITS)}")
-    for name, columns in (("position", position), ("joints", joints)):
-        if isinstance(columns, (str, Mapping)):
-            raise DatasetError(f"{name}={columns}: expected names of columns, such as [J1, J2, J3]")
+    for name, names in (("position", position), ("joints", joints)):
+        if isinstance(names, (str, Mapping)):
+            raise DatasetError(f"{name}={names}: expected names of columns, such as [J1, J2, J3]")
     read = [_read_table(path) for path in paths]
     points = _points([table for table, _ in read], position)
     logs = [table for table, _ in read if table is not points] or [points]
@@ -64,7 +66,14 @@ def samples(
             f"{paths[0]}: joined by {key}: state the largest time difference "
             "(--option within=SECONDS)"
         )
-    columns = [w for log in logs for w in _joints(log, joints, [*where, key])]
+    columns: list[str] = []
+    taken = {*(name.lower() for name in (*where, key)), *TIMES}
+    for log in logs:
+        if joints:
+            columns += [word for name in joints if (word := _find_column(log, name)) is not None]
+        else:  # every column that is neither the position, the key, nor a time
+            words = [word for word in log.header if word]
+            columns += [w for w in words if not {w.lower(), split_unit(w)[0].lower()} & taken]
     units = dict.fromkeys(where, unit) | dict.fromkeys(columns, joint_unit)
     tables = [_add_units(table, said, units, key, within) for table, said in read]
     wanted = ColumnMap(
@@ -77,7 +86,7 @@ def samples(
 
 
 def _read_table(path: Path) -> tuple[Table, str]:
-    """A table, and the unit that is said before its header; remarks are skipped."""
+    """Read a table, and the unit stated before its header; skip remarks."""
     said, rows = "", []
     for place, line in read_lines(path):
         if found := UNIT_STATEMENT.search(line):
@@ -95,7 +104,7 @@ def _read_table(path: Path) -> tuple[Table, str]:
 
 
 def _table(path: Path, header: list[str], apart: str, rows: Sequence[tuple[int, str]]) -> Table:
-    """Rows of as many cells as the header, without the empty one behind a separator at the end."""
+    """Make a table; remove the empty last cell of lines that end with a separator."""
     width = max(i for i, name in enumerate(header, 1) if name)
     body = [_cells(line, apart) for _, line in rows]
     for (number, _), cells in zip(rows, body, strict=True):
@@ -112,7 +121,7 @@ def _cells(line: str, apart: str) -> list[str]:
 
 
 def _points(tables: Sequence[Table], position: Sequence[str]) -> Table:
-    """The one table with the position's columns."""
+    """Return the only table with the position's columns."""
     found = [t for t in tables if all(_find_column(t, name) is not None for name in position)]
     if len(found) == 1:
         return found[0]
@@ -125,13 +134,13 @@ def _points(tables: Sequence[Table], position: Sequence[str]) -> Table:
 
 
 def _find_column(table: Table, name: str) -> str | None:
-    """The header's word for a column, whether in capitals or not."""
+    """Return the header's word for a column; upper and lower case are equal."""
     same = (w for w in table.header if name.lower() in (w.lower(), split_unit(w)[0].lower()))
     return next(same, None)
 
 
 def _find_common_column(points: Table, logs: Sequence[Table], where: Sequence[str]) -> str:
-    """The column, not of the position, that all tables have; the time only where no other is."""
+    """Return the column that all tables have, besides the position; the time is the last choice."""
     if logs == [points]:
         return ""
     shared = [
@@ -150,18 +159,10 @@ def _find_common_column(points: Table, logs: Sequence[Table], where: Sequence[st
     )
 
 
-def _joints(log: Table, joints: Sequence[str], others: Sequence[str]) -> list[str]:
-    """The words of the joints' columns: those named, or all that are neither a time nor another."""
-    if joints:
-        return [word for name in joints if (word := _find_column(log, name)) is not None]
-    taken = {*(name.lower() for name in others), *TIMES}
-    return [w for w in log.header if w and not {w.lower(), split_unit(w)[0].lower()} & taken]
-
-
 def _add_units(
     table: Table, said: str, units: dict[str, str], key: str, within: float | None
 ) -> Table:
-    """The table with a unit in every word that needs one, and times in seconds."""
+    """Return the table with a unit in every word that needs one, and times in seconds."""
     header = [
         f"{word} [{units[word] or said}]"
         if word in units and split_unit(word)[1] is None and (units[word] or said)
@@ -181,7 +182,7 @@ def _add_units(
 
 
 def _seconds(text: str, place: SourceLine, key: str) -> str:
-    """A number of seconds as it is, a time of day or a date and time in seconds."""
+    """Convert a number of seconds, a time of day, or a date and time to seconds."""
     if _is_number(text.replace(",", ".")):
         return text
     found = CLOCK.fullmatch(text)
