@@ -128,6 +128,58 @@ def test_a_comparison_shows_such_readings_and_warns():
     assert not any("limits" in w for w in compare(stewart(), legs()).dataset.warnings)
 
 
+@pytest.mark.parametrize("offset", [0.0, 0.1])
+@pytest.mark.parametrize(
+    ("scale", "words"),
+    [
+        (1e-3, "factor 1e+03 .*the readings were in m already and were converted from mm: state"),
+        (0.0254, "the readings were in m already and were converted from in: state unit: m"),
+        (1 / 5.0, "revolutions .column map: unit: rev, per_rev: 5000 mm"),
+        (0.4, "by the measured poses the readings are wrong by the factor 2.5"),
+        (2.8, "by the measured poses the readings are wrong by the factor 2.8"),
+    ],
+)
+def test_readings_that_the_measured_poses_contradict_are_refused(scale, words, offset):
+    data = legs(scale, offset)
+    with pytest.raises(FitError, match=words.replace("+", r"\+")):
+        observe(stewart(), data)
+    assert len(observe(stewart(), data, insist=True)) == 40
+
+
+@pytest.mark.parametrize("scale", [0.55, 0.94, 1.06, -0.6, 1.9])
+def test_gains_and_signs_within_the_limits_are_accepted(scale):
+    assert len(observe(stewart((-0.5, 0.5)), legs(scale))) == 40
+
+
+def test_angles_in_revolutions_are_refused_and_a_wrong_gear_ratio_is_not():
+    with pytest.raises(
+        FitError, match=r"joint\d reads .* rad, .*the readings are in rev: state it"
+    ):
+        observe(*delta(lambda q: q / (2 * np.pi)))
+    for ratio in (0.6, 0.94, 1.06):
+        observe(*delta(lambda q, ratio=ratio: ratio * q))
+
+
+def test_small_readings_are_accepted_unless_the_poses_prove_the_mismatch():
+    data = legs(1e-3)
+    observe(stewart(), replace(data, measured=np.zeros_like(data.measured)))
+    observe(stewart(), data.select(np.arange(9)))
+    observe(stewart((-np.inf, np.inf)), data)
+    noisy = data.q + 1e-4 * np.random.default_rng(0).standard_normal(data.q.shape)
+    observe(stewart(), replace(data, q=noisy))
+    # The poses span less than a twentieth of the joints' range.
+    observe(stewart((0.0, 20.0)), data)
+
+
+@pytest.mark.parametrize("axis", np.eye(3))
+def test_an_unknown_frame_of_the_device_is_no_wrong_unit(axis):
+    data, turn = legs(), vr.turn(1.5 * axis[None])[0]
+    for shift in (0.0, 0.3, 2.0):
+        moved = replace(data, r=data.r @ turn.T + shift, R=turn @ data.R)
+        for limits in ((0.0, 0.2), (0.0, 0.1), (-0.5, 0.5)):
+            observe(stewart(limits), moved)
+
+
 @pytest.mark.parametrize("offset", [0.0, 0.3, -0.5, 1.5])
 @pytest.mark.parametrize("scale", [1.0, 1.5, -1.0])
 def test_wrong_zeros_gains_and_signs_are_a_robots_own(scale, offset):

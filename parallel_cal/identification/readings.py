@@ -2,6 +2,9 @@
 
 Real robots show readings beyond their nominal limits, from wrong zeros and after whole turns. Only
 readings that span a joint's range several times, or are many ranges away from it, are refused.
+
+Readings that are too small for their unit stay within the limits. They are refused if the measured
+poses prove that the joint moved by another factor than its readings.
 """
 
 from __future__ import annotations
@@ -12,8 +15,12 @@ from parallel_cal.base.units import ANGLES, LARGE_UNITS, LENGTHS, UNITS
 from parallel_cal.identification.thresholds import (
     MAX_ARC,
     MAX_DISTANCE,
+    MAX_SCALE_MISMATCH,
     MAX_SPAN,
     MIN_CORRELATION,
+    MIN_POSE_SPAN,
+    MIN_SCALE_CORRELATION,
+    MIN_SCALE_SAMPLES,
     MIN_TURNS,
     MOST_READINGS,
     SAME_UNIT,
@@ -31,20 +38,26 @@ def doubt_readings(
     """Explain why the joint readings are impossible, and how to mend them; empty if they are
     possible. `x`, `measured` and `a` are as in Observations."""
     m, q = model.mechanism, x[:, : len(model.joints)]
-    excess = _excess(m, q)
-    if not excess.any():
-        return ""
-    worst = int(np.argmax(excess))
+    size = _excess(m, q)
+    beyond = bool(size.any())
+    if not beyond:
+        size = _mismatch(model, x, measured, a)
+        if not size.any():
+            return ""
+    worst = int(np.argmax(size))
     name, unit, (low, high) = m.joints[worst], m.joint_units[worst], m.joint_limits[worst]
-    others = [joint for joint, e in zip(m.joints, excess, strict=True) if e and joint != name]
+    if beyond:
+        why = f"the span or the distance of the readings is {size[worst]:.3g} times its range"
+        cure = "If the joint does move there, state its limits in the model file (low, high)"
+    else:
+        why = f"by the measured poses the readings are wrong by the factor {size[worst]:.3g}"
+        cure = "If the readings are right, correct the dimensions in the model file"
+    others = [joint for joint, s in zip(m.joints, size, strict=True) if s and joint != name]
     also = f" (likewise the readings of {', '.join(others)})" if others else ""
     return (
         f"{source or 'samples'}: joint {name} reads {q[:, worst].min():.4g} to "
-        f"{q[:, worst].max():.4g} {unit}, its limits are {low:.4g} to {high:.4g} {unit}: the "
-        f"span or the distance of the readings is {excess[worst]:.3g} times its range{also}. "
-        f"{_guess(model, x, measured, a, worst)}. If the joint does move there, state "
-        f"its limits in "
-        "the model file (low, high)"
+        f"{q[:, worst].max():.4g} {unit}, its limits are {low:.4g} to {high:.4g} {unit}: "
+        f"{why}{also}. {_guess(model, x, measured, a, worst)}. {cure}"
     )
 
 
@@ -71,6 +84,35 @@ def _excess(m: Mechanism, q: np.ndarray) -> np.ndarray:
     return excess
 
 
+def _mismatch(model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """Factor (nq,) by which readings and measured poses disagree; 0 where that is not proved."""
+    factor = np.zeros(len(model.joints))
+    q = x[:, : len(factor)]
+    low, high = np.array(model.mechanism.joint_limits, float).reshape(-1, 2).T
+    width = np.where(np.isfinite(high - low), high - low, np.nan)
+    span = np.ptp(
+        np.quantile(q, [(1 - MOST_READINGS) / 2, (1 + MOST_READINGS) / 2], axis=0), axis=0
+    )
+    # Other readings leave no room for a mismatch within the joint's range. The solution of the
+    # inverse problem is not needed for them.
+    small, large = span * MAX_SCALE_MISMATCH < width, span > width
+    if len(q) < MIN_SCALE_SAMPLES or not (small | large).any():
+        return factor
+    read, moved = _readings_and_motion(model, x, measured, a)
+    if len(read) < MIN_SCALE_SAMPLES:
+        return factor
+    middle = np.median(moved, axis=0)
+    # In an unknown frame the poses often lie where the robot cannot be.
+    proved = (low - width < middle) & (middle < high + width)
+    proved &= np.ptp(moved, axis=0) > MIN_POSE_SPAN * width
+    for i in np.flatnonzero((small | large) & proved):
+        scale = _scale(read[:, i], moved[:, i], MIN_SCALE_CORRELATION)
+        if scale is not None:
+            found = abs(scale) if small[i] else 1 / abs(scale)
+            factor[i] = found if found > MAX_SCALE_MISMATCH else 0.0
+    return factor
+
+
 def _arc(angles: np.ndarray, turn: float) -> float:
     """The shortest arc of the circle that holds most of the angles (N,)."""
     n = len(angles)
@@ -84,10 +126,18 @@ def _guess(model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray, i: 
     """Guess the unit of the readings of joint i, and say how to state it."""
     unit, read = model.mechanism.joint_units[i], x[:, i]
     cure = "state it in the column map (unit: {}; see docs/import_csv.md), or publish them in {}"
-    if scale := _scale(model, x, measured, a, i):
+    solved, moved = _readings_and_motion(model, x, measured, a)
+    if scale := _scale(solved[:, i], moved[:, i], MIN_CORRELATION):
         units = LENGTHS if unit == "m" else ANGLES
+        twice = [k for k, v in units.items() if v != 1 and _is_same(abs(scale) * v, 1.0)]
+        if twice:
+            return (
+                f"By the measured poses the readings were in {unit} already and were converted "
+                f"from {twice[0]}: state unit: {unit} in the column map (see docs/import_csv.md), "
+                f"or publish them in {unit}"
+            )
         nearest = min(units, key=lambda name: abs(np.log(abs(scale) / units[name])))
-        if abs(np.log(abs(scale) / units[nearest])) < SAME_UNIT:
+        if _is_same(abs(scale), units[nearest]):
             return (
                 f"By the measured poses the readings are in {nearest}: {cure.format(nearest, unit)}"
             )
@@ -111,24 +161,37 @@ def _guess(model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray, i: 
     )
 
 
-def _scale(
-    model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray, i: int
-) -> float | None:
-    """Motion of joint i by the measured poses (m or rad) per unit of its reading; None if the
-    poses do not determine it, for example in an unknown frame."""
+def _is_same(scale: float, other: float) -> bool:
+    return bool(abs(np.log(scale / other)) < SAME_UNIT)
+
+
+def _readings_and_motion(
+    model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return readings (k, nq), and the joints (k, nq) that the measured poses require.
+
+    They are the samples whose pose is measured and can be reached.
+    """
     n = len(model.joints)
     controlled = [n + k for k in model.mechanism.controlled]
     given = np.flatnonzero(measured[:, controlled].all(axis=1))
-    if len(given) < 3:
-        return None
+    if not len(given):
+        return np.empty((0, n)), np.empty((0, n))
     position, turned = model.structure.to_base(x[given, n:], model.values)
     at = {name: a[given, k] for k, name in enumerate(model.conditions)}
     found = Kinematics(model).inverse(position, turned.reshape(-1, 3, 3), at)
-    read, true = x[given[found.solved], i], found.joints[found.solved, i]
-    if len(read) < 3 or np.ptp(read) == 0 or np.ptp(true) == 0:
+    return x[given[found.solved], :n], found.joints[found.solved]
+
+
+def _scale(read: np.ndarray, moved: np.ndarray, min_correlation: float) -> float | None:
+    """Return the motion of a joint (m or rad) per unit of its reading.
+
+    None if the poses do not determine it, for example in an unknown frame.
+    """
+    if len(read) < 3 or np.ptp(read) == 0 or np.ptp(moved) == 0:
         return None
-    (variance, covariance), (_, other) = np.cov(read, true)
-    if abs(covariance) < MIN_CORRELATION * np.sqrt(variance * other):
+    (variance, covariance), (_, other) = np.cov(read, moved)
+    if abs(covariance) < min_correlation * np.sqrt(variance * other):
         return None
     # Noise and a rough geometry blur both ways: the ratio of the spreads is in the middle.
     return float(np.sign(covariance) * np.sqrt(other / variance))
