@@ -16,6 +16,7 @@ from parallel_cal.identification.thresholds import (
     MAX_ARC,
     MAX_DISTANCE,
     MAX_SCALE_MISMATCH,
+    MAX_SCALE_SAMPLES,
     MAX_SPAN,
     MIN_CORRELATION,
     MIN_POSE_SPAN,
@@ -35,8 +36,10 @@ USUAL_UNITS = {"m": ("mm", "cm", "um"), "rad": ("deg", "mrad")}  # that people m
 def doubt_readings(
     model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray, source: str
 ) -> str:
-    """Explain why the joint readings are impossible, and how to mend them; empty if they are
-    possible. `x`, `measured` and `a` are as in Observations."""
+    """Explain why the joint readings are impossible, and how to correct them; "" if they are not.
+
+    `x`, `measured` and `a` are as in Observations.
+    """
     m, q = model.mechanism, x[:, : len(model.joints)]
     size = _excess(m, q)
     beyond = bool(size.any())
@@ -62,8 +65,7 @@ def doubt_readings(
 
 
 def _excess(m: Mechanism, q: np.ndarray) -> np.ndarray:
-    """Number of ranges (nq,) that impossible readings (N, nq) span or are away; 0 for possible
-    ones."""
+    """Return the number of ranges (nq,) that impossible readings span or are away; else 0."""
     excess = np.zeros(q.shape[1])
     tail = (1 - MOST_READINGS) / 2
     for i, ((low, high), turn) in enumerate(zip(m.joint_limits, m.joint_periods, strict=True)):
@@ -85,7 +87,7 @@ def _excess(m: Mechanism, q: np.ndarray) -> np.ndarray:
 
 
 def _mismatch(model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """Factor (nq,) by which readings and measured poses disagree; 0 where that is not proved."""
+    """Return the factor (nq,) by which readings and poses disagree; 0 if it is not proved."""
     factor = np.zeros(len(model.joints))
     q = x[:, : len(factor)]
     low, high = np.array(model.mechanism.joint_limits, float).reshape(-1, 2).T
@@ -98,7 +100,8 @@ def _mismatch(model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray) 
     small, large = span * MAX_SCALE_MISMATCH < width, span > width
     if len(q) < MIN_SCALE_SAMPLES or not (small | large).any():
         return factor
-    read, moved = _readings_and_motion(model, x, measured, a)
+    some = np.unique(np.linspace(0, len(q) - 1, MAX_SCALE_SAMPLES).astype(int))
+    read, moved = _readings_and_motion(model, x[some], measured[some], a[some])
     if len(read) < MIN_SCALE_SAMPLES:
         return factor
     middle = np.median(moved, axis=0)
@@ -114,7 +117,7 @@ def _mismatch(model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray) 
 
 
 def _arc(angles: np.ndarray, turn: float) -> float:
-    """The shortest arc of the circle that holds most of the angles (N,)."""
+    """Return the shortest arc of the circle that contains most of the angles (N,)."""
     n = len(angles)
     most = int(np.ceil(MOST_READINGS * n))
     around = np.sort(angles % turn)

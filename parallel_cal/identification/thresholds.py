@@ -23,7 +23,7 @@ MIN_TURNS = 1.5  # whole turns: a crank that goes round once is no wrong unit
 MIN_CORRELATION = 0.9  # of readings and inverse solutions, for their ratio to be a unit
 SAME_UNIT = 0.05  # in the logarithm: by so much a ratio may differ from a unit's
 # Joint readings whose scale the measured poses contradict
-MIN_SCALE_SAMPLES = 10
+MIN_SCALE_SAMPLES, MAX_SCALE_SAMPLES = 10, 200  # more are not needed
 MIN_SCALE_CORRELATION = 0.97  # of readings and inverse solutions; a wrong frame lowers it
 MAX_SCALE_MISMATCH = 2.0  # no gain of a drive is wrong by such a factor
 MIN_POSE_SPAN = 0.05  # of a joint's range: less may be the geometry's error, not motion
