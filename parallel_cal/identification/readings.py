@@ -17,6 +17,7 @@ from parallel_cal.identification.thresholds import (
     MAX_DISTANCE,
     MAX_SCALE_MISMATCH,
     MAX_SCALE_SAMPLES,
+    MAX_SCALE_SPREAD,
     MAX_SPAN,
     MIN_CORRELATION,
     MIN_POSE_SPAN,
@@ -101,18 +102,26 @@ def _mismatch(model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray) 
     if len(q) < MIN_SCALE_SAMPLES or not (small | large).any():
         return factor
     some = np.unique(np.linspace(0, len(q) - 1, MAX_SCALE_SAMPLES).astype(int))
-    read, moved = _readings_and_motion(model, x[some], measured[some], a[some])
+    read, moved = _readings_and_motion(model, x[some], measured[some], a[some], quick=True)
     if len(read) < MIN_SCALE_SAMPLES:
         return factor
+    # In an unknown frame of the device, the poses lie where the robot cannot be, or the joints
+    # disagree: some are not correlated with their readings, or all by different factors.
     middle = np.median(moved, axis=0)
-    # In an unknown frame the poses often lie where the robot cannot be.
-    proved = (low - width < middle) & (middle < high + width)
-    proved &= np.ptp(moved, axis=0) > MIN_POSE_SPAN * width
-    for i in np.flatnonzero((small | large) & proved):
-        scale = _scale(read[:, i], moved[:, i], MIN_SCALE_CORRELATION)
-        if scale is not None:
-            found = abs(scale) if small[i] else 1 / abs(scale)
-            factor[i] = found if found > MAX_SCALE_MISMATCH else 0.0
+    inside = (low - width < middle) & (middle < high + width)
+    used = np.flatnonzero(inside & (np.ptp(moved, axis=0) > MIN_POSE_SPAN * width))
+    scales = [_scale(read[:, i], moved[:, i], MIN_SCALE_CORRELATION) for i in used]
+    if not scales or None in scales:
+        return factor
+    size = np.log(np.abs(np.array(scales, float)))
+    worst = size[np.argmax(np.abs(size))]
+    if np.minimum(np.abs(size), np.abs(size - worst)).max() > MAX_SCALE_SPREAD:
+        return factor
+    for i, one in zip(used, size, strict=True):
+        if (small[i] and one > np.log(MAX_SCALE_MISMATCH)) or (
+            large[i] and one < -np.log(MAX_SCALE_MISMATCH)
+        ):
+            factor[i] = np.exp(abs(one))
     return factor
 
 
@@ -169,11 +178,12 @@ def _is_same(scale: float, other: float) -> bool:
 
 
 def _readings_and_motion(
-    model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray
+    model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray, quick: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return readings (k, nq), and the joints (k, nq) that the measured poses require.
 
-    They are the samples whose pose is measured and can be reached.
+    They are the samples whose pose is measured and can be reached; if `quick`, those whose solution
+    is found at once.
     """
     n = len(model.joints)
     controlled = [n + k for k in model.mechanism.controlled]
@@ -182,7 +192,7 @@ def _readings_and_motion(
         return np.empty((0, n)), np.empty((0, n))
     position, turned = model.structure.to_base(x[given, n:], model.values)
     at = {name: a[given, k] for k, name in enumerate(model.conditions)}
-    found = Kinematics(model).inverse(position, turned.reshape(-1, 3, 3), at)
+    found = Kinematics(model, quick=quick).inverse(position, turned.reshape(-1, 3, 3), at)
     return x[given[found.solved], :n], found.joints[found.solved]
 
 
