@@ -1,1 +1,1 @@
-"""Export the calibrated model to controllers, tables and files of other tools."""
+"""The calibrated model for others: controllers, tables, files of other tools."""

@@ -1,1 +1,1 @@
-"""Read what controllers store: samples, and models of their machines as configured."""
+"""Files of controllers, as samples and as models of their machines as configured."""

@@ -61,7 +61,10 @@ class PrintedEnds:
 def make_printed_ends(
     delta: Delta, along_x: Sequence[float], along_y: Sequence[float]
 ) -> PrintedEnds:
-    """Of parts about the middle of the bed: `[sent, measured]` mm along x, along y, or both."""
+    """Return the ends of parts printed about the middle of the bed.
+
+    `along_x` and `along_y` are `[sent, measured]` in mm; either may be empty.
+    """
     given = {axis: two for axis, two in (("x", along_x), ("y", along_y)) if two}
     at, readings = np.zeros((2 * len(given), 3)), dict[str, Array]()
     for k, (axis, two) in enumerate(given.items()):

@@ -1,1 +1,1 @@
-"""What a model can be exported to, one target a file; the file's name is the target's name."""
+"""The targets of an export, one per file; the file's name is the target's name."""
