@@ -108,10 +108,11 @@ def test_every_free_parameter_has_its_value_sigma_and_unit(made, text):
     assert set(rows) == set(free)
     for name, p in free.items():
         factor, unit = (1e3, "mm") if p.unit == "m" else (180 / np.pi, "deg")
-        _, value, sigma, shown, nominal, words = rows[name]
+        _, value, change, sigma, shown, nominal, words = rows[name]
         assert (shown, unescape(words)) == (unit, p.words)
         assert float(value) == pytest.approx(p.value * factor, abs=p.sigma * factor)
         assert float(sigma) == pytest.approx(p.sigma * factor, rel=0.06)
+        assert float(change) == pytest.approx((p.value - p.nominal) * factor, abs=p.sigma * factor)
         assert float(nominal) == pytest.approx(p.nominal * factor, rel=1e-4, abs=1e-9)
 
 

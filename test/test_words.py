@@ -8,14 +8,18 @@ from parallel_cal.model.model import new_model
 from parallel_cal.model.words import parameters_in_words
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.simulate import with_effects
-from parallel_cal.reporting.text import errors_table, find_given_parameters
+from parallel_cal.reporting.blocks import as_text
+from parallel_cal.reporting.results import errors_table, find_given_parameters
 
 
 def test_winches_err_in_degrees_and_arms_in_arcmin():
     e = {"error": Summary(joint_mean=0.1, joint_rms=0.1)}
-    winches = errors_table(e, Summary(), read_model("config/hangprinter_hp4.yaml"))
+    winches, arms = (
+        as_text([errors_table(e, Summary(), model)])
+        for model in (read_model("config/hangprinter_hp4.yaml"), new_model("delta24"))
+    )
     assert winches.splitlines()[1].split() == ["joint", "error,", "mean", "5.73", "deg"]
-    assert "343.77  arcmin" in errors_table(e, Summary(), new_model("delta24"))
+    assert "343.77  arcmin" in arms
 
 
 def test_a_gear_ratio_that_was_found_is_shown_and_a_mass_that_nobody_gave_is_not():

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from html import escape
-
 
 class ShownInNotebook:
-    """Gives a result a rich display: the text that the command line prints.
+    """Gives a result a rich display: the tables that the command line prints, as HTML.
 
-    The text is made by `parallel_cal.show`, far above this room. It is reached through the public
+    They are made by `parallel_cal.show`, far above this room. It is reached through the public
     names, as a user would reach it, so that results need not know how they are printed.
     """
 
     def _repr_html_(self) -> str:
         import parallel_cal
 
-        return f"<pre>{escape(parallel_cal.show(self))}</pre>"
+        return parallel_cal.show(self, html=True)

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
-from parallel_cal.diagnosis.entries import Entry, SingleEffectFit
+from parallel_cal.diagnosis.entries import Entry
 from parallel_cal.diagnosis.separate import PlannedPose
 from parallel_cal.diagnosis.signature import signature
 from parallel_cal.diagnosis.thresholds import MAX_REFITTED_CANDIDATES
-from parallel_cal.identification.fit import ParameterEstimate
 from parallel_cal.reporting import signatures
 from parallel_cal.reporting.markup import (
-    Cell,
     Plot,
+    as_html,
     folded,
     items,
     paragraph,
@@ -22,18 +20,14 @@ from parallel_cal.reporting.markup import (
     tabs,
 )
 from parallel_cal.reporting.readable import (
-    MISSING,
-    error_unit,
     number,
-    percent,
     probability,
-    unit_of,
     value_unit,
     vector,
 )
 from parallel_cal.reporting.report import Report
+from parallel_cal.reporting.results import candidate_table
 
-ESTIMATES = 4  # parameters of an effect that are shown; gears have a dozen
 PATTERNS = 4  # candidates whose patterns are drawn
 
 
@@ -53,10 +47,13 @@ def candidates(report: Report, plot: Plot) -> str:
     remarks += [f"Objection: {text}" for text in found.verdict.against]
     first = [e for e in tested if e.name in found.effects or e.rank <= MAX_REFITTED_CANDIDATES]
     later = [e for e in tested if e not in first]
-    shown = _tested(report, first) if first else paragraph("No effect could be tested.", "none")
+    shown = paragraph("No effect could be tested.", "none")
+    if first:
+        shown = as_html([candidate_table(found, first)])
     shown += _patterns(first, report, plot)
     if later:
-        shown += folded(f"{len(later)} more effects fit no better", _tested(report, later))
+        more = as_html([candidate_table(found, later)])
+        shown += folded(f"{len(later)} more effects fit no better", more)
     if rest:
         listed = table(("effect", "reason"), rest, "evidence")
         shown += folded(f"Not tested: {len(rest)}", listed)
@@ -75,66 +72,6 @@ def _patterns(rows: Sequence[Entry], report: Report, plot: Plot) -> str:
         "the dashed line follows the blue one and both leave the band."
     )
     return paragraph(note, "note") + tabs(pages) if pages else ""
-
-
-def _tested(report: Report, rows: Sequence[Entry]) -> str:
-    kind = next(iter(report.errors.kinds), "joint")
-    unit = unit_of(kind, report.provenance.joint_units)
-    header = (
-        "effect",
-        "p (Holm)",
-        f"validation error, {kind} rms",
-        "accounts for",
-        "first pick",
-        "not geometry",
-        "lookalikes",
-    )
-    found = report.diagnosis.effects
-    return table(
-        header, [_row(entry, kind, unit, entry.name in found) for entry in rows], "evidence"
-    )
-
-
-def _row(entry: Entry, kind: str, unit: str, found: bool) -> list[Cell]:
-    alone, effect = entry.alone, entry.candidate.effect
-    # The objections, and the measurement that distinguishes it from its lookalikes.
-    apart = f"distinguished by {effect.separated_by}" if effect.separated_by else ""
-    cure = f" At the machine: {effect.remedy}." if found and effect.remedy else ""
-    return [
-        Cell(f"{entry.rank}. {entry.name}", effect.physics + cure, mark="found" if found else ""),
-        Cell(probability(entry.p_adjusted)),
-        Cell(_fall(alone, kind, unit), _estimates(alone.parameters)) if alone else Cell(MISSING),
-        Cell(percent(alone.share_explained if alone else None)),
-        Cell(percent(entry.first_picks)),
-        Cell(percent(entry.remaining)),
-        Cell(
-            ", ".join(entry.confused_with) or MISSING,
-            "; ".join(filter(None, (entry.reason, apart))),
-        ),
-    ]
-
-
-def _fall(alone: SingleEffectFit, kind: str, unit: str) -> str:
-    """Format `37.6 → 32.2 µm`."""
-    name, factor = error_unit(unit)
-    sides = (number(e.rms(kind), factor) for e in (alone.before, alone.after))
-    return " → ".join(sides) + f" {name}"
-
-
-def _estimates(parameters: Mapping[str, ParameterEstimate]) -> str:
-    """Format the parameters of the effect with their sigma, the most certain first."""
-    free = [(name, p) for name, p in parameters.items() if not p.fixed]
-    free.sort(key=lambda item: -abs(item[1].value) / (item[1].sigma or math.inf))
-    words = [_estimate(name, p) for name, p in free[:ESTIMATES]]
-    rest = len(free) - len(words)
-    return ", ".join(words) + (f" and {rest} more" if rest else "")
-
-
-def _estimate(name: str, p: ParameterEstimate) -> str:
-    if p.sigma is None:
-        return f"{name} not identified"
-    unit, factor = ("mrad", 1e3) if p.unit == "rad" else value_unit(p.unit)
-    return f"{name} {number(p.value, factor)} ± {number(p.sigma, factor, 2)} {unit}".rstrip()
 
 
 def measure_next(report: Report) -> str:

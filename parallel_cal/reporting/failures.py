@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from html import escape
 
 from parallel_cal.diagnosis.lack_of_fit import SmoothMap
 from parallel_cal.diagnosis.patterns import Region
 from parallel_cal.diagnosis.signature import signature
 from parallel_cal.reporting import joint_panels, maps, spaces
-from parallel_cal.reporting.contents import JudgedSample
-from parallel_cal.reporting.markup import Cell, Plot, folded, paragraph, table, tabs
+from parallel_cal.reporting.markup import Plot, as_html, folded, paragraph, table, tabs
 from parallel_cal.reporting.multiples import colour, multiples
 from parallel_cal.reporting.readable import (
-    error_unit,
-    number,
     percent,
     probability,
-    unit_of,
     vector,
     with_unit,
 )
 from parallel_cal.reporting.report import Report
+from parallel_cal.reporting.results import sample_table
 
 MAX_SAMPLE_ROWS = 400  # rows of the table of samples, worst first
 MAX_OPEN_PANELS = 8  # panels that are not folded
@@ -179,39 +176,5 @@ def samples(report: Report) -> str:
         note += f" The worst {MAX_SAMPLE_ROWS} are shown; all are in the JSON document."
     odd = [f"{row.sample} ({row.odd})" for row in rows if row.odd]
     note += f" Odd samples: {', '.join(odd)}." if odd else " There are no odd samples."
-    return paragraph(note, "note") + _samples(report)
-
-
-def _samples(report: Report) -> str:
-    units = report.provenance.joint_units
-    of = {kind: unit_of(kind, units) for kind in report.errors.kinds}
-    names = ("", ", with effect") if report.errors.found else ("",)
-    header = [
-        "sample",
-        *(f"sigmas{name}" for name in names),
-        "odd",
-        *(f"{k} [{error_unit(u)[0]}]{name}" for name in names for k, u in of.items()),
-        "time [s]",
-        "joints",
-        "position [mm]",
-    ]
-    rows = [_sample(row, of, units) for row in report.samples[:MAX_SAMPLE_ROWS]]
-    return table(header, rows, kind="sortable", sorted_by="sigmas")
-
-
-def _sample(row: JudgedSample, of: Mapping[str, str], units: Mapping[str, str]) -> list[Cell]:
-    joints = [vector([q], u) for q, u in zip(row.joints, units.values(), strict=True)]
-    sides = [side for side in (row.now, row.found) if side is not None]
-    return [
-        Cell(str(row.sample), key=row.sample, mark="odd" if row.odd else ""),
-        *(Cell(number(side["sigmas"], 1.0, 2), key=side["sigmas"]) for side in sides),
-        Cell(row.odd),
-        *(
-            Cell(number(side[kind], error_unit(unit)[1]), key=side[kind])
-            for side in sides
-            for kind, unit in of.items()
-        ),
-        Cell(number(row.time, 1.0, 4), key=row.time),
-        Cell(" ".join(joints)),
-        Cell(vector(row.position, "m")),
-    ]
+    shown = sample_table(rows[:MAX_SAMPLE_ROWS], report.errors.kinds, report.provenance.joint_units)
+    return paragraph(note, "note") + as_html([shown])

@@ -16,7 +16,7 @@ from parallel_cal.reporting.readable import error_unit, number, value_unit
 
 Spec = dict[str, Any]
 LEGEND = {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0}
-MAX_MOVED_TOLERANCES = 5.0  # tolerances
+MAX_MOVED_TOLERANCES = 5.0  # tolerances from which a parameter is marked
 
 
 def select_evenly(n: int, most: int) -> np.ndarray:

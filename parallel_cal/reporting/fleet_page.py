@@ -15,6 +15,7 @@ from parallel_cal.fleet.findings import Change, Deviation, Drift, Findings
 from parallel_cal.fleet.fleet import Fleet
 from parallel_cal.fleet.judging import Row, sort_recordings
 from parallel_cal.fleet.rows import KINDS
+from parallel_cal.reporting.blocks import Cell
 from parallel_cal.reporting.colours import ACCENT, MEASURED, QUIET, WARNING
 from parallel_cal.reporting.figures import LEGEND, Spec
 from parallel_cal.reporting.fleets import (
@@ -23,7 +24,7 @@ from parallel_cal.reporting.fleets import (
     together_in_words,
     verdicts_in_words,
 )
-from parallel_cal.reporting.markup import Cell, Plot, items, paragraph, section, sentence, table
+from parallel_cal.reporting.markup import Plot, items, paragraph, section, sentence, table
 from parallel_cal.reporting.overview import LABELS
 from parallel_cal.reporting.page import PageBuilder, page, plotly
 from parallel_cal.reporting.readable import (

@@ -2,65 +2,64 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from html import escape
 from typing import Any
 
-from parallel_cal.reporting.readable import is_known
+from parallel_cal.reporting.blocks import Block, Cell, Column, Number, Row, Table, as_cell
+from parallel_cal.reporting.readable import is_known, write_micro
 
 SORTED = ' aria-sort="descending"'
 Plot = Callable[[Mapping[str, Any]], str]  # keeps a figure for the page, returns its place in it
 
 
-@dataclass(frozen=True)
-class Cell:
-    """A cell's text, a smaller line under it, its sort key, and its link."""
-
-    text: str
-    under: str = ""
-    key: float | None = None
-    mark: str = ""
-    bar: float | None = None  # -1 to 1, drawn beside the text
-    link: str = ""
-
-    def html(self, label: str = "") -> str:
-        """As HTML; `label` is the column's name for pages too narrow for columns."""
-        label = f' data-label="{escape(label)}"' if label else ""
-        key = f' data-key="{self.key:.9g}"' if is_known(self.key) else ""
-        mark = f' class="{escape(self.mark)}"' if self.mark else ""
-        bar = ""
-        if is_known(self.bar):
-            wide = 50 * min(abs(self.bar), 1.0)
-            left = 50.0 if self.bar > 0 else 50.0 - wide
-            bar = f'<i class="bar"><i style="left:{left:.0f}%;width:{wide:.0f}%"></i></i>'
-        under = f"<small>{escape(write_micro(self.under))}</small>" if self.under else ""
-        text = escape(self.text)
-        text = f'<a href="{escape(self.link)}">{text}</a>' if self.link else text
-        return f"<td{label}{key}{mark}>{text}{bar}{under}</td>"
+def as_html(blocks: Iterable[Block]) -> str:
+    """Render blocks: a sentence is a paragraph, a table has a box that scrolls."""
+    return "".join(
+        paragraph(block) if isinstance(block, str) else _render_table(block) for block in blocks
+    )
 
 
 def table(
-    header: Sequence[str],
-    rows: Iterable[Sequence[Cell | str]],
+    header: Sequence[Column | str],
+    rows: Iterable[Row],
     kind: str = "",
     sorted_by: str = "",
 ) -> str:
-    """Make a table in a box that scrolls; `sorted_by` is the column with descending values."""
+    """Make a table that only pages show."""
+    return _render_table(Table(header, [*rows], kind, sorted_by))
+
+
+def _render_table(block: Table) -> str:
+    names = [write_micro(one.name) for one in block.headings()]
     head = "".join(
-        f'<th scope="col"{SORTED if name == sorted_by else ""}>{escape(name)}</th>'
-        for name in header
+        f'<th scope="col"{SORTED if name == block.sorted_by else ""}>{escape(name)}</th>'
+        for name in names
     )
-    cells = ([c if isinstance(c, Cell) else Cell(c) for c in row] for row in rows)
     body = "".join(
-        "<tr>" + "".join(c.html(name) for c, name in zip(row, header, strict=True)) + "</tr>"
-        for row in cells
+        "<tr>" + "".join(map(_render_cell, map(as_cell, row), names)) + "</tr>"
+        for row in block.rows
     )
     return (
-        f'<div class="box {kind}" tabindex="0"><table><thead><tr>{head}</tr></thead>'
+        f'<div class="box {block.kind}" tabindex="0"><table><thead><tr>{head}</tr></thead>'
         f"<tbody>{body}</tbody></table></div>"
     )
+
+
+def _render_cell(cell: Cell, label: str) -> str:
+    """Render a cell; `label` is the column's name for pages too narrow for columns."""
+    value = cell.content.value if isinstance(cell.content, Number) else cell.key
+    key = f' data-key="{value:.9g}"' if is_known(value) else ""
+    mark = f' class="{escape(cell.mark)}"' if cell.mark else ""
+    bar = ""
+    if is_known(cell.bar):
+        wide = 50 * min(abs(cell.bar), 1.0)
+        left = 50.0 if cell.bar > 0 else 50.0 - wide
+        bar = f'<i class="bar"><i style="left:{left:.0f}%;width:{wide:.0f}%"></i></i>'
+    under = f"<small>{escape(write_micro(cell.under))}</small>" if cell.under else ""
+    text = escape(cell.on_page())
+    text = f'<a href="{escape(cell.link)}">{text}</a>' if cell.link else text
+    return f'<td data-label="{escape(label)}"{key}{mark}>{text}{bar}{under}</td>'
 
 
 def section(title: str, content: str, about: str = "", closed: bool = False) -> str:
@@ -107,11 +106,6 @@ def items(texts: Iterable[str]) -> str:
 def facts(rows: Mapping[str, str]) -> str:
     listed = "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in rows.items())
     return f'<dl class="facts">{listed}</dl>'
-
-
-def write_micro(text: str) -> str:
-    """Write um as µm: the library's messages are ASCII, a page is not."""
-    return re.sub(r"(?<=\d) um\b", " µm", text)
 
 
 def micro(text: str) -> str:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from html import escape
 
-from parallel_cal.identification.budget import Budget, Iso9283
-from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.reporting import figures
-from parallel_cal.reporting.markup import Plot, micro, paragraph, table
-from parallel_cal.reporting.readable import error_unit, number, unit_of, with_unit
+from parallel_cal.reporting.blocks import Block
+from parallel_cal.reporting.markup import Plot, as_html, micro, paragraph
+from parallel_cal.reporting.readable import unit_of
 from parallel_cal.reporting.report import Report
+from parallel_cal.reporting.results import Tile, budget_table, error_tiles, iso_sentence
 
 LABELS = {
     "at_noise": "at the noise floor",
@@ -31,31 +30,18 @@ def verdict(report: Report) -> str:
 
 def numbers(report: Report) -> str:
     """Render the errors before, now and with the effects found, and the noise floor, as tiles."""
-    errors, units = report.errors, report.provenance.joint_units
-    tiles = [
-        _tile("before calibration", errors.before, errors.kinds, units),
-        _tile("now", errors.now, errors.kinds, units),
-    ]
-    if errors.found:
-        effects = " and ".join(report.diagnosis.effects)
-        tiles.append(_tile(f"with {effects}", errors.found, errors.kinds, units, "found"))
-    if errors.noise.is_known:
-        tiles.append(_tile("noise floor", errors.noise, errors.kinds, units))
+    tiles = error_tiles(report.errors, report.diagnosis.effects, report.provenance.joint_units)
     note = paragraph("Validation error: rms of the error's norm at held-out poses.", "note")
-    return f'<section id="numbers"><div class="tiles">{"".join(tiles)}</div>{note}</section>'
+    shown = "".join(map(_tile, tiles))
+    return f'<section id="numbers"><div class="tiles">{shown}</div>{note}</section>'
 
 
-def _tile(
-    name: str, e: Summary, kinds: Sequence[str], units: Mapping[str, str], mark: str = ""
-) -> str:
-    values = "".join(_value(e, kind, unit_of(kind, units)) for kind in kinds)
-    return f'<dl class="{mark}"><dt>{escape(name)}</dt>{values}</dl>'
-
-
-def _value(e: Summary, kind: str, si: str) -> str:
-    unit, factor = error_unit(si)
-    value = number(e.rms(kind), factor)
-    return f"<dd>{value}<span>{escape(unit)}</span><em>{escape(kind)}</em></dd>"
+def _tile(tile: Tile) -> str:
+    values = "".join(
+        f"<dd>{value}<span>{escape(unit)}</span><em>{escape(kind)}</em></dd>"
+        for value, unit, kind in tile.values
+    )
+    return f'<dl class="{tile.mark}"><dt>{escape(tile.name)}</dt>{values}</dl>'
 
 
 def budget(report: Report) -> str:
@@ -64,25 +50,11 @@ def budget(report: Report) -> str:
         return paragraph("There is no error budget: no pose was measured.", "none")
     note = (
         "The shares add up to the rms error of the nominal model. The share of a part is its "
-        "component along the total error. Alone: the rms of the part by itself, which other parts "
+        "component along the total error. By itself: the rms of the part alone, which other parts "
         "may compensate."
     )
-    tables = [_shares(b) for b in report.budget]
-    figures = [_iso(i) for i in report.iso_9283]
-    header = ("ISO 9283", "accuracy, mean", "accuracy, worst", "repeatability", "poses, visits")
-    return paragraph(note, "note") + "".join(tables) + table(header, figures)
-
-
-def _shares(b: Budget) -> str:
-    si = unit_of(b.kind, {})
-    rows = [(p.name, with_unit(p.contribution, si), with_unit(p.alone, si)) for p in b.parts]
-    return table((f"{b.kind}, {with_unit(b.total, si)}", "share", "alone"), rows)
-
-
-def _iso(i: Iso9283) -> tuple[str, ...]:
-    values = (i.accuracy_mean, i.accuracy_max, i.repeatability)
-    shown = (with_unit(value, unit_of(i.kind, {})) for value in values)
-    return (i.kind, *shown, f"{i.poses}, {i.visits}")
+    blocks: list[Block] = [*map(budget_table, report.budget), *map(iso_sentence, report.iso_9283)]
+    return paragraph(note, "note") + as_html(blocks)
 
 
 def history(report: Report, plot: Plot) -> str:

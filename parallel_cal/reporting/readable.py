@@ -6,6 +6,7 @@ A page has a few significant digits, a dash and µ; a terminal fixed digits, a h
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeGuard
 
@@ -53,6 +54,11 @@ def round_to_sigma(value: float, sigma: float | None, factor: float = 1.0) -> tu
         return number(value, factor, 6), MISSING
     decimals = max(1 - math.floor(math.log10(sigma * factor)), 0)
     return f"{value * factor:.{decimals}f}", f"{sigma * factor:.{decimals}f}"
+
+
+def write_micro(text: str) -> str:
+    """Write um as µm: messages and texts of blocks are ASCII, a page is not."""
+    return re.sub(r"((?<=\d )|(?<=\[)|^)um\b", "µm", text)
 
 
 def day(stamp: str) -> str:
@@ -110,7 +116,9 @@ def columns(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Format a short table without frames, with numbers aligned to the right."""
     lines = [list(header), *([str(cell) for cell in row] for row in rows)]
     widths = [max(len(line[k]) for line in lines) for k in range(len(header))]
-    right = [all(_numeric(line[k]) for line in lines[1:]) for k in range(len(header))]
+    right = [
+        all(not line[k].strip("<+-0123456789.e ") for line in lines[1:]) for k in range(len(header))
+    ]
     return "\n".join(
         "  ".join(
             cell.rjust(width) if numbers else cell.ljust(width)
@@ -118,7 +126,3 @@ def columns(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
         ).rstrip()
         for line in lines
     )
-
-
-def _numeric(text: str) -> bool:
-    return text.strip("<+-0123456789.e ") == ""

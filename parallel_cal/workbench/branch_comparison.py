@@ -10,7 +10,7 @@ import numpy as np
 from nicegui import ui
 
 from parallel_cal.reporting.arrows import scale_of
-from parallel_cal.reporting.markup import write_micro
+from parallel_cal.reporting.readable import write_micro
 from parallel_cal.reporting.spaces import side
 from parallel_cal.session.history import History, format_first_error
 from parallel_cal.workbench.bench import load_view

@@ -8,7 +8,7 @@ from typing import Any
 from nicegui import ui
 
 from parallel_cal.reporting.colours import QUIET
-from parallel_cal.reporting.markup import write_micro
+from parallel_cal.reporting.readable import write_micro
 from parallel_cal.workbench.bench import Bench
 from parallel_cal.workbench.campaign_card import CampaignBar
 from parallel_cal.workbench.widgets import COLOURS

@@ -11,7 +11,7 @@ from nicegui import run, ui
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.reporting.colours import MEASURED, PATTERN, QUIET
-from parallel_cal.reporting.markup import write_micro
+from parallel_cal.reporting.readable import write_micro
 from parallel_cal.session.history import format_first_error
 from parallel_cal.workbench.bench import Bench, Live
 from parallel_cal.workbench.header import Header

@@ -1,0 +1,145 @@
+"""Blocks: what a result shows, described once for the terminal, the report and the workbench.
+
+`results.py` and `studies.py` have one function for each kind of result. It describes the result
+as blocks: tables, and sentences (`str`). Three renderers show them:
+
+- `as_text` for the command line: ASCII, fixed decimals, no columns that are for pages only;
+- `markup.as_html` for reports and notebooks: significant digits, sortable, with small lines;
+- `as_rows` for the workbench, whose page gets plain data from another process.
+
+A `Number` keeps its value until it is rendered, because a terminal and a page show different
+digits. Texts are ASCII; a page writes um as µm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from parallel_cal.reporting.readable import (
+    MISSING,
+    columns,
+    format_fixed,
+    is_known,
+    number,
+    round_to_sigma,
+    write_micro,
+)
+
+
+@dataclass(frozen=True)
+class Number:
+    """A value in SI units; `factor` converts it to the unit of its column or its row.
+
+    A terminal shows `decimals`; a page shows the decimals of the second digit of `sigma`, or
+    `significant` digits if the sigma is not known.
+    """
+
+    value: float | None
+    factor: float = 1.0
+    decimals: int = 2
+    significant: int = 3
+    sigma: float | None = None
+
+    def fixed(self) -> str:
+        """Format the number for a terminal."""
+        return format_fixed(self.value, self.factor, self.decimals)
+
+    def on_page(self) -> str:
+        """Format the number for a page."""
+        if is_known(self.value) and is_known(self.sigma) and self.sigma > 0:
+            return round_to_sigma(self.value, self.sigma, self.factor)[0]
+        return number(self.value, self.factor, self.significant)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell with what only a page shows: a smaller line under it, a mark, a bar, a link."""
+
+    content: str | Number
+    under: str = ""
+    key: float | None = None  # orders the rows; by default the value of a number
+    mark: str = ""
+    bar: float | None = None  # -1 to 1, drawn next to the text
+    link: str = ""
+
+    def on_page(self) -> str:
+        """Write the content for a page."""
+        if isinstance(self.content, Number):
+            return self.content.on_page()
+        return MISSING if self.content == "-" else write_micro(self.content)
+
+
+Row = Sequence[Cell | Number | str]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column's heading, its key in the rows of the workbench, and whether a terminal shows it."""
+
+    name: str
+    key: str = ""
+    on_terminal: bool = True
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns and rows; `kind` is a style of the page, `sorted_by` a column in descending order."""
+
+    columns: Sequence[Column | str]
+    rows: Sequence[Row]
+    kind: str = ""
+    sorted_by: str = ""
+
+    def headings(self) -> list[Column]:
+        return [one if isinstance(one, Column) else Column(one) for one in self.columns]
+
+
+Block = Table | str
+
+
+def as_cell(cell: Cell | Number | str) -> Cell:
+    return cell if isinstance(cell, Cell) else Cell(cell)
+
+
+def as_text(blocks: Iterable[Block]) -> str:
+    """Render blocks for a terminal."""
+    return "\n".join(block if isinstance(block, str) else _as_columns(block) for block in blocks)
+
+
+def _as_columns(table: Table) -> str:
+    headings = table.headings()
+    rows = [
+        [
+            content.fixed() if isinstance(content, Number) else content
+            for heading, cell in zip(headings, row, strict=True)
+            if heading.on_terminal
+            for content in [as_cell(cell).content]
+        ]
+        for row in table.rows
+    ]
+    return columns([heading.name for heading in headings if heading.on_terminal], rows)
+
+
+def as_rows(table: Table) -> dict[str, Any]:
+    """Render a table as JSON: `columns` of (key, heading), and `rows` that are dictionaries.
+
+    Numbers and sort keys stay numbers, so that the page can sort them. The key of a small line is
+    the key of its cell with ` details`.
+    """
+    headings = table.headings()
+    keys = [heading.key or heading.name for heading in headings]
+    rows = []
+    for cells in table.rows:
+        row: dict[str, Any] = {}
+        for key, cell in zip(keys, map(as_cell, cells), strict=True):
+            row[key] = cell.on_page()
+            if isinstance(cell.content, Number):
+                row[key] = None if row[key] == MISSING else float(row[key])
+            elif cell.key is not None:
+                row[key] = cell.key
+            row[f"{key} details"] = write_micro(cell.under)
+        rows.append(row)
+    shown = [(k, write_micro(one.name)) for k, one in zip(keys, headings, strict=True)]
+    return {"columns": shown, "rows": rows}

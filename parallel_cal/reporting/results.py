@@ -1,0 +1,429 @@
+"""Describe results as blocks: one function for each kind of result, and for each of its parts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import singledispatch
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.diagnosis.comparison import Comparison
+from parallel_cal.diagnosis.diagnose import Diagnosis
+from parallel_cal.diagnosis.entries import Entry
+from parallel_cal.identification.budget import Budget, Iso9283, iso_9283
+from parallel_cal.identification.fit import FitResult, ParameterEstimate
+from parallel_cal.identification.prediction_errors import ERRORS, Summary
+from parallel_cal.model.model import Model
+from parallel_cal.reporting.blocks import Block, Cell, Column, Number, Row, Table
+from parallel_cal.reporting.contents import DescribedParameter, HeldOutErrors, JudgedSample
+from parallel_cal.reporting.contents import parameters as describe_parameters
+from parallel_cal.reporting.figures import MAX_MOVED_TOLERANCES
+from parallel_cal.reporting.readable import (
+    ARCMIN,
+    error_unit,
+    format_fixed,
+    format_fixed_vector,
+    number,
+    percent,
+    unit_of,
+    value_unit,
+    vector,
+)
+from parallel_cal.session.steps import Step
+
+# Limits on what one screen shows.
+MAX_CANDIDATES = 8
+MAX_SAMPLES = 10
+MAX_PATTERNS = 5
+MAX_ESTIMATES = 4  # parameters of an effect that are shown; gears have a dozen
+MIN_SHOWN_P_VALUE = 1e-99  # a smaller p-value adds no information
+PATTERN_SIGNIFICANCE_LEVEL = 0.05  # below it a pattern of the errors is shown
+
+
+@singledispatch
+def describe(result: Any) -> Iterator[Block]:
+    """Describe a result; TypeError if it is not one of those below."""
+    kind = type(result).__name__
+    raise TypeError(
+        f"show: got {kind}, expected the result of fit, add, remove, compare or diagnose"
+    )
+
+
+@describe.register
+def describe_step(step: Step) -> Iterator[Block]:
+    """Describe a step's fit; the fit without an added effect is its reference."""
+    yield from describe_fit(step.result, step.rival if step.name == "add" else None)
+    if shift := step.platform_shift:
+        measured, anywhere, worth = (
+            format_fixed(distance, 1e6, 0)
+            for distance in (shift.measured, shift.workspace, shift.shown)
+        )
+        yield (
+            f"the change moves the platform by {measured} um rms at the measured poses and by "
+            f"{anywhere} um rms over the workspace; the validation error shows {worth} um of it"
+        )
+
+
+@describe.register
+def describe_fit(result: FitResult, without: FitResult | None = None) -> Iterator[Block]:
+    """Describe a fit; `without` is the fit of the same samples without the added effect.
+
+    The budget and the figures of ISO 9283 are for positions if positions were measured.
+    """
+    rival = result.held_out_before if without is None else without.held_out
+    judged = {
+        "before": result.before.summary,
+        "after": result.after.summary,
+        "held-out, before" if without is None else "held-out, without it": rival.summary,
+        "held-out, after": result.held_out.summary,
+    }
+    estimate = result.estimate
+    yield (
+        f"{result.samples} samples, {estimate.spectrum.rank} of {result.free.sum()} free "
+        f"parameters identified, chi2/dof {format_fixed(estimate.chi2_per_dof)}"
+    )
+    yield errors_table(judged, result.noise_floor, result.model)
+    yield from map(budget_table, result.budgets[:1])
+    yield from map(iso_sentence, result.iso_9283[:1])
+    yield parameter_table(select_shown_parameters(result.model, describe_parameters(result)))
+
+
+def budget_table(budget: Budget) -> Table:
+    """Describe the error budget of the drawing's robot."""
+    unit, factor = ascii_unit(budget.kind)
+    total = f"{budget.kind} error of {format_fixed(budget.total, factor)} {unit}: parts"
+    columns = (
+        Column(total, "part"),
+        "share",
+        "by itself",
+        "unit",
+        Column("of the total", on_terminal=False),
+    )
+    rows = [
+        (
+            part.name,
+            Number(part.contribution, factor),
+            Number(part.alone, factor),
+            unit,
+            percent(part.contribution / budget.total if budget.total else None),
+        )
+        for part in budget.parts
+    ]
+    return Table(columns, rows)
+
+
+def iso_sentence(figures: Iso9283) -> str:
+    """Describe the figures of ISO 9283."""
+    unit, factor = ascii_unit(figures.kind)
+    again = "repeatability RP not known: no pose was visited twice"
+    if figures.repeatability is not None:
+        again = (
+            f"repeatability RP {format_fixed(figures.repeatability, factor)} {unit} "
+            f"({figures.poses} poses, {figures.visits} visits)"
+        )
+    mean, worst = (format_fixed(a, factor) for a in (figures.accuracy_mean, figures.accuracy_max))
+    return f"ISO 9283 {figures.kind}: accuracy AP {mean} {unit}, worst {worst}; {again}"
+
+
+def ascii_unit(kind: str) -> tuple[str, float]:
+    name, factor = error_unit(unit_of(kind, {}))
+    return name.replace("µ", "u"), factor
+
+
+def find_given_parameters(model: Model) -> set[str]:
+    """Find fixed parameters of effects that the owner gave or a search found: ratios, masses."""
+    table = model.table
+    known = [
+        table.matching(effect.fixed_patterns())
+        for effect in model.effects
+        if effect.fixed_patterns()
+    ]
+    shown = np.any(known, axis=0) & (model.values != table.nominal) if known else []
+    return {name for name, one in zip(table.names, shown, strict=False) if one}
+
+
+def select_shown_parameters(
+    model: Model, parameters: Mapping[str, DescribedParameter]
+) -> dict[str, DescribedParameter]:
+    """Select the free parameters, and the fixed ones that the owner gave or a search found."""
+    given = find_given_parameters(model)
+    return {name: p for name, p in parameters.items() if not p.fixed or name in given}
+
+
+def errors_table(judged: Mapping[str, Summary], noise: Summary, model: Model) -> Table:
+    """Describe mean and rms errors, one column each of before, after, ... (as table 5.15).
+
+    The noise floor is one more column if the noise is known. A redundant closure adds the rms of
+    its rows.
+    """
+    judged = {**judged, "noise floor": noise} if noise.is_known else dict(judged)
+    joint_units = dict(zip(model.joints, model.mechanism.joint_units, strict=True))
+    rows: list[Row] = []
+    for kind in ("position", "orientation", "reading", "joint"):
+        winds = kind == "joint" and not model.mechanism.periodic  # winches turn many times
+        name, factor = (value_unit if winds and "rad" in joint_units.values() else error_unit)(
+            unit_of(kind, joint_units)
+        )
+        if any(e.mean(kind) is not None for e in judged.values()):
+            for measure, get in (("mean", Summary.mean), ("rms", Summary.rms)):
+                cells = [Number(get(e, kind), factor) for e in judged.values()]
+                rows.append([f"{kind} error, {measure}", *cells, name.replace("µ", "u")])
+    if model.structure.phi.shape[0] > len(model.mechanism.moved):
+        cells = [Number(e.closure_rms, 1e6) for e in judged.values()]
+        rows.append(["closure, rms of its rows", *cells, "um"])
+    return Table(("", *judged, "unit"), rows)
+
+
+def parameter_table(parameters: Mapping[str, DescribedParameter]) -> Table:
+    """Describe parameters; a page adds how far they moved, the nominal values, the descriptions."""
+    columns = (
+        Column("parameter", "name"),
+        Column("moved [tolerances]", "moved", on_terminal=False),
+        "value",
+        "from nominal",
+        "sigma",
+        "unit",
+        Column("nominal", on_terminal=False),
+        Column("description", on_terminal=False),
+    )
+    farthest = max((abs(p.moved_tolerances) for p in parameters.values()), default=0.0)
+    rows = []
+    for name, p in parameters.items():
+        (unit, factor), moved = value_unit(p.unit), p.moved_tolerances
+        value, change, sigma = (
+            Number(v, factor, 4, 6, p.sigma) for v in (p.value, p.value - p.nominal, p.sigma)
+        )
+        rows.append(
+            (
+                Cell(name, mark="odd" if abs(moved) > MAX_MOVED_TOLERANCES else ""),
+                Cell(Number(moved, significant=2), bar=moved / farthest if farthest else None),
+                value,
+                change,
+                sigma,
+                unit,
+                Number(p.nominal, factor, 4, 6),
+                f"{p.words}, fixed" if p.fixed else p.words,
+            )
+        )
+    return Table(columns, rows, "sortable")
+
+
+@describe.register
+def describe_comparison(comparison: Comparison) -> Iterator[Block]:
+    """Describe errors, the worst samples, patterns of the errors, and odd samples."""
+    yield f"{len(comparison.observations)} samples"
+    yield errors_table({"error": comparison.errors.summary}, comparison.noise, comparison.model)
+    yield from map(iso_sentence, iso_9283(comparison.errors, comparison.observations)[:1])
+    yield "worst samples:"
+    yield _worst_samples(comparison)
+    rows = [
+        (a.name, Number(a.strength, 1, 1), f"{a.p_value:.2g}")
+        for a in comparison.residual_profiles[:MAX_PATTERNS]
+        if a.p_value < PATTERN_SIGNIFICANCE_LEVEL
+    ]
+    if rows:
+        yield "errors correlate with:"
+        yield Table(("along", "largest mean [sigma]", "p"), rows)
+    else:
+        yield "errors correlate with no recorded quantity"
+    worst = comparison.regions[0]
+    yield (
+        f"worst region: {worst.region}, "
+        f"{format_fixed(worst.position_rms or worst.reading_rms, 1e6, 0)} um rms; "
+        f"structure: p = {comparison.structure.p_value:.2g}"
+    )
+    for one in comparison.odd_samples[:MAX_PATTERNS]:
+        at = format_fixed_vector(one.place, 1e3, 1)
+        yield f"odd: sample {one.sample} at {at} mm, {one.sigmas:.1f} sigmas"
+
+
+def _worst_samples(comparison: Comparison) -> Table:
+    data, errors = comparison.dataset, comparison.errors
+    norms = {kind: errors.norms(kind) for kind in ERRORS}
+    worst = comparison.worst_first[:MAX_SAMPLES]
+    shown: dict[str, list[Number | str]] = {
+        "sample": [str(number) for number in data.numbers[worst]],
+        "time [s]": [Number(t, 1, 1) for t in data.time[worst]],
+        "at [mm]": [format_fixed_vector(place, 1e3, 1) for place in comparison.place[worst]],
+    }
+    if np.isfinite(norms["position"]).any():
+        shown["error [um]"] = [format_fixed_vector(e, 1e6, 0) for e in errors.position[worst]]
+        shown["|error| [um]"] = [Number(e, 1e6, 0) for e in norms["position"][worst]]
+    if np.isfinite(norms["orientation"]).any():
+        shown["turned [arcmin]"] = [Number(e, ARCMIN) for e in norms["orientation"][worst]]
+    for channel, read in zip(comparison.model.structure.channels, errors.reading.T, strict=True):
+        shown[f"{channel} [um]"] = [Number(e, 1e6, 0) for e in read[worst]]
+    return Table(tuple(shown), list(zip(*shown.values(), strict=True)))
+
+
+@describe.register
+def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
+    """Describe the verdict, validation errors, the candidates, and what to measure next."""
+    judged = {
+        "held-out, as it is": diagnosis.base.fitted.held_out.summary,
+        "held-out, with it": diagnosis.best.fitted.held_out.summary,
+    }
+    yield f"{diagnosis.verdict.word}: {diagnosis.verdict.summary}"
+    yield errors_table(judged, diagnosis.best.fitted.noise_floor, diagnosis.model)
+    tested = [e for e in diagnosis.entries if e.p_adjusted is not None][:MAX_CANDIDATES]
+    yield candidate_table(diagnosis, tested)
+    for entry in tested:
+        for key, sigma in entry.candidate.sigma.items():
+            best = entry.candidate.settings[key]
+            yield f"{entry.name}: {key} {best:.4g} +- {sigma:.2g} fits best"
+    for entry in diagnosis.entries:
+        was_scored = entry in tested or entry.candidate.score is not None
+        if entry.candidate.missing or (entry.reason and was_scored):
+            yield f"{entry.name}: {entry.reason}"
+    for one in diagnosis.odd_samples[:MAX_CANDIDATES]:
+        yield (
+            f"{one.label}: sample {one.sample} at {format_fixed_vector(one.place, 1e3, 1)} mm, "
+            f"{one.time:.1f} s, {one.sigmas:.1f} sigmas, Cook's "
+            f"distance {one.cooks_distance:.2f} (--data exclude={one.sample} excludes it)"
+        )
+    for advice in diagnosis.measure_next.advice:
+        yield f"measure next: {advice}"
+    if plan := diagnosis.measure_next.plan:
+        yield (
+            f"{len(plan.poses)} planned poses (--json) would separate "
+            f"{' from '.join(plan.separates)} "
+            f"by {plan.sigmas.then:.1f} sigmas; the present samples do by {plan.sigmas.now:.1f}"
+        )
+
+
+def candidate_table(diagnosis: Diagnosis, entries: Sequence[Entry]) -> Table:
+    """Describe tested effects; a page adds their physics, estimates, objections and lookalikes."""
+    errors, model = HeldOutErrors.of(diagnosis), diagnosis.model
+    kind = next(iter(errors.kinds), "joint")
+    joint_units = dict(zip(model.joints, model.mechanism.joint_units, strict=True))
+    unit, factor = error_unit(unit_of(kind, joint_units))
+    columns = (
+        Column("rank", on_terminal=False),
+        "effect",
+        "p",
+        "held-out",
+        Column(f"validation error, {kind} rms", "fall", on_terminal=False),
+        "explains",
+        "first pick",
+        "not geometry",
+        "confused with",
+    )
+    rows = []
+    for entry in entries:
+        p, alone, effect = entry.p_adjusted or 0.0, entry.alone, entry.candidate.effect
+        found = entry.name in diagnosis.effects
+        cure = f" At the machine: {effect.remedy}." if found and effect.remedy else ""
+        apart = f"distinguished by {effect.separated_by}" if effect.separated_by else ""
+        fall, estimates = "", ""
+        if alone is not None:
+            sides = (number(e.rms(kind), factor) for e in (alone.before, alone.after))
+            fall, estimates = f"{' → '.join(sides)} {unit}", _format_estimates(alone.parameters)
+        rows.append(
+            (
+                str(entry.rank),
+                Cell(entry.name, effect.physics + cure, mark="found" if found else ""),
+                f"{p:.2g}" if p > MIN_SHOWN_P_VALUE else f"<{MIN_SHOWN_P_VALUE:.0g}",
+                percent(alone.ratio if alone else None, 1, "-"),
+                Cell(fall or "-", estimates),
+                percent(alone.share_explained if alone else None, missing="-"),
+                percent(entry.first_picks, missing="-"),
+                percent(entry.remaining, missing="-"),
+                Cell(
+                    ", ".join(entry.confused_with), "; ".join(filter(None, (entry.reason, apart)))
+                ),
+            )
+        )
+    return Table(columns, rows, "evidence")
+
+
+def _format_estimates(parameters: Mapping[str, ParameterEstimate]) -> str:
+    """Format the parameters of an effect with their sigma, the most certain first."""
+    free = [(name, p) for name, p in parameters.items() if not p.fixed]
+    free.sort(key=lambda item: -abs(item[1].value) / (item[1].sigma or math.inf))
+    words = []
+    for name, p in free[:MAX_ESTIMATES]:
+        unit, factor = ("mrad", 1e3) if p.unit == "rad" else value_unit(p.unit)
+        words.append(
+            f"{name} not identified"
+            if p.sigma is None
+            else f"{name} {number(p.value, factor)} ± {number(p.sigma, factor, 2)} {unit}".rstrip()
+        )
+    rest = len(free) - len(words)
+    return ", ".join(words) + (f" and {rest} more" if rest else "")
+
+
+def sample_table(
+    samples: Sequence[JudgedSample], kinds: Collection[str], joint_units: Mapping[str, str]
+) -> Table:
+    """Describe samples with the errors of the present model, and with the effects found."""
+    units = {kind: error_unit(unit_of(kind, joint_units)) for kind in kinds}
+    both = bool(samples) and samples[0].found is not None
+    sides = ("", ", with effect") if both else ("",)
+    columns = (
+        "sample",
+        *(f"sigmas{side}" for side in sides),
+        "odd",
+        *(f"{kind} [{unit}]{side}" for side in sides for kind, (unit, _) in units.items()),
+        "time [s]",
+        "joints",
+        "position [mm]",
+    )
+    rows: list[Row] = []
+    for one in samples:
+        errors = [side for side in (one.now, one.found) if side is not None]
+        joints = [vector([q], u) for q, u in zip(one.joints, joint_units.values(), strict=True)]
+        rows.append(
+            (
+                Cell(str(one.sample), key=one.sample, mark="odd" if one.odd else ""),
+                *(Number(side["sigmas"], significant=2) for side in errors),
+                one.odd,
+                *(Number(side[k], factor) for side in errors for k, (_, factor) in units.items()),
+                Number(one.time, significant=4),
+                " ".join(joints),
+                vector(one.position, "m"),
+            )
+        )
+    return Table(columns, rows, "sortable", "sigmas")
+
+
+@dataclass(frozen=True)
+class Tile:
+    """The rms errors of one model in large digits: (value, unit, kind) of each kind of error."""
+
+    name: str
+    values: Sequence[tuple[str, str, str]]
+    about: str = "validation error"
+    mark: str = ""
+
+
+def make_tile(
+    name: str,
+    errors: Summary,
+    kinds: Collection[str],
+    joint_units: Mapping[str, str],
+    about: str = "validation error",
+    mark: str = "",
+) -> Tile:
+    """Make a tile in the units in which errors of each kind are shown."""
+    values = []
+    for kind in kinds:
+        unit, factor = error_unit(unit_of(kind, joint_units))
+        values.append((number(errors.rms(kind), factor), unit, kind))
+    return Tile(name, values, about, mark)
+
+
+def error_tiles(
+    errors: HeldOutErrors, effects: Sequence[str], joint_units: Mapping[str, str]
+) -> Iterator[Tile]:
+    """Describe the errors before, now and with the effects found, and the noise floor."""
+    kinds = errors.kinds
+    yield make_tile("before calibration", errors.before, kinds, joint_units)
+    yield make_tile("now", errors.now, kinds, joint_units)
+    if errors.found:
+        name = f"with {' and '.join(effects)} added"
+        yield make_tile(name, errors.found, kinds, joint_units, mark="found")
+    if errors.noise.is_known:
+        yield make_tile("noise floor", errors.noise, kinds, joint_units)
