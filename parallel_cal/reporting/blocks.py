@@ -133,13 +133,13 @@ def as_rows(table: Table) -> dict[str, Any]:
     rows = []
     for cells in table.rows:
         row: dict[str, Any] = {}
-        for key, cell in zip(keys, map(as_cell, cells), strict=True):
-            row[key] = cell.on_page()
+        for key, one in zip(keys, cells, strict=True):
+            cell = as_cell(one)
+            row[key] = cell.on_page() if cell.key is None else cell.key
             if isinstance(cell.content, Number):
                 row[key] = None if row[key] == MISSING else float(row[key])
-            elif cell.key is not None:
-                row[key] = cell.key
-            row[f"{key} details"] = write_micro(cell.under)
+            if isinstance(one, Cell):
+                row[f"{key} details"] = write_micro(cell.under)
         rows.append(row)
     shown = [(k, write_micro(one.name)) for k, one in zip(keys, headings, strict=True)]
     return {"columns": shown, "rows": rows}

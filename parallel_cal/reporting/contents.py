@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.diagnosis.comparison import Comparison
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import SmoothMap, regressors
 from parallel_cal.diagnosis.patterns import ResidualProfile
 from parallel_cal.diagnosis.scene import Scene
-from parallel_cal.diagnosis.search import Trial
 from parallel_cal.diagnosis.signature import compute_joint_components
 from parallel_cal.identification.fit import FitResult, ParameterEstimate
 from parallel_cal.identification.observability import directions_in_words
-from parallel_cal.identification.prediction_errors import ERRORS, Summary
+from parallel_cal.identification.prediction_errors import ERRORS, Errors, Summary
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.mechanism import POSE, Mechanism
@@ -208,31 +208,47 @@ class JudgedSample:
 
 
 def samples(diagnosis: Diagnosis) -> list[JudgedSample]:
-    """List every sample, worst first."""
-    best, data = diagnosis.best.fitted, diagnosis.dataset
+    """List every sample of a diagnosis, worst first."""
     odd = {one.sample: one.label for one in diagnosis.odd_samples}
-    now, found = _list_sample_errors(diagnosis.base), _list_sample_errors(diagnosis.best)
+    now, found = (
+        _list_sample_errors(trial.fitted.held_out, trial.scene)
+        for trial in (diagnosis.base, diagnosis.best)
+    )
+    return _list_samples(diagnosis.base.scene, now, found if diagnosis.effects else None, odd)
+
+
+def compared_samples(comparison: Comparison) -> list[JudgedSample]:
+    """List every sample of a comparison, worst first."""
+    odd = {one.sample: one.label for one in comparison.odd_samples}
+    now = _list_sample_errors(comparison.errors, comparison.scene)
+    return _list_samples(comparison.scene, now, None, odd)
+
+
+def _list_samples(
+    scene: Scene,
+    now: Sequence[Mapping[str, float]],
+    found: Sequence[Mapping[str, float]] | None,
+    odd: Mapping[int, str],
+) -> list[JudgedSample]:
+    data = scene.dataset
     position = np.where(data.measured[:, :3], data.r, np.nan)
     return [
         JudgedSample(
             sample=int(data.numbers[i]),
             time=data.time[i],
-            joints=best.observations.x[i, : len(best.model.joints)],
+            joints=scene.observations.x[i, : len(scene.model.joints)],
             position=position[i],
             now=now[i],
-            found=found[i] if diagnosis.effects else None,
+            found=None if found is None else found[i],
             odd=odd.get(data.numbers[i], ""),
         )
-        for i in np.argsort(-diagnosis.base.scene.sigmas, kind="stable")
+        for i in np.argsort(-scene.sigmas, kind="stable")
     ]
 
 
-def _list_sample_errors(trial: Trial) -> list[dict[str, float]]:
-    norms = {kind: trial.fitted.held_out.norms(kind) for kind in ERRORS}
-    columns = norms | {"sigmas": trial.scene.sigmas}
-    return [
-        {key: column[i] for key, column in columns.items()} for i in range(trial.fitted.samples)
-    ]
+def _list_sample_errors(errors: Errors, scene: Scene) -> list[dict[str, float]]:
+    columns = {kind: errors.norms(kind) for kind in ERRORS} | {"sigmas": scene.sigmas}
+    return [{key: column[i] for key, column in columns.items()} for i in range(len(scene.dataset))]
 
 
 @dataclass(frozen=True)

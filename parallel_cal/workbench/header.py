@@ -100,38 +100,27 @@ class Header:
         with self.numbers:
             for tile in view.get("tiles", []):
                 _tile(tile)
-            _budget(view.get("budget", []))
-            _iso(view.get("iso", []))
+            words = [
+                f"{part['part']} {part['by itself']:g} {part['unit']} ({part['of the total']})"
+                for part in view.get("budget", [])
+                if part["by itself"] is not None
+            ]
+            if words:
+                with ui.column().classes("gap-0"):
+                    ui.label("error budget: rms of each part, and its share").classes(
+                        "text-xs"
+                    ).style("opacity: 0.75")
+                    ui.label(" · ".join(words)).props("id=budget")
+            if iso := view.get("iso"):
+                ui.label(" · ".join(iso)).props("id=iso").classes("text-xs").tooltip(
+                    "pose accuracy AP and repeatability RP, including the noise of the device"
+                )
 
 
 def _tile(tile: dict[str, Any]) -> None:
     with ui.column().classes("gap-0"):
         ui.label(tile["name"]).classes("text-xs").style("opacity: 0.75")
-        for one in tile["values"]:
-            ui.label(f"{one['value']} {one['unit']}").classes("text-lg leading-tight").tooltip(
-                f"{one['kind']}: {tile['where']}, rms"
-            )
-
-
-def _budget(parts: list[dict[str, Any]]) -> None:
-    if not parts:
-        return
-    with ui.column().classes("gap-0"):
-        ui.label("error budget: rms of each part, and its share").classes("text-xs").style(
-            "opacity: 0.75"
-        )
-        words = [
-            f"{p['name']} {p['alone']} {p['unit']} ({p['share']})"
-            for p in parts
-            if p["name"] != "rest"
-        ]
-        ui.label(" · ".join(words)).props("id=budget")
-
-
-def _iso(words: list[str]) -> None:
-    if words:
-        with ui.column().classes("gap-0"):
-            ui.label("ISO 9283").classes("text-xs").style("opacity: 0.75")
-            ui.label(" · ".join(words)).props("id=iso").tooltip(
-                "pose accuracy AP and repeatability RP, including the noise of the device"
+        for value, unit, kind in tile["values"]:
+            ui.label(f"{value} {unit}").classes("text-lg leading-tight").tooltip(
+                f"{kind}: {tile['about']}, rms"
             )

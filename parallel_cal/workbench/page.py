@@ -111,24 +111,24 @@ class Window:
                 add.props("dense").set_enabled(not self.bench.busy)
             for one in view["candidates"][:8]:
                 with ui.row().classes("w-full items-center no-wrap max-lg:flex-wrap"):
-                    add = ui.button("Add", on_click=partial(self.bench.begin, "add", one["name"]))
+                    name = one["effect"]
+                    add = ui.button("Add", on_click=partial(self.bench.begin, "add", name))
                     look = "dense" if one["found"] else "dense outline"
-                    add.props(f'{look} aria-label="add {one["name"]}"')
+                    add.props(f'{look} aria-label="add {name}"')
                     add.set_enabled(not self.bench.busy)
                     with ui.column().classes("gap-0 grow"):
-                        ui.label(one["name"]).classes("font-bold" if one["found"] else "")
-                        ui.label(one["physics"]).classes("text-sm")
-                        remark = write_micro(one["against"] or _describe_lookalikes(one))
-                        ui.label(remark).classes("text-xs").style("opacity: 0.75")
-                        if one["found"] and one["remedy"]:
-                            ui.label(f"At the machine: {one['remedy']}.").classes("text-sm")
+                        ui.label(name).classes("font-bold" if one["found"] else "")
+                        ui.label(one["effect details"]).classes("text-sm")
+                        resembles = one["confused with"] and f"resembles {one['confused with']}"
+                        remarks = filter(None, (resembles, one["confused with details"]))
+                        ui.label("; ".join(remarks)).classes("text-xs").style("opacity: 0.75")
                         if one["pattern"]:
-                            self._unfolded("Show pattern", one["name"], partial(self._pattern, one))
+                            self._unfolded("Show pattern", name, partial(self._pattern, one))
                     with ui.column().classes("gap-0 items-end min-w-40"):
-                        ui.label(one["fall"] or "not refitted")
+                        ui.label(one["fall"] if one["fall details"] else "not refitted")
                         ui.label(f"accounts for {one['explains']} · p {one['p']}").classes(
                             "text-xs"
-                        )
+                        ).tooltip(one["fall details"])
             if view["untested"]:
                 n = len(view["untested"])
                 with ui.expansion(f"{n} effect{'' if n == 1 else 's'} not tested"):
@@ -225,15 +225,8 @@ class Window:
         bench = self.bench
         with card("Samples"):
             self.table = table(
-                [
-                    ("sample", "sample"),
-                    ("time", "time [s]"),
-                    ("error", "error [µm]"),
-                    ("sigmas", "residual [sigmas]"),
-                    ("odd", "outlier"),
-                ],
-                view["samples"],
-                "sample",
+                **view["samples"],
+                key="sample",
                 selection="multiple",
                 pagination={"rowsPerPage": 8, "sortBy": "sigmas", "descending": True},
             )
@@ -288,20 +281,7 @@ class Window:
             return
         bench = self.bench
         with card("Parameters"):
-            rows = table(
-                [
-                    ("name", "parameter"),
-                    ("what", "description"),
-                    ("value", "value"),
-                    ("sigma", "sigma"),
-                    ("unit", "unit"),
-                    ("moved", "moved [tolerances]"),
-                ],
-                view["parameters"],
-                "name",
-                selection="multiple",
-                pagination=12,
-            )
+            rows = table(**view["parameters"], key="name", selection="multiple", pagination=12)
             with ui.row().classes("items-center"):
                 for words, fix in (("Fix marked", True), ("Free marked", False)):
                     chosen = partial(self._choose, rows, fix)
@@ -389,9 +369,3 @@ class Window:
         axes = {f"{k}axis": {"title": {"text": f"{k} [mm]"}} for k in "xyz"}
         layout = {"height": 380, "margin": FIGURE_MARGIN, "scene": axes}
         draw_figure({"data": traces, "layout": layout}, "planned and measured poses")
-
-
-def _describe_lookalikes(one: dict[str, Any]) -> str:
-    """Name the lookalikes of a candidate and the measurement that distinguishes them."""
-    words = [f"resembles {one['lookalikes']}"] if one["lookalikes"] else []
-    return "; ".join(words + ([f"distinguished by {one['apart']}"] if one["apart"] else []))

@@ -55,7 +55,7 @@ class ResidualsCard:
         self._draw_profile()
 
     def _map(self, residuals: dict[str, Any]) -> None:
-        sizes = [sample["sigmas"] or 0 for sample in self.view["samples"]]
+        sizes = [sample["sigmas"] or 0 for sample in self.view["samples"]["rows"]]
         marker = {"color": sizes, "colorscale": "Cividis", "showscale": True, "size": 9}
         x, y = ([p[k] for p in residuals["place"]] for k in (0, 1))
         across, up = (residuals["where"].format(axis) for axis in "xy")
@@ -96,7 +96,7 @@ class ResidualsCard:
 
     def _samples(self, x: Any, y: Any, marker: dict[str, Any]) -> dict[str, Any]:
         """Make a trace with one point per sample, in the order of the samples."""
-        numbers = [s["sample"] for s in self.view["samples"]]
+        numbers = [s["sample"] for s in self.view["samples"]["rows"]]
         return {
             "type": "scatter",
             "mode": "markers",

@@ -17,7 +17,7 @@ from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.signature import Signature, signature
 from parallel_cal.diagnosis.thresholds import LEVELS
 from parallel_cal.diagnosis.verdict import AMBER_VERDICTS
-from parallel_cal.identification.budget import Budget, Iso9283, iso_9283
+from parallel_cal.identification.budget import Iso9283, iso_9283
 from parallel_cal.identification.given_model import fits_of
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.model.model import Model
@@ -27,19 +27,13 @@ from parallel_cal.reporting import (
     joint_panels,
     maps,
     multiples,
+    results,
     signatures,
     spaces,
 )
+from parallel_cal.reporting.blocks import as_rows
 from parallel_cal.reporting.figures import Spec
-from parallel_cal.reporting.readable import (
-    error_unit,
-    in_unit,
-    number,
-    percent,
-    probability,
-    unit_of,
-    value_unit,
-)
+from parallel_cal.reporting.readable import value_unit, write_micro
 from parallel_cal.reporting.report import Report, report
 from parallel_cal.session.session import Session
 
@@ -55,12 +49,18 @@ def glance(session: Session) -> View | None:
     shown = _make_comparison_view(
         compare(session.model, session.dataset, session.options.joint_sigma)
     )
-    tiles = [("before", state.before), ("now", state.errors), ("noise floor", state.noise)]
+    tiles = (
+        ("before calibration", state.before),
+        ("now", state.errors),
+        ("noise floor", state.noise),
+    )
     summaries = [(name, Summary(**known)) for name, known in tiles if known]
     kinds = [k for k in ("position", "orientation", "reading") if summaries[0][1].rms(k)]
     return shown | {
         "verdict": {"colour": GREY, "words": f"{state.step}: running the diagnosis"},
-        "tiles": [_tile(name, summary, kinds) for name, summary in summaries],
+        "tiles": to_json_value(
+            [results.make_tile(name, summary, kinds, {}) for name, summary in summaries]
+        ),
         "advice": [],
     }
 
@@ -90,32 +90,25 @@ def _make_comparison_view(found: Comparison) -> View:
     kinds = [k for k in ("position", "orientation", "reading") if found.errors.summary.rms(k)]
     in_sample = any(fits_of(found.model, found.dataset))
     where = "in-sample error" if in_sample else "error at all samples"
-    tiles = [_tile("now", found.errors.summary, kinds, where)]
+    tiles = [results.make_tile("now", found.errors.summary, kinds, {}, where)]
     if found.noise.is_known:
-        tiles.append(_tile("noise floor", found.noise, kinds, where))
+        tiles.append(results.make_tile("noise floor", found.noise, kinds, {}, where))
+    mechanism = found.model.mechanism
+    units = dict(zip(mechanism.joints, mechanism.joint_units, strict=True))
     residuals = contents.Residuals.of(found.scene, found.field)
     return {
         "verdict": {"colour": GREY, "words": _compared_words(found)},
-        "tiles": tiles,
+        "tiles": to_json_value(tiles),
         "budget": [],
-        "iso": [_iso(one) for one in iso_9283(found.errors, found.observations)],
+        "iso": _iso(iso_9283(found.errors, found.observations)),
         "arrows": _arrows(residuals),
         "residuals": _residuals(residuals, found.residual_profiles),
         "pictures": list(_pictures(residuals, found.scene, None)),
-        "samples": [
-            _sample(*one)
-            for one in zip(
-                found.dataset.numbers,
-                found.dataset.time,
-                found.errors.norms("position"),
-                found.scene.sigmas,
-                strict=True,
-            )
-        ],
+        "samples": _samples(contents.compared_samples(found), residuals, kinds or ["joint"], units),
         "candidates": [],
         "together": None,
         "untested": [],
-        "parameters": [],
+        "parameters": None,
         "advice": ["Press Fit: identify the geometry first, then look at the remaining error."],
         "cannot_tell": [],
     }
@@ -133,43 +126,38 @@ def _compared_words(found: Comparison) -> str:
 
 
 def _make_report_view(found: Report) -> View:
-    diagnosis, errors = found.diagnosis, found.errors
+    diagnosis, units = found.diagnosis, found.provenance.joint_units
     now = diagnosis.base.fitted  # the model of this state; the effects found are only proposed
     identified = contents.parameters(now)
-    tiles = [_tile("before", errors.before, errors.kinds), _tile("now", errors.now, errors.kinds)]
-    if errors.found is not None:
-        verb = "are" if len(diagnosis.effects) > 1 else "is"
-        name = f"if {' and '.join(diagnosis.effects)} {verb} added"
-        tiles.append(_tile(name, errors.found, errors.kinds))
-    if errors.noise.is_known:
-        tiles.append(_tile("noise floor", errors.noise, errors.kinds))
-    judged = {one.sample: one for one in found.samples}
+    tested = [entry for entry in diagnosis.entries if entry.p_adjusted is not None]
+    candidates = as_rows(results.candidate_table(diagnosis, tested))["rows"]
     return {
         "verdict": _verdict(found),
-        "tiles": tiles,
-        "budget": list(_budget(now.budgets)),
-        "iso": [_iso(one) for one in now.iso_9283],
+        "tiles": to_json_value([*results.error_tiles(found.errors, diagnosis.effects, units)]),
+        "budget": [
+            row for one in now.budgets[:1] for row in as_rows(results.budget_table(one))["rows"]
+        ],
+        "iso": _iso(now.iso_9283),
         "arrows": _arrows(found.residuals),
         "residuals": _residuals(found.residuals, found.along),
         "pictures": list(_pictures(found.residuals, diagnosis.base.scene, _first(found))),
-        "samples": [
-            _sample(n, time, one.now["position"], one.now["sigmas"], one.odd)
-            for n, time in zip(diagnosis.dataset.numbers, diagnosis.dataset.time, strict=True)
-            for one in [judged[int(n)]]
+        "samples": _samples(found.samples, found.residuals, found.errors.kinds, units),
+        "candidates": [
+            row
+            | {
+                "found": entry.name in diagnosis.effects,
+                "pattern": _pattern(entry, diagnosis.model),
+            }
+            for row, entry in zip(candidates, tested, strict=True)
         ],
-        "candidates": [_candidate(e, found) for e in diagnosis.entries if e.p_adjusted is not None],
         "together": _combine_effects(diagnosis),
         "untested": [
             {"name": e.name, "why": e.reason} for e in diagnosis.entries if e.p_adjusted is None
         ],
-        "parameters": [_parameter(name, p) for name, p in identified.items()],
+        "parameters": as_rows(results.parameter_table(identified)),
         "drawing": to_json_value(drawings.drawing(diagnosis.model, found=identified)),
         "advice": list(diagnosis.measure_next.advice),
-        "cannot_tell": [
-            " ".join(f"{weight:+.2f} {name}" for name, weight in one["combination"].items())
-            for one in to_json_value(contents.combinations(now))["unidentifiable"]
-            if isinstance(one.get("combination"), Mapping)
-        ],
+        "cannot_tell": [one["text"] for one in contents.combinations(now)["unidentifiable"]],
     }
 
 
@@ -187,31 +175,20 @@ def _verdict(found: Report) -> View:
     }
 
 
-def _tile(name: str, e: Summary, kinds: list[str], where: str = "validation error") -> View:
-    values = []
-    for kind in kinds:
-        unit, factor = error_unit(unit_of(kind, {}))
-        values.append({"value": number(e.rms(kind), factor), "unit": unit, "kind": kind})
-    return {"name": name, "values": values, "where": where}
+def _samples(
+    samples: Sequence[contents.JudgedSample],
+    residuals: contents.Residuals,
+    kinds: Sequence[str],
+    joint_units: Mapping[str, str],
+) -> View:
+    """List the samples in the order of the residuals, which the figures share."""
+    by_number = {one.sample: one for one in samples}
+    in_order = [by_number[int(number)] for number in residuals.sample]
+    return as_rows(results.sample_table(in_order, kinds, joint_units))
 
 
-def _budget(budgets: Sequence[Budget]) -> Iterator[View]:
-    """List the parts of the first kind of error, the one with the largest rms first."""
-    for budget in budgets[:1]:
-        unit, factor = error_unit(unit_of(budget.kind, {}))
-        for part in sorted(budget.parts, key=lambda p: -(p.alone or 0.0)):
-            yield {
-                "name": part.name,
-                "alone": number(part.alone, factor),
-                "unit": unit,
-                "share": percent(part.contribution / budget.total if budget.total else None),
-            }
-
-
-def _iso(found: Iso9283) -> str:
-    unit, factor = error_unit(unit_of(found.kind, {}))
-    again = f", RP {number(found.repeatability, factor)} {unit}" if found.repeatability else ""
-    return f"{found.kind}: AP {number(found.accuracy_mean, factor)} {unit}{again}"
+def _iso(figures: Sequence[Iso9283]) -> list[str]:
+    return [write_micro(results.iso_sentence(one)) for one in figures]
 
 
 def _arrows(residuals: contents.Residuals) -> View | None:
@@ -300,29 +277,6 @@ def _combine_effects(diagnosis: Diagnosis) -> View | None:
     return {"names": " and ".join(diagnosis.effects), "text": "+".join(diagnosis.additions)}
 
 
-def _candidate(entry: Entry, found: Report) -> View:
-    kind = next(iter(found.errors.kinds), "joint")
-    unit, factor = error_unit(unit_of(kind, found.provenance.joint_units))
-    alone, effect = entry.alone, entry.candidate.effect
-    fall = ""
-    if alone is not None:
-        before, after = alone.before.rms(kind), alone.after.rms(kind)
-        fall = f"{number(before, factor)} → {number(after, factor)} {unit}"
-    return {
-        "name": entry.name,
-        "found": entry.name in found.diagnosis.effects,
-        "physics": effect.physics,
-        "lookalikes": ", ".join(entry.confused_with),
-        "apart": effect.separated_by,
-        "remedy": effect.remedy,
-        "pattern": _pattern(entry, found.diagnosis.model),
-        "p": probability(entry.p_adjusted),
-        "fall": fall,
-        "explains": percent(alone.share_explained if alone else None),
-        "against": entry.reason,
-    }
-
-
 def _pattern(entry: Entry, model: Model) -> View | None:
     """Draw the candidate's pattern over the residuals; None if it was not tested."""
     if entry.candidate.score is None:
@@ -333,30 +287,3 @@ def _pattern(entry: Entry, model: Model) -> View | None:
         signatures.describe_signature(laid, mechanism),
         signatures.figure(laid, mechanism),
     )
-
-
-def _sample(number: int, time: float, error: float, sigmas: float, odd: str = "") -> View:
-    return {
-        "sample": int(number),
-        "time": _round(time, 1),
-        "error": _round(1e6 * error, 1),
-        "sigmas": _round(sigmas, 1),
-        "odd": odd,
-    }
-
-
-def _parameter(name: str, p: contents.DescribedParameter) -> View:
-    value, unit = in_unit(p.value, p.unit)
-    sigma = None if p.sigma is None else in_unit(p.sigma, p.unit)[0]
-    return {
-        "name": name,
-        "what": p.words,
-        "value": value,
-        "sigma": "fixed" if p.fixed else (sigma or "-"),
-        "unit": unit,
-        "moved": _round(p.moved_tolerances, 2),
-    }
-
-
-def _round(value: Any, digits: int) -> float | None:
-    return round(float(value), digits) if np.isfinite(value) else None
