@@ -56,7 +56,12 @@ def _render_cell(cell: Cell, label: str) -> str:
         wide = 50 * min(abs(cell.bar), 1.0)
         left = 50.0 if cell.bar > 0 else 50.0 - wide
         bar = f'<i class="bar"><i style="left:{left:.0f}%;width:{wide:.0f}%"></i></i>'
-    under = f"<small>{escape(write_micro(cell.under))}</small>" if cell.under else ""
+    # A notebook has no style sheet.
+    under = (
+        f'<small style="display:block">{escape(write_micro(cell.under))}</small>'
+        if cell.under
+        else ""
+    )
     text = escape(cell.on_page())
     text = f'<a href="{escape(cell.link)}">{text}</a>' if cell.link else text
     return f'<td data-label="{escape(label)}"{key}{mark}>{text}{bar}{under}</td>'

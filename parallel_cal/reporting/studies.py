@@ -8,13 +8,14 @@ from html import escape
 
 import numpy as np
 
-from parallel_cal.base.units import ERROR_SI_UNITS, ERROR_UNITS
+from parallel_cal.reporting.blocks import Cell, Column, Number, Row, Table, as_text
 from parallel_cal.reporting.colours import ACCENT, MEASURED, QUIET, WARNING
 from parallel_cal.reporting.figures import LEGEND, Spec
-from parallel_cal.reporting.markup import Plot, paragraph, section, sentence, table
+from parallel_cal.reporting.markup import Plot, as_html, paragraph, section, sentence
 from parallel_cal.reporting.page import PageBuilder
 from parallel_cal.reporting.readable import (
-    columns,
+    ARCMIN,
+    SI_UNITS,
     error_unit,
     format_fixed,
     number,
@@ -24,7 +25,7 @@ from parallel_cal.reporting.readable import (
 from parallel_cal.study.power import HALF, MOSTLY, Detectable, Power
 from parallel_cal.study.tolerance import Share, Tolerances
 
-DIGITS = {"position": 1, "orientation": 2}
+UNITS = {"position": ("um", 1e6, 1), "orientation": ("arcmin", ARCMIN, 2)}
 ERRORS = ("rms", "95 %", "largest", "rms of 95 % of robots", "rms of the budget")
 PARAMETER_COLUMNS = ("parameters", "tolerance", "unit", "count")
 SIZES = ("predicted 50 %", "90 %", "found 50 %", "90 %")
@@ -33,54 +34,42 @@ MIN_BUDGET_SHARE = 1e-3  # smaller shares of the budget are not shown
 
 
 def format_tolerances(found: Tolerances) -> str:
-    """Format the errors, the budget and the remarks."""
+    """Format the errors, the budget and the remarks for a terminal."""
     robots, poses = found.errors[found.kind].shape
-    errors = [
-        (f"{k} error [{ERROR_UNITS[k][0]}]", *(_format_error(v, k) for v in _figures(found, k)))
-        for k in found.errors
-    ]
-    header = [f(k) for k in found.errors for f in (_headed, "{} share [%]".format)]
-    shown = [
-        one for one in found.budget if any(_share(found, one, k) > MIN_BUDGET_SHARE for k in DIGITS)
-    ]
-    rows = [
-        (
-            one.name,
-            *_tolerance(one),
-            str(one.count),
-            *(
-                text
-                for k in found.errors
-                for text in (
-                    _format_error(one.rms[k], k),
-                    format_fixed(_share(found, one, k), 100, 1),
-                )
-            ),
-            _format_error(one.halved[found.kind], found.kind),
-        )
-        for one in shown
-    ]
-    return "\n".join(
-        [
-            f"{robots} robots, {poses} poses each",
-            columns(("", *ERRORS), errors),
-            columns((*PARAMETER_COLUMNS, *header, "total if halved"), rows),
-            *remarks(found),
-        ]
-    )
+    tables = (_error_table(found), _budget_table(found))
+    return as_text([f"{robots} robots, {poses} poses each", *tables, *remarks(found)])
 
 
-def _figures(found: Tolerances, kind: str) -> list[float]:
-    """Return the figures that ERRORS names."""
-    return [*found.summary(kind).values(), found.linear[kind]]
+def _error_table(found: Tolerances) -> Table:
+    rows: list[Row] = []
+    for kind in found.errors:
+        unit, factor, digits = UNITS[kind]
+        figures = (*found.summary(kind).values(), found.linear[kind])
+        rows.append((f"{kind} error [{unit}]", *(Number(v, factor, digits) for v in figures)))
+    return Table(("", *ERRORS), rows)
 
 
-def _headed(kind: str) -> str:
-    return f"{kind} [{ERROR_UNITS[kind][0]}]"
+def _budget_table(found: Tolerances) -> Table:
+    """Describe the error of each group of parameters, and the total if its tolerance is halved."""
+    header = [*PARAMETER_COLUMNS]
+    for kind in found.errors:
+        header += [f"{kind} [{UNITS[kind][0]}]", f"{kind} share [%]"]
+    rows = []
+    for one in found.budget:
+        if all(_share(found, one, kind) <= MIN_BUDGET_SHARE for kind in UNITS):
+            continue
+        row: list[Cell | Number | str] = [one.name, *_tolerance(one), str(one.count)]
+        for kind in found.errors:
+            _, factor, digits = UNITS[kind]
+            row += [Number(one.rms[kind], factor, digits), Number(_share(found, one, kind), 100, 1)]
+        _, factor, digits = UNITS[found.kind]
+        rows.append((*row, Number(one.halved[found.kind], factor, digits)))
+    return Table((*header, "total if halved"), rows, "sortable")
 
 
 def _format_error(value: float, kind: str) -> str:
-    return format_fixed(value, ERROR_UNITS[kind][1], DIGITS[kind])
+    _, factor, digits = UNITS[kind]
+    return format_fixed(value, factor, digits)
 
 
 def _share(found: Tolerances, one: Share, kind: str) -> float:
@@ -102,7 +91,7 @@ def remarks(found: Tolerances) -> Iterator[str]:
     yield (
         f"{what}, {' '.join(_tolerance(one))}, contributes most: "
         f"{format_fixed(_share(found, one, kind), 100, 0)} % of the squared {kind} error; half "
-        f"the tolerance would reduce the error from {whole} to {halved} {ERROR_UNITS[kind][0]}"
+        f"the tolerance would reduce the error from {whole} to {halved} {UNITS[kind][0]}"
     )
     for kind in found.errors:
         if found.differs(kind):
@@ -115,7 +104,7 @@ def remarks(found: Tolerances) -> Iterator[str]:
         yield f"{found.unreached} poses were out of reach of a random robot and are not counted"
     if found.calibrated:
         left = vars(found.calibrated)
-        shown = [f"{_format_error(left[f'{k}_rms'], k)} {ERROR_UNITS[k][0]}" for k in found.errors]
+        shown = [f"{_format_error(left[f'{k}_rms'], k)} {UNITS[k][0]}" for k in found.errors]
         yield (
             f"error after a calibration at the {found.planned} poses of the plan: "
             f"{', '.join(shown)}"
@@ -126,16 +115,15 @@ def tolerances_page(found: Tolerances) -> str:
     """Make the page of a tolerance study: remarks, the budget as bars, the spread of the robots."""
     drawn, (robots, poses) = PageBuilder(), found.errors[found.kind].shape
     summary = "".join(paragraph(sentence(text), "verdict") for text in remarks(found))
-    rows = [
-        (kind, *(with_unit(v, ERROR_SI_UNITS[kind]) for v in _figures(found, kind)))
-        for kind in found.errors
-    ]
-    figures = "".join(_distribution(found, kind, drawn.plot) for kind in found.errors)
+    bars, figures = (
+        "".join(draw(found, kind, drawn.plot) for kind in found.errors)
+        for draw in (_bars, _distribution)
+    )
     parts = [
         section("Largest contribution", summary),
-        section("Error budget", "".join(_bars(found, kind, drawn.plot) for kind in found.errors)),
+        section("Error budget", bars + as_html([_budget_table(found)])),
         section(
-            "Robots", table(("error", *ERRORS), rows) + figures, f"{robots}, {poses} poses each"
+            "Robots", as_html([_error_table(found)]) + figures, f"{robots}, {poses} poses each"
         ),
     ]
     return drawn.page_of(f"Tolerances of {found.model.mechanism.name}", parts)
@@ -143,7 +131,7 @@ def tolerances_page(found: Tolerances) -> str:
 
 def _bars(found: Tolerances, kind: str, plot: Plot) -> str:
     """Draw the first-order error of each group of parameters, the largest on top."""
-    unit, factor = error_unit(ERROR_SI_UNITS[kind])
+    unit, factor = error_unit(SI_UNITS[kind])
     upwards = sorted(found.budget, key=lambda one: one.rms[kind])
     upwards = [one for one in upwards if _share(found, one, kind) > MIN_BUDGET_SHARE]
     bars: Spec = {
@@ -157,8 +145,8 @@ def _bars(found: Tolerances, kind: str, plot: Plot) -> str:
         "hovertext": [
             escape(
                 f"{one.label or one.name}, {' '.join(_tolerance(one))}: "
-                f"{with_unit(one.rms[kind], ERROR_SI_UNITS[kind])}; total if halved: "
-                f"{with_unit(one.halved[kind], ERROR_SI_UNITS[kind])}"
+                f"{with_unit(one.rms[kind], SI_UNITS[kind])}; total if halved: "
+                f"{with_unit(one.halved[kind], SI_UNITS[kind])}"
             )
             for one in upwards
         ],
@@ -176,9 +164,9 @@ def _bars(found: Tolerances, kind: str, plot: Plot) -> str:
 
 def _distribution(found: Tolerances, kind: str, plot: Plot) -> str:
     """Draw the distribution of the robots' rms errors, with that of the budget."""
-    unit, factor = error_unit(ERROR_SI_UNITS[kind])
+    unit, factor = error_unit(SI_UNITS[kind])
     count, edges = np.histogram(found.robots(kind) * factor, bins="auto")
-    *_, keep, budget = _figures(found, kind)
+    keep, budget = found.summary(kind)["robots_p95"], found.linear[kind]
     traces: list[Spec] = [
         {
             "type": "bar",
@@ -215,20 +203,32 @@ def _distribution(found: Tolerances, kind: str, plot: Plot) -> str:
 
 def format_power(found: Power) -> str:
     """Format the detectable sizes, the effects that cannot be found, and the false alarms."""
-    unit = ERROR_UNITS[found.kind][0]
-    header = ("effect", "parameter", "unit", *SIZES, f"{found.kind} error [{unit}] 50 %", "90 %")
-    rows = [
-        (one.effect, one.number, error_unit(one.unit)[0].replace("µ", "u"), *_sizes(found, one))
-        for one in found.effects
-        if not one.reason
-    ]
-    return "\n".join(
+    sizes = _size_table(found)
+    return as_text(
         [
             f"{len(found.question.planned)} poses, {found.sessions} sessions",
-            *([columns(header, rows)] if rows else []),
+            *([sizes] if sizes.rows else []),
             *power_remarks(found),
         ]
     )
+
+
+def _size_table(found: Power) -> Table:
+    """Describe the sizes of each effect; a page adds how many sessions found each size tried."""
+    pose_error = f"{found.kind} error [{UNITS[found.kind][0]}] 50 %"
+    columns = ("effect", "parameter", "unit", *SIZES, pose_error, "90 %")
+    rows = [
+        (
+            one.effect,
+            one.number,
+            error_unit(one.unit)[0].replace("µ", "u"),
+            *_sizes(found, one),
+            ", ".join(f"{size.found}/{size.sessions}" for size in one.tried),
+        )
+        for one in found.effects
+        if not one.reason
+    ]
+    return Table((*columns, Column("found", on_terminal=False)), rows)
 
 
 def _sizes(found: Power, one: Detectable) -> list[str]:
@@ -274,30 +274,10 @@ def power_page(found: Power) -> str:
     """Make the page of a power study: ranges of sizes with their predictions, and all numbers."""
     drawn = PageBuilder()
     shown = [one for one in found.effects if not one.reason]
-    unit = error_unit(ERROR_SI_UNITS[found.kind])[0]
-    header = (
-        "effect",
-        "parameter",
-        "unit",
-        *SIZES,
-        f"{found.kind} error [{unit}] 50 %",
-        "90 %",
-        "found",
-    )
-    rows = [
-        (
-            one.effect,
-            one.number,
-            error_unit(one.unit)[0],
-            *_sizes(found, one),
-            ", ".join(f"{size.found}/{size.sessions}" for size in one.tried),
-        )
-        for one in shown
-    ]
     remarks_ = "".join(paragraph(sentence(text)) for text in power_remarks(found))
     parts = [
         section("Detectable effects", _ranges(found, shown, drawn.plot) if shown else ""),
-        section("Sizes", table(header, rows)),
+        section("Sizes", as_html([_size_table(found)])),
         section("Remarks", remarks_),
     ]
     mechanism, poses = found.document()["mechanism"], len(found.question.planned)
@@ -306,7 +286,7 @@ def power_page(found: Power) -> str:
 
 def _ranges(found: Power, shown: list[Detectable], plot: Plot) -> str:
     """Draw the pose errors at which the effect is found in 50 % and in 90 % of the sessions."""
-    unit, factor = error_unit(ERROR_SI_UNITS[found.kind])
+    unit, factor = error_unit(SI_UNITS[found.kind])
     upwards = shown[::-1]
     names = [escape(one.effect) for one in upwards]
     half, mostly = (
