@@ -128,7 +128,7 @@ class Residuals:
             noise_units=field.noise_units[:, used],
             noise_units_found=None if found is None else found.noise_units[:, used],
             regressors=dict(regressors(scene)),
-            units=dict(_units(scene)),
+            units={name: unit_along(scene.model.mechanism, name) for name, _ in regressors(scene)},
         )
 
     def select_informative(self, along: Sequence[ResidualProfile]) -> Iterator[ResidualProfile]:
@@ -174,11 +174,6 @@ def places(scene: Scene, kind: str | None) -> np.ndarray:
     measured."""
     predicted = Configuration.from_rows(scene.x)
     return predicted.R[:, :, 2] if kind == "orientation" else predicted.r
-
-
-def _units(scene: Scene) -> Iterator[tuple[str, str]]:
-    for name, _ in regressors(scene):
-        yield name, unit_along(scene.model.mechanism, name)
 
 
 def unit_along(m: Mechanism, name: str) -> str:

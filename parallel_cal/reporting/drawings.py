@@ -144,13 +144,12 @@ def select_labelled(parts: list[DrawnLine]) -> list[DrawnLine]:
             alike.setdefault(key, []).append(part)
     chosen: list[DrawnLine] = []
     for own in alike.values():
-        chosen.append(max(own, key=lambda part: _compute_distance(part, chosen)))
+        distances = [
+            min((float(np.linalg.norm(part.middle - o.middle)) for o in chosen), default=0.0)
+            for part in own
+        ]
+        chosen.append(own[int(np.argmax(distances))])
     return chosen
-
-
-def _compute_distance(part: DrawnLine, others: list[DrawnLine]) -> float:
-    away = (float(np.linalg.norm(part.middle - other.middle)) for other in others)
-    return min(away, default=0.0)
 
 
 def _far(part: DrawnLine, found: Mapping[str, DescribedParameter]) -> bool:

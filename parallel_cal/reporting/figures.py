@@ -140,26 +140,35 @@ def history(rows: Sequence[Mapping[str, Any]], floor: Summary, kind: str, si: st
     shown = [None if v is None else v * factor for v in values]
     noise, ends = (floor.rms(kind) or 0.0) * factor, [-0.3, len(rows) - 0.4]
     ticks = {"tickvals": list(range(len(rows))), "ticktext": [escape(r["name"]) for r in rows]}
+    data, annotations = [_steps(rows, shown)], []
+    if noise:
+        floor_line: Spec = {
+            "type": "scatter",
+            "mode": "lines",
+            "x": ends,
+            "y": [noise] * 2,
+            "line": {"dash": "dash", "color": QUIET},
+            "hoverinfo": "skip",
+        }
+        label: Spec = {
+            "xref": "paper",
+            "x": 0.01,
+            "xanchor": "left",
+            "y": float(np.log10(noise)),
+            "yanchor": "top",
+            "text": f"noise floor: {number(noise)}",
+            "showarrow": False,
+        }
+        data, annotations = [floor_line, *data], [label]
     return {
-        "data": [_level(noise, ends), _steps(rows, shown)] if noise else [_steps(rows, shown)],
+        "data": data,
         "layout": {
             "height": 300,
             "xaxis": {**ticks, "range": ends, "showgrid": False, "zeroline": False},
             "yaxis": _log_axis([noise, *shown], f"{kind}, rms [{unit}]"),
-            "annotations": [_floor_label(noise)] if noise else [],
+            "annotations": annotations,
             "margin": {"t": 16, "r": 16},
         },
-    }
-
-
-def _level(noise: float, ends: Sequence[float]) -> Spec:
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": list(ends),
-        "y": [noise] * 2,
-        "line": {"dash": "dash", "color": QUIET},
-        "hoverinfo": "skip",
     }
 
 
@@ -196,29 +205,21 @@ def _log_axis(values: Sequence[float | None], title: str) -> Spec:
     }
 
 
-def _floor_label(noise: float) -> Spec:
-    return {
-        "xref": "paper",
-        "x": 0.01,
-        "xanchor": "left",
-        "y": float(np.log10(noise)),
-        "yanchor": "top",
-        "text": f"noise floor: {number(noise)}",
-        "showarrow": False,
-    }
-
-
 def parameter_bars(parameters: Mapping[str, DescribedParameter]) -> Spec:
     """Draw how far every free parameter moved from nominal, in tolerances, with 1 sigma."""
     rows = [(name, p) for name, p in parameters.items() if not p.fixed][::-1]
     sigma = [p.sigma_tolerances or 0.0 for _, p in rows]
+    colours = []
+    for _, p in rows:
+        moved_far = abs(p.moved_tolerances) > MAX_MOVED_TOLERANCES
+        colours.append(QUIET if p.sigma is None else WARNING if moved_far else ACCENT)
     bars = {
         "type": "bar",
         "orientation": "h",
         "x": [p.moved_tolerances for _, p in rows],
         "y": [escape(name) for name, _ in rows],
         "error_x": {"array": sigma, "thickness": 1.2, "width": 2, "color": QUIET},
-        "marker": {"color": [_bar_colour(p) for _, p in rows]},
+        "marker": {"color": colours},
         "hovertext": [describe_parameter(p) for _, p in rows],
         "hoverinfo": "text",
     }
@@ -232,12 +233,6 @@ def parameter_bars(parameters: Mapping[str, DescribedParameter]) -> Spec:
             "margin": {"t": 8, "r": 12},
         },
     }
-
-
-def _bar_colour(p: DescribedParameter) -> str:
-    if p.sigma is None:
-        return QUIET
-    return WARNING if abs(p.moved_tolerances) > MAX_MOVED_TOLERANCES else ACCENT
 
 
 def describe_parameter(p: DescribedParameter) -> str:

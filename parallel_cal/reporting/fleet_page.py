@@ -57,6 +57,10 @@ def fleet_page(fleet: Fleet, reports: Collection[str]) -> str:
     drawn, found = PageBuilder(), fleet.findings
     robots, failed = len({row["robot"] for row in fleet.rows}), fleet.failed
     title = f"{robots} robots, {len(fleet.rows)} recordings"
+    failures = paragraph("Every recording was judged.", "none")
+    if failed:
+        rows = [(row["robot"], row["recording"], row["reason"]) for row in failed]
+        failures = table(("robot", "recording", "reason"), rows)
     parts = [
         section("Verdicts", paragraph(sentence(verdicts_in_words(fleet)), "verdict")),
         section("Findings", _render_findings(found)),
@@ -64,7 +68,7 @@ def fleet_page(fleet: Fleet, reports: Collection[str]) -> str:
         section("Robots over time", _over_time(fleet, drawn.plot)),
         section("Missing effects", _render_effects(fleet, drawn.plot)),
         section("Fleet compared with the drawing", _spreads(found, drawn.plot)),
-        section("Failed", _failed(failed), f"{len(failed)}", closed=not failed),
+        section("Failed", failures, f"{len(failed)}", closed=not failed),
     ]
     return drawn.page_of(title, parts)
 
@@ -289,10 +293,3 @@ def _spreads(found: Findings | None, plot: Plot) -> str:
         "--prior, the next robot needs fewer poses."
     )
     return paragraph(note, "note") + plot({"data": traces, "layout": layout})
-
-
-def _failed(rows: Sequence[Row]) -> str:
-    failures = [(row["robot"], row["recording"], row["reason"]) for row in rows]
-    if not failures:
-        return paragraph("Every recording was judged.", "none")
-    return table(("robot", "recording", "reason"), failures)

@@ -20,14 +20,19 @@ MAX_FAULT_SHARE = 0.25  # share of the robots above which an effect is no fault 
 
 def format_fleet(fleet: Fleet) -> str:
     """Format the verdicts, the worst recordings, the findings and the failures."""
-    return "\n".join([*_verdicts(fleet), *_worst(fleet), *_format_findings(fleet), *_failed(fleet)])
-
-
-def _verdicts(fleet: Fleet) -> Iterator[str]:
     robots = {row["robot"] for row in fleet.rows}
-    yield f"{len(robots)} robots, {len(fleet.rows)} recordings, {len(fleet.failed)} failed"
-    if fleet.judged:
-        yield verdicts_in_words(fleet)
+    return "\n".join(
+        [
+            f"{len(robots)} robots, {len(fleet.rows)} recordings, {len(fleet.failed)} failed",
+            *([verdicts_in_words(fleet)] if fleet.judged else []),
+            *_worst(fleet),
+            *_format_findings(fleet),
+            *(
+                f"failed: {row['robot']} {row['recording']}: {row['reason']}"
+                for row in fleet.failed
+            ),
+        ]
+    )
 
 
 def verdicts_in_words(fleet: Fleet) -> str:
@@ -139,8 +144,3 @@ def effect_in_words(effect: EffectOfFleet) -> str:
 def _with_sigma(value: float, sigma: float, unit: str) -> str:
     number, name = in_unit(value, unit)
     return f"{number} +- {in_unit(sigma, unit)[0]} {name}"
-
-
-def _failed(fleet: Fleet) -> Iterator[str]:
-    for row in fleet.failed:
-        yield f"failed: {row['robot']} {row['recording']}: {row['reason']}"

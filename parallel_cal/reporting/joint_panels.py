@@ -46,7 +46,10 @@ def polar_panels(found: JointResiduals, candidate: Signature | None = None) -> S
     if not turning:
         return None
     factor, (fine, small) = value_unit("rad")[1], _fine("rad")
-    sector, panels = _sector(found.readings[:, turning] * factor), []
+    theta, panels = found.readings[:, turning] * factor, []
+    sector = (float(theta.min()) - SECTOR_MARGIN_DEG, float(theta.max()) + SECTOR_MARGIN_DEG)
+    if sector[1] - sector[0] >= 180:
+        sector = (0.0, 360.0)
     zero = {
         "mode": "lines",
         "x": round_values(np.linspace(*sector, 181)),
@@ -56,7 +59,9 @@ def polar_panels(found: JointResiduals, candidate: Signature | None = None) -> S
     }
     for k in turning:
         traces = [zero, *_traces(found, candidate, k, factor, small)]
-        panels.append([_to_polar(trace) for trace in traces])
+        # In a polar trace x is the angle (deg), and y is the radius.
+        polar = {"x": "theta", "y": "r"}
+        panels.append([{polar.get(key, key): trace[key] for key in trace} for trace in traces])
     return circles(panels, [found.joints[k] for k in turning], sector, _size(found), fine)
 
 
@@ -68,12 +73,6 @@ def _size(found: JointResiduals) -> float:
 
 def _fine(unit: str) -> tuple[str, float]:
     return {"rad": ("mrad", 1e3), "m": ("µm", 1e6)}[unit]
-
-
-def _sector(theta: np.ndarray) -> tuple[float, float]:
-    """Return the measured range with a margin, or the full circle if it exceeds a half."""
-    low, high = float(theta.min()) - SECTOR_MARGIN_DEG, float(theta.max()) + SECTOR_MARGIN_DEG
-    return (low, high) if high - low < 180 else (0.0, 360.0)
 
 
 def _traces(
@@ -158,9 +157,3 @@ def _interpolate_periodic(
     )
     smooth = np.convolve(around, np.full(SAMPLES_PER_MEAN, 1 / SAMPLES_PER_MEAN), mode="valid")
     return np.interp(at, (x % period)[order], smooth, period=period)
-
-
-def _to_polar(flat: Spec) -> Spec:
-    """Convert a linear trace to a polar one: x is the angle (deg), y the radius."""
-    spec = {key: value for key, value in flat.items() if key not in ("x", "y")}
-    return spec | {"theta": flat["x"], "r": flat["y"]}

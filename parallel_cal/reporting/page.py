@@ -65,12 +65,13 @@ class PageBuilder:
 
     def page(self, title: str, made: str, content: str, library: str = "") -> str:
         """Make the page with the figures and the `content`, which is HTML."""
+        figures = json.dumps(self._figures, allow_nan=False, separators=(",", ":"))
         return Template(_text("page.html")).substitute(
             title=escape(title),
             made=escape(made),
             style=_text("page.css"),
             body=content,
-            figures=_in_script(self._figures),
+            figures=figures.replace("<", "\\u003c"),  # cannot end the script element
             plotly=f'<script src="{library}"></script>'
             if library
             else f"<script>{plotly()}</script>",
@@ -93,8 +94,3 @@ def plotly() -> str:
 
 def _text(name: str) -> str:
     return files("parallel_cal.reporting").joinpath(name).read_text(encoding="utf-8")
-
-
-def _in_script(value: Any) -> str:
-    """Write JSON that cannot end the script element around it."""
-    return json.dumps(value, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 def print_info(document: dict[str, Any], console: Console) -> None:
     """Print the document as short tables, in units for people."""
+    from rich.markup import escape
+
     duration = document["duration"]
     kind = "samples" if duration is None else f"{duration:.1f} s"
     console.print(f"{document['source']}: {kind}, sha256 {document['sha256'][:12]}")
@@ -23,25 +25,17 @@ def print_info(document: dict[str, Any], console: Console) -> None:
         console.print(_topic_table(document))
     console.print(_joint_table(document))
     console.print(_sample_sentence(document))
-    _print_dropped(document, console)
-    _print_conditions(document["conditions"], console)
-    _print_noise(document, console)
-    for warning in document["warnings"]:
-        console.print(f"[yellow]warning:[/yellow] {_escaped(warning)}", highlight=False)
-
-
-def _print_dropped(document: dict[str, Any], console: Console) -> None:
-    """Print the number of dropped messages for each reason, and the first of them."""
     for reason, count in document["dropped"].items():
         first = next(d for d in document["dropped_list"] if d["reason"] == reason)
         line = f"  dropped {count}: {reason}; first at {first['time']:.2f} s: {first['detail']}"
-        console.print(_escaped(line), highlight=False)
-
-
-def _escaped(text: str) -> str:
-    from rich.markup import escape
-
-    return escape(text)
+        console.print(escape(line), highlight=False)
+    units = {**{name: CHANNELS[name].unit for name in list_channels("condition")}, "time": "s"}
+    for name, unit in units.items():
+        if span := document["conditions"].get(name):
+            console.print(f"{name}: {span['min']:.2f} to {span['max']:.2f} {unit}", highlight=False)
+    _print_noise(document, console)
+    for warning in document["warnings"]:
+        console.print(f"[yellow]warning:[/yellow] {escape(warning)}", highlight=False)
 
 
 def _topic_table(document: dict[str, Any]) -> Any:
@@ -78,14 +72,6 @@ def _sample_sentence(document: dict[str, Any]) -> str:
         f"poses; replicates: {again['samples']} samples of {again['poses']} poses; "
         f"measured: {'; '.join(filter(None, (pose, read))) or 'nothing'}"
     )
-
-
-def _print_conditions(conditions: dict[str, dict[str, float]], console: Console) -> None:
-    units = {**{name: CHANNELS[name].unit for name in list_channels("condition")}, "time": "s"}
-    for name, unit in units.items():
-        if name in conditions:
-            span = conditions[name]
-            console.print(f"{name}: {span['min']:.2f} to {span['max']:.2f} {unit}", highlight=False)
 
 
 def _print_noise(document: dict[str, Any], console: Console) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.comparison import Comparison, compare
-from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.entries import Entry
 from parallel_cal.diagnosis.patterns import ResidualProfile
 from parallel_cal.diagnosis.scene import Scene
@@ -130,6 +129,13 @@ def _make_report_view(found: Report) -> View:
     now = diagnosis.base.fitted  # the model of this state; the effects found are only proposed
     identified = contents.parameters(now)
     tested = [entry for entry in diagnosis.entries if entry.p_adjusted is not None]
+    by_name = {entry.name: entry.candidate for entry in diagnosis.entries}
+    chosen = [by_name[name] for name in diagnosis.effects if name in by_name]
+    first_pattern = next((signature(one) for one in chosen if one.score), None)
+    together = None
+    if len(diagnosis.effects) > 1:  # offered together, because one alone may be refused
+        names = " and ".join(diagnosis.effects)
+        together = {"names": names, "text": "+".join(diagnosis.additions)}
     candidates = as_rows(results.candidate_table(diagnosis, tested))["rows"]
     return {
         "verdict": _verdict(found),
@@ -140,7 +146,7 @@ def _make_report_view(found: Report) -> View:
         "iso": _iso(now.iso_9283),
         "arrows": _arrows(found.residuals),
         "residuals": _residuals(found.residuals, found.along),
-        "pictures": list(_pictures(found.residuals, diagnosis.base.scene, _first(found))),
+        "pictures": list(_pictures(found.residuals, diagnosis.base.scene, first_pattern)),
         "samples": _samples(found.samples, found.residuals, found.errors.kinds, units),
         "candidates": [
             row
@@ -150,7 +156,7 @@ def _make_report_view(found: Report) -> View:
             }
             for row, entry in zip(candidates, tested, strict=True)
         ],
-        "together": _combine_effects(diagnosis),
+        "together": together,
         "untested": [
             {"name": e.name, "why": e.reason} for e in diagnosis.entries if e.p_adjusted is None
         ],
@@ -204,13 +210,6 @@ def _arrows(residuals: contents.Residuals) -> View | None:
         "numbers": residuals.sample,
     }
     return to_json_value({"figure": figure, "scale": scale, "field": field})
-
-
-def _first(found: Report) -> Signature | None:
-    """Return the pattern of the first effect that was found."""
-    entries = {e.name: e for e in found.diagnosis.entries}
-    chosen = [entries[name] for name in found.diagnosis.effects if name in entries]
-    return next((signature(e.candidate) for e in chosen if e.candidate.score), None)
 
 
 def _pictures(
@@ -268,13 +267,6 @@ def _residuals(residuals: contents.Residuals, striking: Sequence[ResidualProfile
             "where": "platform axis, {}" if residuals.kind == "orientation" else "{} [mm]",
         }
     )
-
-
-def _combine_effects(diagnosis: Diagnosis) -> View | None:
-    """Offer several found effects together, because one alone may be refused."""
-    if len(diagnosis.effects) < 2:
-        return None
-    return {"names": " and ".join(diagnosis.effects), "text": "+".join(diagnosis.additions)}
 
 
 def _pattern(entry: Entry, model: Model) -> View | None:

@@ -1,0 +1,58 @@
+"""One description of a result, and what a terminal, a report and the workbench make of it."""
+
+import json
+
+from parallel_cal.reporting.blocks import Cell, Column, Number, Table, as_rows, as_text
+from parallel_cal.reporting.markup import as_html
+
+TABLE = Table(
+    ("part", "by itself", "unit", Column("position [um]", "place", on_terminal=False)),
+    [
+        (Cell("play", "30 um of <it>", mark="found"), Number(4.8344e-5, 1e6), "um", "-"),
+        ("rest", Number(None, 1e6), "um", Number(1.23456e-5, 1e6, sigma=2e-7)),
+    ],
+)
+
+
+def test_a_terminal_shows_ascii_fixed_decimals_and_no_columns_of_pages():
+    assert as_text(["2 parts, 48 um", TABLE]).splitlines() == [
+        "2 parts, 48 um",
+        "part  by itself  unit",
+        "play      48.34  um",
+        "rest          -  um",
+    ]
+
+
+def test_a_page_shows_significant_digits_micro_sort_keys_and_small_lines():
+    shown = as_html(["2 parts, 48 um", TABLE])
+    assert shown.startswith("<p>2 parts, 48 µm</p>")
+    assert '<th scope="col">position [µm]</th>' in shown
+    assert '<td data-label="by itself" data-key="4.8344e-05">48.3</td>' in shown
+    assert 'class="found">play<small style="display:block">30 µm of &lt;it&gt;</small>' in shown
+    assert '<td data-label="by itself">–</td><td data-label="unit">µm</td>' in shown
+    assert ">12.35</td>" in shown  # the decimals of 0.20 um
+
+
+def test_the_workbench_gets_plain_data_that_it_can_sort():
+    assert json.loads(json.dumps(as_rows(TABLE))) == {
+        "columns": [
+            ["part", "part"],
+            ["by itself", "by itself"],
+            ["unit", "unit"],
+            ["place", "position [µm]"],
+        ],
+        "rows": [
+            {
+                "part": "play",
+                "part details": "30 µm of <it>",
+                "by itself": 48.3,
+                "unit": "µm",
+                "place": "–",
+            },
+            {"part": "rest", "by itself": None, "unit": "µm", "place": 12.35},
+        ],
+    }
+
+
+def test_a_sort_key_replaces_the_text_of_its_cell_in_the_workbench():
+    assert as_rows(Table(("sample",), [(Cell("7", key=7),)]))["rows"][0]["sample"] == 7
