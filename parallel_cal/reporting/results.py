@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.units import ARCMIN
 from parallel_cal.diagnosis.comparison import Comparison
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.entries import Entry
@@ -22,7 +23,6 @@ from parallel_cal.reporting.contents import DescribedParameter, HeldOutErrors, J
 from parallel_cal.reporting.contents import parameters as describe_parameters
 from parallel_cal.reporting.figures import MAX_MOVED_TOLERANCES
 from parallel_cal.reporting.readable import (
-    ARCMIN,
     error_unit,
     format_fixed,
     format_fixed_vector,
@@ -253,7 +253,7 @@ def _worst_samples(comparison: Comparison) -> Table:
         shown["error [um]"] = [format_fixed_vector(e, 1e6, 0) for e in errors.position[worst]]
         shown["|error| [um]"] = [Number(e, 1e6, 0) for e in norms["position"][worst]]
     if np.isfinite(norms["orientation"]).any():
-        shown["turned [arcmin]"] = [Number(e, ARCMIN) for e in norms["orientation"][worst]]
+        shown["turned [arcmin]"] = [Number(e, 1 / ARCMIN) for e in norms["orientation"][worst]]
     for channel, read in zip(comparison.model.structure.channels, errors.reading.T, strict=True):
         shown[f"{channel} [um]"] = [Number(e, 1e6, 0) for e in read[worst]]
     return Table(tuple(shown), list(zip(*shown.values(), strict=True)))

@@ -8,14 +8,13 @@ from html import escape
 
 import numpy as np
 
+from parallel_cal.base.units import ERROR_SI_UNITS, ERROR_UNITS
 from parallel_cal.reporting.blocks import Cell, Column, Number, Row, Table, as_text
 from parallel_cal.reporting.colours import ACCENT, MEASURED, QUIET, WARNING
 from parallel_cal.reporting.figures import LEGEND, Spec
 from parallel_cal.reporting.markup import Plot, as_html, paragraph, section, sentence
 from parallel_cal.reporting.page import PageBuilder
 from parallel_cal.reporting.readable import (
-    ARCMIN,
-    SI_UNITS,
     error_unit,
     format_fixed,
     number,
@@ -25,7 +24,8 @@ from parallel_cal.reporting.readable import (
 from parallel_cal.study.power import HALF, MOSTLY, Detectable, Power
 from parallel_cal.study.tolerance import Share, Tolerances
 
-UNITS = {"position": ("um", 1e6, 1), "orientation": ("arcmin", ARCMIN, 2)}
+DIGITS = {"position": 1, "orientation": 2}
+UNITS = {kind: (*ERROR_UNITS[kind], digits) for kind, digits in DIGITS.items()}
 ERRORS = ("rms", "95 %", "largest", "rms of 95 % of robots", "rms of the budget")
 PARAMETER_COLUMNS = ("parameters", "tolerance", "unit", "count")
 SIZES = ("predicted 50 %", "90 %", "found 50 %", "90 %")
@@ -131,7 +131,7 @@ def tolerances_page(found: Tolerances) -> str:
 
 def _bars(found: Tolerances, kind: str, plot: Plot) -> str:
     """Draw the first-order error of each group of parameters, the largest on top."""
-    unit, factor = error_unit(SI_UNITS[kind])
+    unit, factor = error_unit(ERROR_SI_UNITS[kind])
     upwards = sorted(found.budget, key=lambda one: one.rms[kind])
     upwards = [one for one in upwards if _share(found, one, kind) > MIN_BUDGET_SHARE]
     bars: Spec = {
@@ -145,8 +145,8 @@ def _bars(found: Tolerances, kind: str, plot: Plot) -> str:
         "hovertext": [
             escape(
                 f"{one.label or one.name}, {' '.join(_tolerance(one))}: "
-                f"{with_unit(one.rms[kind], SI_UNITS[kind])}; total if halved: "
-                f"{with_unit(one.halved[kind], SI_UNITS[kind])}"
+                f"{with_unit(one.rms[kind], ERROR_SI_UNITS[kind])}; total if halved: "
+                f"{with_unit(one.halved[kind], ERROR_SI_UNITS[kind])}"
             )
             for one in upwards
         ],
@@ -164,7 +164,7 @@ def _bars(found: Tolerances, kind: str, plot: Plot) -> str:
 
 def _distribution(found: Tolerances, kind: str, plot: Plot) -> str:
     """Draw the distribution of the robots' rms errors, with that of the budget."""
-    unit, factor = error_unit(SI_UNITS[kind])
+    unit, factor = error_unit(ERROR_SI_UNITS[kind])
     count, edges = np.histogram(found.robots(kind) * factor, bins="auto")
     keep, budget = found.summary(kind)["robots_p95"], found.linear[kind]
     traces: list[Spec] = [
@@ -286,7 +286,7 @@ def power_page(found: Power) -> str:
 
 def _ranges(found: Power, shown: list[Detectable], plot: Plot) -> str:
     """Draw the pose errors at which the effect is found in 50 % and in 90 % of the sessions."""
-    unit, factor = error_unit(SI_UNITS[found.kind])
+    unit, factor = error_unit(ERROR_SI_UNITS[found.kind])
     upwards = shown[::-1]
     names = [escape(one.effect) for one in upwards]
     half, mostly = (
