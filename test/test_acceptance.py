@@ -79,13 +79,13 @@ def test_a_fall_that_all_poses_share_is_accepted_and_named(identified):
     found = acceptance(by_hand(identified, before=[4e-5], after=[3e-5]))
     assert found.judged
     assert not found.against
-    assert found.description == "error at held-out poses 40 to 30 um"
+    assert found.description == "error at held-out poses from 40 to 30 um"
 
 
 def test_a_rise_is_refused_with_its_factor(identified):
     found = acceptance(by_hand(identified, before=[4e-5], after=[5e-5]), change=" with 'x'")
     assert found.against == (
-        "the error at held-out poses does not fall with 'x' (40 to 50 um; factor 1.250)"
+        "the error at held-out poses does not fall with 'x' (from 40 to 50 um; factor 1.250)"
     )
 
 

@@ -36,7 +36,7 @@ class Acceptance:
 
     @property
     def description(self) -> str:
-        """`error at held-out poses 37.6 to 32.2 um, 0.457 to 0.457 arcmin`."""
+        """`error at held-out poses from 37.6 to 32.2 um, from 0.457 to 0.457 arcmin`."""
         return f"error {self.basis} {format_errors(self.after, self.before)}"
 
     @property
@@ -115,7 +115,7 @@ def format_errors(after: Summary, before: Summary | None = None) -> str:
     for kind, (unit, factor) in ERROR_UNITS.items():
         now, then = after.rms(kind), before.rms(kind) if before else None
         if now is not None:
-            was = "" if then is None else f"{_digits(then * factor)} to "
+            was = "" if then is None else f"from {_digits(then * factor)} to "
             parts.append(f"{was}{_digits(now * factor)} {unit}")
     return ", ".join(parts) or "not known"
 
