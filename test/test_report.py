@@ -175,7 +175,7 @@ def test_evidence_and_reasons_stand_beside_every_effect(document, text):
     value, sigma = re.search(r"joint1.width ([\d.]+) ± ([\d.]+) mrad", said).groups()
     assert abs(float(value) - 0.6) < 3 * float(sigma) < 0.3  # planted: 0.6 mrad
     assert "Not tested" in said
-    assert "cannot be tested: no session recorded" in said
+    assert "cannot be tested: it needs at least two recordings" in said
     assert "Record session, to test zero_shift." in section(text, "what-to-measure-next")
 
 

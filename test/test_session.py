@@ -361,7 +361,7 @@ def test_an_amber_model_is_written_only_where_the_owner_insists(session, tmp_pat
 
 def test_what_the_data_cannot_tell_is_asked_before_it_is_written(session, tmp_path):
     session.choose(free=["*"])
-    with pytest.raises(SaveRefused, match="the data do not determine platform bar's half length"):
+    with pytest.raises(SaveRefused, match="do not determine half length of the platform bar"):
         session.save(tmp_path / "robot.yaml")
     assert not (tmp_path / "robot.yaml").exists()
 

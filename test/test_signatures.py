@@ -135,7 +135,7 @@ def test_orientations_alone_and_readings_alone_have_signatures_too():
 
 
 def test_what_was_not_tested_has_no_signature(play):
-    with pytest.raises(ValueError, match="could not be tested: cannot be tested: no session"):
+    with pytest.raises(ValueError, match="could not be tested: cannot be tested: it needs"):
         signature(candidate(play, "zero_shift"))
 
 

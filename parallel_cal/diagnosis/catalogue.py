@@ -149,7 +149,11 @@ def candidate(scene: Scene, name: str) -> Candidate:
     except ModelError as error:
         return Candidate(name, effect, reason=str(error), applies=False)
     if missing := find_missing_conditions(plain, scene.dataset):
-        reason = f"cannot be tested: no {' and no '.join(missing)} recorded"
+        # The condition `session` is the number of the recording, which one recording alone lacks.
+        lacks = f"no {' and no '.join(missing)} recorded"
+        if list(missing) == ["session"]:
+            lacks = "it needs at least two recordings"
+        reason = f"cannot be tested: {lacks}"
         return Candidate(name, effect, missing=missing, reason=reason)
     if plain.mechanism is not scene.model.mechanism:
         return _score_larger_model(scene, name, effect, plain)

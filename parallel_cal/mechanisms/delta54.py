@@ -30,7 +30,7 @@ PARALLELOGRAM = {  # set P1 (eq. 3.14): errors of the spatial parallelogram
     "dLb": ("m", 0.0, 0.1 * MM, "difference of the two rods' lengths"),
 }
 PLATFORM = {  # set P2 (eq. 3.15): size of the platform, nearly unobservable, fixed by default
-    "d_z": ("m", 20 * MM, 0.2 * MM, "platform bar's half length"),
+    "d_z": ("m", 20 * MM, 0.2 * MM, "half length of the platform bar"),
     "b_x": ("m", 24 * MM, 0.2 * MM, "platform balls' distance from the centre"),
     "b_y": ("m", 0.0, 0.2 * MM, "platform balls' height"),
     "b_z": ("m", 0.0, 0.2 * MM, "platform balls' shift along the bar"),
