@@ -15,7 +15,7 @@ from parallel_cal.identification.options import FitOptions
 ModelFile = Annotated[Path, typer.Argument(metavar="MODEL.yaml", help="model file")]
 Bags = Annotated[
     list[Path],
-    typer.Argument(help="rosbag2 folders or files, or saved samples (.json); each is one session"),
+    typer.Argument(help="recordings: rosbag2 folders or files, or saved samples (.json)"),
 ]
 Out = Annotated[Path, typer.Option("-o", "--output", help="file to write")]
 OptionalOut = Annotated[
@@ -37,7 +37,10 @@ EffectName = Annotated[
 ]
 Force = Annotated[
     bool,
-    typer.Option("--force", help="write even if validation errors or parameter ranges object"),
+    typer.Option(
+        "--force",
+        help="write even if the validation error does not fall or a value is out of range",
+    ),
 ]
 Tested = Annotated[
     list[str] | None, typer.Option(help="test only this effect (repeat for several)")

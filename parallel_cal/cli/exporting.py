@@ -34,7 +34,10 @@ def export(
     ] = None,
     into: Annotated[
         list[Path] | None,
-        typer.Option(help="edit the numbers in this file of the controller instead (repeat)"),
+        typer.Option(
+            help="change the settings in this file of the controller, without -o; "
+            "repeat for several files"
+        ),
     ] = None,
     touches: Annotated[
         list[Path] | None,

@@ -43,14 +43,16 @@ def import_csv(
     tables: Annotated[
         list[Path],
         typer.Argument(
-            metavar="TABLE.csv...", help="tables with one sample a line; several are joined"
+            metavar="TABLE.csv...",
+            help="tables with one sample per row; if there are several, --columns "
+            "states how to match their rows",
         ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="samples to write (.json)")],
     columns: Annotated[Path, typer.Option(help="file that maps columns to quantities (YAML)")],
     as_json: Json = False,
 ) -> None:
-    """Make samples from one table, or from several joined ones. Every command accepts them."""
+    """Convert tables to a file of samples, which every command accepts as a recording."""
     from parallel_cal.recordings import csv_import
     from parallel_cal.recordings.info import info_of
 

@@ -122,7 +122,7 @@ def plan(
     poses: Annotated[int, typer.Option(min=1, help="number of poses to measure")] = 20,
     as_json: Json = False,
 ) -> None:
-    """Choose the poses to measure next and write them to a CSV file in the session's folder."""
+    """Choose the next poses and write a CSV file. It is written to the session's folder."""
     file = _open(folder).plan(poses, console.progress)
     console.progress("", 1.0)
     if as_json:
@@ -206,8 +206,8 @@ def switch(
 
 
 def save(folder: Folder, output: Out, force: Force = False, as_json: Json = False) -> None:
-    """Write the model of the last step, unless the model in the file is better or a check
-    objects."""
+    """Write the model of the last step to a file. This is refused if the model in the file is
+    better, or if a check fails; --force writes it anyway."""
     from parallel_cal.base.errors import ParallelCalError
     from parallel_cal.model.file.modelfile import model_hash
     from parallel_cal.session.saving import SaveRefused

@@ -14,7 +14,10 @@ if TYPE_CHECKING:  # the command line shows its help without numpy
 
 
 # Options that a measurement plan has, too.
-FREE = option("free parameters that match PATTERN; the narrower of --free and --fix wins")
+FREE = option(
+    "also estimate parameters that match PATTERN; if --free and --fix overlap, the more "
+    "specific PATTERN applies"
+)
 FIX = option("fix parameters that match PATTERN")
 PRIOR = option("use tolerances as priors of all parameters, not only of weakly determined ones")
 
@@ -28,22 +31,23 @@ class FitOptions:
     method : str
         Method of identification. Default `implicit`.
     free, fix : sequence of str
-        Name patterns (`chain1.*`) of parameters to free or to fix, against the model file. If one
-        set is inside the other, the narrower one counts (`fix=["*"], free=["chain1.Lb"]`).
-        Default none.
+        Name patterns (`chain1.*`) of parameters to estimate or to fix; they override the model
+        file. If one set contains the other, the smaller set applies (`fix=["*"],
+        free=["chain1.Lb"]`). Default none.
     refit : sequence of str
         Name patterns of the only parameters to identify. The others keep the model's covariance
         (after re-homing or warming up: a few poses are enough). Default none.
     hold_out : float
-        Share of the poses that each fold of the cross-validation holds out, 0 (none) to 0.5.
-        Default 0.25.
+        Share of the poses that each fold of the cross-validation holds out, 0 (no validation) to
+        0.5. A tiny share (0.001) holds out one pose at a time. Default 0.25.
     joint_sigma : float, optional
         Standard deviation of joint readings, rad or m. Default: from recording and model file.
     prior : bool or Prior, optional
-        None: tolerances for what the data determine weakly; True: for all parameters; False: for
-        none; or a Prior. Default None.
+        None: tolerances are priors only for combinations of parameters that the data determine less
+        precisely than the tolerances. True: for all parameters. False: for none. Or a Prior.
+        Default None.
     loss : str
-        Loss function of scipy, such as `huber`. Samples with a low weight are named.
+        Loss function of scipy, such as `huber`. The result lists samples with a low weight.
         Default `linear`.
     seed : int
         Seed of the folds. Default 0.
@@ -68,7 +72,8 @@ class FitOptions:
     hold_out: float = field(
         default=0.25,
         metadata=option(
-            "share of poses held out in each fold; 0.001: one pose at a time, 0: none",
+            "share of the poses held out in each fold; a tiny share (0.001) holds out one "
+            "pose at a time, 0: no validation",
             min=0.0,
             max=0.5,
         ),

@@ -67,7 +67,10 @@ class PlanOptions:
     )
     method: str = field(
         default="",
-        metadata=option("exchange or annealing [default: the one for the criterion]"),
+        metadata=option(
+            "exchange or annealing [default: annealing for the criteria condition and "
+            "noise_amplification, else exchange]"
+        ),
     )
     pool: int | Solutions = field(
         default=1000, metadata=option("number of candidate poses in the workspace", min=1)
@@ -90,5 +93,5 @@ class PlanOptions:
 
     @property
     def chosen_method(self) -> str:
-        """The method; by default the one for the criterion."""
+        """The given method, or by default a method that the criterion allows."""
         return self.method or ("exchange" if self.criterion in LINEAR else "annealing")
