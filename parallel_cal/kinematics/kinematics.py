@@ -1,4 +1,4 @@
-"""Direct (FK) and inverse (IK) problem of a model: solutions, status, uncertainty."""
+"""Forward and inverse kinematics of a model: solutions, status, uncertainty."""
 
 from __future__ import annotations
 
@@ -35,9 +35,28 @@ class NewtonResult(NamedTuple):
 
 
 class Kinematics:
-    """Solve the direct and inverse problem of one model. Its tables are computed once.
+    """Forward and inverse kinematics of one model.
 
-    `quick` omits the careful solver, which continues if the usual iterations do not converge.
+    If Newton's method does not converge, a slower and more robust solver is used.
+
+    Parameters
+    ----------
+    model : Model
+    compile : bool
+        Compile the equations to machine code first. This takes seconds and makes each solution
+        faster. Default False.
+    quick : bool
+        Do not use the robust solver; the status then says that a solution did not converge.
+        Default False.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> kinematics = pc.Kinematics(pc.new_model("delta24"))
+    >>> pose = kinematics.direct([0.5, 0.5, 0.5])
+    >>> joints = kinematics.inverse(pose.position).joints
+    >>> joints.round(6).tolist(), pc.Status(int(pose.status)).text
+    ([0.5, 0.5, 0.5], 'converged')
     """
 
     def __init__(self, model: Model, compile: bool = False, quick: bool = False):
@@ -56,7 +75,29 @@ class Kinematics:
     def direct(
         self, q: np.ndarray, at: Mapping[str, Any] | None = None, start: Solutions | None = None
     ) -> Solutions:
-        """Find poses for joints q (nq,) or (N, nq), on the home branch or from `start`."""
+        """Compute the poses for joint readings (forward kinematics).
+
+        Parameters
+        ----------
+        q : array (nq,) or (N, nq)
+            Joint readings, rad or m.
+        at : mapping of str to float or array (N,), optional
+            Conditions by name, such as `{"payload": 1.2}`. A condition that is not given has its
+            neutral value.
+        start : Solutions, optional
+            Solutions from which the iterations start; they select the branch. Default: the branch
+            of the model's `home`.
+
+        Returns
+        -------
+        Solutions
+            One solution for q (nq,), N for q (N, nq), each with a status.
+
+        Raises
+        ------
+        SolveError
+            If q has the wrong shape.
+        """
         if start is None and _shape(q) == self._one:
             found = self._solve_fast(self.direct_problem, self._joints, q, None, at)
             if found is not None:
@@ -70,9 +111,27 @@ class Kinematics:
         at: Mapping[str, Any] | None = None,
         start: Solutions | None = None,
     ) -> Solutions:
-        """Find joints for positions (3,) or (N, 3) and rotations.
+        """Compute the joint readings for poses (inverse kinematics).
 
-        Passive coordinates follow from the closure.
+        Parameters
+        ----------
+        position : array (3,) or (N, 3)
+            Positions, m.
+        rotation : array (3, 3) or (N, 3, 3), optional
+            Rotations. Default: those at home. Coordinates that the robot cannot command, such as a
+            tilt of a Delta, are computed.
+        at, start
+            As in `direct`.
+
+        Returns
+        -------
+        Solutions
+            One solution for a position (3,), N for (N, 3), each with a status.
+
+        Raises
+        ------
+        SolveError
+            If position or rotation has the wrong shape.
         """
         if start is None and _shape(position) == (3,):
             found = self._solve_fast(self.inverse_problem, self._position, position, rotation, at)
@@ -86,19 +145,33 @@ class Kinematics:
     def direct_covariance(
         self, solution: Solutions, at: Mapping[str, Any] | None = None, joint_sigma: float = 0.0
     ) -> np.ndarray:
-        """Compute the covariance (6, 6) of a solved pose (m, rad about base axes), or (N, 6, 6).
+        """Compute the covariance of each computed pose.
 
-        It follows from the parameters' covariance and the joints' noise:
-        dx = -J_x^-1 (J_v dv + J_q dq).
+        It follows from the covariance of the parameters v and the noise of the joint readings q:
+        dx = -J_x^-1 (J_v dv + J_q dq), with the Jacobians J of the closure by x, v and q.
+
+        Parameters
+        ----------
+        solution : Solutions
+            Result of `direct`.
+        at : mapping of str to float or array (N,), optional
+            The conditions of that result.
+        joint_sigma : float
+            Standard deviation of joint readings, rad or m. Default 0.
+
+        Returns
+        -------
+        array (6, 6) or (N, 6, 6)
+            Covariance of the position (m) and the rotation (rad, about the axes of {B}).
         """
         return self._covariance(solution, at, self.model.mechanism.moved, 0, joint_sigma)
 
     def inverse_covariance(
         self, solution: Solutions, at: Mapping[str, Any] | None = None
     ) -> np.ndarray:
-        """Compute the covariance (nq, nq) of solved joints, or (N, nq, nq).
+        """Compute the covariance (nq, nq), or (N, nq, nq), of the joints of `inverse`, rad or m.
 
-        It follows from the parameters' covariance.
+        It follows from the covariance of the parameters. `at` are the conditions of `solution`.
         """
         columns = [c - self._n for c in range(self._n)] + self.model.mechanism.passive
         return self._covariance(solution, at, columns, self._n, 0.0)
@@ -107,10 +180,12 @@ class Kinematics:
 
     @cached_property
     def direct_problem(self) -> Problem:
+        """Forward kinematics: the pose is unknown."""
         return Problem(self.model, "direct", self._compile)
 
     @cached_property
     def inverse_problem(self) -> Problem:
+        """Inverse kinematics: the joints, and coordinates that they do not control, are unknown."""
         return Problem(self.model, "inverse", self._compile)
 
     def _solve(
@@ -131,7 +206,11 @@ class Kinematics:
         at: Mapping[str, Any] | None = None,
         start: Solutions | None = None,
     ) -> Solutions:
-        """Solve configurations (N, nq + 12) that contain the given coordinates."""
+        """Solve a problem for N samples.
+
+        A row of `given` (N, nq + 12) holds joints, position and rotation. The known ones are read,
+        and the others are computed.
+        """
         rows = self.model.condition_rows(at, len(given))
         if start is None:
             reached = problem.solve_many(given, rows)
@@ -175,7 +254,7 @@ class Kinematics:
     def _classify(
         self, problem: Problem, given: np.ndarray, rows: np.ndarray, reached: NewtonResult
     ) -> Solutions:
-        """Assign a status to each sample; samples that did not converge are solved carefully."""
+        """Assign a status to each sample; the robust solver repeats what did not converge."""
         n = self._n
         x, step, residual, pivot = self._wrap_and_refine(problem, reached, rows)
         status = np.full(len(x), Status.CONVERGED, dtype=np.int8)
@@ -199,7 +278,7 @@ class Kinematics:
     def _solve_carefully(
         self, problem: Problem, x: np.ndarray, row: np.ndarray, given: np.ndarray
     ) -> tuple[np.ndarray, float, Status]:
-        """Solve one sample carefully, and undo whole turns that the solver made."""
+        """Solve one sample with the robust solver, and undo whole turns that it made."""
         x, residual, status = problem.solve_carefully(x, row, given)
         q = _wrap_towards_home(x[: self._n], problem.unknown_joints, self.model)
         if (q == x[: self._n]).all():

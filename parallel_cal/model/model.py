@@ -44,7 +44,7 @@ class Noise:
 class Model:
     """A mechanism, its effects and all parameter values.
 
-    A model is immutable, so it can be replaced while it is in use.
+    A model is immutable. A running program can therefore switch to a new model without locks.
 
     Parameters
     ----------
@@ -65,22 +65,31 @@ class Model:
     frames : dict of str
         ROS names of the frames `base` ({B}) and `platform` ({P}).
     sensors : tuple of Sensor
-        Measuring set-ups besides a pose device in {B}. Default none.
+        Measuring set-ups. Default none: the device measures the pose in {B}.
     tolerances : dict of float
-        Tolerances of parameters of effects and sensors that differ from the catalogue, by full name
-        or shell pattern. Default none.
+        Tolerances that replace those of the catalogue, for parameters of effects and sensors. Keys
+        are full names or shell patterns. Default none.
 
     Raises
     ------
     ModelError
         If the number of values is not the number of parameters.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> model = pc.new_model("delta24")
+    >>> model.joints, len(model.values)
+    (('joint1', 'joint2', 'joint3'), 24)
+    >>> model.value("chain1.Lb")  # m
+    0.24
     """
 
     mechanism: Mechanism
     effects: tuple[Effect, ...]
     values: np.ndarray
     covariance: np.ndarray | None = None
-    fixed: np.ndarray = None  # type: ignore[assignment]  # default: the mechanism's own mask
+    fixed: np.ndarray = None  # type: ignore[assignment]  # default: __post_init__ computes it
     noise: Noise = Noise()
     history: tuple[dict[str, Any], ...] = ()
     frames: Mapping[str, str] = field(
@@ -112,31 +121,60 @@ class Model:
 
     @cached_property
     def structure(self) -> Structure:
+        """Equations of the mechanism, its effects and sensors, which equal models share."""
         return structure_of(self.mechanism, self.effects, self.sensors)
 
     @cached_property
     def table(self) -> ParameterTable:
+        """All parameters with name, unit, nominal value and tolerance, in the order of `values`."""
         return self.structure.table.with_tolerances(self.tolerances)
 
     @property
     def joints(self) -> tuple[str, ...]:
+        """Names of the joints, in the order of joint readings (nq,)."""
         return self.mechanism.joints
 
     @property
     def conditions(self) -> tuple[str, ...]:
+        """Names of the conditions that the effects and sensors depend on."""
         return self.structure.conditions
 
     def with_values(self, values: np.ndarray, covariance: np.ndarray | None = None) -> Model:
+        """Return the model with other parameter values.
+
+        Parameters
+        ----------
+        values : array (n,)
+            Values of all parameters in SI units, in the order of `table`.
+        covariance : array (n, n), optional
+            Covariance of the values. Default None: the values are not identified.
+        """
         return replace(self, values=values, covariance=covariance)
 
     def value(self, name: str) -> float:
+        """Return the value of a parameter in SI units; ModelError if the name is unknown."""
         return float(self.values[self.table.index_of(name)])
 
     def with_effect(self, name: str, settings: Mapping[str, float] | None = None) -> Model:
-        """Return the model with one more effect, whose parameters are zero.
+        """Return the model with one more effect, whose coefficients are zero.
 
-        The new effect is the last one. `settings` are known parameters of it by short name, such as
-        `{"ratio": 80.0}`; they are fixed.
+        Parameters
+        ----------
+        name : str
+            Name of the effect in the catalogue, or the Python path of your own. It becomes the last
+            effect.
+        settings : mapping of str to float, optional
+            Known parameters of the effect, by short name, such as `{"ratio": 80.0}`. They are
+            fixed.
+
+        Returns
+        -------
+        Model
+
+        Raises
+        ------
+        ModelError
+            If the effect is unknown, does not apply to the mechanism, or is in the model already.
         """
         if any(effect.name == name for effect in self.effects):
             raise ModelError(f"the model already has the effect '{name}'")
@@ -150,7 +188,10 @@ class Model:
         return more.with_settings(name, settings or {})
 
     def with_settings(self, effect: str, settings: Mapping[str, float]) -> Model:
-        """Return the model with some parameters of an effect, by short name, fixed at values."""
+        """Return the model with some parameters of an effect fixed at the given values.
+
+        `settings` are the values in SI units by short name, such as `{"ratio": 80.0}`.
+        """
         values, fixed = self.values.copy(), self.fixed.copy()
         for key, value in settings.items():
             i = self.table.index_of(f"{effect}.{key}")
@@ -158,7 +199,7 @@ class Model:
         return replace(self, values=values, fixed=fixed)
 
     def robot(self) -> Model:
-        """Return the model as the controller needs it: effects of the device are zero."""
+        """Return the model as a controller needs it: effects of the measuring device are zero."""
         own = [f"{effect.name}.*" for effect in self.effects if effect.of_device]
         if not own:
             return self
@@ -172,7 +213,7 @@ class Model:
         return next(filter(None, words), "")
 
     def without_effect(self, name: str) -> Model:
-        """Return the model without one of its effects."""
+        """Return the model without one of its effects; ModelError if it has no such effect."""
         kept = tuple(effect for effect in self.effects if effect.name != name)
         if len(kept) == len(self.effects):
             text = ", ".join(effect.name for effect in self.effects) or "none"
@@ -186,11 +227,18 @@ class Model:
         return self.with_effects(kept)
 
     def with_effects(self, effects: tuple[Effect, ...]) -> Model:
-        """Return the model with these effects; existing parameters keep value and mask."""
+        """Return the model with these effects.
+
+        Parameters that the model already has keep their values and stay free or fixed.
+        """
         return self._with_parts(effects, self.sensors)
 
     def with_sensors(self, sensors: tuple[Sensor, ...]) -> Model:
-        """Return the model with these sensors; existing parameters keep value, mask, covariance."""
+        """Return the model with these sensors.
+
+        Parameters that the model already has keep their values and covariance, and stay free or
+        fixed.
+        """
         changed = self._with_parts(self.effects, sensors)
         if self.covariance is None:
             return changed
@@ -219,9 +267,10 @@ class Model:
         )
 
     def widen(self) -> Model:
-        """Return the same robot in the next larger model (delta24 -> delta54): equal poses.
+        """Convert to the next larger mechanism (such as delta24 to delta54).
 
-        Effects, sensors and parameters that both models have keep their values and masks.
+        The new model predicts the same poses. Parameters that both models have keep their values
+        and stay free or fixed.
         """
         m = self.mechanism
         own = m.parameters
@@ -247,9 +296,10 @@ class Model:
         )
 
     def condition_rows(self, at: Mapping[str, Any] | None, n: int) -> np.ndarray:
-        """Arrange conditions, scalars or (n,) columns by name, as (n, n_conditions).
+        """Arrange conditions in an array (n, n_conditions), in the order of `conditions`.
 
-        A condition that is not given is neutral (direction 0: the middle of the backlash).
+        `at` holds scalars or columns (n,) by name. A condition that is not given gets its neutral
+        value, at which the effect is zero (direction 0: the middle of the backlash).
         """
         rows = np.empty((n, len(self.conditions)))
         for k, neutral in enumerate(self.structure.neutral):

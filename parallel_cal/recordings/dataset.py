@@ -74,7 +74,7 @@ class Dataset:
     mode : str
         `dwell` or `continuous`.
     dropped : tuple of Dropped
-        What was recorded and is not used.
+        Messages that were recorded and are not used.
     warnings : tuple of str
     source, sha256, frame : str
         The recording, the hash of its data files, and the frame of the poses.
@@ -130,22 +130,34 @@ class Dataset:
         ----------
         joint_names : sequence of str
         q : array (N, nq)
-            rad or m.
+            Joint readings, rad or m.
         r : array (N, 3)
-            m.
+            Measured positions, m.
         R : array (N, 3, 3), optional
-            None: orientations are not measured.
+            Measured rotations. None: orientations are not measured.
         measured : array of bool (N, 6) or (6,), optional
-            Default: what is given.
+            Which of x y z rx ry rz are measured. Default: position, and orientation if R is given.
         pose_cov : array (N, 6, 6) or (6, 6), optional
-            In m and rad. Default: not stated.
+            Covariance of the measured pose, in m and rad. Default: not stated.
         joint_sigma : float or array (nq,), optional
-            rad or m. Default: not stated.
+            Standard deviation of the joint readings, rad or m. Default: not stated.
         conditions : dict of array (N,), optional
+            As the attribute of that name.
         pose_id : array of int (N,), optional
-            Default: replicates are detected from q.
+            Number of the commanded pose. Default: replicates are detected from q.
         **texts
             Other fields of Dataset, such as `source`.
+
+        Returns
+        -------
+        Dataset
+
+        Examples
+        --------
+        >>> import parallel_cal as pc
+        >>> data = pc.Dataset.from_arrays(["a", "b"], [[0.1, 0.2], [0.3, 0.4]], [[0, 0, 1]] * 2)
+        >>> len(data), data.measured[0].tolist()
+        (2, [True, True, True, False, False, False])
         """
         q, r = np.array(q, float), np.array(r, float)
         n, nq = q.shape
@@ -184,7 +196,10 @@ class Dataset:
         return len(self.q)
 
     def select(self, which: ArrayLike) -> Dataset:
-        """Return the samples of a mask (N,) or of indices, in that order; `pose_id` is kept."""
+        """Return the samples of a boolean mask (N,), or of indices in their order.
+
+        The samples keep their `pose_id`. DatasetError if the mask has another length.
+        """
         index = np.asarray(which)
         if index.dtype == bool and index.shape != (len(self),):
             raise DatasetError(f"mask of shape {index.shape}; expected ({len(self)},)")
@@ -195,14 +210,14 @@ class Dataset:
 
     @property
     def numbers(self) -> NDArray[np.int64]:
-        """Number (N,) of each sample: its position before any sample was excluded."""
+        """Index (N,) of each sample in the recording, before any sample was excluded."""
         own = self.conditions.get(NUMBER)
         return np.arange(len(self)) if own is None else own.astype(np.int64)
 
     def excluding(self, numbers: Sequence[int], why: str = "on request") -> Dataset:
-        """Return the dataset without some samples; the others keep their numbers.
+        """Return the dataset without the samples of these numbers; the others keep their numbers.
 
-        `why` is the reason, for the warning. DatasetError for an unknown number.
+        The warning about them contains the reason `why`. DatasetError for an unknown number.
         """
         if unknown := sorted(set(numbers) - set(self.numbers.tolist())):
             raise DatasetError(
@@ -227,7 +242,8 @@ class Dataset:
     ) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
         """Return (train, test) indices of round(1/fraction) folds; every sample is tested once.
 
-        Replicates of a pose stay together, as do neighbours in time of a continuous motion.
+        All replicates of a pose are in the same fold. In a continuous motion, samples that follow
+        each other in time are in the same fold.
         """
         groups = self.pose_id
         if self.mode == "continuous" and 0.0 < fraction <= 0.5:
@@ -242,12 +258,15 @@ class Dataset:
 
     @classmethod
     def from_json(cls, path: str | Path) -> Dataset:
-        """Read a file of `to_json`; DatasetError names the file and the wrong key."""
+        """Read a file that `to_json` wrote; DatasetError contains its name and the wrong key."""
         return cls.from_document(read_document(Path(path)), str(path))
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any], name: str) -> Dataset:
-        """Return the samples of a document; DatasetError names the file and the wrong key."""
+        """Create a dataset from a parsed JSON document.
+
+        `name` is the name of the file for messages. DatasetError contains it and the wrong key.
+        """
         try:
             return cls(**{f.name: restore_field(f.name, document) for f in dataclasses.fields(cls)})
         except DatasetError as error:

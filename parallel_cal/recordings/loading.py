@@ -63,7 +63,7 @@ def load_dataset(
     Raises
     ------
     BagError
-        If the recording cannot be opened, or a stream in it cannot be used.
+        If the recording cannot be opened, or a topic in it cannot be used.
     DatasetError
         If there are no usable samples.
 
