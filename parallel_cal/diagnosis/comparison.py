@@ -171,8 +171,9 @@ class Comparison(ShownInNotebook):
 def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) -> Comparison:
     """Compare the predictions of a model with measurements.
 
-    Nothing is identified, except the frames of a device that measures in its own frame: the model
-    is registered first. Joint readings that no such robot can show are a warning here.
+    No parameter of the robot is fitted. If the device measures in its own frame, the pose of this
+    frame and the position of the target are estimated first. Joint readings that are impossible
+    for this robot cause a warning only; `fit` refuses them.
 
     Parameters
     ----------

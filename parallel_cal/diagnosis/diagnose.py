@@ -160,9 +160,10 @@ def diagnose(
 ) -> Diagnosis:
     """Find the physical effects that a model lacks.
 
-    The free parameters are identified first. Then every candidate effect is scored on the
-    residuals, after removing all that the geometry could imitate. The best candidates are refitted
-    and judged at held-out poses. docs/judge_your_calibration.md explains the verdicts.
+    The free parameters are identified first. Each candidate effect is then compared with the
+    residuals; the part of its pattern that geometric parameters could imitate is removed before.
+    The best candidates are refitted and judged at held-out poses.
+    docs/judge_your_calibration.md explains the verdicts.
 
     Parameters
     ----------
@@ -177,14 +178,14 @@ def diagnose(
     progress : callable, optional
         Called with a stage in words and the completed share (0 to 1).
     **changes
-        Single options by name, as in `fit`. With a robust `loss`, samples that get less than half
-        their weight are excluded first, and named.
+        Single options by name, as in `fit`. With a robust `loss`, samples with a weight below 0.5
+        are excluded before the search. `dataset.warnings` of the result lists them.
 
     Returns
     -------
     Diagnosis
         `verdict.word` is `at_noise`, `explained`, `partly_explained`, `unexplained` or
-        `cannot_know`; `effects` names what was found, `entries` lists every candidate,
+        `cannot_know`; `effects` names the effects found, `entries` lists every candidate,
         `measure_next` proposes measurements.
 
     Raises

@@ -263,7 +263,7 @@ def fit(
     Parameters
     ----------
     model : Model
-        The start. It names the free parameters and their tolerances.
+        The start values, the list of the free parameters, and their tolerances.
     dataset : Dataset
         N samples: joint readings (N, nq) in rad or m, and measured poses.
     options : FitOptions, optional
@@ -272,19 +272,21 @@ def fit(
         Called with a stage in words and the completed share (0 to 1). An exception that it raises
         cancels the fit.
     **changes
-        Single options by name:
+        Single options by name. They replace the same fields of `options`:
 
         - `hold_out` (default 0.25): share of the poses held out in each fold; 0 skips the
           validation.
         - `joint_sigma`: noise of the joint readings, 1 sigma, in rad or m. It replaces what
           recording and model file state.
-        - `free`, `fix`: name patterns such as `"chain1.*"`.
+        - `free`, `fix`: name patterns, such as `["chain1.*"]`, of parameters to estimate or to
+          keep.
         - `refit`: name patterns. Only these are identified, and the others keep the covariance
           that the model has.
-        - `prior`: None (tolerances act as priors where the data tell less), True (throughout),
-          False (nowhere) or a Prior.
+        - `prior`: None (a tolerance is a prior only for combinations of parameters that the data
+          determine less precisely than the tolerance), True (for all parameters), False (for none)
+          or a Prior.
         - `method` (default `"implicit"`), `loss` (`"linear"`, or a robust one such as `"huber"`),
-          `seed` of the folds, `insist` (accept an effect's parameter outside its usual range).
+          `seed` of the folds, `insist` (accept an effect's parameter outside its plausible range).
 
     Returns
     -------

@@ -133,7 +133,8 @@ def plan(
     """Select the poses to measure, before anything is measured.
 
     n poses are selected from a pool of random poses of the workspace so that a criterion of the
-    identification is optimal. Quantities with a noise figure in the model count as measured.
+    identification is optimal. The plan assumes that the position
+    or the orientation is measured if the model states its noise.
 
     Parameters
     ----------
@@ -147,8 +148,10 @@ def plan(
         Called with a stage in words and the completed share (0 to 1).
     **changes
         Single options by name: `criterion` (default `"prediction"`: mean variance of the predicted
-        pose over the workspace; or `"D"`, `"A"`, `"condition"`, `"noise_amplification"`), `method`,
-        `pool`, `symmetric`, `free`, `fix`, `prior`, `seed`.
+        pose over the workspace; or `"D"`, `"A"`, `"condition"`, `"noise_amplification"`), `method`
+        (`"exchange"` or `"annealing"`), `pool` (number of candidate poses, or the poses),
+        `symmetric` (choose triples of poses, 120 degrees about z apart), `seed` of the candidates;
+        `free`, `fix` and `prior` as in `fit`.
 
     Returns
     -------

@@ -43,8 +43,19 @@ class StepKeywords(FitKeywords, total=False):
 class Step(ShownInNotebook):
     """Outcome of a step (`fit`, `add`, `remove`).
 
-    The history of `model` contains the step. `acceptance` says whether it may replace the old
-    model. `rival` is the fit of the same samples without the added effect, or with the removed one.
+    Attributes
+    ----------
+    name : str
+        `fit`, `add` or `remove`.
+    model : Model
+        The new model. Its history contains the step.
+    result : FitResult
+        The identification of the new model.
+    acceptance : Acceptance
+        Whether the new model may replace the old one, and the reason if not.
+    rival : FitResult, optional
+        The fit of the same samples without the added effect, or with the removed one. None for
+        `fit`.
     """
 
     name: str
@@ -89,8 +100,10 @@ class Step(ShownInNotebook):
 def fitted(
     model: Model, dataset: Dataset, force: bool = False, **options: Unpack[StepKeywords]
 ) -> Step:
-    """Identify the free parameters; options as in `identification.fit`. FitError if the validation
-    error does not fall."""
+    """Identify the free parameters, with the options of `identification.fit`.
+
+    FitError if the validation error does not fall.
+    """
     result = fit(model, dataset, **options)
     if result.given.fits_of_these_samples:
         result = replace(result, warnings=(*result.warnings, IN_SAMPLE))
@@ -107,8 +120,8 @@ def add(
 ) -> Step:
     """Add an effect to a model and identify all free parameters again.
 
-    The new model is compared with the model without the effect, identified from the same samples.
-    Otherwise the improvement by the geometry would be credited to the effect.
+    Both models, with and without the effect, are fitted to the same samples and compared. The
+    improvement by the geometry alone is therefore not attributed to the effect.
 
     Parameters
     ----------
@@ -118,7 +131,7 @@ def add(
         parameter is fixed. An unknown gear ratio, order or lead is searched for.
     dataset : Dataset
     force : bool, optional
-        Return the step although something speaks against it.
+        Return the step even if a check refuses it.
     **options
         `options`, `progress` and single options by name, as in `fit`.
 
@@ -131,10 +144,11 @@ def add(
     Raises
     ------
     FitError
-        If the error at held-out poses does not fall, the measuring device may be the cause, or the
-        data cannot determine the parameters. `force=True` accepts the first two.
+        In three cases: (1) the error at held-out poses does not fall; (2) the measuring device may
+        cause the error; (3) the data cannot determine the parameters. `force=True` accepts the
+        first two.
     ModelError
-        If there is no such effect.
+        If the effect is unknown or does not apply to the model.
 
     Examples
     --------
@@ -204,7 +218,7 @@ def remove(
         The name of an effect of the model.
     dataset : Dataset
     force : bool, optional
-        Return the step although it costs accuracy.
+        Return the step even if the validation error rises.
     **options
         `options`, `progress` and single options by name, as in `fit`.
 
