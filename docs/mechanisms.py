@@ -1,16 +1,16 @@
-"""Draws docs/mechanisms/*.svg, and docs/mechanisms.md about them: `python docs/mechanisms.py`.
+"""Draw docs/mechanisms/*.svg and write docs/mechanisms.md: `python docs/mechanisms.py`.
 
-Each mechanism draws itself at home (`Mechanism.drawing`), its parameters named.
+`Mechanism.drawing` draws each mechanism in its home configuration, with the names of parameters.
 """
 
 from __future__ import annotations
 
+import inspect
 from html import escape
 from pathlib import Path
 
 import numpy as np
 
-from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.model.shelf import list_plugins, load_mechanism
 from parallel_cal.reporting.drawings import DrawnLine, flat, lines, select_labelled
@@ -18,6 +18,7 @@ from parallel_cal.reporting.drawings import DrawnLine, flat, lines, select_label
 DOCS = Path(__file__).parent
 LINKS = ({"joint": "R", "axes": "parallel", "a": 0.3}, {"joint": "R", "a": 0.2})
 OPTIONS = {"serial": {"links": LINKS}}  # an arm of two links, for the picture
+SHOWN = {"serial": " for the arm with two links in the drawing"}
 WIDTH, HEIGHT, EDGE = 460, 360, 46
 AZIMUTH, ELEVATION = np.radians([-50.0, 18.0])
 STYLE = """
@@ -29,10 +30,13 @@ polyline { fill: none; stroke-linecap: round; stroke-linejoin: round }
 @media (prefers-color-scheme: dark) { text { fill: #e6edf3; stroke: #0d1117 } }"""
 HEAD = """# Mechanisms
 
-Each mechanism on the shelf draws itself in its home configuration, from the points that its closure
-connects. The labels are names of parameters. If chains are alike, each name is shown once.
-`parallel-cal mechanisms NAME` lists all parameters with their tolerances. `make gallery` writes
-this page.
+A mechanism is the idealised robot of a model: its joints, its geometric parameters and its
+equations. `parallel-cal new NAME` writes a model file for a mechanism of this page.
+`parallel-cal mechanisms NAME` lists all its parameters with their tolerances.
+
+Each drawing shows the mechanism in its home configuration, computed from the equations. The labels
+are names of parameters. If chains are alike, each name is shown once. {B} is the base frame.
+`make gallery` writes this page.
 
 | colour | part |
 |---|---|
@@ -85,17 +89,13 @@ def picture(model: Model) -> str:
     return f"{head}\n<style>{STYLE}\n</style>\n" + "\n".join(drawn) + "\n</svg>\n"
 
 
-def what(mechanism: Mechanism) -> str:
-    """A mechanism's own first line."""
-    return (type(mechanism).__doc__ or "").strip().splitlines()[0]
-
-
 def page() -> str:
-    """The page, one picture a mechanism."""
+    """Return the page: docstring, number of parameters and drawing of each mechanism."""
     parts = [HEAD]
     for name in list_plugins("mechanisms"):
         mechanism = load_mechanism(name, **OPTIONS.get(name, {}))
-        words = f"{what(mechanism)} {len(mechanism.parameters)} parameters."
+        count = f"{len(mechanism.parameters)} parameters{SHOWN.get(name, '')}."
+        words = f"{inspect.getdoc(type(mechanism))}\n\n{count}"
         parts.append(f"## {name}\n\n{words}\n\n![{name}](mechanisms/{name}.svg)\n")
     return "\n".join(parts)
 

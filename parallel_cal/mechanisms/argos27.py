@@ -79,9 +79,12 @@ BODIES = {"pantographs": ("*.R", "*.dR", "*.da", "*.dc")}
 
 
 class Argos27(Argos):
-    """Three motors, three perfect pantographs, one platform; its centre moves a little.
+    """Spherical robot Argos: three motors rotate a platform through three ideal pantographs.
 
-    `radius` (m) places {p}; the thesis divides every length by it.
+    Its axes need not meet in one point, so the centre of the platform moves a little.
+
+    The option `radius` (m) is the distance of the balls from the centre. The thesis
+    states all lengths as multiples of it.
     """
 
     moves = POSE

@@ -15,9 +15,12 @@ from parallel_cal.model.parameters import Named, ParameterTable
 
 
 class Argos9(Argos):
-    """Three great circles turned by the motors; a ball of the platform lies on each.
+    """Argos as an ideal spherical robot, whose platform only rotates about a fixed centre.
 
-    `radius` (m) only scales the closure to metres and widens into model 27.
+    Each motor turns a plane through this centre. One ball of the platform lies in each plane.
+
+    The option `radius` (m) only scales the closure to metres. The conversion
+    to `argos27` needs it.
     """
 
     parameters = ParameterTable(p for i in range(3) for p in angle_parameters(i))

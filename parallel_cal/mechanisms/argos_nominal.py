@@ -12,7 +12,11 @@ from parallel_cal.model.parameters import Named, ParameterTable
 
 
 class ArgosNominal(Argos):
-    """Motor axes and directions to the balls are perpendicular (eq. 3.27)."""
+    """Argos with nominal geometry and three encoder offsets.
+
+    The motor axes are perpendicular to one another, and so are the directions to the three balls
+    (Vischer 1996, eq. 3.27).
+    """
 
     parameters = ParameterTable(p for p in Argos9.parameters if p.name.endswith(".alpha0"))
     closed_forms = ("direct", "inverse")

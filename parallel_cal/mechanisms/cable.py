@@ -25,11 +25,14 @@ BODIES = {"base": ("*.A_?",), "spools": ("*.R",)}
 
 
 class Cable(Mechanism):
-    """End point P, lines from P to anchors A_i; readings are zero with P at the origin.
+    """Cable robot: lines from the anchors A_i hold the end point P.
 
-    `anchors` (n, 3) m, `advantages` (n,), and `spools` (n,): lines with equal spool numbers share
-    one spool radius. The first three anchors must not be collinear. Gear ratio and advantage act
-    like the radius and are known by counting: they are fixed by default.
+    The joint readings are zero if P is at the origin.
+
+    Options: `anchors` (n, 3), m; `advantages` (n,), the mechanical advantages of the pulleys;
+    `spools` (n,), where lines with equal numbers share one spool radius. The first three anchors
+    must not be collinear. Gear ratio and advantage have the same influence as the radius. They are
+    known exactly and therefore fixed by default.
     """
 
     moves = ("x", "y", "z")

@@ -17,7 +17,10 @@ BODIES = {"arms": ("*.La_?",), "rods": ("*.Lb",), "base": ("*.D_?",)}
 
 
 class Delta24(Delta):
-    """Three arms and three rods that meet in one point: the platform stays parallel."""
+    """Delta robot with ideal parallelograms: the platform cannot rotate.
+
+    Each parallelogram acts as one rod, and the three rods meet in one point of the platform.
+    """
 
     moves = ("x", "y", "z")
     parameters = chain_parameters({"position": POSITION})

@@ -147,7 +147,11 @@ BODIES = {
 
 
 class Delta51(Delta):
-    """Six rods between points on three arms and on the platform; all six coordinates move."""
+    """Delta robot, described by the end points of its six rods on the arms and on the platform.
+
+    It has the 51 parameters of Savoure et al. (2006), and nine coordinates of the motor axes that
+    are fixed by default. Position and orientation of the platform vary.
+    """
 
     parameters = _table()
     # An almost level platform hides the hubs, each arm's rotation about its axis, and shifts of a

@@ -47,7 +47,10 @@ def rotation_as_matrix(v: Any) -> Any:
 
 
 class Delta54(Delta):
-    """Three arms, six rods of free length and orientation; all six coordinates move."""
+    """Delta robot with three arms and six rods, each with its own length and end points.
+
+    Position and orientation of the platform vary.
+    """
 
     parameters = chain_parameters(GROUPS)
     fixed = tuple(f"*.{name}" for name in PLATFORM)

@@ -16,7 +16,10 @@ BODIES = {"arms": ("La",), "rods": ("Lb",), "base": ("R",)}
 
 
 class DeltaNominal(Delta24):
-    """Three equal chains at theta_i; R is the base radius minus the platform radius."""
+    """Delta robot with three equal chains at the angles theta_i.
+
+    R is the radius of the base minus the radius of the platform.
+    """
 
     parameters = ParameterTable(
         [

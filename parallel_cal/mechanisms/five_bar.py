@@ -22,9 +22,11 @@ BODIES = {"base": ("*.x", "*.y"), "cranks": ("*.crank",), "rods": ("*.rod",)}
 
 
 class FiveBar(Mechanism):
-    """Two driven cranks, two rods that meet in the point; angles count from x.
+    """Planar robot: two driven cranks, and two rods that meet at the end point.
 
-    `switches` (rad): the readings at which the cranks touch their homing switches.
+    The angles of the cranks are measured from the x axis.
+
+    The option `switches` (rad) states the readings at which the cranks touch their homing switches.
     """
 
     joints = ("left", "right")

@@ -43,10 +43,12 @@ BODIES = {"rods": ("*.Lb", "*.dLb"), "base": ("*.D_?", "*.b_?")}  # with the pla
 
 
 class LinearDelta(Mechanism):
-    """Three carriages on rails, six rods of free length; all six coordinates move.
+    """Delta robot with three carriages on rails and six rods, each with its own length.
 
-    `inclination` (rad): angle by which the rails lean outwards from the vertical. `direction`
-    (rad): angle of the first rail about z from x.
+    Position and orientation of the platform vary.
+
+    Options: `inclination` (rad), the angle by which the rails lean outwards from the vertical;
+    `direction` (rad), the angle of the first rail about z, measured from x.
     """
 
     joints = ("joint1", "joint2", "joint3")

@@ -28,10 +28,14 @@ BODIES = {"base": ("a?_?",), "platform": ("b?_?", "h"), "rods": ("l?",)}
 
 
 class Parallelogram(Mechanism):
-    """Crank A1 B1 driven by q, rod A2 B2, platform B1 B2 with the tool C below it.
+    """Planar parallelogram with general dimensions.
 
-    {B} has x along O A1 and y up; {P} has its origin in C. q + q0 is the crank's angle from
-    the vertical, the platform hangs below. h belongs to the tool and is not identified.
+    The joint drives the crank A1 B1. The other parts are the rod A2 B2, and the platform B1 B2 with
+    the tool C below it.
+
+    The x axis of {B} is along O A1, and y points up. The origin of {P} is C. q + q0 is the angle of
+    the crank from the vertical; the platform hangs below. h belongs to the tool and is not
+    identified.
     """
 
     joints = ("joint1",)

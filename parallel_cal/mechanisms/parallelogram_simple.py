@@ -16,7 +16,10 @@ BODIES = {"rods": ("l",), "platform": ("h",)}
 
 
 class ParallelogramSimple(Mechanism):
-    """A bar of length l carries the tool at h below its end; the platform does not tilt."""
+    """Ideal planar parallelogram: the platform does not tilt.
+
+    A bar of length l carries the tool, which is h below its end.
+    """
 
     joints = Parallelogram.joints
     moves = ("x", "y")

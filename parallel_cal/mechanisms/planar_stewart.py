@@ -28,10 +28,11 @@ BODIES = {"base": ("*.C_?",), "platform": ("*.B_?",), "legs": ("*.L0",)}
 
 
 class PlanarStewart(Mechanism):
-    """Three legs in a plane; joint readings are the extensions of the legs.
+    """Planar platform with three legs; the joint readings are the extensions of the legs.
 
-    L0 is a leg's length at reading zero and delta the angle between it and the sliding axis.
-    delta acts by its square. At zero no measurement determines it, so it is fixed by default.
+    L0 is the length of a leg at reading zero. delta is the angle between the leg and its sliding
+    axis. The length depends on the square of delta, so no measurement determines a delta near zero:
+    it is fixed by default.
     """
 
     joints = ("leg1", "leg2", "leg3")

@@ -29,11 +29,15 @@ BODIES = {"arms": ("*.r",), "rod": ("L",), "base": ("a", "*.s")}
 
 
 class Rssr(Mechanism):
-    """{B}: z on the output axis, x along the common normal towards the input axis.
+    """Spatial four-bar (revolute, spherical, spherical, revolute) for `parallel-cal short-cut`.
 
-    `a` and `alpha` place the input axis; each crank has an arm r, a shift s of its ball along
-    its axis and an encoder offset q0; L is the rod. Angles alone do not determine the scale, so one
-    length must be known, and a second one if the axes meet (a = 0) as in a Delta.
+    It consists of two arms of a Delta that one rod connects. The z axis of {B} is the output axis,
+    and x is the common normal, towards the input axis.
+
+    `a` and `alpha` are the distance and the angle between the two axes. Each crank has an arm r, a
+    shift s of its ball along the axis, and an encoder offset q0. L is the length of the rod. Angles
+    alone do not determine the size: one length must be known, and a second one if the axes meet
+    (a = 0), as in a Delta.
     """
 
     joints = ("input",)

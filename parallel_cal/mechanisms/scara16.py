@@ -25,7 +25,10 @@ LINKS: list[dict[str, Any]] = [
 
 
 class Scara16(Serial):
-    """Two parallel revolute axes and a vertical slide; the orientation follows."""
+    """SCARA arm: two parallel revolute axes and a vertical slide.
+
+    It has no wrist, so the three joints also determine the orientation.
+    """
 
     def __init__(self) -> None:
         super().__init__(LINKS, home=(-0.7, 1.6, 0.0), controls=("x", "y", "z"))

@@ -58,11 +58,12 @@ class Link:
 
 
 class Serial(Mechanism):
-    """Links given in the model file; all six coordinates move.
+    """Serial arm; the model file lists its links.
 
-    Each link: `joint` R, P or null, `axes` parallel, perpendicular or coincident (the next
-    axis against this one; not for the last link), numbers theta d a b alpha beta (m, rad),
-    joint limits `low` `high`. `free` lists the parameters if not those of table 3.5.
+    Each link has a `joint` (R, P or null), `axes` (the direction of the next axis relative to this
+    one: parallel, perpendicular or coincident; not for the last link), the numbers theta, d, a, b,
+    alpha, beta (m, rad), and the joint limits `low` and `high`. `free` lists the parameters of the
+    link, if they differ from table 3.5 of Vischer (1996).
     """
 
     moves = POSE

@@ -17,7 +17,10 @@ BODIES = {"crank": ("a",), "rod": ("b",)}
 
 
 class SliderCrank(Mechanism):
-    """Crank a with an encoder, rod b, a slider on the x-axis through the crank's axis."""
+    """Slider-crank: a crank a with an encoder, a rod b, and a slider.
+
+    The slider moves on the x axis, which passes through the axis of the crank.
+    """
 
     joints = ("crank",)
     moves = ("x",)

@@ -61,9 +61,13 @@ BODIES = {"base": ("*.C_?",), "platform": ("*.B_?",), "legs": ("*.L0",)}
 
 
 class Stewart42(Mechanism):
-    """Six legs of measured length between points B of the platform and C of the base (6-SPS).
+    """Stewart platform: six legs with measured lengths (6-SPS).
 
-    The nominal robot has two flat hexagons. Any other takes its nominal values from its model file.
+    Leg i connects the point B of the platform with the point C of the base (`legI.B_x`, `legI.C_x`,
+    ...).
+
+    In the nominal robot, these points form two flat hexagons. For another robot, change the nominal
+    values in the model file.
     """
 
     joints = tuple(f"leg{i + 1}" for i in range(6))
