@@ -43,8 +43,8 @@ class Kinematics:
     ----------
     model : Model
     compile : bool
-        Compile the equations to machine code first. This takes seconds and makes each solution
-        faster. Default False.
+        Compile the equations to machine code. This takes seconds, the first time only, and makes
+        each solution faster. Default False.
     quick : bool
         Do not use the robust solver; the status then says that a solution did not converge.
         Default False.
