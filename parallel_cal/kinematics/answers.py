@@ -1,4 +1,4 @@
-"""Parse the inputs and format the outputs of the direct and inverse problem."""
+"""Parse the inputs and format the outputs of forward and inverse kinematics."""
 
 from __future__ import annotations
 

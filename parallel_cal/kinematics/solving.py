@@ -1,4 +1,4 @@
-"""The direct and inverse problem with a solver chosen by name."""
+"""Forward and inverse kinematics with a solver chosen by name."""
 
 from __future__ import annotations
 

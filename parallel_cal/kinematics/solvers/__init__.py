@@ -1,1 +1,1 @@
-"""Algorithms for the direct and inverse problem."""
+"""Algorithms of forward and inverse kinematics."""
