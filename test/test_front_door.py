@@ -112,6 +112,18 @@ def test_every_public_function_is_documented_and_its_examples_run(name, monkeypa
 
 
 @pytest.mark.parametrize(
+    "function", [pc.Model, pc.Kinematics, pc.Step, pc.Dataset.from_arrays], ids=lambda f: f.__name__
+)
+def test_the_examples_of_public_classes_run(function, monkeypatch):
+    monkeypatch.chdir(Path(pc.__file__).parents[1])
+    (example,) = doctest.DocTestFinder(recurse=False).find(function, function.__name__, globs={})
+    said = io.StringIO()
+    result = doctest.DocTestRunner().run(example, out=said.write)
+    assert result.attempted > 0
+    assert result.failed == 0, said.getvalue()
+
+
+@pytest.mark.parametrize(
     ("options", "keywords"),
     [
         (FitOptions, FitKeywords),
