@@ -77,7 +77,8 @@ def simulate(
     storage: Annotated[str, typer.Option(help="format of the recording, mcap or sqlite3")] = "mcap",
     as_json: Json = False,
 ) -> None:
-    """Write the recording of a virtual robot: the model with hidden effects and noise."""
+    """Simulate a measuring run and write its recording. The simulated robot is the model with
+    hidden effects and noise."""
     if replicates > poses:
         raise typer.BadParameter(
             f"--replicates {replicates}: expected at most the number of poses, {poses}"

@@ -40,9 +40,9 @@ def info(
     Returns
     -------
     dict
-        One JSON document, all values SI: topics, rates, samples, dropped messages with reasons,
-        replicates, noise, warnings. Doubtful units and a recording without usable samples are
-        warnings here.
+        A JSON document in SI units: topics, rates, samples, dropped messages with reasons,
+        replicates, noise, warnings. `load_dataset` raises DatasetError for doubtful units and for a
+        recording without usable samples; `info` reports both as warnings.
 
     Raises
     ------

@@ -98,28 +98,32 @@ def simulate(
     Parameters
     ----------
     model : Model
-        The robot. Its noise is used; typical noise where it states none.
+        The simulated robot. Its noise is that of the model, or typical noise where the model states
+        none.
     poses : int
         Number of poses, drawn at random in the workspace.
     seed : int, optional
+        Seed of the random poses and of the noise.
     effects : iterable of str, optional
         Effects that the robot has in addition: `"NAME"` or `"NAME:parameter=value,..."`.
     replicates : int, optional
-        How many of the poses are visited twice.
+        Number of random poses that are visited twice.
     quiet : bool, optional
-        Simulate instruments that state their accuracy and make no errors.
+        Simulate readings and measurements without noise. The recording states the usual
+        covariances nevertheless.
     targets : ndarray (poses, nq), optional
-        Joints (rad or m) to visit in this order, in place of random ones.
+        Joint positions (rad or m) of the poses, in the order of the visits. They replace the
+        random poses and `replicates`.
 
     Returns
     -------
     Simulation
-        `dataset()` gives the samples; `write_bag` writes the recording.
+        `dataset()` returns the samples. `write_bag` writes the recording.
 
     Raises
     ------
     SolveError
-        If the workspace cannot be reached.
+        If the robot cannot reach the poses, or if `poses` or `replicates` is out of range.
 
     Examples
     --------
