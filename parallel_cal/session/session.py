@@ -114,7 +114,19 @@ class Session(History):
     # ------------------------------------------------------------------ steps
 
     def fit(self, progress: Progress | None = None) -> State:
-        """Identify the free parameters; objections to the result are in the state."""
+        """Identify the free parameters.
+
+        Parameters
+        ----------
+        progress : callable, optional
+            Called with a stage in words and the completed share (0 to 1).
+
+        Returns
+        -------
+        State
+            The new state of the session. Its `against` says why the new model is not proven better
+            than the old one; it is empty if it is proven.
+        """
         return self._refit("fit", progress)
 
     def add(self, effect: str, progress: Progress | None = None, force: bool = False) -> State:
@@ -167,8 +179,20 @@ class Session(History):
         return self._commit(words, step, **changes)
 
     def take(self, write: Callable[[Path], None]) -> State:
-        """Store the samples recorded since the session began; `write` makes their file. The model
-        is unchanged."""
+        """Add samples that were recorded since the session began. The model stays unchanged.
+
+        They replace the samples of an earlier call.
+
+        Parameters
+        ----------
+        write : callable
+            Called with a path; it must write the file of samples there.
+
+        Returns
+        -------
+        State
+            The new state of the session. Its samples are those of the recordings and of the file.
+        """
         file = self.folder / "samples" / f"{uuid4().hex}.json"
         file.parent.mkdir(exist_ok=True)
         write(file)
@@ -216,11 +240,33 @@ class Session(History):
         insist: Callable[[Replacement], bool] = lambda replacement: False,
         progress: Progress | None = None,
     ) -> Replacement:
-        """Write this state's model for the robot over the model in use; return the comparison.
+        """Write the session's present model to the model file that the robot uses.
 
-        SaveRefused if the model in use is better, or there is an objection, and the owner does not
-        `insist`. If the owner insists, the model's history says so, and the written model is a new
-        state.
+        The model is first compared with the model in that file, on the samples of the session.
+
+        Parameters
+        ----------
+        file : Path
+            The model file to replace. The previous file is kept as `FILE.previous`.
+        insist : callable, optional
+            Called with the comparison. If it returns True, the model is written even if the
+            comparison has objections: reasons against the model, such as a larger error than that
+            of the model in the file. The history of the model then records the objections, and the
+            session gets a new state with that model. By default it returns False.
+        progress : callable, optional
+            Called with a stage in words and the completed share (0 to 1).
+
+        Returns
+        -------
+        Replacement
+            The comparison of the two models, with its `objections`.
+
+        Raises
+        ------
+        SaveRefused
+            If there are objections, and `insist` returns False.
+        SessionError
+            If the session or the file changed during the comparison.
         """
         if progress:
             progress("comparing with the model in use", 0.0)

@@ -140,15 +140,17 @@ def add(
         parameter is fixed. An unknown gear ratio, order or lead is searched for.
     dataset : Dataset
     force : bool, optional
-        Return the step even if a check refuses it.
+        Return the result even if the validation error does not fall, or if the measuring device
+        may be the cause of the error.
     **options
-        `options`, `progress` and single options by name, as in `fit`.
+        Keyword arguments of `fit`: `options` (a FitOptions), `progress`, or single fields of
+        FitOptions by name.
 
     Returns
     -------
     Step
-        `step.model` is the new model, with this step in its history. `step.result` is the
-        identification, `step.rival` the one without the effect.
+        `step.model` is the new model, with this step in its history. `step.result` is the fit with
+        the effect, `step.rival` the fit without it, for comparison.
 
     Raises
     ------
@@ -227,19 +229,21 @@ def remove(
         The name of an effect of the model.
     dataset : Dataset
     force : bool, optional
-        Return the step even if the validation error rises.
+        Return the result even if the validation error rises.
     **options
-        `options`, `progress` and single options by name, as in `fit`.
+        Keyword arguments of `fit`: `options` (a FitOptions), `progress`, or single fields of
+        FitOptions by name.
 
     Returns
     -------
     Step
-        As for `add`; `step.rival` is the identification with the effect.
+        `step.model` is the new model, with this step in its history. `step.result` is the fit
+        without the effect, `step.rival` the fit with it, for comparison.
 
     Raises
     ------
     FitError
-        If the error at held-out poses rises by more than 1 %.
+        If the error at held-out poses rises by more than 1 %, unless `force=True`.
     ModelError
         If the model has no such effect.
 
