@@ -54,18 +54,20 @@ def export(
     ----------
     model : Model
     target : str
-        `"NAME"` or `"NAME:option=value,..."`, such as `"c"`, `"urdf"`, `"klipper"`; a Python path
-        names your own. A target is a module with a function
-        `files(model, option=default, ...) -> {name: text}`. The module of a firmware has instead
-        the mechanisms that it `HOLDS`, `project(model)` and `firmware(settings(paths))`.
+        `"NAME"` or `"NAME:option=value,..."`, such as `"c"`, `"urdf"`, `"klipper"`; or the Python
+        path of your own target, a module with a function
+        `files(model, option=default, ...) -> {name: text}`.
     folder : str or Path
+        The folder to write the files to. It is created if it does not exist.
     touches : Touches, optional
-        Samples of a bed probe. The heights at the touches are computed by the firmware's formula.
+        Points of the bed that a probe touched. The result then states the bed heights at these
+        points, computed by the model and by the formula of the firmware.
 
     Returns
     -------
     ExportResult
-        `paths` of the files, `loss` of accuracy (m, rad), `remarks`.
+        `paths` are the written files, `loss` is the loss of accuracy (m, rad), `remarks` are
+        notes on the target's limits.
 
     Raises
     ------
