@@ -58,11 +58,33 @@ Judged = Callable[[np.ndarray, np.ndarray], Errors | None]
 
 @dataclass(frozen=True)
 class FitResult(ShownInNotebook):
-    """An identification with its inputs.
+    """The result of a fit, with its inputs.
 
-    `held_out` errors come from fits that did not use the pose at which they are judged; the
-    estimate itself uses all samples. `given` is the model that it is compared with. `start` is the
-    model that it started from; the two differ only if the frame of a device is identified too.
+    Attributes
+    ----------
+    model : Model
+        The identified model.
+    start : Model
+        The model at which the optimisation started. It differs from the model that you passed to
+        `fit` only if the fit also identifies the frame of a measuring device.
+    options : FitOptions
+    estimate : Estimate
+        The estimated parameters and their covariance. All samples were used.
+    free : ndarray of bool (n_parameters,)
+        The mask of the parameters that were identified.
+    after : Errors
+        The errors of `model` at all samples (in-sample).
+    held_out : Errors
+        The errors of the cross-validation: at each pose, the errors of a fit that did not use this
+        pose.
+    observations : Observations
+        The samples as the fit used them.
+    dataset : Dataset
+    warnings : tuple of str
+    given : GivenModel
+        The model that you passed to `fit`, registered if necessary, and its errors at the samples.
+    registration : Registration, optional
+        The estimated frame of the measuring device; None if none was needed.
     """
 
     model: Model
@@ -87,7 +109,8 @@ class FitResult(ShownInNotebook):
 
     @property
     def refitted_parameters(self) -> tuple[str, ...]:
-        """Parameters that a partial re-calibration identified; empty for a full fit."""
+        """Names of the parameters that were identified, if the option `refit` limited the fit to
+        some parameters; otherwise empty."""
         names = np.array(self.model.table.names)[self.free] if self.options.refit else ()
         return tuple(str(name) for name in names)
 
@@ -102,15 +125,18 @@ class FitResult(ShownInNotebook):
 
     @cached_property
     def noise_floor(self) -> Summary:
-        """Errors that a perfect model of this robot would show."""
+        """Errors that a perfect model of this robot would show with the same measurement noise."""
         return noise_floor(self.model, self.observations)
 
     @cached_property
     def held_out_before(self) -> Errors:
-        """Errors of the given model at the poses that `held_out` judges, NaN at others.
+        """Errors of the model before the fit, at the poses of `held_out`; NaN at all other samples.
 
-        They are out of sample too: the frame of a device is registered by the other poses, and
-        parameters that were fitted to these samples are identified again without the held-out ones.
+        No held-out pose influences its own error here:
+
+        1. The frame of a device is estimated from the other poses.
+        2. If the given model was fitted to these samples before, its parameters are identified
+           again without the held-out poses.
         """
         if self.given.known_held_out is not None:
             found = self.given.known_held_out
@@ -145,7 +171,7 @@ class FitResult(ShownInNotebook):
 
     @cached_property
     def budgets(self) -> tuple[Budget, ...]:
-        """Contributions of geometry, each effect and noise to the error of the drawing."""
+        """How much geometry, each effect and noise contribute to the error of the nominal model."""
         return budgets(self.model, self.observations, self.noise_floor)
 
     @cached_property
