@@ -53,7 +53,8 @@ class Comparison(ShownInNotebook):
     @cached_property
     @single_threaded()
     def scene(self) -> Scene:
-        """The model linearised at its own predictions, nothing of it free."""
+        """The residuals and Jacobians of the model at its predicted poses, with all parameters
+        fixed."""
         nothing = np.zeros(len(self.model.values), bool)
         return Scene.of(self.model, self.dataset, self.observations, nothing)
 
@@ -103,8 +104,19 @@ class Comparison(ShownInNotebook):
         return np.argsort(-np.nan_to_num(norms, nan=-1.0), kind="stable")
 
     def residuals(self, numbers: np.ndarray, stamps: np.ndarray) -> Residuals:
-        """Residuals as messages hold them, of samples with these numbers and stamps (ns), each
-        (N,)."""
+        """Return the residuals as the ROS messages contain them.
+
+        Parameters
+        ----------
+        numbers : ndarray of int (N,)
+            The numbers of the samples.
+        stamps : ndarray of int (N,)
+            The stamps of the samples in ns.
+
+        Returns
+        -------
+        Residuals
+        """
         field, errors = self.field, self.errors
         seen, reached = (Configuration.from_rows(x) for x in (self.observations.x, self.scene.x))
         unsolved = np.isfinite(self.position).all(axis=1) & np.isnan(errors.position).any(axis=1)
@@ -135,7 +147,11 @@ class Comparison(ShownInNotebook):
         )
 
     def document(self) -> dict[str, Any]:
-        """E, one row a sample, worst first, and where the model fails."""
+        """Return the JSON document of `parallel-cal compare --json`.
+
+        It contains the error statistics, one row per sample (the largest error first), and where in
+        the workspace the model fails. Values are SI, None if unknown.
+        """
         norms = {f"{kind}_norm": self.errors.norms(kind) for kind in ERRORS}
         columns = {
             "sample": self.dataset.numbers,

@@ -56,11 +56,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Diagnosis(ShownInNotebook):
-    """A diagnosis with the inputs that made it.
+    """The result of a diagnosis, with its inputs.
 
-    `base` is the model identified without further effects, `best` the one with the chosen effects.
-    `ranked` are the candidates of the base, best first. `structure`, `field` and `odd_samples`
-    describe the residuals of `best`. `suspected` are significant effects that are not proven yet.
+    `base` is the fit of the model without further effects, `best` the fit with the effects that
+    were found. `ranked` are the candidate effects that `base` may lack, the likeliest first.
+    `structure`, `field` and `odd_samples` describe the residuals of `best`. `suspected` are effects
+    that are significant but not yet proven at held-out poses.
     """
 
     model: Model
@@ -96,13 +97,15 @@ class Diagnosis(ShownInNotebook):
 
     @property
     def additions(self) -> tuple[str, ...]:
-        """The effects with their settings as `add` takes them; joined by `+` they are added at
-        once."""
+        """The effects found, as arguments of `add`, such as `gear_transmission_error:ratio=80`.
+
+        To add all of them in one step, join them by `+`."""
         return tuple(c.text for c in self.best.chosen)
 
     @property
     def band(self) -> tuple[float, float]:
-        """Band of chi2/dof for a complete base; infinite if the noise is not known."""
+        """Interval (low, high) that holds chi2/dof in 99 % of the cases, if the model needs no
+        further effect; (0, inf) if the noise is not known."""
         return self.noise.band(self.base.fitted.estimate.dof)
 
     def document(self) -> dict[str, Any]:
