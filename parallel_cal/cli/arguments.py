@@ -39,7 +39,8 @@ Force = Annotated[
     bool,
     typer.Option(
         "--force",
-        help="write even if the validation error does not fall or a value is out of range",
+        help="write the model even if the validation error or the measuring device speaks against "
+        "it, or a parameter is outside its plausible range",
     ),
 ]
 Tested = Annotated[

@@ -60,13 +60,15 @@ def calibrate(
     simulated: Annotated[
         str,
         typer.Option(
-            help="use a virtual cell: its robot, or robot:effect,effect; see docs/cell.md"
+            metavar="ROBOT[:EFFECT,...]",
+            help="calibrate a simulated robot (delta, stewart, argos or linear_delta), such as "
+            "delta or delta:backlash,warmth; docs/cell.md lists the effects",
         ),
     ] = "",
     as_json: Json = False,
 ) -> None:
-    """Let the robot calibrate itself until the verdict stands. Ctrl-C stops it; run the same
-    command again to resume."""
+    """Let the robot calibrate itself until the diagnosis no longer changes. Ctrl-C stops the robot;
+    run the same command again to resume."""
     try:
         from parallel_cal.nodes.calibrate import Calibration
     except ImportError as error:

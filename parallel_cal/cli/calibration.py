@@ -84,7 +84,8 @@ def remove(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Remove an effect and fit again. The model is written unless the validation error rises."""
+    """Remove an effect and fit again. With -o, the command writes the new model, unless its
+    validation error is more than 1 % larger."""
     from parallel_cal.session.steps import remove
 
     start, dataset = read_model_and_data(model, bags, data)

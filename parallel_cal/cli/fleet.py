@@ -30,8 +30,9 @@ def fleet(
         Path,
         typer.Argument(
             metavar="FOLDER|LIST.csv",
-            help="a folder with one folder per robot (model and recordings), or a list with the "
-            "columns robot, model, recording and, if the recordings lack it, time",
+            help="a folder with one folder per robot (model and recordings), or a CSV file with "
+            "the columns robot, model and recording; add the column time if the recordings have "
+            "no time",
         ),
     ],
     *,

@@ -31,7 +31,8 @@ def new(
     mechanism: Annotated[
         str | None,
         typer.Argument(
-            help="'parallel-cal mechanisms' lists them; none with --from, or serial for a URDF"
+            help="name of the mechanism ('parallel-cal mechanisms' lists the names); omit it "
+            "with --from, except for a URDF, which needs the name serial"
         ),
     ] = None,
     configuration: Annotated[
@@ -157,7 +158,8 @@ def mechanisms(
     option: Option = None,
     as_json: Json = False,
 ) -> None:
-    """List the mechanisms, or the parameters of one and whether its model is complete."""
+    """List the mechanisms. With the name of one, list its parameters and state whether they can
+    describe every geometric error."""
     if name is not None:
         return _print_mechanism(name, option or [], as_json)
     rows = _rows("mechanisms", _mechanism_row)

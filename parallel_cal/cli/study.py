@@ -106,7 +106,7 @@ def power(
     ] = Path("power"),
     as_json: Json = False,
 ) -> None:
-    """Predict which effects, from which size on, a session can detect. An interrupted command
+    """Predict the smallest size of each effect that a recording can detect. An interrupted command
     can be resumed."""
     from parallel_cal.model.file.modelfile import dump_model
     from parallel_cal.reporting.studies import format_power, power_page
