@@ -15,17 +15,10 @@ if TYPE_CHECKING:  # the command line shows its help without numpy
 
 # Options that a measurement plan has, too.
 FREE = option(
-<<<<<<< HEAD
-    "also estimate parameters that match PATTERN; if --free and --fix overlap, the more "
-    "specific PATTERN applies"
-)
-FIX = option("fix parameters that match PATTERN")
-=======
     "identify the parameters that match this wildcard, such as 'chain1.*'; of --free and --fix, "
     "the one that matches fewer parameters overrides the other"
 )
 FIX = option("do not identify the parameters that match this wildcard")
->>>>>>> 9ed8dfe (Describe FitResult and the fit options in plain sentences)
 PRIOR = option("use tolerances as priors of all parameters, not only of weakly determined ones")
 
 
@@ -38,31 +31,15 @@ class FitOptions:
     method : str
         Method of identification. Default `implicit`.
     free, fix : sequence of str
-<<<<<<< HEAD
-        Name patterns (`chain1.*`) of parameters to estimate or to fix; they override the model
-        file. If one set contains the other, the smaller set applies (`fix=["*"],
-        free=["chain1.Lb"]`). Default none.
-=======
         Wildcards (`chain1.*`) for the names of parameters to free or to fix, in place of what the
         model file says. If one of the two sets contains the other, the smaller set overrides the
         larger one (`fix=["*"], free=["chain1.Lb"]`). If they overlap in part, FitError is raised.
         Default none.
->>>>>>> 9ed8dfe (Describe FitResult and the fit options in plain sentences)
     refit : sequence of str
         Wildcards for the names of the only parameters to identify. The others keep their values
         and the model's covariance. Use it after re-homing or warming up, when a few poses are
         enough. Default none: identify all free parameters.
     hold_out : float
-<<<<<<< HEAD
-        Share of the poses that each fold of the cross-validation holds out, 0 (no validation) to
-        0.5. A tiny share (0.001) holds out one pose at a time. Default 0.25.
-    joint_sigma : float, optional
-        Standard deviation of joint readings, rad or m. Default: from recording and model file.
-    prior : bool or Prior, optional
-        None: tolerances are priors only for combinations of parameters that the data determine less
-        precisely than the tolerances. True: for all parameters. False: for none. Or a Prior.
-        Default None.
-=======
         Share of the poses that each fold of the cross-validation holds out, up to 0.5. 0: no
         cross-validation. A share below one pose holds out one pose at a time. Default 0.25.
     joint_sigma : float, optional
@@ -70,7 +47,6 @@ class FitOptions:
     prior : bool or Prior, optional
         None: use the tolerance as a prior of each combination of parameters that the data
         determine weakly; True: of all parameters; False: of none; or a Prior. Default None.
->>>>>>> 9ed8dfe (Describe FitResult and the fit options in plain sentences)
     loss : str
         Loss function of scipy, such as `huber`. The result lists samples with a low weight.
         Default `linear`.
@@ -98,13 +74,8 @@ class FitOptions:
     hold_out: float = field(
         default=0.25,
         metadata=option(
-<<<<<<< HEAD
-            "share of the poses held out in each fold; a tiny share (0.001) holds out one "
-            "pose at a time, 0: no validation",
-=======
             "share of the poses that each fold of the cross-validation holds out; 0: no "
             "cross-validation; a share below one pose (0.001) holds out one pose at a time",
->>>>>>> 9ed8dfe (Describe FitResult and the fit options in plain sentences)
             min=0.0,
             max=0.5,
         ),
