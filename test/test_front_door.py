@@ -159,6 +159,14 @@ def test_a_result_prints_on_one_line(results):
         assert len(repr(result)) < 200
 
 
+def test_a_part_of_a_diagnosis_fits_on_a_screen(results):
+    diagnosis = results["Diagnosis"]
+    for field in dataclasses.fields(diagnosis):
+        part = getattr(diagnosis, field.name)
+        for one in part if isinstance(part, tuple) else [part]:
+            assert len(repr(one)) < 2000, field.name
+
+
 def test_a_notebook_shows_the_tables_of_the_command_line(results):
     for name in ("FitResult", "Comparison", "Diagnosis", "Step"):
         shown = html.unescape(results[name]._repr_html_())

@@ -11,10 +11,11 @@ from scipy import stats
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.comparison import compare
+from parallel_cal.identification.checks import WrongSignError
+from parallel_cal.identification.estimate import NormalEquations
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.linearisation import Linearisation
-from parallel_cal.identification.methods._estimate import NormalEquations
 from parallel_cal.identification.methods.implicit import estimate
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.prediction_errors import errors
@@ -351,18 +352,26 @@ def test_an_absurd_parameter_is_a_failed_fit():
         fit(new_model("delta54"), replace(data, r=1.1 * data.r), hold_out=0)
 
 
-def test_an_absurd_parameter_of_an_effect_speaks_against_the_effect():
+def test_an_effect_larger_than_usual_is_what_the_data_show():
     wide, data = vr.Backlash((3e-2, 2e-2, 2.5e-2)), measured(0)
-    with pytest.raises(
-        FitError,
-        match=r"^backlash.joint1.width would have to be 0.0299\d* rad, which is not plausible ",
-    ):
-        fit(new_model("delta54").with_effect("backlash"), measured(7, effects=[wide]), hold_out=0)
+    model = new_model("delta54").with_effect("backlash")
+    found = fit(model, measured(7, effects=[wide]), hold_out=0)
+    assert found.model.value("backlash.joint1.width") == pytest.approx(3e-2, rel=0.02)
+    assert "larger than usual (0 to 0.003)" in found.unusual["backlash.joint1.width"]
     stretched = replace(data, r=data.r * [1.01, 1, 1])
+    axes = new_model("delta54").with_effect("device_axes")
+    found = fit(axes, stretched, fix=["chain*"], hold_out=0)
+    assert any(name.startswith("device_axes.scale_") for name in found.unusual)
+
+
+def test_a_sign_that_physics_forbids_is_refused():
+    wrong = measured(7, effects=[vr.Backlash((-3e-3, -2e-3, -2.5e-3))])
     with pytest.raises(
-        FitError, match=r"^device_axes.scale_\w would have to be -?0.\d+, which is not plausible"
+        WrongSignError,
+        match=r"^backlash.joint\d.width would have to be -0.00\d+ rad, but its physics allows no "
+        r"negative value: check the directions that the model file states \(gravity, joints\)$",
     ):
-        fit(new_model("delta54").with_effect("device_axes"), stretched, fix=["chain*"], hold_out=0)
+        fit(new_model("delta54").with_effect("backlash"), wrong, hold_out=0)
 
 
 def test_a_covariance_that_no_noise_has_is_refused_with_its_sample():

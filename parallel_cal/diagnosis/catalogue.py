@@ -12,6 +12,7 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.diagnosis.scene import Scene, columns
 from parallel_cal.diagnosis.scoring import Score, quick_log_p, score
 from parallel_cal.diagnosis.thresholds import (
+    EFFECT_SIGNIFICANCE_LEVEL,
     EQUAL_FIT_LOG_P,
     EQUAL_SHUFFLES_TO_STOP,
     LEVELS,
@@ -39,10 +40,10 @@ class Candidate:
     """
 
     name: str
-    effect: Effect
+    effect: Effect = field(repr=False)
     settings: Mapping[str, float] = field(default_factory=dict)
     score: Score | None = None
-    scene: Scene | None = None
+    scene: Scene | None = field(default=None, repr=False)
     tried: int = 1
     missing: tuple[str, ...] = ()
     reason: str = ""
@@ -177,9 +178,8 @@ def candidate(scene: Scene, name: str) -> Candidate:
             [_peak(scene, plain, key, one[key], step, a) for one in near]
         )
     highest = score(scene, compute_effect_columns(scene, plain, setting, a))
-    return Candidate(
-        name, effect, setting, highest, scene, len(settings), (), _explain_invisible(highest), sigma
-    )
+    reason = _explain_invisible(highest, len(settings))
+    return Candidate(name, effect, setting, highest, scene, len(settings), (), reason, sigma)
 
 
 def compute_effect_columns(
@@ -225,12 +225,13 @@ def _select_setting(peaks: list[Peak]) -> tuple[dict[str, float], dict[str, floa
     return {peak.key: peak.value}, {} if peak.sigma is None else {peak.key: peak.sigma}
 
 
-def _explain_invisible(score: Score) -> str:
+def _explain_invisible(score: Score, tried: int) -> str:
     """Why a score says nothing: all that the effect could show hides in the geometry, or in the
-    noise."""
+    noise. An effect that the residuals show plainly is visible, however small it usually is."""
     if not score.q:
         return "cannot be seen with this set-up: the geometry absorbs it"
-    if score.size < MIN_VISIBLE_SIGMAS:
+    shown = score.log_p + np.log(tried) < np.log(EFFECT_SIGNIFICANCE_LEVEL)
+    if score.size < MIN_VISIBLE_SIGMAS and not shown:
         return f"cannot be seen: at its typical size it makes {score.size:.1g} sigmas"
     return ""
 

@@ -10,6 +10,7 @@ likely as the robot's effects do.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,30 +25,36 @@ from parallel_cal.diagnosis.thresholds import (
     MIN_SEPARATION_SIGMAS,
 )
 from parallel_cal.identification.linearisation import Linearisation
+from parallel_cal.model.model import Model
 
 
 def find_doubtful_effects(
-    scene: Scene, chosen: Sequence[Candidate], ranked: Sequence[Candidate]
+    scene: Scene, chosen: Sequence[Candidate], ranked: Sequence[Candidate], fitted: Model
 ) -> list[str]:
-    """Names of the robot's effects among `chosen` that the device may cause, by size or by form."""
+    """Names of the robot's effects among `chosen` that the device may cause, by size or by form.
+
+    `fitted` is the model with the chosen effects. Its tolerances allow the sizes that the data
+    show, also of effects that are larger than usual.
+    """
     return list(
         dict.fromkeys(
             [
-                *find_device_lookalikes(scene, chosen, ranked),
-                *find_position_only_effects(scene, chosen),
+                *find_device_lookalikes(scene, chosen, ranked, fitted),
+                *find_position_only_effects(scene, chosen, fitted),
             ]
         )
     )
 
 
 def find_device_lookalikes(
-    scene: Scene, chosen: Sequence[Candidate], ranked: Sequence[Candidate]
+    scene: Scene, chosen: Sequence[Candidate], ranked: Sequence[Candidate], fitted: Model
 ) -> list[str]:
     """Names of the robot's effects among `chosen` that the device could cause as well.
 
-    With the device's effects in place of the robot's effect, misfit and price (see `cost`) rise by
-    less than five sigmas. Errors of the device that change with time are tested elsewhere: shuffled
-    conditions, exchange of lookalikes.
+    Next to the device's effects, the robot's effect lowers misfit and price (see `cost`) by less
+    than five sigmas. The device's effects are on both sides of this comparison, because a further
+    error of the device says nothing against the robot's effect. Errors of the device that change
+    with time are tested elsewhere: shuffled conditions, exchange of lookalikes.
     """
     device = [
         c
@@ -57,18 +64,18 @@ def find_device_lookalikes(
     own = [c for c in chosen if not c.effect.of_device and c.scene is scene]
     if not device or not own:
         return []
-    shared = _shared_scene(scene, chosen)
-    all_named = {c.name: c for c in (*device, *chosen)}
-    known = {name: _columns(scene, shared, c) for name, c in all_named.items()}
+    return [one.name for one in own if not is_needed(one, [*chosen, *device], scene, fitted)]
 
-    def price(*candidates: Candidate) -> float:
-        names = dict.fromkeys(c.name for c in candidates)
-        return cost(shared, np.hstack([known[name] for name in names]))
 
-    left = _chi2_per_dof(shared, np.hstack([known[c.name] for c in chosen]))
-    limit = price(*chosen) + MIN_SEPARATION_SIGMAS**2 * max(left, 1.0)
-    without = {one.name: price(*(c for c in chosen if c is not one), *device) for one in own}
-    return [name for name, instead in without.items() if instead < limit]
+def is_needed(one: Candidate, among: Sequence[Candidate], scene: Scene, fitted: Model) -> bool:
+    """Whether an effect lowers misfit and price of the others by more than five sigmas."""
+    shared = _shared_scene(scene, [one, *among])
+    known = {c.name: _columns(scene, shared, c, fitted) for c in (one, *among)}
+    own = known.pop(one.name)
+    without = np.hstack([np.zeros((len(shared.residual), 0)), *known.values()])
+    both = np.hstack([without, own])
+    noise = max(_chi2_per_dof(shared, both), 1.0)
+    return cost(shared, without) - cost(shared, both) > MIN_SEPARATION_SIGMAS**2 * noise
 
 
 def cost(scene: Scene, B: np.ndarray) -> float:
@@ -98,16 +105,20 @@ def _shared_scene(scene: Scene, chosen: Sequence[Candidate]) -> Scene:
     return next(wider, scene)
 
 
-def _columns(scene: Scene, shared: Scene, one: Candidate) -> np.ndarray:
+def _columns(scene: Scene, shared: Scene, one: Candidate, fitted: Model) -> np.ndarray:
     """Columns of a candidate on the rows of `shared`; those of the larger model itself are its
     parameters that the model of `scene` has not."""
     if one.effect.widens:
         return columns(shared.model, shared, find_new_parameters(scene.model, shared.model))
     extended = shared.model.with_effect(one.name, one.settings)
+    raised = {n: t for n, t in fitted.tolerances.items() if n in extended.table.names}
+    extended = replace(extended, tolerances={**extended.tolerances, **raised})
     return columns(extended, shared, find_new_parameters(shared.model, extended))
 
 
-def find_position_only_effects(scene: Scene, chosen: Sequence[Candidate]) -> list[str]:
+def find_position_only_effects(
+    scene: Scene, chosen: Sequence[Candidate], fitted: Model
+) -> list[str]:
     """Names of the robot's effects among `chosen` that describe only a field of position.
 
     The data are likelier with a smooth field of position than with the effects, and hardly likelier
@@ -118,7 +129,9 @@ def find_position_only_effects(scene: Scene, chosen: Sequence[Candidate]) -> lis
     fields = list(_smooth_fields(shared)) if own else []
     if not fields:
         return []
-    known = {c.name: shared.project_off_geometry(_columns(scene, shared, c)) for c in chosen}
+    known = {
+        c.name: shared.project_off_geometry(_columns(scene, shared, c, fitted)) for c in chosen
+    }
     nothing = np.zeros((len(shared.residual), 0))
 
     def likely(names: list[str], fields: Sequence[np.ndarray]) -> float:

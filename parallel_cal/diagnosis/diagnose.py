@@ -30,10 +30,18 @@ from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.patterns import OddSample, odd_samples
-from parallel_cal.diagnosis.search import Chosen, Search, Trial
+from parallel_cal.diagnosis.remaining import RemainingCondition, find_remaining_condition
+from parallel_cal.diagnosis.search import (
+    Chosen,
+    Search,
+    Trial,
+    improvement_log_p,
+    is_preferable,
+)
 from parallel_cal.diagnosis.separate import NextMeasurement, next_measurement
 from parallel_cal.diagnosis.statistics import holm
 from parallel_cal.diagnosis.thresholds import (
+    DRIFT_SIGNIFICANCE_LEVEL,
     EFFECT_SIGNIFICANCE_LEVEL,
     MAX_MISTRUSTED_SHARE,
     MAX_REFITTED_CANDIDATES,
@@ -60,8 +68,9 @@ class Diagnosis(ShownInNotebook):
 
     `base` is the fit of the model without further effects, `best` the fit with the effects that
     were found. `ranked` are the candidate effects that `base` may lack, the likeliest first.
-    `structure`, `field` and `odd_samples` describe the residuals of `best`. `suspected` are effects
-    that are significant but not yet proven at held-out poses.
+    `structure`, `field` and `odd_samples` describe the residuals of `best`; `remaining` names a
+    recorded condition that these still depend on. `suspected` are effects that are significant but
+    not yet proven at held-out poses.
     """
 
     model: Model
@@ -75,6 +84,7 @@ class Diagnosis(ShownInNotebook):
     noise_shape: NoiseShape
     verdict: Verdict
     structure: LackOfFit
+    remaining: RemainingCondition | None
     field: Field
     odd_samples: tuple[OddSample, ...]
     swaps: Mapping[str, list[str]]
@@ -141,6 +151,7 @@ class Diagnosis(ShownInNotebook):
             "robot_or_device": self.robot_or_device,
             "suspected": self.suspected,
             "structure": self.structure,
+            "depends_on": self.remaining,
             "odd_samples": self.odd_samples,
             "measure_next": self.measure_next,
             "registration": self.registration,
@@ -252,69 +263,79 @@ def _diagnose_trusted(
         asked = replace(least_squares, insist=insist or least_squares.insist)
         return fit_registered(extended, dataset, asked, given=given)
 
-    with single_threaded():
-        search = Search(model, refit, report)
-        report("identifying the geometry", 0.0)
-        base = search.fit()
-        catalogue = _Catalogue(names, report)
-        ranked = catalogue.rank(base)
-        best, against = _search_effects(search, catalogue)
-        swaps = search.swaps(best, rivals_of(best, ranked))
-        left = Field.of(best.scene)
-        structure, before = lack_of_fit(best.scene, left), chi2_before(base, best, ranked)
-        noise = NoiseLevel.of(best.scene, left, structure.has_structure)
-        shape = NoiseShape.of(best.scene, left)
-        more = catalogue.select_significant(best)
-        tried = [search.fit(*best.chosen, Chosen.of(c)) for c in more]
-        refused = tuple(trial.reason for trial in tried if trial.reason)
-        settings = {one.name: one.settings for one in best.chosen}
-        taken = [replace(c, settings=settings[c.name]) for c in ranked if c.name in settings]
-        of_device = {c.name for c in ranked if c.effect.of_device and not c.effect.needs}
-        known = find_doubtful_effects(base.scene, taken, ranked)
-        either = [
-            c.name
-            for c in taken
-            if c.name not in of_device
-            and (c.name in known or of_device & set(swaps.get(c.name, [])))
-        ]
-        better = find_better_lookalikes(best, search, catalogue)
-        verdict = judge(
-            Findings(
-                base,
-                best,
-                before,
-                noise,
-                shape,
-                structure,
-                left.held,
-                swaps,
-                refused,
-                either,
-                better,
-            )
-        )
-        report("computing the weights of the observations", 0.8)
-        rivals = {c.name: swaps.get(c.name, []) for c in best.chosen}
-        return Diagnosis(
-            model=model,
-            dataset=dataset,
-            base=base,
-            best=best,
-            ranked=tuple(ranked),
-            entries=entries(ranked, base, search, noise, against),
-            negative_control=negative_control(base.scene, ranked),
-            noise=noise,
-            noise_shape=shape,
-            verdict=verdict,
-            structure=structure,
-            field=left,
-            odd_samples=odd_samples(best.scene, left),
-            swaps=swaps,
-            robot_or_device=tuple(either),
-            suspected=tuple(c.name for c in more if search.is_suspected(best, c)),
-            registration=registration,
-            measure_next=next_measurement(best, rivals, ranked),
-        )
+    search = Search(model, refit, report)
+    report("identifying the geometry", 0.0)
+    base = search.fit()
+    catalogue = _Catalogue(names, report)
+    ranked = catalogue.rank(base)
+    best, against = _search_effects(search, catalogue)
+    if _is_outdone_by_wrong_sign(search, best, ranked):
+        best = base  # what was found only imitates it
+
+    swaps = search.swaps(best, rivals_of(best, ranked))
+    residual_field = Field.of(best.scene)
+    structure = lack_of_fit(best.scene, residual_field)
+    shape = NoiseShape.of(best.scene, residual_field)
+    noise = NoiseLevel.of(best.scene, residual_field, structure.has_structure, shape.correlated)
+    remaining = find_remaining_condition(best.scene, shape)
+    robot_or_device = _find_robot_or_device(base, best, ranked, swaps)
+    significant = catalogue.select_significant(best)
+    tried = [search.fit(*best.chosen, Chosen.of(c)) for c in significant]
+    findings = Findings(
+        base=base,
+        best=best,
+        chi2_before=chi2_before(base, best, ranked),
+        noise=noise,
+        shape=shape,
+        structure=structure,
+        remaining=remaining,
+        held=residual_field.held,
+        swaps=swaps,
+        refused=tuple(trial.reason for trial in tried if trial.reason),
+        wrong_signs=tuple(trial.reason for trial in tried if trial.wrong_sign),
+        robot_or_device=robot_or_device,
+        outdone=find_better_lookalikes(best, search, catalogue),
+    )
+
+    report("computing the weights of the observations", 0.8)
+    rivals = {c.name: swaps.get(c.name, []) for c in best.chosen}
+    return Diagnosis(
+        model=model,
+        dataset=dataset,
+        base=base,
+        best=best,
+        ranked=tuple(ranked),
+        entries=entries(ranked, base, search, noise, against),
+        negative_control=negative_control(base.scene, ranked),
+        noise=noise,
+        noise_shape=shape,
+        verdict=judge(findings),
+        structure=structure,
+        remaining=remaining,
+        field=residual_field,
+        odd_samples=odd_samples(best.scene, residual_field),
+        swaps=swaps,
+        robot_or_device=robot_or_device,
+        suspected=tuple(c.name for c in significant if search.is_suspected(best, c)),
+        registration=registration,
+        measure_next=next_measurement(best, rivals, ranked),
+    )
+
+
+def _find_robot_or_device(
+    base: Trial, best: Trial, ranked: list[Candidate], swaps: Mapping[str, list[str]]
+) -> tuple[str, ...]:
+    """List chosen effects that an error of the measuring device explains as well."""
+    settings = {one.name: one.settings for one in best.chosen}
+    chosen = [replace(c, settings=settings[c.name]) for c in ranked if c.name in settings]
+    of_device = {c.name for c in ranked if c.effect.of_device and not c.effect.needs}
+    doubtful = find_doubtful_effects(base.scene, chosen, ranked, best.fitted.model)
+    return tuple(
+        c.name
+        for c in chosen
+        if c.name not in of_device
+        and (c.name in doubtful or of_device & set(swaps.get(c.name, [])))
+    )
 
 
 def find_better_lookalikes(best: Trial, search: Search, catalogue: _Catalogue) -> list[str]:
@@ -333,11 +354,22 @@ def find_better_lookalikes(best: Trial, search: Search, catalogue: _Catalogue) -
     return list(found.values())
 
 
+def _is_outdone_by_wrong_sign(search: Search, best: Trial, ranked: list[Candidate]) -> bool:
+    """Whether an effect that fits only with an impossible sign explains more than all that was
+    found. Most often a direction in the model file is wrong, and others only imitate the effect."""
+    found = improvement_log_p(search.fit().fitted.estimate, best.fitted.estimate)
+    return any(
+        one.log_p < found and search.fit(Chosen.of(one)).wrong_sign
+        for one in ranked[:MAX_REFITTED_CANDIDATES]
+        if best.chosen and one.testable
+    )
+
+
 def _search_effects(search: Search, catalogue: _Catalogue) -> tuple[Trial, dict[str, str]]:
     """Find the effects that explain most, and the objections to the others.
 
-    If neighbours in time are similar, the noise drifts, and effects of time or temperature cannot
-    be distinguished from it. The search then names only effects that depend on neither.
+    If neighbours in time are similar, the noise drifts, and it may imitate effects of time or
+    temperature. The search then names them only if they explain more than drift can.
     """
     base = search.fit()
 
@@ -348,22 +380,40 @@ def _search_effects(search: Search, catalogue: _Catalogue) -> tuple[Trial, dict[
     def found() -> tuple[Trial, dict[str, str]]:
         best, against = grown(base)
         better = search.exchange_rivals(best, rivals_of(best, catalogue.rank(base)))
-        if better is best:
-            return best, against
-        best, more = grown(better)  # by what a wrong name hid
-        return best, against | more
+        if better is not best:
+            best, more = grown(better)  # by what a wrong name hid
+            against |= more
+        # The first pick is greedy: a lookalike in its place may lead to a better explanation.
+        for start in search.alternatives(best, rivals_of(best, catalogue.rank(base))):
+            other, more = grown(start)
+            if is_preferable(best, other):
+                best, against = other, against | more
+        return best, against
 
     best, against = found()
-    wandering = [c for c in catalogue.rank(base) if c.varies_slowly and c.testable]
-    if not {c.name for c in wandering} & set(best.names):
+    slow = {c.name for c in catalogue.rank(base) if c.varies_slowly and c.testable}
+    if not slow & set(best.names):
         return best, against
     shape = NoiseShape.of(best.scene, Field.of(best.scene))
-    if not shape.correlated:
+    if not shape.correlated or _exceed_drift(search, best, slow, shape.inflation):
         return best, against
     catalogue.wandering = False
     best, against = found()
     words = f"indistinguishable from drift: the noise is correlated over {shape.memory:.2g} s"
-    return best, against | {c.name: words for c in wandering}
+    return best, against | dict.fromkeys(sorted(slow), words)
+
+
+def _exceed_drift(search: Search, best: Trial, slow: set[str], inflation: float) -> bool:
+    """Whether each slow effect explains more than drifting noise, which varies `inflation` times
+    as much as white noise over such times."""
+    for name in slow & set(best.names):
+        without = search.fit(*(c for c in best.chosen if c.name != name))
+        if without.result is None:
+            continue
+        log_p = improvement_log_p(without.result.estimate, best.fitted.estimate, inflation)
+        if log_p > np.log(DRIFT_SIGNIFICANCE_LEVEL):
+            return False
+    return True
 
 
 class _Catalogue:

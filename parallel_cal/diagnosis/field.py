@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -20,9 +20,9 @@ class Field:
     in the device's sigmas, of measured coordinates that the model holds at one value.
     """
 
-    pose: np.ndarray
-    noise_units: np.ndarray
-    measured: np.ndarray
+    pose: np.ndarray = field(repr=False)
+    noise_units: np.ndarray = field(repr=False)
+    measured: np.ndarray = field(repr=False)
     held: float
 
     @classmethod

@@ -66,6 +66,9 @@ class SmoothMap:
     places: np.ndarray
     field: np.ndarray
 
+    def __repr__(self) -> str:
+        return f"SmoothMap({self.kind}, {len(self.places)} places, size {self.size:.3g})"
+
     def document(self) -> dict[str, Any]:
         drawn = self.share > 0
         return {

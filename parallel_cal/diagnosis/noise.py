@@ -87,18 +87,21 @@ class NoiseLevel:
     misstated: float | None = None
 
     @classmethod
-    def of(cls, scene: Scene, field: Field, structured: bool) -> NoiseLevel:
+    def of(
+        cls, scene: Scene, field: Field, structured: bool, correlated: bool = False
+    ) -> NoiseLevel:
         """Use the stated noise unless replicates contradict it; use replicates instead of a guess
         from jitter.
 
-        A smaller noise than stated is always accepted. A larger one is accepted only if the
-        residuals show no structure: motion between two visits of a pose would pass for noise.
+        A smaller noise than stated is accepted unless neighbours in time are similar: visits soon
+        after each other then share their noise. A larger one is accepted only if the residuals
+        show no structure: motion between two visits of a pose would pass for noise.
         """
         seen = PureError.of(scene, field)
         sources = set(scene.observations.noise_from.values())
         if sources <= set(STATED):
             variance = seen.variance if seen.contradicts_stated_noise else None
-            if variance is None or (variance > 1 and structured):
+            if variance is None or (structured if variance > 1 else correlated):
                 return cls(1.0, None, f"stated ({', '.join(sorted(sources))})", seen)
             words = f"replicates ({seen.dof} degrees of freedom)"
             return cls(variance, seen.dof, words, seen, variance**0.5)
@@ -106,6 +109,11 @@ class NoiseLevel:
             words = f"replicates ({seen.dof} degrees of freedom)"
             return cls(seen.variance, seen.dof, words, seen)
         return cls(None, None, f"unknown ({', '.join(sorted(sources))})", seen)
+
+    @property
+    def exceeds_stated(self) -> bool:
+        """Whether visits of one pose differ by more than the stated noise."""
+        return self.misstated is not None and self.misstated > 1
 
     def band(self, dof: int) -> tuple[float, float]:
         """Band that holds chi2/dof of 99 % of complete models; infinite if the noise is unknown."""

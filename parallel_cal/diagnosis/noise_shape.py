@@ -8,7 +8,11 @@ import numpy as np
 
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.scene import Scene
-from parallel_cal.diagnosis.thresholds import EFFECT_SIGNIFICANCE_LEVEL, PERMUTATIONS
+from parallel_cal.diagnosis.thresholds import (
+    EFFECT_SIGNIFICANCE_LEVEL,
+    MIN_INFLATION,
+    PERMUTATIONS,
+)
 
 
 @dataclass(frozen=True)
@@ -17,7 +21,8 @@ class NoiseShape:
 
     `correlation` of neighbours in time and the time `memory` (s) in which it falls to 1/e;
     `growth`: rms in the outer third of the workspace over that in the inner third; each with the
-    p-value of as much by chance, from permutations of the samples.
+    p-value of as much by chance, from permutations of the samples. `inflation` is the variance of
+    a slow mean over that of white noise, at least 1.
     """
 
     correlation: float
@@ -25,10 +30,13 @@ class NoiseShape:
     memory: float
     growth: float
     growth_p: float
+    inflation: float = 1.0
 
     @property
     def correlated(self) -> bool:
-        return self.correlation_p < EFFECT_SIGNIFICANCE_LEVEL
+        """Whether neighbours in time are similar, by enough to matter."""
+        certain = self.correlation_p < EFFECT_SIGNIFICANCE_LEVEL
+        return certain and self.inflation > MIN_INFLATION
 
     @property
     def grows_from_centre(self) -> bool:
@@ -53,7 +61,11 @@ class NoiseShape:
             return cls(0.0, 1.0, 0.0, 1.0, 1.0)
         shape = noise_shape(field.noise_units, scene.dataset.time, scene.x[:, n : n + 3])
         known = "time" in scene.dataset.conditions  # the order of samples is none
-        return shape if known else replace(shape, correlation=0.0, correlation_p=1.0, memory=0.0)
+        return (
+            shape
+            if known
+            else replace(shape, correlation=0.0, correlation_p=1.0, memory=0.0, inflation=1.0)
+        )
 
 
 def noise_shape(z: np.ndarray, time: np.ndarray, places: np.ndarray, seed: int = 0) -> NoiseShape:
@@ -88,4 +100,16 @@ def noise_shape(z: np.ndarray, time: np.ndarray, places: np.ndarray, seed: int =
     p = (1 + as_much) / (1 + PERMUTATIONS)
     step = float(np.median(np.diff(time[order])))
     memory = -step / np.log(np.clip(seen[0], 1e-3, 1 - 1e-3))
-    return NoiseShape(seen[0], float(p[0]), float(memory), seen[1], float(p[1]))
+    inflation = _compute_inflation(z[order])
+    return NoiseShape(seen[0], float(p[0]), float(memory), seen[1], float(p[1]), inflation)
+
+
+def _compute_inflation(series: np.ndarray) -> float:
+    """Variance of a slow mean of a series (N, k) over that of white noise: 1 + 2 sum (1 - l / L)
+    rho_l over the lags l < L (Newey and West 1987), at least that of the first lag alone."""
+    n, total = len(series), float(np.sum(series**2))
+    lags = np.arange(1, max(n // 4, 2))
+    rho = np.array([float(np.sum(series[lag:] * series[:-lag])) / total for lag in lags])
+    first = float(np.clip(rho[0], 0.0, 0.99))
+    long_run = 1 + 2 * float(np.sum((1 - lags / (lags[-1] + 1)) * rho))
+    return max(1.0, (1 + first) / (1 - first), long_run)

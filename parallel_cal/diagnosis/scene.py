@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -28,13 +28,13 @@ class Scene:
 
     model: Model
     dataset: Dataset
-    observations: Observations
-    free: np.ndarray
-    x: np.ndarray
-    whitener: np.ndarray
-    informative: np.ndarray
-    residual: np.ndarray
-    basis: np.ndarray
+    observations: Observations = field(repr=False)
+    free: np.ndarray = field(repr=False)
+    x: np.ndarray = field(repr=False)
+    whitener: np.ndarray = field(repr=False)
+    informative: np.ndarray = field(repr=False)
+    residual: np.ndarray = field(repr=False)
+    basis: np.ndarray = field(repr=False)
     rows: int
     dof: int
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ class Score:
     q: int
     remaining: float
     size: float
-    U: np.ndarray
+    U: np.ndarray = field(repr=False)
 
     @property
     def p_value(self) -> float:
@@ -89,6 +89,14 @@ def log_p_of(F: Any, q: int, dof: int) -> Any:
         series = a * np.log(z) + b * np.log1p(-z) - np.log(a)
         found = np.where(p > 1e-290, np.log(p), series - (gammaln(a) + gammaln(b) - gammaln(a + b)))
     return found[()]
+
+
+def deflate(one: Score, dof: int, inflation: float) -> float:
+    """log p of a score whose columns change as slowly as correlated noise: F is divided by the
+    inflation of a slow mean's variance, as if there were so many fewer samples."""
+    if not one.q or dof <= one.q:
+        return 0.0
+    return float(log_p_of(one.F / max(inflation, 1.0), one.q, dof - one.q))
 
 
 def canonical_correlation(one: np.ndarray, other: np.ndarray) -> float:

@@ -4,7 +4,7 @@ poses."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,24 +19,28 @@ from parallel_cal.diagnosis.thresholds import (
     MAX_EFFECTS,
     MAX_EQUAL_SHUFFLES,
     MAX_SWAP_ERROR_RATIO,
+    MIN_LOG_EVIDENCE_GAIN,
     MIN_SEPARATION_SIGMAS,
     SHUFFLES,
 )
 from parallel_cal.identification.acceptance import acceptance
+from parallel_cal.identification.checks import WrongSignError
+from parallel_cal.identification.estimate import Estimate
 from parallel_cal.identification.fit import FitResult
-from parallel_cal.identification.methods._estimate import Estimate
 from parallel_cal.identification.prediction_errors import held_out_ratio
 from parallel_cal.model.model import Model
 
-Refit = Callable[[Model, bool], FitResult]  # of a model; whether numbers out of range are let be
+Refit = Callable[[Model, bool], FitResult]  # of a model; whether contradictions are accepted
 
 
 @dataclass(frozen=True)
 class Chosen:
-    """An effect with the settings of its fixed numbers, as pairs."""
+    """An effect with the settings of its fixed numbers, as pairs; `unusual` if its parameters may
+    be larger than usual."""
 
     name: str
     fixed: tuple[tuple[str, float], ...] = ()
+    unusual: bool = False
 
     @classmethod
     def of(cls, one: Candidate) -> Chosen:
@@ -55,11 +59,13 @@ class Chosen:
 
 @dataclass(frozen=True)
 class Trial:
-    """A refit of the model with some effects, or the reason why it failed."""
+    """A refit of the model with some effects, or the reason why it has none; `wrong_sign` if the
+    reason is a sign that physics forbids."""
 
     chosen: tuple[Chosen, ...]
     result: FitResult | None
     reason: str = ""
+    wrong_sign: bool = False
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -91,23 +97,31 @@ class Search:
 
     def fit(self, *chosen: Chosen, insist: bool = False) -> Trial:
         """Fit the baseline with these effects on all poses and judge it at held-out poses; with
-        `insist`, implausible parameters are accepted."""
-        if insist and (plain := self.fit(*chosen)).result is not None:
-            return plain
-        if (chosen, insist) not in self._known:
-            self._progress(f"refitting with {', '.join(c.name for c in chosen) or 'nothing'}", 0.5)
-            self._known[chosen, insist] = self._fit(chosen, insist)
-        return self._known[chosen, insist]
+        `insist`, unusual sizes and contradictions are accepted."""
+        trial = self._fit_any_size(chosen, False)
+        if trial.result is None:
+            return self._fit_any_size(chosen, True) if insist else trial
+        usual = () if insist else tuple(one.name for one in chosen if not one.unusual)
+        for parameter, words in trial.result.unusual.items():
+            if parameter.split(".")[0] in usual:
+                return Trial(chosen, None, words)
+        return trial
 
-    def _fit(self, chosen: tuple[Chosen, ...], insist: bool) -> Trial:
-        model = self._model
-        try:
-            for one in chosen:
-                model = model.with_effect(one.name, one.settings)
-            result = self._refit(model, insist)
-        except (FitError, ModelError) as error:  # or an effect of the larger model, without it
-            return Trial(chosen, None, str(error))
-        return Trial(chosen, result)
+    def _fit_any_size(self, chosen: tuple[Chosen, ...], insist: bool) -> Trial:
+        """Fit once for all callers, whatever size the effects turn out to have."""
+        key = tuple(replace(one, unusual=False) for one in chosen), insist
+        if key not in self._known:
+            self._progress(f"refitting with {', '.join(c.name for c in chosen) or 'nothing'}", 0.5)
+            model = self._model
+            try:
+                for one in chosen:
+                    model = model.with_effect(one.name, one.settings)
+                self._known[key] = Trial(chosen, self._refit(model, insist))
+            except (FitError, ModelError) as error:  # or an effect of the larger model, without it
+                wrong_sign = isinstance(error, WrongSignError)
+                self._known[key] = Trial(chosen, None, str(error), wrong_sign)
+        known = self._known[key]
+        return known if known.chosen == chosen else replace(known, chosen=chosen)
 
     def try_adding(self, before: Trial, one: Candidate) -> tuple[Trial, str]:
         """Refit with one more effect; return the trial and the objection to it (empty: none)."""
@@ -141,18 +155,50 @@ class Search:
         trial: Trial = start
         against: dict[str, str] = {}
         while len(trial.chosen) < MAX_EFFECTS:
-            for one in rank(trial):
-                after, reason = self.try_adding(trial, one)
-                if not reason:
-                    trial = after
-                    break
-                against[one.name] = reason
-            else:
-                both = self._try_pairs(trial, rank)
-                if both is None:
-                    break
-                trial = both
+            more = self._find_next(trial, rank, against)
+            if more is None:
+                break
+            trial = more
         return trial, against
+
+    def _find_next(self, before: Trial, rank: Rank, against: dict[str, str]) -> Trial | None:
+        """Find the effect to add next; note objections `against` the others.
+
+        An effect of usual size is taken, unless one that is larger than usual explains clearly
+        more: a usual range is knowledge about other machines.
+        """
+        usual: Trial | None = None
+        larger: list[Candidate] = []
+        for one in rank(before):
+            after, reason = self.try_adding(before, one)
+            if not reason:
+                usual = after
+                break
+            against[one.name] = reason
+            if after.result is None and not after.wrong_sign:
+                larger.append(one)
+        unusual = self._try_unusual(before, larger)
+        usual = usual or self._try_pairs(before, rank)
+        if usual is None or unusual is None:
+            return usual or unusual
+        return unusual if is_preferable(usual, unusual) else usual
+
+    def _try_unusual(self, before: Trial, larger: list[Candidate]) -> Trial | None:
+        """Find the effect, larger than usual, that explains most for its number of parameters;
+        None if none passes."""
+        found = []
+        for one in larger:
+            after = self.fit(*before.chosen, replace(Chosen.of(one), unusual=True))
+            if after.result and not (
+                _describe_held_out_objection(before, after)
+                or _describe_chance_objection(before, after, one)
+            ):
+                found.append(after)
+        best: Trial | None = None
+        for after in found:
+            if best is None or information_gain(best, after) > 0:
+                best = after
+        return best
 
     def _try_pairs(self, before: Trial, rank: Rank) -> Trial | None:
         """Find the best pair of effects of which one alone would need implausible parameters: the
@@ -199,7 +245,8 @@ class Search:
             if others is None or others.result is None:
                 continue
             again = next(c for c in rank(others) if c.name == name)
-            after = self.fit(*before, Chosen.of(again), *behind)
+            chosen = replace(Chosen.of(again), unusual=one.unusual)
+            after = self.fit(*before, chosen, *behind)
             if after.result and after.result.estimate.chi2 < trial.fitted.estimate.chi2:
                 trial = after
         return trial
@@ -213,6 +260,10 @@ class Search:
             if _is_clearly_better(trial, other)
         ]
         return min(clear, key=lambda other: other.fitted.estimate.chi2_per_dof, default=trial)
+
+    def alternatives(self, trial: Trial, rivals: Rivals) -> list[Trial]:
+        """The same set with one effect exchanged for a rival, wherever it can be fitted."""
+        return [other for *_, other in self._iterate_swaps(trial, rivals) if other.result]
 
     def swaps(self, trial: Trial, rivals: Rivals) -> dict[str, list[str]]:
         """For each chosen effect, the rivals that explain the data as well in its place."""
@@ -287,6 +338,23 @@ def _is_clearly_better(trial: Trial, other: Trial) -> bool:
     )
 
 
+def is_preferable(trial: Trial, other: Trial) -> bool:
+    """Whether other effects explain the data better, or as well with fewer parameters."""
+    if other.result is None:
+        return False
+    ratio = ratio_of(trial, other)
+    worse = ratio is not None and ratio > MAX_SWAP_ERROR_RATIO
+    return not worse and information_gain(trial, other) > 2 * MIN_LOG_EVIDENCE_GAIN
+
+
+def information_gain(trial: Trial, other: Trial) -> float:
+    """Fall of the Bayesian information criterion chi2 / s^2 + k ln n (Schwarz 1978)."""
+    own, its = trial.fitted.estimate, other.fitted.estimate
+    noise = max(min(own.chi2_per_dof, its.chi2_per_dof), 1e-300)
+    fewer = its.dof - own.dof
+    return float((own.chi2 - its.chi2) / noise + fewer * np.log(max(own.dof, 2)))
+
+
 def ratio_of(before: Trial, after: Trial) -> float | None:
     """Held-out error after over before; None where one is not known."""
     if before.result is None or after.result is None:
@@ -303,8 +371,16 @@ def _is_superfluous_effect(without: Trial, trial: Trial) -> bool:
 
 def is_superfluous(less: Estimate, more: Estimate) -> bool:
     """Whether the improvement by additional parameters may be chance, by an F test."""
+    if less.dof <= more.dof or more.dof <= 0:
+        return False
+    return improvement_log_p(less, more) > np.log(EFFECT_SIGNIFICANCE_LEVEL)
+
+
+def improvement_log_p(less: Estimate, more: Estimate, inflation: float = 1.0) -> float:
+    """log p of the improvement by additional parameters, by an F test; `inflation` is the variance
+    of the noise where these act over that of white noise."""
     q = less.dof - more.dof
     if q <= 0 or more.dof <= 0:
-        return False
+        return 0.0
     F = max(less.chi2 - more.chi2, 0.0) / q / max(more.chi2_per_dof, 1e-300)
-    return bool(log_p_of(F, q, more.dof) > np.log(EFFECT_SIGNIFICANCE_LEVEL))
+    return float(log_p_of(F / inflation, q, more.dof))

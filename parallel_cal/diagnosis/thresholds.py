@@ -9,6 +9,12 @@ EFFECT_SIGNIFICANCE_LEVEL = (
     SIGNIFICANCE_LEVEL  # p-value: of an effect over the whole catalogue (Holm), of structure
 )
 REPLICATE_CONTRADICTION_LEVEL = 1e-4  # p-value below which replicates replace the stated noise
+# p-value below which residuals depend on a recorded condition: it contradicts "this is noise"
+CONDITION_SIGNIFICANCE_LEVEL = 1e-6
+# p-value below which an effect is no drifting noise, whose memory is known only roughly
+DRIFT_SIGNIFICANCE_LEVEL = 1e-6
+# of the variance of a slow mean, by correlated noise: less hardly changes a sigma
+MIN_INFLATION = 1.5
 CERTAINTY_LEVEL = (
     1e-8  # p-value below which an effect counts although residuals are within the noise
 )

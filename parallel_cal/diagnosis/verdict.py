@@ -5,7 +5,7 @@ The numbers come from held-out poses and stated or measured noise, not from the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from parallel_cal.base.units import ERROR_UNITS, MM
@@ -13,6 +13,7 @@ from parallel_cal.diagnosis.lack_of_fit import LackOfFit
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.region import Region
+from parallel_cal.diagnosis.remaining import RemainingCondition
 from parallel_cal.diagnosis.search import Trial, ratio_of
 from parallel_cal.diagnosis.thresholds import (
     CERTAINTY_LEVEL,
@@ -50,8 +51,10 @@ class Findings:
     `chi2_before` is chi2/dof of the base, on the rows of the best. `structure` and `held` (as in
     Field) describe the residuals of the best. `swaps` lists by chosen effect those that fit as
     well. `refused` says why significant effects could not be identified. `robot_or_device` lists
-    effects that an error of the device explains as well. `outdone` lists refused effects that
-    would explain the error better than a chosen one, with the reason.
+    effects that an error of the device explains as well. `remaining` is a recorded condition that
+    the residuals of the best depend on. `outdone` lists refused effects that
+    would explain the error better than a chosen one, with the reason. `wrong_signs` says which
+    significant effects fit only with a sign that physics forbids.
     """
 
     base: Trial
@@ -65,6 +68,8 @@ class Findings:
     refused: Sequence[str]
     robot_or_device: Sequence[str]
     outdone: Sequence[str] = ()
+    wrong_signs: Sequence[str] = ()
+    remaining: RemainingCondition | None = None
 
     @property
     def final_estimate(self) -> Estimate:
@@ -189,13 +194,27 @@ def _list_objections(found: Findings) -> list[str]:
     if chi2 > high:
         shown = format_distinctly([chi2, high])
         against.append(f"chi2/dof {shown[0]} is still above {shown[1]}")
+    against += _describe_unusual_effects(found.best.fitted.unusual)
     against += [robot_or_device(name) for name in found.robot_or_device]
     against += found.outdone
+    against += found.wrong_signs
+    if found.remaining and (found.noise.exceeds_stated or chi2 > high):
+        against.append(found.remaining.description)
     if structure.has_structure:
         against.append(
             f"the residuals still have structure (p = {structure.p_value:.1g}{_size(structure)})"
         )
     return against
+
+
+def _describe_unusual_effects(unusual: Mapping[str, str]) -> Iterator[str]:
+    """One sentence for each effect that is larger than usual, about its first parameter."""
+    parameters: dict[str, list[str]] = {}
+    for name in unusual:
+        parameters.setdefault(name.split(".")[0], []).append(name)
+    for first, *others in parameters.values():
+        more = f" ({len(others)} more of its parameters are, too)" if others else ""
+        yield unusual[first] + more
 
 
 def robot_or_device(name: str) -> str:
@@ -210,6 +229,8 @@ def robot_or_device(name: str) -> str:
 def _nothing_found(found: Findings, errors: str) -> Verdict:
     chi2, high = found.final_estimate.chi2_per_dof, found.noise.band(found.final_estimate.dof)[1]
     noise = _noise(found)
+    if chi2 <= high and found.noise.exceeds_stated:
+        return _doubt_noise(found, errors)
     if chi2 <= high:
         words = f"the model explains the measurements down to the noise ({errors})"
         region = Region.of(found.best.fitted)
@@ -222,11 +243,33 @@ def _nothing_found(found: Findings, errors: str) -> Verdict:
         return Verdict("at_noise", f"{words}: {advice}{noise or '.'}")
     nothing = "no effect of the catalogue explains it"
     if found.refused:
-        nothing = f"no plausible effect explains it: {found.refused[0]}"
+        nothing = f"no effect explains it: {found.refused[0]}"
     return Verdict(
         "unexplained",
         f"chi2/dof {' is above '.join(format_distinctly([chi2, high]))}, but {nothing}"
-        f"{_size(found.structure, '; smooth part')} ({errors}){noise}",
+        f"{_size(found.structure, '; smooth part')}"
+        f"{f'; {found.remaining.description}' if found.remaining else ''} ({errors}){noise}",
+    )
+
+
+def _doubt_noise(found: Findings, errors: str) -> Verdict:
+    """Judge residuals that are within the scatter of revisited poses, but not within the stated
+    noise: the scatter may be noise, or motion of the robot between the visits."""
+    ratio = f"by {found.noise.misstated or 1.0:.1f} times the stated noise"
+    differ = f"visits of the same pose differ {ratio} ({errors})"
+    if found.remaining:
+        return Verdict(
+            "unexplained",
+            f"{differ}, and {found.remaining.description}: an effect is missing that the catalogue "
+            "does not describe",
+        )
+    return Verdict(
+        "cannot_know",
+        f"{differ}, and the difference depends on no recorded condition. If all of it is noise, "
+        "the model is complete; if the robot moves between the visits (friction, backlash, load, "
+        "warming), an effect is missing. Measure one pose ten times without moving the robot: if "
+        "this scatters less, the robot moves; if it scatters as much, state this noise in the "
+        f"model file{''.join(f'. By the residuals, {words}' for words in found.shape.remarks)}",
     )
 
 

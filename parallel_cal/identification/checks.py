@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.identification.methods._estimate import Estimate
+from parallel_cal.identification.estimate import Estimate
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import Errors
@@ -66,36 +66,59 @@ def explain_too_few_poses(
     )
 
 
+class WrongSignError(FitError):
+    """An effect fits only with a sign that its physics forbids."""
+
+
 def check_plausible(
     model: Model, estimate: Estimate, free: np.ndarray, insist: bool = False
-) -> tuple[Model, list[str]]:
-    """Refuse a fit with an implausible parameter: more than three sigmas outside its range.
+) -> tuple[Model, dict[str, str], list[str]]:
+    """Judge the size of every identified parameter.
 
-    The sigmas are those that a model file states. Its reader applies the same rule, so a model
-    that passes here can be written and read again. `estimate.sigma` is infinite for a parameter
-    that the data do not determine, and would let any value pass.
+    A parameter is out of range if it lies more than three sigmas outside. The sigmas are those that
+    a model file states. Its reader applies the same rule, so a model that passes here can be
+    written and read again. `estimate.sigma` is infinite for a parameter that the data do not
+    determine, and would let any value pass.
 
-    If the caller insists, a parameter of an effect or a sensor is accepted with a warning, and its
-    tolerance is raised to allow it. All others raise FitError.
+    Usual sizes are knowledge about other machines: a parameter of an effect or a sensor outside its
+    range is accepted, and its tolerance is raised to allow it.
+
+    Returns
+    -------
+    Model
+        The model, with raised tolerances.
+    dict of str to str
+        What is unusual, by parameter.
+    list of str
+        Contradictions that were accepted because the caller insists.
+
+    Raises
+    ------
+    WrongSignError
+        If an elastic or dissipative quantity is negative.
+    FitError
+        If another parameter is out of range, or parameters contradict each other.
     """
-    words, tolerances = [], dict(model.tolerances)
+    unusual, accepted, tolerances = dict[str, str](), list[str](), dict(model.tolerances)
     stated_sigma = np.sqrt(np.maximum(np.diag(estimate.covariance), 0.0))
     for i, p in enumerate(model.table):
         low, high = p.plausible_range(float(stated_sigma[i]))
         value = float(model.values[i])
         if not free[i] or low <= value <= high:
             continue
-        message, (least, most) = _implausible(p, value, estimate.chi2_per_dof), p.plausible_range()
+        least, most = p.plausible_range()
         bound = least if value < low else most
-        if not insist or p.group not in ("effect", "sensor") or bound == p.nominal:
-            raise FitError(message)
+        if p.group not in ("effect", "sensor"):
+            raise FitError(_describe_absurd_parameter(p, value, estimate.chi2_per_dof))
+        if bound == p.nominal:
+            raise WrongSignError(_describe_wrong_sign(p, value))
         tolerances[p.name] = 1.2 * p.tolerance * (value - p.nominal) / (bound - p.nominal)
-        words.append(f"{message}: accepted because you insisted")
+        unusual[p.name] = _describe_unusual_size(p, value)
     if why := model.with_values(_nearest(model, estimate, free)).find_contradiction():
         if not insist:
             raise FitError(why)
-        words.append(f"{why}: accepted because you insisted")
-    return replace(model, tolerances=tolerances), words
+        accepted.append(f"{why}: accepted because you insisted")
+    return replace(model, tolerances=tolerances), unusual, accepted
 
 
 def check_joint_errors(model: Model, found: Errors) -> None:
@@ -122,16 +145,32 @@ def _nearest(model: Model, estimate: Estimate, free: np.ndarray) -> np.ndarray:
     return np.asarray(model.table.nominal + np.sign(away) * np.maximum(np.abs(away) - slack, 0.0))
 
 
-def _implausible(p: Parameter, value: float, chi2_per_dof: float) -> str:
+def _describe_unusual_size(p: Parameter, value: float) -> str:
     low, high = p.plausible_range()
-    shown = f"{value:.6g}" if p.unit == "1" else f"{value:.6g} {p.unit}"
-    if p.group == "effect":  # what is wrong is the effect, not the file or the units
-        plausible = f"({low:.6g} to {high:.6g})"
-        return f"{p.name} would have to be {shown}, which is not plausible {plausible}"
     return (
-        f"{p.name} was identified as {shown}, "
+        f"{p.name} is {_show(p, value)}, larger than usual ({low:.6g} to {high:.6g}): a fault, or "
+        "another effect"
+    )
+
+
+def _describe_wrong_sign(p: Parameter, value: float) -> str:
+    side = "negative" if value < p.nominal else "positive"
+    return (
+        f"{p.name} would have to be {_show(p, value)}, but its physics allows no {side} value: "
+        "check the directions that the model file states (gravity, joints)"
+    )
+
+
+def _describe_absurd_parameter(p: Parameter, value: float, chi2_per_dof: float) -> str:
+    low, high = p.plausible_range()
+    return (
+        f"{p.name} was identified as {_show(p, value)}, "
         f"{(value - p.nominal) / p.tolerance:+.1f} tolerances from its "
         f"nominal {p.nominal:.6g} (plausible {low:.6g} to {high:.6g}; chi2/dof "
         f"{chi2_per_dof:.3g}): check units and mechanism, fix the parameter, use priors, "
         "or correct nominal and tolerance in the model file"
     )
+
+
+def _show(p: Parameter, value: float) -> str:
+    return f"{value:.6g}" if p.unit == "1" else f"{value:.6g} {p.unit}"

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -46,6 +46,11 @@ from parallel_cal.identification.registration import (
     Registration,
     add_registration_warning,
     prepared_for_fit,
+)
+from parallel_cal.identification.thresholds import (
+    CONTRADICTED_SIGMAS,
+    LOOSENING,
+    MAX_LOOSENINGS,
 )
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset, check_inputs
@@ -99,6 +104,7 @@ class FitResult(ShownInNotebook):
     warnings: tuple[str, ...]
     given: GivenModel
     registration: Registration | None = None
+    unusual: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return (
@@ -312,7 +318,8 @@ def fit(
           determine less precisely than the tolerance), True (for all parameters), False (for none)
           or a Prior.
         - `method` (default `"implicit"`), `loss` (`"linear"`, or a robust one such as `"huber"`),
-          `seed` of the folds, `insist` (accept an effect's parameter outside its plausible range).
+          `seed` of the folds, `insist` (accept parameters that contradict each other, and
+          implausible joint readings).
 
     Returns
     -------
@@ -387,20 +394,30 @@ def fit_registered(
         return errors(model.with_values(found.values), observations.select(test))
 
     report("identifying", 0.0)
-    with single_threaded():
-        estimate = estimate_with(model, observations, mask)
-        if observations.noise_assumed:
-            estimate = scale_covariance(estimate)
-        if partial:
-            estimate = add_consider_covariance(model, observations, mask, estimate)
-        fitted = model.with_values(estimate.values, estimate.covariance)
-        fitted, insisted = check_plausible(fitted, estimate, mask, options.insist)
-        after = errors(fitted, observations)
-        check_joint_errors(fitted, after)
-        held_out = _cross_validate(_folds(dataset, options), judged, after, report)
+    usual, estimate = model, estimate_with(model, observations, mask)
+    for _ in range(MAX_LOOSENINGS if options.prior is None else 0):
+        loosened = _loosen_contradicted_tolerances(model, estimate, mask)
+        if loosened is None:
+            break
+        try:
+            freer = estimate_with(loosened.with_values(estimate.values), observations, mask)
+        except FitError:
+            break  # without the usual size the data determine no solution
+        if freer.chi2 > estimate.chi2:
+            break
+        model, estimate = loosened, freer
+    if observations.noise_assumed:
+        estimate = scale_covariance(estimate)
+    if partial:
+        estimate = add_consider_covariance(model, observations, mask, estimate)
+    fitted = usual.with_values(estimate.values, estimate.covariance)
+    fitted, unusual, insisted = check_plausible(fitted, estimate, mask, options.insist)
+    after = errors(fitted, observations)
+    check_joint_errors(fitted, after)
+    held_out = _cross_validate(_folds(dataset, options), judged, after, report)
     return FitResult(
-        model=replace(fitted, fixed=model.fixed if partial else ~mask),
-        start=model,
+        model=replace(fitted, fixed=usual.fixed if partial else ~mask),
+        start=usual,
         options=options,
         estimate=replace(estimate, system=None),  # of the size of the data
         free=mask,
@@ -415,6 +432,7 @@ def fit_registered(
                 if observations.doubts
                 else ()
             ),
+            *unusual.values(),
             *insisted,
             *list_parameter_warnings(fitted, estimate, mask),
             *on_priors(fitted, estimate),
@@ -425,7 +443,26 @@ def fit_registered(
             *list_sample_warnings(estimate, dataset, options.loss),
         ),
         given=given,
+        unusual=unusual,
     )
+
+
+def _loosen_contradicted_tolerances(
+    model: Model, estimate: Estimate, free: np.ndarray
+) -> Model | None:
+    """The model with larger tolerances of effects whose usual size the data contradict; None if
+    they contradict none.
+
+    Where the data tell little, the usual size of an effect acts as a prior. It must not hold an
+    effect that the data move by several of its standard deviations.
+    """
+    table, found = model.table, dict[str, float]()
+    away = np.abs(estimate.values - table.nominal) / table.prior_sigma
+    for effect in model.effects if estimate.spectrum.held else ():
+        own = [i for i, p in enumerate(table) if free[i] and p.name.startswith(f"{effect.name}.")]
+        if np.max(away[own], initial=0.0) > CONTRADICTED_SIGMAS:
+            found |= {table[i].name: LOOSENING * table[i].tolerance for i in own}
+    return replace(model, tolerances={**model.tolerances, **found}) if found else None
 
 
 def _folds(dataset: Dataset, options: FitOptions) -> Folds:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL
-from parallel_cal.identification.methods._estimate import Estimate
+from parallel_cal.identification.estimate import Estimate
 from parallel_cal.identification.observations import SCATTER, Observations
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.identification.thresholds import (

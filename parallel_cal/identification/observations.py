@@ -44,6 +44,9 @@ class Observations:
     def __len__(self) -> int:
         return len(self.x)
 
+    def __repr__(self) -> str:
+        return f"Observations({len(self)} samples, noise from {self.noise_from})"
+
     @property
     def noise_assumed(self) -> bool:
         """Whether the noise is only assumed: S gives weights, but chi2 and sigma prove nothing."""

@@ -53,7 +53,8 @@ class FitOptions:
     seed : int
         Seed of the folds. Default 0.
     insist : bool
-        Whether an effect's parameter outside its plausible range is accepted. Default False.
+        Whether parameters that contradict each other, and implausible joint readings, are
+        accepted. Default False.
 
     Raises
     ------

@@ -78,3 +78,8 @@ LSTSQ_RANK_TOLERANCE = (
 MIN_FRAME_COLUMN_REMAINDER = (
     1e-4  # of a unit column: part of a frame's parameter that is independent of the robot's
 )
+
+# Usual sizes of effects as priors
+CONTRADICTED_SIGMAS = 3.0  # of the prior: the data moved an effect further, so the prior yields
+LOOSENING = 3.0  # times the usual size, at once
+MAX_LOOSENINGS = 8  # of a prior that the data contradict: up to 6,561 times the usual size

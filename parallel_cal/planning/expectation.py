@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from parallel_cal.identification.estimate import EstimationProblem
 from parallel_cal.identification.linearisation import Linearisation
-from parallel_cal.identification.methods._estimate import EstimationProblem
 from parallel_cal.identification.observability import Spectrum, spectrum
 from parallel_cal.identification.observations import Observations
 from parallel_cal.kinematics.kinematics import Solutions

@@ -15,7 +15,7 @@ from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.checks import free_mask
-from parallel_cal.identification.methods._estimate import EstimationProblem
+from parallel_cal.identification.estimate import EstimationProblem
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.kinematics.solutions import concatenate_solutions
 from parallel_cal.model.model import Model

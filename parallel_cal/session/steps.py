@@ -12,7 +12,7 @@ from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.progress import Progress
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_to_test
-from parallel_cal.diagnosis.device import find_doubtful_effects
+from parallel_cal.diagnosis.device import find_doubtful_effects, is_needed
 from parallel_cal.diagnosis.entries import is_clearly_better
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.search import is_superfluous
@@ -187,8 +187,9 @@ def add(
     if not found.against:
         chance = is_superfluous(base.estimate, result.estimate)
         words = f"the improvement by '{name}' may be chance"
-        doubts = (_explain_doubt(scene, one) for one in more)
-        found = replace(found, against=words if chance else next(filter(None, doubts), ""))
+        found = replace(
+            found, against=words if chance else _explain_doubt(scene, more, result.model)
+        )
     return _step("add", result, _check_proven(found, force), base, name)
 
 
@@ -198,18 +199,23 @@ def _with_given_model_of(result: FitResult, rival: FitResult) -> FitResult:
     return replace(result, given=given, registration=rival.registration)
 
 
-def _explain_doubt(scene: Scene, one: Candidate) -> str:
-    """Explain why an effect that lowers the error may be wrong; empty if nothing suggests it.
+def _explain_doubt(scene: Scene, added: list[Candidate], fitted: Model) -> str:
+    """Explain why effects that lower the error may be wrong; empty if nothing suggests it.
 
-    The device may cause the error, or an effect of the device explains it clearly better.
+    The device may cause one of them, or an effect of the device explains the error clearly better.
     """
-    names = [n for n in list_effects_to_test(scene.model) if load_effect(n).of_device]
-    device = [candidate(scene, name) for name in names]
-    if find_doubtful_effects(scene, [one], device):
-        return robot_or_device(one.name)
-    better = [c.name for c in device if is_clearly_better(c, one)]
-    words = f"{' and '.join(better)} explains the error clearly better than '{one.name}'"
-    return f"{words} (see diagnose)" if better else ""
+    device_effects = [n for n in list_effects_to_test(scene.model) if load_effect(n).of_device]
+    device = [candidate(scene, name) for name in device_effects]
+    if doubtful := find_doubtful_effects(scene, added, device, fitted):
+        return robot_or_device(doubtful[0])
+    for one in added:
+        better = [c for c in device if c.scene is one.scene and is_clearly_better(c, one)]
+        if better and not is_needed(one, better, scene, fitted):
+            outdone_by = " and ".join(c.name for c in better)
+            return (
+                f"{outdone_by} explains the error clearly better than '{one.name}' (see diagnose)"
+            )
+    return ""
 
 
 @single_threaded()

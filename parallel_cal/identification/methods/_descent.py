@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.identification.linearisation import Linearisation, System
-from parallel_cal.identification.methods._estimate import (
+from parallel_cal.identification.estimate import (
     Estimate,
     EstimationProblem,
     NormalEquations,
     make_estimate,
 )
+from parallel_cal.identification.linearisation import Linearisation, System
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.thresholds import (
     MAX_DIRECTION_CHOICES,

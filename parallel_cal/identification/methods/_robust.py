@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.identification.methods._estimate import Estimate
+from parallel_cal.identification.estimate import Estimate
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.thresholds import WEIGHT_STEP
 from parallel_cal.model.model import Model

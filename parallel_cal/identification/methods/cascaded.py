@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.identification.methods._estimate import Estimate, EstimationProblem
+from parallel_cal.identification.estimate import Estimate, EstimationProblem
 from parallel_cal.identification.methods.semiparametric import (
     FactorMechanism,
     closure_rows,

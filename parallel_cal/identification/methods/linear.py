@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from parallel_cal.identification.linearisation import Linearisation
-from parallel_cal.identification.methods._descent import make_estimate_at, propagate_covariance
-from parallel_cal.identification.methods._estimate import (
+from parallel_cal.identification.estimate import (
     Estimate,
     EstimationProblem,
     NormalEquations,
     make_estimate,
 )
+from parallel_cal.identification.linearisation import Linearisation
+from parallel_cal.identification.methods._descent import make_estimate_at, propagate_covariance
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Knowledge, Prior
 from parallel_cal.model.model import Model

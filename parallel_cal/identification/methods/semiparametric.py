@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.errors import FitError
+from parallel_cal.identification.estimate import Estimate, EstimationProblem
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.methods import implicit
 from parallel_cal.identification.methods._descent import (
@@ -23,7 +24,6 @@ from parallel_cal.identification.methods._descent import (
     make_estimate_at,
     propagate_covariance,
 )
-from parallel_cal.identification.methods._estimate import Estimate, EstimationProblem
 from parallel_cal.identification.methods._factors import Row, separate_factors
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior

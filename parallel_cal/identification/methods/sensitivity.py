@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.identification.methods._estimate import Estimate, EstimationProblem, make_estimate
+from parallel_cal.identification.estimate import Estimate, EstimationProblem, make_estimate
 from parallel_cal.identification.methods._explicit import Prediction
 from parallel_cal.identification.observability import find_independent_columns
 from parallel_cal.identification.observations import Observations

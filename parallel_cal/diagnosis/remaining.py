@@ -1,0 +1,86 @@
+"""Ask which recorded condition the residuals still depend on.
+
+Noise does not know under which load, at which temperature or from which direction a pose was
+reached. If the residuals depend on such a condition, part of them is motion of the robot, even if
+no effect of the catalogue describes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from parallel_cal.diagnosis.noise_shape import NoiseShape
+from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.diagnosis.scoring import deflate, score
+from parallel_cal.diagnosis.thresholds import CONDITION_SIGNIFICANCE_LEVEL
+
+CONDITIONS = ("payload", "temperature", "direction", "travel", "time")
+SLOW_CONDITIONS = ("temperature", "time")
+
+
+@dataclass(frozen=True)
+class RemainingCondition:
+    """A recorded condition that the residuals depend on, and the p-value of that."""
+
+    name: str
+    p_value: float
+
+    @property
+    def description(self) -> str:
+        return f"what remains depends on {self.name} (p = {self.p_value:.1g})"
+
+
+def find_remaining_condition(scene: Scene, shape: NoiseShape) -> RemainingCondition | None:
+    """Find the recorded condition that the residuals depend on most clearly; None if on none.
+
+    Every effect of a drive, a gear, an arm or a rod acts like an error of joint readings. So the
+    residuals are regressed on such errors, which depend on the condition c by itself, times the
+    joint's reading q and its square, and times the direction of approach; what the geometry can
+    imitate is removed. The F test needs no figure of the noise. Slow conditions are judged by the
+    number of independent samples, because the noise may drift.
+    """
+    if scene.dataset.mode == "continuous":
+        return None
+    joints = scene.measured_jacobian[:, :, : len(scene.model.joints)]
+    log_p = {}
+    for name, features in _iterate_features(scene):
+        columns = joints[:, :, :, None] * features[:, None]
+        found = score(scene, columns.reshape(len(scene.residual), -1))
+        inflation = shape.inflation if name in SLOW_CONDITIONS else 1.0
+        log_p[name] = deflate(found, scene.dof, inflation)
+    if not log_p:
+        return None
+    name = min(log_p, key=lambda one: log_p[one])
+    p_value = min(1.0, float(np.exp(log_p[name])) * len(log_p))
+    return RemainingCondition(name, p_value) if p_value < CONDITION_SIGNIFICANCE_LEVEL else None
+
+
+def _iterate_features(scene: Scene) -> Iterator[tuple[str, np.ndarray]]:
+    """What joint errors may depend on under each recorded condition: (N, nq, k) by joint."""
+    joints, known = scene.model.joints, scene.dataset.conditions
+    q = _standardise(scene.x[:, : len(joints)])
+
+    def values(name: str) -> np.ndarray | None:
+        """A condition (N, nq); None if it was not recorded, or never changed."""
+        names = [name] * len(joints) if name in known else [f"{name}.{one}" for one in joints]
+        if not all(one in known for one in names):
+            return None
+        found = np.column_stack([known[one] for one in names])
+        return found if np.isfinite(found).all() and np.ptp(found, axis=0).any() else None
+
+    direction = values("direction")
+    for name in CONDITIONS:
+        if (c := values(name)) is None:
+            continue
+        c = _standardise(c)
+        features = [c, c * q, c * q**2]
+        if direction is not None and name != "direction":
+            features.append(c * direction)
+        yield name, np.stack(features, axis=2)
+
+
+def _standardise(values: np.ndarray) -> np.ndarray:
+    return np.asarray((values - values.mean(axis=0)) / np.maximum(values.std(axis=0), 1e-12))
