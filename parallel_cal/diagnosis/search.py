@@ -19,6 +19,7 @@ from parallel_cal.diagnosis.thresholds import (
     MAX_EFFECTS,
     MAX_EQUAL_SHUFFLES,
     MAX_SWAP_ERROR_RATIO,
+    MAX_UNUSUAL_ERROR_RATIO,
     MIN_LOG_EVIDENCE_GAIN,
     MIN_SEPARATION_SIGMAS,
     SHUFFLES,
@@ -189,7 +190,10 @@ class Search:
         found = []
         for one in larger:
             after = self.fit(*before.chosen, replace(Chosen.of(one), unusual=True))
-            if after.result and not (
+            ratio = ratio_of(before, after)
+            if ratio is None or ratio > MAX_UNUSUAL_ERROR_RATIO:
+                continue
+            if not (
                 _describe_held_out_objection(before, after)
                 or _describe_chance_objection(before, after, one)
             ):

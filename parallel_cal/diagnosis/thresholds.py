@@ -53,6 +53,9 @@ STRETCHES = 12  # of the session, shuffled as a whole: noise may drift from samp
 MIN_SLOW_CORRELATION = (
     0.5  # correlation of neighbours in time: noise may imitate such a slow condition
 )
+# of the validation error: an effect larger than usual must lower it by a tenth, because large
+# enough numbers of a flexible effect follow anything a little
+MAX_UNUSUAL_ERROR_RATIO = 0.9
 MIN_EXPLAINED_SHARE = 0.7  # of the variance above the noise floor
 
 # Where a verdict holds
