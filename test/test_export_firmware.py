@@ -55,11 +55,11 @@ def told_frame(remarks):
     """Origin (m) and axes that a remark tells, and the motors' order."""
     origin, axes, order = np.zeros(3), np.eye(3), [0, 1, 2]
     for remark in remarks:
-        if remark.startswith("its origin"):
+        if remark.startswith("the origin"):
             numbers = np.array([w.strip(",") for w in remark.split() if _is_number(w)], float)
             origin, x, z = numbers[:3] * MM, numbers[3:6], numbers[6:9]
             axes = np.column_stack([x, np.cross(z, x), z])
-        if remark.startswith("its motors"):
+        if remark.startswith("the firmware's motors"):
             order = [int(w.strip(",")[-1]) - 1 for w in remark.split() if w.startswith("joint")]
     return origin, axes, order
 
@@ -502,7 +502,7 @@ def test_a_leaning_bed_is_the_firmwares_zero(tmp_path):
     np.testing.assert_allclose(touched[:, 2], xy @ [0.003, -0.002], atol=0.2e-6)
     assert done.loss["position_max"] < 0.2e-6
     assert done.remarks[0].startswith(
-        "its origin is at x 0 y 0 z 0 mm of {B}, its x-axis 1 0 0.003"
+        "the origin of the firmware's frame is at x 0 y 0 z 0 mm in {B}, its x-axis is 1 0 0.003"
     )
 
 

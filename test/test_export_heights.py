@@ -210,7 +210,7 @@ def test_an_export_that_makes_the_bed_worse_is_refused_without_force(tmp_path):
         export_into(model, "rrf", [file], touches)
     words = str(refused.value)
     assert words.startswith(
-        f"{file}: the new numbers make the bed worse: rms height error at 25 touches"
+        f"{file}: the height error at the touches rises with the new parameters: rms at 25 touches"
     )
     assert "nothing was written" in words
     assert words.endswith("--force")
@@ -242,7 +242,7 @@ def test_the_command_prints_both_heights_and_refuses_a_worse_bed(tmp_path, monke
 
     code, out, err = run(*command)
     assert (code, out) == (1, "")
-    assert err.startswith("error: config.g: the new numbers make the bed worse")
+    assert err.startswith("error: config.g: the height error at the touches rises")
     assert file.read_text() == vp.CONFIG
     code, out, _ = run(*command, "--force", "--json")
     heights = json.loads(out)["heights"]

@@ -109,11 +109,11 @@ def exchanged(text):
 def test_an_export_says_which_joint_each_stepper_drives(tmp_path):
     done = export(new_model("delta_nominal"), "klipper", tmp_path)
     assert done.remarks == [
-        "[stepper_b] drives joint3 and [stepper_c] drives joint2. Klipper needs its steppers "
-        "counter-clockwise seen from above: the pins in these sections must be those of these "
-        "joints",
-        "its origin is at x 0 y 0 z 275 mm of {B}, its x-axis 1 0 0, its z-axis 0 0 -1",
-        "its motors are joint1, joint3, joint2, in this order",
+        "Klipper requires its steppers in counter-clockwise order, seen from above. Enter the pins "
+        "of joint3 in [stepper_b] and the pins of joint2 in [stepper_c]",
+        "the origin of the firmware's frame is at x 0 y 0 z 275 mm in {B}, its x-axis is 1 0 0, "
+        "its z-axis is 0 0 -1",
+        "the firmware's motors are joint1, joint3, joint2, in this order",
     ]
     text = (tmp_path / "printer.cfg").read_text()
     assert [line for line in text.splitlines() if line.startswith("angle")] == [

@@ -47,7 +47,7 @@ def test_a_printer_too_large_by_a_fiftieth_touches_alike(tmp_path):
         held = replace(model, fixed=model.fixed | model.table.matching(["*.Lb"]))
         misfits.append(fit(held, seen, hold_out=0).estimate.chi2_per_dof)
     assert np.ptp(misfits) < 0.05
-    assert "cannot determine the size" in seen.warnings[0]
+    assert "cannot determine the print scale" in seen.warnings[0]
 
 
 # 1/m: 0.1 mm at the rim; 0.2 degrees; 0.1 mm at the rim of a probe 25 mm beside the nozzle
@@ -76,7 +76,7 @@ def test_what_hides_is_named_in_nine_of_ten_printers(tmp_path, hidden, names, se
         found = diagnose(model.with_sensors((replace(probe, sigma=5e-6),)), seen)
         named += found.effects == names
         assert height(found.best.fitted.model, unseen) < 5e-6
-        assert found.dataset.warnings[0].startswith("size: cannot_know: touches of a plate cannot")
+        assert found.dataset.warnings[0].startswith("touches of the bed cannot determine the print")
     assert named >= 0.9 * seeds
 
 
@@ -113,7 +113,7 @@ def test_one_printed_length_tells_the_size(tmp_path, seed):
     model, seen, _ = touched(tmp_path, printer, seed)
     files = [tmp_path / "seen.csv", tmp_path / "config.g"]
     with_size = samples("rrf", files, printed_x=[80, 1e3 * measured])
-    assert not [warning for warning in with_size.warnings if "size" in warning]
+    assert not [warning for warning in with_size.warnings if "print scale" in warning]
     both = new_model(model.mechanism, sensors=[*model.sensors, load_sensor("printed")])
     errors = []
     for kind, data in ((model, seen), (both, with_size)):

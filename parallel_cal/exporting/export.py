@@ -165,16 +165,15 @@ def export_into(
 
 
 def _worse_bed(files: Sequence[Path], heights: BedHeights) -> ModelError:
-    """Return the error for new numbers that make the bed worse, with the cure."""
+    """Return the error for new parameters that increase the height error, with the cure."""
     before, after = 1e6 * (heights.before or 0.0), 1e6 * heights.after
     words = (
-        f"the new numbers make the bed worse: rms height error at {heights.touches} touches by the "
-        f"firmware's formula: {before:.1f} -> {after:.1f} um, expected less than before"
+        f"the height error at the touches rises with the new parameters: rms at {heights.touches} "
+        f"touches by the firmware's formula: {before:.1f} -> {after:.1f} um"
     )
     cure = (
-        "touch more places, exclude bad touches (fit --data exclude=N), fix the "
-        "parameters for which the firmware has no number (fit --fix), or pass "
-        "--force"
+        "probe more points, exclude wrong touches (fit --data exclude=N), fix the "
+        "parameters that the firmware does not have (fit --fix), or pass --force"
     )
     return ModelError(f"{', '.join(map(str, files))}: {words}; nothing was written: {cure}")
 
@@ -227,11 +226,14 @@ def _remarks(robot: Model, projection: Projection) -> list[str]:
         at = " ".join(f"{axis} {value:g}" for axis, value in zip("xyz", origin, strict=True))
         x, z = (" ".join(f"{value:g}" for value in axes[:, k]) for k in (0, 2))
         square = np.allclose(frame.axes.T @ frame.axes, np.eye(3), atol=1e-9)
-        skew = "" if square else ": not square, as the firmware tilts its plate"
-        remarks.append(f"its origin is at {at} mm of {{B}}, its x-axis {x}, its z-axis {z}{skew}")
+        shear = ". The axes are not orthogonal: the firmware corrects a tilted bed by a shear"
+        remarks.append(
+            f"the origin of the firmware's frame is at {at} mm in {{B}}, its x-axis is {x}, "
+            f"its z-axis is {z}{'' if square else shear}"
+        )
     if frame.order != tuple(range(len(frame.order))):
         joints = ", ".join(robot.joints[k] for k in frame.order)
-        remarks.append(f"its motors are {joints}, in this order")
+        remarks.append(f"the firmware's motors are {joints}, in this order")
     if robot.effects:
         names = ", ".join(effect.name for effect in robot.effects)
         remarks.append(f"the loss includes what its numbers cannot represent of {names}")

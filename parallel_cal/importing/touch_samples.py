@@ -20,9 +20,8 @@ from parallel_cal.recordings.samples import READING
 
 PROBE = READING + "probe"
 NO_SIZE = (
-    "size: cannot_know: touches of a plate cannot determine the size: a "
-    "printer that is 1 % too large gives the same touches. A measured "
-    "printed length determines it"
+    "touches of the bed cannot determine the print scale (cannot_know): a printer that is 1 % too "
+    "large gives the same touches. Measure one printed length"
 )
 
 

@@ -57,10 +57,10 @@ def project(model: Model) -> Projection:
         found |= {f"{stepper} {key}": f"{three[i]:.{DECIMALS}f}" for key, three in each.items()}
     remarks = []
     if moved := [(STEPPERS[i], model.joints[k]) for i, k in enumerate(c.frame.order) if i != k]:
-        drives = " and ".join(f"{stepper} drives {joint}" for stepper, joint in moved)
+        pins = " and ".join(f"the pins of {joint} in {stepper}" for stepper, joint in moved)
         remarks.append(
-            f"{drives}. Klipper needs its steppers counter-clockwise seen from above: "
-            "the pins in these sections must be those of these joints"
+            "Klipper requires its steppers in counter-clockwise order, seen from above. "
+            f"Enter {pins}"
         )
     return Projection({FILE: found}, c.frame, c.stops, tuple(remarks))
 
