@@ -1,4 +1,4 @@
-"""The base class of effects: from what was measured to what the ideal mechanism sees."""
+"""The base class of effects, which convert measured quantities to those of the ideal mechanism."""
 
 from __future__ import annotations
 
@@ -56,18 +56,21 @@ class Effect(ABC):
     Attributes
     ----------
     needs : tuple of str
-        Conditions that it needs, of `CONDITIONS`. Default none.
+        Names of the conditions (keys of `CONDITIONS`) on which it depends. Default none.
     reads : tuple of str
-        Patterns of the sensor channels on which it acts. Default none.
+        Name patterns of the sensor channels on which it acts. Default none.
     fixed : tuple of str
-        Patterns of its parameters that are given, not identified. Default none.
+        Name patterns of its parameters that are known constants. A fit does not identify them.
+        Default none.
     of_device : bool
         Whether it is an error of the measuring device, which a robot's controller must not correct.
         Default False.
     widens : bool
-        Whether adding it replaces the mechanism by the next larger model. Default False.
+        Whether adding it replaces the mechanism by one with more geometric parameters.
+        Default False.
     refines : bool
-        Whether values between two settings of a scan exist. Default True.
+        Whether the parameter that `scan` tries is continuous. False for an integer, such as the
+        order of a harmonic. Default True.
     physics : str
         The cause, in one sentence.
     remedy : str
@@ -75,28 +78,29 @@ class Effect(ABC):
     source : str
         Typical sizes, and where they come from.
     lookalikes : tuple of str
-        Effects whose residuals are similar. Default none.
+        Names of effects whose residuals are similar. Default none.
     separated_by : str
         Measurements that distinguish it from its lookalikes.
     family : str
-        In words, the group of effects that data rarely distinguish. Default empty.
+        Name, in words, of a group of effects that data rarely distinguish. Default empty.
     told_from : dict of str
-        By lookalike, a measurement that distinguishes it better than `separated_by`. Default empty.
+        Maps the name of a lookalike to a measurement that distinguishes this effect from it better
+        than `separated_by` does. Default empty.
     """
 
     needs: ClassVar[tuple[str, ...]] = ()
-    reads: ClassVar[tuple[str, ...]] = ()  # patterns of the sensor channels on which it acts
-    fixed: ClassVar[tuple[str, ...]] = ()  # patterns of its parameters that are known
-    of_device: ClassVar[bool] = False  # an error of the device, which a controller must not correct
-    widens: ClassVar[bool] = False  # adding it replaces the mechanism by the next larger model
-    refines: ClassVar[bool] = True  # values between two settings of a scan exist
+    reads: ClassVar[tuple[str, ...]] = ()
+    fixed: ClassVar[tuple[str, ...]] = ()
+    of_device: ClassVar[bool] = False
+    widens: ClassVar[bool] = False
+    refines: ClassVar[bool] = True
     physics: ClassVar[str]
-    remedy: ClassVar[str] = ""  # action at the machine
+    remedy: ClassVar[str] = ""
     source: ClassVar[str]
     lookalikes: ClassVar[tuple[str, ...]] = ()
     separated_by: ClassVar[str] = ""
-    family: ClassVar[str] = ""  # group of effects that data rarely distinguish
-    told_from: ClassVar[Mapping[str, str]] = {}  # by lookalike: a better measurement
+    family: ClassVar[str] = ""
+    told_from: ClassVar[Mapping[str, str]] = {}
 
     @abstractmethod
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
@@ -104,23 +108,43 @@ class Effect(ABC):
 
     @abstractmethod
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
-        """Return what the ideal mechanism sees.
+        """Convert measured quantities to those of the ideal mechanism, which has no such effect.
+
+        CONVENTIONS, section "The closure and the effects", has the equation of each effect.
 
         Parameters
         ----------
         seen : Seen
-            What was measured, after the effects before this one.
+            Measured joint readings and pose, with the geometric parameters. The effects that stand
+            before this one in the model have corrected them already.
         e : Named
             The effect's parameters.
         at : Named
             The conditions of the sample.
         mechanism : Mechanism
+
+        Returns
+        -------
+        Seen
         """
 
     def at_sensor(self, r: Any, R: Any, s: Named, e: Named) -> tuple[Any, Any]:
-        """Return the pose of {P} in {B} at which an ideal sensor would show what this sensor shows.
+        """Return the pose at which an ideal sensor has the same reading as the real one.
 
-        It is called for the channels in `reads` only. `s` are the sensor's parameters, `e` its own.
+        It is called only for the channels that `reads` matches.
+
+        Parameters
+        ----------
+        r, R : CasADi (3, 1), (3, 3)
+            Position (m) and rotation of {P} in {B}.
+        s : Named
+            The parameters of the sensor.
+        e : Named
+            The parameters of the effect.
+
+        Returns
+        -------
+        r, R : CasADi (3, 1), (3, 3)
         """
         return r, R
 
@@ -135,16 +159,28 @@ class Effect(ABC):
     def scan(
         self, mechanism: Mechanism, recorded: Mapping[str, Any]
     ) -> Iterable[Mapping[str, float]]:
-        """Return settings of its fixed parameters that a search tries if they are unknown.
+        """Return trial values of the parameters in `fixed`.
 
-        `recorded` are the samples' conditions and joint readings by name, (N,) each.
+        A diagnosis tries them if the user did not state a value.
+
+        Parameters
+        ----------
+        mechanism : Mechanism
+        recorded : dict of array (N,)
+            Conditions and joint readings of the samples, by name.
+
+        Returns
+        -------
+        iterable of dict
+            Each one maps parameter names to values.
         """
         return ({},)
 
     def multiples(self, setting: Mapping[str, float]) -> Iterable[Mapping[str, float]]:
-        """Return settings that give equal residuals to the best setting of the scan.
+        """Return other settings that can describe the residuals as well as the best one of `scan`.
 
-        One of them is preferred if it fits as well: a wave's own frequency, not half of it.
+        An example is twice the ratio of a gear, because the effect has a second harmonic. If such a
+        setting fits equally well, the diagnosis takes it in place of the best one of `scan`.
         """
         return ()
 

@@ -89,12 +89,13 @@ class Mechanism(ABC):
     periodic : bool
         Whether a full turn of a joint changes nothing (False for a spool). Default True.
     moves : tuple of str
-        Coordinates that the platform moves, of x y z rx ry rz. Default: all six.
+        Coordinates (x, y, z, rx, ry, rz) in which the platform moves. Default: all six.
     controls : tuple of str
         Coordinates that the joints control. Default: all six.
     parameters : ParameterTable
     fixed : tuple of str
-        Patterns of parameters that are known, not identified. Default none.
+        Name patterns of the parameters that are known constants. A fit does not identify them.
+        Default none.
     home : Home
     workspace : Workspace
     joint_limits : tuple of (low, high)
@@ -104,17 +105,19 @@ class Mechanism(ABC):
     keep_out : tuple of Box
         Boxes that no part of the robot may enter. Default none.
     joint_gearing : tuple of float
-        Reading divided by the joint angle behind the gear. Default: 1 for each joint.
+        Joint reading divided by the angle of the joint after the gear. Default: 1 for each joint.
     closed_forms : tuple of str
-        The problems, of `direct` and `inverse`, whose candidates are all solutions. Default none.
+        The problems (`direct`, `inverse`) for which the candidates include every solution.
+        Default none.
     length : float
-        Characteristic length that weighs angles against positions, m. Default 0.1.
+        Characteristic length, m: angles are multiplied by it to compare them with positions.
+        Default 0.1.
     gravity : tuple of 3 float
         Gravity in {B}, m/s^2. Default (0, 0, -9.81).
     bodies : dict
-        Patterns of the lengths that belong to one body, by body. Default none.
+        Maps the name of a body to the name patterns of its lengths. Default none.
     parts : tuple of str
-        Kinds of links whose centres of mass are known. Default none.
+        Kinds of links for which `centres` returns the centres of mass. Default none.
     options : dict
         Options that the model file passes to the class. Default none.
     """
@@ -132,7 +135,7 @@ class Mechanism(ABC):
     joint_rates: tuple[tuple[float, float], ...] = ()  # velocity, acceleration; inf = unknown
     keep_out: tuple[Box, ...] = ()
     joint_gearing: tuple[float, ...] = ()  # reading per joint angle behind the gear; empty = 1
-    closed_forms: tuple[str, ...] = ()  # "direct", "inverse": candidates are all solutions
+    closed_forms: tuple[str, ...] = ()  # "direct", "inverse"
     length: float = 0.1
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)  # m/s^2 in {B}
     bodies: Mapping[str, Sequence[str]] = {}  # patterns of the lengths of one material
@@ -158,8 +161,8 @@ class Mechanism(ABC):
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
         """Return poses [(r, R)] near the solutions of the direct problem; by default, home.
 
-        The poses are exact if the documents give a closed form. Otherwise Newton's method starts
-        there.
+        The poses are exact if the thesis or the paper has a closed-form solution. Otherwise they
+        are starting points of Newton's method.
         """
         return [(ca.DM(self.home.position), ca.DM(quaternion_to_matrix(self.home.quaternion)))]
 

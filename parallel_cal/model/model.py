@@ -25,13 +25,14 @@ class Noise:
     Parameters
     ----------
     joint : float, optional
-        Of joint readings, rad or m. Default: not stated.
+        Standard deviation of joint readings, rad or m. Default: not stated.
     position : float, optional
-        Of measured positions, m. Default: not stated.
+        Standard deviation of each coordinate of a measured position, m. Default: not stated.
     orientation : float, optional
-        Of measured orientations, rad. Default: not stated.
+        Standard deviation of a measured orientation about each axis, rad. Default: not stated.
     assumed : bool
-        The values are assumed, not measured: only their ratios count, as weights. Default False.
+        Whether the values were assumed and not measured. A fit then uses only their ratios, as
+        weights, and estimates the common factor from the residuals. Default False.
     """
 
     joint: float | None = None

@@ -56,8 +56,18 @@ class Parameter:
     def plausible_range(self, sigma: float = 0.0) -> tuple[float, float]:
         """Return the lowest and the highest plausible value.
 
-        The range is ten tolerances around the nominal value, within the physical bounds, extended
-        by three of the value's own `sigma`: noise may move a backlash of zero slightly below zero.
+        The range is the nominal value +- 10 tolerances, cut at the physical bounds. It is then
+        extended by 3 `sigma` on both sides, because noise can make the estimate of a zero backlash
+        slightly negative.
+
+        Parameters
+        ----------
+        sigma : float, optional
+            Standard deviation of the estimate, in the unit of the parameter. Default 0.
+
+        Returns
+        -------
+        low, high : float
         """
         reach = MAX_TOLERANCES * self.tolerance
         slack = RANGE_MARGIN_SIGMAS * sigma if sigma > 0 else 0.0

@@ -18,9 +18,9 @@ class Sensor(ABC):
 
     Subclass it in a file of its own, whose name is the sensor's name, as a frozen dataclass. The
     fields of the dataclass are the options in the model file (nominal geometry, uncertainty).
-    A sensor adds the rows `readings(pose) - recorded reading` to the closure, and its parameters to
-    the model. If a sample has no reading of a channel, the reading is an unknown that is
-    eliminated.
+    A sensor adds its parameters to the model, and one row for each channel to the closure: the
+    reading by the model at the pose, minus the recorded reading. (A reading error has the opposite
+    sign.) If a sample has no reading of a channel, its row has no influence on the fit.
 
     Attributes
     ----------
@@ -29,17 +29,18 @@ class Sensor(ABC):
     source : str
         Where the numbers come from.
     fixed : tuple of str
-        Patterns of its own parameters that are known. Default none.
+        Name patterns of its parameters that are known constants. A fit does not identify them.
+        Default none.
     sigma : float, optional
-        Standard deviation of one reading, m. None: not stated; then `guessed_sigma` weighs the
-        readings, and a fit scales it by its residuals. Default 0.
+        Standard deviation of one reading, m. If None, it is not stated: `guessed_sigma` is then the
+        weight of the readings, and a fit scales it with the rms of the residuals. Default 0.
+    guessed_sigma : float
+        Standard deviation of one reading that is assumed if `sigma` is None, m.
     """
 
     physics: ClassVar[str]
     source: ClassVar[str]
-    fixed: tuple[str, ...] = ()  # patterns of its own parameters that are known
-    # Standard deviation of one reading (m). None: not stated; `guessed_sigma` weighs the readings,
-    # and a fit scales it by its residuals before the diagnosis uses it.
+    fixed: tuple[str, ...] = ()
     sigma: float | None = 0.0
     guessed_sigma: ClassVar[float] = 20e-6
 
@@ -53,7 +54,7 @@ class Sensor(ABC):
         return ()
 
     def readings(self, r: Any, R: Any, s: Named) -> Any:
-        """Return what each channel shows at the pose (r, R) of {P} in {B}: a column, m."""
+        """Return the reading of each channel at the pose (r, R) of {P} in {B}, a column (m)."""
         return ca.SX(0, 1)
 
     def pose(self, r: Any, R: Any, s: Named) -> tuple[Any, Any]:
@@ -65,7 +66,10 @@ class Sensor(ABC):
         return r, R
 
     def tolerances(self, table: ParameterTable, mechanism: Mechanism) -> Mapping[str, float]:
-        """Return tolerances of effects' parameters, by full name, that this sensor knows better."""
+        """Return tolerances that replace the defaults of effects, by full parameter name.
+
+        They come, for example, from the certificate of the pose device.
+        """
         return {}
 
     @property
@@ -98,7 +102,7 @@ class Sensor(ABC):
 def apply_sensor_tolerances(
     sensors: Iterable[Sensor], table: ParameterTable, mechanism: Mechanism
 ) -> ParameterTable:
-    """Return an effect's table with the tolerances that sensors know better."""
+    """Return an effect's table with the tolerances that the sensors replace."""
     for sensor in sensors:
         table = table.with_tolerances(sensor.tolerances(table, mechanism))
     return table

@@ -51,14 +51,15 @@ def load_dataset(
         Called with a stage in words and the completed share (0 to 1).
     **given
         Single options by name, for example `joints` (the model's joint names in its order),
-        `exclude` (numbers of samples), `topics` ({channel: topic}), `joint_sigma` (rad or m),
-        `mode` (`"auto"`, `"dwell"` or `"continuous"`).
+        `exclude` (indices of the samples to exclude, from 0), `topics` ({channel: topic}),
+        `joint_sigma` (standard deviation of joint readings, rad or m), `mode` (`"auto"`,
+        `"dwell"` or `"continuous"`).
 
     Returns
     -------
     Dataset
-        One sample per dwell, or per measured pose of a robot in motion. `warnings` says what looks
-        suspicious, `dropped` what could not be used.
+        One sample for each dwell, or for each measured pose of a robot in motion. `warnings` lists
+        suspicious values. `dropped` lists messages and samples that could not be used.
 
     Raises
     ------

@@ -41,7 +41,7 @@ class StepKeywords(FitKeywords, total=False):
 
 @dataclass(frozen=True)
 class Step(ShownInNotebook):
-    """Outcome of a step (`fit`, `add`, `remove`).
+    """Result of a step (`fit`, `add`, `remove`).
 
     Attributes
     ----------
@@ -50,21 +50,12 @@ class Step(ShownInNotebook):
     model : Model
         The new model. Its history contains the step.
     result : FitResult
-        The identification of the new model.
+        The fit of the new model.
     acceptance : Acceptance
-        Whether the new model may replace the old one, and the reason if not.
+        Whether the new model may replace the old one, and the reason if it may not.
     rival : FitResult, optional
-        The fit of the same samples without the added effect, or with the removed one. None for
-        `fit`.
-
-    Examples
-    --------
-    >>> import parallel_cal as pc
-    >>> model = pc.read_model("config/delta_mockup_nominal.yaml")
-    >>> data = pc.load_dataset("bags/delta_backlash", joints=model.joints)
-    >>> step = pc.add(model, "backlash", data)
-    >>> step.name, step.acceptance.against, step.model.history[-1]["effect"]
-    ('add', '', 'backlash')
+        The fit with which the new model is compared: of the same samples without the added effect,
+        or with the removed one. None for `fit`, which is compared with the given model.
     """
 
     name: str
