@@ -35,12 +35,17 @@ EffectName = Annotated[
         metavar="EFFECT", help="NAME, NAME:ratio=80 or NAME+NAME; 'parallel-cal effects' lists them"
     ),
 ]
+EffectsInModel = Annotated[
+    str,
+    typer.Argument(
+        metavar="EFFECT", help="name of an effect in the model; join several names with +"
+    ),
+]
 Force = Annotated[
     bool,
     typer.Option(
         "--force",
-        help="write the model even if the validation error or the measuring device speaks against "
-        "it, or a parameter is outside its plausible range",
+        help="write even if the validation error does not fall or a parameter is out of its range",
     ),
 ]
 Tested = Annotated[

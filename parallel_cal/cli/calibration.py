@@ -11,6 +11,7 @@ from parallel_cal.cli.arguments import (
     Bags,
     Data,
     EffectName,
+    EffectsInModel,
     FittingByMethod,
     Force,
     JointSigma,
@@ -75,7 +76,7 @@ def add(
 @with_options
 def remove(
     model: ModelFile,
-    effect: EffectName,
+    effect: EffectsInModel,
     bags: Bags,
     *,
     output: OptionalOut = None,
@@ -84,8 +85,8 @@ def remove(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Remove an effect and fit again. With -o, the command writes the new model, unless its
-    validation error is more than 1 % larger."""
+    """Remove an effect and fit again. The model is written unless the validation error rises by
+    1 % or more."""
     from parallel_cal.session.steps import remove
 
     start, dataset = read_model_and_data(model, bags, data)
@@ -134,7 +135,8 @@ def compare(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Show the errors of a model at every sample of a recording, worst first, without a fit."""
+    """Show the errors of a model at every sample of a recording, worst first. No parameter of the
+    robot is fitted; only the registration of the device is estimated if it is needed."""
     from parallel_cal.diagnosis import comparison
 
     judged, dataset = read_model_and_data(model, bags, data)

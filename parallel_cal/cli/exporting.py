@@ -35,15 +35,15 @@ def export(
     into: Annotated[
         list[Path] | None,
         typer.Option(
-            help="change the settings in this file of the controller, without -o; "
-            "repeat for several files"
+            help="replace the parameters in this controller file, in place of -o; may be given "
+            "several times"
         ),
     ] = None,
     touches: Annotated[
         list[Path] | None,
         typer.Option(
-            help="samples (.json) of the bed, for checking the firmware's heights (repeat) "
-            "[default: those that the model was fitted to]"
+            help="samples (.json) of the bed, to check the firmware's heights; may be given "
+            "several times [default: those that the model was fitted to]"
         ),
     ] = None,
     force: Annotated[

@@ -15,7 +15,10 @@ from parallel_cal.reporting import console
 
 def import_(
     kind: Annotated[
-        str, typer.Argument(help="rrf, klipper, marlin, linuxcnc, table or the path of yours")
+        str,
+        typer.Argument(
+            help="rrf, klipper, marlin, linuxcnc or table; or the Python path of your own importer"
+        ),
     ],
     files: Annotated[
         list[Path], typer.Argument(help="files of the controller, and its configuration")
@@ -26,7 +29,7 @@ def import_(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Make samples from a controller's files, or from a tracker's table and a joint log."""
+    """Convert a controller's files, or a tracker's table and a joint log, to a samples file."""
     from parallel_cal.importing.controller_files import samples
     from parallel_cal.recordings.info import info_of
 

@@ -31,8 +31,8 @@ def new(
     mechanism: Annotated[
         str | None,
         typer.Argument(
-            help="name of the mechanism ('parallel-cal mechanisms' lists the names); omit it "
-            "with --from, except for a URDF, which needs the name serial"
+            help="name from 'parallel-cal mechanisms'; omit it with --from CONFIG; with --from "
+            "URDF write serial"
         ),
     ] = None,
     configuration: Annotated[

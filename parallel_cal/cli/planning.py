@@ -31,7 +31,8 @@ def plan(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Choose the poses to measure and compare their expected errors with those of random poses."""
+    """Choose the poses to measure. Compare the expected error of the calibrated robot with the
+    expected error after a calibration at random poses."""
     from parallel_cal.base.files import write_atomically
     from parallel_cal.model.file.modelfile import read_model
     from parallel_cal.planning import plan as planning

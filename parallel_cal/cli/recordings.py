@@ -52,7 +52,8 @@ def import_csv(
     columns: Annotated[Path, typer.Option(help="file that maps columns to quantities (YAML)")],
     as_json: Json = False,
 ) -> None:
-    """Convert tables to a file of samples, which every command accepts as a recording."""
+    """Convert one table, or several joined tables, to a samples file. All commands that read a
+    recording accept this file."""
     from parallel_cal.recordings import csv_import
     from parallel_cal.recordings.info import info_of
 

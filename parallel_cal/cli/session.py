@@ -137,7 +137,8 @@ def add(folder: Folder, effect: EffectName, force: Force = False, as_json: Json 
 
 
 def remove(folder: Folder, effect: EffectName, force: Force = False, as_json: Json = False) -> None:
-    """Remove an effect and fit again. The step is refused if the validation error rises."""
+    """Remove an effect and fit again. The step is refused if the validation error rises by
+    1 % or more."""
     session = _open(folder)
     _print_state(session, session.remove(effect, console.progress, force), as_json)
 

@@ -106,8 +106,8 @@ def power(
     ] = Path("power"),
     as_json: Json = False,
 ) -> None:
-    """Predict the smallest size of each effect that a recording can detect. An interrupted command
-    can be resumed."""
+    """Predict which effects a measuring session can detect, and their smallest detectable size. An
+    interrupted command can be resumed."""
     from parallel_cal.model.file.modelfile import dump_model
     from parallel_cal.reporting.studies import format_power, power_page
     from parallel_cal.study import power as studies

@@ -39,8 +39,11 @@ class PlanOptions:
     Parameters
     ----------
     criterion : str
-        `prediction` (mean pose variance over the workspace), `D`, `A`, `condition` or
-        `noise_amplification`. Default `prediction`.
+        `prediction` (mean variance of the predicted pose over the workspace), `D` (determinant of
+        the information matrix M), `A` (trace of M^-1, the sum of the variances of the parameters
+        in tolerances), `condition` (condition number of the Jacobian J, M = J^T J) or
+        `noise_amplification` (of J, by Nahvi: squared smallest over largest singular value). Use
+        `prediction` if you have no other reason. Default `prediction`.
     method : str
         `exchange` or `annealing`; `condition` and `noise_amplification` need `annealing`.
         Default: `exchange` if the criterion allows it.
@@ -63,7 +66,11 @@ class PlanOptions:
 
     criterion: str = field(
         default="prediction",
-        metadata=option("prediction, D, A, condition or noise_amplification"),
+        metadata=option(
+            "prediction (mean variance of the predicted pose), D (determinant of the information), "
+            "A (sum of the parameters' variances), condition (condition number) or "
+            "noise_amplification"
+        ),
     )
     method: str = field(
         default="",
