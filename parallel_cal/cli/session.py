@@ -11,6 +11,7 @@ from parallel_cal.cli.arguments import (
     Bags,
     Data,
     EffectName,
+    EffectsInModel,
     FittingByMethod,
     Fix,
     Force,
@@ -136,7 +137,9 @@ def add(folder: Folder, effect: EffectName, force: Force = False, as_json: Json 
     _print_state(session, session.add(effect, console.progress, force), as_json)
 
 
-def remove(folder: Folder, effect: EffectName, force: Force = False, as_json: Json = False) -> None:
+def remove(
+    folder: Folder, effect: EffectsInModel, force: Force = False, as_json: Json = False
+) -> None:
     """Remove an effect and fit again. The step is refused if the validation error rises by
     1 % or more."""
     session = _open(folder)
