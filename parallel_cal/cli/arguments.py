@@ -45,7 +45,8 @@ Force = Annotated[
     bool,
     typer.Option(
         "--force",
-        help="write even if the validation error does not fall or a parameter is out of its range",
+        help="write even if the validation error does not fall, the measuring device may be the "
+        "cause, or parameters contradict each other",
     ),
 ]
 Tested = Annotated[

@@ -56,6 +56,15 @@ class Step(ShownInNotebook):
     rival : FitResult, optional
         The fit with which the new model is compared: of the same samples without the added effect,
         or with the removed one. None for `fit`, which is compared with the given model.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> model = pc.read_model("config/delta_mockup_nominal.yaml")
+    >>> data = pc.load_dataset("bags/delta_backlash", joints=model.joints)
+    >>> step = pc.add(model, "backlash", data)
+    >>> step.name, step.acceptance.against, step.model.history[-1]["effect"]
+    ('add', '', 'backlash')
     """
 
     name: str
