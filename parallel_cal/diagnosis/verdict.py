@@ -243,7 +243,7 @@ def _nothing_found(found: Findings, errors: str) -> Verdict:
         return Verdict("at_noise", f"{words}: {advice}{noise or '.'}")
     nothing = "no effect of the catalogue explains it"
     if found.refused:
-        nothing = f"no effect explains it: {found.refused[0]}"
+        nothing = f"no effect explains it well ({found.refused[0]})"
     return Verdict(
         "unexplained",
         f"chi2/dof {' is above '.join(format_distinctly([chi2, high]))}, but {nothing}"
