@@ -206,7 +206,7 @@ def test_rotations_survive_vectors_and_quaternions_near_zero_and_near_pi(directi
         np.testing.assert_allclose(rotation_vector(R), vector, rtol=1e-12, atol=1e-14 * angle)
     quaternion = matrix_to_quaternion(R)
     assert quaternion[3] >= 0
-    np.testing.assert_array_equal(matrix_to_quaternion(R[None])[0], quaternion)
+    np.testing.assert_allclose(matrix_to_quaternion(R[None])[0], quaternion, atol=1e-15)
     np.testing.assert_allclose(quaternion_to_matrix(quaternion), R, atol=1e-14)
 
 

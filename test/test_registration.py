@@ -118,4 +118,4 @@ def test_report_and_fleet_show_the_registered_model_before_at_held_out_poses(far
     found = diagnose(model, far, effects=("backlash",))
     expected = fit(model, far).held_out_before.summary
     assert HeldOutErrors.of(found).before == expected
-    assert fleet_judging._row(found)["before"] == expected
+    assert fleet_judging._make_row(found)["before"] == expected

@@ -70,7 +70,7 @@ def test_a_session_of_a_fitted_file_says_that_its_samples_are_known(session, tmp
     again = Session.new(tmp_path / "again", session.model, [BAG], fitting=FitOptions(hold_out=0.5))
     seen = view(again, lambda stage, fraction: None)
     assert "its error is in-sample" in seen["verdict"]["words"]
-    assert seen["tiles"][0]["where"] == "in-sample error"
+    assert seen["tiles"][0]["about"] == "in-sample error"
     state = again.fit()
     assert state.before == state.errors == pytest.approx(session.state.errors)
     assert "the model was fitted to these samples before" in state.against

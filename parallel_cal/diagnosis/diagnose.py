@@ -386,7 +386,8 @@ def _search_effects(search: Search, catalogue: _Catalogue) -> tuple[Trial, dict[
         # The first pick is greedy: a lookalike in its place may lead to a better explanation.
         for start in search.alternatives(best, rivals_of(best, catalogue.rank(base))):
             other, more = grown(start)
-            if is_preferable(best, other):
+            # More effects than the best has were objected to when it was extended.
+            if not {*best.chosen} < {*other.chosen} and is_preferable(best, other):
                 best, against = other, against | more
         return best, against
 

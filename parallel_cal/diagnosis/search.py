@@ -20,6 +20,7 @@ from parallel_cal.diagnosis.thresholds import (
     MAX_EQUAL_SHUFFLES,
     MAX_SWAP_ERROR_RATIO,
     MAX_UNUSUAL_ERROR_RATIO,
+    MIN_CHI2_FALL,
     MIN_LOG_EVIDENCE_GAIN,
     MIN_SEPARATION_SIGMAS,
     SHUFFLES,
@@ -375,7 +376,9 @@ def _is_superfluous_effect(without: Trial, trial: Trial) -> bool:
 
 def is_superfluous(less: Estimate, more: Estimate) -> bool:
     """Whether the improvement by additional parameters may be chance, by an F test."""
-    if less.dof <= more.dof or more.dof <= 0:
+    if less.dof == more.dof:  # a prior holds all of the additional parameters
+        return bool(more.chi2 > (1 - MIN_CHI2_FALL) * less.chi2)
+    if less.dof < more.dof or more.dof <= 0:
         return False
     return improvement_log_p(less, more) > np.log(EFFECT_SIGNIFICANCE_LEVEL)
 

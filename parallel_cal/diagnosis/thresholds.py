@@ -56,6 +56,8 @@ MIN_SLOW_CORRELATION = (
 # of the validation error: an effect larger than usual must lower it by a tenth, because large
 # enough numbers of a flexible effect follow anything a little
 MAX_UNUSUAL_ERROR_RATIO = 0.9
+# of chi2: an effect that its prior holds, and that lowers chi2 by less, explains nothing
+MIN_CHI2_FALL = 1e-3
 MIN_EXPLAINED_SHARE = 0.7  # of the variance above the noise floor
 
 # Where a verdict holds
