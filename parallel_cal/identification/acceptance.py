@@ -61,10 +61,15 @@ def acceptance(
     known = np.isfinite(squares).all(axis=0)
     if not known.any():
         used = (new.before if old is None else old.after).summary
-        return Acceptance(used, new.after.summary, False, _describe_missing_proof(new))
+        why = "too few poses to hold some out" if new.options.hold_out else "no pose was held out"
+        why += ": without a validation error nothing proves that the new model is better"
+        return Acceptance(used, new.after.summary, False, why)
     then, now = before.select(known).summary, after.select(known).summary
     ratio = held_out_ratio(then, now)
-    clearly = rise > 0 or _falls_significantly(squares[0] - squares[1], known, blocks(new.dataset))
+    # The fall must exceed the uncertainty of its mean, pose by pose: a fall that half of the poses
+    # contradict is chance.
+    fall = np.bincount(blocks(new.dataset)[known], (squares[0] - squares[1])[known])
+    clearly = rise > 0 or fall.mean() > fall.std() / np.sqrt(len(fall))
     if ratio is not None and ratio < 1 + rise and clearly:
         return Acceptance(then, now, True)
     falls = ratio is not None and ratio < 1
@@ -78,18 +83,6 @@ def acceptance(
         f"the error at held-out poses {'rises' if rise else verb}{change} "
         f"({format_errors(now, then)}{factor}){known_already}",
     )
-
-
-def _describe_missing_proof(new: FitResult) -> str:
-    why = "too few poses to hold some out" if new.options.hold_out else "no pose was held out"
-    return f"{why}: without a validation error nothing proves that the new model is better"
-
-
-def _falls_significantly(fall: np.ndarray, known: np.ndarray, group: np.ndarray) -> bool:
-    """Whether squared errors fall by more than the uncertainty of their mean, pose by pose: a
-    fall that half of the poses contradict is chance."""
-    by_pose = np.bincount(group[known], fall[known])
-    return bool(by_pose.mean() > by_pose.std() / np.sqrt(len(by_pose)))
 
 
 def _squared(result: FitResult, found: Errors) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -31,11 +30,11 @@ class Part:
 
 @dataclass(frozen=True)
 class Budget:
-    """The rms error of the drawing's robot, and its parts.
+    """The rms error of the nominal model, and its parts.
 
     With e = measured minus nominal pose = sum of d_k, part k contributes mean(d_k . e) / rms(e).
     Contributions sum to rms(e) and may be negative if parts compensate each other. The last two
-    share what the model leaves: `noise` as stated, and the `rest`.
+    parts share the error that the model does not explain: the stated `noise`, and the `rest`.
     """
 
     kind: str
@@ -47,7 +46,11 @@ class Budget:
 def budgets(model: Model, observations: Observations, noise: Summary) -> tuple[Budget, ...]:
     """Make a budget for each kind of error that was measured."""
     n = len(model.joints)
-    groups = dict(_groups(model))
+    # The parts of the budget, and the mask (n_p,) of the parameters of each; sensors have no part.
+    groups = {"geometry": np.isin(model.table.names, model.mechanism.parameters.names)}
+    for effect in model.effects:
+        which = model.table.matching([f"{effect.name}.*"])
+        groups[effect.name] = which & ~model.table.matching(effect.fixed_patterns())
     values = model.values.copy()
     for which in groups.values():
         values[which] = model.table.nominal[which]
@@ -66,14 +69,6 @@ def budgets(model: Model, observations: Observations, noise: Summary) -> tuple[B
             taken = [step[judged, part] for step in steps]
             found.append(_budget(kind, list(groups), taken, noise.rms(kind)))
     return tuple(found)
-
-
-def _groups(model: Model) -> Iterator[tuple[str, np.ndarray]]:
-    """The parts of the budget, and the parameters (n_p,) of each; sensors have no part."""
-    yield "geometry", np.isin(model.table.names, model.mechanism.parameters.names)
-    for effect in model.effects:
-        which = model.table.matching([f"{effect.name}.*"])
-        yield effect.name, which & ~model.table.matching(effect.fixed_patterns())
 
 
 def _pose(model: Model, observations: Observations) -> Configuration:
@@ -100,10 +95,10 @@ def _rms(vectors: np.ndarray) -> float:
 class Iso9283:
     """Pose accuracy and repeatability of a robot that the model commands (ISO 9283, 7.2).
 
-    accuracy: distance of a pose's barycentre from the predicted one, mean and largest over the
-    poses. repeatability: mean distance from the barycentre plus three of its standard deviations,
-    pooled over `poses` with several visits, `visits` in all; None if no pose was visited twice.
-    Both contain the noise of the device.
+    The accuracy is the distance from the predicted pose to the barycentre of the attained poses,
+    mean and maximum over the poses. The repeatability is the mean distance from the barycentre plus
+    three of its standard deviations, pooled over all poses with several visits (`poses`, and
+    `visits` in total); None if no pose was visited twice. Both contain the noise of the device.
     """
 
     kind: str

@@ -1,4 +1,4 @@
-"""What an identification may be asked: parameters, enough poses, plausible answers."""
+"""Check the input and the result of an identification: free parameters, poses, plausible values."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from parallel_cal.model.parameters import RANGE_MARGIN_SIGMAS, Parameter
 
 
 def chosen_parameters(model: Model, options: FitOptions) -> tuple[np.ndarray, bool]:
-    """Which parameters are identified, and whether the others keep their covariance."""
+    """Return the mask of the parameters to identify, and whether the others keep their
+    covariance."""
     if not options.refit:
         return free_mask(model, options.free, options.fix), False
     if options.free or options.fix:
@@ -30,7 +31,8 @@ def chosen_parameters(model: Model, options: FitOptions) -> tuple[np.ndarray, bo
 
 
 def free_mask(model: Model, free: Iterable[str], fix: Iterable[str]) -> np.ndarray:
-    """Mask (n_parameters,) of what the model file, then the patterns, leave free."""
+    """Mask (n_parameters,) of the free parameters: those of the model file, changed by the
+    patterns."""
     freed, fixed = model.table.matching(free), model.table.matching(fix)
     own = ~np.asarray(model.fixed)
     both, only_freed, only_fixed = freed & fixed, freed & ~fixed, fixed & ~freed
@@ -111,10 +113,22 @@ def check_plausible(
         if p.group not in ("effect", "sensor"):
             raise FitError(_describe_absurd_parameter(p, value, estimate.chi2_per_dof))
         if bound == p.nominal:
-            raise WrongSignError(_describe_wrong_sign(p, value))
+            side = "negative" if value < p.nominal else "positive"
+            raise WrongSignError(
+                f"{p.name} would have to be {_show(p, value)}, but its physics allows no {side} "
+                "value: check the directions that the model file states (gravity, joints)"
+            )
         tolerances[p.name] = 1.2 * p.tolerance * (value - p.nominal) / (bound - p.nominal)
-        unusual[p.name] = _describe_unusual_size(p, value)
-    if why := model.with_values(_nearest(model, estimate, free)).find_contradiction():
+        unusual[p.name] = (
+            f"{p.name} is {_show(p, value)}, larger than usual ({least:.6g} to {most:.6g}): a "
+            "fault, or another effect"
+        )
+    # Parameters contradict each other only if the values nearest to nominal, within three sigmas
+    # of the estimate, do so too.
+    away = model.values - model.table.nominal
+    slack = np.where(free, RANGE_MARGIN_SIGMAS * estimate.sigma, 0.0)
+    nearest = model.table.nominal + np.sign(away) * np.maximum(np.abs(away) - slack, 0.0)
+    if why := model.with_values(nearest).find_contradiction():
         if not insist:
             raise FitError(why)
         accepted.append(f"{why}: accepted because you insisted")
@@ -136,29 +150,6 @@ def check_joint_errors(model: Model, found: Errors) -> None:
                 "check the readings' units, the order of the joints and the mechanism; nothing was "
                 "identified"
             )
-
-
-def _nearest(model: Model, estimate: Estimate, free: np.ndarray) -> np.ndarray:
-    """The values nearest to nominal that are within three sigmas of what was estimated."""
-    away = model.values - model.table.nominal
-    slack = np.where(free, RANGE_MARGIN_SIGMAS * estimate.sigma, 0.0)
-    return np.asarray(model.table.nominal + np.sign(away) * np.maximum(np.abs(away) - slack, 0.0))
-
-
-def _describe_unusual_size(p: Parameter, value: float) -> str:
-    low, high = p.plausible_range()
-    return (
-        f"{p.name} is {_show(p, value)}, larger than usual ({low:.6g} to {high:.6g}): a fault, or "
-        "another effect"
-    )
-
-
-def _describe_wrong_sign(p: Parameter, value: float) -> str:
-    side = "negative" if value < p.nominal else "positive"
-    return (
-        f"{p.name} would have to be {_show(p, value)}, but its physics allows no {side} value: "
-        "check the directions that the model file states (gravity, joints)"
-    )
 
 
 def _describe_absurd_parameter(p: Parameter, value: float, chi2_per_dof: float) -> str:

@@ -22,10 +22,11 @@ from parallel_cal.model.model import Model, new_model
 
 @dataclass(frozen=True)
 class Completeness:
-    """What a mechanism's parameters describe, counted at a robot with generic errors.
+    """Numbers of parameters of a mechanism, counted at a robot with generic errors.
 
-    `rank`: independent parameters. `needed`: their number once both frames may lie anywhere,
-    C with F = 2. `coordinates`: what one frame adds, 6 in space, 3 in a plane or on a sphere.
+    `rank` is the number of independent parameters, `needed` the number if both frames are arbitrary
+    (C with F = 2). `coordinates` is the number that one frame adds: 6 in space, 3 in a plane or on
+    a sphere.
     """
 
     parameters: int
@@ -44,8 +45,8 @@ class Completeness:
 
     @property
     def frames(self) -> int | None:
-        """How many of {B} and {P} may be arbitrarily located without a missing parameter (None:
-        none)."""
+        """The number of frames ({B}, {P}) that may be arbitrary without a missing parameter; None
+        if a parameter is missing even if both are given."""
         return next((F for F in (2, 1, 0) if self.is_complete(F)), None)
 
     @property
@@ -129,7 +130,8 @@ def frame_jacobian(model: Model, x: np.ndarray) -> np.ndarray:
 
 
 def rank(J: np.ndarray) -> int:
-    """Number of independent columns, each first brought to length 1 (0 up to rounding: none)."""
+    """Number of independent columns, after scaling each to length 1; columns of zero length up to
+    rounding do not count."""
     size = np.linalg.norm(J, axis=0)
     felt = size > 1e-12 * size.max(initial=0.0)
     scaled = J[:, felt] / size[felt]

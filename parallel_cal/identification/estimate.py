@@ -1,4 +1,4 @@
-"""What every method answers, and the step that the iterated ones share."""
+"""The result of every identification method, and the step of the iterative ones."""
 
 from __future__ import annotations
 
@@ -21,10 +21,14 @@ from parallel_cal.model.model import Model
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a method found: values and covariance (all parameters, fixed ones at zero),
-    chi2 and its degrees of freedom, what the data can see, whitened residuals a sample with
-    the number (N,) of independent ones, and the samples' weights (N,) under a robust loss;
-    `system` of the point it settled at, where the method can begin there without some samples."""
+    """Result of a method.
+
+    `values` and `covariance` are those of all parameters; the covariance of fixed ones is zero.
+    `lost` marks the parameters that the data do not determine. `residuals` are whitened, with
+    the number `informative` (N,) of independent ones for each sample. `weight` (N,) is that of the
+    samples under a robust loss. `system` is the linearised closure at `values`, if the method can
+    start from it with some of the samples.
+    """
 
     values: np.ndarray
     covariance: np.ndarray
@@ -50,34 +54,34 @@ class Estimate:
 
     @property
     def sigma(self) -> np.ndarray:
-        """Standard deviation of every parameter; infinite where the data cannot see it."""
+        """Standard deviation of every parameter; infinite if the data do not determine it."""
         return np.where(self.lost, np.inf, np.sqrt(np.diag(self.covariance)))
 
 
 @dataclass(frozen=True)
 class EstimationProblem:
-    """The parameters of a model that are identified, `free` (n_parameters,) a mask, from the
-    model's own values on, with what is known of them before."""
+    """The parameters to identify (mask `free`, n_parameters), their start (the model's values), and
+    their prior."""
 
     model: Model
     free: np.ndarray
     prior: bool | Prior | None = False
-    assumed: bool = False  # whether nobody measured the noise: chi2 alone says how large it is
+    assumed: bool = False  # whether the noise is only assumed: its size then follows from chi2
 
     @cached_property
     def tolerance(self) -> np.ndarray:
         return np.asarray(self.model.table.tolerance[self.free])
 
     def compute_spectrum(self, system: System, held: bool = True) -> Spectrum:
-        """What the data see at a point; without a prior of all (None) the tolerances are known
-        where the data tell less, if that was made use of (`held`)."""
+        """The spectrum at a point. With the prior None and `held`, the tolerances are priors of the
+        weak directions."""
         variance = self._variance(system)
         weight = variance if held and self.prior is None else 0.0
         return spectrum(system.triangle, self.model.table, self.free, self.prior, weight, variance)
 
     def make_knowledge(self, system: System, seen: Spectrum | None = None) -> Knowledge:
-        """The prior; None is the tolerances along directions that the data at a point, where this
-        is `seen`, tell less of."""
+        """The prior as knowledge; for the prior None, the tolerances along the directions that the
+        data determine weakly at a point. `seen` is the spectrum there, if it is known."""
         table, free = self.model.table, self.free
         if self.prior is not None:
             return Knowledge.of(self.prior, table, free, self._variance(system))
@@ -88,10 +92,11 @@ class EstimationProblem:
         return Knowledge.from_directions(weak, unseen, start, self.model, free, variance)
 
     def _variance(self, system: System) -> float:
-        """Of the residuals in noise units, where only the noise's proportions are known.
+        """Variance of the residuals in noise units; 1 unless the noise is only assumed.
 
-        Directions that tolerances hold take few degrees of freedom, and which these are depends on
-        the variance itself. Where fewer than one is left, the figures are taken as they are.
+        Directions with a tolerance as prior take few degrees of freedom. Which directions these are
+        depends on the variance itself, so it is iterated. If less than one degree of freedom
+        remains, the variance is 1.
         """
         if not self.assumed:
             return 1.0
@@ -107,7 +112,7 @@ class EstimationProblem:
 
 
 class NormalEquations:
-    """The normal equations at a point, scaled by tolerances, along their own directions."""
+    """The normal equations at a point, scaled by tolerances, in their eigenvectors."""
 
     def __init__(self, system: System, values: np.ndarray, tolerance: np.ndarray, known: Knowledge):
         normal = system.normal * np.outer(tolerance, tolerance) + known.information
@@ -120,20 +125,21 @@ class NormalEquations:
         """A damped Gauss-Newton step (n_free,), and the fall of chi2 that it promises."""
         size = self._size
         floor = max(1e-13 * size[-1], 1e-300)
-        # Directions the data cannot see keep their values: no walk along them.
+        # No step along directions that the data do not determine.
         damped = size + damping * np.maximum(size, 1e-6 * size[-1])  # weak directions wait
         inverse = np.where(size > floor, 1 / np.maximum(damped, floor), 0.0)
         step = -self._tolerance * (self._directions @ (inverse * self._along))
         return step, float(np.sum(inverse * self._along**2))
 
     def will_converge(self, promised: float) -> bool:
-        """Whether the next step leaves nothing to gain, where that is as large a share as the last
-        one, which promised so much, left."""
+        """Whether nothing is left to gain after the next step, if it leaves the same share of the
+        gain as the last step did, which promised the gain `promised`."""
         return self.step(0.0)[1] ** 2 < UNSEEN_GAIN * promised * self._chi2
 
     @property
     def has_converged(self) -> bool:
-        """Whether there is nothing left to gain; a damped step may be short far from there."""
+        """Whether nothing is left to gain, by the undamped step: a damped one may be short far from
+        the minimum."""
         step, left = self.step(0.0)
         short = np.max(np.abs(step / self._tolerance), initial=0.0) < CONVERGED_STEP
         return bool(short or left < CONVERGED_GAIN * self._chi2)
@@ -142,7 +148,7 @@ class NormalEquations:
 def make_estimate(
     sought: EstimationProblem, values: np.ndarray, system: System, iterations: int, seen: Spectrum
 ) -> Estimate:
-    """The estimate at parameters where a method has settled."""
+    """Make the estimate at the parameters to which a method converged."""
     free = sought.free
     covariance = np.zeros((len(values), len(values)))
     covariance[np.ix_(free, free)] = seen.covariance

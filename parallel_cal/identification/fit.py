@@ -194,6 +194,8 @@ class FitResult(ShownInNotebook):
         """The JSON document of `parallel-cal fit`; SI, None for unknown values."""
         before, after = self.before.summary, self.after.summary
         held_before, held_after = self.held_out_before.summary, self.held_out.summary
+        assumed = self.observations.noise_assumed  # then no band of chi2 is known
+        weak_or_none = "weak" if self.estimate.spectrum.held else "none"
         return {
             "samples": self.samples,
             "parameters": to_json_value(self.parameters()),
@@ -203,7 +205,7 @@ class FitResult(ShownInNotebook):
             "improvement": improvement(before, after),
             "improvement_held_out": improvement(held_before, held_after),
             "chi2_per_dof": finite_or_none(self.estimate.chi2_per_dof),
-            "chi2_band": self._band(),
+            "chi2_band": [None, None] if assumed else list(chi2_band(self.estimate.dof)),
             "dof": self.estimate.dof,
             "rank": self.estimate.spectrum.rank,
             "free": int(self.free.sum()),
@@ -211,7 +213,7 @@ class FitResult(ShownInNotebook):
                 self.estimate.spectrum.unidentifiable, self.model.table
             ),
             "weak": directions_in_words(self.estimate.spectrum.weak, self.model.table),
-            "priors": self._priors(),
+            "priors": "all" if self.options.prior else weak_or_none,
             "budget": to_json_value(self.budgets),
             "iso_9283": to_json_value(self.iso_9283),
             "noise_floor": self.noise_floor.document(),
@@ -225,17 +227,6 @@ class FitResult(ShownInNotebook):
             "warnings": list(self.warnings),
             "dataset": {"source": self.dataset.source, "sha256": self.dataset.sha256},
         }
-
-    def _priors(self) -> str:
-        """Which parameters have a prior: 'all', 'weak' or 'none'."""
-        if self.options.prior:
-            return "all"
-        return "weak" if self.estimate.spectrum.held else "none"
-
-    def _band(self) -> list[float | None]:
-        """Band of chi2/dof for a complete model; None if the noise is not known."""
-        assumed = self.observations.noise_assumed
-        return [None, None] if assumed else list(chi2_band(self.estimate.dof))
 
     def parameters(self) -> dict[str, ParameterEstimate]:
         """Every parameter by name."""
@@ -383,8 +374,7 @@ def fit_registered(
         if explain_too_few_poses(model, kept, mask, options.prior):
             return None
         # Start at the fit to all poses: the solution is near, unless only held-out poses determine
-        # a direction.
-        # There the closure is linearised already; a method of one's own may know no such thing.
+        # a direction. The implicit method has linearised the closure there; a plugin may not.
         system = estimate.system if options.method == "implicit" else None
         begin = system and system.select(train)
         known = {"begin": begin} if begin else {}

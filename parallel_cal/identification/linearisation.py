@@ -1,7 +1,7 @@
 """The closure linearised at measured samples, in units of the noise it inherits.
 
 Rows inherit the noise W = J_h S J_h^T of the measured quantities h. Coordinates that were not
-measured are projected out: every measuring set-up is this one routine.
+measured are projected out: one routine serves every measuring set-up.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 
-BLOCK = 1024  # samples at a time: what is in work then stays in the processor's cache
+BLOCK = 1024  # samples at a time, so that their arrays fit the processor's cache
 MIN_SAMPLES_TO_COMPILE = (
     50_000  # samples from which compiled code pays, even where the cache does not hold it yet
 )
@@ -29,9 +29,9 @@ Adjust = Callable[[np.ndarray], np.ndarray]
 
 @dataclass
 class System:
-    """Whitened residuals (N, rows) and Jacobian (N, rows, n_free) at one point, unmeasured
-    coordinates projected out; `informative` (N,): how many independent rows that leaves;
-    `adjusted`: the configurations after a step (n_free,)."""
+    """Whitened residuals (N, rows) and Jacobian (N, rows, n_free) at one point, with unmeasured
+    coordinates projected out. `informative` (N,) is the number of independent rows that remain;
+    `adjusted` returns the configurations after a step (n_free,)."""
 
     residual: np.ndarray
     jacobian: np.ndarray
@@ -131,8 +131,8 @@ class Linearisation:
         self._complete = not (self._unknown.any() or self._unread.any())
 
     def start(self) -> np.ndarray:
-        """The measured configurations; unmeasured coordinates, and orientations without any
-        measured part, are the model's."""
+        """The measured configurations. Positions that were not measured, and orientations without a
+        measured part, are those of the model."""
         x, n = self._observations.x.copy(), self._n
         unplaced, unturned = self._unknown[:, n : n + 3], self._unknown[:, n + 3 :].all(axis=1)
         blind = np.flatnonzero(unplaced.any(axis=1) | unturned)
@@ -198,7 +198,8 @@ class Linearisation:
         x: np.ndarray,
         part: slice,
     ) -> Adjust:
-        """Residuals, Jacobian and the rows' number of some samples; how a step adjusts these."""
+        """Fill in residuals, Jacobian and number of rows of some samples; return how a step adjusts
+        their configurations."""
         phi, C, J = self.blocks(values, x, part)
         away, here = self.compute_adjustments(x, part), Configuration.from_rows(x)
         SC = self._covariance(part) @ C.transpose(0, 2, 1)
@@ -219,7 +220,8 @@ class Linearisation:
         return lambda step: here.apply_change(explain(r_all + A_all @ step, corrections)).rows
 
     def whiteners(self, values: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """T (N, rows, rows) that turns rows into noise units, free of what was not measured."""
+        """T (N, rows, rows) that converts rows into noise units and projects out unmeasured
+        coordinates."""
         T = np.empty((len(x), self._rows, self._rows))
         for part in _parts(x):
             C = self.blocks(values, x[part], part)[1]
@@ -268,7 +270,7 @@ class Linearisation:
         left = left * spanned[:, None, :]
         inverse = right.transpose(0, 2, 1) * (spanned / np.maximum(sizes, 1e-300))[:, None, :]
         inverse = inverse @ left.transpose(0, 2, 1)
-        # The projector itself, not a basis of what is left: rounding turns a basis at will.
+        # Use the projector, not a basis of the remaining space: rounding can rotate a basis.
         free_of = np.eye(self._rows) - left @ left.transpose(0, 2, 1)
 
         def explain(
@@ -294,7 +296,7 @@ def _parts(x: np.ndarray) -> Iterator[slice]:
 
 def compute_joint_jacobians(model: Model, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """d pose / d q (N, n_moved, nq) along the closure, and d reading / d q (N, n_channels, nq), of
-    rows' derivatives by (q, r, w) as `blocks` gives them."""
+    the derivatives of the rows by (q, r, w) from `blocks`."""
     n, closure = len(model.joints), model.structure.phi.shape[0]
     C, shown_by = rows[:, :closure], rows[:, closure:]
     moved = [n + i for i in model.mechanism.moved]

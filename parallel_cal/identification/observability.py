@@ -18,7 +18,7 @@ from parallel_cal.identification.thresholds import (
 from parallel_cal.model.parameters import ParameterTable
 from parallel_cal.model.words import direction_in_words
 
-BLOCK = 2048
+BLOCK = 2048  # rows of a Jacobian in one step of its QR decomposition
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Spectrum:
     unidentifiable: tuple[dict[str, float], ...]
     weak: tuple[dict[str, float], ...]
     held: bool
-    taken: float  # degrees of freedom: of a weak direction that was held, the data's share
+    taken: float  # degrees of freedom; a weak direction with a prior counts by the data's share
 
 
 def spectrum(
@@ -52,14 +52,19 @@ def spectrum(
 
     `lost` marks parameters in an unidentifiable direction. Their sigma is infinite; the covariance
     contains only what the data determine, which is enough to predict poses like the measured ones.
-    The data determine weak directions less well than the tolerances, which limit them if they were
-    the prior there (`held`: the variance of the residuals, 1 if the noise is known, 0 without a
-    prior). `variance`, that of the residuals in noise units, is the weight of a prior on all
-    parameters.
+    The data determine weak directions less well than the tolerances do. `held` is the weight of the
+    tolerances as a prior of these directions: the variance of the residuals (1 if the noise is
+    known), or 0 without this prior. `variance`, also of the residuals in noise units, is the weight
+    of a prior of all parameters.
     """
     tolerance = (table.prior_sigma if held else table.tolerance)[free]
     names = [name for name, is_free in zip(table.names, free, strict=True) if is_free]
-    _, sizes, directions = np.linalg.svd(_triangle(J, tolerance))
+    # R of J tolerance = QR is a small matrix with the same singular values and directions.
+    R: np.ndarray = np.zeros((0, len(tolerance)))
+    for begin in range(0, len(J), BLOCK):  # a few rows at a time: no second copy of J
+        rows = np.concatenate([R, J[begin : begin + BLOCK] * tolerance])
+        R = np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > len(tolerance) else rows
+    _, sizes, directions = np.linalg.svd(R)
     rank = int(np.sum(sizes > RELATIVE_RANK * max(sizes[0], 1e-300))) if len(sizes) else 0
     seen, unseen = directions[:rank], directions[rank:]
     little = sizes[:rank] < MIN_SIGMAS_PER_TOLERANCE * np.sqrt(held or 1.0)
@@ -100,8 +105,8 @@ def combination(direction: np.ndarray, names: list[str]) -> dict[str, float]:
 
 
 def find_independent_columns(columns: np.ndarray, floor: float) -> np.ndarray:
-    """Mask of columns of which those before leave more than `floor`: pivots of a QR decomposition
-    in the given order."""
+    """Mask of the independent columns, by a QR decomposition in the given order: the remainder of
+    the column after projection onto the earlier ones is longer than `floor`."""
     kept, Q = np.zeros(columns.shape[1], dtype=bool), np.zeros((len(columns), 0))
     for j in range(columns.shape[1]):
         left = columns[:, j]
@@ -111,12 +116,3 @@ def find_independent_columns(columns: np.ndarray, floor: float) -> np.ndarray:
         if pivot > floor:
             kept[j], Q = True, np.column_stack([Q, left / pivot])
     return kept
-
-
-def _triangle(J: np.ndarray, tolerance: np.ndarray) -> np.ndarray:
-    """R of J tolerance = QR: the same singular values from a small matrix."""
-    R: np.ndarray = np.zeros((0, len(tolerance)))
-    for begin in range(0, len(J), BLOCK):  # a few rows at a time: no second copy of J
-        rows = np.concatenate([R, J[begin : begin + BLOCK] * tolerance])
-        R = np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > len(tolerance) else rows
-    return R

@@ -1,4 +1,4 @@
-"""A dataset for the methods: measured configurations with their covariance."""
+"""Observations: a dataset as measured configurations with their covariance."""
 
 from __future__ import annotations
 
@@ -72,15 +72,29 @@ def observe(
 
     FitError for joint readings that no such robot shows, unless the caller insists.
     """
-    order, reading = _joint_order(model, dataset), _readings(model, dataset)
+    missing = [j for j in model.joints if j not in dataset.joint_names]
+    if missing:
+        raise FitError(
+            f"{dataset.source}: joint {', '.join(missing)} is missing; recorded are "
+            f"{', '.join(dataset.joint_names)}. Rename the joints in the model file"
+        )
+    order = [dataset.joint_names.index(j) for j in model.joints]
+    reading = _readings(model, dataset)
+    n = len(order)
     x = Configuration(dataset.q[:, order], dataset.r, dataset.R).rows
-    measured = np.ones((len(x), len(order) + 6), dtype=bool)
-    measured[:, len(order) :] = dataset.measured
-    _fill_unmeasured(x, measured, model.mechanism.home.configuration, len(order))
+    measured = np.ones((len(x), n + 6), dtype=bool)
+    measured[:, n:] = dataset.measured
+    # Set unmeasured coordinates to home: they are projected out, but must be finite.
+    home = model.mechanism.home.configuration
+    for k in range(n, n + 3):
+        x[~measured[:, k], k] = home[k]
+    R, R0 = Configuration.from_rows(x).R, Configuration.from_rows(home).R
+    w = np.where(measured[:, n + 3 :], rotation_vector(R @ R0.T), 0.0)
+    turned = ~measured[:, n + 3 :].all(axis=1)
+    R[turned] = rotation_matrix(w[turned]) @ R0  # in place: a view of x
     joint, joint_from = _joint_sigma(model, dataset, joint_sigma, order)
     pose, pose_from = _pose_covariance(model, dataset)
     S = np.zeros((len(x), measured.shape[1], measured.shape[1]))
-    n = len(order)
     S[:, range(n), range(n)] = joint**2
     S[:, n:, n:] = pose
     a = conditions(model, dataset)
@@ -92,27 +106,6 @@ def observe(
     if doubts and not insist:
         raise FitError(doubts)
     return Observations(x, S, measured, a, group, reading, noise_from, doubts)
-
-
-def _joint_order(model: Model, dataset: Dataset) -> list[int]:
-    missing = [j for j in model.joints if j not in dataset.joint_names]
-    if missing:
-        raise FitError(
-            f"{dataset.source}: joint {', '.join(missing)} is missing; recorded are "
-            f"{', '.join(dataset.joint_names)}. Rename the joints in the model file"
-        )
-    return [dataset.joint_names.index(j) for j in model.joints]
-
-
-def _fill_unmeasured(x: np.ndarray, measured: np.ndarray, home: np.ndarray, n: int) -> None:
-    """Unmeasured coordinates start at home (they are projected out, but must be finite)."""
-    for k in range(3):
-        gaps = ~measured[:, n + k]
-        x[gaps, n + k] = home[n + k]
-    R, R0 = Configuration.from_rows(x).R, Configuration.from_rows(home).R
-    w = np.where(measured[:, n + 3 :], rotation_vector(R @ R0.T), 0.0)
-    turned = ~measured[:, n + 3 :].all(axis=1)
-    R[turned] = rotation_matrix(w[turned]) @ R0  # in place: a view of x
 
 
 def _joint_sigma(
@@ -154,13 +147,24 @@ def _pose_covariance(model: Model, dataset: Dataset) -> tuple[np.ndarray, str]:
     covariance = np.nan_to_num(np.array(dataset.pose_cov, dtype=float))
     lacking = ~(np.diagonal(covariance, axis1=1, axis2=2) > 0)
     wanted = np.any(lacking & dataset.measured, axis=0)
-    sigma, source = _fallback_pose_sigma(model, dataset, wanted)
+    # Noise where the device states none; 1 where none is needed.
+    noise = model.noise
+    given = np.repeat([noise.position or np.nan, noise.orientation or np.nan], 3)
+    sigma = np.where(np.isfinite(given), given, _pool_scatter(dataset.scatter_pose))
+    if not (sigma[wanted] > 0).all():
+        raise FitError(
+            f"{dataset.source}: the noise of the device is not known; record a covariance, or give "
+            f"noise.position (m) and noise.orientation (rad) in the model file {GUESS}"
+        )
+    sigma = np.where(sigma > 0, sigma, 1.0)
     for i in np.flatnonzero(lacking.any(axis=1)):
         bad = lacking[i]
         covariance[i][bad, :], covariance[i][:, bad] = 0.0, 0.0
         covariance[i][bad, bad] = sigma[bad] ** 2
     _check_definite(covariance, dataset)
-    return covariance, source if wanted.any() else "dataset"
+    if not wanted.any():
+        return covariance, "dataset"
+    return covariance, _get_noise_source(model) if np.isfinite(given[wanted]).any() else SCATTER
 
 
 def _check_definite(covariance: np.ndarray, dataset: Dataset) -> None:
@@ -176,22 +180,6 @@ def _check_definite(covariance: np.ndarray, dataset: Dataset) -> None:
             "symmetric, or gives a combination of coordinates a negative variance; correct the "
             "device's driver, or set all but the diagonal to zero"
         )
-
-
-def _fallback_pose_sigma(
-    model: Model, dataset: Dataset, wanted: np.ndarray
-) -> tuple[np.ndarray, str]:
-    """Sigma (6,) where the device states none, and its source; 1 where none is needed."""
-    noise = model.noise
-    given = np.repeat([noise.position or np.nan, noise.orientation or np.nan], 3)
-    sigma = np.where(np.isfinite(given), given, _pool_scatter(dataset.scatter_pose))
-    if not (sigma[wanted] > 0).all():
-        raise FitError(
-            f"{dataset.source}: the noise of the device is not known; record a covariance, or give "
-            f"noise.position (m) and noise.orientation (rad) in the model file {GUESS}"
-        )
-    source = _get_noise_source(model) if np.isfinite(given[wanted]).any() else SCATTER
-    return np.where(sigma > 0, sigma, 1.0), source
 
 
 def conditions(model: Model, dataset: Dataset) -> np.ndarray:

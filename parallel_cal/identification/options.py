@@ -31,22 +31,24 @@ class FitOptions:
     method : str
         Method of identification. Default `implicit`.
     free, fix : sequence of str
-        Wildcards (`chain1.*`) for the names of parameters to free or to fix, in place of what the
-        model file says. If one of the two sets contains the other, the smaller set overrides the
-        larger one (`fix=["*"], free=["chain1.Lb"]`). If they overlap in part, FitError is raised.
-        Default none.
+        Wildcards for parameter names (`chain1.*`). `free` adds parameters to the free ones of the
+        model file, `fix` removes some. If a parameter matches both, the narrower choice applies:
+        `fix=["*"], free=["chain1.Lb"]` identifies `chain1.Lb` only. FitError is raised if neither
+        is narrower. Default none.
     refit : sequence of str
-        Wildcards for the names of the only parameters to identify. The others keep their values
-        and the model's covariance. Use it after re-homing or warming up, when a few poses are
-        enough. Default none: identify all free parameters.
+        Wildcards for the names of the parameters to identify again. All other parameters keep their
+        values and covariance. Use it if only some parameters changed, for example after re-homing
+        or warm-up; a few poses are then enough. Default none: identify all free parameters.
     hold_out : float
         Share of the poses that each fold of the cross-validation holds out, up to 0.5. 0: no
         cross-validation. A share below one pose holds out one pose at a time. Default 0.25.
     joint_sigma : float, optional
-        Standard deviation of joint readings, rad or m. Default: from recording and model file.
+        Standard deviation of the joint readings, rad or m. Default None: take it from the
+        recording, else from the model file, else from the scatter within dwells.
     prior : bool or Prior, optional
-        None: use the tolerance as a prior of each combination of parameters that the data
-        determine weakly; True: of all parameters; False: of none; or a Prior. Default None.
+        Prior knowledge of the parameters. True uses the tolerances of all parameters as priors,
+        False uses none. None uses them only for combinations of parameters that the data determine
+        weakly. A Prior states mean and covariance. Default None.
     loss : str
         Loss function of scipy, such as `huber`. The result lists samples with a low weight.
         Default `linear`.

@@ -122,7 +122,8 @@ def _rms(values: np.ndarray) -> float | None:
 
 
 def errors(model: Model, observations: Observations) -> Errors:
-    """Both kinds of prediction at every sample: pose from joints, joints from pose."""
+    """Compare measured and predicted values at every sample: the pose and the readings predicted
+    from the joints, and the joints from the pose."""
     kinematics = Kinematics(model)
     n, m = len(model.joints), model.mechanism
     at = condition_columns(model, observations)
@@ -136,20 +137,25 @@ def errors(model: Model, observations: Observations) -> Errors:
         find_judgeable_samples(m, measured[:, n:], part) for part in (range(3), range(3, 6))
     )
     apart = np.where(measured[:, n : n + 3], seen.r - pose.position, 0.0)
+    predicted = Configuration(observations.x[:, :n], pose.position, pose.rotation).rows
+    phi = model.structure.residuals(observations.x, observations.a, model.values)[0]
+    closure = phi[:, : model.structure.phi.shape[0]]  # without the rows of the sensors
     return Errors(
         where_known(placed & pose.solved, apart),
         where_known(orientation & pose.solved, np.where(measured[:, n + 3 :], turn, 0.0)),
         _compute_joint_errors(kinematics, observations, reached, pose),
-        _compute_reading_errors(model, observations, pose),
-        _closure(model, observations),
+        where_known(pose.solved, reading_residuals(model, observations, predicted)),
+        where_known(find_fully_measured_samples(model, observations), closure),
     )
 
 
 def _compute_joint_errors(
     kinematics: Kinematics, observations: Observations, reached: Solutions, pose: Solutions
 ) -> np.ndarray:
-    """Read minus predicted joints (N, nq) if all controlled coordinates were measured; `pose` is
-    what the device would show of the poses `reached`."""
+    """Measured minus predicted joints (N, nq); NaN if a controlled coordinate was not measured.
+
+    `reached` are the predicted poses in {B}, `pose` the same poses as the device shows them.
+    """
     model, n = kinematics.model, len(kinematics.model.joints)
     m, apart = model.mechanism, np.full((len(observations), n), np.nan)
     controlled = [n + i for i in m.controlled]
@@ -157,44 +163,25 @@ def _compute_joint_errors(
     if not len(given):
         return apart
     read, seen = observations.select(given), Configuration.from_rows(observations.x[given])
-    # Where no orientation was measured the predicted one carries the target, not the identity.
+    # Take the predicted orientation, not the identity, if it was not measured: the position of the
+    # target depends on it.
     turned_known = np.asarray(read.measured[:, n + 3 :].all(axis=1))
     known = turned_known[:, None, None] | ~np.isfinite(pose.rotation[given])
     at_target = Configuration(seen.q, seen.r, np.where(known, seen.R, pose.rotation[given])).rows
     position, turned = model.structure.to_base(at_target[:, n:], model.values)
     at = condition_columns(model, read)
-    # In the assembly mode that was measured: an arm's wrist need not be flipped as at home.
+    # Search in the measured assembly mode: an arm's wrist may be flipped relative to home.
     found = kinematics.inverse(position, turned.reshape(-1, 3, 3), at, reached[given])
-    apart[given] = where_known(found.solved, _remove_full_turns(m, seen.q - found.joints))
+    difference = seen.q - found.joints
+    # Whole turns of a revolute joint change nothing; those of a spool (period 0) do.
+    difference = difference - m.joint_periods * np.round(difference / (2 * np.pi))
+    apart[given] = where_known(found.solved, difference)
     return apart
-
-
-def _remove_full_turns(mechanism: Mechanism, difference: np.ndarray) -> np.ndarray:
-    """Joint errors without whole turns, which change nothing (a spool's do)."""
-    return difference - mechanism.joint_periods * np.round(difference / (2 * np.pi))
-
-
-def _closure(model: Model, observations: Observations) -> np.ndarray:
-    """Rows of the closure (N, n_rows) at measured joints and pose; NaN if a coordinate that the
-    mechanism moves was not measured."""
-    phi = model.structure.residuals(observations.x, observations.a, model.values)[0]
-    return where_known(
-        find_fully_measured_samples(model, observations), phi[:, : model.structure.phi.shape[0]]
-    )
 
 
 def find_fully_measured_samples(model: Model, observations: Observations) -> np.ndarray:
     moved = [len(model.joints) + i for i in model.mechanism.moved]
     return np.asarray(observations.measured[:, moved].all(axis=1))
-
-
-def _compute_reading_errors(
-    model: Model, observations: Observations, pose: Solutions
-) -> np.ndarray:
-    """Read minus predicted (N, n_channels) where the pose device would show `pose`."""
-    n = len(model.joints)
-    x = Configuration(observations.x[:, :n], pose.position, pose.rotation).rows
-    return where_known(pose.solved, reading_residuals(model, observations, x))
 
 
 def find_judgeable_samples(mechanism: Mechanism, measured: np.ndarray, part: range) -> np.ndarray:

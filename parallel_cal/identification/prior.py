@@ -28,8 +28,8 @@ class Prior:
     def from_model(model: Model) -> Prior:
         """The values and covariance of an earlier identification.
 
-        What it did not identify, parameters and combinations alike, has its tolerance as prior.
-        FitError for a model without covariance.
+        Parameters and combinations that it did not identify have their tolerance as prior. FitError
+        for a model without covariance.
         """
         if model.covariance is None:
             raise FitError(
@@ -55,12 +55,21 @@ class Knowledge:
     def of(
         cls, prior: bool | Prior, table: ParameterTable, free: np.ndarray, weight: float = 1.0
     ) -> Knowledge:
-        """The knowledge of a prior, `weight` the variance of the residuals in noise units; none
-        without a prior."""
+        """The knowledge of a prior, zero without a prior. `weight` is the variance of the residuals
+        in noise units."""
         known = Prior.from_tolerances(table) if isinstance(prior, bool) else prior
         tolerance = table.tolerance[free]
         scaled = known.covariance[np.ix_(free, free)] / np.outer(tolerance, tolerance)
-        information = _inverse(scaled) if prior else np.zeros_like(scaled)
+        information = np.zeros_like(scaled)
+        if prior:
+            try:
+                factor = np.linalg.inv(np.linalg.cholesky(scaled))
+            except np.linalg.LinAlgError:
+                raise FitError(
+                    "the covariance of the prior is singular: fix the parameters that it knows "
+                    "exactly"
+                ) from None
+            information = np.asarray(factor.T @ factor)
         return cls(tolerance, free, np.asarray(known.mean)[free], weight * information)
 
     @classmethod
@@ -100,13 +109,3 @@ class Knowledge:
 
     def _distance(self, values: np.ndarray) -> np.ndarray:
         return np.asarray((values[self.free] - self.mean) / self.tolerance)
-
-
-def _inverse(covariance: np.ndarray) -> np.ndarray:
-    try:
-        factor = np.linalg.inv(np.linalg.cholesky(covariance))
-    except np.linalg.LinAlgError:
-        raise FitError(
-            "the covariance of the prior is singular: fix the parameters that it knows exactly"
-        ) from None
-    return np.asarray(factor.T @ factor)

@@ -1,4 +1,4 @@
-"""Partial re-calibration: identify a few parameters from a few poses, hold the others.
+"""Partial re-calibration: identify a few parameters from a few poses and hold the others.
 
 After re-homing or warming up, most of a robot is unchanged. The others are Schmidt's consider
 parameters: they keep value and covariance, and their uncertainty enters the result.
@@ -23,10 +23,11 @@ def add_consider_covariance(
 ) -> Estimate:
     """Add the model's covariance of the held parameters to the estimate.
 
-    dp = G do with G = -P_pp J_p^T J_o: an error do of the held parameters moves the refitted ones,
-    so their covariance is P_pp + G P_oo G^T, and G P_oo the one between them. A full update would
-    move the held parameters too, by next to nothing with few new poses, and would let them take a
-    share of a change that is not theirs. FitError for a model without covariance.
+    An error do of the held parameters moves the refitted ones by dp = G do, G = -P_pp J_p^T J_o.
+    The covariance of the refitted parameters is therefore P_pp + G P_oo G^T, and their covariance
+    with the held ones is G P_oo. A full update would also move the held parameters, and would
+    ascribe to them a part of a change that they did not cause. FitError for a model without
+    covariance.
     """
     if model.covariance is None:
         raise FitError(
@@ -35,9 +36,13 @@ def add_consider_covariance(
         )
     before = np.asarray(model.covariance)
     others = ~free & (np.diag(before) > 0)
-    J = _jacobian(model, reweight(observations, found.weight), free | others, found.values)
+    used = free | others
+    linearise = Linearisation(model, reweight(observations, found.weight), used, weighted=True)
+    system = linearise(found.values, linearise.start())
+    # Linearise again at the adjusted coordinates.
+    J = linearise(found.values, system.adjusted(np.zeros(int(used.sum())))).columns
     P_pp, P_oo = found.covariance[np.ix_(free, free)], before[np.ix_(others, others)]
-    in_p = free[free | others]
+    in_p = free[used]
     G = -found.spectrum.covariance @ J[:, in_p].T @ J[:, ~in_p]
     covariance = np.zeros_like(before)
     covariance[np.ix_(others, others)] = P_oo
@@ -45,11 +50,3 @@ def add_consider_covariance(
     covariance[np.ix_(others, free)] = (G @ P_oo).T
     covariance[np.ix_(free, free)] = P_pp + G @ P_oo @ G.T
     return replace(found, covariance=covariance)
-
-
-def _jacobian(
-    model: Model, observations: Observations, free: np.ndarray, values: np.ndarray
-) -> np.ndarray:
-    linearise = Linearisation(model, observations, free, weighted=True)
-    system = linearise(values, linearise.start())
-    return linearise(values, system.adjusted(np.zeros(int(free.sum())))).columns

@@ -66,7 +66,7 @@ IDENTITY_FRAMES = Frames(np.zeros(3), np.eye(3), np.zeros(3), np.eye(3))
 
 @dataclass(frozen=True)
 class Registration:
-    """Where the frame of a device is in the base, and its target on the platform.
+    """Pose of a device's frame in the base, and of its target on the platform.
 
     `why` is the reason for the registration. `told` is whether the platform turned enough to
     determine the target. Positions in m, quaternions x y z w.
@@ -85,7 +85,12 @@ class Registration:
     @property
     def description(self) -> str:
         """`frame 'tracker' was registered to 'base': 2.1 -1.3 0.4 m, rotation 3 -4 115 deg ...`"""
-        turned = [_degrees(q) for q in (self.quaternion, self.target_quaternion)]
+        vectors = [
+            np.degrees(rotation_vector(quaternion_to_matrix(q)))
+            for q in (self.quaternion, self.target_quaternion)
+        ]
+        # Adding 0.0 turns -0.0 into 0.0.
+        turned = [" ".join(f"{v + 0.0:.3f}" for v in np.round(vector, 3)) for vector in vectors]
         target = " ".join(f"{1e3 * v:.2f}" for v in self.target_position)
         also = f", rotation {turned[1]} deg" if turned[1] != "0.000 0.000 0.000" else ""
         if not self.told:
@@ -99,11 +104,6 @@ class Registration:
 
     def document(self) -> dict[str, Any]:
         return dict(vars(self))
-
-
-def _degrees(quaternion: tuple[float, ...]) -> str:
-    vector = np.degrees(rotation_vector(quaternion_to_matrix(quaternion)))
-    return " ".join(f"{v + 0.0:.3f}" for v in np.round(vector, 3))
 
 
 def register_device(
@@ -193,7 +193,7 @@ class _Poses:
         turned = solved & observations.measured[:, n + 3 :].all(axis=1)
         if max(placed.sum(), turned.sum() * moves[1]) < 4:
             return None
-        # What tolerances allow differs little from pose to pose, and a median needs few of them.
+        # The error that tolerances allow differs little between poses: a few poses are enough.
         few = np.flatnonzero(solved)[:: max(int(solved.sum()) // TOLERANCE_SAMPLE_SIZE, 1)]
         rows, a = reached.configuration.rows[few], observations.a[few]
         C, J = model.structure.jacobians(rows, a, model.values)
@@ -289,7 +289,11 @@ class _Poses:
         """d residual / d (f, F, t, T): (N, 6, 12)."""
         J, R = np.zeros((len(self.r), 6, 12)), np.nan_to_num(self.R)
         J[:, :3, :3] = np.eye(3)
-        J[:, :3, 3:6] = -_cross(self.seen_r @ frames.F.T)
+        x, y, z = np.nan_to_num(self.seen_r @ frames.F.T).T
+        zero = np.zeros(len(x))
+        # With v = F r', the columns of [v]x are those of w -> v x w.
+        cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
+        J[:, :3, 3:6] = -np.moveaxis(cross, -1, 0)
         J[:, :3, 6:9] = -R if self.tilts else 0.0
         J[:, 3:, 3:6] = self.length * np.eye(3)
         J[:, 3:, 9:] = -self.length * R if self.turns else 0.0
@@ -298,7 +302,8 @@ class _Poses:
         return J
 
     def _starts(self) -> list[Frames]:
-        """From positions, with the target as in the model and anywhere; from orientations."""
+        """Starts of the descent: the frames of the model; frames from positions, with the target of
+        the model and with an unknown one; frames from orientations."""
         starts = [self.now]
         if self.placed.sum() >= 3:
             starts.append(self._from_positions(self.now.t))
@@ -306,7 +311,8 @@ class _Poses:
                 starts.append(self._from_positions(self._linear_target()))
         if self.turns and self.turned.sum() >= 3:
             R, seen = self.R[self.turned], self.seen_R[self.turned]
-            # The sum of tr(F R' T^T R^T) is vec(F)^T K vec(T): its greatest pair of vectors.
+            # The sum of tr(F R' T^T R^T) is vec(F)^T K vec(T): the singular vectors of the largest
+            # singular value of K maximise it.
             K = np.einsum("nac,nbd->abcd", R, seen).reshape(9, 9)
             left = np.linalg.svd(K)[0]
             for sign in (1, -1):
@@ -315,14 +321,15 @@ class _Poses:
         return starts
 
     def _from_positions(self, t: Array) -> Frames:
-        """Kabsch's rotation for a target at t in {P}."""
+        """Frames with Kabsch's rotation for a target at t in {P}."""
         ours = (self.r + self.R @ t)[self.placed]
         theirs = self.seen_r[self.placed]
         F = nearest_rotation((ours - ours.mean(axis=0)).T @ (theirs - theirs.mean(axis=0)))
         return self._complete_frames(F, t)
 
     def _linear_target(self) -> Array:
-        """t of the 15 numbers that solve M r' + f = r + R t, M any matrix."""
+        """Solve M r' + f = r + R t for the 15 numbers of M, f and t, with M any matrix; return
+        t."""
         ours, theirs, R = (a[self.placed] for a in (self.r, self.seen_r, self.R))
         n = len(ours)
         A = np.zeros((n, 3, 15))
@@ -334,7 +341,7 @@ class _Poses:
         )
 
     def _complete_frames(self, F: Array, t: Array | None = None) -> Frames:
-        """The other frames that go with F."""
+        """Complete the frames for a given F (and t)."""
         T = np.eye(3)
         if self.turned.any() and self.turns:
             R, seen = self.R[self.turned], self.seen_R[self.turned]
@@ -350,14 +357,6 @@ class _Poses:
             both = np.linalg.lstsq(A.reshape(-1, 6), away.ravel(), rcond=LSTSQ_RANK_TOLERANCE)[0]
             return Frames(both[:3], F, both[3:], T)
         return Frames((away + self.R[self.placed] @ t).mean(axis=0), F, t, T)
-
-
-def _cross(v: Array) -> Array:
-    """(N, 3, 3) with cross(v) w = v x w."""
-    zero = np.zeros(len(v))
-    x, y, z = np.nan_to_num(v).T
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.moveaxis(np.array(rows), -1, 0)
 
 
 def _with_frames(model: Model, frames: Frames) -> Model:
@@ -390,13 +389,13 @@ def _device(model: Model) -> Any:
 
 
 def _numbers(model: Model) -> Array:
-    """Mask of the parameters of that sensor."""
+    """Mask of the parameters of the sensor `device_frame`."""
     return np.array([name.startswith(f"{SENSOR}.") for name in model.table.names])
 
 
 def _fit_frames(model: Model, observations: Observations, options: FitOptions) -> Model:
-    """The frames with the robot nearest to nominal; free are those of their parameters that are
-    independent of the free parameters of the robot."""
+    """Fit the frames with the robot nearest to nominal; fix those of their parameters that depend
+    on the free parameters of the robot."""
     own = _numbers(model)
     if options.refit:
         free = model.table.matching(options.refit) | own
@@ -408,7 +407,7 @@ def _fit_frames(model: Model, observations: Observations, options: FitOptions) -
     model = _with_frames(model, _frames_of(model.with_values(found.values)))
     robot = np.where(own, 0.0, found.values)
     linearise = Linearisation(model, observations, free, weighted=True)
-    # Where the closure holds: elsewhere equal motions differ a little.
+    # Linearise at poses that satisfy the closure: at others, the columns of equal motions differ.
     system = linearise(robot, predict_configurations(model.with_values(robot), observations))
     columns = system.columns * model.table.tolerance[free]
     order = np.argsort(own[free], kind="stable")  # the robot's first

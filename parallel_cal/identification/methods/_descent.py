@@ -1,4 +1,4 @@
-"""Pieces that the methods share: damped descent on whitened residuals, and a common verdict."""
+"""Damped descent on whitened residuals, and the estimate at its end, for several methods."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from parallel_cal.identification.thresholds import (
 )
 from parallel_cal.model.model import Model
 
-# The system at parameters that lie a step (n_free,) from those of the system before (None at the
-# start); None where the model has no solution there.
+# Arguments: the parameters, the previous system (None at the start), and the step (n_free,) from
+# the parameters of that system. Returns the system at the parameters; None without a solution.
 Reach = Callable[[np.ndarray, System | None, np.ndarray], System | None]
 
 
@@ -63,12 +63,12 @@ class _Point:
 def minimise(
     sought: EstimationProblem, reach: Reach, advice: str, iterations: int, near: bool = False
 ) -> Estimate:
-    """Levenberg-Marquardt (C.4) on whitened residuals, for every method that settles.
+    """Levenberg-Marquardt (C.4) on whitened residuals, for every iterative method.
 
-    Directions that the data see less of than the tolerances know are chosen where they are, and
-    chosen anew where that leads to. From `near` the last step, which leaves nothing to gain where
-    it falls as short as the one before, is taken unseen. FitError where it does not settle, with
-    `advice`.
+    The tolerances are priors of the directions that the data determine weakly. These directions are
+    chosen at the start, and again at every minimum until they stay the same. If `near` a solution,
+    the last step is applied without an evaluation if it is predicted to converge. FitError with
+    `advice` if the descent does not converge.
     """
     free, stay = sought.free, np.zeros(int(sought.free.sum()))
 
@@ -109,11 +109,11 @@ def minimise(
             # A step along a curved valley ends on its slope; a second one leads to its floor.
             tried, _ = ahead(tried, damping)
         fall = -np.inf if tried is None else here.fall_to(tried)
-        # Short of half the promise, curvature counts: longer steps would only swing.
+        # A fall below half of the predicted one shows curvature: longer steps would oscillate.
         damping = max(damping / 5, 1e-12) if fall > promised / 2 else max(damping * 3, 1e-6)
         if tried is not None and fall >= -1e-9 * (here.system.chi2 + here.known):
             here = tried
-        else:  # costs compare only between adjusted quantities, which those measured are not yet
+        else:  # linearise at adjusted quantities: only costs at such points can be compared
             here = at(here.values, here.system, stay) or here
         costs.append(here.system.chi2 + here.known)
         if damping > 1e12:
@@ -125,8 +125,7 @@ def minimise(
 
 
 def _stalled(costs: list[float]) -> bool:
-    """Whether the last steps gained nothing worth mentioning: the minimum is reached, however
-    far it extends."""
+    """Whether the last steps gained almost nothing: the minimum is reached, even if it is flat."""
     return (
         len(costs) > STALLED_ITERATIONS
         and costs[-STALLED_ITERATIONS - 1] - costs[-1] < STALLED_GAIN * costs[-1]
@@ -140,9 +139,10 @@ def make_estimate_at(
     covariance: np.ndarray,
     iterations: int,
 ) -> Estimate:
-    """A verdict on values found by other means: chi2 of the closure in inherited noise.
+    """Make the estimate at values that a method found without weights: chi2 is that of the closure
+    in units of inherited noise.
 
-    `covariance` (n_free, n_free), that of the method, replaces that of the weighted optimum.
+    The `covariance` (n_free, n_free) of the method replaces that of the weighted optimum.
     """
     linearise = Linearisation(sought.model, observations, sought.free, True)
     system = linearise(values, linearise.start())
@@ -157,8 +157,8 @@ def make_estimate_at(
 def propagate_covariance(
     influence: np.ndarray, model: Model, values: np.ndarray, observations: Observations
 ) -> np.ndarray:
-    """Covariance of estimates that the errors of a closure's rows move by influence
-    (n_free, N * rows): influence W influence^T with W = C S C^T, the noise of these rows."""
+    """Propagate the noise W = C S C^T of the closure's rows to the estimates: the covariance is
+    influence W influence^T, with `influence` (n_free, N * rows) of the rows on the estimates."""
     none = np.zeros(len(values), dtype=bool)
     _, C, _ = Linearisation(model, observations, none, True).blocks(values, observations.x)
     W = C @ observations.S @ C.transpose(0, 2, 1)
@@ -169,8 +169,8 @@ def propagate_covariance(
 def check_measured(
     observations: Observations, columns: np.ndarray, names: list[str], method: str
 ) -> None:
-    """FitError where a coordinate that the method starts from was not measured, or where more
-    than poses was (channels of other sensors)."""
+    """Raise FitError if a coordinate that the method needs was not measured, or if other sensors
+    were read."""
     if observations.reading.shape[1]:
         raise FitError(f"{method} calibration knows poses only; use the implicit method")
     missing = [

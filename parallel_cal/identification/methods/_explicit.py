@@ -1,4 +1,4 @@
-"""The closure solved for some coordinates: what forward and inverse calibration compare."""
+"""Solve the closure for some coordinates, for forward and inverse calibration."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Prediction:
     With the closure's blocks C (d/d configuration) and J (d/d parameters) at the solution,
     du = -C_u^-1 (C_g dg + J dv): noise S of (g, u) reaches the residual as T S T^T with
     T = C_u^-1 C. Starting Newton's method at the measured u keeps the robot's branch.
-    Samples without a solution, or at a singularity, of the starting model are left out.
+    Samples are excluded if the starting model has no solution, or is singular, there.
     """
 
     def __init__(self, model: Model, observations: Observations, free: np.ndarray, direct: bool):
@@ -43,9 +43,14 @@ class Prediction:
         self._model, self._free = model, free
         self._scale = model.structure.scale[self.unknown]
         self._use_observations(observations)
-        used = self._regular(
-            MIN_DIRECT_SINGULAR_VALUE_RATIO if direct else MIN_INVERSE_SINGULAR_VALUE_RATIO
-        )
+        # Use the samples that the starting model solves away from singularities. Judge both the
+        # solution and the measured configuration: a solution may lie across the singularity.
+        _, solved, _, ok = self.solve(model.values)
+        measured = self._closure.blocks(model.values, observations.x)[1]
+        both = np.stack([solved, measured])[:, :, :, self.unknown] / self._scale
+        size = np.linalg.svd(both, compute_uv=False)[:, :, -1].min(axis=0)
+        ratio = MIN_DIRECT_SINGULAR_VALUE_RATIO if direct else MIN_INVERSE_SINGULAR_VALUE_RATIO
+        used = np.asarray(ok & (size > ratio * size.max()))
         if not used.any():
             raise FitError("the starting model solves no sample: is it of the right robot?")
         self._use_observations(observations.select(used))
@@ -55,17 +60,9 @@ class Prediction:
         self._closure = Linearisation(self._model, observations, self._free, True)
         self._last = observations.x.copy()
 
-    def _regular(self, near: float) -> np.ndarray:
-        """Mask (N,) of the samples that the starting model solves away from singularities."""
-        _, C, _, ok = self.solve(self._model.values)
-        there = self._closure.blocks(self._model.values, self._observations.x)[1]
-        # Judged where it was measured, too: a solution may lie across the singularity.
-        both = np.stack([C, there])[:, :, :, self.unknown] / self._scale
-        size = np.linalg.svd(both, compute_uv=False)[:, :, -1].min(axis=0)
-        return np.asarray(ok & (size > near * size.max()))
-
     def solve(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Configurations that close at the given coordinates, blocks C and J there, success."""
+        """Configurations that close at the given coordinates, their blocks C and J, and a mask (N,)
+        of success."""
         x = self._last.copy()
         for _ in range(20):
             phi, C, J = self._closure.blocks(values, x)
@@ -85,27 +82,25 @@ class Prediction:
         self._last = x
         residual = self._closure.compute_adjustments(x)[:, self.unknown]
         inverse = np.linalg.pinv(C[:, :, self.unknown])
-        # All that was measured takes part: its noise enters where a coordinate does not move, too.
+        # The noise of every measured coordinate counts, even of one that does not move.
         T = inverse @ C * self._observations.measured[:, None, :]
-        return self._white(residual, inverse @ J, T)
+        W = T @ self._observations.S @ T.transpose(0, 2, 1)
+        # Rows of unmeasured coordinates are zero; the others are in units of their noise.
+        seen = self._observations.measured[:, self.unknown]
+        W = np.where(seen[:, :, None] & seen[:, None, :], W, 0.0)
+        W[:, range(W.shape[1]), range(W.shape[1])] += ~seen
+        rows = np.concatenate([residual[:, :, None], inverse @ J], axis=2) * seen[:, :, None]
+        L = np.linalg.cholesky(W)
+        white = np.linalg.solve(L, rows)
+        return PredictedSystem(
+            white[:, :, 0], white[:, :, 1:], seen.sum(axis=1), raw=rows[:, :, 0], whitener=L
+        )
 
     def minimise_residuals(self, prior: bool | Prior | None) -> Estimate:
-        """Parameters that minimise the residuals; FitError where it does not converge."""
+        """Find the parameters that minimise the residuals; FitError without convergence."""
         return minimise(
             EstimationProblem(self._model, self._free, prior, self._observations.noise_assumed),
             lambda values, before, step: self(values),
             "leave out samples near singularities, or use the implicit method",
             ITERATIONS,
         )
-
-    def _white(self, residual: np.ndarray, jacobian: np.ndarray, T: np.ndarray) -> PredictedSystem:
-        """Rows of unmeasured coordinates are zero; the others in units of their noise."""
-        seen = self._observations.measured[:, self.unknown]
-        W = T @ self._observations.S @ T.transpose(0, 2, 1)
-        W = np.where(seen[:, :, None] & seen[:, None, :], W, 0.0)
-        W[:, range(W.shape[1]), range(W.shape[1])] += ~seen
-        rows = np.concatenate([residual[:, :, None], jacobian], axis=2) * seen[:, :, None]
-        L = np.linalg.cholesky(W)
-        white = np.linalg.solve(L, rows)
-        residual, jacobian = white[:, :, 0], white[:, :, 1:]
-        return PredictedSystem(residual, jacobian, seen.sum(axis=1), raw=rows[:, :, 0], whitener=L)

@@ -42,9 +42,21 @@ class Row:
 
 
 def separate_factors(model: Model, seed: int = 0) -> list[Row]:
-    """The factors of every closure row of a model; FitError where it cannot be separated."""
+    """Find the factors of every closure row of a model; FitError if it cannot be separated."""
     separation = Separation(model.structure)
-    x, p = _configurations(model, seed), _parameters(model, seed)
+    # Draw any configurations that the moved coordinates allow, far apart.
+    rng, m = np.random.default_rng(seed), model.mechanism
+    joints = rng.uniform(-1, 1, (DRAWS, len(model.joints)))
+    joints = joints * (np.pi if m.joint_unit == "rad" else 1.0)
+    r, w = rng.uniform(-1, 1, (DRAWS, 3)), rng.uniform(-2, 2, (DRAWS, 3))
+    moved = np.isin(np.arange(6), m.moved)
+    x = Configuration(joints, r * moved[:3], rotation_matrix(w * moved[3:])).rows
+    # Draw all parameters far around nominal: a zero parameter need not stay zero.
+    rng, table = np.random.default_rng(seed + 1), model.table
+    width = 100 * table.tolerance
+    lengths = [1e-3 < abs(p.nominal) < 10 and p.unit == "m" for p in table]
+    width = np.where(lengths, np.minimum(width, 0.3 * np.abs(table.nominal)), width)
+    p = np.asarray(table.nominal + width * rng.uniform(-1, 1, (DRAWS, len(table))))
     return [_row(model, separation, k, x, p) for k in range(len(separation.rows))]
 
 
@@ -53,13 +65,13 @@ def _row(model: Model, separation: Separation, k: int, x: np.ndarray, p: np.ndar
     polynomial = {m: row[m] for m in sorted(row, key=len)}
     M = ca.vertcat(*[separation.monomial(m) for m in polynomial])
     c = ca.vertcat(*polynomial.values())
-    # Monomials: keep a basis, give the rest's coefficients to it.
+    # Monomials: keep a basis, and add the coefficients of the others to it.
     basis, others = _merge_dependent(_evaluate(M, s.configuration, x))
     M, c = M[basis], c[basis] + ca.DM(others).T @ c
     # Coefficients: the same, so that one function of the parameters has one factor.
     basis, others = _merge_dependent(_evaluate(c, s.v, p))
     M, c = M[basis] + ca.DM(others).T @ M, c[basis]
-    # The lead is divided by: it must be far from zero here, and best the same everywhere.
+    # Divide by the lead: it must be far from zero at the model's values, and vary least.
     here = np.abs(_evaluate(c, s.v, model.values[None])[0])
     first = int(np.argmin(_evaluate(c, s.v, p).std(axis=0) / np.maximum(here, 1e-300)))
     rest = [j for j in range(c.numel()) if j != first]
@@ -76,12 +88,13 @@ def _row(model: Model, separation: Separation, k: int, x: np.ndarray, p: np.ndar
 
 
 def _merge_dependent(columns: np.ndarray) -> tuple[list[int], np.ndarray]:
-    """Independent columns, and how (n_columns, n_kept) the dropped ones are made of them.
+    """Return the independent columns, and the coefficients (n_columns, n_kept) that express the
+    other columns by them.
 
-    Earlier columns are kept before later ones; kept ones have zero rows.
+    Earlier columns take precedence over later ones. The rows of independent columns are zero.
     """
     sizes = np.linalg.norm(columns, axis=0)
-    nothing = sizes < 1e-11 * sizes.max()  # what cancels up to rounding
+    nothing = sizes < 1e-11 * sizes.max()  # columns that cancel up to rounding
     unit = np.where(nothing, 0.0, columns / np.where(nothing, 1.0, sizes))
     kept = np.flatnonzero(find_independent_columns(unit, MIN_COLUMN_REMAINDER)).tolist()
     made = np.linalg.lstsq(columns[:, kept], columns, rcond=None)[0].T
@@ -92,23 +105,3 @@ def _merge_dependent(columns: np.ndarray) -> tuple[list[int], np.ndarray]:
 def _evaluate(expression: ca.SX, symbols: ca.SX, at: np.ndarray) -> np.ndarray:
     f = ca.Function("f", [symbols], [ca.densify(expression)])
     return np.array(f.map(len(at))(at.T)).T
-
-
-def _configurations(model: Model, seed: int) -> np.ndarray:
-    """Any configurations that the moved coordinates allow, far apart."""
-    rng, m = np.random.default_rng(seed), model.mechanism
-    n = len(model.joints)
-    joints = rng.uniform(-1, 1, (DRAWS, n)) * (np.pi if m.joint_unit == "rad" else 1.0)
-    r, w = rng.uniform(-1, 1, (DRAWS, 3)), rng.uniform(-2, 2, (DRAWS, 3))
-    moved = np.isin(np.arange(6), m.moved)
-    r, w = r * moved[:3], w * moved[3:]
-    return Configuration(joints, r, rotation_matrix(w)).rows
-
-
-def _parameters(model: Model, seed: int) -> np.ndarray:
-    """Parameters strewn widely about nominal (all of them: what is zero may become more)."""
-    rng, table = np.random.default_rng(seed + 1), model.table
-    width = 100 * table.tolerance
-    lengths = [1e-3 < abs(p.nominal) < 10 and p.unit == "m" for p in table]
-    width = np.where(lengths, np.minimum(width, 0.3 * np.abs(table.nominal)), width)
-    return np.asarray(table.nominal + width * rng.uniform(-1, 1, (DRAWS, len(table))))

@@ -32,12 +32,12 @@ def estimate_robustly(
     free: np.ndarray,
     loss: str,
 ) -> Estimate:
-    """An estimate that few bad samples cannot pull: noise S / w where a sample's weight is w.
+    """Estimate with a loss that is robust to outliers: a sample of weight w has the noise S / w.
 
     Dividing a sample's covariance by its weight multiplies its whitened residual by sqrt(w), so
-    the method itself is untouched. chi2 is of the weighted residuals, sigma that of the last
-    weights, without a correction for the loss. Where the noise was only assumed, the residuals
-    themselves say what is large. FitError for an unknown loss.
+    the method itself does not change. chi2 is that of the weighted residuals. sigma is that of the
+    last weights, without a correction for the loss. If the noise is only assumed, the residuals
+    themselves determine which of them are large. FitError for an unknown loss.
     """
     if loss not in LOSSES:
         raise FitError(f"no loss '{loss}'; there are linear, {', '.join(LOSSES)}")
@@ -50,9 +50,15 @@ def estimate_robustly(
                 "singularities; use the implicit method"
             )
         squares = np.sum(found.residuals**2, axis=1) / weight
-        # rms of the rows that are free of what was not measured
+        # rms over the rows that do not depend on unmeasured coordinates
         sizes = np.sqrt(squares / np.maximum(found.informative, 1))
-        unit = _scale(sizes, found.informative) if observations.noise_assumed else 1.0
+        unit = 1.0
+        if observations.noise_assumed:
+            # Estimate sigma from the median: with k rows, the median of chi2 / k is about
+            # (1 - 2 / 9k)^3 (Wilson-Hilferty).
+            k = found.informative[found.informative > 0]
+            usual = sizes[found.informative > 0] / (1 - 2 / (9 * k)) ** 1.5
+            unit = max(float(np.median(usual)), 1e-300)
         before, weight = weight, LOSSES[loss](sizes / unit)
         model = model.with_values(found.values)
         if np.abs(weight - before).max() < WEIGHT_STEP:
@@ -61,15 +67,7 @@ def estimate_robustly(
 
 
 def reweight(observations: Observations, weight: np.ndarray | None) -> Observations:
-    """Samples whose noise is that of their weight (N,)."""
+    """Divide the covariance of each sample by its weight (N,)."""
     if weight is None:
         return observations
     return replace(observations, S=observations.S / weight[:, None, None])
-
-
-def _scale(sizes: np.ndarray, informative: np.ndarray) -> float:
-    """Sigma of most samples, by their sizes' median, where nobody knows it: with k rows that of
-    chi2 / k is (1 - 2 / 9k)^3 (Wilson-Hilferty)."""
-    k = informative[informative > 0]
-    usual = sizes[informative > 0] / (1 - 2 / (9 * k)) ** 1.5
-    return max(float(np.median(usual)), 1e-300)

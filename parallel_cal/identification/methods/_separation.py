@@ -1,8 +1,8 @@
-"""A closure expanded by program: sums of (function of parameters) x (function of coordinates).
+"""Expand a closure into sums of (function of parameters) x (function of coordinates).
 
 CasADi's instructions for a row are carried out on polynomials whose variables ("atoms") are
 x, y, z, R_ij, q_i, cos q_i and sin q_i, and whose coefficients are expressions of the parameters.
-A root is squared away: sqrt(A) + B = 0 becomes A - B^2 = 0. Nothing is known per mechanism.
+Squaring removes a root: sqrt(A) + B = 0 becomes A - B^2 = 0. Nothing is specific to a mechanism.
 """
 
 from __future__ import annotations
@@ -35,22 +35,20 @@ class Separation:
     """Every row of a closure as a polynomial in atoms; `value` gives an atom's expression."""
 
     def __init__(self, structure: Structure):
-        self.value: dict[str, Any] = {}
         self._roots: dict[str, Polynomial] = {}
-        self._inputs = [self._coordinates(structure), structure.v]
+        if structure.a.numel():
+            raise _inseparable("an effect needs conditions")
+        n = structure.q.numel()
+        atoms = [f"q{i}" for i in range(n)] + list("xyz") + [f"R{i}" for i in range(9)]
+        expressions = ca.vertsplit(structure.configuration)
+        self.value: dict[str, Any] = dict(zip(atoms, expressions, strict=True))
+        for i, q in enumerate(ca.vertsplit(structure.q)):
+            self.value |= {f"cos q{i}": ca.cos(q), f"sin q{i}": ca.sin(q)}
+        coordinates = [{(atom,): ca.SX(1)} for atom in atoms]
+        self._inputs = [coordinates, structure.v]
         names = (structure.configuration, structure.v)
         self._function = ca.Function("rows", list(names), [structure.phi])
         self.rows = [self._without_roots(row) for row in self._run()]
-
-    def _coordinates(self, s: Structure) -> list[Polynomial]:
-        if s.a.numel():
-            raise _inseparable("an effect needs conditions")
-        n = s.q.numel()
-        names = [f"q{i}" for i in range(n)] + list("xyz") + [f"R{i}" for i in range(9)]
-        self.value = dict(zip(names, ca.vertsplit(s.configuration), strict=True))
-        for i in range(n):
-            self.value |= {f"cos q{i}": ca.cos(s.q[i]), f"sin q{i}": ca.sin(s.q[i])}
-        return [{(name,): ca.SX(1)} for name in names]
 
     def monomial(self, m: Monomial) -> Any:
         """A monomial as an expression of the configuration."""
@@ -119,7 +117,7 @@ class Separation:
         return total
 
     def _reduced(self, m: Monomial, k: Any) -> Polynomial:
-        """A root times itself is what it is the root of."""
+        """Replace a root times itself by the expression under the root."""
         for name, inside in self._roots.items():
             if m.count(name) > 1:
                 rest = list(m)

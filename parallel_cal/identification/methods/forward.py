@@ -18,6 +18,6 @@ def estimate(
 
     Weights: covariance of the measured pose plus that of the joints carried through the direct
     problem, so samples near a direct singularity count little (the thesis had to remove them).
-    Measured coordinates that move take part. FitError where it does not converge.
+    All measured coordinates that the mechanism moves count. FitError without convergence.
     """
     return Prediction(model, observations, free, direct=True).minimise_residuals(prior)

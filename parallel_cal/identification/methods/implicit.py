@@ -28,13 +28,13 @@ def estimate(
     weighted: bool = True,
     begin: System | None = None,
 ) -> Estimate:
-    """Parameters by Levenberg-Marquardt (C.4) on whitened closure residuals.
+    """Estimate the parameters by Levenberg-Marquardt (C.4) on whitened closure residuals.
 
-    `free` (n_parameters,) mask; `prior=True` adds every tolerance as a measurement of the
-    nominal value, a Prior its mean and covariance, None the tolerances along those directions
-    alone that the data tell less of; `weighted=False` is the thesis' merit function (eq. 5.6):
-    chains decouple, but sigma and chi2 lose their meaning. `begin` is the closure linearised where
-    the model is, if somebody has it. FitError when it does not converge.
+    `free` (n_parameters,) is a mask. `prior=True` adds every tolerance as a measurement of the
+    nominal value, a Prior adds its mean and covariance, and None adds the tolerances only along
+    directions that the data determine weakly. `weighted=False` is the merit function of the thesis
+    (eq. 5.6): chains decouple, but sigma and chi2 lose their meaning. `begin` is the closure
+    linearised at the model's parameters, if it is known. FitError without convergence.
     """
     linearise = Linearisation(model, observations, free, weighted)
 

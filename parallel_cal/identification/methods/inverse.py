@@ -18,7 +18,7 @@ def estimate(
 
     Weights: covariance of the joint readings plus that of the controlled coordinates carried
     through the inverse problem. Passive coordinates (a Delta's orientation) follow from the
-    same problem; where measured, their errors count too. FitError where a controlled
-    coordinate was not measured, or it does not converge.
+    same problem; if they were measured, their errors count too. FitError if a controlled
+    coordinate was not measured, or without convergence.
     """
     return Prediction(model, observations, free, direct=False).minimise_residuals(prior)

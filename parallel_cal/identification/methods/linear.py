@@ -27,8 +27,8 @@ def estimate(
     """One Gauss-Newton step of implicit calibration: J dp = -f (eq. 5.29), by SVD.
 
     Weights: the noise that the closure inherits at the measured quantities;
-    `weighted=False` is the thesis' equation. chi2 is that of the closure at the values found,
-    so it shows what the linearisation left out.
+    `weighted=False` is the equation of the thesis. chi2 is that of the closure at the estimated
+    values, so it contains the error of the linearisation.
     """
     sought = EstimationProblem(model, free, prior, observations.noise_assumed)
     tolerance = sought.tolerance

@@ -2,7 +2,8 @@
 
 The closure, expanded by program (`_separation`, `_factors`), becomes M_0 + sum f_j M_j = 0 with
 one free number for each independent factor: 3 for the slider-crank, 36 for model 24. Its direct
-and inverse problems are those of any mechanism. It fits well and says nothing about parts.
+and inverse problems are those of any mechanism. It fits well, but its factors are not dimensions
+of parts.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ ITERATIONS = 20
 
 
 class FactorMechanism(Mechanism):
-    """Another mechanism's closure with free factors; it starts and lives where that one does."""
+    """Another mechanism's closure with free factors, with its home, workspace and limits."""
 
     def __init__(self, model: Model, rows: Sequence[Row]):
         m = model.mechanism
@@ -45,7 +46,15 @@ class FactorMechanism(Mechanism):
         self.moves, self.controls = m.moves, m.controls
         self.home, self.workspace, self.length = m.home, m.workspace, m.length
         self.joint_limits = m.joint_limits
-        self.parameters = ParameterTable(_factor_table(model, rows))
+        table = []
+        for i, row in enumerate(rows):
+            # The tolerance of a factor follows from the tolerances of the parameters.
+            J = np.array(row.jacobian(model.values))
+            tolerance = np.linalg.norm(J * model.table.tolerance, axis=1)
+            tolerance = np.maximum(tolerance, 1e-3 * tolerance.max(initial=1e-12))
+            for j, (f, t) in enumerate(zip(row.factors(model.values), tolerance, strict=True)):
+                table.append(Parameter(f"row{i + 1}.f{j + 1}", "1", float(f), float(t), "factor"))
+        self.parameters = ParameterTable(table)
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """Eq. 5.40 for every row, in metres."""
@@ -64,38 +73,26 @@ class FactorMechanism(Mechanism):
         return Named(m.names, ca.SX(ca.DM(self.origin.values[: len(m)])))
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
-        """Where the parametric model would be."""
+        """The candidates of the parametric model."""
         return self.origin.mechanism.candidates(q, self._as_named())
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
         return self.origin.mechanism.joint_candidates(r, R, self._as_named())
 
 
-def _factor_table(model: Model, rows: Sequence[Row]) -> list[Parameter]:
-    """Factors at the model's numbers; their tolerance follows from the parameters'."""
-    table = []
-    for i, row in enumerate(rows):
-        J = np.array(row.jacobian(model.values))
-        tolerance = np.linalg.norm(J * model.table.tolerance, axis=1)
-        tolerance = np.maximum(tolerance, 1e-3 * tolerance.max(initial=1e-12))
-        for j, (f, t) in enumerate(zip(row.factors(model.values), tolerance, strict=True)):
-            table.append(Parameter(f"row{i + 1}.f{j + 1}", "1", float(f), float(t), "factor"))
-    return table
-
-
 @lru_cache(maxsize=16)
 def make_factor_model(model: Model) -> Model:
-    """The model with its linear factors as parameters; FitError where it cannot be separated."""
+    """The model with its linear factors as parameters; FitError if it cannot be separated."""
     factors = new_model(FactorMechanism(model, separate_factors(model)))
     return replace(factors, noise=model.noise, frames=model.frames)
 
 
 def identify(model: Model, observations: Observations, weighted: bool = True) -> Model:
-    """The semiparametric model that fits best (eq. 5.41): use it instead of the parameters.
+    """Fit the semiparametric model (eq. 5.41), to use in place of the parametric one.
 
-    `weighted=False` is the thesis' way, each row by SVD without a start; factors that the data
-    cannot see keep the value of the given model. Weighted by inherited noise, the linear
-    solution is refined as in implicit calibration; only then has it a covariance.
+    `weighted=False` is the method of the thesis: each row by SVD, without a start. Factors that the
+    data do not determine keep the value of the given model. By default the linear solution is
+    refined as in implicit calibration, weighted by inherited noise; only then it has a covariance.
     """
     factors = make_factor_model(model)
     free = np.ones(len(factors.values), dtype=bool)
@@ -108,8 +105,8 @@ def identify(model: Model, observations: Observations, weighted: bool = True) ->
 
 
 def _inverse(factors: Model, M: np.ndarray) -> np.ndarray:
-    """The linear map (n_factors, N * rows) from closure errors to the least-squares change of all
-    factors at once, minus: the closure is linear in them."""
+    """The linear map (n_factors, N * rows) from closure errors to minus the least-squares change of
+    all factors; the closure is linear in them."""
     tolerance = factors.table.tolerance
     return np.asarray(tolerance[:, None] * np.linalg.pinv(M * tolerance, rcond=1e-12))
 
@@ -131,11 +128,12 @@ def closure_rows(model: Model, observations: Observations) -> tuple[np.ndarray, 
 def estimate(
     model: Model, observations: Observations, free: np.ndarray, prior: bool | Prior | None = False
 ) -> Estimate:
-    """Parameters whose factors come nearest to the best linear factors.
+    """Find the parameters whose factors are nearest to the best linear factors.
 
-    Exact where there are as many factors as parameters (slider-crank); else the factors' own
-    information weighs them, or the result would fit badly (footnote to 5.3.8). Unweighted in
-    the measured noise, as in the thesis; sigma is that of this method. FitError with a prior.
+    The solution is exact if there are as many factors as parameters (slider-crank). Otherwise the
+    information about the factors weights them, or the result would fit badly (footnote to 5.3.8).
+    The measured noise is not used as a weight, as in the thesis; sigma is that of this method.
+    FitError with a prior.
     """
     if prior:
         raise FitError("semiparametric calibration takes no prior; use the implicit method")
@@ -150,7 +148,7 @@ def estimate(
 def extract_parameters(
     sought: EstimationProblem, observations: Observations, inverse: np.ndarray, weight: np.ndarray
 ) -> Estimate:
-    """Parameters that minimise |weight (f(p) - target)|, by Gauss-Newton; (5.35) in general.
+    """Minimise |weight (f(p) - target)| over the parameters p, by Gauss-Newton (eq. 5.35).
 
     `inverse` (n_factors, N * rows) makes the closure's errors phi the linear target
     f - inverse phi.
@@ -173,7 +171,7 @@ def extract_parameters(
             "method"
         )
     influence = -tolerance[:, None] * np.linalg.pinv(A, rcond=1e-10) @ weight @ inverse
-    # The factors' rows are not the model's: a root may have been squared away.
+    # The rows of the factors differ from those of the model, in which a root may not be squared.
     at_end = np.concatenate([row.factors(values) for row in mechanism.rows])
     covariance = propagate_covariance(influence, factors, at_end, observations)
     return make_estimate_at(sought, values, observations, covariance, 0)

@@ -1,7 +1,7 @@
 """Sensitivity-matrix calibration with base parameters (Savoure et al. 2006, eqs 17-26).
 
-dX = S dk with S = J_X^-1 J_k from the closure at the nominal parameters. Columns of S that depend
-on those before them are left out by a QR decomposition: the others are the base.
+dX = S dk with S = J_X^-1 J_k from the closure at the nominal parameters. A QR decomposition removes
+the columns of S that depend on earlier ones: the others are the base.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from parallel_cal.model.model import Model
 
 
 def find_base_parameters(columns: np.ndarray) -> np.ndarray:
-    """Mask of the independent columns of S, in tolerances; earlier ones in the table come first."""
+    """Mask of the independent columns of S, in tolerances; earlier columns take precedence."""
     return find_independent_columns(columns, RELATIVE_RANK * np.linalg.norm(columns, axis=0).max())
 
 
@@ -32,12 +32,12 @@ def estimate(
     prior: bool | Prior | None = False,
     iterations: int = 1,
 ) -> Estimate:
-    """Base parameters by the linear least squares of eq. 26; the others stay as they are.
+    """Estimate the base parameters by linear least squares (eq. 26); the others do not change.
 
-    Weights: pose noise plus joint noise carried through the direct problem (the paper's
-    equation has none, its metres and radians being of like size). One iteration is the paper;
-    more make it a forward calibration. sigma is infinite where only a combination is known.
-    FitError with a prior.
+    Weights: pose noise plus joint noise carried through the direct problem. The equation of the
+    paper has no weights, because its metres and radians are of similar size. One iteration is the
+    method of the paper, more are a forward calibration. sigma is infinite if only a combination is
+    known. FitError with a prior.
     """
     if prior:
         raise FitError("sensitivity calibration takes no prior; use the implicit method")
