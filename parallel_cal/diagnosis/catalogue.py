@@ -65,11 +65,14 @@ class Candidate:
             return False
         dataset = self.scene.dataset
         order = np.argsort(dataset.time, kind="stable")
-        names = self.effect.conditions(self.scene.model.mechanism)
-        return any(
-            _compute_neighbour_correlation(dataset.conditions[name][order]) > MIN_SLOW_CORRELATION
-            for name in names
-        )
+        for name in self.effect.conditions(self.scene.model.mechanism):
+            values = dataset.conditions[name][order]
+            away = values - values.mean()
+            # The divisor is limited because a condition that never changes has no correlation.
+            neighbour_correlation = float(away[1:] @ away[:-1] / max(away @ away, 1e-300))
+            if neighbour_correlation > MIN_SLOW_CORRELATION:
+                return True
+        return False
 
     @property
     def log_p(self) -> float:
@@ -87,7 +90,7 @@ class Candidate:
         """Guard 4: share of copies with the condition shuffled between stretches of time (all its
         columns alike) that score as well, counting the effect itself; None where it needs none.
 
-        Where ENOUGH_AS_GOOD copies do, no more are drawn (Besag and Clifford 1991).
+        Once EQUAL_SHUFFLES_TO_STOP copies do, no more are drawn (Besag and Clifford 1991).
         """
         if not self.effect.needs or self.score is None or self.scene is None:
             return None
@@ -117,12 +120,6 @@ class Candidate:
             if as_good > EQUAL_SHUFFLES_TO_STOP:
                 return EQUAL_SHUFFLES_TO_STOP / drawn
         return as_good / (SHUFFLES + 1)
-
-
-def _compute_neighbour_correlation(values: np.ndarray) -> float:
-    """Correlation of neighbours in a series (N,), 0 where it never changes."""
-    away = values - values.mean()
-    return float(away[1:] @ away[:-1] / max(away @ away, 1e-300))
 
 
 def list_effects_to_test(
@@ -174,9 +171,12 @@ def candidate(scene: Scene, name: str) -> Candidate:
         (key,) = setting
         step = float(np.ptp([one[key] for one in settings[max(best - 1, 0) : best + 2]]) / 2)
         near = (setting, *effect.multiples(setting))
-        setting, sigma = _select_setting(
-            [_peak(scene, plain, key, one[key], step, a) for one in near]
-        )
+        peaks = [_peak(scene, plain, key, one[key], step, a) for one in near]
+        # Select the last of those that fit as well as the best.
+        limit = min(peak.log_p for peak in peaks) + EQUAL_FIT_LOG_P
+        peak = [peak for peak in peaks if peak.log_p < limit][-1]
+        setting = {peak.key: peak.value}
+        sigma = {} if peak.sigma is None else {peak.key: peak.sigma}
     highest = score(scene, compute_effect_columns(scene, plain, setting, a))
     reason = _explain_invisible(highest, len(settings))
     return Candidate(name, effect, setting, highest, scene, len(settings), (), reason, sigma)
@@ -216,13 +216,6 @@ def _peak(scene: Scene, plain: Model, key: str, near: float, step: float, a: np.
     below, at, above = (log_p(value + away) for away in (-apart, 0.0, apart))
     bend = (below - 2 * at + above) / apart**2
     return Peak(key, value, at, bend**-0.5 if bend > 0 else None)
-
-
-def _select_setting(peaks: list[Peak]) -> tuple[dict[str, float], dict[str, float]]:
-    """The last of several settings that fits as well as the best, and its sigma."""
-    best = min(peak.log_p for peak in peaks)
-    peak = [peak for peak in peaks if peak.log_p < best + EQUAL_FIT_LOG_P][-1]
-    return {peak.key: peak.value}, {} if peak.sigma is None else {peak.key: peak.sigma}
 
 
 def _explain_invisible(score: Score, tried: int) -> str:

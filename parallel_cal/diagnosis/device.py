@@ -74,7 +74,11 @@ def is_needed(one: Candidate, among: Sequence[Candidate], scene: Scene, fitted: 
     own = known.pop(one.name)
     without = np.hstack([np.zeros((len(shared.residual), 0)), *known.values()])
     both = np.hstack([without, own])
-    noise = max(_chi2_per_dof(shared, both), 1.0)
+    off_geometry = shared.project_off_geometry(both)
+    numbers, _, rank, _ = np.linalg.lstsq(off_geometry, shared.residual)
+    left = shared.residual - off_geometry @ numbers
+    chi2_per_dof = float(left @ left) / max(shared.dof - int(rank), 1)
+    noise = max(chi2_per_dof, 1.0)
     return cost(shared, without) - cost(shared, both) > MIN_SEPARATION_SIGMAS**2 * noise
 
 
@@ -88,14 +92,6 @@ def cost(scene: Scene, B: np.ndarray) -> float:
         scene.residual @ scene.residual
         - along @ np.linalg.solve(np.eye(B.shape[1]) + B.T @ B, along)
     )
-
-
-def _chi2_per_dof(scene: Scene, B: np.ndarray) -> float:
-    """chi2/dof that columns B (n, k) leave of the residual."""
-    B = scene.project_off_geometry(B)
-    numbers, _, rank, _ = np.linalg.lstsq(B, scene.residual)
-    left = scene.residual - B @ numbers
-    return float(left @ left) / max(scene.dof - int(rank), 1)
 
 
 def _shared_scene(scene: Scene, chosen: Sequence[Candidate]) -> Scene:
@@ -185,7 +181,13 @@ def _smooth_fields(scene: Scene) -> Iterator[np.ndarray]:
     by_place /= np.sqrt(np.sum(by_place**2) / (3 * len(by_place)))
     places = scene.x[:, n : n + 3]
     places = places / np.maximum(places.std(axis=0), 1e-12)
-    centres = places[_select_centres(places)]
+    # Begin with the place nearest to the mean; each further one is the furthest from those chosen.
+    chosen = [int(np.argmin(np.sum((places - places.mean(axis=0)) ** 2, axis=1)))]
+    away = np.sum((places - places[chosen[0]]) ** 2, axis=1)
+    while len(chosen) < CENTRES and away.max() > 0:
+        chosen.append(int(np.argmax(away)))
+        away = np.minimum(away, np.sum((places - places[chosen[-1]]) ** 2, axis=1))
+    centres = places[chosen]
     for length in FIELD_LENGTHS:
         L = np.linalg.cholesky(
             _gaussian_kernel(centres, centres, length) + 1e-6 * np.eye(len(centres))
@@ -193,16 +195,6 @@ def _smooth_fields(scene: Scene) -> Iterator[np.ndarray]:
         smooth = np.linalg.solve(L, _gaussian_kernel(centres, places, length)).T
         F = np.einsum("nri,nm->nrim", by_place, smooth)
         yield scene.project_off_geometry(F.reshape(len(scene.residual), -1))
-
-
-def _select_centres(places: np.ndarray) -> list[int]:
-    """Indices of places (N, 3), each the one furthest from those before it."""
-    chosen = [int(np.argmin(np.sum((places - places.mean(axis=0)) ** 2, axis=1)))]
-    away = np.sum((places - places[chosen[0]]) ** 2, axis=1)
-    while len(chosen) < CENTRES and away.max() > 0:
-        chosen.append(int(np.argmax(away)))
-        away = np.minimum(away, np.sum((places - places[chosen[-1]]) ** 2, axis=1))
-    return chosen
 
 
 def _gaussian_kernel(a: np.ndarray, b: np.ndarray, length: float) -> np.ndarray:

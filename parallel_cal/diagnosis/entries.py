@@ -24,7 +24,7 @@ from parallel_cal.diagnosis.thresholds import (
     RESAMPLES,
 )
 from parallel_cal.diagnosis.verdict import share_explained
-from parallel_cal.identification.fit import FitResult, ParameterEstimate
+from parallel_cal.identification.fit import ParameterEstimate
 from parallel_cal.identification.prediction_errors import Summary
 
 
@@ -144,6 +144,13 @@ def _summarise_single_fit(
 ) -> SingleEffectFit:
     before, after = base.fitted, trial.fitted
     chi2 = after.estimate.chi2_per_dof
+    old, table = before.model.table, after.model.table
+    parameters = {}
+    for name, estimated in after.parameters().items():
+        known = name in old.names
+        # A parameter that the base does not identify counts as new.
+        if not known or (after.free[table.index_of(name)] and not before.free[old.index_of(name)]):
+            parameters[name.removeprefix(f"{one.name}.")] = estimated
     return SingleEffectFit(
         before=before.held_out.summary,
         after=after.held_out.summary,
@@ -151,11 +158,7 @@ def _summarise_single_fit(
         chi2_per_dof=chi2,
         share_explained=share_explained(chi2_before(base, trial, [one]), chi2, noise.variance),
         shuffled_p_value=one.shuffled_p,
-        parameters={
-            name.removeprefix(f"{one.name}."): estimated
-            for name, estimated in after.parameters().items()
-            if _is_new_parameter(name, before, after)
-        },
+        parameters=parameters,
     )
 
 
@@ -164,14 +167,6 @@ def chi2_before(base: Trial, after: Trial, ranked: Sequence[Candidate]) -> float
     taken = {c.name for c in after.chosen}
     wider = [c.scene for c in ranked if c.name in taken and c.scene is not base.scene]
     return next((s.chi2_per_dof for s in wider if s is not None), base.scene.chi2_per_dof)
-
-
-def _is_new_parameter(name: str, before: FitResult, after: FitResult) -> bool:
-    """Whether the base does not have or does not identify a parameter."""
-    old, table = before.model.table, after.model.table
-    if name not in old.names:
-        return True
-    return bool(after.free[table.index_of(name)] and not before.free[old.index_of(name)])
 
 
 def are_confused(one: Candidate, other: Candidate) -> bool:

@@ -40,10 +40,17 @@ class Field:
         fixed = (pose**2 / np.where(variance > 0, variance, 1.0))[shown & ~moved]
         held = float(np.sqrt(fixed.mean())) if fixed.size else 0.0
         pose = np.where(measured, pose, 0.0)
+        S, readings = observations.S, scene.reading_residuals
         if measured.any():
-            return cls(pose, _pose_in_noise_units(scene, pose, measured), measured, held)
-        if np.isfinite(scene.reading_residuals).any():
-            return cls(pose, _readings_in_noise_units(scene), measured, held)
+            by_joint = _compute_joint_jacobians(scene)[0]
+            total = S[:, n:, n:] + by_joint @ S[:, :n, :n] @ by_joint.transpose(0, 2, 1)
+            return cls(pose, _in_noise_units(pose, total, measured), measured, held)
+        if np.isfinite(readings).any():
+            by_joint = _compute_joint_jacobians(scene)[1]
+            own = scene.model.structure.standard_uncertainty
+            total = by_joint @ S[:, :n, :n] @ by_joint.transpose(0, 2, 1) + np.diag(own**2)
+            noise_units = _in_noise_units(readings, total, np.isfinite(readings))
+            return cls(pose, noise_units, measured, held)
         return cls(pose, scene.by_sample(scene.residual), measured, held)
 
     @property
@@ -57,22 +64,6 @@ class Field:
     def vectors(self) -> np.ndarray:
         """That half (N, 3): m, or rad about base axes."""
         return self.pose[:, :3] if self.kind == "position" else self.pose[:, 3:]
-
-
-def _pose_in_noise_units(scene: Scene, pose: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """Measured minus predicted pose, (N, 6), by the covariance of device and joints together."""
-    n, S = len(scene.model.joints), scene.observations.S
-    by_joint = _compute_joint_jacobians(scene)[0]
-    total = S[:, n:, n:] + by_joint @ S[:, :n, :n] @ by_joint.transpose(0, 2, 1)
-    return _in_noise_units(pose, total, measured)
-
-
-def _readings_in_noise_units(scene: Scene) -> np.ndarray:
-    """Read minus predicted, (N, n_channels), by the covariance of sensors and joints together."""
-    n, S = len(scene.model.joints), scene.observations.S
-    by_joint, own = _compute_joint_jacobians(scene)[1], scene.model.structure.standard_uncertainty
-    total = by_joint @ S[:, :n, :n] @ by_joint.transpose(0, 2, 1) + np.diag(own**2)
-    return _in_noise_units(scene.reading_residuals, total, np.isfinite(scene.reading_residuals))
 
 
 def _compute_joint_jacobians(scene: Scene) -> tuple[np.ndarray, np.ndarray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -141,22 +142,16 @@ def smooth_map(scene: Scene, field: Field) -> SmoothMap:
     e, places = e[thinned], places[thinned]
     spread = np.maximum(places.std(axis=0), 1e-12)
     apart = np.sum(((places[:, None] - places[None]) / spread) ** 2, axis=2)
-    best = max(
-        (_cross_validate(apart, e, l, s) for l in LENGTHS for s in ROUGHNESS),
-        key=lambda fit: fit[0],
-    )
+    fits = []
+    for length, noise in product(LENGTHS, ROUGHNESS):
+        K = np.exp(-apart / (2 * length**2))
+        A = np.linalg.inv(K + noise * np.eye(len(K)))
+        unseen = (A @ e) / np.diag(A)[:, None]
+        share = 1 - float(np.sum(unseen**2)) / max(float(np.sum(e**2)), 1e-300)
+        fits.append((share, length, K @ (A @ e)))
+    best = max(fits, key=lambda fit: fit[0])
     share, length, smooth = best if e.any() else (0.0, *best[1:])
     metres = length * float(np.sqrt(np.mean(spread**2)))
     size = float(np.sqrt(np.mean(np.sum(smooth**2, axis=1))))
     kind = "position" if position else "orientation"
     return SmoothMap(kind, metres, size, max(share, 0.0), places, smooth)
-
-
-def _cross_validate(
-    apart: np.ndarray, e: np.ndarray, length: float, noise: float
-) -> tuple[float, float, np.ndarray]:
-    """(share of the variance predicted at held-out poses, length, smoothed field)."""
-    K = np.exp(-apart / (2 * length**2))
-    A = np.linalg.inv(K + noise * np.eye(len(K)))
-    unseen = (A @ e) / np.diag(A)[:, None]
-    return 1 - float(np.sum(unseen**2)) / max(float(np.sum(e**2)), 1e-300), length, K @ (A @ e)

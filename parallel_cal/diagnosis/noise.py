@@ -49,7 +49,15 @@ class PureError:
             return cls(None, 0)
         z, group = field.noise_units, scene.observations.group
         visited = np.unique(group, return_inverse=True)[1]
-        circumstances = _collect_visit_conditions(scene)
+        names = ("direction.", "payload", "temperature", "time")
+        known = [
+            values
+            for name, values in scene.dataset.conditions.items()
+            if name.startswith(names) and np.isfinite(values).all()
+        ]
+        # (N, k), each condition in units of its own spread.
+        circumstances = np.reshape(known, (len(known), len(scene.x))).T
+        circumstances = circumstances / np.maximum(circumstances.std(axis=0), 1e-12)
         other = circumstances - average_groups(circumstances, group)[visited]
         apart = z - average_groups(z, group)[visited]
         share, _, rank, _ = np.linalg.lstsq(other, apart, rcond=1e-9)
@@ -57,18 +65,6 @@ class PureError:
         components = int(np.any(z != 0, axis=0).sum())
         dof = max(len(z) - int(visited.max()) - 1 - int(rank), 0) * components
         return cls(float(np.sum(apart**2)) / dof if dof else None, dof)
-
-
-def _collect_visit_conditions(scene: Scene) -> np.ndarray:
-    """(N, k) in their own spreads: how the joints came, payload, temperature, time."""
-    names = ("direction.", "payload", "temperature", "time")
-    known = [
-        values
-        for name, values in scene.dataset.conditions.items()
-        if name.startswith(names) and np.isfinite(values).all()
-    ]
-    columns = np.reshape(known, (len(known), len(scene.x))).T
-    return np.asarray(columns / np.maximum(columns.std(axis=0), 1e-12))
 
 
 @dataclass(frozen=True)

@@ -100,16 +100,13 @@ def noise_shape(z: np.ndarray, time: np.ndarray, places: np.ndarray, seed: int =
     p = (1 + as_much) / (1 + PERMUTATIONS)
     step = float(np.median(np.diff(time[order])))
     memory = -step / np.log(np.clip(seen[0], 1e-3, 1 - 1e-3))
-    inflation = _compute_inflation(z[order])
-    return NoiseShape(seen[0], float(p[0]), float(memory), seen[1], float(p[1]), inflation)
-
-
-def _compute_inflation(series: np.ndarray) -> float:
-    """Variance of a slow mean of a series (N, k) over that of white noise: 1 + 2 sum (1 - l / L)
-    rho_l over the lags l < L (Newey and West 1987), at least that of the first lag alone."""
-    n, total = len(series), float(np.sum(series**2))
-    lags = np.arange(1, max(n // 4, 2))
-    rho = np.array([float(np.sum(series[lag:] * series[:-lag])) / total for lag in lags])
+    # Variance of a slow mean over that of white noise: 1 + 2 sum (1 - l / L) rho_l over the lags
+    # l < L (Newey and West 1987), at least that of the first lag alone.
+    series = z[order]
+    lags = np.arange(1, max(len(series) // 4, 2))
+    squares = float(np.sum(series**2))
+    rho = np.array([float(np.sum(series[lag:] * series[:-lag])) / squares for lag in lags])
     first = float(np.clip(rho[0], 0.0, 0.99))
     long_run = 1 + 2 * float(np.sum((1 - lags / (lags[-1] + 1)) * rho))
-    return max(1.0, (1 + first) / (1 - first), long_run)
+    inflation = max(1.0, (1 + first) / (1 - first), long_run)
+    return NoiseShape(seen[0], float(p[0]), float(memory), seen[1], float(p[1]), inflation)

@@ -118,16 +118,14 @@ def resample_log_p(
     Z = np.column_stack([scene.basis, *groups, scene.residual])
     blocks = Z.reshape(-1, scene.rows, Z.shape[1])
     names = np.unique(scene.group)
-    gram = np.array([_gram(blocks[scene.group == g]) for g in names])
+    gram = []
+    for name in names:
+        rows = blocks[scene.group == name].reshape(-1, Z.shape[1])
+        gram.append(rows.T @ rows)
     p, ends = scene.basis.shape[1], np.cumsum([scene.basis.shape[1], *[g.shape[1] for g in groups]])
     picks = np.random.default_rng(seed).integers(len(names), size=(resamples, len(names)))
     count = np.array([np.bincount(row, minlength=len(names)) for row in picks], dtype=float)
-    return _log_ps(np.tensordot(count, gram, axes=1), p, ends, scene.dof)
-
-
-def _gram(block: np.ndarray) -> np.ndarray:
-    rows = block.reshape(-1, block.shape[2])
-    return np.asarray(rows.T @ rows)
+    return _log_ps(np.tensordot(count, np.array(gram), axes=1), p, ends, scene.dof)
 
 
 def _log_ps(G: np.ndarray, p: int, ends: np.ndarray, dof: int) -> np.ndarray:

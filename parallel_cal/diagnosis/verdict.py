@@ -5,7 +5,8 @@ The numbers come from held-out poses and stated or measured noise, not from the 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from parallel_cal.base.units import ERROR_UNITS, MM
@@ -194,7 +195,12 @@ def _list_objections(found: Findings) -> list[str]:
     if chi2 > high:
         shown = format_distinctly([chi2, high])
         against.append(f"chi2/dof {shown[0]} is still above {shown[1]}")
-    against += _describe_unusual_effects(found.best.fitted.unusual)
+    unusual, parameters = found.best.fitted.unusual, defaultdict[str, list[str]](list)
+    for name in unusual:
+        parameters[name.split(".")[0]].append(name)
+    for first, *others in parameters.values():  # one sentence for each effect
+        more = f" ({len(others)} more of its parameters are, too)" if others else ""
+        against.append(unusual[first] + more)
     against += [robot_or_device(name) for name in found.robot_or_device]
     against += found.outdone
     against += found.wrong_signs
@@ -205,16 +211,6 @@ def _list_objections(found: Findings) -> list[str]:
             f"the residuals still have structure (p = {structure.p_value:.1g}{_size(structure)})"
         )
     return against
-
-
-def _describe_unusual_effects(unusual: Mapping[str, str]) -> Iterator[str]:
-    """One sentence for each effect that is larger than usual, about its first parameter."""
-    parameters: dict[str, list[str]] = {}
-    for name in unusual:
-        parameters.setdefault(name.split(".")[0], []).append(name)
-    for first, *others in parameters.values():
-        more = f" ({len(others)} more of its parameters are, too)" if others else ""
-        yield unusual[first] + more
 
 
 def robot_or_device(name: str) -> str:

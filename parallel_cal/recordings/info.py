@@ -135,6 +135,17 @@ def _dataset_part(dataset: Dataset) -> dict[str, Any]:
     """Describe samples, replicates, conditions, noise and warnings."""
     visits = np.bincount(dataset.pose_id, minlength=1)
     repeated = int((visits > 1).sum())
+    warnings = list(dataset.warnings)
+    if dataset.mode == "dwell" and len(np.unique(dataset.pose_id)) == len(dataset) > 1:
+        warnings.append(
+            "no pose was visited twice: noise cannot be distinguished from missing effects"
+        )
+    for name in dataset.joint_names:
+        directions = set(dataset.conditions.get(f"direction.{name}", np.zeros(0)).tolist()) - {0.0}
+        if len(directions) == 1:
+            warnings.append(
+                f"{name} was always approached from one side: backlash cannot be identified"
+            )
     return {
         "mode": dataset.mode,
         "samples": len(dataset),
@@ -152,7 +163,7 @@ def _dataset_part(dataset: Dataset) -> dict[str, Any]:
             if name.startswith(READING)
         },
         "noise": _noise(dataset),
-        "warnings": list(dataset.warnings) + _thin_conditions(dataset),
+        "warnings": warnings,
     }
 
 
@@ -179,20 +190,6 @@ def _medians(values: np.ndarray) -> list[float | None]:
     """Return the median of the finite numbers per column."""
     columns = [column[np.isfinite(column)] for column in values.T]
     return [float(np.median(column)) if len(column) else None for column in columns]
-
-
-def _thin_conditions(dataset: Dataset) -> list[str]:
-    """List what the recording cannot determine because it never varied or was never repeated."""
-    said = []
-    if dataset.mode == "dwell" and len(np.unique(dataset.pose_id)) == len(dataset) > 1:
-        said.append("no pose was visited twice: noise cannot be distinguished from missing effects")
-    for name in dataset.joint_names:
-        ways = set(dataset.conditions.get(f"direction.{name}", np.zeros(0)).tolist()) - {0.0}
-        if len(ways) == 1:
-            said.append(
-                f"{name} was always approached from one side: backlash cannot be identified"
-            )
-    return said
 
 
 def _dropped(dropped: Sequence[Dropped]) -> dict[str, Any]:

@@ -143,10 +143,16 @@ def dataset_from_recording(recording: Recording, options: SampleOptions | None =
     _drop_millimetres(samples)
     conditions = conditions_of(recording, samples, warnings)
     dataset = _stack(recording, samples, conditions, options)
-    far = _list_position_suspicions(dataset)
-    if far and not options.assume_units:
-        raise UnfitError(f"{recording.source}: {far[0]}, or set assume_units")
-    warnings += far + _list_unit_suspicions(dataset)
+    distance = np.linalg.norm(dataset.r, axis=1)[dataset.measured[:, :3].any(axis=1)]
+    if len(distance) and np.median(distance) > MAX_POSITION_M:
+        text = (
+            f"the measured position looks like millimetres: median |r| = {np.median(distance):.4g}"
+            "; expected metres. Publish metres (REP-103)"
+        )
+        if not options.assume_units:
+            raise UnfitError(f"{recording.source}: {text}, or set assume_units")
+        warnings.append(KeyedWarning(text, "unit", "measured position"))
+    warnings += _list_unit_suspicions(dataset)
     return dataclasses.replace(dataset, warnings=tuple(warnings))
 
 
@@ -161,18 +167,6 @@ def _drop_millimetres(samples: Samples) -> None:
         time = samples.kept[i].time
         samples.dropped.append(Dropped(time, "position looks like millimetres", detail))
     samples.kept = [s for s, b in zip(samples.kept, bad, strict=True) if not b]
-
-
-def _list_position_suspicions(dataset: Dataset) -> list[str]:
-    """Warn if the positions do not look like metres."""
-    distance = np.linalg.norm(dataset.r, axis=1)[dataset.measured[:, :3].any(axis=1)]
-    if not len(distance) or np.median(distance) <= MAX_POSITION_M:
-        return []
-    text = (
-        f"the measured position looks like millimetres: median |r| = {np.median(distance):.4g}; "
-        "expected metres. Publish metres (REP-103)"
-    )
-    return [KeyedWarning(text, "unit", "measured position")]
 
 
 def _list_unit_suspicions(dataset: Dataset) -> list[str]:

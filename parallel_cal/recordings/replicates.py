@@ -47,7 +47,16 @@ def replicate_ids(
     reveal (backlash, warming) must not split a group.
     """
     q, r, R = at.q, at.r, at.R
-    scale = _joint_scale(q, scatter_q, tolerance)
+    # The largest joint difference (nq,) between two visits of one pose.
+    if tolerance is not None:
+        scale = np.full(q.shape[1], float(tolerance))
+    elif len(q) < 2:
+        scale = np.full(q.shape[1], 1e-12)
+    else:
+        noise = 20.0 * np.nan_to_num(np.median(scatter_q, axis=0)) + 1e-12
+        part = 2e-3 * np.ptp(q, axis=0) + 1e-12
+        usual_step = np.quantile((np.abs(np.diff(q, axis=0)) / part).max(axis=1), 0.75)
+        scale = np.maximum(noise, part * min(1.0, 0.2 * usual_step))
     reach = max(0.05 * np.ptp(r, axis=0).max(initial=0.0), MIN_POSITION_TOLERANCE_M)
     ids, leaders = np.zeros(len(q), np.int64), np.zeros(0, np.int64)
     for i in range(len(q)):
@@ -62,18 +71,6 @@ def replicate_ids(
         if not len(found):
             leaders = np.append(leaders, i)
     return ids
-
-
-def _joint_scale(q: Array, scatter_q: Array, tolerance: float | None) -> Array:
-    """Return the largest joint difference (nq,) between two visits of one pose."""
-    if tolerance is not None:
-        return np.full(q.shape[1], float(tolerance))
-    if len(q) < 2:
-        return np.full(q.shape[1], 1e-12)
-    noise = 20.0 * np.nan_to_num(np.median(scatter_q, axis=0)) + 1e-12
-    part = 2e-3 * np.ptp(q, axis=0) + 1e-12
-    usual_step = np.quantile((np.abs(np.diff(q, axis=0)) / part).max(axis=1), 0.75)
-    return np.maximum(noise, part * min(1.0, 0.2 * usual_step))
 
 
 def replicate_noise(ids: Ids, at: Configuration, measured: Bools) -> ReplicateNoise:

@@ -12,7 +12,7 @@ from parallel_cal.recordings.dwells import approach, still_tolerance
 from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.pairing import paired_samples
 from parallel_cal.recordings.readings import reading_columns
-from parallel_cal.recordings.recording import Array, Recording, ScalarStream
+from parallel_cal.recordings.recording import Recording
 from parallel_cal.recordings.samples import Samples, broadcast_to_joints
 from parallel_cal.recordings.standstill import standstill_samples
 from parallel_cal.recordings.travel import travel
@@ -49,12 +49,17 @@ def conditions_of(
     time = np.array([s.time for s in kept])
     conditions = {"time": time}
     for name, stream in recording.conditions.items():
-        held = CHANNELS[name].held
-        conditions[name] = (
-            _select_latest_values(stream, time, warnings)
-            if held
-            else np.interp(time, stream.time, stream.value)
-        )
+        if not CHANNELS[name].held:
+            conditions[name] = np.interp(time, stream.time, stream.value)
+            continue
+        latest = np.searchsorted(stream.time, time, side="right") - 1
+        if (latest < 0).any():
+            text = (
+                f"{stream.topic}: {int((latest < 0).sum())} samples are earlier than its first "
+                "message and use that message's value"
+            )
+            warnings.append(KeyedWarning(text, "samples before first message", stream.topic))
+        conditions[name] = stream.value[latest.clip(0)]
     level = np.array([s.q for s in kept])
     # A motion counts if it exceeds the tolerance of a standstill.
     before = [s.first_reading for s in kept]
@@ -68,15 +73,3 @@ def conditions_of(
         if np.isfinite(effort[:, j]).all():
             conditions[f"effort.{name}"] = effort[:, j]
     return conditions | reading_columns(kept)
-
-
-def _select_latest_values(stream: ScalarStream, time: Array, warnings: list[str]) -> Array:
-    """Return the last value before each time; if there is none, the first value, with a warning."""
-    index = np.searchsorted(stream.time, time, side="right") - 1
-    if (index < 0).any():
-        text = (
-            f"{stream.topic}: {int((index < 0).sum())} samples are earlier than its first "
-            "message and use that message's value"
-        )
-        warnings.append(KeyedWarning(text, "samples before first message", stream.topic))
-    return stream.value[index.clip(0)]

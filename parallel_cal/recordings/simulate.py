@@ -69,17 +69,13 @@ def with_effects(model: Model, effects: Iterable[tuple[str, Mapping[str, float]]
         known = table.matching(effect.fixed_patterns())
         values[known] = table.nominal[known]
         for key, value in given.items():
-            values[_matching(model, name, key)] = value
+            # `width` is every joint's, `joint1.width` that of one, `joint?.width` a pattern.
+            exact = f"{name}.{key}" in table.names
+            of_joint = any(n.startswith(f"{name}.") and n.endswith(f".{key}") for n in table.names)
+            pattern = f"{name}.{key}" if exact or not of_joint else f"{name}.*.{key}"
+            values[table.matching([pattern])] = value
         model = model.with_values(values)
     return model
-
-
-def _matching(model: Model, effect: str, key: str) -> np.ndarray:
-    """Select parameters: `width` is every joint's, `joint1.width` one, `joint?.width` a pattern."""
-    names = model.table.names
-    tail = any(n.startswith(f"{effect}.") and n.endswith(f".{key}") for n in names)
-    exact = f"{effect}.{key}" in names
-    return model.table.matching([f"{effect}.{key}" if exact or not tail else f"{effect}.*.{key}"])
 
 
 @single_threaded()
@@ -247,25 +243,19 @@ def _motion(model: Model, targets: np.ndarray) -> _Motion:
     moving = part < 1
     at = {"time": time, "temperature": _temperature(time)}
     at["payload"] = np.array(PAYLOADS)[dwell // POSES_PER_PAYLOAD % len(PAYLOADS)]
-    direction, travel = _track_reversals(steps)
-    travel = travel[dwell] + part * steps[dwell]
+    direction = np.where(np.abs(steps) > 1e-9, np.sign(steps), 0.0)
+    at_start = np.zeros(steps.shape)  # the travel since the last reversal when a step begins
+    for k in range(1, len(steps)):
+        # A joint that does not move keeps the direction of its last motion.
+        direction[k] = np.where(direction[k] == 0, direction[k - 1], direction[k])
+        goes_on = direction[k] == direction[k - 1]
+        at_start[k] = np.where(goes_on, at_start[k - 1] + steps[k - 1], 0.0)
+    travel = at_start[dwell] + part * steps[dwell]
     for j, name in enumerate(model.joints):
         at[f"direction.{name}"] = direction[dwell, j]
         at[f"travel.{name}"] = travel[:, j]
         at[f"velocity.{name}"] = np.where(moving[:, 0], steps[dwell, j] / MOVE, 0.0)
     return _Motion(time, joints, at, dwell)
-
-
-def _track_reversals(steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return each joint's direction during a step, and its travel when the step begins (N, nq)."""
-    direction = np.where(np.abs(steps) > 1e-9, np.sign(steps), 0.0)
-    travel = np.zeros(steps.shape)
-    for k in range(1, len(steps)):
-        # A joint that does not move keeps the direction of its last motion.
-        direction[k] = np.where(direction[k] == 0, direction[k - 1], direction[k])
-        goes_on = direction[k] == direction[k - 1]
-        travel[k] = np.where(goes_on, travel[k - 1] + steps[k - 1], 0.0)
-    return direction, travel
 
 
 def _temperature(time: np.ndarray) -> np.ndarray:

@@ -109,8 +109,17 @@ def _unusable(
 
 
 def _dwell_sample(joints: JointStream, pose: PoseStream, dwell: Dwell) -> Sample:
-    """Average a dwell's readings."""
-    q = joints.position[dwell.readings]
+    """Average a dwell's readings and its pose messages; placeholders for a pose without any."""
+    q, at = joints.position[dwell.readings], dwell.poses
+    r, R = np.zeros(3), np.eye(3)
+    pose_cov, scatter_pose = np.full((6, 6), np.nan), np.full(6, np.nan)
+    if len(at):
+        mean, middle = pose.position[at].mean(axis=0), mean_rotation(pose.rotation[at])
+        off = np.hstack([pose.position[at] - mean, rotation_vector(pose.rotation[at] @ middle.T)])
+        r = np.where(dwell.measured[:3], mean, 0.0)
+        R = middle if dwell.measured[3:].any() else R
+        pose_cov = pose.covariance[at].mean(axis=0)
+        scatter_pose = np.where(dwell.measured, sample_sd(off), np.nan)
     return Sample(
         time=0.5 * (dwell.start + dwell.end),
         duration=dwell.end - dwell.start,
@@ -118,29 +127,16 @@ def _dwell_sample(joints: JointStream, pose: PoseStream, dwell: Dwell) -> Sample
         effort=joints.effort[dwell.readings].mean(axis=0),
         velocity=slope(joints.time[dwell.readings], q),
         scatter_q=sample_sd(q),
+        r=r,
+        R=R,
         measured=dwell.measured,
+        pose_cov=pose_cov,
+        scatter_pose=scatter_pose,
         count_q=len(q),
-        count_pose=len(dwell.poses),
+        count_pose=len(at),
         first_reading=dwell.interval.first,
         readings=dwell.shown,
-        **_mean_pose(pose, dwell),
     )
-
-
-def _mean_pose(pose: PoseStream, dwell: Dwell) -> dict[str, Array]:
-    """Average a dwell's pose messages; return placeholders if there are none."""
-    at = dwell.poses
-    if not len(at):
-        nothing = {"pose_cov": np.full((6, 6), np.nan), "scatter_pose": np.full(6, np.nan)}
-        return {"r": np.zeros(3), "R": np.eye(3), **nothing}
-    r, middle = pose.position[at].mean(axis=0), mean_rotation(pose.rotation[at])
-    off = np.hstack([pose.position[at] - r, rotation_vector(pose.rotation[at] @ middle.T)])
-    return {
-        "r": np.where(dwell.measured[:3], r, 0.0),
-        "R": middle if dwell.measured[3:].any() else np.eye(3),
-        "pose_cov": pose.covariance[at].mean(axis=0),
-        "scatter_pose": np.where(dwell.measured, sample_sd(off), np.nan),
-    }
 
 
 def _report_lonely_poses(

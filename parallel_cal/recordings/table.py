@@ -62,8 +62,13 @@ class Table:
 
     def column(self, name: str) -> np.ndarray:
         """Return a column's numbers (N,); NaN for a cell that is not a number."""
-        texts = (text.replace(self.decimal, ".") for text in self.texts(name))
-        return np.array([_number(text) for text in texts], dtype=float)
+        numbers = []
+        for text in self.texts(name):
+            try:
+                numbers.append(float(text.replace(self.decimal, ".")))
+            except ValueError:
+                numbers.append(math.nan)
+        return np.array(numbers, dtype=float)
 
     def numbers(self, names: Sequence[str]) -> np.ndarray:
         """Return (N, len(names)); DatasetError at the first cell that is not a finite number."""
@@ -113,10 +118,3 @@ def split_unit(word: str) -> tuple[str, str | None]:
     unit = next(group for group in match.groups()[1:] if group).strip()
     unit = UNIT_ALIASES.get(unit.lower(), unit.lower())
     return (match[1], unit) if unit in UNITS else (word, None)
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan

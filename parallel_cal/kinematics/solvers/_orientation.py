@@ -57,7 +57,11 @@ def angles(m: np.ndarray, k: np.ndarray, form: str = "eigenvalue") -> np.ndarray
     real = roots[np.abs(roots.imag) < NEARLY_REAL * (1 + np.abs(roots))].real
     pairs = [pair for t in 2 * np.arctan(real) + turn for pair in _find_second_angles(t, m, k)]
     found: list[np.ndarray] = []
-    for pair in (_polish(np.array(pair), m, k) for pair in pairs):
+    for start in pairs:
+        pair = np.array(start)
+        for _ in range(8):  # Newton's method; least squares, as a double solution is singular
+            value, slope = _bilinear(pair, m, k)
+            pair = pair - np.linalg.lstsq(slope, value, rcond=1e-9)[0]
         new = np.all([np.abs(np.exp(1j * pair) - np.exp(1j * old)).max() > 1e-6 for old in found])
         if new and np.abs(_bilinear(pair, m, k)[0]).max() < MAX_CLOSED_RESIDUAL:
             found.append(np.angle(np.exp(1j * pair)))  # between -pi and pi
@@ -154,14 +158,6 @@ def _find_second_angles(t: float, m: np.ndarray, k: np.ndarray) -> list[tuple[fl
     a, b, c = right[0]
     apart = np.arccos(np.clip(-c / max(np.hypot(a, b), 1e-300), -1, 1))
     return [(t, float(np.arctan2(b, a) + side * apart)) for side in (1, -1)]
-
-
-def _polish(pair: np.ndarray, m: np.ndarray, k: np.ndarray) -> np.ndarray:
-    """Newton's method on eq. 6.7; least squares, as a double solution makes it singular."""
-    for _ in range(8):
-        value, slope = _bilinear(pair, m, k)
-        pair = pair - np.linalg.lstsq(slope, value, rcond=1e-9)[0]
-    return pair
 
 
 def _bilinear(pair: np.ndarray, m: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -67,14 +67,22 @@ def all_poses(C: np.ndarray, B: np.ndarray, L: np.ndarray, retries: int = 2) -> 
     X, used, complete = _zeros(M, retries)
     size, _ = alpha(X, M) if len(X) else (np.empty(0), None)
     position, rotation = poses(X)
-    r, R = poses(_real_zeros(X, M))
+    # A zero is known up to a complex factor: choose the factor that makes X.X real.
+    square = (X**2).sum(axis=1)
+    turned = X * np.sqrt(square.conj() / np.abs(square))[:, None]
+    real = normalise(turned.real[np.abs(turned.imag).max(axis=1) < NEARLY_REAL])
+    if len(real):  # Newton's method in real arithmetic proves each of them
+        real = refine(real, M)
+        real = real[alpha(real, M)[0] < MAX_CERTIFIED_ALPHA]
+        real = real[find_distinct(real)]
+    r, R = poses(real)
     # Undo the scaling and centring.
     position, r = position * unit + c - rotation @ b, r * unit + c - R @ b
     rods = r[:, None, :] + np.einsum("kij,nj->kni", R, B) - C
     residual = np.linalg.norm(np.linalg.norm(rods, axis=2) - L, axis=1)
     converged = np.full(len(r), Status.CONVERGED, dtype=np.int8)
-    real = Solutions(np.empty((len(r), 0)), r, R, residual, converged)
-    return PoseSet(position, rotation, size < MAX_CERTIFIED_ALPHA, real, used, complete)
+    solutions = Solutions(np.empty((len(r), 0)), r, R, residual, converged)
+    return PoseSet(position, rotation, size < MAX_CERTIFIED_ALPHA, solutions, used, complete)
 
 
 @lru_cache(maxsize=1)
@@ -110,19 +118,6 @@ def _zeros(M: np.ndarray, retries: int) -> tuple[np.ndarray, int, bool]:
         if len(found) >= N_GENERIC_POSES or (repeated and arrived.all()):
             break
     return found, attempt, len(found) >= N_GENERIC_POSES or repeated
-
-
-def _real_zeros(X: np.ndarray, M: np.ndarray) -> np.ndarray:
-    """The real zeros, each proved by Newton's method in real arithmetic from its real part."""
-    # A zero is known up to a complex factor: choose the factor that makes X.X real.
-    square = (X**2).sum(axis=1)
-    X = X * np.sqrt(square.conj() / np.abs(square))[:, None]
-    X = normalise(X.real[np.abs(X.imag).max(axis=1) < NEARLY_REAL])
-    if len(X) == 0:
-        return X
-    X = refine(X, M)
-    X = X[alpha(X, M)[0] < MAX_CERTIFIED_ALPHA]
-    return X[find_distinct(X)]
 
 
 def _check_platform(C: Any, B: Any, L: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -71,12 +71,15 @@ def direct_function(s: Structure, half_steps: int) -> ca.Function:
     ideal = _check_structure(s)
     _, R = s.mechanism.start(ideal.q, ideal.p)
     r = ca.SX(ca.DM(s.mechanism.home.position))
+    w = ca.SX.sym("w", 3)
     for k in range(half_steps):
         if k % 2:
             r = _centre(s.mechanism, ideal.q, R, ideal.p, r)
         else:
-            for _ in range(NEWTON_STEPS):
-                R = _step_orientation(s.mechanism, ideal.q, ideal.p, r, R)
+            for _ in range(NEWTON_STEPS):  # on G1
+                rows = s.mechanism.closure(ideal.q, r, R + ca.skew(w) @ R, ideal.p)[:3]
+                phi, slope = ca.substitute([rows, ca.jacobian(rows, w)], [w], [ca.DM.zeros(3)])
+                R = cayley(-ca.inv_minor(slope) @ phi) @ R
     return half_step_function("circles_direct", s, s.q, r, R)
 
 
@@ -91,14 +94,6 @@ def inverse_function(s: Structure, half_steps: int) -> ca.Function:
         else:
             q = s.mechanism.nearest_home(joint_angles(s.mechanism, r, s.R, ideal.p))
     return half_step_function("circles_inverse", s, q, r, s.R)
-
-
-def _step_orientation(mechanism: Mechanism, q: Any, p: Named, r: Any, R: Any) -> Any:
-    """R after one Newton step on G1."""
-    w = ca.SX.sym("w", 3)
-    rows = mechanism.closure(q, r, R + ca.skew(w) @ R, p)[:3]
-    phi, slope = ca.substitute([rows, ca.jacobian(rows, w)], [w], [ca.DM.zeros(3)])
-    return cayley(-ca.inv_minor(slope) @ phi) @ R
 
 
 def _centre(mechanism: Mechanism, q: Any, R: Any, p: Named, r: Any) -> Any:

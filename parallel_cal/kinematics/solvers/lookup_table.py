@@ -114,7 +114,14 @@ def _build_table(
 ) -> LookUpTable:
     at = dict(conditions)
     exact, nominal = Kinematics(model), Kinematics(model.with_values(model.table.nominal))
-    axes = _axes((exact, nominal), problem, size)
+    workspace = model.mechanism.workspace
+    low, high = np.array(workspace.low), np.array(workspace.high)
+    if problem == "direct":  # the joints with which both robots reach the workspace
+        coarse = _grid([np.linspace(a, b, 5) for a, b in zip(low, high, strict=True)])
+        joints = np.vstack([_solve_at(k, "inverse", coarse, {}).joints for k in (exact, nominal)])
+        low, high = np.nanmin(joints, axis=0), np.nanmax(joints, axis=0)
+    edge = EDGE * (high - low)
+    axes = tuple(np.linspace(a, b, size) for a, b in zip(low - edge, high + edge, strict=True))
     points = _grid(axes)
     wanted, usual = (_solve_at(k, problem, points, at) for k in (exact, nominal))
     values = wanted.configuration.change_from(usual.configuration)
@@ -129,18 +136,6 @@ def _build_table(
         )
     shape = tuple(len(a) for a in axes)
     return LookUpTable(problem, axes, values.reshape(*shape, -1), order, nominal)
-
-
-def _axes(robots: Sequence[Kinematics], problem: str, size: int) -> tuple[np.ndarray, ...]:
-    """Grid axes over the workspace, or over the joints with which both robots reach it."""
-    m = robots[0].model.mechanism
-    low, high = np.array(m.workspace.low), np.array(m.workspace.high)
-    if problem == "direct":
-        points = _grid([np.linspace(a, b, 5) for a, b in zip(low, high, strict=True)])
-        joints = np.vstack([_solve_at(k, "inverse", points, {}).joints for k in robots])
-        low, high = np.nanmin(joints, axis=0), np.nanmax(joints, axis=0)
-    edge = EDGE * (high - low)
-    return tuple(np.linspace(a, b, size) for a, b in zip(low - edge, high + edge, strict=True))
 
 
 def _grid(axes: Sequence[np.ndarray]) -> np.ndarray:

@@ -66,7 +66,15 @@ def balls(
     """Find all complex z_1 (up to 16), and the three balls (3, 3) of the nearly real ones."""
     size = float(radius.mean())
     terms = [_terms(*one) for one in zip(C / size, u, radius / size, strict=True)]
-    pairs = {(i, j): _side(terms[i], terms[j], (B[i] - B[j]) / size) for i, j in SIDES}
+    # Coefficients (3, 3) of |P_i - P_j|^2 - side^2 in powers -1, 0, 1 of z_i and z_j.
+    pairs = {}
+    for i, j in SIDES:
+        side = (B[i] - B[j]) / size
+        M = -2 * terms[i][0] @ terms[j][0].T
+        M[:, 1] += terms[i][1]
+        M[1, :] += terms[j][1]
+        M[1, 1] -= side @ side
+        pairs[i, j] = M
     z = _roots(pairs)
     near = [one / abs(one) for one in z if abs(np.log(abs(one))) < NEARLY_REAL]
     return z, [point * size for one in near for point in _triangles(one, terms, pairs)]
@@ -81,32 +89,21 @@ def _terms(C: np.ndarray, u: np.ndarray, radius: float) -> tuple[np.ndarray, np.
     return P, np.array([2 * C @ a.conj(), C @ C + radius**2, 2 * C @ a])
 
 
-def _side(one: Any, other: Any, side: np.ndarray) -> np.ndarray:
-    """Coefficients (3, 3) of |P_i - P_j|^2 - side^2 in powers -1, 0, 1 of z_i and z_j."""
-    M = -2 * one[0] @ other[0].T
-    M[:, 1] += one[1]
-    M[1, :] += other[1]
-    M[1, 1] -= side @ side
-    return M
-
-
 def _roots(pairs: dict[tuple[int, int], np.ndarray]) -> np.ndarray:
     """Zeros of the resultant in z_1."""
     z = np.exp(2j * np.pi * np.arange(SAMPLES) / SAMPLES)
-    values = np.array([_resultant(one, pairs) for one in z])
+    values = []
+    for one in z:
+        # Poisson's formula: lead^4 lead^4 times the third equation at all pairs of roots.
+        f, g = (_powers(one) @ pairs[0, j] for j in (1, 2))
+        roots = product(np.roots(f[::-1]), np.roots(g[::-1]))
+        third = [x * y * (_powers(x) @ pairs[1, 2] @ _powers(y)) for x, y in roots]
+        values.append(complex(f[2] ** 4 * g[2] ** 4 * np.prod(third)))
     half = RESULTANT_DEGREE // 2
-    coefficients = np.roll(np.fft.fft(values) / SAMPLES, half)[: RESULTANT_DEGREE + 1]
+    coefficients = np.roll(np.fft.fft(np.array(values)) / SAMPLES, half)[: RESULTANT_DEGREE + 1]
     size = np.abs(coefficients).max()
     significant = np.flatnonzero(np.abs(coefficients) > NEGLIGIBLE * size)
     return np.roots(coefficients[significant[0] : significant[-1] + 1][::-1])
-
-
-def _resultant(z: complex, pairs: dict[tuple[int, int], np.ndarray]) -> complex:
-    """Poisson's formula: lead^4 lead^4 times the third equation at all pairs of roots."""
-    f, g = (_powers(z) @ pairs[0, j] for j in (1, 2))
-    roots = product(np.roots(f[::-1]), np.roots(g[::-1]))
-    third = [x * y * (_powers(x) @ pairs[1, 2] @ _powers(y)) for x, y in roots]
-    return complex(f[2] ** 4 * g[2] ** 4 * np.prod(third))
 
 
 def _powers(z: complex) -> np.ndarray:
