@@ -24,13 +24,9 @@ from parallel_cal.mechanisms.stewart42 import (
     PLATFORM,
     RETRACTED,
     Stewart42,
-    leg_parameters,
-    ring,
 )
 from parallel_cal.model.file.modelfile import write_model
-from parallel_cal.model.mechanism import Home
 from parallel_cal.model.model import Noise, new_model
-from parallel_cal.model.parameters import ParameterTable
 from parallel_cal.recordings.csv_import import import_csv
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.session.goals import Request, examine, propose_model
@@ -263,14 +259,16 @@ def test_a_fit_that_misses_a_joints_whole_range_is_never_written(tmp_path, capsy
 def jugglebot():
     """A model of the machine as its builders state it (README beside the data)."""
     turns, pairs = np.arange(6) // 2, (np.arange(6) + 1) // 2
-    base = ring(0.41, tuple(200 + 100 * turns + 20 * pairs))
-    platform = ring(0.219075, tuple(154.3012223 + 8.6024446 * turns + 111.3975554 * pairs))
-    mechanism, height = Stewart42(), 0.565
-    length = float(np.linalg.norm(platform[0] + [0, 0, height] - base[0]))
-    table = leg_parameters(platform, base, length)
-    mechanism.parameters = ParameterTable(replace(p, tolerance=0.02) for p in table)
-    mechanism.home = Home(joints=(0.0,) * 6, position=(0.0, 0.0, height))
-    mechanism.joint_limits = ((0.0, 0.3),) * 6
+    mechanism = Stewart42(
+        base={"radius": 0.41, "angles": 200 + 100 * turns + 20 * pairs},
+        platform={
+            "radius": 0.219075,
+            "angles": 154.3012223 + 8.6024446 * turns + 111.3975554 * pairs,
+        },
+        height=0.565,
+        limits=(0.0, 0.3),
+        tolerance=0.02,
+    )
     return replace(new_model(mechanism), noise=Noise(1e-3, 1e-3, 1e-3, assumed=True))
 
 

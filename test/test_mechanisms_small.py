@@ -1,6 +1,7 @@
 """Argos, Stewart, linear Delta, slider-crank, RSSR and cable robot: numbers worked by hand,
 independent points and rods, round trips, the parameter counts of table 3.1, ranks."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -779,3 +780,37 @@ def poses_from_anywhere(robot, q, rng):
     starts = rng.uniform([-0.4, -0.4, -np.pi], [0.4, 0.4, np.pi], (60, 3))
     ends = [fsolve(gaps, start, full_output=True) for start in starts]
     return [placed(u) for u, info, done, _ in ends if done == 1 and abs(info["fvec"]).max() < 1e-9]
+
+
+def test_a_hexapod_is_stated_by_its_drawing():
+    """Six points or a circle with angles, the height and nothing else: the readings at home are 0,
+    and the closure holds there."""
+    angles = [200, 220, 320, 340, 80, 100]
+    circle = {"radius": 0.41, "angles": angles}
+    points = 0.41 * np.array([[np.cos(a), np.sin(a), 0] for a in np.radians(angles)])
+    platform = {"radius": 0.22, "angles": [210, 270, 330, 30, 90, 150]}
+    models = [
+        new_model(load_mechanism("stewart42", base=base, platform=platform, height=0.6))
+        for base in (circle, points.tolist())
+    ]
+    np.testing.assert_allclose(models[0].values, models[1].values, atol=1e-12)
+    for model in models:
+        assert model.mechanism.home.joints == (0.0,) * 6
+        home = np.array([model.mechanism.home.configuration])
+        [closure, *_] = model.structure.closure_batch(home, np.zeros((1, 0)), model.values)
+        np.testing.assert_allclose(closure, 0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"base": [[0.1, 0.2, 0.0]]}, "base has the shape (1, 3); expected six points"),
+        ({"base": {"radius": 0.4}}, "base: 'angles'; expected six points"),
+        ({"height": "low"}, "height 'low'"),
+        ({"limits": [0.3, 0.1]}, "expected the lower limit first"),
+        ({"retracted": -1.0}, "expected legs longer than 0 m"),
+    ],
+)
+def test_a_wrong_drawing_of_a_hexapod_is_refused(options, words):
+    with pytest.raises(ModelError, match=re.escape(words)):
+        load_mechanism("stewart42", **options)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from parallel_cal.base.errors import ModelError
 from parallel_cal.base.units import DEGREE
 from parallel_cal.model.drawing import Line
 from parallel_cal.model.drawing import ring as closed
@@ -48,15 +50,36 @@ def one_leg(leg: str, B: np.ndarray, C: np.ndarray, retracted: float) -> list[Pa
     return [*balls, offset]
 
 
-def leg_parameters(platform: np.ndarray, base: np.ndarray, retracted: float) -> ParameterTable:
+def leg_parameters(
+    platform: np.ndarray, base: np.ndarray, retracted: float | np.ndarray
+) -> ParameterTable:
     """Make the parameters of all six legs; centres B in {P} and C in {B} are (6, 3) m each."""
-    pairs = enumerate(zip(platform, base, strict=True), start=1)
-    return ParameterTable(p for i, (B, C) in pairs for p in one_leg(f"leg{i}", B, C, retracted))
+    legs = zip(platform, base, np.broadcast_to(retracted, 6), strict=True)
+    return ParameterTable(
+        p for i, (B, C, L0) in enumerate(legs, start=1) for p in one_leg(f"leg{i}", B, C, float(L0))
+    )
 
 
+def _points(name: str, points: Points) -> np.ndarray:
+    """Return six points (6, 3) m, given as coordinates or on a circle."""
+    try:
+        if isinstance(points, Mapping):
+            known: Any = dict(points)
+            found = ring(float(known.pop("radius")), tuple(known.pop("angles")))
+            if known:
+                raise ValueError(f"unknown key {', '.join(known)}")
+        else:
+            found = np.array(points, dtype=float)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ModelError(f"{name}: {error}; {SIX_POINTS}") from None
+    if found.shape != (6, 3) or not np.isfinite(found).all():
+        raise ModelError(f"{name} has the shape {found.shape}; {SIX_POINTS}")
+    return found
+
+
+Points = Sequence[Sequence[float]] | np.ndarray | Mapping[str, Any]
+SIX_POINTS = "expected six points [x, y, z] in m, or {radius: m, angles: [six angles in degrees]}"
 PLATFORM, BASE = ring(PLATFORM_RADIUS, PLATFORM_ANGLES), ring(BASE_RADIUS, BASE_ANGLES)
-# Length of all legs at home, rounded: the last bit of a norm depends on the machine.
-LENGTH = round(float(np.linalg.norm(PLATFORM[0] + [0, 0, HEIGHT] - BASE[0])), 13)
 BODIES = {"base": ("*.C_?",), "platform": ("*.B_?",), "legs": ("*.L0",)}
 
 
@@ -66,23 +89,65 @@ class Stewart42(Mechanism):
     Leg i connects the point B of the platform with the point C of the base (`legI.B_x`, `legI.C_x`,
     ...).
 
-    In the nominal robot, these points form two flat hexagons. For another robot, change the nominal
-    values in the model file.
+    Options: `base` and `platform`, the six points C in {B} and B in {P}: (6, 3) in m, or a radius
+    in m and six angles in degrees, such as `{radius: 0.25, angles: [-10, 10, 110, 130, 230, 250]}`;
+    `height` in m of the platform above the base at home; `retracted`, the length in m of a leg at
+    reading zero (default: its length at home, so that the readings at home are 0); `limits` of the
+    readings in m; `tolerance` in m of all these numbers. Without options, the nominal robot has two
+    flat hexagons.
     """
 
     joints = tuple(f"leg{i + 1}" for i in range(6))
     joint_unit = "m"
-    parameters = leg_parameters(PLATFORM, BASE, RETRACTED)
-    home = Home(joints=(LENGTH - RETRACTED,) * 6, position=(0.0, 0.0, HEIGHT))
-    workspace = Workspace(
-        low=(-0.04, -0.04, HEIGHT - 0.03, *(-10 * DEGREE,) * 3),
-        high=(0.04, 0.04, HEIGHT + 0.03, *(10 * DEGREE,) * 3),
-    )
-    joint_limits = ((0.0, 0.2),) * 6
     closed_forms = ("inverse",)
-    length = PLATFORM_RADIUS
     bodies = BODIES
     parts = ("leg",)
+
+    def __init__(
+        self,
+        base: Points | None = None,
+        platform: Points | None = None,
+        height: float = HEIGHT,
+        retracted: float | None = None,
+        limits: Sequence[float] = (0.0, 0.2),
+        tolerance: float = 1e-3,
+    ):
+        drawn = base is not None or platform is not None
+        C = BASE if base is None else _points("base", base)
+        B = PLATFORM if platform is None else _points("platform", platform)
+        try:
+            height, tolerance = float(height), float(tolerance)
+            low, high = (float(limit) for limit in limits)
+        except (TypeError, ValueError):
+            raise ModelError(
+                f"height {height!r}, tolerance {tolerance!r}, limits {limits!r}: expected a number "
+                "in m each, and two limits in m"
+            ) from None
+        lengths = np.linalg.norm(B + [0, 0, height] - C, axis=1).round(13)
+        if retracted is None:
+            zero = lengths if drawn else np.full(6, RETRACTED)
+        else:
+            zero = np.full(6, retracted)
+        if not (np.isfinite(lengths).all() and (zero > 0).all()):
+            raise ModelError(
+                f"height {height} and retracted {retracted}: expected legs longer than 0 m"
+            )
+        if not low < high:
+            raise ModelError(f"limits {low} to {high} m: expected the lower limit first")
+        self.parameters = ParameterTable(
+            replace(p, tolerance=tolerance) for p in leg_parameters(B, C, zero)
+        )
+        readings = tuple(float(q) for q in lengths - zero)
+        self.home = Home(joints=readings, position=(0.0, 0.0, height))
+        reach = np.array([0.04, 0.04, 0.03]) * height / HEIGHT
+        middle, turn = np.array([0.0, 0.0, height]), (10 * DEGREE,) * 3
+        self.workspace = Workspace(
+            low=(*(float(v) for v in middle - reach), *(-angle for angle in turn)),
+            high=(*(float(v) for v in middle + reach), *turn),
+        )
+        self.joint_limits = ((low, high),) * 6
+        # Rounded as the lengths are: the last bit of a root depends on the machine.
+        self.length = round(float(np.sqrt(np.mean(np.sum((B - B.mean(axis=0)) ** 2, axis=1)))), 13)
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """Compute the length error of each leg, eq. 3.8 without the squares, in metres."""
