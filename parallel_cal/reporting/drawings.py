@@ -90,7 +90,9 @@ def drawing(
         return None
     groups: dict[tuple[str, bool], list[DrawnLine]] = {}
     for part in parts:
-        groups.setdefault((part.kind, _far(part, found or {})), []).append(part)
+        own = [found[name] for name in part.parameters if name in found] if found else []
+        far = any(abs(p.moved_tolerances) > MAX_MOVED_TOLERANCES for p in own if not p.fixed)
+        groups.setdefault((part.kind, far), []).append(part)
     traces = [_trace(kind, far, own, found or {}) for (kind, far), own in groups.items()]
     named = select_labelled(parts)
     at = 1e3 * np.array([part.middle for part in named]).reshape(-1, 3)
@@ -150,11 +152,6 @@ def select_labelled(parts: list[DrawnLine]) -> list[DrawnLine]:
         ]
         chosen.append(own[int(np.argmax(distances))])
     return chosen
-
-
-def _far(part: DrawnLine, found: Mapping[str, DescribedParameter]) -> bool:
-    own = (found[name] for name in part.parameters if name in found)
-    return any(abs(p.moved_tolerances) > MAX_MOVED_TOLERANCES for p in own if not p.fixed)
 
 
 def _trace(

@@ -75,7 +75,10 @@ def _traces(panel: Panel, mechanism: Mechanism) -> Iterator[Spec]:
         "customdata": panel.sample[kept].tolist(),
     }
     x, wide = means.at * factor, 0.3 * step * factor
-    across, up = _boxes(x, means.band, wide) if few else _outline_band(x, means.band)
+    if few:
+        across, up = _boxes(x, means.band, wide)
+    else:
+        across, up = np.append(x, x[::-1]), np.append(means.band, -means.band[::-1])
     yield {
         "type": "scatter",
         "mode": "lines",
@@ -92,7 +95,10 @@ def _traces(panel: Panel, mechanism: Mechanism) -> Iterator[Spec]:
         ("measured, mean", means.mean[:, 0], blue),
         ("pattern of the effect", means.mean[:, 1], orange),
     ):
-        across, up = _strokes(x, mean, wide) if few else (x, mean)  # too few values to roll
+        across, up = x, mean
+        if few:  # too few values to roll: a stroke at each, gaps between them
+            across = np.column_stack([x - wide, x + wide, np.full(len(x), np.nan)]).ravel()
+            up = np.repeat(mean, 3)
         yield {
             "type": "scatter",
             "mode": "lines",
@@ -104,17 +110,9 @@ def _traces(panel: Panel, mechanism: Mechanism) -> Iterator[Spec]:
         }
 
 
-def _outline_band(x: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return np.concatenate([x, x[::-1]]), np.concatenate([half, -half[::-1]])
-
-
 def _boxes(x: np.ndarray, half: np.ndarray, wide: float) -> tuple[np.ndarray, np.ndarray]:
     """A rectangle about each (x, 0), gaps between them."""
     none = np.full(len(x), np.nan)
     across = [x - wide, x + wide, x + wide, x - wide, x - wide, none]
     up = [half, half, -half, -half, half, none]
     return np.column_stack(across).ravel(), np.column_stack(up).ravel()
-
-
-def _strokes(x: np.ndarray, y: np.ndarray, wide: float) -> tuple[np.ndarray, np.ndarray]:
-    return np.column_stack([x - wide, x + wide, np.full(len(x), np.nan)]).ravel(), np.repeat(y, 3)

@@ -22,14 +22,13 @@ def blind_spots(loops: Sequence[Loop], robot: Model, J: np.ndarray) -> tuple[str
     for what, move in _moves(loops, robot).items():
         lost = move @ _null(scaled @ move, floor)
         if lost.shape[1]:
-            words.append(f"{what} ({_format_count(lost.shape[1])})")
-            blind = _remove_directions(blind, lost)
+            count = lost.shape[1]
+            words.append(f"{what} ({count} direction{'s' if count > 1 else ''})")
+            # An orthonormal basis of those blind directions that are square to the lost ones.
+            left, sizes, _ = np.linalg.svd(blind - lost @ (np.linalg.pinv(lost) @ blind))
+            blind = left[:, : int(np.sum(sizes > 0.5))]
     names = [n for n, f in zip(robot.table.names, free, strict=True) if f]
     return (*words, *(direction_in_words(combination(d, names), robot.table) for d in blind.T))
-
-
-def _format_count(n: int) -> str:
-    return f"{n} direction{'s' if n > 1 else ''}"
 
 
 def _moves(loops: Sequence[Loop], robot: Model) -> dict[str, np.ndarray]:
@@ -80,9 +79,3 @@ def _find_moving_parameters(by_p: np.ndarray, moved: np.ndarray) -> np.ndarray:
     steps = np.linalg.lstsq(by_p, moved, rcond=1e-9)[0]
     missed = moved - by_p @ steps
     return np.linalg.qr(steps @ _null(missed, 1e-6 * _largest(moved)))[0]
-
-
-def _remove_directions(basis: np.ndarray, removed: np.ndarray) -> np.ndarray:
-    """An orthonormal basis of what of `basis` is square to `removed`."""
-    left, sizes, _ = np.linalg.svd(basis - removed @ (np.linalg.pinv(removed) @ basis))
-    return left[:, : int(np.sum(sizes > 0.5))]
