@@ -1,4 +1,4 @@
-# make demo | test | check | wide | slow | bags | bench | faults | tables | gallery | clean      (PYTHON=python3.12 make ... for another)
+# make demo | test | check | wide | slow | bags | bench | faults | tables | gallery | real | clean      (PYTHON=python3.12 make ... for another)
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -16,7 +16,7 @@ endif
 # Nodes under test talk to this machine only.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
-.PHONY: venv demo test wide check lint types slow bags bench faults tables gallery clean
+.PHONY: venv demo test wide check lint types slow bags bench faults tables gallery real clean
 
 venv: $(STAMP)
 
@@ -94,6 +94,10 @@ tables: $(STAMP)
 gallery: $(STAMP)
 	@$(BIN)/python docs/mechanisms.py
 	@$(BIN)/python docs/gallery.py
+
+# The real machines in real/ calibrated beside independent fits (docs/real_machines.md).
+real: $(STAMP)
+	@$(BIN)/python -m bench.real_machines
 
 clean:
 	@rm -rf $(VENV) build install log dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

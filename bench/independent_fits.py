@@ -183,9 +183,9 @@ def fit_cable_robot(
     anchors: Array, radius: float, pay_out: Array, motors: Array, r: Array, bend: bool
 ) -> Array:
     """Fit anchors (4, 3), offsets (4), one radius of three spools, one of the fourth, and with
-    `bend` a quadratic term of each: the radius falls while a line is paid out."""
-    start = np.concatenate([anchors.ravel(), np.zeros(4), [radius, radius], np.zeros(2)])
-    free = len(start) if bend else len(start) - 2
+    `bend` one quadratic term: the radii fall while lines are paid out."""
+    start = np.concatenate([anchors.ravel(), np.zeros(4), [radius, radius], np.zeros(1)])
+    free = len(start) if bend else len(start) - 1
 
     def error(part: Array) -> Array:
         p = np.concatenate([part, start[free:]])
@@ -197,7 +197,8 @@ def fit_cable_robot(
 
 def _cable_residuals(p: Array, pay_out: Array, motors: Array, r: Array) -> Array:
     anchors, offsets = p[:12].reshape(4, 3), p[12:16]
-    radius, bend = p[[16, 16, 16, 17]], p[[18, 18, 18, 19]]
+    radius = p[[16, 16, 16, 17]]
+    bend = p[18] / pay_out  # a pulley block of n parts pays out 1/n, and winds n times as much
     angle = motors * pay_out  # of the spool, per part of the line
     lines = radius * angle + bend * angle**2 + offsets
     return np.asarray(

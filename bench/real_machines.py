@@ -1,0 +1,380 @@
+"""Calibrate the real machines in `real/` with the tool and with independent fits, and write
+docs/real_machines.md: `python -m bench.real_machines [NAME ...]`.
+
+Each set is divided once into poses for fitting and poses that neither the tool nor the independent
+fit sees. All errors are at the latter.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import parallel_cal as pc
+from bench import independent_fits as own
+from parallel_cal.cli import main as cli
+from parallel_cal.recordings.csv_import import import_csv
+
+ROOT = Path(__file__).parents[1]
+REAL = ROOT / "real"
+PAGE, RESULTS = ROOT / "docs" / "real_machines.md", ROOT / "docs" / "real_machines.json"
+HELD_OUT = 0.25
+MAX_EFFECTS = 6  # rounds of diagnose and add
+
+Array = np.ndarray
+
+# Makers' numbers (m, rad): a, d, alpha of each link.
+QUARTER = float(np.pi / 2)
+ARMS: dict[str, tuple[tuple[float, float, float], ...]] = {
+    "ur5": (
+        (0.0, 0.089159, QUARTER),
+        (-0.425, 0.0, 0.0),
+        (-0.39225, 0.0, 0.0),
+        (0.0, 0.10915, QUARTER),
+        (0.0, 0.09465, -QUARTER),
+        (0.0, 0.0823, 0.0),
+    ),
+    "wam": (
+        (0.0, 0.0, -QUARTER),
+        (0.0, 0.0, QUARTER),
+        (0.045, 0.55, -QUARTER),
+        (-0.045, 0.0, QUARTER),
+        (0.0, 0.3, -QUARTER),
+        (0.0, 0.0, QUARTER),
+        (0.0, 0.06, 0.0),
+    ),
+}
+AXES = {
+    "ur5": ("perpendicular", "parallel", "parallel", "perpendicular", "perpendicular"),
+    "wam": ("perpendicular",) * 6,
+}
+HOME = {
+    "ur5": (0.3, -1.2, 1.4, -0.8, -1.3, 0.4),
+    "wam": (0.1, 0.5, 0.1, 1.2, 0.1, 0.5, 0.1),
+}
+# Stated revolutions per millimetre of the six strings.
+TURNS_PER_MM = (0.01321144, 0.0140456, 0.0138233, 0.014124109, 0.01416007, 0.01403256)
+
+
+@dataclass
+class Machine:
+    """A machine, what its owner writes by hand, and what was found; errors in m."""
+
+    name: str
+    title: str
+    hand_work: str
+    unit: str
+    samples: int = 0
+    registered: float = np.nan
+    geometry: float = np.nan
+    effects: list[str] = field(default_factory=list)
+    with_effects: float = np.nan
+    own: dict[str, float] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+
+def split(n: int) -> tuple[Array, Array]:
+    """Return the indices for fitting, and those of the held-out poses."""
+    order = np.random.default_rng(0).permutation(n)
+    count = round(HELD_OUT * n)
+    return np.sort(order[count:]), np.sort(order[:count])
+
+
+def timed(machine: Machine, name: str, work: Callable[[], Any]) -> Any:
+    began = time.perf_counter()
+    found = work()
+    seconds = time.perf_counter() - began
+    machine.seconds[name] = max(machine.seconds.get(name, 0.0), seconds)
+    return found
+
+
+def calibrate(machine: Machine, model: pc.Model, data: pc.Dataset) -> pc.Model:
+    """Fit, then diagnose and add until nothing is named; note the errors at held-out poses."""
+    training, held_out = (data.select(index) for index in split(len(data)))
+
+    def error(model: pc.Model) -> float:
+        return float(pc.compare(model, held_out).errors.summary.position_rms)
+
+    machine.samples = len(data)
+    machine.registered = error(model)
+    fitted = timed(machine, "fit", lambda: pc.fit(model, training))
+    machine.geometry = error(fitted.model)
+    model = fitted.model
+    for _ in range(MAX_EFFECTS):
+        found = timed(machine, "diagnose", lambda model=model: pc.diagnose(model, training))
+        machine.notes.append(f"{found.verdict.word}: {found.verdict.summary}")
+        if not found.additions:
+            break
+        for addition in found.additions:
+            step = timed(machine, "add", lambda a=addition: pc.add(model, a, training))
+            model = step.model
+            machine.effects.append(str(addition))
+    machine.with_effects = error(model)
+    return model
+
+
+def jugglebot(folder: Path) -> Machine:
+    """Calibrate the hexapod on strings."""
+    machine = Machine(
+        "jugglebot",
+        "Jugglebot, hexapod on strings and spools",
+        "the drawing (one command), a column map of nine lines",
+        "mm",
+    )
+    source = REAL / "jugglebot"
+    data = import_csv(source / "poses_108.csv", source / "columns.yaml")
+    calibrate(machine, pc.read_model(source / "model.yaml"), data)
+    table = np.genfromtxt(source / "poses_108.csv", delimiter=",", names=True)
+    turns = np.stack([table[f"leg_length_{i + 1}"] for i in range(6)], axis=1)
+    r = 1e-3 * np.stack([table[f"position_{a}"] for a in "xyz"], axis=1)
+    R = Rotation.from_quat(
+        np.stack([table[f"orientation_{a}"] for a in "xyzw"], axis=1)
+    ).as_matrix()
+    start = own.hexapod_start(*jugglebot_drawing())
+    per_turn = 1e-3 / np.array(TURNS_PER_MM)
+    fitting, held_out = split(len(r))
+    for label, free in (
+        ("geometry", 42),
+        ("with a gain of each leg", 48),
+        ("with gain and bend of each leg", 54),
+    ):
+        p = own.fit_hexapod(start, free, turns[fitting], per_turn, r[fitting], R[fitting])
+        machine.own[label] = own.rms(
+            own.hexapod_errors(p, turns[held_out], per_turn, r[held_out], R[held_out])
+        )
+    return machine
+
+
+def jugglebot_angles() -> tuple[list[float], list[float]]:
+    """Return the angles of base and platform joints in degrees, as the builders state them."""
+    leg = np.arange(6)
+    turns, pairs = leg // 2, (leg + 1) // 2
+    base = 200.0 + 100 * turns + 20 * pairs
+    platform = 154.3012223 + 8.6024446 * turns + 111.3975554 * pairs
+    return base.tolist(), platform.round(7).tolist()
+
+
+def jugglebot_drawing() -> tuple[Array, Array, float]:
+    def ring(radius: float, degrees: Sequence[float]) -> Array:
+        a = np.radians(degrees)
+        return radius * np.stack([np.cos(a), np.sin(a), 0 * a], axis=1)
+
+    base, platform = (
+        ring(radius, angles)
+        for radius, angles in zip((0.41, 0.219075), jugglebot_angles(), strict=True)
+    )
+    return base, platform, float(np.linalg.norm(platform[0] + [0, 0, 0.565] - base[0]))
+
+
+def arm(kind: str, title: str, folder: Path) -> Machine:
+    """Calibrate a serial arm from positions of one reflector."""
+    machine = Machine(
+        kind,
+        title,
+        f"{len(ARMS[kind])} lines of Denavit-Hartenberg parameters, a column map of "
+        f"{len(ARMS[kind]) + 2} lines",
+        "um",
+    )
+    source = REAL / "laser_arms"
+    data = import_csv(source / f"{kind}.csv", source / f"{kind}.columns.yaml")
+    calibrate(machine, pc.read_model(source / f"{kind}.yaml"), data)
+    table = np.genfromtxt(source / f"{kind}.csv", delimiter=",", names=True)
+    n = len(ARMS[kind])
+    q = np.radians(np.stack([table[f"joint_{i + 1}"] for i in range(n)], axis=1))
+    r = 1e-3 * np.stack([table[f"{a}_mm"] for a in "xyz"], axis=1)
+    fitting, held_out = split(len(r))
+    cases: list[tuple[str, dict[str, Any]]] = [
+        ("registered only", {"frames_only": True}),
+        ("geometry", {}),
+    ]
+    if kind == "ur5":
+        cases.append(("with harmonics 2, 3 and 13 of each joint", {"harmonics": (2, 3, 13)}))
+    for label, options in cases:
+        p = own.fit_arm(ARMS[kind], q[fitting], r[fitting], **options)
+        computed = own.arm_positions(p, ARMS[kind], q[held_out], options.get("harmonics", ()))
+        machine.own[label] = own.rms(computed - r[held_out])
+    return machine
+
+
+def hangprinter(folder: Path) -> Machine:
+    """Calibrate the cable robot."""
+    machine = Machine(
+        "hangprinter_hp4",
+        "Hangprinter HP4, cable robot with four lines",
+        "the anchors (one command), a column map of six lines",
+        "mm",
+    )
+    source = REAL / "hangprinter_hp4"
+    data = import_csv(
+        source / "hp4_2021-12-14.csv", ROOT / "config" / "columns" / "hangprinter_hp4.yaml"
+    )
+    calibrate(machine, pc.read_model(ROOT / "config" / "hangprinter_hp4.yaml"), data)
+    table = np.genfromtxt(source / "hp4_2021-12-14.csv", delimiter=",", names=True)
+    motors = np.radians(np.stack([table[f"motor{c}_deg"] for c in "ABCD"], axis=1))
+    r = 1e-3 * np.stack([table[f"{a}_mm"] for a in "xyz"], axis=1)
+    anchors = np.array([(0, -1.6, -0.11), (1.3, 1.25, -0.15), (-1.44, 0.74, -0.16), (0, 0, 2.345)])
+    pay_out = 20 / 255 / np.array([2, 2, 2, 4])
+    fitting, held_out = split(len(r))
+    for label, bend in (("geometry", False), ("with spools that shrink", True)):
+        p = own.fit_cable_robot(anchors, 0.075, pay_out, motors[fitting], r[fitting], bend)
+        errors = own.cable_robot_errors(p, pay_out, motors[held_out], r[held_out])
+        machine.own[label] = own.rms(errors)
+    return machine
+
+
+MACHINES: dict[str, Callable[[Path], Machine]] = {
+    "jugglebot": jugglebot,
+    "ur5": lambda folder: arm("ur5", "UR5, serial arm and laser tracker", folder),
+    "wam": lambda folder: arm("wam", "Barrett WAM, serial arm and laser tracker", folder),
+    "hangprinter_hp4": hangprinter,
+}
+
+
+def run(*arguments: object) -> None:
+    """Run a command of parallel-cal; its failure ends this program."""
+    try:
+        cli.main([str(a) for a in arguments])
+    except SystemExit as ended:
+        if ended.code:
+            raise
+
+
+def write_models() -> None:
+    """Write the model files and column maps in `real/` as an owner makes them."""
+    base, platform = jugglebot_angles()
+    run(
+        "new",
+        "stewart42",
+        *("--option", f"base={{radius: 0.41, angles: {base}}}"),
+        *("--option", f"platform={{radius: 0.219075, angles: {platform}}}"),
+        *("--option", "height=0.565", "--option", "limits=[0, 0.3]", "--option", "tolerance=0.02"),
+        *("-o", REAL / "jugglebot" / "model.yaml"),
+    )
+    legs = "".join(
+        f"  leg{i}: {{column: leg_length_{i}, unit: rev, per_rev: {1 / v:.4f} mm}}\n"
+        for i, v in enumerate(TURNS_PER_MM, start=1)
+    )
+    columns = (
+        "# Motor revolutions since homing, and the platform by motion capture.\n"
+        f"joints:\n{legs}"
+        "position: {columns: [position_x, position_y, position_z], unit: mm}\n"
+        "orientation: [orientation_x, orientation_y, orientation_z, orientation_w]\n"
+    )
+    (REAL / "jugglebot" / "columns.yaml").write_text(columns)
+    for kind, rows in ARMS.items():
+        links = ["- {joint: null, axes: coincident}"]
+        for (a, d, alpha), axes in zip(rows, [*AXES[kind], None], strict=True):
+            ends = f", axes: {axes}" if axes else ""
+            links.append(f"- {{joint: R, a: {a}, d: {d}, alpha: {alpha}{ends}}}")
+        run(
+            "new",
+            "serial",
+            *("--option", "links=" + "\n".join(links)),
+            *("--option", f"home={list(HOME[kind])}"),
+            *("-o", REAL / "laser_arms" / f"{kind}.yaml"),
+        )
+        joints = "".join(
+            f"  joint{i + 1}: {{column: joint_{i + 1}, unit: deg}}\n" for i in range(len(rows))
+        )
+        (REAL / "laser_arms" / f"{kind}.columns.yaml").write_text(
+            "# Joint angles, and the positions of one reflector by a laser tracker.\n"
+            f"joints:\n{joints}position: {{columns: [x_mm, y_mm, z_mm], unit: mm}}\n"
+        )
+
+
+INTRODUCTION = """# Real machines
+
+How well does parallel_cal calibrate machines that other people built and measured? This page says it
+for each set in [real/](../real/README.md), beside an independent fit (`bench/independent_fits.py`:
+scipy, kinematics of its own, nothing of this package). `make real` makes it.
+
+Each set is divided once: three quarters of the poses are for fitting, one quarter is for judging.
+Neither the tool nor the independent fit sees the poses for judging. All errors are rms position
+errors there.
+
+- **registered**: the makers' dimensions; only the frames of device and target are estimated.
+- **geometry**: `fit`.
+- **with effects**: `diagnose` and `add` until the diagnosis names nothing.
+- **independent**: least squares with the same unknowns.
+"""
+
+HEADER = [
+    "machine",
+    "poses",
+    "registered",
+    "geometry",
+    "independent",
+    "with effects",
+    "independent",
+]
+
+
+def write_page(results: dict[str, dict[str, Any]]) -> None:
+    """Write docs/real_machines.md from the kept results."""
+    machines = [Machine(**results[name]) for name in MACHINES if name in results]
+    rows = [HEADER, ["---"] * len(HEADER), *(_row(machine) for machine in machines)]
+    lines = ["| " + " | ".join(row) + " |" for row in rows]
+    parts = [INTRODUCTION, "\n".join(lines), *(_section(machine) for machine in machines)]
+    PAGE.write_text("\n\n".join(part.strip() for part in parts) + "\n")
+
+
+def _row(machine: Machine) -> list[str]:
+    cases = list(machine.own)
+    geometry = machine.own.get("geometry", np.nan)
+    last = machine.own[cases[-1]]
+    return [
+        f"[{machine.title}](#{machine.name.replace('_', '-')})",
+        str(machine.samples),
+        *(
+            _length(machine, value)
+            for value in (machine.registered, machine.geometry, geometry, machine.with_effects)
+        ),
+        f"{_length(machine, last)} ({cases[-1]})" if cases[-1] != "geometry" else "-",
+    ]
+
+
+def _length(machine: Machine, metres: float) -> str:
+    scale, digits = {"mm": (1e3, 2), "um": (1e6, 0)}[machine.unit]
+    return f"{scale * metres:.{digits}f} {machine.unit}"
+
+
+def _section(machine: Machine) -> str:
+    effects = ", then ".join(f"`{effect}`" for effect in machine.effects) or "none"
+    seconds = ", ".join(f"{name} {value:.0f} s" for name, value in machine.seconds.items())
+    said = "\n".join(f"{i}. {note}" for i, note in enumerate(machine.notes, start=1))
+    return (
+        f"## {machine.name.replace('_', '-')}\n\n"
+        f"By hand: {machine.hand_work}. Effects added: {effects}. Time on two cores: {seconds} "
+        "(the longest call of each).\n\n"
+        f"What `diagnose` said, in order:\n\n{said}"
+    )
+
+
+def main(names: Sequence[str]) -> None:
+    results: dict[str, dict[str, Any]] = {}
+    if RESULTS.exists():
+        results = json.loads(RESULTS.read_text())
+    with tempfile.TemporaryDirectory() as folder:
+        for name in names or MACHINES:
+            machine = MACHINES[name](Path(folder))
+            results[name] = json.loads(json.dumps(vars(machine), default=float))
+            print(json.dumps(results[name], indent=1), flush=True)
+    RESULTS.write_text(json.dumps(results, indent=1) + "\n")
+    write_page(results)
+
+
+if __name__ == "__main__":
+    if sys.argv[1:] == ["models"]:
+        write_models()
+    else:
+        main(sys.argv[1:])
