@@ -468,7 +468,7 @@ def test_a_malformed_table_is_a_clear_error_and_writes_nothing(run, tmp_path):
         )
         fails(result, "q.csv:1", word)
     (tmp_path / "q.csv").write_bytes(b"\xff\xfe\x00")
-    fails(run("direct", DELTA24, "--input", tmp_path / "q.csv"), "Save it as UTF-8")
+    fails(run("direct", DELTA24, "--input", tmp_path / "q.csv"), "it is not text")
     fails(run("direct", DELTA24, "--input", tmp_path / "no.csv"), "cannot be read")
     assert not (tmp_path / "p.csv").exists()
 

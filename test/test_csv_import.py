@@ -114,7 +114,11 @@ def test_orientations_alone_are_a_measurement(files):
         ((",22.5,", ",nan,"), "t.csv:4: column T contains 'nan'"),
         ((",22.5,", ",cold,"), "t.csv:4: column T contains 'cold'"),
         ((",23,home", ",23"), "t.csv:5: 11 cells, but the header has 12"),
-        ((",1,0,0,0,", ",1,1,0,0,"), "t.csv:5: qx, qy, qz, qw are not a quaternion"),
+        ((",1,0,0,0,", ",1,1,0,0,"), "t.csv:5: .* are a quaternion of length 1.414, expected"),
+        ((",1,0,0,0,", ",1e-200,0,0,0,"), "t.csv:5: .* are a quaternion of length 0, expected 1"),
+        ((",23,home", ',"2\n3",home'), r"t.csv:6: column T contains '2\\n3', expected a finite"),
+        ((",22.5,", ",1_000,"), "t.csv:4: column T contains '1_000'"),
+        ((",22.5,", ',"22,5",'), "column T contains '22,5', .*decimal comma needs a semicolon"),
         (("number,a_deg", "x,a_deg"), "t.csv:1: a column occurs twice"),
         ((TABLE, "a,b\n"), "expected a header line and rows, found only 1 line"),
     ],
@@ -167,6 +171,42 @@ def test_a_comma_may_be_the_decimal_point_where_cells_are_apart_otherwise(files)
     data = import_csv(*files(table, SHORT + "position: {columns: [x, y, z]}"))
     np.testing.assert_allclose(data.q[0], [np.radians(1.5), 2.25e-3])
     np.testing.assert_allclose(data.r[0], [-5e-4, 0, 1e-4])
+
+
+GERMAN = "arm [°];slide [µm];x_mm;y_mm;z_mm\r\n1,5;2,25;-0,5;0;1e-1\r\n"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        GERMAN.encode("latin-1"),
+        GERMAN.encode(),
+        GERMAN.encode("utf-8-sig"),
+        GERMAN.encode("utf-16"),
+        GERMAN.replace("\r\n", "\r").encode("latin-1"),
+        GERMAN.replace("arm [°]", '"arm\r\n[°]"').encode("cp1252"),
+    ],
+)
+def test_encodings_and_line_ends_of_windows_programs_are_read(files, tmp_path, content):
+    table, columns = files("", SHORT + "position: {columns: [x, y, z]}")
+    table.write_bytes(content)
+    data = import_csv(table, columns)
+    np.testing.assert_allclose(data.q, [[np.radians(1.5), 2.25e-6]])
+    np.testing.assert_allclose(data.r, [[-5e-4, 0, 1e-4]])
+
+
+def test_a_file_that_is_not_text_is_refused(files):
+    table, columns = files()
+    table.write_bytes(b"\x89PNG\r\n\x1a\n\x00\xff")
+    with pytest.raises(ParallelCalError, match=r"t.csv: not a CSV table: it is not text"):
+        import_csv(table, columns)
+
+
+def test_thousands_separators_are_refused_with_both_cells_and_lines(files):
+    table = "arm_deg;slide_mm;x_mm;y_mm;z_mm\n1;2;3;4;0.5\n1;2;3;4;1,234\n"
+    words = "t.csv:3: column z_mm contains '1,234', but '0.5' in line 2: .* thousands separators"
+    with pytest.raises(ParallelCalError, match=words):
+        import_csv(*files(table, SHORT + "position: {columns: [x, y, z]}"))
 
 
 def test_a_unit_that_the_header_contradicts_is_refused(files):

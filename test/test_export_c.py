@@ -289,7 +289,8 @@ def test_the_command_writes_the_robot_alone_with_a_makefile_that_checks_it(tmp_p
         ("d", "no target 'd': expected one of c, grblhal, klipper, linuxcnc, rrf, table, urdf"),
         ("c:size=3", "option 'size=3': expected one of name="),
         ("c:poses=many", "option 'poses=many': expected one of name="),
-        ("c:poses=1", "poses=1: expected 2 or more"),
+        ("c:poses=1", "poses=1: expected 2 to 300000"),
+        ("c:poses=99999999999", "poses=99999999999: expected 2 to 300000"),
         ("c:name=my robot", "name=my robot: expected a valid C identifier"),
     ],
 )

@@ -134,9 +134,12 @@ def test_a_list_may_come_from_any_spreadsheet(folder, apart):
     assert (job.robot, job.recording, job.model.name) == ("x", "a/monday", "all.yaml")
 
 
-def test_a_list_in_another_encoding_says_what_to_do(folder):
-    (folder / "list.csv").write_text("robot,model,recording\nMüller,a,b", encoding="latin-1")
-    with pytest.raises(DatasetError, match=r"list.csv: .*Save it as UTF-8"):
+def test_a_list_may_be_latin_1_and_another_encoding_is_an_error(folder):
+    text = "robot,model,recording\nMüller,all.yaml,a/monday"
+    (folder / "list.csv").write_text(text, encoding="latin-1")
+    assert [job.robot for job in jobs_of(folder / "list.csv")] == ["Müller"]
+    (folder / "list.csv").write_bytes(b"\x93\x00\xe8" + text.encode("latin-1"))
+    with pytest.raises(DatasetError, match=r"list.csv: not a CSV table: it is not text"):
         jobs_of(folder / "list.csv")
 
 

@@ -175,6 +175,18 @@ def test_a_value_in_a_model_file_is_read_back(value):
     assert parse_yaml(f"key: {line}", "text").data == {"key": value}
 
 
+@given(st.integers(-(10**18) + 1, 10**18 - 1))
+@example(-(10**17))
+def test_a_whole_number_has_18_digits_besides_its_sign(number):
+    assert parse_yaml(f"key: {number}", "text").data == {"key": number}
+
+
+@given(proper_text)
+@example("first\nsecond\u2028third")
+def test_an_error_is_one_line_whatever_text_it_quotes(text):
+    assert len(str(ParallelCalError(f"column {text} is missing")).splitlines()) == 1
+
+
 def test_a_file_name_that_is_not_utf8_can_be_written():
     assert parse_yaml(f"key: {flow('a' + chr(0xDCFF))}", "text").data == {"key": "a\\udcff"}
 
@@ -210,6 +222,14 @@ def test_rotations_survive_vectors_and_quaternions_near_zero_and_near_pi(directi
     assert quaternion[3] >= 0
     np.testing.assert_allclose(matrix_to_quaternion(R[None])[0], quaternion, atol=1e-15)
     np.testing.assert_allclose(quaternion_to_matrix(quaternion), R, atol=1e-14)
+
+
+@given(directions, st.floats(-300, 300))
+@example(np.array([1.0, 2.0, 3.0]), -200.0)  # the squares of such numbers are zero
+def test_a_quaternion_of_any_length_is_the_same_rotation(direction, power):
+    quaternion = np.array([*direction, 1.0])
+    R = quaternion_to_matrix(quaternion)
+    np.testing.assert_allclose(quaternion_to_matrix(10.0**power * quaternion), R, atol=1e-14)
 
 
 # ------------------------------------------------------------------------------------ slopes

@@ -11,6 +11,10 @@ from pathlib import Path
 class ParallelCalError(Exception):
     """Base of every error the package raises on purpose; one readable sentence."""
 
+    def __str__(self) -> str:
+        # A message may quote a file, and a quoted cell or key may contain line breaks.
+        return " ".join(super().__str__().splitlines())
+
 
 class BagError(ParallelCalError):
     """A recording cannot be opened, or a whole stream in it cannot be used."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import errno
 import fcntl
 import hashlib
 import json
 import os
+import re
 import stat
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
@@ -15,16 +17,15 @@ from pathlib import Path
 from typing import Any
 
 MEGABYTE = 1 << 20
+NOT_TEXT = re.compile(r"[\x00-\x08\x0e-\x1f]")  # any byte is a letter or a sign in Latin-1
 BACKUP_SUFFIX = ".previous"  # appended to the name of a file that was replaced
 
 
-def read_text(
-    path: str | Path, most: int = 16 * MEGABYTE, encoding: str = "utf-8", errors: str = "strict"
-) -> str:
+def read_bytes(path: str | Path, most: int = 16 * MEGABYTE) -> bytes:
     """Read a regular file of at most `most` bytes.
 
     A pipe or a device could block or never end: it raises OSError, as does a file that is too
-    large. UnicodeDecodeError if the file is not text.
+    large.
     """
     # Open the file before checking it, so that another process cannot exchange it in between.
     # With O_NONBLOCK, opening a pipe does not wait for a writer.
@@ -37,7 +38,35 @@ def read_text(
     if len(content) > most:
         words = f"it is larger than {most // MEGABYTE} MB"
         raise OSError(errno.EFBIG, words, str(path))
-    return content.decode(encoding, errors)
+    return content
+
+
+def read_text(
+    path: str | Path, most: int = 16 * MEGABYTE, encoding: str = "utf-8", errors: str = "strict"
+) -> str:
+    """Read a text file, with the limits of `read_bytes`; UnicodeDecodeError if it is not text."""
+    return read_bytes(path, most).decode(encoding, errors)
+
+
+def read_foreign_text(path: str | Path, most: int = 16 * MEGABYTE) -> str:
+    """Read a text file of another program, with the limits of `read_bytes`; lines end with LF.
+
+    A byte order mark states UTF-8 or UTF-16. A text without one is UTF-8, or else Latin-1 as
+    Windows writes it (code page 1252), in which a tracker writes `°` and `µm`.
+    UnicodeDecodeError if the file is neither.
+    """
+    content = read_bytes(path, most)
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        text = content.decode("utf-16")
+    else:
+        try:
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = content.decode("cp1252")
+            if found := NOT_TEXT.search(text):
+                at = found.start()
+                raise UnicodeDecodeError("cp1252", content, at, at + 1, "not text") from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def write_atomically(path: str | Path, text: str, like: str | Path | None = None) -> None:

@@ -54,6 +54,10 @@ def left_generators(R: Any) -> Any:
 def quaternion_to_matrix(quaternion: np.ndarray | Sequence[float]) -> np.ndarray:
     """Convert quaternions x y z w (..., 4) of any non-zero length to matrices (..., 3, 3)."""
     q = np.asarray(quaternion, dtype=float)
+    size = np.abs(q).max(axis=-1, keepdims=True)
+    extreme = (size > 0) & np.isfinite(size) & ((size < 1e-100) | (size > 1e100))
+    if extreme.any():  # the squares of such numbers are 0 or infinite
+        q = q / np.where(extreme, size, 1.0)
     x, y, z, w = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],

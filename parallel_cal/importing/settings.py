@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError
-from parallel_cal.base.files import read_text
+from parallel_cal.base.files import read_foreign_text
 
 
 @dataclass(frozen=True)
@@ -94,11 +94,11 @@ class Settings:
 def read_lines(path: Path) -> list[tuple[SourceLine, str]]:
     """Read the lines of a text file; DatasetError if it is not text."""
     try:
-        text = read_text(path, encoding="utf-8-sig")
+        text = read_foreign_text(path)
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise DatasetError(f"{path}:1: not text (UTF-8)") from None
+        raise DatasetError(f"{path}:1: not text (UTF-8, UTF-16 or Latin-1)") from None
     return [(SourceLine(path, k), line) for k, line in enumerate(text.splitlines(), start=1)]
 
 

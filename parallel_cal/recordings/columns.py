@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError, field_validator
 
 from parallel_cal.base.errors import ModelFileError
-from parallel_cal.base.files import read_text
+from parallel_cal.base.files import read_foreign_text
 from parallel_cal.base.units import UNITS, Angle, Length
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.file.schema import NoisePart, Part, sentence, suggestion
@@ -118,9 +118,9 @@ class ColumnMap(Part):
 def read_column_map(path: Path) -> ColumnMap:
     """Read a column map; ModelFileError names line and key of an error."""
     try:
-        document = parse_yaml(read_text(path), str(path))
+        document = parse_yaml(read_foreign_text(path), str(path))
     except UnicodeDecodeError:
-        raise ModelFileError(f"{path}:1: not YAML: the file is not text (UTF-8)") from None
+        raise ModelFileError(f"{path}:1: not YAML: the file is not text") from None
     try:
         found = ColumnMap.model_validate(document.data)
     except ValidationError as error:

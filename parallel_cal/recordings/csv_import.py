@@ -221,7 +221,8 @@ def _rotation(wanted: ColumnMap, found: Columns) -> np.ndarray | None:
     if (bad := np.flatnonzero(np.abs(length - 1) > 0.05)).size:
         table, _ = found._find_column(given[0])
         raise DatasetError(
-            f"{table.path}:{table.lines[bad[0]]}: {', '.join(given)} are not a "
-            "quaternion x y z w of length 1"
+            f"{table.path}:{table.lines[bad[0]]}: {', '.join(given)} are a quaternion of length "
+            f"{length[bad[0]]:.4g}, expected 1: check that the columns are x, y, z and w, or "
+            "remove the line"
         )
     return quaternion_to_matrix(quaternions)

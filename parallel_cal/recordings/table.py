@@ -1,7 +1,7 @@
 """A table in a text file: a header and rows, read as numbers by column.
 
 Commas, semicolons or tabs separate the cells. The decimal sign is a point, or a comma if commas do
-not separate the cells.
+not separate the cells. A column in which both occur has thousands separators, and is refused.
 """
 
 from __future__ import annotations
@@ -17,7 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError
+from parallel_cal.base.files import MEGABYTE, read_foreign_text
 from parallel_cal.base.units import UNIT_ALIASES, UNITS
+
+MAX_TABLE_BYTES = 512 * MEGABYTE
 
 
 @dataclass(frozen=True)
@@ -62,24 +65,48 @@ class Table:
 
     def column(self, name: str) -> np.ndarray:
         """Return a column's numbers (N,); NaN for a cell that is not a number."""
-        numbers = []
-        for text in self.texts(name):
-            try:
-                numbers.append(float(text.replace(self.decimal, ".")))
-            except ValueError:
-                numbers.append(math.nan)
-        return np.array(numbers, dtype=float)
+        return np.array([self._number(text) for text in self.texts(name)], dtype=float)
+
+    def _number(self, text: str) -> float:
+        try:
+            # Python would read 1_000, too.
+            return math.nan if "_" in text else float(text.replace(self.decimal, "."))
+        except ValueError:
+            return math.nan
 
     def numbers(self, names: Sequence[str]) -> np.ndarray:
         """Return (N, len(names)); DatasetError at the first cell that is not a finite number."""
+        columns = []
         for name in names:
-            for k in np.flatnonzero(~np.isfinite(self.column(name))):
+            numbers, texts = self.column(name), self.texts(name)
+            for k in np.flatnonzero(~np.isfinite(numbers)):
                 raise DatasetError(
                     f"{self.path}:{self.lines[k]}: column {name} contains "
-                    f"'{self.texts(name)[k]}', expected a finite number: enter one or remove "
-                    "the line"
+                    f"{texts[k]!r:.60}, expected a finite number: enter one or remove "
+                    f"the line{self._explain_comma(texts[k])}"
                 )
-        return np.column_stack([self.column(name) for name in names])
+            self._check_decimal_sign(name, texts)
+            columns.append(numbers)
+        return np.column_stack(columns)
+
+    def _explain_comma(self, text: str) -> str:
+        if self.decimal == "," or "," not in text:
+            return ""
+        return ". A decimal comma needs a semicolon or a tab between the cells"
+
+    def _check_decimal_sign(self, name: str, texts: Sequence[str]) -> None:
+        """Raise DatasetError if some numbers of a column have a comma and some have a point."""
+        if self.decimal != ",":
+            return
+        commas = [k for k, text in enumerate(texts) if "," in text]
+        points = [k for k, text in enumerate(texts) if "." in text]
+        if commas and points:
+            first, other = commas[0], points[0]
+            raise DatasetError(
+                f"{self.path}:{self.lines[first]}: column {name} contains {texts[first]!r:.60}, "
+                f"but {texts[other]!r:.60} in line {self.lines[other]}: expected a comma or a "
+                "point as decimal sign, not both. Export the table without thousands separators"
+            )
 
 
 def read_table(path: Path) -> Table:
@@ -88,24 +115,29 @@ def read_table(path: Path) -> Table:
     DatasetError if the file is not such a table.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_foreign_text(path, MAX_TABLE_BYTES)
     except OSError as error:
         raise DatasetError(f"{path}: the table cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise DatasetError(f"{path}: not a CSV table: not UTF-8. Save it as UTF-8") from None
+        raise DatasetError(
+            f"{path}: not a CSV table: it is not text (UTF-8, UTF-16 or Latin-1). Export it as CSV "
+            "text"
+        ) from None
     lines = text.splitlines(keepends=True)
     remarks = next((k for k, l in enumerate(lines) if l.strip() and l[0] != "#"), len(lines))
-    first = lines[remarks] if remarks < len(lines) else ""
-    apart = max(",;\t", key=first.count)
-    reader = csv.reader(io.StringIO("".join(lines[remarks:])), delimiter=apart, strict=True)
+    body = "".join(lines[remarks:])
     try:
+        apart = max(
+            ",;\t", key=lambda sign: len(next(csv.reader(io.StringIO(body), delimiter=sign), []))
+        )
+        reader = csv.reader(io.StringIO(body), delimiter=apart, strict=True)
         found = [(remarks + reader.line_num, row) for row in reader if row]
     except csv.Error as error:
         raise DatasetError(f"{path}: not a CSV table: {error}") from None
     if not found or not any(found[0][1]):
         raise DatasetError(f"{path}:1: the file is empty; expected a header line")
     (_, header), *rows = found
-    names = [name.strip() for name in header]
+    names = [" ".join(name.split()) for name in header]  # Excel breaks lines within a cell
     decimal = "." if apart == "," else ","
     return Table(path, names, [row for _, row in rows], [line for line, _ in rows], decimal)
 

@@ -29,6 +29,7 @@ from parallel_cal.model.file.modelfile import model_hash
 from parallel_cal.model.model import Model
 
 PROBLEMS = ("direct", "inverse")
+MAX_POSES = 300_000  # test vectors; each takes a few kB of memory and 1 kB of the file
 HELPERS = {
     "casadi_real": "double",
     "casadi_sq": "square",
@@ -56,8 +57,8 @@ def files(model: Model, name: str = "", poses: int = 1000) -> dict[str, str]:
     robot = name or re.sub(r"\W", "_", model.mechanism.name.split(".")[-1])
     if not re.fullmatch(r"[A-Za-z]\w*", robot):
         raise ModelError(f"name={robot}: expected a valid C identifier")
-    if poses < 2:
-        raise ModelError(f"poses={poses}: expected 2 or more")
+    if not 2 <= poses <= MAX_POSES:
+        raise ModelError(f"poses={poses}: expected 2 to {MAX_POSES}")
     words = _words(model, robot)
     templates = {
         f"{robot}.h": _template("robot.h"),

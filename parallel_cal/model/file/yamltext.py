@@ -22,7 +22,7 @@ WHOLE = re.compile(r"[-+]?[0-9]+")
 NOT_FINITE = re.compile(r"[-+]?\.?(inf|infinity|nan)", re.IGNORECASE)
 PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./+-]*( [A-Za-z0-9_./+-]+)*")
 MAX_DEPTH = 30  # levels; a model file has six, and parsers are recursive
-DIGITS = 18  # of an integer: 64 bits
+MAX_DIGITS = 18  # of a whole number, without its sign: more do not fit in 64 bits
 AMBIGUOUS = {"null", "true", "false", "yes", "no", "on", "off", "y", "n", "nan", "inf", "infinity"}
 
 
@@ -97,9 +97,10 @@ class _Builder:
             return dict(self._items(node, path))
         if node.id == "sequence":
             return [self.value(item, (*path, i)) for i, item in enumerate(node.value)]
-        if len(node.value) > DIGITS and not node.style and WHOLE.fullmatch(node.value):
+        digits = len(node.value.lstrip("+-"))
+        if digits > MAX_DIGITS and not node.style and WHOLE.fullmatch(node.value):
             raise self._error(
-                path, f"a whole number has {len(node.value)} digits, expected at most {DIGITS}"
+                path, f"a whole number has {digits} digits, expected at most {MAX_DIGITS}"
             )
         return _scalar(node)
 
