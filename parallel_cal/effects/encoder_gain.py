@@ -9,7 +9,9 @@ from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
-SIZE = {"rad": (0.5e-3, 5e-3), "m": (0.1e-3, 1e-3)}  # tolerance and upper bound of real drives
+# Tolerance and upper bound of real drives. A spool's radius is rarely known to better than 1 %.
+SIZE = {"rad": (0.5e-3, 5e-3), "m": (0.1e-3, 1e-3)}
+SPOOL_SIZE = (5e-3, 50e-3)
 
 
 class EncoderGain(Effect):
@@ -26,8 +28,12 @@ class EncoderGain(Effect):
     separated_by = "poses over the whole range of every joint, checked with a second device"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
-        joints = zip(mechanism.joints, mechanism.joint_units, strict=True)
-        sizes = [(joint, *SIZE[unit]) for joint, unit in joints]
+        drives = mechanism.drives or (None,) * len(mechanism.joints)
+        joints = zip(mechanism.joints, mechanism.joint_units, drives, strict=True)
+        sizes = [
+            (joint, *(SPOOL_SIZE if drive and drive.kind == "spool" else SIZE[unit]))
+            for joint, unit, drive in joints
+        ]
         return [
             Parameter(f"{joint}.gain", "1", 0.0, tolerance, low=-most, high=most)
             for joint, tolerance, most in sizes

@@ -57,8 +57,13 @@ class ScrewPitchError(Effect):
     ) -> Iterator[Mapping[str, float]]:
         """Return leads 1 / (2 travel) apart in turns per metre: half a peak's width, as for a gear.
 
-        The travel is the longest that was recorded.
+        The travel is the longest that was recorded. A lead that the model file states is the only
+        one.
         """
+        stated = {drive.lead for drive in mechanism.drives if drive and drive.kind == "screw"}
+        if len(stated) == 1:
+            yield {"lead": stated.pop()}
+            return
         travel = max(np.ptp(recorded[joint]) for joint in _find_prismatic_joints(mechanism))
         short, long = LEADS
         for turns in np.arange(1 / long, 1 / short, 1 / (2 * travel)):

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from typing import cast
-
 import casadi as ca
 
-from parallel_cal.mechanisms.cable import Cable
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
 
 class SpoolBuildup(Effect):
-    """q_ideal = q - Q q^2 / (4 gear R) for every motor (rad), positive letting line out.
+    """q_ideal = q - Q k q^2 / (4 R) for every joint that a spool moves, positive letting line out.
 
-    A metre of line on the spool adds Q to its radius squared, so a spool turned by s = q / gear
-    has the radius R - Q s / 2 and has let out R s - Q s^2 / 4: the constant spool needs the
-    angle q_ideal for that. Q (m) is the line's cross-section over pi times the spool's width, one
-    number because every spool holds the same line on the same width.
+    A metre of line on the spool adds Q to its radius squared, so a spool that has turned by
+    s = k q has the radius R - Q s / 2 and has let out R s - Q s^2 / 4: a spool of constant radius
+    R would do so at the reading q_ideal. For the angle of a motor, k is 1 / gear. For a length,
+    k is advantage / R, negative if a growing length winds line on the spool. Q (m) is the line's
+    cross-section over pi times the spool's width, one number because every spool holds the same
+    line on the same width.
     """
 
     physics = "Every layer of line makes the spool larger, so the same turn moves more line."
@@ -31,11 +30,20 @@ class SpoolBuildup(Effect):
         return [Parameter("Q", "m", 0.0, 0.1e-3, low=0.0, high=0.5e-3, label="build-up")]
 
     def applies(self, mechanism: Mechanism) -> str:
-        return "" if isinstance(mechanism, Cable) else "it has no line on a spool"
+        p = Named(mechanism.parameters.names, mechanism.parameters.nominal)
+        if any(mechanism.spool(i, p) for i in range(len(mechanism.joints))):
+            return ""
+        if "m" not in mechanism.joint_units:
+            return "it has no line on a spool"
+        joint = mechanism.joints[mechanism.joint_units.index("m")]
+        return (
+            "no joint states a spool. If a spool moves the joint, state it in the model file: "
+            f"{joint}: {{..., drive: {{kind: spool, radius: 0.05}}}}"
+        )
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         rows = []
-        for i, spool in enumerate(cast(Cable, mechanism).spools):
-            gear, R = seen.p[f"line{i + 1}"].gear, seen.p[f"spool{spool}"].R
-            rows.append(seen.q[i] - e.Q * seen.q[i] ** 2 / (4 * gear * R))
+        for i in range(len(mechanism.joints)):
+            q, spool = seen.q[i], mechanism.spool(i, seen.p)
+            rows.append(q - e.Q * spool.turn * q**2 / (4 * spool.radius) if spool else q)
         return seen.with_q(ca.vertcat(*rows))

@@ -12,6 +12,7 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.base.units import MM
 from parallel_cal.model.closed_form import three_spheres
 from parallel_cal.model.drawing import Line
+from parallel_cal.model.drive import Spool
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
@@ -87,6 +88,10 @@ class Cable(Mechanism):
         """Line (m) that motor i lets out per rad."""
         c = p[f"line{i + 1}"]
         return p[f"spool{self.spools[i]}"].R / (c.gear * c.advantage)
+
+    def spool(self, joint: int, p: Named) -> Spool:
+        """Return the spool that a motor turns through its gear."""
+        return Spool(p[f"spool{self.spools[joint]}"].R, 1 / p[f"line{joint + 1}"].gear)
 
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
         """Draw the lines from the end point to their anchors."""

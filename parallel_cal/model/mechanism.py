@@ -15,6 +15,7 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import quaternion_to_matrix, rotation_matrix, rotation_vector
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.drawing import Line
+from parallel_cal.model.drive import Drive, Spool
 from parallel_cal.model.parameters import Named, ParameterTable
 
 POSE = ("x", "y", "z", "rx", "ry", "rz")
@@ -106,6 +107,8 @@ class Mechanism(ABC):
         Boxes that no part of the robot may enter. Default none.
     joint_gearing : tuple of float
         Joint reading divided by the angle of the joint after the gear. Default: 1 for each joint.
+    drives : tuple of (Drive or None)
+        The motor's drive of each joint whose readings are lengths. Default: unknown.
     closed_forms : tuple of str
         The problems (`direct`, `inverse`) for which the candidates include every solution.
         Default none.
@@ -135,6 +138,7 @@ class Mechanism(ABC):
     joint_rates: tuple[tuple[float, float], ...] = ()  # velocity, acceleration; inf = unknown
     keep_out: tuple[Box, ...] = ()
     joint_gearing: tuple[float, ...] = ()  # reading per joint angle behind the gear; empty = 1
+    drives: tuple[Drive | None, ...] = ()  # empty = unknown
     closed_forms: tuple[str, ...] = ()  # "direct", "inverse"
     length: float = 0.1
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)  # m/s^2 in {B}
@@ -236,6 +240,11 @@ class Mechanism(ABC):
     def winds(self) -> tuple[float, ...]:
         """Line (m) that a radian of each joint lets out; empty if no joint winds a line."""
         return ()
+
+    def spool(self, joint: int, p: Named) -> Spool | None:
+        """Return the spool that moves a joint, by its number; None if no spool does."""
+        drive = self.drives[joint] if self.drives else None
+        return drive.spool if drive else None
 
     @property
     def joint_units(self) -> tuple[str, ...]:

@@ -281,6 +281,7 @@ class Model:
         larger.parameters = larger.parameters.with_nominal(nominal)
         larger.joints, larger.joint_limits = m.joints, m.joint_limits
         larger.joint_rates, larger.keep_out = m.joint_rates, m.keep_out
+        larger.joint_gearing, larger.drives = m.joint_gearing, m.drives
         larger.home, larger.workspace, larger.gravity = m.home, m.workspace, m.gravity
         effects = [effect.name for effect in self.effects]
         wide = new_model(larger, effects=effects, sensors=self.sensors)

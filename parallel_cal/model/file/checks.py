@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from parallel_cal.base.units import si_factor
-from parallel_cal.model.file.schema import CovariancePart, JointPart, suggestion
+from parallel_cal.model.file.schema import CovariancePart, DrivePart, JointPart, suggestion
 from parallel_cal.model.file.yamltext import Document, Path
 from parallel_cal.model.parameters import Parameter, ParameterTable
 
@@ -58,6 +58,27 @@ def joint(document: Document, name: str, expected: str, part: JointPart) -> None
         raise document.error((*path, "low"), f"{limits[0]} is not below high, {limits[1]}")
     if expected == "rad" and any(abs(v) > MAX_LIMIT_RAD for v in limits):
         raise document.error(path, f"limits {limits} rad: are these degrees?")
+    if part.drive is not None:
+        drive((*path, "drive"), document, expected, part.drive)
+
+
+def drive(path: Path, document: Document, unit: str, part: DrivePart) -> None:
+    """Check that a drive moves a length, and that its travel is stated once."""
+    if unit != "m":
+        raise document.error(
+            path,
+            f"the readings of this joint are angles ({unit}), expected a joint in m: remove the "
+            "drive, or state the gear ratio as gearing",
+        )
+    if (part.per_rev is None) == (part.radius is None):
+        found = "neither" if part.radius is None else "both"
+        raise document.error(
+            path, f"found {found} per_rev and radius, expected one of them (m per turn, or m)"
+        )
+    if part.per_rev == 0:
+        raise document.error((*path, "per_rev"), "found 0, expected the travel per turn in m")
+    if part.kind == "screw" and part.radius is not None:
+        raise document.error((*path, "radius"), "a screw has none; state per_rev, its lead in m")
 
 
 def box(document: Document, path: Path, low: Sequence[float], high: Sequence[float]) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
+from parallel_cal.model.drive import Drive
 from parallel_cal.model.effect import Effect
 from parallel_cal.model.file import checks
 from parallel_cal.model.file.schema import FilePart, OwnNumberPart, validate
@@ -154,7 +155,7 @@ class Reader:
                 raise self._error(("tolerances", name), str(error)) from None
 
     def _set_joints(self, mechanism: Mechanism, file: FilePart) -> None:
-        """Set names, limits, gearing and rates of the joints, in the mechanism's order."""
+        """Set names, limits, gearing, drives and rates of the joints, in the mechanism's order."""
         names, own = tuple(file.joints), mechanism.joints
         expected = f"{mechanism.name} has {len(own)}: {', '.join(own)}"
         found = f"found {', '.join(names) or 'none'}; {expected}"
@@ -173,6 +174,11 @@ class Reader:
             for joint in file.joints.values()
         )
         mechanism.joint_gearing = tuple(joint.gearing for joint in file.joints.values())
+        if any(joint.drive for joint in file.joints.values()):
+            mechanism.drives = tuple(
+                Drive(**dict(joint.drive)) if joint.drive else None
+                for joint in file.joints.values()
+            )
         rates = [(joint.velocity, joint.acceleration) for joint in file.joints.values()]
         if any(rate is not None for each in rates for rate in each):
             mechanism.joint_rates = tuple((v or math.inf, a or math.inf) for v, a in rates)

@@ -28,6 +28,21 @@ class MechanismPart(Part):
     options: dict[str, Any] = {}
 
 
+class DrivePart(Part):
+    """The drive of a joint whose readings are lengths (m).
+
+    `per_rev` is the travel of the joint per turn of the motor. Instead of it, `radius` states that
+    of the spool or pulley.
+    """
+
+    kind: Literal["spool", "screw", "belt"]
+    per_rev: float | None = None
+    radius: Positive | None = None
+    gear: Positive = 1.0
+    advantage: Positive = 1.0
+    line: Literal["out", "in"] = "out"
+
+
 class JointPart(Part):
     """One joint; its key is its name in joint_states.
 
@@ -41,6 +56,7 @@ class JointPart(Part):
     velocity: Positive | None = None
     acceleration: Positive | None = None
     gearing: Positive = 1.0
+    drive: DrivePart | None = None
 
 
 class HomePart(Part):
@@ -160,6 +176,7 @@ KNOWN: dict[Path, type[Part]] = {
     (): FilePart,
     ("mechanism",): MechanismPart,
     ("joints", "*"): JointPart,
+    ("joints", "*", "drive"): DrivePart,
     ("home",): HomePart,
     ("workspace",): WorkspacePart,
     ("keep_out", "*"): BoxPart,

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
+from parallel_cal.model.drive import Drive
 from parallel_cal.model.effect import Effect
 from parallel_cal.model.file.yamltext import flow
 from parallel_cal.model.mechanism import Box, Workspace
@@ -34,12 +36,14 @@ def _setup(model: Model) -> Iterator[str]:
     yield "joints:"
     rates = m.joint_rates or ((math.inf, math.inf),) * len(m.joints)
     gears = m.joint_gearing or (1.0,) * len(m.joints)
-    rows = zip(m.joints, m.joint_units, m.joint_limits, rates, gears, strict=True)
-    for joint, unit, (low, high), (velocity, acceleration), gearing in rows:
+    drives = m.drives or (None,) * len(m.joints)
+    rows = zip(m.joints, m.joint_units, m.joint_limits, rates, gears, drives, strict=True)
+    for joint, unit, (low, high), (velocity, acceleration), gearing, drive in rows:
         limits = {"low": low, "high": high, "velocity": velocity, "acceleration": acceleration}
         limits |= {"gearing": gearing} if gearing != 1.0 else {}
         finite = {key: float(v) for key, v in limits.items() if math.isfinite(v)}
-        yield f"  {flow(joint)}: {flow({'unit': unit, **finite})}"
+        own = {"drive": _drive(drive)} if drive else {}
+        yield f"  {flow(joint)}: {flow({'unit': unit, **finite, **own})}"
     yield "home:"
     for key in ("joints", "position", "quaternion"):
         yield f"  {key}: {flow([float(v) for v in getattr(m.home, key)])}"
@@ -52,6 +56,12 @@ def _setup(model: Model) -> Iterator[str]:
         yield f"gravity: {flow([float(v) for v in m.gravity])}"
     noise = {key: value for key, value in vars(model.noise).items() if value is not False}
     yield f"noise: {flow(noise)}"
+
+
+def _drive(drive: Drive) -> dict[str, str | float]:
+    """Return the stated values of a drive that differ from the defaults."""
+    stated = {field.name: getattr(drive, field.name) for field in fields(drive)}
+    return {f.name: stated[f.name] for f in fields(drive) if stated[f.name] != f.default}
 
 
 def _box(box: Workspace | Box) -> dict[str, list[float]]:
