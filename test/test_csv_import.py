@@ -8,8 +8,12 @@ import pytest
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.cli import main as cli
+from parallel_cal.cli.recordings import data_options
+from parallel_cal.model.file.modelfile import dump_model, read_model
+from parallel_cal.model.model import new_model
 from parallel_cal.recordings.csv_import import import_csv
-from parallel_cal.recordings.loading import load_dataset
+from parallel_cal.recordings.loading import load_dataset, load_sessions
+from parallel_cal.session.session import Session
 
 TABLE = """\
 number,a_deg,b_mm,x,y,z,qx,qy,qz,qw,T,visit
@@ -51,7 +55,8 @@ def test_columns_become_samples_in_si(files):
     np.testing.assert_allclose(data.R[1], [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-12)
     np.testing.assert_allclose(data.R[2], np.diag([1, -1, -1]), atol=1e-12)
     assert data.measured.all()
-    assert set(data.conditions) == {"temperature", "payload"}  # the order of lines is no time
+    visits = {f"{name}.{joint}" for name in ("direction", "travel") for joint in ("arm", "slide")}
+    assert set(data.conditions) == {"temperature", "payload"} | visits  # rows have no time
     np.testing.assert_array_equal(data.conditions["temperature"], [21.5, 22.5, 23])
     np.testing.assert_array_equal(data.conditions["payload"], [1.5, 1.5, 1.5])
     assert data.pose_id[0] == data.pose_id[2] != data.pose_id[1]
@@ -284,6 +289,150 @@ def test_tables_are_joined_by_the_nearest_time_within_reach(two):
 def test_tables_that_cannot_be_joined_are_said(two, join, words):
     with pytest.raises(ParallelCalError, match=words):
         two("1,0,1,1\n2,0,2,2\n3,2,3,3\n", "1,0,1,1,1\n2,1,2,2,2\n", join)
+
+
+def test_tables_without_a_key_are_matched_row_by_row_and_this_is_stated(two):
+    data = two("1,0,10,1\n2,0,20,2\n", "7,5,1,1,1\n8,6,2,2,2\n", "")
+    np.testing.assert_allclose(data.r[:, 0] / data.q[:, 1], [1, 1])
+    assert any("joints.csv and " in w and "were matched row by row" in w for w in data.warnings)
+
+
+VISITS = "arm_deg,slide_mm,x_mm,y_mm,z_mm\n" + "".join(
+    f"{arm},{slide},{k},0,0\n" for k, (arm, slide) in enumerate([(0, 5), (10, 5), (30, 2), (25, 9)])
+)
+
+
+def test_directions_and_travels_follow_the_order_of_visits_and_this_is_stated(files):
+    data = import_csv(*files(VISITS, SHORT + "position: {columns: [x, y, z]}"))
+    np.testing.assert_array_equal(data.conditions["direction.arm"], [0, 1, 1, -1])
+    np.testing.assert_allclose(data.conditions["travel.arm"], np.radians([0, 10, 30, -5]))
+    np.testing.assert_array_equal(data.conditions["direction.slide"], [0, 0, -1, 1])
+    np.testing.assert_allclose(data.conditions["travel.slide"], [0, 0, -3e-3, 7e-3], atol=1e-15)
+    [note] = data.warnings
+    assert "direction and travel of the joints were taken from the order of the rows" in note
+
+
+def test_the_time_of_visits_counts_and_not_the_order_of_rows(files):
+    header, *rows = VISITS.splitlines()
+    table = "\n".join([header + ",t", *[f"{row},{k}" for k, row in enumerate(rows)][::-1]])
+    columns = SHORT + "position: {columns: [x, y, z]}\nconditions: {time: t}"
+    data = import_csv(*files(table, columns))
+    np.testing.assert_array_equal(data.conditions["direction.arm"], [-1, 1, 1, 0])
+
+
+@pytest.mark.parametrize("more", ["visits: unordered", "conditions: {direction.arm: 1}"])
+def test_no_direction_is_taken_from_rows_without_order_or_beside_a_recorded_one(files, more):
+    data = import_csv(*files(VISITS, SHORT + "position: {columns: [x, y, z]}\n" + more))
+    assert not data.warnings
+    assert {*data.conditions} <= {"direction.arm"}
+
+
+def test_counts_become_lengths_by_a_factor_a_travel_and_an_offset(files):
+    moved = MAP.replace(
+        "slide: {column: b_mm, unit: mm}",
+        "slide: {column: count, unit: rev, factor: 0.00025, per_rev: -5 mm, offset: 12.5 mm}",
+    )
+    data = import_csv(*files(TABLE.replace("number", "count").replace("\n1,", "\n8000,"), moved))
+    np.testing.assert_allclose(data.q[0, 1], 0.0125 - 2 * 0.005)
+    assert data.joint_units == ("rad", "m")
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        ("unit: mm, offset: 3 deg", "t.csv:1: column b_mm gives a joint in m, but .* offset 3 deg"),
+        ("unit: mm, offset: 3", "slide.offset: .*'3': expected a number and a unit"),
+        ("unit: mm, factor: 0", "slide.factor: .*expected a number other than 0"),
+    ],
+)
+def test_a_wrong_factor_or_offset_is_refused(files, entry, words):
+    with pytest.raises(ParallelCalError, match=words):
+        import_csv(*files(columns=MAP.replace("b_mm, unit: mm", f"b_mm, {entry}")))
+
+
+def screw_model(tmp_path, drive=""):
+    """A linear delta's model file whose first joint has a drive."""
+    text = dump_model(new_model("linear_delta"))
+    text = text.replace("joint: null, position: null", "joint: 1.0e-5, position: 1.0e-5")
+    file = tmp_path / "m.yaml"
+    file.write_text(text.replace("joint1: {unit: m,", f"joint1: {{unit: m, {drive}"))
+    return read_model(file)
+
+
+CARRIAGES = "joint1_rev,joint2_mm,joint3_mm,x_mm,y_mm,z_mm\n2,100,100,0,0,5\n6,110,90,1,2,3\n"
+
+
+def test_a_motors_angle_becomes_a_length_by_the_drive_of_the_model(tmp_path):
+    (tmp_path / "t.csv").write_text(CARRIAGES)
+    model = screw_model(tmp_path, "drive: {kind: screw, per_rev: -0.01},")
+    data = load_dataset(tmp_path / "t.csv", mechanism=model.mechanism)
+    np.testing.assert_allclose(data.q, [[-0.02, 0.1, 0.1], [-0.06, 0.11, 0.09]])
+    np.testing.assert_allclose(data.conditions["direction.joint1"], [0, -1])
+    np.testing.assert_allclose(data.conditions["travel.joint1"], [0, -0.04])
+    assert data.joint_units == ("m", "m", "m")
+    data.to_json(tmp_path / "converted.json")
+    again = load_dataset(tmp_path / "converted.json", mechanism=model.mechanism)
+    np.testing.assert_array_equal(again.q, data.q)
+
+
+def test_an_angle_for_a_length_without_a_drive_is_refused_with_both_cures(tmp_path):
+    (tmp_path / "t.csv").write_text(CARRIAGES)
+    words = (
+        r"joint joint1 is an angle, but a length in the model \(linear_delta\).*joint1: \{unit: m, "
+        r"\.\.\., drive: .*joint1: \{column: \.\.\., unit: rev, per_rev: 71.2 mm\}"
+    )
+    with pytest.raises(ParallelCalError, match=words):
+        load_dataset(tmp_path / "t.csv", mechanism=screw_model(tmp_path).mechanism)
+
+
+def test_a_length_for_an_angle_is_refused(tmp_path):
+    (tmp_path / "t.csv").write_text("joint1_mm,joint2_deg,joint3_deg,x_mm,y_mm,z_mm\n1,2,3,0,0,1\n")
+    with pytest.raises(
+        ParallelCalError, match="joint joint1 is a length, but an angle in the model"
+    ):
+        load_dataset(tmp_path / "t.csv", mechanism=new_model("delta24").mechanism)
+
+
+def test_samples_of_different_units_are_not_joined(tmp_path, files):
+    table, columns = files()
+    import_csv(table, columns).to_json(tmp_path / "a.json")
+    columns.write_text(MAP.replace("b_mm, unit: mm", "n, unit: rev"))
+    table.write_text(TABLE.replace("number", "n"))
+    import_csv(table, columns).to_json(tmp_path / "b.json")
+    with pytest.raises(ParallelCalError, match=r"joint_units is .*'rad'.*, but .*'m'"):
+        load_sessions([tmp_path / "a.json", tmp_path / "b.json"])
+
+
+def test_every_command_reads_a_table_whose_header_names_joints_and_units(tmp_path, capsys):
+    (tmp_path / "t.csv").write_text(CARRIAGES.replace("joint1_rev", "joint1 [mm]"))
+    screw_model(tmp_path)
+    assert run("compare", tmp_path / "m.yaml", tmp_path / "t.csv", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["samples"] == 2
+
+
+def test_a_table_is_read_by_the_map_beside_it_or_by_the_stated_one(files, tmp_path, capsys):
+    table, columns = files()
+    with pytest.raises(
+        ParallelCalError, match=r"t.csv:1: no columns arm, slide; .*t.columns.yaml, or --d"
+    ):
+        load_dataset(table, joints=["arm", "slide", "a"])
+    (tmp_path / "t.columns.yaml").write_text(MAP)
+    np.testing.assert_array_equal(load_dataset(table).q, import_csv(table, columns).q)
+    assert run("info", table, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["samples"] == 3
+    (tmp_path / "t.columns.yaml").unlink()
+    assert run("info", table, "--json") == 1
+    assert "no columns the names of the joints" in capsys.readouterr().err
+    assert run("info", table, "--data", f"columns={columns}", "--json") == 0
+
+
+def test_a_session_keeps_the_table_and_its_column_map(files, tmp_path):
+    table, columns = files(CARRIAGES.replace("_rev", "_mm"), "")
+    entries = "".join(f"  joint{i}: {{column: joint{i}}}\n" for i in (1, 2, 3))
+    columns.write_text(f"joints:\n{entries}position: {{columns: [x, y, z]}}\n")
+    reading = data_options([f"columns={columns}"])
+    created = Session.new(tmp_path / "s", screw_model(tmp_path), [table], reading=reading)
+    assert len(Session(created.folder).dataset) == 2
 
 
 def run(*arguments):

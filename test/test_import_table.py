@@ -73,7 +73,7 @@ def test_or_by_the_time_that_is_near(files, clock, joints):
     )
     np.testing.assert_allclose(np.degrees(data.q), [[30, 60], [90, -45]])
     np.testing.assert_allclose(data.r[:, 1], [-0.02025, 0.01])
-    with pytest.raises(ParallelCalError, match=r"no row of .* has the same Timestamp"):
+    with pytest.raises(ParallelCalError, match=r"no row of .* is within 0.4 s \(Timestamp\)"):
         samples("table", files(tracker, log), by="Timestamp", within=0.4)
 
 
@@ -125,6 +125,43 @@ def test_lengths_and_angles_have_the_unit_of_the_header(files, unit, metres, ang
     data = samples("table", files(tracker, f"nr,joint1 [{angle}]\n1,{turn / 4}\n"))
     np.testing.assert_allclose(data.r[0], np.array([3, 4, 5]) * metres)
     np.testing.assert_allclose(data.q[0], np.pi / 2)
+
+
+LEICA = """\
+Messung 3, °C 21,5
+X [mm];Y [mm];Z [mm]
+100,5;-20,25;300
+0;10;250,125
+"""
+ANGLES = "joint1 [°];joint2 [°]\n30;60\n90;-45\n"
+
+
+def write_leica(tmp_path, angles=ANGLES):
+    paths = [tmp_path / "leica.txt", tmp_path / "joints.csv"]
+    for path, text in zip(paths, (LEICA, angles), strict=True):
+        path.write_bytes(text.replace("\n", "\r\n").encode("latin-1"))
+    return paths
+
+
+def test_latin_1_tables_without_a_key_are_matched_row_by_row(tmp_path):
+    data = samples("table", write_leica(tmp_path))
+    np.testing.assert_allclose(data.r, [[0.1005, -0.02025, 0.3], [0, 0.01, 0.250125]])
+    np.testing.assert_allclose(data.q, np.radians([[30, 60], [90, -45]]))
+    assert any("leica.txt and " in w and "matched row by row" in w for w in data.warnings)
+
+
+def test_tables_without_a_key_and_of_different_lengths_are_refused(tmp_path):
+    paths = write_leica(tmp_path, ANGLES + "1;2\n")
+    words = "leica.txt, .*joints.csv: no column that all tables have, and 2 and 3 rows: expected"
+    with pytest.raises(ParallelCalError, match=words):
+        samples("table", paths)
+
+
+def test_rows_may_be_matched_although_the_tables_share_a_column(files):
+    joints = JOINTS.replace("\nP7\t0", "\nP2\t0").replace("P2\t90", "P1\t90")
+    data = samples("table", files(joints=joints), by="row", joints=["joint1", "slide"])
+    np.testing.assert_allclose(data.q[:, 1], [0.01, -0.005, 0])
+    np.testing.assert_allclose(data.r[:, 1], [-0.02025, 0.01, 0.005])
 
 
 def test_the_command_writes_samples(files, tmp_path):

@@ -102,7 +102,7 @@ def read_model_and_data(
     from parallel_cal.recordings.loading import load_sessions
 
     model, options = read_model(path), data_options(data)
-    return model, load_sessions(bags, options, console.progress, joints=model.joints)
+    return model, load_sessions(bags, options, console.progress, mechanism=model.mechanism)
 
 
 def _finish(step: Step, bags: list[Path], output: Path | None, as_json: bool) -> None:

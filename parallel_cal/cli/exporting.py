@@ -95,7 +95,7 @@ def _touches(model: Model, file: Path, given: list[Path], into: bool) -> Touches
     from parallel_cal.recordings.loading import load_sessions
 
     if given:
-        return touches_in(load_sessions(given, joints=model.joints), model.joints)
+        return touches_in(load_sessions(given, mechanism=model.mechanism), model.joints)
     steps = [step["dataset"] for step in model.history if isinstance(step.get("dataset"), dict)]
     if not into or why_not(model):
         return None
@@ -112,7 +112,7 @@ def _touches(model: Model, file: Path, given: list[Path], into: bool) -> Touches
         paths = [folder / name for name in last.get("files", [])]
         if paths and all(path.is_file() for path in paths):
             try:
-                dataset = load_sessions(paths, joints=model.joints)
+                dataset = load_sessions(paths, mechanism=model.mechanism)
             except ParallelCalError:  # another file under that name
                 continue
             if dataset.sha256 == last.get("sha256"):
@@ -172,7 +172,7 @@ def export_residuals(
     from parallel_cal.recordings.residuals import ROOT, TOPICS, write_residuals
 
     judged, options = read_model(model), data_options(data)
-    dataset, start = load_stamped(bag, options, console.progress, joints=judged.joints)
+    dataset, start = load_stamped(bag, options, console.progress, mechanism=judged.mechanism)
     found = compare(judged, dataset, joint_sigma)
     stamps = start + (1e9 * dataset.time).round().astype(int)
     write_residuals(found.residuals(dataset.numbers, stamps), output, arrow_scale)

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from parallel_cal.recordings.options import ReadOptions
 
 
+NOT_TYPED = ("topics", "joints", "mechanism")  # options of reading that the command line derives
+
+
 def info(
     bag: Annotated[Path, typer.Argument(help="rosbag2 folder or file, or saved samples (.json)")],
     data: Data = None,
@@ -50,6 +53,7 @@ def import_csv(
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="samples to write (.json)")],
     columns: Annotated[Path, typer.Option(help="file that maps columns to quantities (YAML)")],
+    data: Data = None,
     as_json: Json = False,
 ) -> None:
     """Convert one table, or several joined tables, to a samples file. All commands that read a
@@ -57,7 +61,7 @@ def import_csv(
     from parallel_cal.recordings import csv_import
     from parallel_cal.recordings.info import info_of
 
-    dataset = csv_import.import_csv(tables, columns)
+    dataset = csv_import.import_csv(tables, columns, data_options(data))
     dataset.to_json(output)
     document = info_of(dataset)
     show_info(document | {"output": str(output)} if as_json else document, as_json)
@@ -142,7 +146,7 @@ def data_options(items: list[str] | None) -> ReadOptions:
     from parallel_cal.recordings.channels import CHANNELS, register_channels
     from parallel_cal.recordings.options import ReadOptions
 
-    others = [f.name for f in fields(ReadOptions) if f.name not in ("topics", "joints")]
+    others = [f.name for f in fields(ReadOptions) if f.name not in NOT_TYPED]
     options: dict[str, Any] = {}
     topics: dict[str, str] = {}
     for item in items or []:
@@ -157,6 +161,8 @@ def data_options(items: list[str] | None) -> ReadOptions:
                 register_channels(path)
         elif key in CHANNELS:
             topics[key] = value
+        elif key == "columns":
+            options[key] = str(Path(value).resolve())
         elif key == "exclude":
             options[key] = _sample_numbers(value)
         else:

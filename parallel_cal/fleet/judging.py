@@ -39,7 +39,7 @@ def judge_recording(
     with CASADI_LOCK:
         try:
             model = _parse_model_once(model_text(job.model), str(job.model))
-            dataset, start_ns = load_stamped(job.data, asked.data, joints=model.joints)
+            dataset, start_ns = load_stamped(job.data, asked.data, mechanism=model.mechanism)
             found = diagnose(
                 model, dataset, effects=asked.effects, also=asked.also, options=asked.options
             )

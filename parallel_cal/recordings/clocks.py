@@ -54,15 +54,19 @@ def align_clocks(recording: Recording) -> Recording:
     if found is None:
         return recording
     pose = dataclasses.replace(recording.pose, time=recording.pose.time - found.delay)
+    warning = describe_offset(found, pose.topic, recording.joints.topic)
+    return dataclasses.replace(recording, pose=pose, notes=(*recording.notes, warning))
+
+
+def describe_offset(found: Offset, poses: str, joints: str) -> KeyedWarning:
+    """Return the note that the clock of the `poses` was moved to that of the `joints`."""
     late = "later" if found.delay > 0 else "earlier"
     note = (
-        f"{pose.topic} was stamped {abs(found.delay):.4f} s {late} than "
-        f"{recording.joints.topic} (+- {found.sigma:.2g} s, estimated from "
-        "motion): the two clocks differ. The poses were moved to the joints' "
-        "clock"
+        f"{poses} was stamped {abs(found.delay):.4f} s {late} than {joints} "
+        f"(+- {found.sigma:.2g} s, estimated from motion): the two clocks differ. The poses were "
+        "moved to the joints' clock"
     )
-    warning = KeyedWarning(note, "two clocks", pose.topic)
-    return dataclasses.replace(recording, pose=pose, notes=(*recording.notes, warning))
+    return KeyedWarning(note, "two clocks", poses)
 
 
 def clock_offset(joints: JointStream, pose: PoseStream) -> Offset | None:

@@ -3,42 +3,64 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, field_validator
 
-from parallel_cal.base.errors import ModelFileError
+from parallel_cal.base.errors import DatasetError, ModelFileError
 from parallel_cal.base.files import read_foreign_text
-from parallel_cal.base.units import UNITS, Angle, Length
+from parallel_cal.base.units import LENGTHS, UNITS, Angle, Length
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.file.schema import NoisePart, Part, sentence, suggestion
 from parallel_cal.model.file.yamltext import parse_yaml
 from parallel_cal.recordings.channels import list_channels
+from parallel_cal.recordings.table import Table
 
 
 class JointColumn(Part):
     """A joint's readings; the key is its name in the model file.
 
-    Without `unit`, the header states the unit. `per_rev` is the travel of the joint per turn of the
+    Without `unit`, the header states the unit. `factor` multiplies the cells, for example to
+    convert encoder counts to revolutions. `per_rev` is the travel of the joint per turn of the
     motor (`71.2 mm`, negative if it moves backwards): the column then contains the motor's angle.
+    `offset` (`12.5 mm`) is the position of the joint where the column is zero.
     """
 
     column: str
     unit: Literal[Angle, Length] | None = None
+    factor: float = 1.0
     per_rev: str | None = None
+    offset: str | None = None
 
-    @field_validator("per_rev")
+    @field_validator("factor")
     @classmethod
-    def _check_travel(cls, text: str | None) -> str | None:
+    def _check_factor(cls, factor: float) -> float:
+        if factor == 0:
+            raise ValueError("expected a number other than 0")
+        return factor
+
+    @field_validator("per_rev", "offset", mode="before")
+    @classmethod
+    def _check_travel(cls, text: Any) -> Any:
         if text is not None:
-            travel(text)
+            travel(str(text))
         return text
 
     @property
     def per_radian(self) -> float:
         """Travel of the joint (m or rad) per radian of its column; 1 without `per_rev`."""
         return 1.0 if self.per_rev is None else travel(self.per_rev) / (2 * math.pi)
+
+    def joint_unit(self, unit: str) -> str:
+        """Return the SI unit of the joint whose column has this unit."""
+        return si_unit(self.per_rev.split()[1] if self.per_rev else unit)
+
+
+def si_unit(unit: str) -> str:
+    """Return `m` for a unit of length and `rad` for a unit of angle."""
+    return "m" if unit in LENGTHS else "rad"
 
 
 def travel(text: str) -> float:
@@ -79,19 +101,34 @@ class Join(Part):
     """Rows of several tables that belong together.
 
     Their cells in the column `by` are equal, or, if `by` contains seconds, the nearest ones that
-    differ by at most `within` seconds.
+    differ by at most `within` seconds. `offset` is the time of the poses' clock minus that of the
+    joints' clock, s; it is estimated from the motion if it is not stated.
     """
 
     by: str
     within: Annotated[float, Field(gt=0)] | None = None
+    unit: Literal["s", "ms", "us", "ns"] = "s"
+    offset: float | None = None
+
+
+class Log(Part):
+    """The rows are readings over time of a robot that moves, not one pose each.
+
+    Each table has the column `time`. `offset` is as in Join.
+    """
+
+    time: str
+    unit: Literal["s", "ms", "us", "ns"] = "s"
+    offset: float | None = None
 
 
 class ColumnMap(Part):
     """The meaning of a table's columns; other columns are ignored.
 
     `orientation` is a quaternion x y z w; `angles` are an alternative. A condition is a column,
-    or a constant number. Rows of equal `group` are visits of one pose. `noise` is 1 sigma as the
-    manufacturers state it (SI).
+    or a constant number. Rows of equal `group` are visits of one pose. `visits` states whether the
+    robot visited the poses in the order of the rows. `noise` is 1 sigma as the manufacturers state
+    it (SI; for a motor's angle without `per_rev`, of this angle).
     """
 
     joints: Annotated[dict[str, JointColumn], Field(min_length=1)]
@@ -101,7 +138,9 @@ class ColumnMap(Part):
     readings: dict[str, ReadingColumn] = Field(default_factory=dict)
     conditions: dict[str, str | float] = Field(default_factory=dict)
     group: str | None = None
+    visits: Literal["in order", "unordered"] = "in order"
     join: Join | None = None
+    log: Log | None = None
     noise: NoisePart = NoisePart()
 
     @property
@@ -113,6 +152,31 @@ class ColumnMap(Part):
         names += self.orientation or []
         names += [c for c in self.conditions.values() if isinstance(c, str)]
         return names + ([self.group] if self.group else [])
+
+
+def map_by_names(table: Table, joints: Sequence[str], beside: Path) -> ColumnMap:
+    """Return the column map of a table whose columns have the names of the joints, x, y, z and qx,
+    qy, qz, qw, and of conditions. DatasetError with the columns that are missing; the map can be
+    stated in the file `beside`."""
+    missing = [joint for joint in joints if table.find(joint) is None]
+    position, orientation = (
+        [name for name in names if table.find(name) is not None]
+        for names in (("x", "y", "z"), ("qx", "qy", "qz", "qw"))
+    )
+    if missing or not joints or (len(position) < 3 and len(orientation) < 4):
+        lacking = ", ".join(missing) or ("x, y, z" if joints else "the names of the joints")
+        raise DatasetError(
+            f"{table.path}:1: no columns {lacking}; the table has {', '.join(table.header)}. "
+            "Expected the joints of the model, and x, y and z or qx, qy, qz and qw, each length "
+            f"and angle with its unit ({joints[0] if joints else 'joint1'} [mm]). Otherwise state "
+            f"the columns in the file {beside}, or --data columns=MAP.yaml (see docs/import_csv.md)"
+        )
+    return ColumnMap(
+        joints={joint: JointColumn(column=joint) for joint in joints},
+        position=PositionColumns(columns=position) if len(position) == 3 else None,
+        orientation=orientation if len(orientation) == 4 else None,
+        conditions={name: name for name in CONDITIONS if name in table.header},
+    )
 
 
 def read_column_map(path: Path) -> ColumnMap:
@@ -138,6 +202,12 @@ def read_column_map(path: Path) -> ColumnMap:
         raise document.error(
             (), "neither position nor orientation nor readings: state what was measured"
         )
+    if found.log:
+        for key, given in (("join", found.join), ("group", found.group)):
+            if given is not None:
+                raise document.error(
+                    (key,), "log is given as well, which does not need it: remove one of the two"
+                )
     for name in found.conditions:
         if name.split(".")[0] not in (*CONDITIONS, *list_channels("condition")):
             names = [f"{name}.JOINT" if given[2] else name for name, given in CONDITIONS.items()]

@@ -26,6 +26,7 @@ from parallel_cal.recordings.replicates import (
 from parallel_cal.recordings.samplefile import (
     FILE_VERSION,
     PER_SAMPLE,
+    is_expected,
     read_document,
     restore_field,
 )
@@ -58,6 +59,8 @@ class Dataset:
         Covariance of the pose of a sample as the device states it; NaN where it does not.
     joint_sigma : array (nq,), optional
         Standard deviation of joint readings, rad or m; None if not stated.
+    joint_units : tuple of str, optional
+        `rad` or `m` for each joint, as a table states it; None if not stated.
     time : array (N,)
         s since the recording began.
     duration : array (N,)
@@ -101,6 +104,7 @@ class Dataset:
     source: str = ""
     sha256: str = ""
     frame: str = ""
+    joint_units: tuple[str, ...] | None = None
 
     def __repr__(self) -> str:
         kinds = sorted({name.partition(".")[0] for name in self.conditions})
@@ -268,7 +272,8 @@ class Dataset:
         `name` is the name of the file for messages. DatasetError contains it and the wrong key.
         """
         try:
-            return cls(**{f.name: restore_field(f.name, document) for f in dataclasses.fields(cls)})
+            names = [f.name for f in dataclasses.fields(cls) if is_expected(f.name, document)]
+            return cls(**{name: restore_field(name, document) for name in names})
         except DatasetError as error:
             raise DatasetError(f"{name}: not a complete sample file: {error}") from None
 

@@ -16,11 +16,12 @@ from parallel_cal.base.threads import single_threaded
 from parallel_cal.recordings.bag import list_topics, read_bag
 from parallel_cal.recordings.channels import list_channels
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.recordings.loading import dataset_from_recording
+from parallel_cal.recordings.loading import dataset_from_recording, load_table
 from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.recording import COORDINATES, Dropped, Recording
 from parallel_cal.recordings.samplefile import holds_samples
 from parallel_cal.recordings.samples import READING
+from parallel_cal.recordings.table import is_table
 
 
 @single_threaded()
@@ -58,6 +59,8 @@ def info(
     options = options or ReadOptions()
     if holds_samples(Path(path)):
         return info_of(Dataset.from_json(path).excluding(options.exclude))
+    if is_table(Path(path)):
+        return info_of(load_table(Path(path), options).excluding(options.exclude))
     recording = read_bag(path, options, progress)
     duration = list_topics(path)[1]
     document = _recording_part(recording, duration)

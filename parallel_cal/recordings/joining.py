@@ -101,7 +101,8 @@ def _check_joinable(datasets: Sequence[Dataset], equal: Sequence[str]) -> None:
             )
         known[dataset.sha256] = dataset.source
     for other in datasets[1:]:
-        for name in equal:
+        stated = datasets[0].joint_units is not None and other.joint_units is not None
+        for name in (*equal, "joint_units") if stated else equal:
             one, two = getattr(datasets[0], name), getattr(other, name)
             if not np.array_equal(one, two):
                 raise DatasetError(

@@ -17,6 +17,7 @@ from parallel_cal.model.configuration import Configuration
 from parallel_cal.recordings.bag import read_bag
 from parallel_cal.recordings.channels import CHANNELS
 from parallel_cal.recordings.clocks import align_clocks
+from parallel_cal.recordings.columns import ColumnMap, map_by_names, read_column_map
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import join_datasets
 from parallel_cal.recordings.options import ReadKeywords, ReadOptions, SampleOptions
@@ -25,11 +26,25 @@ from parallel_cal.recordings.replicates import replicate_ids
 from parallel_cal.recordings.samplefile import PER_SAMPLE, holds_samples
 from parallel_cal.recordings.samples import Samples, broadcast_to_joints
 from parallel_cal.recordings.sampling import conditions_of, samples_of
+from parallel_cal.recordings.table import Table, is_table, read_table
+from parallel_cal.recordings.table_columns import Columns
+from parallel_cal.recordings.table_log import make_recording
+from parallel_cal.recordings.table_samples import make_dataset
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+    from parallel_cal.model.mechanism import Mechanism
+
 MAX_POSITION_M = 10.0  # m from the origin; positions that are mostly further out look like mm
+MAP_SUFFIX = ".columns.yaml"  # of the column map beside a table
+UNIT_WORDS = {"m": "a length", "rad": "an angle"}
+MOTOR_CURE = (
+    "If the readings are angles of a motor, state its travel per turn: in the model file ({joint}: "
+    "{{unit: m, ..., drive: {{kind: spool, per_rev: 0.0712}}}}, in m) or in the column map "
+    "({joint}: {{column: ..., unit: rev, per_rev: 71.2 mm}}); otherwise correct the unit"
+)
+LENGTH_CURE = "Correct the unit in the header or in the column map"
 MAX_JOINT_TRAVEL_RAD = 4.0 * np.pi  # joints that travel further look like degrees
 
 
@@ -44,16 +59,17 @@ def load_dataset(
     Parameters
     ----------
     path : str or Path
-        A rosbag2 folder or file, or a file of samples written by `Dataset.to_json`.
+        A rosbag2 folder or file, a file of samples written by `Dataset.to_json`, or a table
+        (`.csv`, `.tsv`, `.txt`) with a column map.
     options : ReadOptions, optional
         All options as one object.
     progress : callable, optional
         Called with a stage in words and the completed share (0 to 1).
     **given
-        Single options by name, for example `joints` (the model's joint names in its order),
-        `exclude` (indices of the samples to exclude, from 0), `topics` ({channel: topic}),
-        `joint_sigma` (standard deviation of joint readings, rad or m), `mode` (`"auto"`,
-        `"dwell"` or `"continuous"`).
+        Single options by name, for example `joints` (the model's joint names in its order) or
+        `mechanism` (of the model; it also converts units of a table), `exclude` (indices of the
+        samples to exclude, from 0), `topics` ({channel: topic}), `joint_sigma` (standard deviation
+        of joint readings, rad or m), `mode` (`"auto"`, `"dwell"` or `"continuous"`).
 
     Returns
     -------
@@ -87,12 +103,53 @@ def load_stamped(
 ) -> tuple[Dataset, int]:
     """Read samples and the stamp (ns) of their time zero; 0 for a file of samples."""
     options = (options or ReadOptions()).with_values(**given)
+    start = 0
     if holds_samples(Path(path)):
-        dataset, start = order_joints(Dataset.from_json(path), options.joints), 0
+        dataset = Dataset.from_json(path)
+    elif is_table(Path(path)):
+        dataset = load_table(Path(path), options)
     else:
-        recording = read_bag(path, options, progress)
+        recording = read_bag(path, options.with_values(joints=options.joint_names), progress)
         dataset, start = dataset_from_recording(recording, options), recording.start_ns
+    dataset = order_joints(dataset, options.joint_names)
+    if options.mechanism is not None:
+        dataset = match_joint_units(dataset, options.mechanism)
     return dataset.excluding(options.exclude), start
+
+
+def load_table(path: Path, options: ReadOptions) -> Dataset:
+    """Read a table by its column map, or by the names in its header if it has none."""
+    table = read_table(path).drop_empty_rows()
+    beside = path.with_suffix(MAP_SUFFIX)
+    if options.columns or beside.is_file():
+        file = Path(options.columns or beside)
+        return load_tables([table], read_column_map(file), str(file), options)
+    wanted = map_by_names(table, options.joint_names or (), beside)
+    return load_tables([table], wanted, str(beside), options)
+
+
+def load_tables(
+    tables: Sequence[Table], wanted: ColumnMap, asks: str, options: ReadOptions | None = None
+) -> Dataset:
+    """Return the dataset of tables that contain what is `wanted`; `asks` names the requester."""
+    if wanted.log is None:
+        return make_dataset(tables, wanted, asks)
+    options = options or ReadOptions()
+    if options.joint_sigma is None:
+        options = options.with_values(joint_sigma=wanted.noise.joint)
+    recording = make_recording(tables, wanted, wanted.log, asks, options)
+    dataset = dataset_from_recording(recording, options)
+    found = Columns(tables, asks)
+    constants = {
+        name: np.full(len(dataset), value)
+        for name, value in wanted.conditions.items()
+        if not isinstance(value, str)
+    }
+    return dataclasses.replace(
+        dataset,
+        conditions=dataset.conditions | constants,
+        joint_units=tuple(found.joint_unit(joint) for joint in wanted.joints.values()),
+    )
 
 
 @single_threaded()
@@ -229,6 +286,43 @@ def _stack(
     )
 
 
+def match_joint_units(dataset: Dataset, mechanism: Mechanism) -> Dataset:
+    """Return the dataset with readings in the units of the mechanism, whose joints are in order.
+
+    The angle of a motor becomes the length of its joint by the drive that the model file states.
+    DatasetError if the readings have another unit and there is no drive.
+    """
+    if dataset.joint_units is None:
+        return dataset
+    drives = mechanism.drives or (None,) * len(mechanism.joints)
+    factors = np.ones(len(drives))
+    each = zip(mechanism.joints, dataset.joint_units, mechanism.joint_units, drives, strict=True)
+    for i, (joint, found, expected, drive) in enumerate(each):
+        if found == expected:
+            continue
+        if drive is None or found == "m":
+            raise DatasetError(
+                f"{dataset.source}: joint {joint} is {UNIT_WORDS[found]}, but "
+                f"{UNIT_WORDS[expected]} in the model ({mechanism.name}). "
+                + (MOTOR_CURE.format(joint=joint) if expected == "m" else LENGTH_CURE)
+            )
+        factors[i] = drive.travel
+    conditions = dict(dataset.conditions)
+    for joint, factor in zip(mechanism.joints, factors, strict=True):
+        for name, by in (("travel", factor), ("velocity", factor), ("direction", np.sign(factor))):
+            if (key := f"{name}.{joint}") in conditions:
+                conditions[key] = conditions[key] * by
+    size, sigma = np.abs(factors), dataset.joint_sigma
+    return dataclasses.replace(
+        dataset,
+        q=dataset.q * factors,
+        scatter_q=dataset.scatter_q * size,
+        joint_sigma=None if sigma is None else sigma * size,
+        conditions=conditions,
+        joint_units=mechanism.joint_units,
+    )
+
+
 def order_joints(dataset: Dataset, joints: Sequence[str] | None) -> Dataset:
     """Return the dataset with its joints in the given order; DatasetError if one is missing."""
     if joints is None or tuple(joints) == dataset.joint_names:
@@ -241,11 +335,12 @@ def order_joints(dataset: Dataset, joints: Sequence[str] | None) -> Dataset:
             "the same names in the samples and in the model file"
         )
     order = [dataset.joint_names.index(name) for name in joints]
-    sigma = dataset.joint_sigma
+    sigma, units = dataset.joint_sigma, dataset.joint_units
     return dataclasses.replace(
         dataset,
         joint_names=tuple(joints),
         q=dataset.q[:, order],
         scatter_q=dataset.scatter_q[:, order],
         joint_sigma=None if sigma is None else sigma[order],
+        joint_units=None if units is None else tuple(units[k] for k in order),
     )

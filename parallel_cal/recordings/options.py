@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypedDict
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from parallel_cal.base.errors import BagError, DatasetError
 from parallel_cal.base.options import with_changes
 from parallel_cal.recordings.channels import CHANNELS
 from parallel_cal.recordings.recording import COORDINATES
+
+if TYPE_CHECKING:
+    from parallel_cal.model.mechanism import Mechanism
 
 MODES = ("auto", "dwell", "continuous")
 MIN_VALUES = {
@@ -99,6 +102,12 @@ class ReadOptions(SampleOptions):
         `header` or `log`: which time of a message counts. Default `header`.
     exclude : sequence of int
         Numbers of excluded samples. Default none.
+    columns : str, optional
+        Column map of a table (YAML). Default: the file `TABLE.columns.yaml` beside `TABLE.csv`, or
+        else the names in the header.
+    mechanism : Mechanism, optional
+        The robot: it states names and order of the joints, and converts angles of motors to lengths
+        by the drives that its model file states.
 
     Raises
     ------
@@ -111,6 +120,8 @@ class ReadOptions(SampleOptions):
     measures: Sequence[str] | None = None
     stamps: str = "header"
     exclude: Sequence[int] = ()
+    columns: str | None = None
+    mechanism: Mechanism | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -122,6 +133,13 @@ class ReadOptions(SampleOptions):
         ):
             if unknown := [name for name in given if name not in known]:
                 raise BagError(f"{what}: {unknown} unknown; expected some of {', '.join(known)}")
+
+    @property
+    def joint_names(self) -> tuple[str, ...] | None:
+        """The names of the joints in the order of the model; None if neither option states them."""
+        if self.joints is None:
+            return self.mechanism.joints if self.mechanism else None
+        return tuple(self.joints)
 
     def with_values(self, **given: Any) -> ReadOptions:
         """Return the options with some values changed; DatasetError for an unknown name."""
@@ -147,3 +165,5 @@ class ReadKeywords(TypedDict, total=False):
     measures: Sequence[str] | None
     stamps: str
     exclude: Sequence[int]
+    columns: str | None
+    mechanism: Mechanism | None

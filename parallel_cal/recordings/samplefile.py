@@ -33,6 +33,7 @@ PER_SAMPLE = (
 )
 MAX_SAMPLE_FILE_BYTES = 512 * MEGABYTE  # a million samples
 NULLABLE_FIELDS = ("pose_cov", "scatter_q", "scatter_pose")  # null if the device does not state it
+OPTIONAL_FIELDS = ("joint_units",)
 MAX_ORTHOGONALITY_ERROR = 1e-6  # largest difference of an entry of R R^T from the identity
 
 
@@ -64,6 +65,11 @@ def read_document(path: Path) -> dict[str, Any]:
     return document
 
 
+def is_expected(name: str, document: Mapping[str, Any]) -> bool:
+    """Return whether a document must contain a field; files of older versions lack some."""
+    return name in document or name not in OPTIONAL_FIELDS
+
+
 def restore_field(name: str, document: Mapping[str, Any]) -> Any:
     """Return a field of the document with its type and shape; DatasetError names a wrong key."""
     try:
@@ -83,6 +89,10 @@ def restore_field(name: str, document: Mapping[str, Any]) -> Any:
         good = isinstance(value, tuple) and all(isinstance(n, str) for n in value)
         if not good or not value or len(set(value)) < len(value):
             raise DatasetError(f"joint_names are {value}: expected a name for each joint")
+    if name == "joint_units" and value is not None:
+        joints = len(document["joint_names"])
+        if len(value) != joints or not {*value} <= {"rad", "m"}:
+            raise DatasetError(f"joint_units are {value}: expected rad or m for {joints} joints")
     if name == "joint_sigma" and value is not None:
         joints = len(document["joint_names"])
         if value.shape != (joints,) or not (value > 0).all():

@@ -16,6 +16,7 @@ from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.recording import Array, Bools
 from parallel_cal.recordings.samplefile import holds_samples
+from parallel_cal.recordings.table import is_table
 
 MARGIN_S = 1.0  # s before and after the dwell
 
@@ -43,7 +44,7 @@ def signals(
     at = list(dataset.numbers).index(number)
     session = dataset.conditions.get("session", np.zeros(len(dataset))).astype(int)
     path = paths[session[at]]
-    if holds_samples(Path(path)):
+    if holds_samples(Path(path)) or is_table(Path(path)):
         raise DatasetError(
             f"{path}: contains samples, not the raw readings from which they were made"
         )

@@ -20,6 +20,7 @@ from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.files import MEGABYTE, read_foreign_text
 from parallel_cal.base.units import UNIT_ALIASES, UNITS
 
+TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
 MAX_TABLE_BYTES = 512 * MEGABYTE
 
 
@@ -140,6 +141,11 @@ def read_table(path: Path) -> Table:
     names = [" ".join(name.split()) for name in header]  # Excel breaks lines within a cell
     decimal = "." if apart == "," else ","
     return Table(path, names, [row for _, row in rows], [line for line, _ in rows], decimal)
+
+
+def is_table(path: Path) -> bool:
+    """Return whether a path is a table, by its suffix."""
+    return path.suffix.lower() in TABLE_SUFFIXES
 
 
 def split_unit(word: str) -> tuple[str, str | None]:

@@ -67,7 +67,7 @@ class Session(History):
             )
         paths = [str(Path(path).resolve()) for path in recordings]
         if paths:  # report a bad recording now, not at the first step
-            load_sessions(paths, reading, joints=model.joints)
+            load_sessions(paths, reading, mechanism=model.mechanism)
         (target / "models").mkdir(parents=True, exist_ok=True)
         first = State(number=0, parent=None, step="begin", model="models/0.yaml")
         write_model(model, target / first.model)
@@ -98,9 +98,9 @@ class Session(History):
         if not (paths := tuple(self.recordings)):
             raise SessionError(f"{self.folder}: no samples yet; record samples first")
         if paths not in self._samples:
-            joints = self._model(self.record.states[0]).joints
+            mechanism = self._model(self.record.states[0]).mechanism
             options = ReadOptions(**self.record.reading)
-            self._samples[paths] = load_sessions(paths, options, joints=joints)
+            self._samples[paths] = load_sessions(paths, options, mechanism=mechanism)
         return self._samples[paths]
 
     @property
@@ -198,7 +198,7 @@ class Session(History):
         write(file)
         reading = ReadOptions(**self.record.reading)
         paths = [*self.record.recordings, str(file)]
-        data = load_sessions(paths, reading, joints=self.model.joints)
+        data = load_sessions(paths, reading, mechanism=self.model.mechanism)
         before = self.samples if self.recordings else data
         kept: dict[int, str] = {}
         for n, why in self.state.excluded.items():

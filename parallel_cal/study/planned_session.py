@@ -26,7 +26,7 @@ def planned_joints(path: Path, model: Model) -> np.ndarray:
     robot."""
     if path.suffix.lower() == ".csv":
         return _joints(_table(path, model), model, "")
-    return load_dataset(path, joints=model.joints).q
+    return load_dataset(path, mechanism=model.mechanism).q
 
 
 @single_threaded()
@@ -41,7 +41,7 @@ def planned_session(
     are those of another robot, or if the robot cannot be assembled with them.
     """
     if path.suffix.lower() != ".csv":
-        return load_dataset(path, options, joints=model.joints)
+        return load_dataset(path, options, mechanism=model.mechanism)
     table = _table(path, model)
     waypoints = [
         stop for stop in WAYPOINTS if any(f"{stop}.{j}" in table.header for j in model.joints)

@@ -2,7 +2,8 @@
 
 One table contains points with the columns x, y and z, and another one joint readings. Any lines may
 precede the header. Commas, semicolons or tabs separate the cells. A column that both tables have
-joins their rows: a point's name or number, or the time. The unit is in the header (`X [mm]`), in a
+joins their rows: a point's name or number, or the time. Tables of equal length without such a
+column are matched row by row. The unit is in the header (`X [mm]`), in a
 line before it (`Units: Millimeters`), or an option.
 """
 
@@ -21,12 +22,13 @@ from parallel_cal.base.units import UNIT_ALIASES, UNITS
 from parallel_cal.importing.settings import SourceLine, read_lines
 from parallel_cal.model.file.schema import NoisePart
 from parallel_cal.recordings.columns import ColumnMap, Join, JointColumn, PositionColumns
-from parallel_cal.recordings.csv_import import make_dataset
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.table import Table, split_unit
+from parallel_cal.recordings.table_samples import make_dataset
 
 REMARKS = ("#", "//", "%", "!")
 XYZ = ("x", "y", "z")
+ROW = "row"  # joins tables line by line
 TIMES = ("t", "time", "timestamp", "stamp", "datetime")
 EPOCH = date(1970, 1, 1)
 CLOCK = re.compile(
@@ -45,10 +47,13 @@ def samples(
     joint_unit: str = "",
     sigma: float | None = None,
     joint_sigma: float | None = None,
+    offset: float | None = None,
 ) -> Dataset:
     """Read points and joints whose rows agree in the column `by`, or differ by `within` s there.
 
-    `position` and `joints` are names of columns. The sigmas are in m and rad.
+    `position` and `joints` are names of columns. The sigmas are in m and rad. `by` may be `row`:
+    rows with equal numbers belong together. `offset` is the time of the points' clock minus that of
+    the joints' clock, s; it is estimated from the motion if it is not stated.
     """
     for name, given in (("unit", unit), ("joint_unit", joint_unit)):
         if given and given not in UNITS:
@@ -60,7 +65,7 @@ def samples(
     points = _points([table for table, _ in read], position)
     logs = [table for table, _ in read if table is not points] or [points]
     where = [_find_column(points, name) or "" for name in position]
-    key = by or _find_common_column(points, logs, where)
+    key = _find_common_column(points, logs, where) if not by else "" if by == ROW else by
     if not by and within is None and key.lower() in TIMES:
         raise DatasetError(
             f"{paths[0]}: joined by {key}: state the largest time difference "
@@ -79,7 +84,7 @@ def samples(
     wanted = ColumnMap(
         joints={split_unit(word)[0]: JointColumn(column=split_unit(word)[0]) for word in columns},
         position=PositionColumns(columns=[split_unit(word)[0] for word in where]),
-        join=Join(by=key, within=within) if len(tables) > 1 else None,
+        join=Join(by=key, within=within, offset=offset) if len(tables) > 1 and key else None,
         noise=NoisePart(position=sigma, joint=joint_sigma),
     )
     return make_dataset(tables, wanted, "import table")
@@ -95,10 +100,10 @@ def _read_table(path: Path) -> tuple[Table, str]:
         if line.strip() and not line.lstrip().startswith(REMARKS):
             rows.append((place.line, line))
     for k, ((_, line), (_, below)) in enumerate(pairwise(rows)):
-        apart = max(",;\t", key=below.count)
-        header, first = _cells(line, apart), _cells(below, apart)
-        if len(header) == len(first) > 1 and any(header) and not any(map(_is_number, header)):
-            return _table(path, header, apart, rows[k + 1 :]), said
+        for apart in sorted(";\t,", key=line.count, reverse=True):  # a comma may be decimal
+            header, first = _cells(line, apart), _cells(below, apart)
+            if len(header) == len(first) > 1 and any(header) and not any(map(_is_number, header)):
+                return _table(path, header, apart, rows[k + 1 :]), said
     expected = "a header, and rows with as many cells, separated by , ; or tabs"
     raise DatasetError(f"{path}: the file contains no table, expected {expected}")
 
@@ -140,7 +145,10 @@ def _find_column(table: Table, name: str) -> str | None:
 
 
 def _find_common_column(points: Table, logs: Sequence[Table], where: Sequence[str]) -> str:
-    """Return the column that all tables have, besides the position; the time is the last choice."""
+    """Return the column that all tables have, besides the position; the time is the last choice.
+
+    If there is none and the tables have equally many rows, it is "": they are matched row by row.
+    """
     if logs == [points]:
         return ""
     shared = [
@@ -151,8 +159,18 @@ def _find_common_column(points: Table, logs: Sequence[Table], where: Sequence[st
     chosen = [name for name in shared if name.lower() not in TIMES] or shared
     if len(chosen) == 1:
         return chosen[0]
-    files = ", ".join(str(table.path) for table in (points, *logs))
-    has = ", ".join(chosen) or "none"
+    tables = (points, *logs)
+    files = ", ".join(str(table.path) for table in tables)
+    if not chosen:
+        counts = [sum(any(row) for row in table.rows) for table in tables]
+        if len({*counts}) == 1:
+            return ""
+        raise DatasetError(
+            f"{files}: no column that all tables have, and "
+            f"{' and '.join(map(str, counts))} rows: expected equally many rows, or a column that "
+            "joins them (--option by=...)"
+        )
+    has = ", ".join(chosen)
     raise DatasetError(
         f"{files}: columns that all tables have: {has}; state which one joins "
         "them (--option by=...)"

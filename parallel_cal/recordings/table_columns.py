@@ -1,0 +1,152 @@
+"""The columns of tables in SI units, as a column map describes them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from parallel_cal.base.errors import DatasetError
+from parallel_cal.base.rotation import quaternion_to_matrix
+from parallel_cal.base.units import LENGTHS, UNITS
+from parallel_cal.recordings.columns import ColumnMap, JointColumn, si_unit, travel
+from parallel_cal.recordings.recording import Array
+from parallel_cal.recordings.table import Table, split_unit
+
+MAX_QUATERNION_LENGTH_ERROR = 0.05
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The columns of tables, in SI units; `map` names the requester."""
+
+    tables: Sequence[Table]
+    map: str
+
+    def check(self, wanted: ColumnMap, shared: str = "") -> Columns:
+        """Return self; DatasetError for a column that no table or more than one table has.
+
+        Several tables may have the column `shared`.
+        """
+        for name in wanted.columns:
+            having = [str(table.path) for table in self.tables if table.find(name)]
+            if len(having) > 1 and name != shared:
+                raise DatasetError(
+                    f"column {name} is in {' and '.join(having)}: rename one of them"
+                )
+            if not having:
+                has = "; ".join(", ".join(t.header) for t in self.tables)
+                raise DatasetError(
+                    f"{', '.join(f'{t.path}:1' for t in self.tables)}: no column {name}, "
+                    f"which {self.map} names; the table has {has}"
+                )
+        return self
+
+    def require_one_table(self, names: Sequence[str]) -> Table:
+        """Return the table that has all these columns; DatasetError if they are in several."""
+        having = {str(table.path): table for table, _ in map(self._find_column, names)}
+        if len(having) > 1:
+            raise DatasetError(
+                f"the columns {', '.join(names)} are in {' and '.join(having)}, expected in one "
+                "table, because each table has its own times"
+            )
+        return next(iter(having.values()))
+
+    def si(self, names: Sequence[str], unit: str | None, gaps: bool = False) -> Array:
+        """Return columns (N, len(names)) in m or rad; with `gaps`, an empty cell is NaN."""
+        return np.column_stack([self._column(name, unit, gaps) for name in names])
+
+    def joint(self, wanted: JointColumn, gaps: bool = False) -> Array:
+        """Return (N, 1) readings in m or rad; DatasetError if per_rev or offset do not fit them."""
+        table, word = self._find_column(wanted.column)
+        unit = wanted.unit or split_unit(word)[1]
+        if wanted.per_rev is not None and unit in LENGTHS:
+            raise DatasetError(
+                f"{table.path}:1: column {word} is in {unit}, but {self.map} has per_rev "
+                f"{wanted.per_rev}, which needs an angle: state the motor's unit (unit: "
+                "rev or deg), or remove per_rev"
+            )
+        readings = self.si([wanted.column], wanted.unit, gaps) * wanted.factor * wanted.per_radian
+        if wanted.offset is None:
+            return readings
+        joint_unit = self.joint_unit(wanted)
+        if si_unit(wanted.offset.split()[1]) != joint_unit:
+            raise DatasetError(
+                f"{table.path}:1: column {word} gives a joint in {joint_unit}, but {self.map} has "
+                f"the offset {wanted.offset}: state the offset in a unit of the joint"
+            )
+        return readings + travel(wanted.offset)
+
+    def joint_unit(self, wanted: JointColumn) -> str:
+        """Return the SI unit of a joint, m or rad."""
+        word = self._find_column(wanted.column)[1]
+        return wanted.joint_unit(wanted.unit or split_unit(word)[1] or "")
+
+    def numbers(self, names: Sequence[str], gaps: bool = False) -> Array:
+        """Return (N, len(names)) without conversion; DatasetError at a cell that is not finite.
+
+        With `gaps`, an empty cell is NaN.
+        """
+        return np.column_stack(
+            [_numbers(t, word, gaps) for t, word in map(self._find_column, names)]
+        )
+
+    def texts(self, name: str) -> list[str]:
+        table, word = self._find_column(name)
+        return table.texts(word)
+
+    def position(self, wanted: ColumnMap, gaps: bool = False) -> Array | None:
+        """Return positions (N, 3) in m; None if they are not measured."""
+        if wanted.position is None:
+            return None
+        return self.si(wanted.position.columns, wanted.position.unit, gaps)
+
+    def rotation(self, wanted: ColumnMap, gaps: bool = False) -> Array | None:
+        """Return rotations (N, 3, 3); None if they are not measured."""
+        if wanted.angles is not None:
+            from scipy.spatial.transform import Rotation
+
+            turns = self.si(wanted.angles.columns, wanted.angles.unit, gaps)
+            kept = ~np.isnan(turns).any(axis=1)
+            R = np.full((len(turns), 3, 3), np.nan)
+            R[kept] = Rotation.from_euler(wanted.angles.axes, turns[kept]).as_matrix()
+            return R
+        given = wanted.orientation
+        if given is None:
+            return None
+        quaternions = self.numbers(given, gaps)
+        length = np.linalg.norm(quaternions, axis=1)
+        if (bad := np.flatnonzero(np.abs(length - 1) > MAX_QUATERNION_LENGTH_ERROR)).size:
+            table, _ = self._find_column(given[0])
+            raise DatasetError(
+                f"{table.path}:{table.lines[bad[0]]}: {', '.join(given)} are a quaternion of "
+                f"length {length[bad[0]]:.4g}, expected 1: check that the columns are x, y, z and "
+                "w, or remove the line"
+            )
+        return quaternion_to_matrix(quaternions)
+
+    def _find_column(self, name: str) -> tuple[Table, str]:
+        return next((t, word) for t in self.tables if (word := t.find(name)) is not None)
+
+    def _column(self, name: str, unit: str | None, gaps: bool) -> Array:
+        table, word = self._find_column(name)
+        in_header = split_unit(word)[1]
+        if unit is None and in_header is None:
+            raise DatasetError(
+                f"{table.path}:1: column {word} has no unit; state it in {self.map} "
+                f"(unit: mm) or in the header ({word} [mm])"
+            )
+        if unit and in_header and unit != in_header:
+            raise DatasetError(
+                f"{table.path}:1: column {word} is in {in_header}, but {self.map} states {unit}"
+            )
+        return _numbers(table, word, gaps) * UNITS[unit or in_header or ""]
+
+
+def _numbers(table: Table, word: str, gaps: bool) -> Array:
+    """Return the numbers (N,) of a column; with `gaps`, an empty cell is NaN."""
+    filled = [k for k, text in enumerate(table.texts(word)) if text or not gaps]
+    values = np.full(len(table.rows), np.nan)
+    values[filled] = table.select(filled).numbers([word])[:, 0]
+    return values

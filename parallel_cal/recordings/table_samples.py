@@ -1,0 +1,214 @@
+"""Tables and a column map -> Dataset: one row for each pose at which the robot stood still."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from parallel_cal.base.errors import DatasetError
+from parallel_cal.recordings.clocks import MIN_STEPS
+from parallel_cal.recordings.columns import ColumnMap, Join
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.dwells import approach
+from parallel_cal.recordings.recording import Array, Dropped
+from parallel_cal.recordings.samples import READING
+from parallel_cal.recordings.table import Table
+from parallel_cal.recordings.table_columns import Columns
+from parallel_cal.recordings.table_log import SECONDS, find_clock_offset, read_log
+from parallel_cal.recordings.travel import travel
+
+# A joint that moves by less between two rows keeps its direction: share of its travel, and sigmas
+# of its stated noise.
+MAX_STILL_SHARE = 1e-3
+MAX_STILL_SIGMAS = 5.0
+
+
+def make_dataset(given: Sequence[Table], wanted: ColumnMap, asks: str) -> Dataset:
+    """Return the dataset of tables that contain what is `wanted`; `asks` names the requester."""
+    tables, dropped, notes = _match_rows([*given], wanted, asks)
+    found = Columns(tables, asks).check(wanted)
+    q = np.hstack([found.joint(joint) for joint in wanted.joints.values()])
+    r, R, n = found.position(wanted), found.rotation(wanted), len(tables[0].rows)
+    readings = {
+        READING + name: found.si([one.column], one.unit, gaps=True)[:, 0]
+        for name, one in wanted.readings.items()
+    }
+    conditions = {
+        name: found.numbers([given])[:, 0] if isinstance(given, str) else np.full(n, given)
+        for name, given in wanted.conditions.items()
+    }
+    order = conditions.get("time")
+    if order is None and wanted.join and wanted.join.within and len(tables) > 1:
+        order = found.numbers([wanted.join.by])[:, 0]
+    if _orders_visits(wanted) and n > 1:
+        conditions |= _directions_of_visits(wanted, q, order)
+        where = "times" if order is not None else "order"
+        notes.append(
+            f"{tables[0].path}: direction and travel of the joints were taken from the {where} of "
+            "the rows, as if each joint moved straight from row to row; if not, state visits: "
+            "unordered in the column map"
+        )
+    noise = wanted.noise  # as the manufacturers state it; NaN if they do not
+    sigma = np.repeat([noise.position or np.nan, noise.orientation or np.nan], 3)
+    pose_id = None
+    if wanted.group is not None:
+        pose_id = np.unique(found.texts(wanted.group), return_inverse=True)[1]
+    return Dataset.from_arrays(
+        tuple(wanted.joints),
+        q,
+        np.zeros((n, 3)) if r is None else r,
+        R,
+        measured=np.repeat([r is not None, R is not None], 3),
+        pose_cov=np.where(np.isnan(sigma), np.nan, np.diag(sigma**2)),
+        joint_sigma=wanted.noise.joint,
+        conditions=conditions | readings,
+        pose_id=pose_id,
+        source=" + ".join(str(table.path) for table in given),
+        sha256=hashlib.sha256(b"".join(table.path.read_bytes() for table in given)).hexdigest(),
+        dropped=tuple(dropped),
+        warnings=tuple(notes),
+        joint_units=tuple(found.joint_unit(joint) for joint in wanted.joints.values()),
+    )
+
+
+def _orders_visits(wanted: ColumnMap) -> bool:
+    """Return whether the rows are in the order of visits, and nothing else states directions."""
+    stated = any(name.split(".")[0] in ("direction", "travel") for name in wanted.conditions)
+    return wanted.visits == "in order" and not stated
+
+
+def _directions_of_visits(wanted: ColumnMap, q: Array, time: Array | None) -> dict[str, Array]:
+    """Return the conditions direction.JOINT and travel.JOINT of rows in the order of their time, or
+    of the file."""
+    order = np.arange(len(q)) if time is None else np.argsort(time, kind="stable")
+    level = q[order]
+    noise = MAX_STILL_SIGMAS * (wanted.noise.joint or 0.0)
+    threshold = np.maximum(MAX_STILL_SHARE * np.ptp(level, axis=0), noise)
+    direction = approach(level, range(len(q)), level, threshold)
+    distance = travel(level, range(len(q)), level, direction, threshold)
+    conditions = {}
+    for j, joint in enumerate(wanted.joints):
+        for name, values in (("direction", direction), ("travel", distance)):
+            column = conditions[f"{name}.{joint}"] = np.zeros(len(q))
+            column[order] = values[:, j]
+    return conditions
+
+
+def _match_rows(
+    tables: list[Table], wanted: ColumnMap, asks: str
+) -> tuple[list[Table], list[Dropped], list[str]]:
+    """Return tables of corresponding rows, the rows that lack a partner, and notes."""
+    join = wanted.join
+    if len(tables) == 1:
+        return tables, [], []
+    if join is None:
+        _require_equal_lengths(tables)
+        paths = " and ".join(str(table.path) for table in tables)
+        note = f"{paths} were matched row by row, because no column that joins them is stated"
+        return tables, [], [note]
+    for table in tables:
+        if table.find(join.by) is None:
+            raise DatasetError(f"{table.path}:1: no column {join.by} to join by")
+    if join.within is None:
+        return *_join_tables(tables, join, {}), []
+    offsets, notes = dict[str, float](), list[str]()
+    complete = [_select_complete_rows(table, wanted) for table in tables]
+    if join.offset is not None or min(len(table.rows) for table in complete) >= MIN_STEPS:
+        log = read_log(Columns(complete, asks).check(wanted, join.by), wanted, join)
+        shift = find_clock_offset(log, [*wanted.joints], join.offset)
+        notes += shift.notes
+        if log.poses is not None and log.clocks_differ:
+            offsets[str(log.poses.path)] = shift.offset
+    return *_join_tables(tables, join, offsets), notes
+
+
+def _select_complete_rows(table: Table, wanted: ColumnMap) -> Table:
+    """Return the rows whose cells are all usable: others may have no partner and do no harm."""
+    words = [word for name in wanted.columns if (word := table.find(name)) is not None]
+    texts = {wanted.group, *wanted.readings}
+    numbers = [table.column(word) for word in words if word not in texts]
+    usable = np.isfinite(numbers).all(axis=0) if numbers else np.ones(len(table.rows), bool)
+    return table.select(np.flatnonzero(usable).tolist())
+
+
+def _require_equal_lengths(tables: Sequence[Table]) -> None:
+    counts = {str(table.path): len(table.rows) for table in tables}
+    if len({*counts.values()}) > 1:
+        raise DatasetError(
+            f"{' and '.join(f'{n} rows in {p}' for p, n in counts.items())}: state in "
+            "the column map how they belong together (join: {by: COLUMN})"
+        )
+
+
+def _join_tables(
+    tables: list[Table], join: Join, offsets: Mapping[str, float]
+) -> tuple[list[Table], list[Dropped]]:
+    """Return tables of corresponding rows, and the rows that lack a partner in a table.
+
+    `offsets` (s) are those of the clocks of some tables, by path.
+    """
+    one = min(tables, key=lambda table: len(table.rows))
+    partners = np.column_stack([_find_partners(one, table, join, offsets) for table in tables])
+    kept = (partners >= 0).all(axis=1)
+    if not kept.any():
+        reason = f"has the same {join.by} as"
+        if join.within is not None:
+            reason = f"is within {join.within:g} s ({join.by}) of"
+        raise DatasetError(
+            f"no row of {one.path} {reason} a row of the other tables"
+            + (
+                ""
+                if join.within is None
+                else ": if their clocks differ, state the offset of the poses' clock (offset, s)"
+            )
+        )
+    unpaired = [(one, np.flatnonzero(~kept).tolist())]
+    if join.within is None:  # in a log by time, most rows belong to no sample
+        for table, rows in zip(tables, partners[kept].T, strict=True):
+            if table is not one:
+                unpaired.append((table, sorted({*range(len(table.rows))} - {*rows.tolist()})))
+    dropped = [
+        Dropped(
+            0.0,
+            "no partner",
+            f"{table.path}:{table.lines[k]}: no other table has its {join.by}",
+        )
+        for table, rest in unpaired
+        for k in rest
+    ]
+    chosen = [t.select(rows.tolist()) for t, rows in zip(tables, partners[kept].T, strict=True)]
+    # Only the first table keeps the column that joins them: a column must be in one table only.
+    others = [
+        dataclasses.replace(t, header=["" if w == t.find(join.by) else w for w in t.header])
+        for t in chosen[1:]
+    ]
+    return [chosen[0], *others], dropped
+
+
+def _find_partners(
+    one: Table, other: Table, join: Join, offsets: Mapping[str, float]
+) -> np.ndarray:
+    """Return the row (N,) of `other` that belongs to each row of `one`; -1 if there is none."""
+    mine, its = one.find(join.by) or "", other.find(join.by) or ""
+    if join.within is not None:
+        at, among = (
+            table.numbers([word])[:, 0] * SECONDS[join.unit] - offsets.get(str(table.path), 0.0)
+            for table, word in ((one, mine), (other, its))
+        )
+        order = np.argsort(among, kind="stable")
+        after = np.searchsorted(among[order], at).clip(1, max(len(among) - 1, 1))
+        around = order[np.minimum(np.stack([after - 1, after]), len(among) - 1)]
+        nearest = np.where(np.diff(np.abs(among[around] - at), axis=0)[0] < 0, *around[::-1])
+        return np.where(np.abs(among[nearest] - at) <= join.within, nearest, -1)
+    texts = other.texts(its)
+    for table, words in ((other, texts), (one, one.texts(mine))):
+        first = dict(zip(words[::-1], range(len(words))[::-1], strict=True))
+        if twice := [k for k, text in enumerate(words) if first[text] < k]:
+            raise DatasetError(
+                f"{table.path}:{table.lines[twice[0]]}: {join.by} {words[twice[0]]} occurs twice"
+            )
+    rows = {text: k for k, text in enumerate(texts)}
+    return np.array([rows.get(text, -1) for text in one.texts(mine)])
