@@ -17,6 +17,8 @@ from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.observations import observe
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.kinematics.solving import controlled_pose
 from parallel_cal.mechanisms.delta54 import Delta54
 from parallel_cal.mechanisms.linear_delta import LinearDelta
 from parallel_cal.mechanisms.stewart42 import (
@@ -26,7 +28,9 @@ from parallel_cal.mechanisms.stewart42 import (
     Stewart42,
 )
 from parallel_cal.model.file.modelfile import write_model
+from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Noise, new_model
+from parallel_cal.model.shelf import list_plugins
 from parallel_cal.recordings.csv_import import import_csv
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.session.goals import Request, examine, propose_model
@@ -65,11 +69,18 @@ def delta(change=lambda q: q):
 @pytest.mark.parametrize(
     ("scale", "words"),
     [
-        (1e3, "By the measured poses the readings are in mm: state it in the column map (unit: mm"),
-        (1e2, "the readings are in cm: state it in the column map (unit: cm"),
+        (
+            1e3,
+            "By the measured poses the readings are in mm: state it in the column map (leg2: "
+            "{column: ..., unit: mm}",
+        ),
+        (1e2, "the readings are in cm: state it in the column map (leg2: {column: ..., unit: cm}"),
         (1e6, "the readings are in um: "),
         (1 / 0.0254, "the readings are in in: "),
-        (1 / 0.012, "revolutions (column map: unit: rev, per_rev: 12 mm), its radians (per_rev"),
+        (
+            1 / 0.012,
+            "(column map: leg2: {column: ..., unit: rev, per_rev: 12 mm}), its radians (unit: ra",
+        ),
         (-4096 / 0.005, "encoder counts"),
     ],
 )
@@ -128,9 +139,12 @@ def test_a_comparison_shows_such_readings_and_warns():
 @pytest.mark.parametrize(
     ("scale", "words"),
     [
-        (1e-3, "factor 1e+03 .*the readings were in m already and were converted from mm: state"),
-        (0.0254, "the readings were in m already and were converted from in: state unit: m"),
-        (1 / 5.0, "revolutions .column map: unit: rev, per_rev: 5000 mm"),
+        (
+            1e-3,
+            "factor 1e+03 .*the readings were in m already and were converted from mm: state it",
+        ),
+        (0.0254, "were in m already and were converted from in: state it in .* unit: m}; see"),
+        (1 / 5.0, "revolutions .column map: leg6: {column: ..., unit: rev, per_rev: 5000 mm}"),
         (0.4, "by the measured poses the readings are wrong by the factor 2.5"),
         (2.8, "by the measured poses the readings are wrong by the factor 2.8"),
     ],
@@ -160,11 +174,49 @@ def test_small_readings_are_accepted_unless_the_poses_prove_the_mismatch():
     data = legs(1e-3)
     observe(stewart(), replace(data, measured=np.zeros_like(data.measured)))
     observe(stewart(), data.select(np.arange(9)))
-    observe(stewart((-np.inf, np.inf)), data)
     noisy = data.q + 1e-4 * np.random.default_rng(0).standard_normal(data.q.shape)
     observe(stewart(), replace(data, q=noisy))
     # The poses span less than a twentieth of the joints' range.
     observe(stewart((0.0, 20.0)), data)
+
+
+@pytest.mark.parametrize("scale", [1e3, 1e-3, 1 / 0.0712])
+def test_the_poses_judge_the_readings_of_joints_without_limits(scale):
+    unlimited = stewart((-np.inf, np.inf))
+    with pytest.raises(
+        FitError, match=r"joint leg\d reads .* m, it has no limits: by the measured"
+    ):
+        observe(unlimited, legs(scale))
+    data = legs(scale)
+    observe(unlimited, replace(data, measured=np.zeros_like(data.measured)))
+    for own in (0.94, -1.0, 1.6):
+        observe(unlimited, legs(own, offset=0.3))
+
+
+UNITS_OF = {"m": (1e-3, 1e-2, 0.0254, 0.005), "rad": (np.pi / 180, 2 * np.pi, 1e-3)}
+# The arms of a user's own description have other joints each.
+MECHANISMS = [name for name in list_plugins("mechanisms") if name != "serial"]
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_the_readings_of_every_mechanism_are_refused_in_a_unit_too_large_or_too_small(name):
+    model = replace(new_model(name), noise=NOISE)
+    r, R = poses_in_workspace(model.mechanism, 40, np.random.default_rng(0))
+    r, R = controlled_pose(model, r, R)
+    found = Kinematics(model).direct(Kinematics(model).inverse(r, R).joints)
+    seen = found.solved
+    data = Dataset.from_arrays(
+        model.joints,
+        found.joints[seen],
+        found.position[seen],
+        found.rotation[seen].reshape(-1, 3, 3),
+    )
+    assert len(observe(model, data)) == len(data) > 10
+    for unit in UNITS_OF[model.mechanism.joint_units[0]]:
+        for scale in (unit, 1 / unit):
+            with pytest.raises(FitError, match=r"By the measured poses .*column map"):
+                observe(model, replace(data, q=scale * data.q))
 
 
 @pytest.mark.parametrize("axis", np.eye(3))
@@ -172,7 +224,7 @@ def test_an_unknown_frame_of_the_device_is_no_wrong_unit(axis):
     data, turn = legs(), vr.turn(1.5 * axis[None])[0]
     for shift in (0.0, 0.3, 2.0):
         moved = replace(data, r=data.r @ turn.T + shift, R=turn @ data.R)
-        for limits in ((0.0, 0.2), (0.0, 0.1), (-0.5, 0.5)):
+        for limits in ((0.0, 0.2), (0.0, 0.1), (-0.5, 0.5), (-np.inf, np.inf)):
             observe(stewart(limits), moved)
 
 
@@ -202,7 +254,6 @@ def test_a_few_wild_readings_are_no_unit():
 def test_who_states_the_limits_or_insists_is_believed():
     data = legs(1e3)
     observe(stewart((0.0, 200.0)), data)
-    observe(stewart((-np.inf, np.inf)), data)
     assert len(observe(stewart(), data, insist=True)) == 40
     narrow = stewart((0.0, 0.01))
     with pytest.raises(FitError, match=r"its limits are 0 to 0\.01 m"):
@@ -284,7 +335,7 @@ def test_motor_revolutions_of_a_real_hexapod_are_refused_and_what_the_message_sa
     with pytest.raises(FitError) as error:
         fit(jugglebot(), import_csv(JUGGLEBOT, file))
     assert "leg5 reads 0.2299 to 3.966 m, its limits are 0 to 0.3 m" in str(error.value)
-    per_rev = re.search(r"unit: rev, per_rev: ([0-9.]+ mm)\)", str(error.value))[1]
+    per_rev = re.search(r"unit: rev, per_rev: ([0-9.]+ mm)\}\)", str(error.value))[1]
     assert float(per_rev.split()[0]) == pytest.approx(71.03, rel=0.05)
     file.write_text(column_map(columns, unit="rev", per_rev=per_rev))
     found = fit(jugglebot(), import_csv(JUGGLEBOT, file))

@@ -3,8 +3,9 @@
 Real robots show readings beyond their nominal limits, from wrong zeros and after whole turns. Only
 readings that span a joint's range several times, or are many ranges away from it, are refused.
 
-Readings that are too small for their unit stay within the limits. They are refused if the measured
-poses prove that the joint moved by another factor than its readings.
+Readings that are too small for their unit stay within the limits, and a joint without limits has
+none to exceed. Such readings are refused if the measured poses prove that the joint moved by
+another factor than its readings.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ def doubt_readings(
         if not size.any():
             return ""
     worst = int(np.argmax(size))
-    name, unit, (low, high) = m.joints[worst], m.joint_units[worst], m.joint_limits[worst]
+    name, unit = m.joints[worst], m.joint_units[worst]
     if beyond:
         why = f"the span or the distance of the readings is {size[worst]:.3g} times its range"
         cure = "If the joint does move there, state its limits in the model file (low, high)"
@@ -60,9 +61,16 @@ def doubt_readings(
     also = f" (likewise the readings of {', '.join(others)})" if others else ""
     return (
         f"{source or 'samples'}: joint {name} reads {q[:, worst].min():.4g} to "
-        f"{q[:, worst].max():.4g} {unit}, its limits are {low:.4g} to {high:.4g} {unit}: "
-        f"{why}{also}. {_guess(model, x, measured, a, worst)}. {cure}"
+        f"{q[:, worst].max():.4g} {unit}, {_describe_limits(m, worst)}: {why}{also}. "
+        f"{_guess(model, x, measured, a, worst)}. {cure}"
     )
+
+
+def _describe_limits(m: Mechanism, i: int) -> str:
+    low, high = m.joint_limits[i]
+    if not np.isfinite(high - low):
+        return "it has no limits"
+    return f"its limits are {low:.4g} to {high:.4g} {m.joint_units[i]}"
 
 
 def _excess(m: Mechanism, q: np.ndarray) -> np.ndarray:
@@ -96,9 +104,11 @@ def _mismatch(model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray) 
     span = np.ptp(
         np.quantile(q, [(1 - MOST_READINGS) / 2, (1 + MOST_READINGS) / 2], axis=0), axis=0
     )
+    limited = np.isfinite(width)
     # Other readings leave no room for a mismatch within the joint's range. The solution of the
-    # inverse problem is not needed for them.
-    small, large = span * MAX_SCALE_MISMATCH < width, span > width
+    # inverse problem is not needed for them. Without a range, only the poses can tell.
+    small = ~limited | (span * MAX_SCALE_MISMATCH < width)
+    large = ~limited | (span > width)
     if len(q) < MIN_SCALE_SAMPLES or not (small | large).any():
         return factor
     some = np.unique(np.linspace(0, len(q) - 1, MAX_SCALE_SAMPLES).astype(int))
@@ -109,7 +119,8 @@ def _mismatch(model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray) 
     # disagree: some are not correlated with their readings, or all by different factors.
     middle = np.median(moved, axis=0)
     inside = (low - width < middle) & (middle < high + width)
-    used = np.flatnonzero(inside & (np.ptp(moved, axis=0) > MIN_POSE_SPAN * width))
+    moves = np.ptp(moved, axis=0) > MIN_POSE_SPAN * width
+    used = np.flatnonzero(~limited | (inside & moves))
     scales = [_scale(read[:, i], moved[:, i], MIN_SCALE_CORRELATION) for i in used]
     if not scales or None in scales:
         return factor
@@ -137,7 +148,8 @@ def _arc(angles: np.ndarray, turn: float) -> float:
 def _guess(model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray, i: int) -> str:
     """Guess the unit of the readings of joint i, and say how to state it."""
     unit, read = model.mechanism.joint_units[i], x[:, i]
-    cure = "state it in the column map (unit: {}; see docs/import_csv.md), or publish them in {}"
+    entry = f"{model.joints[i]}: {{{{column: ..., unit: {{}}}}}}"  # of the column map
+    cure = f"state it in the column map ({entry}; see docs/import_csv.md), or publish them in {{}}"
     solved, moved = _readings_and_motion(model, x, measured, a)
     if scale := _scale(solved[:, i], moved[:, i], MIN_CORRELATION):
         units = LENGTHS if unit == "m" else ANGLES
@@ -145,8 +157,7 @@ def _guess(model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray, i: 
         if twice:
             return (
                 f"By the measured poses the readings were in {unit} already and were converted "
-                f"from {twice[0]}: state unit: {unit} in the column map (see docs/import_csv.md), "
-                f"or publish them in {unit}"
+                f"from {twice[0]}: {cure.format(unit, unit)}"
             )
         nearest = min(units, key=lambda name: abs(np.log(abs(scale) / units[name])))
         if _is_same(abs(scale), units[nearest]):
@@ -157,12 +168,13 @@ def _guess(model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray, i: 
         one, turn = f"{scale * factor:.4g} {shown}", f"{2 * np.pi * scale * factor:.4g} {shown}"
         return (
             f"By the measured poses one unit of the readings is {one}. They may be a motor's "
-            f"revolutions (column map: unit: rev, per_rev: {one}), its radians (per_rev: {turn}), "
-            f"or encoder counts: see docs/import_csv.md, or publish them in {unit}"
+            f"revolutions (column map: {entry.format(f'rev, per_rev: {one}')}), its radians "
+            f"(unit: rad, per_rev: {turn}), or encoder counts: see docs/import_csv.md, or publish "
+            f"them in {unit}"
         )
     low, high = model.mechanism.joint_limits[i]
     margin = (high - low) / 2
-    for name in USUAL_UNITS[unit]:
+    for name in USUAL_UNITS[unit] if np.isfinite(margin) else ():
         there = read * UNITS[name]
         if low - margin <= there.min() and there.max() <= high + margin:
             return f"In {name} the readings would be near the limits: {cure.format(name, unit)}"
