@@ -32,6 +32,7 @@ from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import list_plugins
 from parallel_cal.recordings.csv_import import import_csv
 from parallel_cal.recordings.loading import load_dataset
+from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.table import UNITS, split_unit
 
 # `make wide` runs this file again, with more examples.
@@ -40,7 +41,7 @@ pytestmark = [pytest.mark.wide] if settings.default.max_examples > 100 else []
 TABLE = "x [mm],y,z,q1,q2,t,k\n1,2,3,.1,.2,0,a\n2,3,4,.2,.3,1,b\n3,4,5,.2,.3,2,b\n"
 COLUMN_MAP = """joints:
   joint1: {column: q1, unit: deg}
-  joint2: {column: q2, unit: rev, per_rev: 71.2 mm}
+  joint2: {column: q2, factor: 0.5, unit: rev, per_rev: 71.2 mm, offset: 3 mm}
 position: {columns: [x, y, z], unit: mm}
 noise: {joint: 1.0e-5, position: 1.0e-5}
 conditions: {time: t, temperature: 20}
@@ -107,6 +108,36 @@ def test_any_table_and_any_column_map_are_read_or_refused(folder, table, columns
         for path, text in zip(paths, (table_text, map_text), strict=True):
             path.write_bytes(text.encode(errors="surrogatepass"))
         answers_or_refuses(import_csv, *paths)
+
+
+LOG_ROWS = "\n".join(
+    f"{k / 10},{k // 20},{k / 50 % 0.4},{k // 20 / 100},{k // 30},3" for k in range(120)
+)
+LOG = f"t,q1,q2,x [mm],y,z\n{LOG_ROWS}\n"
+LOG_MAP = COLUMN_MAP.split("conditions:")[0] + "log: {time: t, unit: s, offset: 0.0}\n"
+
+
+@given(table=damaged(LOG), columns=damaged(LOG_MAP))
+def test_any_table_that_logs_a_robot_is_read_or_refused(folder, table, columns):
+    paths = folder / "log.csv", folder / "log.yaml"
+    for table_text, map_text in ((table, LOG_MAP), (LOG, columns)):
+        for path, text in zip(paths, (table_text, map_text), strict=True):
+            path.write_bytes(text.encode(errors="surrogatepass"))
+        answers_or_refuses(import_csv, *paths, ReadOptions(mode="continuous"))
+
+
+def test_the_undamaged_log_is_read(folder):
+    paths = folder / "log.csv", folder / "log.yaml"
+    for path, text in zip(paths, (LOG, LOG_MAP), strict=True):
+        path.write_text(text)
+    assert len(import_csv(*paths, ReadOptions(mode="continuous"))) > 100
+
+
+@given(st.binary(max_size=200), st.sampled_from(["", "joint1_deg,x_mm,y_mm,z_mm\n1,2,3,4\n"]))
+def test_any_bytes_are_read_as_a_table_or_refused(folder, content, before):
+    path = folder / "bytes.csv"
+    path.write_bytes(before.encode() + content)
+    answers_or_refuses(lambda: load_dataset(path, joints=["joint1"]))
 
 
 def test_the_undamaged_table_is_read(folder):
