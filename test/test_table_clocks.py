@@ -175,6 +175,10 @@ def test_one_table_may_log_joints_and_slower_poses_with_gaps_and_a_temperature(t
     np.testing.assert_allclose(data.q, legs_of(data), atol=1e-6)
     np.testing.assert_allclose(data.conditions["temperature"], 20 + data.time, atol=0.02)
     np.testing.assert_array_equal(data.conditions["payload"], [1.5] * 12)
+    blank = [lines[0], *(line.rsplit(",", 1)[0] + "," for line in lines[1:])]
+    (tmp_path / "t.csv").write_text("\n".join(blank))
+    with pytest.raises(ParallelCalError, match=r"t.csv: column T is empty, expected numbers"):
+        import_csv(tmp_path / "t.csv", tmp_path / "map.yaml")
     lines[5] = lines[5].replace(f"{quaternion[4][3]:.9f}", "")
     (tmp_path / "t.csv").write_text("\n".join(lines))
     with pytest.raises(ParallelCalError, match=r"t.csv:6: some cells of the pose are empty"):
@@ -185,6 +189,8 @@ def test_one_table_may_log_joints_and_slower_poses_with_gaps_and_a_temperature(t
     ("clock", "words"),
     [
         ("log: {time: when}", "joints.csv:1: no column when, which states the time of its rows"),
+        ("conditions: {time: t}\nlog: {time: t}", "map.yaml:5: conditions.time: a log cannot"),
+        ("log: {time: T}", "no column T, which states the time"),
         ("log: {time: t}\njoin: {by: t}", "map.yaml:6: join: log is given as well"),
         ("log: {time: t, unit: min}", "map.yaml:5: log.unit: .*'ms'.*, found 'min'"),
     ],
@@ -192,6 +198,16 @@ def test_one_table_may_log_joints_and_slower_poses_with_gaps_and_a_temperature(t
 def test_a_wrong_clock_is_an_error_with_file_and_key(logs, clock, words):
     with pytest.raises(ParallelCalError, match=words):
         import_csv(*logs(clock))
+
+
+def test_times_in_nanoseconds_without_a_unit_are_refused_with_line_and_cure(logs):
+    paths, columns = logs()
+    lines = paths[0].read_text().split("\n")
+    lines[3] = "1700000000000000000" + lines[3][lines[3].index(",") :]
+    paths[0].write_text("\n".join(lines))
+    words = r"joints.csv:4: column t contains '17.*', which is 1.7e\+18 s, .*unit: ms, us or ns"
+    with pytest.raises(ParallelCalError, match=words):
+        import_csv(paths, columns)
 
 
 def test_an_offset_that_motion_does_not_show_is_asked_for(logs):

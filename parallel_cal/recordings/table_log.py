@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.rotation import matrix_to_quaternion
-from parallel_cal.recordings.channels import list_channels
 from parallel_cal.recordings.cleaning import assemble
 from parallel_cal.recordings.clocks import clock_offset, describe_offset
 from parallel_cal.recordings.columns import ColumnMap, Join, Log
@@ -29,6 +28,7 @@ from parallel_cal.recordings.table_columns import Columns
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 FIRST_STAMP_NS = 1_000_000_000  # a stamp of zero would count as missing
+MAX_TIME_S = 1e11  # from 1970 to the year 5138; times of clocks in ms or ns are larger
 NOT_MEASURED_VARIANCE = 1e6  # as a driver marks a coordinate that its device does not measure
 
 
@@ -150,48 +150,33 @@ def make_recording(
             poses.append(stamp, stamp, ("", tuple(r), turned, covariance))
     options = options.with_values(joints=names, mechanism=None)
     recording = assemble(raws, options, " + ".join(str(table.path) for table in given), shift.notes)
-    scalars = _Scalars(found, log, first)
-    conditions = {
-        name: scalars.stream(column, None)
-        for name, column in wanted.conditions.items()
-        if isinstance(column, str) and name in list_channels("condition")
-    }
-    distances = {
-        name: scalars.stream(one.column, one.unit, length=True)
-        for name, one in wanted.readings.items()
-    }
-    digest = hashlib.sha256(b"".join(table.path.read_bytes() for table in given)).hexdigest()
-    return Recording(
-        recording.source,
-        0,  # the date of the first row is not known
-        recording.joints,
-        recording.pose,
-        conditions,
-        None,
-        distances,
-        recording.dropped,
-        recording.notes,
-        sha256=digest,
-    )
 
-
-@dataclass(frozen=True)
-class _Scalars:
-    """Columns of single numbers over time."""
-
-    found: Columns
-    log: Log
-    first: float
-
-    def stream(self, column: str, unit: str | None, length: bool = False) -> ScalarStream:
+    def stream(column: str, values: Array) -> ScalarStream:
         """Return a column over time in s since the first row; an empty cell is no reading."""
-        table = self.found.require_one_table([column])
-        read = self.found.si([column], unit, gaps=True) if length else None
-        values = (self.found.numbers([column], gaps=True) if read is None else read)[:, 0]
-        time = _times(table, self.log.time, self.log.unit)
+        table = found.require_one_table([column])
         kept = np.flatnonzero(np.isfinite(values))
+        if not len(kept):
+            raise DatasetError(f"{table.path}: column {column} is empty, expected numbers in it")
+        time = _times(table, log.time, log.unit) - first
+        if rows.clocks_differ and table is rows.poses:
+            time = time - shift.offset
         kept = kept[np.argsort(time[kept], kind="stable")]
-        return ScalarStream(f"{table.path} ({column})", time[kept] - self.first, values[kept])
+        return ScalarStream(f"{table.path} ({column})", time[kept], values[kept])
+
+    return replace(
+        recording,
+        start_ns=0,  # the date of the first row is not known
+        conditions={
+            name: stream(column, found.numbers([column], gaps=True)[:, 0])
+            for name, column in wanted.conditions.items()
+            if isinstance(column, str)
+        },
+        distances={
+            name: stream(one.column, found.si([one.column], one.unit, gaps=True)[:, 0])
+            for name, one in wanted.readings.items()
+        },
+        sha256=hashlib.sha256(b"".join(table.path.read_bytes() for table in given)).hexdigest(),
+    )
 
 
 def _stamps(time: Array, first: float) -> list[int]:
@@ -206,7 +191,14 @@ def _times(table: Table, key: str, unit: str) -> Array:
             f"{table.path}:1: no column {key}, which states the time of its rows; the table has "
             f"{', '.join(table.header)}"
         )
-    return table.numbers([word])[:, 0] * SECONDS[unit]
+    time = table.numbers([word])[:, 0] * SECONDS[unit]
+    for k in np.flatnonzero(np.abs(time) > MAX_TIME_S)[:1]:
+        raise DatasetError(
+            f"{table.path}:{table.lines[k]}: column {word} contains {table.texts(word)[k]!r:.60}, "
+            f"which is {time[k]:.3g} s, expected at most {MAX_TIME_S:g} s: state its unit in the "
+            "column map (unit: ms, us or ns)"
+        )
+    return time
 
 
 def _complete_rows(table: Table, values: Array, what: str, time: Array) -> np.ndarray:
