@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -54,11 +55,21 @@ def new(
             metavar="NAME: {KEY: VALUE}", help="measuring set-up, such as 'probe: {height: 0.3}'"
         ),
     ] = None,
+    machine_class: Annotated[
+        str,
+        typer.Option(
+            "--class",
+            metavar="CLASS",
+            help="how large the errors of such a machine usually are: precision, industrial or "
+            "hobby",
+        ),
+    ] = "industrial",
     as_json: Json = False,
 ) -> None:
     """Write a model file with a mechanism's nominal values or a controller's configuration."""
     from parallel_cal.importing.deltas import PROBE_NOISE_UNKNOWN
     from parallel_cal.model.file.modelfile import model_hash, replace_model
+    from parallel_cal.model.machine_class import DEFAULT_CLASS, check_class
 
     if output.exists():
         raise ParallelCalError(f"{output}: file exists already; remove it or give another name")
@@ -79,14 +90,21 @@ def new(
     else:
         model, values, remarks = _make_model(mechanism, option, configuration)
     model = _with_set_ups(model, sensor or [])
+    model = replace(model, machine_class=check_class(machine_class))
     if configuration and model.structure.channels_without_sigma:
         remarks = (*remarks, PROBE_NOISE_UNKNOWN)
     replace_model(model, output)
-    document = {"file": str(output), "mechanism": model.mechanism.name, "hash": model_hash(model)}
+    document = {
+        "file": str(output),
+        "mechanism": model.mechanism.name,
+        "class": model.machine_class,
+        "hash": model_hash(model),
+    }
     if as_json:
         return console.emit(document | {"parameters": len(model.table), "remarks": list(remarks)})
     name = mechanism or model.mechanism.name
-    console.say(f"{output}: {name}, {len(model.table)} parameters {values}")
+    usual = "" if machine_class == DEFAULT_CLASS else f", class {machine_class}"
+    console.say(f"{output}: {name}, {len(model.table)} parameters {values}{usual}")
     for remark in remarks:
         console.say(f"- {remark}")
 

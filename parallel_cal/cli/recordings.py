@@ -22,14 +22,36 @@ NOT_TYPED = ("topics", "joints", "mechanism")  # options of reading that the com
 
 
 def info(
-    bag: Annotated[Path, typer.Argument(help="rosbag2 folder or file, or saved samples (.json)")],
+    bag: Annotated[
+        Path,
+        typer.Argument(
+            help="rosbag2 folder or file, or saved samples (.json), or a model file (.yaml)"
+        ),
+    ],
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Show a recording: its topics, samples, dropped messages with reasons, and noise."""
+    """Show a recording (its topics, samples, dropped messages with reasons, and noise), or what a
+    model file contains."""
+    if bag.suffix in (".yaml", ".yml") and bag.is_file() and bag.name != "metadata.yaml":
+        return _show_model(bag, as_json)
     from parallel_cal.recordings import info as recording_info
 
     show_info(recording_info.info(bag, data_options(data), console.progress), as_json)
+
+
+def _show_model(path: Path, as_json: bool) -> None:
+    from parallel_cal.model.file.modelfile import model_hash, read_model
+    from parallel_cal.model.summary import summarise_model
+
+    model = read_model(path)
+    document = {"file": str(path), "hash": model_hash(model)} | summarise_model(model)
+    if as_json:
+        return console.emit(document)
+    lists = {key: ", ".join(map(str, v)) for key, v in document.items() if isinstance(v, list)}
+    tolerances = {"tolerances": ", ".join(f"{k} {v:g}" for k, v in model.tolerances.items())}
+    for key, value in (document | lists | tolerances).items():
+        console.say(f"{key}: {value if value != '' else 'none'}")
 
 
 def show_info(document: dict[str, Any], as_json: bool) -> None:

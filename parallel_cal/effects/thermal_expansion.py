@@ -13,6 +13,7 @@ class ThermalExpansion(Effect):
     T0 is `reference` (degC). Another T0 changes the lengths, and nothing else.
     """
 
+    depends_on_class = False
     needs = ("temperature",)
     fixed = ("reference",)
     physics = "A part of length L becomes longer by alpha L for every kelvin of warming."

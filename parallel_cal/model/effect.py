@@ -65,6 +65,9 @@ class Effect(ABC):
     of_device : bool
         Whether it is an error of the measuring device, which a robot's controller must not correct.
         Default False.
+    depends_on_class : bool
+        Whether its usual size depends on the class of the machine (precision, industrial, hobby).
+        False for a property of a material. Default True.
     widens : bool
         Whether adding it replaces the mechanism by one with more geometric parameters.
         Default False.
@@ -92,6 +95,7 @@ class Effect(ABC):
     reads: ClassVar[tuple[str, ...]] = ()
     fixed: ClassVar[tuple[str, ...]] = ()
     of_device: ClassVar[bool] = False
+    depends_on_class: ClassVar[bool] = True
     widens: ClassVar[bool] = False
     refines: ClassVar[bool] = True
     physics: ClassVar[str]

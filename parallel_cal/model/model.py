@@ -11,6 +11,7 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.model.effect import Effect
+from parallel_cal.model.machine_class import DEFAULT_CLASS, MachineClass, check_class
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, ParameterTable
 from parallel_cal.model.sensor import Sensor
@@ -70,6 +71,10 @@ class Model:
     tolerances : dict of float
         Tolerances that replace those of the catalogue, for parameters of effects and sensors. Keys
         are full names or shell patterns. Default none.
+    machine_class : str
+        `precision`, `industrial` or `hobby`: how large the usual errors of such a machine are. It
+        scales the tolerances of all effects of the robot, except those in `tolerances`. Default
+        `industrial`.
 
     Raises
     ------
@@ -98,8 +103,10 @@ class Model:
     )
     sensors: tuple[Sensor, ...] = ()
     tolerances: Mapping[str, float] = field(default_factory=dict)  # of effects and sensors
+    machine_class: MachineClass = DEFAULT_CLASS
 
     def __post_init__(self) -> None:
+        check_class(self.machine_class)
         values = np.array(self.values, dtype=float)
         values.setflags(write=False)
         object.__setattr__(self, "values", values)
@@ -128,7 +135,9 @@ class Model:
     @cached_property
     def table(self) -> ParameterTable:
         """All parameters with name, unit, nominal value and tolerance, in the order of `values`."""
-        return self.structure.table.with_tolerances(self.tolerances)
+        if not self.tolerances and self.machine_class == DEFAULT_CLASS:
+            return self.structure.table
+        return self.structure.table_of(self.machine_class, tuple(self.tolerances.items()))
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -314,6 +323,7 @@ def new_model(
     values: Mapping[str, float] | None = None,
     effects: Sequence[str] = (),
     sensors: Sequence[Sensor] = (),
+    machine_class: MachineClass = DEFAULT_CLASS,
 ) -> Model:
     """Make a model of a mechanism with nominal values.
 
@@ -326,6 +336,9 @@ def new_model(
     effects : sequence of str, optional
         Names of effects, in the order in which they act.
     sensors : sequence of Sensor, optional
+    machine_class : str, optional
+        `precision`, `industrial` or `hobby`: how large the usual errors of such a machine are.
+        Default `industrial`.
 
     Returns
     -------
@@ -347,4 +360,10 @@ def new_model(
         mechanism = load_mechanism(mechanism)
     loaded = tuple(load_effect(name) for name in effects)
     table = structure_of(mechanism, loaded, tuple(sensors)).table
-    return Model(mechanism, loaded, table.vector(values or {}), sensors=tuple(sensors))
+    return Model(
+        mechanism,
+        loaded,
+        table.vector(values or {}),
+        sensors=tuple(sensors),
+        machine_class=machine_class,
+    )

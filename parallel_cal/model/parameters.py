@@ -154,7 +154,10 @@ class ParameterTable(Sequence[Parameter]):
         """
         if not tolerances:
             return self
-        own = {n: t for key, t in tolerances.items() for n in fnmatch.filter(self.names, key)}
+        own = dict[str, float]()
+        for key, tolerance in tolerances.items():
+            hits = [key] if key in self._index else fnmatch.filter(self.names, key)
+            own |= dict.fromkeys(hits, tolerance)
         return ParameterTable(p.with_tolerance(own[p.name]) if p.name in own else p for p in self)
 
     def with_nominal(self, nominal: Mapping[str, float]) -> ParameterTable:

@@ -14,6 +14,7 @@ from parallel_cal.base.errors import ModelError, wrap_plugin_error
 from parallel_cal.base.rotation import left_generators
 from parallel_cal.model.declaration import check_parameters
 from parallel_cal.model.effect import CONDITIONS, Effect, Seen
+from parallel_cal.model.machine_class import scale_usual_sizes
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, ParameterTable
 from parallel_cal.model.sensor import Sensor, apply_sensor_tolerances
@@ -44,6 +45,22 @@ class Structure:
         self.r, self.R9 = ca.SX.sym("r", 3), ca.SX.sym("R", 9)
         self.v = ca.SX.sym("v", len(self.table))
         self.a = ca.SX.sym("a", len(self.conditions))
+
+    @lru_cache(maxsize=64)  # noqa: B019  (lives as long as the structure, which is cached itself)
+    def table_of(
+        self, machine_class: str, tolerances: tuple[tuple[str, float], ...]
+    ) -> ParameterTable:
+        """Return the table with the usual sizes of a class of machines, and with own tolerances."""
+        scaled = {
+            p.name: p
+            for effect in self.effects
+            for p in scale_usual_sizes(effect, self._part(effect), machine_class)
+        }
+        table = ParameterTable(scaled.get(p.name, p) for p in self.table)
+        return table.with_tolerances(dict(tolerances))
+
+    def _part(self, effect: Effect) -> ParameterTable:
+        return ParameterTable(p for p in self.table if p.name.startswith(f"{effect.name}."))
 
     @cached_property
     def neutral(self) -> list[float]:

@@ -38,6 +38,7 @@ def model_diagnostics(name: str, served: ServedModel | None, last: Attempt, fail
             "model file": served.path,
             "hash": served.hash,
             "mechanism": served.model.mechanism.name,
+            "class": served.model.machine_class,
             "effects": ", ".join(e.name for e in served.model.effects),
         }
     if served is None:

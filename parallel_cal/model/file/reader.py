@@ -16,6 +16,7 @@ from parallel_cal.model.file import checks
 from parallel_cal.model.file.schema import FilePart, OwnNumberPart, validate
 from parallel_cal.model.file.sensoroptions import own_numbers, read_sensor
 from parallel_cal.model.file.yamltext import Document, Path
+from parallel_cal.model.machine_class import scale_usual_sizes
 from parallel_cal.model.mechanism import Box, Home, Mechanism, Workspace
 from parallel_cal.model.model import Model, Noise
 from parallel_cal.model.parameters import Parameter, ParameterTable
@@ -40,8 +41,8 @@ class Reader:
         hint = checks.Hint(self._document, _full_table(mechanism, effects, sensors))
         file = validate(self._document, hint)
         self._configure(mechanism, file)
-        self._check_tolerances(mechanism, file)
-        entries = self._entries(file, mechanism, effects, sensors)
+        tolerances = self._own_tolerances(mechanism, file)
+        entries = self._entries(file, mechanism, effects, sensors, tolerances)
         for path, parameter, entry in entries:
             checks.number(self._document, path, parameter, entry.value, entry.sigma)
         table = _full_table(mechanism, effects, sensors)
@@ -56,7 +57,8 @@ class Reader:
             history=tuple(file.history),
             frames=dict(file.frames),
             sensors=tuple(sensors),
-            tolerances=file.tolerances
+            machine_class=file.machine_class,
+            tolerances=tolerances
             | {
                 parameter.name: entry.tolerance
                 for path, parameter, entry in entries
@@ -146,13 +148,33 @@ class Reader:
             mechanism.gravity = (x, y, z)
         mechanism.parameters = self._own_table(mechanism, file)
 
-    def _check_tolerances(self, mechanism: Mechanism, file: FilePart) -> None:
-        """Check that each tolerance matches a parameter of an effect, by name or shell pattern."""
-        for name in file.tolerances:
+    def _own_tolerances(self, mechanism: Mechanism, file: FilePart) -> dict[str, float]:
+        """Return the tolerances by parameter name or shell pattern; each must match a parameter.
+
+        An effect's name stands for all its parameters, except known constants.
+        """
+        own = dict[str, float]()
+        for name, tolerance in file.tolerances.items():
             try:
-                load_effect(name.partition(".")[0]).table(mechanism).matching([name])
+                effect = load_effect(name.partition(".")[0])
+                table = effect.table(mechanism)
+                if name != effect.name:
+                    table.matching([name])
+                    own[name] = tolerance
+                    continue
             except ModelError as error:
                 raise self._error(("tolerances", name), str(error)) from None
+            fixed = effect.fixed_patterns()
+            known = table.matching(fixed) if fixed else [False] * len(table)
+            free = [p for p, constant in zip(table, known, strict=True) if not constant]
+            if len(units := {p.unit: f"{p.name} [{p.unit}]" for p in free}) > 1:
+                raise self._error(
+                    ("tolerances", name),
+                    f"{name} has parameters with different units; state a tolerance for each: "
+                    f"{', '.join(units.values())}",
+                )
+            own |= {p.name: tolerance for p in free} if fixed else {f"{name}.*": tolerance}
+        return own
 
     def _set_joints(self, mechanism: Mechanism, file: FilePart) -> None:
         """Set names, limits, gearing, drives and rates of the joints, in the mechanism's order."""
@@ -199,6 +221,7 @@ class Reader:
         mechanism: Mechanism,
         effects: Sequence[Effect],
         sensors: Sequence[Sensor],
+        tolerances: Mapping[str, float],
     ) -> list[tuple[Path, Parameter, Any]]:
         """(key, parameter, entry) in the order of the parameter vector."""
         found: list[tuple[Path, Parameter, Any]] = [
@@ -207,7 +230,10 @@ class Reader:
         for i, (effect, entry) in enumerate(zip(effects, file.effects, strict=True)):
             path: Path = ("effects", i, "parameters")
             table = apply_sensor_tolerances(sensors, effect.table(mechanism), mechanism)
-            table = table.with_tolerances(file.tolerances)
+            # The range finds wrong units. A value that is unusual for a precision machine only was
+            # identified, and a reader must not refuse it.
+            table = scale_usual_sizes(effect, table, file.machine_class, at_least=1.0)
+            table = table.with_tolerances(tolerances)
             found += self._part(path, effect, table, entry.parameters)
         for i, (sensor, given) in enumerate(zip(sensors, file.sensors, strict=True)):
             table = sensor.table(mechanism)

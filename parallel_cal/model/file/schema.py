@@ -8,6 +8,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue, V
 
 from parallel_cal.base.errors import format_suggestion
 from parallel_cal.model.file.yamltext import Document, Path
+from parallel_cal.model.machine_class import DEFAULT_CLASS, MachineClass
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -166,6 +167,7 @@ class FilePart(Part):
     parameters: dict[str, ParameterPart]
     effects: list[EffectPart] = []
     sensors: list[SensorPart] = []
+    machine_class: Annotated[MachineClass, Field(alias="class")] = DEFAULT_CLASS
     tolerances: dict[str, Positive] = {}
     covariance: CovariancePart | None = None
     history: list[dict[str, JsonValue]] = []
@@ -242,7 +244,7 @@ def _known_at(path: Path) -> list[str]:
         if len(pattern) == len(path) and all(
             a in ("*", b) for a, b in zip(pattern, path, strict=True)
         ):
-            return list(part.model_fields)
+            return [field.alias or name for name, field in part.model_fields.items()]
     return []
 
 

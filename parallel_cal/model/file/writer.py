@@ -12,6 +12,7 @@ import numpy as np
 from parallel_cal.model.drive import Drive
 from parallel_cal.model.effect import Effect
 from parallel_cal.model.file.yamltext import flow
+from parallel_cal.model.machine_class import DEFAULT_CLASS
 from parallel_cal.model.mechanism import Box, Workspace
 from parallel_cal.model.model import Model
 from parallel_cal.model.parameters import Parameter
@@ -33,6 +34,8 @@ def dump_model(model: Model) -> str:
 def _setup(model: Model) -> Iterator[str]:
     m = model.mechanism
     yield from _mechanism(model)
+    if model.machine_class != DEFAULT_CLASS:
+        yield f"class: {model.machine_class}"
     yield "joints:"
     rates = m.joint_rates or ((math.inf, math.inf),) * len(m.joints)
     gears = m.joint_gearing or (1.0,) * len(m.joints)

@@ -1,0 +1,23 @@
+"""What a model file describes, as one document."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from parallel_cal.model.model import Model
+
+
+def summarise_model(model: Model) -> dict[str, Any]:
+    """Return a JSON document about a model: its mechanism, class, parts and steps, in SI units."""
+    steps = [" ".join(str(e[k]) for k in ("step", "effect") if k in e) for e in model.history]
+    return {
+        "mechanism": model.mechanism.name,
+        "class": model.machine_class,
+        "joints": list(model.joints),
+        "parameters": len(model.table),
+        "free": int((~model.fixed).sum()),
+        "effects": [effect.name for effect in model.effects],
+        "sensors": [sensor.name for sensor in model.sensors],
+        "tolerances": dict(model.tolerances),
+        "steps": steps,
+    }

@@ -1,0 +1,131 @@
+"""The class of a machine says how large its usual errors are: knowledge about machines, which
+informs a fit and a diagnosis and never refuses what the data show."""
+
+import json
+from dataclasses import replace
+
+import pytest
+from datasets import measured
+
+from parallel_cal.base.errors import ModelError, ModelFileError
+from parallel_cal.cli import main as cli
+from parallel_cal.identification.fit import fit
+from parallel_cal.model.file.modelfile import dump_model, parse_model, read_model, write_model
+from parallel_cal.model.model import new_model
+from parallel_cal.virtual import robot as vr
+
+WIDTH = "backlash.joint1.width"
+
+
+def of_class(machine_class, *effects):
+    return new_model("delta54", effects=effects, machine_class=machine_class)
+
+
+def test_a_class_scales_the_usual_sizes_of_the_robots_effects_only():
+    names = ("backlash", "hysteresis", "thermal_expansion", "device_axes")
+    precise, usual, hobby = (
+        of_class(one, *names).table for one in ("precision", "industrial", "hobby")
+    )
+    assert [*usual] == [*new_model("delta54", effects=names).structure.table]
+    assert precise[WIDTH].tolerance == pytest.approx(0.2 * usual[WIDTH].tolerance)
+    assert hobby[WIDTH].plausible_range() == pytest.approx((0, 5 * usual[WIDTH].high))
+    unchanged = (
+        "hysteresis.joint1.width",  # a known constant
+        "thermal_expansion.arms.alpha",  # a property of the material
+        "device_axes.scale_x",  # an error of the measuring device
+        "chain1.Lb",  # geometry, whose tolerance the model file states
+    )
+    for name in unchanged:
+        assert precise[name] == usual[name] == hobby[name]
+
+
+def test_a_class_applies_to_effects_that_are_added_later_and_own_tolerances_replace_it():
+    later = of_class("hobby").with_effect("backlash")
+    assert [*later.table] == [*of_class("hobby", "backlash").table]
+    own = replace(later, tolerances={WIDTH: 1e-4})
+    assert own.table[WIDTH].tolerance == 1e-4
+    assert own.table["backlash.joint2.width"] == later.table["backlash.joint2.width"]
+
+
+def test_a_model_file_keeps_the_class_and_an_older_file_is_industrial(tmp_path):
+    write_model(of_class("hobby", "backlash"), tmp_path / "hobby.yaml")
+    read = read_model(tmp_path / "hobby.yaml")
+    assert read.machine_class == "hobby"
+    assert [*read.table] == [*of_class("hobby", "backlash").table]
+    older = dump_model(new_model("delta54", effects=["backlash"]))
+    assert "class:" not in older
+    assert parse_model(older).machine_class == "industrial"
+
+
+def test_an_unknown_class_is_refused_with_the_known_ones():
+    text = dump_model(of_class("hobby")).replace("class: hobby", "class: hoby")
+    with pytest.raises(ModelFileError, match=r"model:\d+: class: .*'precision', .*'hobby'.*'hoby'"):
+        parse_model(text)
+    with pytest.raises(ModelError, match=r"class 'toy': expected one of precision, industrial"):
+        new_model("delta54", machine_class="toy")
+
+
+def test_a_size_that_only_a_precision_machine_would_not_have_can_be_read():
+    model = of_class("precision", "backlash")
+    wide = model.with_values(model.values + 2e-3 * (model.structure.table.tolerance == 0.3e-3))
+    assert wide.value(WIDTH) == 2e-3 > wide.table[WIDTH].high
+    assert parse_model(dump_model(wide)).value(WIDTH) == 2e-3
+
+
+def test_the_name_of_an_effect_stands_for_all_its_parameters_of_one_unit():
+    def with_tolerances(words):
+        text = dump_model(new_model("delta54"))
+        return parse_model(text.replace("history:", f"tolerances: {{{words}}}\nhistory:"))
+
+    model = with_tolerances("backlash: 34.0e-3, hysteresis: 1.0e-3")
+    table = model.with_effect("backlash").with_effect("hysteresis").table
+    assert {table[f"backlash.joint{i}.width"].tolerance for i in (1, 2, 3)} == {34e-3}
+    assert table["hysteresis.joint2.lag"].tolerance == 1e-3
+    usual = new_model("delta54", effects=["hysteresis"]).table["hysteresis.joint2.width"]
+    assert table["hysteresis.joint2.width"] == usual  # a known constant
+    again = parse_model(dump_model(model))
+    assert again.tolerances == model.tolerances
+    with pytest.raises(ModelFileError, match=r"payload_sag has parameters with different units"):
+        with_tolerances("payload_sag: 1.0e-3")
+
+
+@pytest.mark.parametrize(
+    ("machine_class", "width", "is_unusual"),
+    [
+        ("precision", 1.2e-3, True),
+        ("industrial", 1.2e-3, False),
+        ("industrial", 8e-3, True),
+        ("hobby", 8e-3, False),
+    ],
+)
+def test_the_class_decides_what_is_larger_than_usual_and_the_data_decide_the_size(
+    machine_class, width, is_unusual
+):
+    data = measured(7, effects=[vr.Backlash((width,) * 3)])
+    found = fit(of_class(machine_class, "backlash"), data, hold_out=0)
+    assert found.model.value(WIDTH) == pytest.approx(width, abs=0.1e-3)
+    assert bool(found.unusual) == is_unusual
+    assert parse_model(dump_model(found.model)).value(WIDTH) == found.model.value(WIDTH)
+
+
+def run(*arguments):
+    with pytest.raises(SystemExit) as ended:
+        cli.main([str(a) for a in arguments])
+    return ended.value.code
+
+
+def test_new_writes_the_class_and_info_shows_it(tmp_path, capsys):
+    file = tmp_path / "printer.yaml"
+    assert run("new", "linear_delta", "--class", "hobby", "-o", file) == 0
+    assert capsys.readouterr().out.strip().endswith("class hobby")
+    assert read_model(file).machine_class == "hobby"
+    assert run("info", file) == 0
+    shown = capsys.readouterr().out
+    assert "class: hobby" in shown
+    assert "effects: none" in shown
+    assert run("info", file, "--json") == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["class"], document["mechanism"]) == ("hobby", "linear_delta")
+    assert run("new", "delta54", "--class", "toy", "-o", tmp_path / "toy.yaml") != 0
+    assert "expected one of precision, industrial, hobby" in capsys.readouterr().err
+    assert not (tmp_path / "toy.yaml").exists()
