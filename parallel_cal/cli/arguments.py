@@ -35,6 +35,15 @@ EffectName = Annotated[
         metavar="EFFECT", help="NAME, NAME:ratio=80 or NAME+NAME; 'parallel-cal effects' lists them"
     ),
 ]
+AddedEffects = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--effect",
+        metavar="NAME[:PARAM=VALUE,...]",
+        help="add this effect to the model before the fit (repeat for several); use it if the "
+        "geometry runs away because a large effect is missing",
+    ),
+]
 EffectsInModel = Annotated[
     str,
     typer.Argument(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from parallel_cal.cli.arguments import (
     FIT,
+    AddedEffects,
     Bags,
     Data,
     EffectName,
@@ -35,6 +36,7 @@ def fit(
     model: ModelFile,
     bags: Bags,
     *,
+    effect: AddedEffects = None,
     output: OptionalOut = None,
     force: Force = False,
     options: Annotated[FitOptions, ("method", *FIT, "refit")],
@@ -48,7 +50,9 @@ def fit(
     options = replace(options, insist=force)
     start, dataset = read_model_and_data(model, bags, data)
     force = force or output is None  # without an output there is nothing to refuse
-    step = fitted(start, dataset, force, options=options, progress=console.progress)
+    step = fitted(
+        start, dataset, force, options=options, progress=console.progress, effects=effect or ()
+    )
     _finish(step, bags, output, as_json)
 
 

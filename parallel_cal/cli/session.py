@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from parallel_cal.cli.arguments import (
+    AddedEffects,
     Bags,
     Data,
     EffectName,
@@ -108,14 +109,21 @@ def show(folder: Folder, as_json: Json = False) -> None:
         console.table(("branch", "last step", "validation error"), rows)
 
 
-def fit(folder: Folder, free: Free = None, fix: Fix = None, as_json: Json = False) -> None:
+def fit(
+    folder: Folder,
+    effect: AddedEffects = None,
+    free: Free = None,
+    fix: Fix = None,
+    as_json: Json = False,
+) -> None:
     """Identify the free parameters. --free and --fix also apply to the steps that follow."""
     session = _open(folder)
     asked = {"free": free, "fix": fix}
     changed = {key: patterns(given) for key, given in asked.items() if given is not None}
     if changed:
-        return _print_state(session, session.choose(console.progress, **changed), as_json)
-    _print_state(session, session.fit(console.progress), as_json)
+        state = session.choose(console.progress, effect or (), **changed)
+        return _print_state(session, state, as_json)
+    _print_state(session, session.fit(console.progress, effect or ()), as_json)
 
 
 def plan(

@@ -159,7 +159,8 @@ def _describe_absurd_parameter(p: Parameter, value: float, chi2_per_dof: float) 
         f"{(value - p.nominal) / p.tolerance:+.1f} tolerances from its "
         f"nominal {p.nominal:.6g} (plausible {low:.6g} to {high:.6g}; chi2/dof "
         f"{chi2_per_dof:.3g}): check units and mechanism, fix the parameter, use priors, "
-        "or correct nominal and tolerance in the model file"
+        "correct nominal and tolerance in the model file, or let the fit identify the effect that "
+        "the geometry imitates, too (fit --effect NAME)"
     )
 
 

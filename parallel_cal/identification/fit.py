@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -15,6 +15,7 @@ from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.base.threads import single_threaded
+from parallel_cal.identification.added_effects import add_effects
 from parallel_cal.identification.budget import Budget, Iso9283, budgets, iso_9283
 from parallel_cal.identification.checks import (
     check_joint_errors,
@@ -274,6 +275,8 @@ def fit(
     dataset: Dataset,
     options: FitOptions | None = None,
     progress: Progress | None = None,
+    *,
+    effects: Sequence[str] = (),
     **changes: Unpack[FitKeywords],
 ) -> FitResult:
     """Identify the free parameters of a model from measurements.
@@ -294,6 +297,10 @@ def fit(
     progress : callable, optional
         Called with a stage in words and the completed share (0 to 1). An exception that it raises
         cancels the fit.
+    effects : sequence of str, optional
+        Effects to add to the model before the fit, each `"NAME"` or `"NAME:parameter=value"`. Use
+        it if the geometry alone runs away because a large effect is missing. The errors before the
+        fit are those of the given model.
     **changes
         Single options by name. They replace the same fields of `options`:
 
@@ -324,6 +331,8 @@ def fit(
     FitError
         If the data cannot determine the parameters, an estimate is physically impossible, or the
         noise is unknown.
+    ModelError
+        If an effect is unknown or does not apply to the model.
 
     References
     ----------
@@ -342,7 +351,8 @@ def fit(
     check_inputs(model, dataset)
     options = with_changes(options or FitOptions(), changes, FitError)
     given = GivenModel.of(model, dataset, options.joint_sigma, options.insist)
-    start, registration = prepared_for_fit(given.model, given.registration, dataset, options)
+    start = add_effects(given.model, effects, dataset)
+    start, registration = prepared_for_fit(start, given.registration, dataset, options)
     result = fit_registered(
         start, add_registration_warning(dataset, registration), options, progress, given
     )

@@ -113,13 +113,15 @@ class Session(History):
 
     # ------------------------------------------------------------------ steps
 
-    def fit(self, progress: Progress | None = None) -> State:
+    def fit(self, progress: Progress | None = None, effects: Sequence[str] = ()) -> State:
         """Identify the free parameters.
 
         Parameters
         ----------
         progress : callable, optional
             Called with a stage in words and the completed share (0 to 1).
+        effects : sequence of str, optional
+            Effects to add to the model before the fit, as in `pc.fit`.
 
         Returns
         -------
@@ -127,7 +129,8 @@ class Session(History):
             The new state of the session. Its `against` says why the new model is not proven better
             than the old one; it is empty if it is proven.
         """
-        return self._refit("fit", progress)
+        words = f"fit with {' and '.join(effects)}" if effects else "fit"
+        return self._refit(words, progress, effects)
 
     def add(self, effect: str, progress: Progress | None = None, force: bool = False) -> State:
         """Add an effect and fit again; FitError if the validation error does not fall, unless
@@ -157,21 +160,27 @@ class Session(History):
         kept = {n: why for n, why in self.state.excluded.items() if n not in samples}
         return self._refit(f"include {_format_numbers(samples)}", progress, excluded=kept)
 
-    def choose(self, progress: Progress | None = None, **options: Any) -> State:
-        """Fit again with other options (free, fix, prior, loss, ...), which later steps keep."""
+    def choose(
+        self, progress: Progress | None = None, effects: Sequence[str] = (), **options: Any
+    ) -> State:
+        """Fit again with other options (free, fix, prior, loss, ...), which later steps keep, and
+        with more effects."""
         fitting = {**self.state.fitting, **{key: to_json_value(v) for key, v in options.items()}}
         words = [
             f"{key} {', '.join(v) or 'none' if isinstance(v, (list, tuple)) else v}"
             for key, v in options.items()
         ]
-        return self._refit(", ".join(words), progress, fitting=fitting)
+        words += [f"with {' and '.join(effects)}"] if effects else []
+        return self._refit(", ".join(words), progress, effects, fitting=fitting)
 
-    def _refit(self, words: str, progress: Progress | None, **changes: Any) -> State:
+    def _refit(
+        self, words: str, progress: Progress | None, effects: Sequence[str] = (), **changes: Any
+    ) -> State:
         data = self._select_counted(changes.get("excluded", self.state.excluded))
         options = FitOptions(
             **{**self.record.fitting, **changes.get("fitting", self.state.fitting)}
         )
-        step = fitted(self.model, data, True, options=options, progress=progress)
+        step = fitted(self.model, data, True, options=options, progress=progress, effects=effects)
         if (start := self.state).errors:
             # The previous model was fitted to these samples, so its error at them proves nothing.
             # Other samples or parameters are no reason to doubt the new one either.

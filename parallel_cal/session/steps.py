@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.notebook import ShownInNotebook
+from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_to_test
@@ -18,6 +20,7 @@ from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.search import is_superfluous
 from parallel_cal.diagnosis.verdict import robot_or_device
 from parallel_cal.identification.acceptance import IN_SAMPLE, Acceptance, acceptance
+from parallel_cal.identification.added_effects import limit_patterns
 from parallel_cal.identification.fit import FitResult, fit
 from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.platform_shift import PlatformShift, compute_platform_shift
@@ -37,6 +40,12 @@ class StepKeywords(FitKeywords, total=False):
 
     options: FitOptions | None
     progress: Progress | None
+
+
+class FittedKeywords(StepKeywords, total=False):
+    """Keyword arguments of `fitted`, which can add effects before the fit."""
+
+    effects: Sequence[str]
 
 
 @dataclass(frozen=True)
@@ -107,7 +116,7 @@ class Step(ShownInNotebook):
 
 @single_threaded()
 def fitted(
-    model: Model, dataset: Dataset, force: bool = False, **options: Unpack[StepKeywords]
+    model: Model, dataset: Dataset, force: bool = False, **options: Unpack[FittedKeywords]
 ) -> Step:
     """Identify the free parameters, with the options of `identification.fit`.
 
@@ -116,7 +125,9 @@ def fitted(
     result = fit(model, dataset, **options)
     if result.given.fits_of_these_samples:
         result = replace(result, warnings=(*result.warnings, IN_SAMPLE))
-    return _step("fit", result, _check_proven(acceptance(result), force))
+    had = {effect.name for effect in result.given.model.effects}
+    added = "+".join(e.name for e in result.start.effects if e.name not in had)
+    return _step("fit", result, _check_proven(acceptance(result), force), effect=added or None)
 
 
 @single_threaded()
@@ -170,10 +181,11 @@ def add(
     >>> step.model.effects[-1].name
     'backlash'
     """
-    asked = parse_effects(effect)
-    base = fit(model, dataset, **options)
-    for name, _ in asked:
-        model.with_effect(name)  # report a wrong name before a search
+    asked, larger = parse_effects(effect), model
+    for name, _ in asked:  # report a wrong name before a search
+        larger = larger.with_effect(name)
+    how, progress = _collect_options(options)
+    base = fit(model, dataset, limit_patterns(how, model, larger), progress)
     scene = Scene.of(base.model, base.dataset, base.observations, base.free)
     # Start where the base started, so that the device's frame is the one registered there.
     more, extended = list[Candidate](), base.start
@@ -181,7 +193,7 @@ def add(
         one = candidate(scene, name)  # with the settings that fit the residuals of the base best
         more.append(replace(one, settings=settings or one.settings))
         extended = extended.with_effect(name, more[-1].settings)
-    result = _with_given_model_of(fit(extended, base.dataset, **options), base)
+    result = _with_given_model_of(fit(extended, base.dataset, how, progress), base)
     name = "+".join(one.name for one in more)
     found = acceptance(result, base, f" with '{name}'")
     if not found.against:
@@ -266,13 +278,22 @@ def remove(
     >>> pc.remove(with_backlash, "backlash", data, force=True).model.effects
     ()
     """
-    model.without_effect(effect)  # report a wrong name before a fit
-    with_it = fit(model, dataset, **options)
+    smaller = model.without_effect(effect)  # report a wrong name before a fit
+    how, progress = _collect_options(options)
+    with_it = fit(model, dataset, how, progress)
+    limited = limit_patterns(how, smaller, model)
     result = _with_given_model_of(
-        fit(with_it.start.without_effect(effect), with_it.dataset, **options), with_it
+        fit(with_it.start.without_effect(effect), with_it.dataset, limited, progress), with_it
     )
     found = acceptance(result, with_it, f" without '{effect}'", MAX_NEGLIGIBLE_ERROR_RISE)
     return _step("remove", result, _check_proven(found, force), with_it, effect)
+
+
+def _collect_options(options: StepKeywords) -> tuple[FitOptions, Progress | None]:
+    """Return the options of a fit as one object, and the progress function."""
+    changes = dict(options)
+    given, progress = changes.pop("options", None), changes.pop("progress", None)
+    return with_changes(given or FitOptions(), changes, FitError), progress  # type: ignore[type-var,return-value]
 
 
 class UnprovenStepError(FitError):
