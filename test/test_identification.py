@@ -357,7 +357,7 @@ def test_an_effect_larger_than_usual_is_what_the_data_show():
     model = new_model("delta54").with_effect("backlash")
     found = fit(model, measured(7, effects=[wide]), hold_out=0)
     assert found.model.value("backlash.joint1.width") == pytest.approx(3e-2, rel=0.02)
-    assert "larger than usual (0 to 0.003)" in found.unusual["backlash.joint1.width"]
+    assert "mrad; usual up to 3)" in found.unusual["backlash.joint1.width"].description
     stretched = replace(data, r=data.r * [1.01, 1, 1])
     axes = new_model("delta54").with_effect("device_axes")
     found = fit(axes, stretched, fix=["chain*"], hold_out=0)

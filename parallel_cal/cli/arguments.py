@@ -88,7 +88,7 @@ def option_of(options: type, name: str) -> Any:
     """Return the command-line option of a field of a dataclass."""
     (field,) = (each for each in fields(options) if each.name == name)
     # A flag needs its name, or Typer adds the opposite, --no-NAME.
-    names = [f"--{name}"] if type_of(field) is bool else []
+    names = [f"--{name.replace('_', '-')}"] if type_of(field) is bool else []
     return typer.Option(*names, **field.metadata)
 
 
@@ -97,7 +97,7 @@ Fix = Annotated[list[str] | None, option_of(FitOptions, "fix")]
 JointSigma = Annotated[float | None, option_of(FitOptions, "joint_sigma")]
 
 # The options of a fit that most commands offer, in the order of the help.
-FIT = ("hold_out", "joint_sigma", "free", "fix", "prior", "loss")
+FIT = ("hold_out", "joint_sigma", "free", "fix", "prior", "loss", "usual_only")
 Fitting = Annotated[FitOptions, FIT]
 FittingByMethod = Annotated[FitOptions, ("method", *FIT)]
 

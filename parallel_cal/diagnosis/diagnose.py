@@ -46,6 +46,7 @@ from parallel_cal.diagnosis.thresholds import (
     MAX_MISTRUSTED_SHARE,
     MAX_REFITTED_CANDIDATES,
 )
+from parallel_cal.diagnosis.unusual import UnusualEffect, find_unusual_effects
 from parallel_cal.diagnosis.verdict import Findings, Verdict, judge
 from parallel_cal.identification.fit import FitResult, fit, fit_registered
 from parallel_cal.identification.given_model import GivenModel
@@ -69,8 +70,9 @@ class Diagnosis(ShownInNotebook):
     `base` is the fit of the model without further effects, `best` the fit with the effects that
     were found. `ranked` are the candidate effects that `base` may lack, the likeliest first.
     `structure`, `field` and `odd_samples` describe the residuals of `best`; `remaining` names a
-    recorded condition that these still depend on. `suspected` are effects that are significant but
-    not yet proven at held-out poses.
+    recorded condition that these still depend on. `unusual` are effects of `best` that are larger
+    than usual for the machine's class, with what each gains at held-out poses. `suspected` are
+    effects that are significant but not yet proven at held-out poses.
     """
 
     model: Model
@@ -89,6 +91,7 @@ class Diagnosis(ShownInNotebook):
     odd_samples: tuple[OddSample, ...]
     swaps: Mapping[str, list[str]]
     robot_or_device: tuple[str, ...]
+    unusual: tuple[UnusualEffect, ...]
     suspected: tuple[str, ...]
     registration: Registration | None
     measure_next: NextMeasurement
@@ -149,6 +152,7 @@ class Diagnosis(ShownInNotebook):
             "negative_control": self.negative_control,
             "swaps": self.swaps,
             "robot_or_device": self.robot_or_device,
+            "unusual": self.unusual,
             "suspected": self.suspected,
             "structure": self.structure,
             "depends_on": self.remaining,
@@ -219,6 +223,8 @@ def diagnose(
     check_inputs(model, dataset)
     report = progress or ignore_progress
     options = with_changes(options or FitOptions(), changes, FitError)
+    # The search refits with unusual sizes in any case: they are evidence against other effects.
+    usual_only, options = options.usual_only, replace(options, usual_only=False)
     given = GivenModel.of(model, dataset, options.joint_sigma, options.insist)
     model, registration = prepared_for_fit(given.model, given.registration, dataset, options)
     dataset = add_registration_warning(dataset, registration)
@@ -228,7 +234,9 @@ def diagnose(
         kept = dataset.excluding(aside, f"by --loss {options.loss}")
         least_squares = replace(options, loss="linear")
         judged = replace(given, dataset=kept)
-        return _diagnose_trusted(model, judged, names, least_squares, registration, report)
+        return _diagnose_trusted(
+            model, judged, names, least_squares, registration, report, usual_only
+        )
 
     def suspects(judged: Model) -> list[int]:
         """The worst ones: where most are mistrusted it is the model that is wrong."""
@@ -255,6 +263,7 @@ def _diagnose_trusted(
     least_squares: FitOptions,
     registration: Registration | None,
     report: Progress,
+    usual_only: bool,
 ) -> Diagnosis:
     """Diagnose samples without excluding any."""
     dataset = given.dataset
@@ -263,7 +272,7 @@ def _diagnose_trusted(
         asked = replace(least_squares, insist=insist or least_squares.insist)
         return fit_registered(extended, dataset, asked, given=given)
 
-    search = Search(model, refit, report)
+    search = Search(model, refit, report, usual_only)
     report("identifying the geometry", 0.0)
     base = search.fit()
     catalogue = _Catalogue(names, report)
@@ -295,6 +304,7 @@ def _diagnose_trusted(
         wrong_signs=tuple(trial.reason for trial in tried if trial.wrong_sign),
         robot_or_device=robot_or_device,
         outdone=find_better_lookalikes(best, search, catalogue),
+        unusual=find_unusual_effects(search, best),
     )
 
     report("computing the weights of the observations", 0.8)
@@ -316,6 +326,7 @@ def _diagnose_trusted(
         odd_samples=odd_samples(best.scene, residual_field),
         swaps=swaps,
         robot_or_device=robot_or_device,
+        unusual=findings.unusual,
         suspected=tuple(c.name for c in significant if search.is_suspected(best, c)),
         registration=registration,
         measure_next=next_measurement(best, rivals, ranked),

@@ -30,6 +30,7 @@ from parallel_cal.identification.checks import WrongSignError
 from parallel_cal.identification.estimate import Estimate
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.prediction_errors import held_out_ratio
+from parallel_cal.identification.unusual import describe_by_effect
 from parallel_cal.model.model import Model
 
 Refit = Callable[[Model, bool], FitResult]  # of a model; whether contradictions are accepted
@@ -93,8 +94,9 @@ Rivals = Mapping[str, list[Candidate]]  # of each effect, what the data confuse 
 class Search:
     """The refits of one diagnosis, each made once."""
 
-    def __init__(self, model: Model, refit: Refit, progress: Progress):
+    def __init__(self, model: Model, refit: Refit, progress: Progress, usual_only: bool = False):
         self._model, self._refit, self._progress = model, refit, progress
+        self._usual_only = usual_only
         self._known: dict[tuple[tuple[Chosen, ...], bool], Trial] = {}
 
     def fit(self, *chosen: Chosen, insist: bool = False) -> Trial:
@@ -104,8 +106,8 @@ class Search:
         if trial.result is None:
             return self._fit_any_size(chosen, True) if insist else trial
         usual = () if insist else tuple(one.name for one in chosen if not one.unusual)
-        for parameter, words in trial.result.unusual.items():
-            if parameter.split(".")[0] in usual:
+        for effect, words in describe_by_effect(trial.result.unusual.values()).items():
+            if effect in usual:
                 return Trial(chosen, None, words)
         return trial
 
@@ -179,7 +181,7 @@ class Search:
             against[one.name] = reason
             if after.result is None and not after.wrong_sign:
                 larger.append(one)
-        unusual = self._try_unusual(before, larger)
+        unusual = None if self._usual_only else self._try_unusual(before, larger)
         usual = usual or self._try_pairs(before, rank)
         if usual is None or unusual is None:
             return usual or unusual

@@ -5,9 +5,8 @@ The numbers come from held-out poses and stated or measured noise, not from the 
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from parallel_cal.base.units import ERROR_UNITS, MM
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit
@@ -26,6 +25,7 @@ from parallel_cal.diagnosis.thresholds import (
     MIN_EXPLAINED_SHARE,
     MIN_FAMILY_MEMBERS,
 )
+from parallel_cal.diagnosis.unusual import UnusualEffect
 from parallel_cal.identification.acceptance import acceptance, format_errors
 from parallel_cal.identification.fit_warnings import format_distinctly
 from parallel_cal.identification.methods.implicit import Estimate
@@ -55,7 +55,8 @@ class Findings:
     effects that an error of the device explains as well. `remaining` is a recorded condition that
     the residuals of the best depend on. `outdone` lists refused effects that
     would explain the error better than a chosen one, with the reason. `wrong_signs` says which
-    significant effects fit only with a sign that physics forbids.
+    significant effects fit only with a sign that physics forbids. `unusual` lists effects that are
+    larger than usual.
     """
 
     base: Trial
@@ -70,6 +71,7 @@ class Findings:
     robot_or_device: Sequence[str]
     outdone: Sequence[str] = ()
     wrong_signs: Sequence[str] = ()
+    unusual: tuple[UnusualEffect, ...] = ()
     remaining: RemainingCondition | None = None
 
     @property
@@ -125,6 +127,20 @@ def share_explained(before: float, after: float, noise: float | None) -> float |
 
 
 def judge(found: Findings) -> Verdict:
+    """Judge the findings.
+
+    Whatever the verdict is, its summary names the effects that are larger than usual, and those
+    that the measuring device may cause.
+    """
+    verdict = _judge(found)
+    doubts = [words for words in _describe_doubts(found) if words not in verdict.against]
+    if not doubts:
+        return verdict
+    summary = "; ".join([verdict.summary, *doubts])
+    return replace(verdict, summary=summary, against=(*verdict.against, *doubts))
+
+
+def _judge(found: Findings) -> Verdict:
     """Judge the findings; list what keeps them from being the whole explanation."""
     after, share, names = found.final_estimate, found.share, found.names
     judgement = acceptance(found.best.fitted, found.base.fitted)
@@ -195,13 +211,7 @@ def _list_objections(found: Findings) -> list[str]:
     if chi2 > high:
         shown = format_distinctly([chi2, high])
         against.append(f"chi2/dof {shown[0]} is still above {shown[1]}")
-    unusual, parameters = found.best.fitted.unusual, defaultdict[str, list[str]](list)
-    for name in unusual:
-        parameters[name.split(".")[0]].append(name)
-    for first, *others in parameters.values():  # one sentence for each effect
-        more = f" ({len(others)} more of its parameters are, too)" if others else ""
-        against.append(unusual[first] + more)
-    against += [robot_or_device(name) for name in found.robot_or_device]
+    against += _describe_doubts(found)
     against += found.outdone
     against += found.wrong_signs
     if found.remaining and (found.noise.exceeds_stated or chi2 > high):
@@ -213,12 +223,21 @@ def _list_objections(found: Findings) -> list[str]:
     return against
 
 
+def _describe_doubts(found: Findings) -> list[str]:
+    """Describe effects that are larger than usual, and those that the device may cause."""
+    return [
+        *(one.description for one in found.unusual),
+        *map(robot_or_device, found.robot_or_device),
+    ]
+
+
 def robot_or_device(name: str) -> str:
     """Say that the device may cause an effect's error, and which measurement decides."""
     return (
-        f"the measuring device may cause {name}: its usual errors explain as much (measure the "
-        "same poses with the device turned or moved aside, measure them with a second device, "
-        "measure an artefact of known length, or state the device's certificate in the model file)"
+        f"robot or device: the measuring device may cause {name}: its usual errors explain as much "
+        "(measure the same poses with the device turned or moved aside, measure them with a second "
+        "device, measure an artefact of known length, or state the device's certificate in the "
+        "model file)"
     )
 
 

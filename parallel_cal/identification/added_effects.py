@@ -46,11 +46,10 @@ def limit_patterns(options: FitOptions, smaller: Model, larger: Model) -> FitOpt
     def kept(pattern: str) -> bool:
         return _matches(smaller, pattern) or not _matches(larger, pattern)
 
-    limited = {
-        key: [pattern for pattern in getattr(options, key) if kept(pattern)]
-        for key in ("free", "fix", "refit")
-    }
-    return replace(options, **limited)
+    free, fix, refit = (
+        tuple(filter(kept, patterns)) for patterns in (options.free, options.fix, options.refit)
+    )
+    return replace(options, free=free, fix=fix, refit=refit)
 
 
 def _matches(model: Model, pattern: str) -> bool:

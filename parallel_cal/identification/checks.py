@@ -13,6 +13,7 @@ from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import Errors
 from parallel_cal.identification.prior import Prior
+from parallel_cal.identification.unusual import UnusualSize, describe_by_effect
 from parallel_cal.model.model import Model
 from parallel_cal.model.parameters import RANGE_MARGIN_SIGMAS, Parameter
 
@@ -73,8 +74,12 @@ class WrongSignError(FitError):
 
 
 def check_plausible(
-    model: Model, estimate: Estimate, free: np.ndarray, insist: bool = False
-) -> tuple[Model, dict[str, str], list[str]]:
+    model: Model,
+    estimate: Estimate,
+    free: np.ndarray,
+    insist: bool = False,
+    usual_only: bool = False,
+) -> tuple[Model, dict[str, UnusualSize], list[str]]:
     """Judge the size of every identified parameter.
 
     A parameter is out of range if it lies more than three sigmas outside. The sigmas are those that
@@ -83,13 +88,13 @@ def check_plausible(
     determine, and would let any value pass.
 
     Usual sizes are knowledge about other machines: a parameter of an effect or a sensor outside its
-    range is accepted, and its tolerance is raised to allow it.
+    range is accepted, and its tolerance is raised to allow it, unless the owner wants `usual_only`.
 
     Returns
     -------
     Model
         The model, with raised tolerances.
-    dict of str to str
+    dict of str to UnusualSize
         What is unusual, by parameter.
     list of str
         Contradictions that were accepted because the caller insists.
@@ -99,9 +104,10 @@ def check_plausible(
     WrongSignError
         If an elastic or dissipative quantity is negative.
     FitError
-        If another parameter is out of range, or parameters contradict each other.
+        If another parameter is out of range, parameters contradict each other, or a size is
+        unusual and only usual ones are wanted.
     """
-    unusual, accepted, tolerances = dict[str, str](), list[str](), dict(model.tolerances)
+    unusual, accepted, tolerances = dict[str, UnusualSize](), list[str](), dict(model.tolerances)
     stated_sigma = np.sqrt(np.maximum(np.diag(estimate.covariance), 0.0))
     for i, p in enumerate(model.table):
         low, high = p.plausible_range(float(stated_sigma[i]))
@@ -119,9 +125,12 @@ def check_plausible(
                 "value: check the directions that the model file states (gravity, joints)"
             )
         tolerances[p.name] = 1.2 * p.tolerance * (value - p.nominal) / (bound - p.nominal)
-        unusual[p.name] = (
-            f"{p.name} is {_show(p, value)}, larger than usual ({least:.6g} to {most:.6g}): a "
-            "fault, or another effect"
+        unusual[p.name] = UnusualSize.of(p, value)
+    if unusual and usual_only:
+        words = "; ".join(describe_by_effect(unusual.values()).values())
+        raise FitError(
+            f"{words}; nothing was identified, because only usual sizes were asked for: omit "
+            "--usual-only, or state the machine's class or the effect's tolerance in the model file"
         )
     # Parameters contradict each other only if the values nearest to nominal, within three sigmas
     # of the estimate, do so too.

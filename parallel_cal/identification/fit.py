@@ -53,6 +53,7 @@ from parallel_cal.identification.thresholds import (
     LOOSENING,
     MAX_LOOSENINGS,
 )
+from parallel_cal.identification.unusual import UnusualSize, describe_by_effect
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset, check_inputs
 
@@ -91,6 +92,8 @@ class FitResult(ShownInNotebook):
         The model that you passed to `fit`, registered if necessary, and its errors at the samples.
     registration : Registration, optional
         The estimated frame of the measuring device; None if none was needed.
+    unusual : dict of str to UnusualSize
+        Parameters of effects that are larger than usual for the machine's class, by name.
     """
 
     model: Model
@@ -105,7 +108,7 @@ class FitResult(ShownInNotebook):
     warnings: tuple[str, ...]
     given: GivenModel
     registration: Registration | None = None
-    unusual: Mapping[str, str] = field(default_factory=dict)
+    unusual: Mapping[str, UnusualSize] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return (
@@ -225,6 +228,7 @@ class FitResult(ShownInNotebook):
             "down_weighted": to_json_value(self.down_weighted),
             "iterations": self.estimate.iterations,
             "registration": to_json_value(self.registration),
+            "unusual": to_json_value(list(self.unusual.values())),
             "warnings": list(self.warnings),
             "dataset": {"source": self.dataset.source, "sha256": self.dataset.sha256},
         }
@@ -317,7 +321,7 @@ def fit(
           or a Prior.
         - `method` (default `"implicit"`), `loss` (`"linear"`, or a robust one such as `"huber"`),
           `seed` of the folds, `insist` (accept parameters that contradict each other, and
-          implausible joint readings).
+          implausible joint readings), `usual_only` (refuse effects that are larger than usual).
 
     Returns
     -------
@@ -411,7 +415,9 @@ def fit_registered(
     if partial:
         estimate = add_consider_covariance(model, observations, mask, estimate)
     fitted = usual.with_values(estimate.values, estimate.covariance)
-    fitted, unusual, insisted = check_plausible(fitted, estimate, mask, options.insist)
+    fitted, unusual, insisted = check_plausible(
+        fitted, estimate, mask, options.insist, options.usual_only
+    )
     after = errors(fitted, observations)
     check_joint_errors(fitted, after)
     held_out = _cross_validate(_folds(dataset, options), judged, after, report)
@@ -432,7 +438,7 @@ def fit_registered(
                 if observations.doubts
                 else ()
             ),
-            *unusual.values(),
+            *describe_by_effect(unusual.values()).values(),
             *insisted,
             *list_parameter_warnings(fitted, estimate, mask),
             *on_priors(fitted, estimate),

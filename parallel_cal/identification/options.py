@@ -57,6 +57,9 @@ class FitOptions:
     insist : bool
         Whether parameters that contradict each other, and implausible joint readings, are
         accepted. Default False.
+    usual_only : bool
+        Whether effects that are larger than usual for the machine's class are refused. By default
+        they are accepted with a warning, because a usual size is no measurement of this machine.
 
     Raises
     ------
@@ -91,6 +94,13 @@ class FitOptions:
         default="linear",
         metadata=option("linear, or robust to outliers: huber, soft_l1, cauchy, arctan"),
     )
+    usual_only: bool = field(
+        default=False,
+        metadata=option(
+            "refuse effects that are larger than usual for the machine's class, instead of "
+            "accepting them with a warning"
+        ),
+    )
     seed: int = 0
     insist: bool = False
 
@@ -111,5 +121,6 @@ class FitKeywords(TypedDict, total=False):
     joint_sigma: float | None
     prior: bool | Prior | None
     loss: str
+    usual_only: bool
     seed: int
     insist: bool

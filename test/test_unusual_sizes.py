@@ -1,0 +1,141 @@
+"""Effects that are larger than usual are named with size and gain; the owner decides."""
+
+import json
+from dataclasses import replace
+
+import pytest
+import virtual_findings as vf
+from datasets import measured
+from findings import dataset
+
+from parallel_cal.base.errors import FitError
+from parallel_cal.cli import main as cli
+from parallel_cal.diagnosis import diagnose as diagnosing
+from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.diagnosis.verdict import judge
+from parallel_cal.identification.unusual import UnusualSize, describe_by_effect
+from parallel_cal.model.file.modelfile import write_model
+from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import load_sensor
+from parallel_cal.reporting import text
+from parallel_cal.session.steps import add
+from parallel_cal.virtual import joint_effects as ve
+from parallel_cal.virtual import robot as vr
+
+TESTED = ["backlash", "encoder_eccentricity", "encoder_gain"]
+
+
+@pytest.fixture(scope="module")
+def worn():
+    """Gears with up to a degree of backlash: five times what a gear of a robot has."""
+    return measured(7, effects=[vr.Backlash((16e-3, 10e-3, 12e-3))])
+
+
+@pytest.mark.parametrize(
+    ("size", "words"),
+    [
+        (UnusualSize("a.b", 34e-3, 0.0, 3e-3, "rad"), "larger than usual (34 mrad; usual up to 3)"),
+        (
+            UnusualSize("a.b", -4e-4, -1e-4, 1e-4, "m"),
+            "larger than usual (-400 um; usual up to 100)",
+        ),
+        (UnusualSize("a.b", 2e-3, 0.0, 2e-4, "m"), "larger than usual (2 mm; usual up to 0.2)"),
+        (UnusualSize("a.b", 4e-5, 0.0, 1e-5, "m/N"), "larger than usual (40 um/N; usual up to 10)"),
+        (UnusualSize("a.b", 0.02, -5e-3, 5e-3, "1"), "larger than usual (0.02; usual up to 0.005)"),
+        (UnusualSize("a.b", 2e-4, -2e-6, 1e-4, "1/K"), "(0.0002 1/K; usual -2e-06 to 0.0001)"),
+    ],
+)
+def test_a_size_is_described_in_units_that_people_use(size, words):
+    assert words in size.description
+    assert size.description.endswith(": a fault, or another effect")
+
+
+def test_an_effect_is_described_once_by_the_parameter_furthest_outside_its_range():
+    sizes = [UnusualSize(f"a.joint{i}", v, 0.0, 1e-3, "rad") for i, v in enumerate((2e-3, 9e-3))]
+    assert describe_by_effect(sizes) == {
+        "a": "a.joint1 is larger than usual (9 mrad; usual up to 1): a fault, or another effect "
+        "(1 more of its parameters are, too)"
+    }
+
+
+@pytest.mark.wide
+def test_a_diagnosis_names_the_unusual_effect_its_size_and_its_gain_and_add_accepts_it(worn):
+    model = new_model("delta54")
+    found = diagnose(model, worn, effects=TESTED)
+    assert found.effects == ("backlash",)
+    [one] = found.document()["unusual"]
+    assert one["effect"] == "backlash"
+    assert one["text"] in found.verdict.summary
+    assert "larger than usual (15.9 mrad; usual up to 3)" in one["text"]
+    assert one["parameters"][0]["usual"] == pytest.approx([0.0, 3e-3])
+    assert one["holdout_with"]["position_rms"] < 0.1 * one["holdout_without"]["position_rms"]
+    step = add(model, found.additions[0], worn)
+    assert not step.acceptance.against
+    [words] = [w for w in step.warnings if "larger than usual" in w]
+    assert words.startswith("backlash.joint1.width is larger than usual (15.9")
+    assert {u["parameter"] for u in step.document()["unusual"]} == {
+        f"backlash.joint{i}.width" for i in (1, 2, 3)
+    }
+
+
+@pytest.mark.wide
+def test_with_two_unusual_effects_each_one_is_named_with_its_own_gain():
+    drives, gears = ve.WrongPitch((0.015, -0.01, 0.012)), vr.Backlash((8e-3, 6e-3, 7e-3))
+    data = dataset(vf.samples(vf.session(0), [drives, gears], vr.THESIS_NOISE, 0), vr.THESIS_NOISE)
+    found = diagnose(new_model("delta54"), data, effects=["encoder_gain", "backlash"])
+    assert set(found.effects) == {"encoder_gain", "backlash"}
+    for one in found.unusual:
+        assert f"{one.name}." in one.description
+        assert "it changes the error at held-out poses from" in one.description
+        assert one.description in found.verdict.summary
+        assert one.ratio < 0.9
+
+
+@pytest.mark.wide
+def test_the_owner_refuses_unusual_sizes_with_one_option(worn):
+    model = new_model("delta54")
+    found = diagnose(model, worn, effects=TESTED, usual_only=True)
+    assert "backlash" not in found.effects
+    assert not found.unusual
+    with pytest.raises(FitError, match=r"larger than usual \(15.9.*nothing was identified.*--usual-only"):
+        add(model, "backlash", worn, usual_only=True)
+
+
+def run(*arguments):
+    with pytest.raises(SystemExit) as ended:
+        cli.main([str(a) for a in arguments])
+    return ended.value.code
+
+
+def test_the_command_add_accepts_an_unusual_size_unless_usual_only_is_given(worn, tmp_path, capsys):
+    robot, samples, better = (tmp_path / n for n in ("robot.yaml", "samples.json", "better.yaml"))
+    write_model(new_model("delta54"), robot)
+    worn.to_json(samples)
+    assert run("add", robot, "backlash", samples, "--usual-only", "-o", better) != 0
+    assert "larger than usual (15.9" in capsys.readouterr().err
+    assert not better.exists()
+    assert run("add", robot, "backlash", samples, "-o", better, "--json") == 0
+    out, err = capsys.readouterr()
+    assert "larger than usual (15.9" in err
+    assert json.loads(out)["unusual"][0]["usual"] == pytest.approx([0.0, 3e-3])
+    assert better.exists()
+
+
+@pytest.mark.wide
+def test_every_verdict_says_robot_or_device_where_the_document_does(monkeypatch):
+    """Discs 60 um off-centre: cameras that err by 0.1 mm may be the cause."""
+    seen = []
+    monkeypatch.setattr(diagnosing, "judge", lambda found: seen.append(found) or judge(found))
+    disc = vr.EncoderEccentricity((2.7e-3, -1.5e-3, 0.9e-3), (-1.2e-3, 2.6e-3, 2.8e-3))
+    data = dataset(vf.samples(vf.session(0), [disc], vr.THESIS_NOISE, 0), vr.THESIS_NOISE)
+    cameras = load_sensor("certificate", volumetric_accuracy=100e-6)
+    model = new_model("delta54", sensors=[cameras])
+    found = diagnose(model, data, effects=["encoder_eccentricity", "device_axes", "device_field"])
+    words = "robot or device: the measuring device may cause encoder_eccentricity"
+    assert found.document()["robot_or_device"] == ["encoder_eccentricity"]
+    assert found.verdict.word == "partly_explained"
+    assert text.show(found).count(words) == 1
+    unknown_noise = replace(seen[0], noise=replace(seen[0].noise, variance=None))
+    verdict = judge(unknown_noise)
+    assert verdict.word == "cannot_know"
+    assert verdict.summary.count(words) == 1
