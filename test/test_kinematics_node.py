@@ -434,6 +434,29 @@ def test_joint_states_become_those_of_the_passive_joints_of_the_exported_tree(ro
     assert list(answer.position) == pytest.approx(tree.values(row), abs=1e-12)
 
 
+def test_poses_outside_the_identified_region_are_counted(robot):
+    """Samples came from joint angles of 0.5 to 0.6 rad; the robot is used at 0.9."""
+    ranges = {name: [0.5, 0.6] for name in NAMES}
+    model = read_model(IDENTIFIED)
+    write_model(
+        replace(model, history=({"step": "fit", "region": {"joints": ranges}},)), robot.file
+    )
+    robot.learn(robot.file)
+    assert robot.call(LoadModel, "load_model", path=str(robot.file)).success
+    publisher = robot.client._node.create_publisher(JointState, "joint_states", 10)
+    heard = heard_on(robot, PoseStamped, f"{NODE}/pose")
+    publish_until(robot, publisher, JointState(name=[*NAMES], position=[0.55] * 3), heard)
+    key = "joint_states outside the identified region"
+    far = JointState(name=[*NAMES], position=[0.9] * 3)
+
+    def counted(status):
+        publisher.publish(far)
+        return any(item.key == key for item in status.values)
+
+    assert int(robot.wait_for_diagnosis("traffic", counted)[key]) >= 1
+    robot.back_to(NOMINAL)
+
+
 def test_a_joint_state_without_a_joint_is_counted_and_told(robot):
     publisher = robot.client._node.create_publisher(JointState, "joint_states", 10)
     robot.client.wait(lambda: publisher.get_subscription_count() > 0, "the node")

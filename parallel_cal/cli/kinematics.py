@@ -164,6 +164,15 @@ def _read_robot_and_conditions(path: Path, at: list[str] | None) -> tuple[Model,
     return model, conditions
 
 
+def _warn_outside_region(solutions: Solutions, model: Model) -> None:
+    """Warn about poses outside the region in which the model was identified."""
+    from parallel_cal.model.region import IdentifiedRegion
+
+    if region := IdentifiedRegion.of_model(model):
+        excess = region.compute_excess(solutions.joints, solutions.position)
+        console.warn(filter(None, [region.describe_excess(excess, "solutions")]))
+
+
 def _print_solutions(
     solutions: Solutions,
     model: Model,
@@ -173,6 +182,7 @@ def _print_solutions(
 ) -> None:
     from parallel_cal.kinematics.answers import to_rows
 
+    _warn_outside_region(solutions, model)
     rows = to_rows(solutions)
     if covariances is not None:
         for row, covariance in zip(rows, covariances, strict=True):

@@ -42,6 +42,7 @@ def info(
 
 def _show_model(path: Path, as_json: bool) -> None:
     from parallel_cal.model.file.modelfile import model_hash, read_model
+    from parallel_cal.model.region import IdentifiedRegion
     from parallel_cal.model.summary import summarise_model
 
     model = read_model(path)
@@ -50,7 +51,9 @@ def _show_model(path: Path, as_json: bool) -> None:
         return console.emit(document)
     lists = {key: ", ".join(map(str, v)) for key, v in document.items() if isinstance(v, list)}
     tolerances = {"tolerances": ", ".join(f"{k} {v:g}" for k, v in model.tolerances.items())}
-    for key, value in (document | lists | tolerances).items():
+    region = IdentifiedRegion.of_model(model)
+    shown = {"region": "" if region is None else region.description}
+    for key, value in (document | lists | tolerances | shown).items():
         console.say(f"{key}: {value if value != '' else 'none'}")
 
 

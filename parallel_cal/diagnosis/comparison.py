@@ -29,9 +29,11 @@ from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.noise_floor import noise_floor
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prediction_errors import ERRORS, Errors, Summary
+from parallel_cal.identification.predictions import predict_positions
 from parallel_cal.identification.registration import Registration, add_registration_warning
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
+from parallel_cal.model.region import IdentifiedRegion
 from parallel_cal.recordings.dataset import Dataset, check_inputs
 from parallel_cal.recordings.residuals import Residuals
 
@@ -224,6 +226,11 @@ def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) ->
     dataset = add_registration_warning(dataset, given.registration)
     if given.observations.doubts:
         dataset = replace(dataset, warnings=(*dataset.warnings, given.observations.doubts))
+    if region := IdentifiedRegion.of_model(model):
+        joints = given.observations.x[:, : len(model.joints)]
+        place = predict_positions(given.model, given.observations)
+        if words := region.describe_excess(region.compute_excess(joints, place), "samples"):
+            dataset = replace(dataset, warnings=(*dataset.warnings, words))
     return Comparison(
         given.model,
         dataset,

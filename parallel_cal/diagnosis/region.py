@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.diagnosis.thresholds import MIN_POSES_BEYOND_REGION, POOL, REGION_MARGIN
+from parallel_cal.diagnosis.thresholds import MIN_POSES_BEYOND_REGION, POOL
 from parallel_cal.identification.fit import FitResult
+from parallel_cal.model.region import REGION_MARGIN
 from parallel_cal.planning.expectation import prediction_blocks
 from parallel_cal.planning.posepool import make_pool
 

@@ -56,12 +56,13 @@ MIN_SLOW_CORRELATION = (
 # of the validation error: an effect larger than usual must lower it by a tenth, because large
 # enough numbers of a flexible effect follow anything a little
 MAX_UNUSUAL_ERROR_RATIO = 0.9
+# of the usual range: a pair of effects that a linear step takes further beyond it is not refitted
+MAX_LINEAR_OVERSIZE = 0.5
 # of chi2: an effect that its prior holds, and that lowers chi2 by less, explains nothing
 MIN_CHI2_FALL = 1e-3
 MIN_EXPLAINED_SHARE = 0.7  # of the variance above the noise floor
 
 # Where a verdict holds
-REGION_MARGIN = 0.1  # of the measured box: the verdict still holds so far outside it
 MIN_POSES_BEYOND_REGION = 15  # of POOL poses in the workspace: fewer are no region of their own
 
 # Which effects are lookalikes

@@ -21,6 +21,7 @@ from parallel_cal.exporting.projection import Firmware, Machine, Projection, los
 from parallel_cal.importing.settings import Settings
 from parallel_cal.importing.touch_samples import Touches
 from parallel_cal.model.model import Model
+from parallel_cal.model.region import describe_workspace_excess
 from parallel_cal.model.shelf import list_plugins, load_module, wrap_plugin_function
 
 SHELF = "exporting.targets"
@@ -104,6 +105,7 @@ def export(
     for file, text in made.items():
         write_atomically(Path(folder) / file, text)
         result.paths.append(Path(folder) / file)
+    result.remarks.extend(filter(None, [describe_workspace_excess(model)]))
     return result
 
 
@@ -153,7 +155,7 @@ def export_into(
     for path, text in texts.items():
         write_atomically(path.with_name(path.name + BACKUP_SUFFIX), read_verbatim(path), like=path)
         write_atomically(path, text)
-    remarks = _remarks(robot, projection)
+    remarks = [*_remarks(robot, projection), *filter(None, [describe_workspace_excess(model)])]
     for path in later:
         if winning := [field for field in module.settings([path]).texts if field in written]:
             remarks.append(

@@ -42,6 +42,7 @@ from parallel_cal.identification.observability import directions_in_words
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.prediction_errors import Errors, Summary, errors, improvement
+from parallel_cal.identification.predictions import predict_positions
 from parallel_cal.identification.refit import add_consider_covariance
 from parallel_cal.identification.registration import (
     Registration,
@@ -52,9 +53,11 @@ from parallel_cal.identification.thresholds import (
     CONTRADICTED_SIGMAS,
     LOOSENING,
     MAX_LOOSENINGS,
+    MAX_REGION_SAMPLES,
 )
 from parallel_cal.identification.unusual import UnusualSize, describe_by_effect
 from parallel_cal.model.model import Model
+from parallel_cal.model.region import IdentifiedRegion
 from parallel_cal.recordings.dataset import Dataset, check_inputs
 
 if TYPE_CHECKING:
@@ -132,6 +135,15 @@ class FitResult(ShownInNotebook):
     @property
     def samples(self) -> int:
         return len(self.observations)
+
+    @cached_property
+    def region(self) -> IdentifiedRegion:
+        """The region of the samples: beyond it neither model nor validation error is proven."""
+        seen = self.observations
+        if len(seen) > MAX_REGION_SAMPLES:
+            seen = seen.select(np.linspace(0, len(seen) - 1, MAX_REGION_SAMPLES).astype(int))
+        joints = self.observations.x[:, : len(self.model.joints)]
+        return IdentifiedRegion.of_samples(self.model, joints, predict_positions(self.model, seen))
 
     @cached_property
     def noise_floor(self) -> Summary:
@@ -225,6 +237,7 @@ class FitResult(ShownInNotebook):
             "method": self.options.method,
             "loss": self.options.loss,
             "refit": list(self.refitted_parameters),
+            "region": self.region.document(),
             "down_weighted": to_json_value(self.down_weighted),
             "iterations": self.estimate.iterations,
             "registration": to_json_value(self.registration),

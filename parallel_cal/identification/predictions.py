@@ -36,6 +36,16 @@ def predict_configurations(model: Model, observations: Observations) -> np.ndarr
     return np.where(np.isfinite(x).all(axis=1)[:, None], x, observations.x)
 
 
+def predict_positions(model: Model, observations: Observations) -> np.ndarray:
+    """Positions (N, 3) of {P} in {B} at the joint readings, NaN if there is no solution.
+
+    They do not depend on what was measured, and where the device stands.
+    """
+    joints = observations.x[:, : len(model.joints)]
+    at = condition_columns(model, observations)
+    return np.asarray(Kinematics(model).direct(joints, at).position)
+
+
 def reading_residuals(model: Model, observations: Observations, x: np.ndarray) -> np.ndarray:
     """Sensor readings minus predictions at x (N, nq+12): (N, n_channels) m, NaN if not read."""
     if not model.structure.channels:

@@ -12,6 +12,7 @@ MAX_NAMED_WEAK_DIRECTIONS = 2  # weakest directions to name: a document has all 
 MAX_NEGLIGIBLE_ERROR_RISE = (
     0.01  # of the validation error: the removal of an effect may cost so much
 )
+MAX_REGION_SAMPLES = 5000  # of which the positions are predicted, to state their region
 BLOCKS = 40  # stretches into which a continuous motion is cut, as if each were a pose
 
 # Joint readings that no such robot shows

@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from parallel_cal.model.model import Model
+from parallel_cal.model.region import IdentifiedRegion
 
 
 def summarise_model(model: Model) -> dict[str, Any]:
     """Return a JSON document about a model: its mechanism, class, parts and steps, in SI units."""
+    region = IdentifiedRegion.of_model(model)
     steps = [" ".join(str(e[k]) for k in ("step", "effect") if k in e) for e in model.history]
     return {
         "mechanism": model.mechanism.name,
@@ -20,4 +22,5 @@ def summarise_model(model: Model) -> dict[str, Any]:
         "sensors": [sensor.name for sensor in model.sensors],
         "tolerances": dict(model.tolerances),
         "steps": steps,
+        "region": None if region is None else region.document(),
     }

@@ -17,6 +17,7 @@ from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
 from parallel_cal.model.file.modelfile import model_hash, model_text, parse_model
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
+from parallel_cal.model.region import IdentifiedRegion
 
 log = logging.getLogger(__name__)
 
@@ -33,6 +34,11 @@ class ServedModel:
     hash: str
     path: str
     text: str = ""
+
+    @cached_property
+    def region(self) -> IdentifiedRegion | None:
+        """The region in which the model was identified; None if its file states none."""
+        return IdentifiedRegion.of_model(self.model)
 
     @cached_property
     def tree(self) -> Tree | None:

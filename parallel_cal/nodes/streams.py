@@ -6,6 +6,7 @@ import math
 from functools import partial
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import (
     PoseStamped,
     PoseWithCovariance,
@@ -60,6 +61,7 @@ class Streams:
         self._node, self._server, self._group = node, server, group
         self._memory, self._tally = memory, tally
         self.health: dict[str, Stream] = {}
+        self._warned_hash = ""  # of the model whose poses outside its region were logged
         self._answer = PoseStamped()
         self._pose = self._publisher(PoseStamped, "~/pose")
         self._sure_pose = self._publisher(PoseWithCovarianceStamped, "~/pose_with_covariance")
@@ -188,9 +190,25 @@ class Streams:
             state = JointState(header=answer.header, name=served.tree.passive)
             state.position = values.tolist()
             self._passive.publish(state)
+        self._warn_outside_region(served, "joint_states", q, found.position)
         self._tally.add("joint_states", "answered")
         if found.status == Status.OUTSIDE_LIMITS:
             self._tally.add("joint_states", "outside limits")
+
+    def _warn_outside_region(
+        self, served: ServedModel, topic: str, joints: np.ndarray, position: np.ndarray
+    ) -> None:
+        """Count poses outside the region in which the model was identified; log the first one."""
+        if served.region is None:
+            return
+        excess = served.region.compute_excess(joints, position)
+        if not excess.any():
+            return
+        self._tally.add(topic, "outside the identified region")
+        if self._warned_hash != served.hash:
+            self._warned_hash = served.hash
+            words = served.region.describe_excess(excess, "poses")
+            self._node.get_logger().warning(f"{topic}: {words} (logged once for each model)")
 
     # ------------------------------------------------------------------ commands
 
@@ -235,4 +253,5 @@ class Streams:
         point = JointTrajectoryPoint(positions=found.joints.tolist())
         point.time_from_start = Duration(seconds=seconds).to_msg()
         self._command.publish(JointTrajectory(joint_names=list(model.joints), points=[point]))
+        self._warn_outside_region(served, "target_pose", found.joints, r)
         self._tally.add("target_pose", "answered")

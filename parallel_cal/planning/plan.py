@@ -19,6 +19,7 @@ from parallel_cal.identification.estimate import EstimationProblem
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.kinematics.solutions import concatenate_solutions
 from parallel_cal.model.model import Model
+from parallel_cal.model.region import IdentifiedRegion
 from parallel_cal.planning.approach import Approaches
 from parallel_cal.planning.expectation import Expectation, View
 from parallel_cal.planning.options import PlanKeywords, PlanOptions
@@ -216,7 +217,11 @@ def plan(
         expected=expected,
         random=random,
         pool=len(pool.poses),
-        warnings=(*view.warnings(), *_list_sensor_warnings(model)),
+        warnings=(
+            *view.warnings(),
+            *_list_sensor_warnings(model),
+            *_list_region_warnings(model, pool.poses[rows]),
+        ),
     )
 
 
@@ -266,6 +271,16 @@ def _list_sensor_warnings(model: Model) -> list[str]:
     return [f"planned for the pose device only: readings of {channels} are ignored"] * bool(
         channels
     )
+
+
+def _list_region_warnings(model: Model, poses: Solutions) -> list[str]:
+    """Name poses beyond the region in which the model was identified."""
+    region = IdentifiedRegion.of_model(model)
+    if region is None:
+        return []
+    excess = region.compute_excess(poses.joints, poses.position)
+    words = region.describe_excess(excess, "planned poses")
+    return [f"{words}; samples of these poses would extend the region"] if words else []
 
 
 def equations_per_pose(model: Model) -> int:

@@ -18,6 +18,7 @@ from parallel_cal.identification.budget import Budget, Iso9283, iso_9283
 from parallel_cal.identification.fit import FitResult, ParameterEstimate
 from parallel_cal.identification.prediction_errors import ERRORS, Summary
 from parallel_cal.model.model import Model
+from parallel_cal.model.region import describe_workspace_excess
 from parallel_cal.reporting.blocks import Block, Cell, Column, Number, Row, Table
 from parallel_cal.reporting.contents import DescribedParameter, HeldOutErrors, JudgedSample
 from parallel_cal.reporting.contents import parameters as describe_parameters
@@ -65,6 +66,9 @@ def describe_step(step: Step) -> Iterator[Block]:
             f"the change moves the platform by {measured} um rms at the measured poses and by "
             f"{anywhere} um rms over the workspace; the validation error shows {worth} um of it"
         )
+        beyond = describe_workspace_excess(step.result.model, step.result.region)
+        where = f"these errors are of samples in {step.result.region.description}"
+        yield f"{where}; {beyond}" if beyond else where
 
 
 @describe.register

@@ -323,7 +323,7 @@ def _step(
     if effect is not None:
         entry["effect"] = effect
     document = result.document()
-    entry |= {key: document[key] for key in ("method", "samples", "dataset")}
+    entry |= {key: document[key] for key in ("method", "samples", "dataset", "region")}
     # What differs from least squares of all free parameters on all samples.
     unusual = {
         "loss": result.options.loss if result.options.loss != "linear" else None,
