@@ -3,10 +3,13 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
+import virtual_day as vd
 import virtual_findings as vf
 from datasets import measured
 from findings import dataset
+from twins import hexapod
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.cli import main as cli
@@ -17,6 +20,7 @@ from parallel_cal.identification.unusual import UnusualSize, describe_by_effect
 from parallel_cal.model.file.modelfile import write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
+from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting import text
 from parallel_cal.session.steps import add
 from parallel_cal.virtual import joint_effects as ve
@@ -97,7 +101,7 @@ def test_the_owner_refuses_unusual_sizes_with_one_option(worn):
     found = diagnose(model, worn, effects=TESTED, usual_only=True)
     assert "backlash" not in found.effects
     assert not found.unusual
-    with pytest.raises(FitError, match=r"larger than usual \(15.9.*nothing was identified.*--usual-only"):
+    with pytest.raises(FitError, match=r"usual \(15.9 mrad; .*nothing was .*--usual-only"):
         add(model, "backlash", worn, usual_only=True)
 
 
@@ -139,3 +143,28 @@ def test_every_verdict_says_robot_or_device_where_the_document_does(monkeypatch)
     verdict = judge(unknown_noise)
     assert verdict.word == "cannot_know"
     assert verdict.summary.count(words) == 1
+
+
+@pytest.mark.wide
+def test_pairs_that_would_be_far_larger_than_usual_are_not_refitted():
+    """A hexapod with drives of wrong pitch: no second effect makes their gain a usual one."""
+    robot, noise = hexapod(), vr.Noise(2e-6, 5e-6, 10 * vr.ARCSEC)
+    rng = np.random.default_rng(9)
+    move, turn = rng.uniform(-0.05, 0.05, (108, 3)), vr.turn(rng.uniform(-0.2, 0.2, (108, 3)))
+    reading = robot.inverse(robot.home + move, turn)[0]
+    pitch = ve.WrongPitch((0.012, 0.0, 0.002, 0.001, -0.001, 0.0))
+    _, r, R = vr.truth(robot, [pitch], reading, vr.SampleConditions(*np.zeros((4, 108))))
+    q_error, r_error, w_error = vd.errors(noise, 108, 6, 1)
+    model, stages = new_model("stewart42"), list[str]()
+    data = Dataset.from_arrays(
+        model.joints,
+        reading + q_error,
+        r + r_error,
+        vr.turn(w_error) @ R,
+        pose_cov=np.diag(np.repeat([noise.position, noise.orientation], 3) ** 2),
+        joint_sigma=noise.joint,
+    )
+    found = diagnose(model, data, progress=lambda stage, share: stages.append(stage))
+    assert found.effects == ("encoder_gain",)
+    assert found.best.fitted.model.value("encoder_gain.leg1.gain") == pytest.approx(0.012, abs=2e-3)
+    assert sum(stage.startswith("refitting") for stage in stages) < 15

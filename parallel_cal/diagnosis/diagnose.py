@@ -385,7 +385,7 @@ def _search_effects(search: Search, catalogue: _Catalogue) -> tuple[Trial, dict[
     base = search.fit()
 
     def grown(start: Trial) -> tuple[Trial, dict[str, str]]:
-        more, against = search.forward(start, catalogue.select_significant)
+        more, against = search.forward(start, catalogue.select_significant, catalogue.rank)
         return search.rescan_settings(search.backward(more), catalogue.rank), against
 
     def found() -> tuple[Trial, dict[str, str]]:

@@ -11,13 +11,14 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.base.progress import Progress
-from parallel_cal.diagnosis.catalogue import Candidate
-from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.diagnosis.catalogue import Candidate, find_new_parameters
+from parallel_cal.diagnosis.scene import Scene, columns
 from parallel_cal.diagnosis.scoring import log_p_of
 from parallel_cal.diagnosis.thresholds import (
     EFFECT_SIGNIFICANCE_LEVEL,
     MAX_EFFECTS,
     MAX_EQUAL_SHUFFLES,
+    MAX_LINEAR_OVERSIZE,
     MAX_SWAP_ERROR_RATIO,
     MAX_UNUSUAL_ERROR_RATIO,
     MIN_CHI2_FALL,
@@ -26,12 +27,13 @@ from parallel_cal.diagnosis.thresholds import (
     SHUFFLES,
 )
 from parallel_cal.identification.acceptance import acceptance
-from parallel_cal.identification.checks import WrongSignError
+from parallel_cal.identification.checks import ContradictionError, WrongSignError
 from parallel_cal.identification.estimate import Estimate
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.prediction_errors import held_out_ratio
 from parallel_cal.identification.unusual import describe_by_effect
 from parallel_cal.model.model import Model
+from parallel_cal.model.parameters import Parameter
 
 Refit = Callable[[Model, bool], FitResult]  # of a model; whether contradictions are accepted
 
@@ -63,12 +65,15 @@ class Chosen:
 @dataclass(frozen=True)
 class Trial:
     """A refit of the model with some effects, or the reason why it has none; `wrong_sign` if the
-    reason is a sign that physics forbids."""
+    reason is a sign that physics forbids, `contradicts` if it is a contradiction that a caller may
+    insist on, `unsolved` if the refit found no solution."""
 
     chosen: tuple[Chosen, ...]
     result: FitResult | None
     reason: str = ""
     wrong_sign: bool = False
+    contradicts: bool = False
+    unsolved: bool = False
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -104,7 +109,7 @@ class Search:
         `insist`, unusual sizes and contradictions are accepted."""
         trial = self._fit_any_size(chosen, False)
         if trial.result is None:
-            return self._fit_any_size(chosen, True) if insist else trial
+            return self._fit_any_size(chosen, True) if insist and trial.contradicts else trial
         usual = () if insist else tuple(one.name for one in chosen if not one.unusual)
         for effect, words in describe_by_effect(trial.result.unusual.values()).items():
             if effect in usual:
@@ -123,7 +128,11 @@ class Search:
                 self._known[key] = Trial(chosen, self._refit(model, insist))
             except (FitError, ModelError) as error:  # or an effect of the larger model, without it
                 wrong_sign = isinstance(error, WrongSignError)
-                self._known[key] = Trial(chosen, None, str(error), wrong_sign)
+                contradicts = isinstance(error, ContradictionError)
+                unsolved = isinstance(error, FitError) and not (wrong_sign or contradicts)
+                self._known[key] = Trial(
+                    chosen, None, str(error), wrong_sign, contradicts, unsolved
+                )
         known = self._known[key]
         return known if known.chosen == chosen else replace(known, chosen=chosen)
 
@@ -154,18 +163,21 @@ class Search:
             or _compute_oversize_ratio(before.fitted, after.result) > 1
         )
 
-    def forward(self, start: Trial, rank: Rank) -> tuple[Trial, dict[str, str]]:
-        """Add effects one by one while one is significant and has no objection."""
+    def forward(self, start: Trial, rank: Rank, rank_all: Rank) -> tuple[Trial, dict[str, str]]:
+        """Add effects one by one while one is significant and has no objection. `rank` returns the
+        significant ones, `rank_all` all of the catalogue."""
         trial: Trial = start
         against: dict[str, str] = {}
         while len(trial.chosen) < MAX_EFFECTS:
-            more = self._find_next(trial, rank, against)
+            more = self._find_next(trial, rank, rank_all, against)
             if more is None:
                 break
             trial = more
         return trial, against
 
-    def _find_next(self, before: Trial, rank: Rank, against: dict[str, str]) -> Trial | None:
+    def _find_next(
+        self, before: Trial, rank: Rank, rank_all: Rank, against: dict[str, str]
+    ) -> Trial | None:
         """Find the effect to add next; note objections `against` the others.
 
         An effect of usual size is taken, unless one that is larger than usual explains clearly
@@ -182,7 +194,7 @@ class Search:
             if after.result is None and not after.wrong_sign:
                 larger.append(one)
         unusual = None if self._usual_only else self._try_unusual(before, larger)
-        usual = usual or self._try_pairs(before, rank)
+        usual = usual or self._try_pairs(before, rank, rank_all)
         if usual is None or unusual is None:
             return usual or unusual
         return unusual if is_preferable(usual, unusual) else usual
@@ -207,23 +219,36 @@ class Search:
                 best = after
         return best
 
-    def _try_pairs(self, before: Trial, rank: Rank) -> Trial | None:
+    def _try_pairs(self, before: Trial, rank: Rank, rank_all: Rank) -> Trial | None:
         """Find the best pair of effects of which one alone would need implausible parameters: the
         error may belong to the other, or half to a lookalike. None if no pair passes."""
         found, ranked = [], rank(before)
+        trials = {c.name: self.fit(*before.chosen, Chosen.of(c)) for c in ranked}
+        unsolved = {name for name, trial in trials.items() if trial.unsolved}
+        partners = [c for c in rank_all(before) if c.score and c.name not in unsolved]
+        refused = set[frozenset[str]]()  # the order of two effects hardly changes their sizes
         for one in ranked:
             alone = (*before.chosen, Chosen.of(one))
-            if self.fit(*alone).result is not None:
+            if trials[one.name].result is not None:
+                continue
+            # A refit costs a second, and one without a solution several.
+            if all(c.name == one.name or _is_pair_unusual(before, one, c) for c in partners):
                 continue
             beyond = self.fit(*alone, insist=True)
             more = rank(beyond) if beyond.result is not None else []
             halves = [c for c in ranked if c.name in one.effect.lookalikes]
             for other, less in [*((c, beyond) for c in more), *((c, before) for c in halves)]:
+                pair = frozenset([one.name, other.name])
+                if other.name in unsolved or pair in refused:
+                    continue
+                if _is_pair_unusual(before, one, other):
+                    continue
                 both = self.fit(*alone, Chosen.of(other))
-                if (
-                    both.result is None
-                    or _describe_held_out_objection(before, both)
-                    or _describe_chance_objection(less, both, other)
+                if both.result is None:
+                    refused.add(pair)
+                    continue
+                if _describe_held_out_objection(before, both) or _describe_chance_objection(
+                    less, both, other
                 ):
                     continue
                 if _compute_oversize_ratio(before.fitted, both.result) <= 1:
@@ -287,6 +312,32 @@ class Search:
             for other in rivals.get(one.name, []):
                 swapped = (*trial.chosen[:i], Chosen.of(other), *trial.chosen[i + 1 :])
                 yield one.name, other.name, self.fit(*swapped)
+
+
+def _is_pair_unusual(before: Trial, one: Candidate, other: Candidate) -> bool:
+    """Whether two more effects would be far larger than usual, by one linear step from a fit.
+
+    The usual sizes act as priors, so that a pair that the data hardly distinguish is never called
+    unusual. The margin is for what is not linear; a refit decides about everything within it.
+    """
+    scene, parts, table = before.scene, list[np.ndarray](), list[Parameter]()
+    for each in (one, other):
+        if each.effect.widens:
+            return False
+        extended = scene.model.with_effect(each.name, each.settings)
+        new = find_new_parameters(scene.model, extended)
+        parts.append(columns(extended, scene, new))
+        table += [p for p, is_new in zip(extended.table, new, strict=True) if is_new]
+    B = scene.project_off_geometry(np.hstack(parts))
+    prior = np.array([p.prior_sigma / p.tolerance for p in table])
+    covariance = np.linalg.inv(B.T @ B + np.diag(prior**-2))
+    sizes = covariance @ (B.T @ scene.residual)
+    for p, size, variance in zip(table, sizes, np.diag(covariance), strict=True):
+        low, high = p.plausible_range(float(np.sqrt(variance)) * p.tolerance)
+        margin = MAX_LINEAR_OVERSIZE * (high - low)
+        if not low - margin <= p.nominal + size * p.tolerance <= high + margin:
+            return True
+    return False
 
 
 def _describe_held_out_objection(before: Trial, after: Trial) -> str:

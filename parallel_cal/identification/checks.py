@@ -69,6 +69,10 @@ def explain_too_few_poses(
     )
 
 
+class ContradictionError(FitError):
+    """Parameters of an effect contradict each other, and the caller does not insist on them."""
+
+
 class WrongSignError(FitError):
     """An effect fits only with a sign that its physics forbids."""
 
@@ -139,7 +143,7 @@ def check_plausible(
     nearest = model.table.nominal + np.sign(away) * np.maximum(np.abs(away) - slack, 0.0)
     if why := model.with_values(nearest).find_contradiction():
         if not insist:
-            raise FitError(why)
+            raise ContradictionError(why)
         accepted.append(f"{why}: accepted because you insisted")
     return replace(model, tolerances=tolerances), unusual, accepted
 

@@ -53,6 +53,12 @@ class Parameter:
         low, high = (self.nominal + times * (v - self.nominal) for v in (self.low, self.high))
         return replace(self, tolerance=tolerance, low=low, high=high)
 
+    @property
+    def prior_sigma(self) -> float:
+        """Standard deviation around the nominal value before any data; see `ParameterTable`."""
+        is_effect = self.group == "effect"
+        return MAX_TOLERANCES / 3**0.5 * self.tolerance if is_effect else self.tolerance
+
     def plausible_range(self, sigma: float = 0.0) -> tuple[float, float]:
         """Return the lowest and the highest plausible value.
 
@@ -112,12 +118,7 @@ class ParameterTable(Sequence[Parameter]):
         For geometry this is the tolerance. For an effect it is the standard deviation of a uniform
         distribution over the plausible range.
         """
-        return np.array(
-            [
-                MAX_TOLERANCES / 3**0.5 * p.tolerance if p.group == "effect" else p.tolerance
-                for p in self
-            ]
-        )
+        return np.array([p.prior_sigma for p in self])
 
     def index_of(self, name: str) -> int:
         """Return the position of a parameter in the vector; ModelError for an unknown name."""
