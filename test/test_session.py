@@ -160,7 +160,7 @@ def test_two_that_write_at_once_lose_nothing(session):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda d: d.update(parallel_cal_session=9), "parallel_cal_session is 9, expected 1"),
+        (lambda d: d.update(parallel_cal_session=9), "parallel_cal_session is 9, expected 2"),
         (lambda d: d["states"][1].update(parent="none"), "states.1.parent: Input should be"),
         (lambda d: d.update(speed=1), "speed: Extra inputs"),
     ],
@@ -351,12 +351,40 @@ def test_a_model_in_use_that_other_samples_made_is_judged_as_it_is(session, in_u
 
 def test_an_amber_model_is_written_only_where_the_owner_insists(session, tmp_path):
     file = tmp_path / "robot.yaml"
-    session.record_verdict(session.state, "explained: backlash explains what is left")
+    session.record_verdict(session.state, "explained", "backlash explains what is left")
     with pytest.raises(SaveRefused, match="the verdict on this model is explained: backlash"):
         session.save(file)
     assert not file.exists()
     session.save(file, insist=lambda replacement: True)
     assert "explained: backlash" in read_model(file).history[-1]["forced"]
+
+
+def test_the_verdict_and_not_its_sentence_decides_whether_a_model_is_amber(session, tmp_path):
+    session.record_verdict(session.state, "at_noise", "explained: no effect is needed")
+    session.save(tmp_path / "robot.yaml")
+    session.record_verdict(session.state, "unexplained", "at_noise: no effect fits")
+    with pytest.raises(SaveRefused, match="the verdict on this model is unexplained: at_noise"):
+        session.save(tmp_path / "other.yaml")
+
+
+def test_a_session_file_of_version_1_is_read_and_is_written_as_version_2(session, run_cli):
+    file = session.folder / "session.json"
+    session.record_verdict(session.state, "explained", "backlash: 3.7 sigmas")
+    document = json.loads(file.read_text())
+    assert document["states"][1]["verdict"] == "explained"
+    document["parallel_cal_session"] = 1
+    for state in document["states"]:
+        text = f"{state['verdict']}: {state['summary']}" if state["verdict"] else ""
+        state["verdict"] = text
+        del state["summary"]
+    file.write_text(json.dumps(document))
+
+    again = Session(session.folder)
+    assert again.state == session.state
+    assert again.state.verdict_text == "explained: backlash: 3.7 sigmas"
+    assert "  explained: backlash: 3.7 sigmas" in run_cli("session", "show", session.folder)
+    again.start_branch("second")
+    assert json.loads(file.read_text())["parallel_cal_session"] == 2
 
 
 def test_what_the_data_cannot_tell_is_asked_before_it_is_written(session, tmp_path):

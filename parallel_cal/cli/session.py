@@ -99,7 +99,7 @@ def show(folder: Folder, as_json: Json = False) -> None:
     for state in session.history():
         console.say(_line(state))
         if state.verdict:
-            console.say(f"  {state.verdict}")
+            console.say(f"  {state.verdict_text}")
     if len(session.record.branches) > 1:
         here = session.record.branch
         rows = [

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import ParallelCalError
@@ -20,7 +20,7 @@ from parallel_cal.base.files import read_text, write_atomically
 from parallel_cal.base.units import ERROR_UNITS
 from parallel_cal.identification.options import FitOptions
 
-VERSION = 1
+VERSION = 2
 FILE, LOCK = "session.json", ".lock"
 
 
@@ -38,7 +38,8 @@ class State(_Part):
     `errors` are the errors at held-out poses, `before` those of the step's start, `noise` the noise
     floor: summaries, empty if unknown. `taken` is a file of samples recorded since the session
     began, `fitting` the options that differ from those of the session; both persist until changed,
-    as `excluded` does.
+    as `excluded` does. `verdict` is the word of the diagnosis (empty: not diagnosed), `summary` its
+    sentence.
     """
 
     number: int
@@ -53,6 +54,12 @@ class State(_Part):
     noise: Mapping[str, float | None] = {}
     against: str = ""
     verdict: str = ""
+    summary: str = ""
+
+    @property
+    def verdict_text(self) -> str:
+        """The verdict and its sentence: `explained: backlash ...`; empty if not diagnosed."""
+        return f"{self.verdict}: {self.summary}" if self.verdict else ""
 
     @property
     def position_rms(self) -> float | None:
@@ -70,6 +77,18 @@ class Record(_Part):
     branches: Mapping[str, int]
     forward: Mapping[str, Sequence[int]] = Field(default_factory=dict)
     branch: str = "main"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _convert_version_1(cls, document: Any) -> Any:
+        """Split the verdicts of version 1, which stored `word: summary` as one text."""
+        if not isinstance(document, dict) or document.get("parallel_cal_session") != 1:
+            return document
+        states = document.get("states")
+        for state in states if isinstance(states, list) else ():
+            if isinstance(state, dict) and isinstance(state.get("verdict"), str):
+                state["verdict"], _, state["summary"] = state["verdict"].partition(": ")
+        return document | {"parallel_cal_session": VERSION}
 
     @property
     def state(self) -> State:
@@ -172,11 +191,13 @@ class History:
 
     # ------------------------------------------------------------------ on disk
 
-    def record_verdict(self, at: State, verdict: str) -> None:
-        """Store a verdict with its state."""
+    def record_verdict(self, at: State, verdict: str, summary: str) -> None:
+        """Store the word of a verdict and its sentence with the state `at`."""
         with self._lock_record() as record:
             states = list(record.states)
-            states[at.number] = states[at.number].model_copy(update={"verdict": verdict})
+            states[at.number] = states[at.number].model_copy(
+                update={"verdict": verdict, "summary": summary}
+            )
             self._write(record.model_copy(update={"states": states}))
 
     def _move(self, record: Record, number: int, ahead: Sequence[int], **changes: Any) -> None:

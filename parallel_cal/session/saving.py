@@ -125,8 +125,8 @@ def compare_with_model_in_use(
         objections.append("this model was not identified on this session's samples: run Fit first")
     if state.against:
         objections.append(state.against)
-    if state.verdict.partition(":")[0] in AMBER_VERDICTS:
-        objections.append(f"the verdict on this model is {state.verdict}")
+    if state.verdict in AMBER_VERDICTS:
+        objections.append(f"the verdict on this model is {state.verdict_text}")
     dataset: Dataset | None = None
     judged: _Judged | None = None
     try:

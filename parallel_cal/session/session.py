@@ -33,7 +33,7 @@ from parallel_cal.session.steps import Step, add, fitted, remove
 
 CHANGED = "the session changed in the meantime: look at it and try again"
 # The fields of a state that judge its model.
-JUDGED = ("before", "errors", "noise", "against", "verdict")
+JUDGED = ("before", "errors", "noise", "against", "verdict", "summary")
 
 
 class Session(History):
@@ -223,7 +223,7 @@ class Session(History):
         at = self.state
         how: dict[str, Any] = {"options": self.options, "progress": progress} | options
         found = diagnose(self.model, self.dataset, **how)
-        self.record_verdict(at, f"{found.verdict.word}: {found.verdict.summary}")
+        self.record_verdict(at, found.verdict.word, found.verdict.summary)
         return found
 
     def signals(self, sample: int) -> Signals:

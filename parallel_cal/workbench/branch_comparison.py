@@ -32,7 +32,7 @@ class BranchComparison:
                     "branch": name,
                     "step": s.step,
                     "out": len(s.excluded),
-                    "verdict": write_micro(s.verdict),
+                    "verdict": write_micro(s.verdict_text),
                     "after": write_micro(format_first_error(s.errors)),
                     "noise": write_micro(format_first_error(s.noise)),
                 }

@@ -162,7 +162,7 @@ class Window:
                     "before": write_micro(format_first_error(state.before)),
                     "after": write_micro(format_first_error(state.errors)),
                     "out": len(state.excluded),
-                    "verdict": write_micro(state.verdict or state.against),
+                    "verdict": write_micro(state.verdict_text or state.against),
                 }
                 for state in session.history()
             ]

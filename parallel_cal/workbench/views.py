@@ -81,7 +81,7 @@ def view(session: Session, progress: Progress) -> View:
         session.model, session.dataset, progress=progress, options=how, hold_out=how.hold_out
     )
     verdict = found.diagnosis.verdict
-    session.record_verdict(session.state, f"{verdict.word}: {verdict.summary}")
+    session.record_verdict(session.state, verdict.word, verdict.summary)
     return _make_report_view(found)
 
 
