@@ -1,4 +1,4 @@
-"""Start a virtual cell with both nodes: calibrate without a real robot.
+"""Start a simulated robot with both nodes: calibrate without a real robot.
 
 ros2 launch parallel_cal cell.launch.py model_file:=robot.yaml robot:=stewart effects:=hidden
 """

@@ -50,12 +50,28 @@ EffectsInModel = Annotated[
         metavar="EFFECT", help="name of an effect in the model; join several names with +"
     ),
 ]
-Force = Annotated[
+IMPLAUSIBLE = (
+    "joint readings are implausible, or values of an effect are physically impossible together"
+)
+ForceFit = Annotated[
+    bool,
+    typer.Option(
+        "--force", help=f"write even if the validation error does not fall, {IMPLAUSIBLE}"
+    ),
+]
+ForceAdd = Annotated[
     bool,
     typer.Option(
         "--force",
-        help="write even if the validation error does not fall, the measuring device may be the "
-        "cause, or parameters contradict each other",
+        help="write even if the validation error does not fall, the measuring device may cause the "
+        f"error that the effect explains, {IMPLAUSIBLE}",
+    ),
+]
+ForceRemove = Annotated[
+    bool,
+    typer.Option(
+        "--force",
+        help=f"write even if the validation error rises by 1 % or more, {IMPLAUSIBLE}",
     ),
 ]
 Tested = Annotated[

@@ -1,4 +1,4 @@
-"""The command that runs a campaign, through running nodes or a virtual cell."""
+"""The command that runs a campaign, through running nodes or a simulated robot."""
 
 from __future__ import annotations
 
@@ -50,7 +50,8 @@ def calibrate(
         ),
     ] = 1.0,
     afresh: Annotated[
-        bool, typer.Option("--afresh", help="start again instead of resuming an unfinished one")
+        bool,
+        typer.Option("--afresh", help="start again instead of resuming an unfinished campaign"),
     ] = False,
     output: Annotated[
         Path | None,
@@ -91,7 +92,7 @@ def calibrate(
             print_status(status, last)
             if status.state == "asking":
                 if cell is not None:
-                    console.note("the virtual cell does this at once")
+                    console.note("the simulated robot does this at once")
                     calibration.set_requested_conditions(status.questions)
                 elif sys.stdin.isatty():
                     console.note("press Enter when you have done this")

@@ -35,15 +35,16 @@ def export(
     into: Annotated[
         list[Path] | None,
         typer.Option(
-            help="replace the parameters in this controller file, in place of -o; may be given "
-            "several times"
+            help="instead of -o: change the parameters in this existing controller file; may be "
+            "given several times"
         ),
     ] = None,
     touches: Annotated[
         list[Path] | None,
         typer.Option(
-            help="samples (.json) of the bed, to check the firmware's heights; may be given "
-            "several times [default: those that the model was fitted to]"
+            help="recorded touches of the bed (.json), at which the height error of the firmware's "
+            "model is computed; may be given several times [default: those that the model was "
+            "fitted to]"
         ),
     ] = None,
     force: Annotated[

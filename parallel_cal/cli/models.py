@@ -33,7 +33,7 @@ def new(
         str | None,
         typer.Argument(
             help="name from 'parallel-cal mechanisms'; omit it with --from CONFIG; with --from "
-            "URDF write serial"
+            "URDF give the name 'serial'"
         ),
     ] = None,
     configuration: Annotated[

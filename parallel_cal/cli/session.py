@@ -15,7 +15,6 @@ from parallel_cal.cli.arguments import (
     EffectsInModel,
     FittingByMethod,
     Fix,
-    Force,
     Free,
     Json,
     ModelFile,
@@ -139,14 +138,32 @@ def plan(
     console.say(f"{file}: {poses} poses")
 
 
-def add(folder: Folder, effect: EffectName, force: Force = False, as_json: Json = False) -> None:
+def add(
+    folder: Folder,
+    effect: EffectName,
+    force: Annotated[
+        bool,
+        typer.Option(
+            "--force",
+            help="add it even if the validation error does not fall, or the measuring device may "
+            "cause the error that the effect explains",
+        ),
+    ] = False,
+    as_json: Json = False,
+) -> None:
     """Add an effect and fit again. The step is refused unless the validation error falls."""
     session = _open(folder)
     _print_state(session, session.add(effect, console.progress, force), as_json)
 
 
 def remove(
-    folder: Folder, effect: EffectsInModel, force: Force = False, as_json: Json = False
+    folder: Folder,
+    effect: EffectsInModel,
+    force: Annotated[
+        bool,
+        typer.Option("--force", help="remove it even if the validation error rises by 1 % or more"),
+    ] = False,
+    as_json: Json = False,
 ) -> None:
     """Remove an effect and fit again. The step is refused if the validation error rises by
     1 % or more."""
@@ -217,7 +234,17 @@ def switch(
     _print_state(session, session.switch(name), as_json)
 
 
-def save(folder: Folder, output: Out, force: Force = False, as_json: Json = False) -> None:
+def save(
+    folder: Folder,
+    output: Out,
+    force: Annotated[
+        bool,
+        typer.Option(
+            "--force", help="write even if the model in the file is better or a check fails"
+        ),
+    ] = False,
+    as_json: Json = False,
+) -> None:
     """Write the model of the last step to a file. This is refused if the model in the file is
     better, or if a check fails; --force writes it anyway."""
     from parallel_cal.base.errors import ParallelCalError

@@ -55,8 +55,7 @@ class Comparison(ShownInNotebook):
     @cached_property
     @single_threaded()
     def scene(self) -> Scene:
-        """The residuals and Jacobians of the model at its predicted poses, with all parameters
-        fixed."""
+        """The residuals of the model at its predicted poses; no parameter is free."""
         nothing = np.zeros(len(self.model.values), bool)
         return Scene.of(self.model, self.dataset, self.observations, nothing)
 

@@ -67,12 +67,28 @@ if TYPE_CHECKING:
 class Diagnosis(ShownInNotebook):
     """The result of a diagnosis, with its inputs.
 
-    `base` is the fit of the model without further effects, `best` the fit with the effects that
-    were found. `ranked` are the candidate effects that `base` may lack, the likeliest first.
-    `structure`, `field` and `odd_samples` describe the residuals of `best`; `remaining` names a
-    recorded condition that these still depend on. `unusual` are effects of `best` that are larger
-    than usual for the machine's class, with what each gains at held-out poses. `suspected` are
-    effects that are significant but not yet proven at held-out poses.
+    Attributes
+    ----------
+    base : Trial
+        The fit of the model without further effects.
+    best : Trial
+        The fit with the effects that were found.
+    ranked : tuple of Candidate
+        The candidate effects that `base` may lack, the likeliest first.
+    structure : LackOfFit
+        Tests whether neighbouring residuals of `best` are similar.
+    field : Field
+        The residuals of `best`, measured minus predicted, for each sample.
+    odd_samples : tuple of OddSample
+        Samples to check before the diagnosis is relied upon: outliers, and samples with a strong
+        influence on the fit.
+    remaining : RemainingCondition or None
+        A recorded condition on which the residuals of `best` still depend.
+    unusual : tuple of UnusualEffect
+        Effects of `best` that are larger than usual for the class of the machine, and what each
+        gains at held-out poses.
+    suspected : tuple of str
+        Effects that are significant but not yet proven at held-out poses.
     """
 
     model: Model

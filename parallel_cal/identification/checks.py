@@ -101,15 +101,15 @@ def check_plausible(
     dict of str to UnusualSize
         What is unusual, by parameter.
     list of str
-        Contradictions that were accepted because the caller insists.
+        Impossible values of effects that were accepted because the caller insists.
 
     Raises
     ------
     WrongSignError
         If an elastic or dissipative quantity is negative.
     FitError
-        If another parameter is out of range, parameters contradict each other, or a size is
-        unusual and only usual ones are wanted.
+        If another parameter is out of range, values of an effect are impossible together, or a
+        size is unusual and only usual ones are wanted.
     """
     unusual, accepted, tolerances = dict[str, UnusualSize](), list[str](), dict(model.tolerances)
     stated_sigma = np.sqrt(np.maximum(np.diag(estimate.covariance), 0.0))
@@ -136,8 +136,8 @@ def check_plausible(
             f"{words}; nothing was identified, because only usual sizes were asked for: omit "
             "--usual-only, or state the machine's class or the effect's tolerance in the model file"
         )
-    # Parameters contradict each other only if the values nearest to nominal, within three sigmas
-    # of the estimate, do so too.
+    # Values are impossible together only if those nearest to nominal, within three sigmas of the
+    # estimate, are so, too.
     away = model.values - model.table.nominal
     slack = np.where(free, RANGE_MARGIN_SIGMAS * estimate.sigma, 0.0)
     nearest = model.table.nominal + np.sign(away) * np.maximum(np.abs(away) - slack, 0.0)

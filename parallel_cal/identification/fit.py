@@ -333,8 +333,9 @@ def fit(
           determine less precisely than the tolerance), True (for all parameters), False (for none)
           or a Prior.
         - `method` (default `"implicit"`), `loss` (`"linear"`, or a robust one such as `"huber"`),
-          `seed` of the folds, `insist` (accept parameters that contradict each other, and
-          implausible joint readings), `usual_only` (refuse effects that are larger than usual).
+          `seed` of the folds, `insist` (accept implausible joint readings, and values of an effect
+          that are physically impossible together), `usual_only` (refuse effects that are larger
+          than usual).
 
     Returns
     -------

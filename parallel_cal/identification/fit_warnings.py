@@ -67,9 +67,9 @@ def list_noise_warnings(estimate: Estimate, observations: Observations) -> list[
     """Compare the residuals with the stated noise."""
     if observations.noise_assumed:
         return [
-            "the noise is assumed: only its proportions are used, sigmas come from "
-            "the residuals, and "
-            "it is not known whether the residuals exceed the noise"
+            "the noise is assumed: only the ratios of its values weight the fit, the sigmas are "
+            "computed from the residuals, and it is not known whether the residuals exceed the "
+            "noise"
         ]
     low, high = chi2_band(estimate.dof)
     if estimate.dof > 0 and not low <= estimate.chi2_per_dof <= high:

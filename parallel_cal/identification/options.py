@@ -15,8 +15,8 @@ if TYPE_CHECKING:  # the command line shows its help without numpy
 
 # Options that a measurement plan has, too.
 FREE = option(
-    "identify the parameters that match this wildcard, such as 'chain1.*'; of --free and --fix, "
-    "the one that matches fewer parameters overrides the other"
+    "identify the parameters that match this wildcard, such as 'chain1.*'; if parameters match "
+    "both --free and --fix, the narrower option decides (its parameters are a part of the other's)"
 )
 FIX = option("do not identify the parameters that match this wildcard")
 PRIOR = option("use tolerances as priors of all parameters, not only of weakly determined ones")
@@ -32,16 +32,17 @@ class FitOptions:
         Method of identification. Default `implicit`.
     free, fix : sequence of str
         Wildcards for parameter names (`chain1.*`). `free` adds parameters to the free ones of the
-        model file, `fix` removes some. If a parameter matches both, the narrower choice applies:
-        `fix=["*"], free=["chain1.Lb"]` identifies `chain1.Lb` only. FitError is raised if neither
-        is narrower. Default none.
+        model file, `fix` removes some. If parameters match both, the narrower choice decides (its
+        parameters are a part of the other's): `fix=["*"], free=["chain1.Lb"]` identifies
+        `chain1.Lb` only. FitError is raised if neither is narrower. Default none.
     refit : sequence of str
         Wildcards for the names of the parameters to identify again. All other parameters keep their
         values and covariance. Use it if only some parameters changed, for example after re-homing
         or warm-up; a few poses are then enough. Default none: identify all free parameters.
     hold_out : float
         Share of the poses that each fold of the cross-validation holds out, up to 0.5. 0: no
-        cross-validation. A share below one pose holds out one pose at a time. Default 0.25.
+        cross-validation. A very small share, such as 0.001, holds out one pose at a time
+        (leave-one-out). Default 0.25.
     joint_sigma : float, optional
         Standard deviation of the joint readings, rad or m. Default None: take it from the
         recording, else from the model file, else from the scatter within dwells.
@@ -55,8 +56,9 @@ class FitOptions:
     seed : int
         Seed of the folds. Default 0.
     insist : bool
-        Whether parameters that contradict each other, and implausible joint readings, are
-        accepted. Default False.
+        Whether to accept implausible joint readings, and values of an effect that are physically
+        impossible together (a hysteresis larger than the travel over which it builds up).
+        Default False.
     usual_only : bool
         Whether effects that are larger than usual for the machine's class are refused. By default
         they are accepted with a warning, because a usual size is no measurement of this machine.
@@ -81,7 +83,8 @@ class FitOptions:
         default=0.25,
         metadata=option(
             "share of the poses that each fold of the cross-validation holds out; 0: no "
-            "cross-validation; a share below one pose (0.001) holds out one pose at a time",
+            "cross-validation; a very small share, such as 0.001: one pose at a time "
+            "(leave-one-out)",
             min=0.0,
             max=0.5,
         ),

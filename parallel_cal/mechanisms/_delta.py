@@ -21,7 +21,7 @@ POSITION = {
     "theta": ("rad", 0.0, 0.5 * DEGREE, "chain's direction about z"),
     "alpha": ("rad", 90 * DEGREE, 0.5 * DEGREE, "motor axis' tilt"),
     "La_x": ("m", 119.963 * MM, 0.5 * MM, "arm length"),
-    "La_y": ("m", -3 * MM, 1 * MM, "encoder offset, as the transverse offset of the arm's end"),
+    "La_y": ("m", -3 * MM, 1 * MM, "encoder offset, stated as a length across the arm"),
     "Lb": ("m", 240 * MM, 0.5 * MM, "rod length"),
 }
 

@@ -19,8 +19,8 @@ class Argos9(Argos):
 
     Each motor turns a plane through this centre. One ball of the platform lies in each plane.
 
-    The option `radius` (m) only scales the closure to metres. The conversion
-    to `argos27` needs it.
+    The option `radius` (m) only multiplies the closure equations, so that their residuals are in
+    metres. It does not change any pose. The conversion to `argos27` uses it.
     """
 
     parameters = ParameterTable(p for i in range(3) for p in angle_parameters(i))

@@ -62,8 +62,9 @@ class Serial(Mechanism):
 
     Each link has a `joint` (R, P or null), `axes` (the direction of the next axis relative to this
     one: parallel, perpendicular or coincident; not for the last link), the numbers theta, d, a, b,
-    alpha, beta (m, rad), and the joint limits `low` and `high`. `free` lists the parameters of the
-    link, if they differ from table 3.5 of Vischer (1996).
+    alpha, beta (m, rad), and the joint limits `low` and `high`. `free` lists those of these numbers
+    that are parameters of the link: a fit can identify them. Give it only if you want another
+    selection than that of table 3.5 of Vischer (1996).
     """
 
     moves = POSE

@@ -183,8 +183,9 @@ class Effect(ABC):
     def multiples(self, setting: Mapping[str, float]) -> Iterable[Mapping[str, float]]:
         """Return other settings that can describe the residuals as well as the best one of `scan`.
 
-        An example is twice the ratio of a gear, because the effect has a second harmonic. If such a
-        setting fits equally well, the diagnosis takes it in place of the best one of `scan`.
+        Example: half of a gear's true ratio fits as well as the true one, because the effect has a
+        second harmonic. If a setting returned here fits equally well, the diagnosis takes it in
+        place of the best one of `scan`.
         """
         return ()
 
@@ -193,7 +194,7 @@ class Effect(ABC):
         return None
 
     def absurd(self, e: Named, mechanism: Mechanism) -> str:
-        """Return why its values contradict each other; empty if they do not."""
+        """Return why its values are physically impossible together; empty if they are possible."""
         return ""
 
     @property

@@ -129,7 +129,9 @@ class Model:
 
     @cached_property
     def structure(self) -> Structure:
-        """Equations of the mechanism, its effects and sensors, which equal models share."""
+        """Equations of the mechanism, its effects and sensors.
+
+        Models that differ only in their values share one object."""
         return structure_of(self.mechanism, self.effects, self.sensors)
 
     @cached_property
@@ -217,7 +219,7 @@ class Model:
         return self.with_values(np.where(device, self.table.nominal, self.values), self.covariance)
 
     def find_contradiction(self) -> str:
-        """Return why the values of an effect contradict each other; empty if none do."""
+        """Return why the values of an effect are impossible together; empty if all are possible."""
         numbers = Named(self.table.names, self.values)
         words = (effect.absurd(numbers[effect.name], self.mechanism) for effect in self.effects)
         return next(filter(None, words), "")

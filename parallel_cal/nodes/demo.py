@@ -1,4 +1,4 @@
-"""The demo: a virtual robot with a hidden effect calibrates itself through the nodes."""
+"""The demo: a simulated robot with a hidden effect calibrates itself through the nodes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PAYLOAD = 1.0  # kg that the campaign may ask for; the demo reports it as mounte
 
 
 def main(json: bool = False, effect: str = "", seed: int | None = None) -> int:
-    """Let a virtual Delta robot calibrate itself; return the exit status 0 or 1.
+    """Let a simulated Delta robot calibrate itself; return the exit status 0 or 1.
 
     `effect` is the hidden effect, and `seed` determines the deviations of the geometry. Both are
     drawn if they are not given. The results stay on disk for the workbench. If the demo fails, it

@@ -24,7 +24,7 @@ class Story:
     def __enter__(self) -> None:
         self._say("[bold]A Delta robot misses its targets. It finds the cause by itself.[/]")
         self._say(
-            "[dim]A virtual robot with a controller and a tracker runs at four times real time.\n"
+            "[dim]A simulated robot with a controller and a tracker runs at four times real time.\n"
             "Its geometry differs from the drawing, and it has a hidden effect. All data pass\n"
             "through ROS 2.[/]\n"
         )

@@ -1,4 +1,4 @@
-"""A virtual robot with controller and tracker, to try nodes and programs and to practise."""
+"""A simulated robot with controller and tracker, to try nodes and programs and to practise."""
 
 from __future__ import annotations
 

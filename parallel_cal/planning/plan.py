@@ -134,8 +134,8 @@ def plan(
     """Select the poses to measure, before anything is measured.
 
     n poses are selected from a pool of random poses of the workspace so that a criterion of the
-    identification is optimal. The plan assumes that the position
-    or the orientation is measured if the model states its noise.
+    identification is optimal. The plan assumes that the position is measured if the model states
+    the noise of the position. The same applies to the orientation.
 
     Parameters
     ----------

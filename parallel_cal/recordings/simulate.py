@@ -1,4 +1,4 @@
-"""Simulate a measuring session: model, effects, poses and noise give the recorded arrays."""
+"""Simulate a recording: model, effects, poses and noise give the recorded arrays."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def simulate(
     quiet: bool = False,
     targets: np.ndarray | None = None,
 ) -> Simulation:
-    """Simulate a measuring session of a robot.
+    """Simulate a recording of a robot.
 
     Parameters
     ----------
@@ -124,8 +124,8 @@ def simulate(
     Examples
     --------
     >>> import parallel_cal as pc
-    >>> session = pc.simulate(pc.new_model("delta24"), 12, effects=["backlash:width=0.005"])
-    >>> len(session.dataset())
+    >>> simulation = pc.simulate(pc.new_model("delta24"), 12, effects=["backlash:width=0.005"])
+    >>> len(simulation.dataset())
     12
     """
     if poses < 1 or not 0 <= replicates <= poses:

@@ -126,8 +126,9 @@ class Session(History):
         Returns
         -------
         State
-            The new state of the session. Its `against` says why the new model is not proven better
-            than the old one; it is empty if it is proven.
+            The new state of the session. Its text `against` gives the reason why the new model is
+            not proven better than the old one. The text is empty if the new model is proven
+            better.
         """
         words = f"fit with {' and '.join(effects)}" if effects else "fit"
         return self._refit(words, progress, effects)

@@ -105,7 +105,7 @@ class Step(ShownInNotebook):
         return (*(words for words in self.result.warnings if words not in against), against)
 
     def document(self) -> dict[str, Any]:
-        """The result's document, with the errors that the step had to beat."""
+        """Return the result as a dict for JSON, with the errors that the step had to beat."""
         document = self.result.document() | {"acceptance": self.acceptance.document()}
         if self.rival is not None:
             key = {"add": "held_out_without_effect", "remove": "held_out_with_effect"}[self.name]
@@ -261,7 +261,7 @@ def remove(
     Raises
     ------
     FitError
-        If the error at held-out poses rises by more than 1 %, unless `force=True`.
+        If the error at held-out poses rises by 1 % or more, unless `force=True`.
     ModelError
         If the model has no such effect.
 
