@@ -252,7 +252,7 @@ def test_single_readings_that_are_not_finite_are_dropped_and_counted(tmp_path, v
     assert recording.dropped[0].time == pytest.approx(0.5051)
 
 
-def test_what_is_not_finite_is_told_with_its_value(tmp_path):
+def test_a_reading_that_is_not_finite_is_reported_with_its_value(tmp_path):
     bad = joint_state(0.5051, MOVES.names, [0.1, np.nan, 0.3])
     recording = read_bag(write_bag(tmp_path / "a", [*joint_states(MOVES), *poses(MOVES), bad]))
     assert "the first is message 51: 0.1 nan 0.3" in recording.dropped[0].detail

@@ -201,7 +201,7 @@ def test_a_robot_that_does_not_move_ends_the_goal_with_the_reason(desk):
 
 
 @pytest.mark.wide
-def test_killed_it_goes_on_with_the_samples_that_it_had(desk):
+def test_a_killed_node_continues_with_its_saved_samples(desk):
     desk.goal()
     desk.wait_for(4)
     desk.node._process.send_signal(signal.SIGKILL)
@@ -222,7 +222,7 @@ def test_killed_it_goes_on_with_the_samples_that_it_had(desk):
 
 
 @pytest.mark.wide
-def test_whoever_asked_is_told_that_the_node_was_killed(desk):
+def test_the_client_reports_that_the_node_was_killed(desk):
     said = []
 
     def hear(status):

@@ -205,7 +205,7 @@ def test_it_goes_on_while_an_effect_is_suspected():
     assert not suspecting.is_final(suspecting)
 
 
-def test_it_ends_in_doubt_where_no_poses_tell_and_whichever_name_comes_first():
+def test_a_campaign_ends_if_no_pose_can_distinguish_two_effects_in_either_order():
     pair = ("encoder_eccentricity", "encoder_second_harmonic")
     one, other = (
         judgement(effects=(name,), doubt=(rival,), untold=pair)
@@ -468,7 +468,9 @@ def after_three(folder, **usual):
     return one, cell
 
 
-def test_a_pose_that_the_model_gets_wrong_is_kept_where_the_one_before_is_as_it_was(tmp_path):
+def test_a_sample_with_a_large_error_is_kept_if_the_previous_pose_is_measured_again_unchanged(
+    tmp_path,
+):
     """As drawn it is a millimetre off."""
     one, _ = after_three(tmp_path, position=50e-6)
     before = list(one.samples)[-1]
@@ -486,7 +488,7 @@ def test_a_pose_that_the_model_gets_wrong_is_kept_where_the_one_before_is_as_it_
     assert odd == 3
 
 
-def test_a_slip_is_none_that_the_model_gets_wrong(tmp_path):
+def test_a_slip_is_not_taken_for_a_model_error(tmp_path):
     one, cell = after_three(tmp_path, position=50e-6)
     cell.cell.change(slipped=5e-3)
     with pytest.raises(CellError, match="a slip"):
@@ -508,7 +510,7 @@ def test_a_slip_of_half_a_degree_is_noticed_once_the_model_is_identified(calibra
         checker.check(good.__class__(**{**vars(good), "r": good.r + away}), good.q[0], None)
 
 
-def test_what_no_way_leads_to_is_left_out_with_the_reason(tmp_path):
+def test_a_pose_without_an_allowed_path_is_skipped_with_the_reason(tmp_path):
     """A target that was planned before a box was put around it."""
     one = campaign(tmp_path, SimulatedCell(), Goal(poses=20))
     beyond = Target((1.9, 1.9, 1.9), purpose="made by hand")

@@ -111,7 +111,7 @@ def test_a_way_between_two_poses_of_the_workspace_is_one_line():
     assert [stop.tolist() for stop in Guard.of(DELTA).plan_path(a, [b])] == [a.tolist(), b.tolist()]
 
 
-def test_a_joint_does_not_end_after_a_way_that_its_play_swallows():
+def test_a_joint_motion_shorter_than_the_backlash_limit_is_lengthened():
     guard, here = Guard.of(DELTA), joints_at(0.0, 0.0, 0.2)
     least = 3e-3
     there = here + [0.1, -least / 5, 0.0]
@@ -121,7 +121,7 @@ def test_a_joint_does_not_end_after_a_way_that_its_play_swallows():
     assert guard.lengthen_approach(here, [here + 0.1]) == [pytest.approx(here + 0.1)]
 
 
-def test_where_the_model_knows_its_play_a_way_is_a_quarter_longer_than_that():
+def test_the_shortest_motion_is_1_25_times_the_backlash_of_the_model():
     known = DELTA.with_effect("backlash")
     values = known.table.vector(known.table.mapping(known.values) | {"backlash.joint2.width": 1e-3})
     guard, here = Guard.of(known.with_values(values)), joints_at(0.0, 0.0, 0.2)
@@ -129,7 +129,7 @@ def test_where_the_model_knows_its_play_a_way_is_a_quarter_longer_than_that():
     assert away == pytest.approx(here + [0.0, 1.25e-3 - 1e-4, 1e-4 - 3e-3], abs=1e-9)
 
 
-def test_a_reach_of_two_workspaces_is_as_far_again_from_their_middle():
+def test_a_reach_of_2_allows_poses_twice_as_far_from_the_middle_of_the_workspace():
     beyond = np.array([joints_at(0.0, 0.075, 0.2), joints_at(0.0, 0.125, 0.2)])
     assert Guard.of(DELTA).is_allowed(beyond).tolist() == [False, False]
     assert Guard.of(DELTA, reach=2.0).is_allowed(beyond).tolist() == [True, False]

@@ -707,7 +707,7 @@ def test_look_prints_when_and_what_was_dropped(tmp_path):
     assert told in shown.get()
 
 
-def test_look_leaves_out_the_samples_it_is_told_to(tmp_path):
+def test_info_omits_excluded_samples(tmp_path):
     bag = write_bag(tmp_path / "bag", joint_states(ROBOT) + poses(ROBOT))
     document = info(bag, ReadOptions(exclude=[1]))
     assert document["samples"] == 4

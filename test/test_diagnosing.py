@@ -75,7 +75,7 @@ def test_morans_i_finds_a_gradient_and_not_noise():
     assert p == pytest.approx(0.001)
 
 
-def test_visits_of_one_pose_do_not_pass_for_alike_neighbours():
+def test_repeated_visits_of_a_pose_do_not_count_as_similar_neighbours():
     rng = np.random.default_rng(2)
     places = np.repeat(rng.uniform(size=(30, 3)), 4, axis=0)
     field = np.repeat(rng.normal(size=(30, 3)), 4, axis=0)
@@ -156,7 +156,7 @@ def test_no_more_copies_are_drawn_than_tell_that_something_is_chance(monkeypatch
 
 
 @pytest.mark.parametrize("name", ["backlash", "hysteresis", "payload_sag", "base_drift"])
-def test_columns_beside_effects_are_what_all_of_them_together_show(name):
+def test_columns_of_a_new_effect_include_the_effects_that_the_model_already_has(name):
     data = clean(0)
     model = new_model("delta54").with_effect("joint_compliance").with_effect("encoder_gain")
     values = model.values + model.table.tolerance * np.linspace(-1, 1, len(model.values))
@@ -214,7 +214,7 @@ def test_geometry_swallows_an_encoders_gain_but_not_its_play(here):
     assert play.remaining > 0.8
 
 
-def test_one_direction_named_twice_is_alike_and_two_are_not(here):
+def test_an_effect_correlates_fully_with_itself_and_not_with_another_effect(here):
     play, again = (candidate(here, "backlash").score.U for _ in range(2))
     drift = candidate(here, "base_drift").score.U
     assert canonical_correlation(play, again) == pytest.approx(1)
@@ -282,7 +282,7 @@ def test_a_wild_sample_is_named_and_no_other():
     assert odd[0].time == data.time[17]
 
 
-def test_what_the_errors_go_with_is_named_first():
+def test_the_condition_that_the_errors_depend_on_is_listed_first():
     data = measured(4, effects=[vr.Backlash((1e-3, 0.0, 0.0))])
     here = fitted_scene(data)
     entries = compute_residual_profiles(here, Field.of(here))
@@ -313,7 +313,7 @@ class Faulty(Effect):
         ("1 / 0", "faulty1: ZeroDivision"),
     ],
 )
-def test_an_own_effect_that_is_wrong_is_said_so_and_not_left_out(
+def test_a_faulty_user_effect_raises_an_error_and_is_not_skipped(
     tmp_path, monkeypatch, tolerance, words
 ):
     name = "faulty0" if tolerance == "0.0" else "faulty1"

@@ -68,7 +68,7 @@ def test_refits_look_for_no_frame_again_and_judge_no_start(monkeypatch, there, r
     assert (found.entries[0].alone is not None) is there
 
 
-def test_hidden_play_is_found_explained_and_measured(play):
+def test_hidden_backlash_is_found_and_its_width_is_estimated(play):
     found, _ = play
     assert found.verdict.word == "explained"
     assert found.effects == ("backlash",)
@@ -83,7 +83,7 @@ def test_hidden_play_is_found_explained_and_measured(play):
         assert abs(width["value"] - truth) < 4 * width["sigma"]
 
 
-def test_its_document_is_the_contracts(play):
+def test_the_document_of_a_diagnosis_has_the_keys_of_its_contract(play):
     document = play[0].document()
     assert {"verdict", "summary", "baseline", "noise", "candidates", "structure"} <= set(document)
     wanted = {
@@ -106,7 +106,7 @@ def test_its_document_is_the_contracts(play):
     assert best["holdout_after"]["position_rms"] < best["holdout_before"]["position_rms"]
 
 
-def test_what_it_proposes_add_accepts(play):
+def test_add_accepts_the_effect_that_the_diagnosis_proposes(play):
     _, data = play
     step = add(MODEL, "backlash", data)
     held = step.document()["held_out"]["after"]
@@ -139,7 +139,7 @@ def test_two_at_once_are_both_found():
 
 @pytest.mark.wide
 @pytest.mark.parametrize("name", vf.OUTSIDE)
-def test_what_nobody_catalogued_is_not_explained(name):
+def test_an_effect_outside_the_catalogue_never_gets_the_verdict_explained(name):
     kind = vf.Kind((), vf.OUTSIDE[name], 0.5e-3)
     found = diagnose(MODEL, hiding([kind], 1.5, seed=3)[0])
     assert found.verdict.word in ("unexplained", "partly_explained")
@@ -192,7 +192,7 @@ def test_an_effect_that_makes_no_sense_here_is_listed_with_the_reason():
     assert "does not apply" in entry(document, "spool_buildup")["reason"]
 
 
-def test_what_geometry_absorbs_is_said_to_be_absorbed():
+def test_an_effect_that_the_geometry_absorbs_is_reported_as_not_visible():
     document = diagnose(MODEL, measured(1), effects=["target_offset", "backlash"]).document()
     row = entry(document, "target_offset")
     assert row["remaining_after_geometry"] < 0.01

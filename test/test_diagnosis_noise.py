@@ -57,7 +57,7 @@ def test_noise_that_wanders_is_no_drift():
 
 
 @pytest.mark.wide
-def test_noise_that_wanders_is_no_give_under_loads_that_were_changed_as_slowly():
+def test_drifting_noise_is_not_taken_for_compliance_when_loads_change_slowly():
     """Two loads in turn, three times each: a device that wanders is now higher, now lower."""
     found = found_in(noisy(vb.correlated, 5))
     assert not found.effects

@@ -229,7 +229,7 @@ def test_a_base_sinks_on_the_side_that_the_weight_hangs_on():
 # --------------------------------------------------------------------------- where they apply
 
 
-def test_what_comes_round_once_a_turn_is_only_asked_of_joints_that_turn():
+def test_effects_that_repeat_every_turn_apply_to_revolute_joints_only():
     scara, hexapod = load_mechanism("scara16"), load_mechanism("stewart42")
     once_a_turn = ("encoder_eccentricity", "encoder_second_harmonic", "encoder_harmonic")
     for name in (*once_a_turn, "gear_transmission_error"):

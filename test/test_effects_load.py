@@ -165,7 +165,7 @@ def test_effects_of_load_say_where_they_make_no_sense(effect, mechanism, reason)
         new_model(mechanism).with_effect(effect)
 
 
-def test_only_the_joints_that_lift_are_asked_and_gravity_decides_which():
+def test_joint_compliance_applies_only_to_joints_that_lift_against_gravity():
     scara = load_mechanism("scara16")
     names = [p.name for p in load_effect("joint_compliance").parameters(scara)]
     assert names == ["joint3.compliance", "mass.platform"]
@@ -428,7 +428,7 @@ def test_what_is_hidden_is_found_within_its_sigma_and_predicts_poses_left_out(ca
 
 @pytest.mark.wide
 @pytest.mark.parametrize("case", [c for c in CASES if c.apart <= 1e-7], ids=str)
-def test_without_noise_it_is_found_as_exactly_as_the_two_tellings_agree(case):
+def test_without_noise_an_effect_is_found_as_exactly_as_model_and_virtual_robot_agree(case):
     result = fit(start(case), measured(case, errorless=True), hold_out=0)
     truth = true_model(case)
     own = [i for i, n in enumerate(truth.table.names) if n.startswith(case.effect)]

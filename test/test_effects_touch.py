@@ -72,7 +72,7 @@ def test_a_gauge_mounted_on_the_platform_reads_along_the_platforms_z():
     assert float(shown) == pytest.approx(0.1, abs=1e-15)
 
 
-def test_what_only_a_tilting_platform_shows_is_not_asked_of_one_that_stays_level():
+def test_effects_of_the_probe_mounting_do_not_apply_to_a_platform_that_stays_level():
     for name in ("probe_offset", "probe_tilt"):
         assert load_effect(name).applies(load_mechanism("delta24")) == "the platform does not tilt"
     assert load_effect("bed_shape").applies(load_mechanism("delta24")) == ""

@@ -353,7 +353,7 @@ def test_tests_receive_ctrl_c_though_a_shell_started_them_in_the_background():
 
 
 @pytest.mark.wide
-def test_nobody_at_an_address_is_said(folder, monkeypatch):
+def test_an_address_without_a_scheduler_or_without_workers_is_a_clear_error(folder, monkeypatch):
     monkeypatch.setattr("parallel_cal.fleet.cluster.SCHEDULER_TIMEOUT_S", 0.5)
     with pytest.raises(FleetError, match="no Dask scheduler answers"):
         judge(folder, folder / "out", QUICK, scheduler="tcp://127.0.0.1:1")

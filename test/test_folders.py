@@ -46,7 +46,7 @@ def test_a_file_is_replaced_by_its_own_kind_only(folders, tmp_path):
             folders.to_write(str(path), kind)
 
 
-def test_what_is_laid_aside_for_a_model_goes_nowhere_else_and_replaces_a_model_only(
+def test_a_backup_of_a_model_stays_in_an_allowed_folder_and_replaces_only_a_model(
     folders, tmp_path
 ):
     model, aside = tmp_path / "in" / "m.yaml", tmp_path / "in" / "m.yaml.previous"

@@ -47,7 +47,7 @@ def test_a_pose_is_moved_by_hand_worked_numbers(samples):
     assert there.frame == "base"
 
 
-def test_what_was_not_measured_stays_so(samples):
+def test_a_transform_leaves_unmeasured_coordinates_unmeasured(samples):
     blind = replace(
         samples, measured=np.array([[True] * 3 + [False] * 3]), pose_cov=np.full((1, 6, 6), np.nan)
     )

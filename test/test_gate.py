@@ -60,7 +60,7 @@ def test_a_slow_device_is_no_jumping_clock():
     assert gate.strays == 0
 
 
-def test_of_two_publishers_at_once_nothing_is_taken():
+def test_messages_of_two_simultaneous_publishers_are_not_used():
     """Clocks 5 s apart, or the same one."""
     for apart in (5.0, 0.0):
         a, b = steady("a" * 300), steady("b" * 300, begin=apart, log=0.005, sequence=700)

@@ -31,7 +31,7 @@ def clean():
     return fit(new_model("delta54"), measured(1))
 
 
-def test_what_a_single_pose_tells_is_not_known_where_it_was_left_out():
+def test_an_effect_seen_at_a_single_pose_does_not_lower_the_validation_error_there():
     data, loaded = measured(1), 5
     there = data.pose_id == data.pose_id[loaded]
     sunk = data.r + np.outer(there, [0.0, 0.0, -1e-3])
@@ -55,7 +55,7 @@ def test_held_out_errors_reach_what_the_noise_allows(clean):
     assert document["improvement_held_out"]["orientation"] > 4
 
 
-def test_leaving_poses_out_costs_one_look_each_and_says_what_fits_of_the_others_say(monkeypatch):
+def test_each_fold_needs_one_linearisation_and_agrees_with_a_full_fit_of_the_fold(monkeypatch):
     looks, look = [], Linearisation.__call__
     monkeypatch.setattr(
         Linearisation, "__call__", lambda *given: looks.append(len(given[2])) or look(*given)

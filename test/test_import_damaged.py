@@ -58,7 +58,7 @@ def test_damage_is_told_in_one_line(name, tmp_path):
     assert not [text for text in refused if "\n" in text or str(tmp_path) not in text]
 
 
-def test_so_is_damage_of_a_urdf(tmp_path):
+def test_damage_of_a_urdf_is_told_in_one_line(tmp_path):
     rng, path, refused = np.random.default_rng(36), tmp_path / "robot.urdf", []
     for _ in range(TIMES):
         path.write_text(damaged(urdf.UR5, rng), encoding="utf-8")

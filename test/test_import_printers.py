@@ -33,13 +33,13 @@ def height(model, dataset):
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_heights_over_an_unseen_grid_fall_to_the_noise(tmp_path, seed):
+def test_a_fit_lowers_the_height_error_at_a_second_grid_to_the_noise(tmp_path, seed):
     model, seen, unseen = touched(tmp_path, vp.drawn(seed), seed)
     assert height(model, unseen) > 0.2e-3
     assert height(fit(model, seen, hold_out=0).model, unseen) < 4e-6  # of 5 um in each touch
 
 
-def test_a_printer_too_large_by_a_fiftieth_touches_alike(tmp_path):
+def test_touches_of_the_bed_do_not_change_with_the_print_scale(tmp_path):
     misfits = []
     for size in (0.98, 1.0, 1.02):
         config = vp.CONFIG.replace("L250", f"L{250 * size}").replace("R100", f"R{100 * size}")
@@ -65,7 +65,9 @@ SCREWS = {"wobble": 30e-6}
         (BENT | SCREWS, ("screw_pitch_error",), 40),
     ],
 )
-def test_what_hides_is_named_in_nine_of_ten_printers(tmp_path, hidden, names, seeds):
+def test_the_diagnosis_names_the_hidden_effect_in_nine_of_ten_printers(
+    tmp_path, hidden, names, seeds
+):
     """Beds that are domed and tilted, towers that lean, a probe that tilts: heights are right, and
     no more is named; the size is not known, which is said. The probe's noise is stated."""
     named = 0
@@ -80,7 +82,7 @@ def test_what_hides_is_named_in_nine_of_ten_printers(tmp_path, hidden, names, se
     assert named >= 0.9 * seeds
 
 
-def test_what_a_bed_cannot_tell_is_one_line(tmp_path):
+def test_one_warning_lists_all_parameters_that_touches_do_not_determine(tmp_path):
     model, seen, _ = touched(tmp_path, vp.drawn(3), 3)
     result = fit(model, seen, hold_out=0)
     said = [w for w in result.warnings if "the data do not determine" in w]

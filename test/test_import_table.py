@@ -64,7 +64,7 @@ def test_points_find_their_joints_by_the_index_that_both_have(files):
         ("", ""),
     ],
 )
-def test_or_by_the_time_that_is_near(files, clock, joints):
+def test_points_find_their_joints_by_the_nearest_time(files, clock, joints):
     tracker = TRACKER.replace("2026-11-22T10:00:", clock)
     log = JOINTS.replace("2026-11-22T10:00:", joints)
     log = log.replace("2026-11-22T10:01:00", "99" if not joints else joints + "59")

@@ -119,7 +119,7 @@ def test_the_arm_is_where_the_urdf_puts_it(file, text, start, end):
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_so_is_an_arm_of_any_shape(file, seed):
+def test_an_arm_of_any_shape_is_where_its_urdf_puts_it(file, seed):
     """Axes anywhere, some parallel, opposed, intersecting or the same; slides among them."""
     rng = np.random.default_rng(seed)
     kinds = rng.choice(["revolute", "prismatic"], 6, p=[0.75, 0.25])

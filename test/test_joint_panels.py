@@ -64,7 +64,7 @@ def test_a_gears_ripple_is_laid_over_as_the_wave_that_it_is(found, gear):
     assert np.std(drawn) == pytest.approx(np.std(true), rel=0.15)
 
 
-def test_play_is_laid_over_as_points_since_neighbours_differ():
+def test_the_pattern_of_backlash_is_drawn_as_points():
     data = measured(0, effects=[vr.Backlash((6e-4, 5e-4, 4e-4))])
     result = fit(new_model("delta54"), data, hold_out=0)
     scene = Scene.of(result.model, data, result.observations, result.free)
@@ -73,7 +73,7 @@ def test_play_is_laid_over_as_points_since_neighbours_differ():
     assert laid["mode"] == "markers"
 
 
-def test_round_the_reading_outwards_is_a_joint_that_reads_too_much(found, gear):
+def test_in_the_polar_plot_a_positive_joint_error_points_outwards(found, gear):
     drawn = joint_panels.polar_panels(found, gear)
     go.Figure(drawn)
     points = trace(drawn, "measured", "subplot", "polar3")

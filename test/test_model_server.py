@@ -293,7 +293,7 @@ def test_a_target_is_approached_from_where_the_robot_is():
     assert found.joints[0] < 0.4
 
 
-def test_what_the_model_needs_and_nobody_says_is_listed():
+def test_missing_conditions_of_the_model_are_listed():
     model = new_model("delta24", effects=["backlash"])
     memory = Memory(1e-4)
     assert memory.unheard(model) == [f"direction.{j}" for j in model.joints]

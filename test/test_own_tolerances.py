@@ -70,7 +70,7 @@ def test_readings_before_a_gear_may_err_by_its_ratio_more(tmp_path):
         read_model(tmp_path / "bad.yaml")
 
 
-def test_a_model_file_says_so_of_effects_that_it_does_not_have_yet(tmp_path):
+def test_a_model_file_may_state_tolerances_of_effects_that_it_does_not_have_yet(tmp_path):
     """Belts that go 12 mm too far on a metre, before a model that knows of belts."""
     text = dump_model(new_model("delta54"))
     belts = "tolerances:\n  encoder_gain.*.gain: 4.0e-3\n"
@@ -90,7 +90,7 @@ def test_a_model_file_says_so_of_effects_that_it_does_not_have_yet(tmp_path):
     assert again.value("encoder_gain.joint1.gain") == pytest.approx(0.012, rel=0.1)
 
 
-def test_a_tolerance_of_nothing_is_named_with_its_line(tmp_path):
+def test_a_tolerance_for_an_unknown_parameter_is_refused_with_its_line(tmp_path):
     text = dump_model(new_model("delta54"))
     for key, words in (
         ("encoder_gian.*", r"robot.yaml:\d+: tolerances.encoder_gian.*: .*encoder_gain"),
@@ -110,7 +110,7 @@ def test_a_tolerance_of_nothing_is_named_with_its_line(tmp_path):
         ("tolerances: 1", r"belt.yaml:\d+: .*unknown key; did you mean 'tolerance'"),
     ],
 )
-def test_a_wrong_one_is_named_with_its_line(tmp_path, key, words):
+def test_a_wrong_tolerance_is_refused_with_its_line(tmp_path, key, words):
     model = new_model("delta54").with_effect("backlash")
     with pytest.raises(ModelFileError, match=words):
         read_model(with_key(tmp_path / "belt.yaml", key, model))
@@ -134,7 +134,7 @@ def test_an_unusual_size_is_accepted_with_a_warning_and_its_file_can_be_read(tmp
     assert not fit(again, data, hold_out=0).unusual  # its own file allows it
 
 
-def test_nobody_insists_on_a_play_below_zero():
+def test_insist_does_not_accept_a_negative_backlash():
     data = measured(7, effects=[vr.Backlash((-3e-2,) * 3)])
     with pytest.raises(FitError, match=r"^backlash.joint1.width would have to be -0.0"):
         fit(new_model("delta54").with_effect("backlash"), data, hold_out=0, insist=True)
@@ -161,7 +161,7 @@ def test_what_a_fit_gives_can_be_read_again_though_the_data_cannot_tell_two_play
     assert again.value("hysteresis.crank.lag") == found.model.value("hysteresis.crank.lag") > 0
 
 
-def test_no_joint_turns_back_while_its_drive_winds_up_unless_somebody_insists():
+def test_a_hysteresis_larger_than_its_width_is_refused_unless_insist_is_set():
     """A lag of 2.5 mrad that builds up in 1.1 mrad: the drive goes on, the joint comes back."""
     day = vf.session(3)
     data = dataset(vf.samples(day, [vr.Backlash((5e-3,) * 3)], vr.THESIS_NOISE, 3), vr.THESIS_NOISE)
@@ -175,7 +175,7 @@ def test_no_joint_turns_back_while_its_drive_winds_up_unless_somebody_insists():
     assert not fit(gentle, data, hold_out=0).model.find_contradiction()
 
 
-def test_no_insistence_makes_sense_of_an_absurd_arm():
+def test_insist_does_not_accept_a_geometry_outside_its_plausible_range():
     data = measured(0)
     with pytest.raises(FitError, match=r"chain1.La_x was identified as"):
         fit(new_model("delta54"), replace(data, r=1.1 * data.r), hold_out=0, insist=True)

@@ -63,7 +63,7 @@ def test_a_course_is_cold_then_warm_then_cold_again_as_fast_as_it_was_seen_to_ch
     assert course.step == 10.0
 
 
-def test_a_hall_that_never_changed_is_asked_to_change_by_what_can_be_felt():
+def test_a_plan_changes_a_constant_temperature_by_4_kelvin():
     course = Schedule.after({"time": np.arange(10.0), "temperature": np.full(10, 21.0)}, 5)
     assert course.temperature.tolist() == [21.0, 25.0, 21.0]
 
@@ -80,7 +80,7 @@ def test_advice_is_for_the_pair_that_is_in_doubt():
 
 @pytest.mark.wide
 @pytest.mark.parametrize("pair", DOUBTS)
-def test_what_was_planned_settles_what_was_in_doubt(pair):
+def test_the_planned_poses_distinguish_two_effects_that_the_first_recording_cannot(pair):
     """bench/settle.py draws twenty of each."""
     first, then = settled(DOUBTS[pair], IN_DOUBT[pair])
     assert first == "in doubt"
@@ -92,6 +92,6 @@ IN_DOUBT = {"eccentricity/gain": 0, "thermal/drift": 0, "backlash/hysteresis": 0
 
 @pytest.mark.slow
 @pytest.mark.parametrize("pair", DOUBTS)
-def test_what_was_planned_settles_nine_of_ten(pair):
+def test_the_planned_poses_distinguish_two_effects_in_nine_of_ten_robots(pair):
     ends = [settled(DOUBTS[pair], seed)[1] for seed in range(20)]
     assert sum(end.startswith("settled") for end in ends) >= 18

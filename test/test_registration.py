@@ -55,7 +55,7 @@ def test_a_delta_before_a_tracker_that_stands_anywhere_is_as_good_as_before_its_
     assert "does not turn enough to determine it" in where.description
 
 
-def test_a_target_that_is_stated_is_where_it_is_stated():
+def test_a_fit_finds_a_target_at_its_stated_position():
     target = (0.05, 0.02, -0.03)
     device = load_sensor("device_frame", target_position=target)
     data = replace(seen_by_a_tracker(measured(1), target), frame="")

@@ -154,7 +154,7 @@ def test_a_device_that_measures_once_in_a_while_is_awaited_pose_by_pose():
 
 
 @pytest.mark.wide
-def test_who_wants_no_more_of_it_is_heard_while_a_sample_is_taken():
+def test_a_sample_can_be_cancelled_while_it_is_taken():
     """The thread that makes samples of messages is busy."""
 
     class Enough(Exception):
@@ -249,9 +249,7 @@ def played(folder):
 
 
 @pytest.mark.wide
-def test_while_a_pose_is_awaited_nothing_is_made_anew_of_all_that_was_collected(
-    tmp_path, monkeypatch
-):
+def test_waiting_for_a_pose_does_not_process_all_samples_again(tmp_path, monkeypatch):
     """It used to be ten times a second, and took longer with every sample."""
     made = []
     refresh = Collector.refresh

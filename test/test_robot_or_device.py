@@ -50,7 +50,7 @@ def test_a_field_of_the_device_that_is_larger_than_usual_is_named(refracted):
     assert "usual up to 0.005): a fault, or another" in found.verdict.summary
 
 
-def test_and_it_is_not_added_unless_somebody_insists(refracted):
+def test_an_effect_that_the_device_may_cause_is_added_only_with_force(refracted):
     with pytest.raises(FitError, match="the measuring device may cause"):
         add(new_model("delta54"), "encoder_eccentricity", refracted)
     step = add(new_model("delta54"), "encoder_eccentricity", refracted, force=True)
@@ -96,7 +96,7 @@ def certified(accuracy, **options):
     return new_model("delta54", sensors=[sensor])
 
 
-def test_its_tolerances_make_its_error_at_the_corner_of_the_workspace(tmp_path):
+def test_the_tolerances_from_a_certificate_cause_the_stated_error_at_the_workspace_corner(tmp_path):
     model = certified(60e-6, scale=7e-6)
     for effect in ("device_field", "device_axes", "base_drift"):
         model = model.with_effect(effect)
@@ -145,7 +145,7 @@ def test_the_evidence_of_columns_is_what_the_residuals_covariance_says():
 
 
 @pytest.mark.wide
-def test_a_bad_lookalike_in_the_place_of_two_effects_is_none_of_one():
+def test_a_refused_lookalike_of_two_effects_together_is_no_objection_to_one_of_them():
     """Compliance and eccentricity: a sag out of its range fits better than either alone."""
     day = vf.session(0)
     kinds = [vf.KINDS["eccentricity"], vf.KINDS["joint compliance"]]
@@ -172,7 +172,7 @@ def test_a_weak_effect_beside_a_strong_one_is_held_against_what_both_leave():
 
 @pytest.mark.wide
 @pytest.mark.parametrize("kind", ["eccentricity", "joint compliance"])
-def test_what_no_usual_error_of_the_device_makes_stays_the_robots(kind):
+def test_an_effect_that_no_usual_device_error_imitates_is_explained_as_the_robots(kind):
     data, _ = hiding([vf.KINDS[kind]], 0.4, 1)
     found = diagnose(new_model("delta54"), data)
     assert found.verdict.word == "explained"

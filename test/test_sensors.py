@@ -183,7 +183,7 @@ def test_a_forgotten_plane_an_unknown_hole_and_too_few_poses_are_clear_errors():
         fit(model, few)
 
 
-def test_a_tip_that_says_nothing_about_its_tie_gives_no_equation():
+def test_a_sample_without_a_reading_of_a_constraint_gives_no_equation():
     model, (_, data) = new_model("delta24", sensors=[plate_sensor()]), on_the_plate(0)
     silent = {k: v.copy() for k, v in data.conditions.items() if "reading" in k}
     for values in silent.values():
@@ -424,7 +424,7 @@ def test_where_a_tracker_stands_and_where_model_24_stands_are_one_and_the_same()
     assert fixed.estimate.chi2_per_dof == pytest.approx(result.estimate.chi2_per_dof, abs=0.1)
 
 
-def test_with_the_geometry_trusted_the_frame_alone_is_seen():
+def test_with_a_fixed_geometry_only_the_six_parameters_of_the_frame_are_identified():
     data = delta_seen(BESIDE)
     result = fit(new_model("delta24", sensors=[beside()]), data, fix=["chain*"], hold_out=0)
     assert result.estimate.spectrum.rank == result.free.sum() == 6

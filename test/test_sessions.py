@@ -117,7 +117,7 @@ def test_replicates_stay_within_their_session(two):
         np.testing.assert_array_equal(part[:, None] == part, own[:, None] == own)
 
 
-def test_what_only_one_session_recorded_is_left_out_and_said(two):
+def test_a_condition_that_only_one_recording_has_is_dropped_with_a_warning(two):
     warm = replace(two[0], conditions={**two[0].conditions, "temperature": np.full(35, 21.0)})
     both = join_datasets((warm, two[1]))
     assert "temperature" not in both.conditions
@@ -198,7 +198,7 @@ def test_the_command_line_takes_several_recordings(two, tmp_path, capsys):
     assert added["held_out"]["after"]["position_rms"] < 0.8 * without
 
 
-def test_one_recording_alone_is_as_it_is(two, tmp_path):
+def test_a_single_recording_is_loaded_without_the_condition_session(two, tmp_path):
     two[0].to_json(tmp_path / "0.json")
     alone = load_sessions([tmp_path / "0.json"])
     assert isinstance(alone, Dataset)

@@ -291,7 +291,7 @@ def test_an_encoder_set_to_zero_between_two_loops_is_a_warning(robot):
     assert "contradict each other" in short_cut(new_model("delta54"), data).warnings[-1]
 
 
-def test_five_places_of_each_loop_tell_five_numbers_and_chi2_nothing(robot):
+def test_five_poses_of_a_loop_determine_five_numbers_and_no_chi2(robot):
     found = short_cut(new_model("delta54"), recordings(robot, vs.THREE, n=5))
     assert [loop.rank for loop in found.loops] == [5, 5, 5]
     assert found.spectrum.rank == 15

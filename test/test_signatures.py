@@ -66,7 +66,7 @@ def test_a_joint_that_reads_too_much_has_a_residual_of_just_that_much():
     assert own == pytest.approx([0.0, 1e-4, 0.0], abs=1.2e-5)
 
 
-def test_plays_pattern_has_the_two_levels_that_residuals_have_and_others_have_not(play):
+def test_only_the_pattern_of_backlash_has_the_two_levels_of_the_residuals(play):
     found = signature(candidate(play, "backlash"))
     assert [(p.component, p.abscissa) for p in found.panels] == [
         (f"joint{k}", f"direction.joint{k}") for k in (1, 2, 3)

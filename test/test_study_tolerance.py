@@ -170,7 +170,7 @@ def test_bad_input_is_named(planned, capsys):
 
 
 @pytest.mark.wide
-def test_nobody_at_an_address_is_said(planned, capsys, monkeypatch):
+def test_an_address_without_a_scheduler_is_a_clear_error(planned, capsys, monkeypatch):
     monkeypatch.setattr("parallel_cal.fleet.cluster.SCHEDULER_TIMEOUT_S", 0.2)
     model = str(planned[2] / "delta.yaml")
     code, _, err = run(capsys, "study", "tolerance", model, "--scheduler", "tcp://127.0.0.1:1")

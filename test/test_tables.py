@@ -224,7 +224,7 @@ def test_the_mock_up_is_as_wrong_before_calibration_as_the_thesis_measured(mock_
     assert before["joint"]["mean"] == pytest.approx([12, 11, -4, 18], abs=1.1)
 
 
-def test_what_the_thesis_keeps_is_not_its_noise(mock_up):
+def test_noise_does_not_explain_the_remaining_error_of_the_thesis(mock_up):
     for n in (mock_up, KEPT["delta"]):
         left = {k: table["after"]["position"]["mean"][3] for k, table in n["table_5_15"].items()}
         assert left["thesis' noise"] < 30  # um, of the thesis' 44

@@ -87,7 +87,7 @@ def test_a_base_that_leans_the_wrong_way_teaches_the_robot_nothing():
     assert "check the directions that the model file states (gravity" in found.verdict.summary
 
 
-def test_what_is_named_is_accepted_at_once_and_one_by_one():
+def test_add_accepts_the_named_effects_together_and_one_by_one():
     model, data = session("three_effects")
     found = diagnose(model, data)
     assert len(found.additions) == 3

@@ -65,7 +65,7 @@ def test_a_small_cube_says_how_far_off_the_rest_of_the_workspace_may_be():
 
 
 @pytest.mark.wide
-def test_and_so_far_off_the_robot_is_there():
+def test_the_stated_uncertainty_outside_the_measured_region_matches_the_true_error():
     """Rms of five robots' true errors in the rest of the workspace, beside what was said."""
     reading, _ = vr.NOMINAL.inverse(vd.targets(300, 77))
     _, truth, _ = vr.truth(
@@ -94,7 +94,7 @@ def test_stop_looking_is_said_of_the_region_that_was_measured():
 
 
 @pytest.mark.wide
-def test_what_parameters_add_to_the_noise_is_said_and_what_more_poses_would_bring():
+def test_the_summary_states_model_uncertainty_and_the_error_with_twice_as_many_poses():
     day = vf.session(2, n_poses=20, n_replicates=6)
     found = diagnose(MODEL, dataset(vf.samples(day, [], vr.THESIS_NOISE, 2), vr.THESIS_NOISE))
     assert found.verdict.word == "at_noise"
@@ -106,7 +106,7 @@ def test_what_parameters_add_to_the_noise_is_said_and_what_more_poses_would_brin
 
 
 @pytest.mark.wide
-def test_what_was_inside_its_noise_already_is_not_explained():
+def test_an_effect_found_in_residuals_within_the_noise_leaves_the_verdict_at_noise():
     day, kind = vf.session(0), vf.KINDS["backlash"]
     faint = sized(kind.make, kind.size, 0.2, day, vr.THESIS_NOISE, 0)
     found = diagnose(MODEL, dataset(vf.samples(day, [faint], vr.THESIS_NOISE, 0), vr.THESIS_NOISE))
@@ -117,7 +117,7 @@ def test_what_was_inside_its_noise_already_is_not_explained():
 
 
 @pytest.mark.wide
-def test_what_is_left_beside_the_noise_can_be_read_off():
+def test_the_summary_states_the_noise_floor():
     data = measured(0, effects=[vr.Backlash((3e-4, 2.5e-4, 2e-4))], n_poses=110)
     summary = diagnose(MODEL, data, effects=["backlash"]).verdict.summary
     assert "; noise floor 2" in summary or "; noise floor 3" in summary

@@ -65,7 +65,7 @@ def test_positions_alone_ask_for_no_inverse_problem(monkeypatch):
     assert asked  # for the joint errors, and for the scale of the readings
 
 
-def test_columns_through_what_the_closure_sees_are_the_columns_themselves():
+def test_columns_computed_through_the_closure_inputs_equal_the_direct_columns():
     data = seen(va.session(va.arm("ur5", 1), 40, 0, HERE))
     result = fit(nominal("ur5"), data, hold_out=0)
     scene = Scene.of(result.model, data, result.observations, result.free)
@@ -97,7 +97,7 @@ HIDDEN = {
 @pytest.mark.parametrize("kind", ["ur5", "wam"])
 @pytest.mark.parametrize("effect", list(HIDDEN))
 @pytest.mark.parametrize("pose", [True, False], ids=["pose", "position"])
-def test_what_a_joint_hides_is_named(kind, effect, pose):
+def test_the_diagnosis_names_an_effect_hidden_in_a_joint_of_an_arm(kind, effect, pose):
     robot = va.arm(kind, 4, hidden=(HIDDEN[effect],))
     data = seen(va.session(robot, 120, 5, HERE), pose)
     found = diagnose(nominal(kind), data, effects=[*HIDDEN, "encoder_gain", "device_axes"])
@@ -109,7 +109,9 @@ def test_what_a_joint_hides_is_named(kind, effect, pose):
 @pytest.mark.wide
 @pytest.mark.parametrize("kind", ["ur5", "wam"])
 @pytest.mark.parametrize("effect", list(HIDDEN))
-def test_what_a_joint_hides_is_named_behind_an_unknown_frame_and_target(kind, effect):
+def test_the_diagnosis_names_a_joint_effect_although_device_frame_and_target_are_unknown(
+    kind, effect
+):
     """By the whole catalogue, from positions of a target that nobody measured in {P}; the device is
     said to be a tracker: one that bends its space by 0.1 mm over a metre could have made it."""
     robot = va.arm(kind, 4, hidden=(HIDDEN[effect],))

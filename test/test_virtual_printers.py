@@ -10,7 +10,7 @@ from parallel_cal.identification.fit import fit
 
 @pytest.mark.wide
 @pytest.mark.parametrize("name", list(PRINTERS))
-def test_heights_fall_to_the_noise_and_what_hides_is_named(name):
+def test_the_diagnosis_names_the_hidden_effect_and_lowers_the_height_error_to_the_noise(name):
     kind = PRINTERS[name]
     found = diagnose(kind.model(), kind.touches(200, 1))
     assert found.effects == kind.names
@@ -25,7 +25,7 @@ def test_heights_fall_to_the_noise_and_what_hides_is_named(name):
     assert after < TOUCH
 
 
-def test_what_touches_of_a_bed_cannot_tell_is_held_and_said():
+def test_parameters_that_touches_do_not_determine_are_held_by_priors_and_listed():
     """A printer that is too large by 1 % gives the same touches of its flat bed."""
     kind = PRINTERS["as built"]
     result = fit(kind.model(), kind.touches(120, 1), hold_out=0)
@@ -36,7 +36,7 @@ def test_what_touches_of_a_bed_cannot_tell_is_held_and_said():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_what_a_tolerance_holds_takes_no_degree_of_freedom(seed):
+def test_a_parameter_held_by_its_tolerance_uses_no_degree_of_freedom(seed):
     """chi2/dof of printers as built: 1.2 to 1.5 where each weak direction counted as a whole."""
     kind = PRINTERS["as built"]
     result = fit(kind.model(), kind.touches(120, seed), hold_out=0)

@@ -35,13 +35,13 @@ def test_a_simulated_compliance_hides_no_masses():
     assert model.value("joint_compliance.mass.arm") == 0
 
 
-def test_samples_left_out_by_a_loss_are_not_said_to_be_left_out_on_request():
+def test_samples_excluded_by_a_loss_are_not_reported_as_excluded_on_request():
     data = Dataset.from_arrays(["a"], np.arange(4.0)[:, None], np.zeros((4, 3)))
     assert data.excluding([2], "by the loss").warnings == ("excluded by the loss: sample 2",)
     assert data.excluding([2]).warnings == ("excluded on request: sample 2",)
 
 
-def test_what_is_alike_of_several_chains_is_named_once():
+def test_parameters_that_several_chains_share_are_named_once():
     table = new_model("linear_delta").table
     names = ["chain1.D_x", "chain2.D_x", "chain3.D_x", "chain1.D_y", "chain2.D_y", "chain2.Lb"]
     assert parameters_in_words(names, table) == (

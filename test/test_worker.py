@@ -76,9 +76,7 @@ def test_what_was_told_is_there_when_the_time_is_over(worker):
         (crash, (), "crashed"),
     ],
 )
-def test_what_goes_wrong_there_is_a_sentence_here_and_the_next_work_is_done(
-    worker, what, given, reason
-):
+def test_an_error_in_the_worker_is_reported_and_the_worker_goes_on(worker, what, given, reason):
     with pytest.raises(WorkError, match=reason):
         worker.work(what, *given, seconds=10)
     assert told(worker, 2) == [0, 1]
