@@ -40,7 +40,9 @@ def calibrate(
     ] = 0.0,
     warmer: Annotated[
         float,
-        typer.Option(min=0, help="K by which you can warm the robot up on request; 0: do not ask"),
+        typer.Option(
+            min=0, help="by how many kelvin you can warm the robot up on request; 0: do not ask"
+        ),
     ] = 0.0,
     reach: Annotated[
         float,

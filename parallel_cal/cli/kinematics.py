@@ -49,8 +49,12 @@ Solver = Annotated[
         show_default=False,
     ),
 ]
-Input = Annotated[Path | None, typer.Option("--input", help="CSV table of problems")]
-Output = Annotated[Path | None, typer.Option("--output", help="CSV table of the answers")]
+Input = Annotated[
+    Path | None, typer.Option("--input", help="CSV table with joint readings or a pose in each row")
+]
+Output = Annotated[
+    Path | None, typer.Option("--output", help="CSV table to write, with a solution in each row")
+]
 
 
 def direct(

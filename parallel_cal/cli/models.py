@@ -172,7 +172,10 @@ def _sensor(item: str, known: Mapping[str, Mapping[str, Any]]) -> Sensor:
 
 
 def mechanisms(
-    name: Annotated[str | None, typer.Argument(help="a mechanism, or the path of your own")] = None,
+    name: Annotated[
+        str | None,
+        typer.Argument(help="name of a mechanism, or the Python path of your own"),
+    ] = None,
     option: Option = None,
     as_json: Json = False,
 ) -> None:

@@ -94,7 +94,9 @@ def power(
     pace: Annotated[
         float, typer.Option(min=0.1, help="time between two poses of a plan (s)")
     ] = 1.5,
-    sessions: Annotated[int, typer.Option(min=2, help="number of sessions for each size")] = 10,
+    sessions: Annotated[
+        int, typer.Option(min=2, help="number of simulated sessions for each size")
+    ] = 10,
     seed: Seed = 0,
     scheduler: Scheduler = None,
     workers: Workers = None,
@@ -102,7 +104,9 @@ def power(
     data: Data = None,
     output: Annotated[
         Path,
-        typer.Option("-o", "--output", help="folder for the sessions, the page and the numbers"),
+        typer.Option(
+            "-o", "--output", help="folder for the simulated sessions, the page and the numbers"
+        ),
     ] = Path("power"),
     as_json: Json = False,
 ) -> None:

@@ -77,7 +77,7 @@ class SmoothMap:
             "length_scale": self.length if drawn else None,
             "size": self.size if drawn else 0.0,
             "share_predicted": self.share,
-            "note": "a picture of what is unexplained, no physical effect",
+            "note": "describes the residuals that no effect explains; it is not a physical effect",
         }
 
 

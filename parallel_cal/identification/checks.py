@@ -144,7 +144,7 @@ def check_plausible(
     if why := model.with_values(nearest).find_contradiction():
         if not insist:
             raise ContradictionError(why)
-        accepted.append(f"{why}: accepted because you insisted")
+        accepted.append(f"{why}: accepted because of --force (in Python: insist)")
     return replace(model, tolerances=tolerances), unusual, accepted
 
 

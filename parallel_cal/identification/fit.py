@@ -448,7 +448,7 @@ def fit_registered(
         warnings=(
             *dataset.warnings,
             *(
-                [f"{observations.doubts}: accepted because you insisted"]
+                [f"{observations.doubts}: accepted because of --force (in Python: insist)"]
                 if observations.doubts
                 else ()
             ),
