@@ -14,6 +14,7 @@ from parallel_cal.cli.recordings import data_options
 from parallel_cal.reporting import console
 
 if TYPE_CHECKING:
+    from parallel_cal.exporting.bed_fit import Movement
     from parallel_cal.exporting.heights import BedHeights
     from parallel_cal.importing.touch_samples import Touches
     from parallel_cal.model.model import Model
@@ -49,7 +50,11 @@ def export(
     ] = None,
     force: Annotated[
         bool,
-        typer.Option("--force", help="write even if the height error at the touches increases"),
+        typer.Option(
+            "--force",
+            help="write even if the height error at the touches increases, or if x and y move "
+            "further than a measurement shows",
+        ),
     ] = False,
     as_json: Json = False,
 ) -> None:
@@ -71,16 +76,22 @@ def export(
             "loss": done.loss,
             "before": done.before,
             "heights": done.heights,
+            "movement": done.movement,
             "remarks": done.remarks,
         }
         return console.emit({"target": to, "files": files} | (document if done.loss else {}))
     console.say(f"written: {', '.join(files)}")
-    if done.loss:
-        console.say(f"error that the firmware's simpler model leaves: {_format_loss(done.loss)}")
-    if done.before:
-        console.say(f"error with the previous numbers: {_format_loss(done.before)}")
+    # Touches alone do not determine the model's x and y: a difference from them says nothing.
+    if done.movement is None or done.movement.measured:
+        if done.loss:
+            words = _format_loss(done.loss)
+            console.say(f"error that the firmware's simpler model leaves: {words}")
+        if done.before:
+            console.say(f"error with the previous numbers: {_format_loss(done.before)}")
     if done.heights:
         console.say(_heights(done.heights))
+    if done.movement:
+        console.say(_format_movement(done.movement))
     for remark in done.remarks:
         console.say(f"- {remark}")
 
@@ -130,9 +141,28 @@ def _touches(model: Model, file: Path, given: list[Path], into: bool) -> Touches
 def _heights(heights: BedHeights) -> str:
     """Format `rms height error at 109 touches by the firmware's formula: 595.2 -> 17.1 um`."""
     before = "" if heights.before is None else f"{1e6 * heights.before:.1f} -> "
-    return (
+    words = (
         f"rms height error at {heights.touches} touches by the firmware's formula: "
         f"{before}{1e6 * heights.after:.1f} um"
+    )
+    if heights.held_out is not None:
+        words += f"; at touches held out of the numbers' fit: {1e6 * heights.held_out:.1f} um"
+    return words
+
+
+def _format_movement(movement: Movement) -> str:
+    """Format how far x and y move, next to how well they are known."""
+    if movement.measured:
+        known = "the measurements of x and y show all of it but"
+        known += f" {1e3 * movement.unsupported:.2f} mm"
+    else:
+        known = "nothing measured x and y"
+    if movement.sigma is not None:
+        known += f"; the model knows x and y to {1e3 * movement.sigma:.2f} mm (1 sigma)"
+    return (
+        "x and y over the bed, at the same motor positions, move by at most "
+        f"{1e3 * movement.largest:.2f} mm, and by {1e3 * movement.shape:.2f} mm without their "
+        f"common shift and turn: {known}"
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import rotation_matrix
-from parallel_cal.exporting.projection import Array, Bed, Frame, Machine, fit_numbers
+from parallel_cal.exporting.projection import Array, Bed, Frame, Machine, Refinement, fit_numbers
 from parallel_cal.importing.deltas import Shoulders, Towers, are_counter_clockwise
 from parallel_cal.model.model import Model
 
@@ -93,7 +93,9 @@ def chains_of(model: Model, places: Array | None) -> Chains:
     )
 
 
-def towers(model: Model, places: Array | None, tilted: bool) -> tuple[Towers, Chains]:
+def towers(
+    model: Model, places: Array | None, tilted: bool, present: Refinement | None = None
+) -> tuple[Towers, Chains]:
     """Fit one radius, rods, angles and end-stops, and, if `tilted`, the plate's slopes."""
     c = chains_of(model, places)
 
@@ -104,10 +106,12 @@ def towers(model: Model, places: Array | None, tilted: bool) -> tuple[Towers, Ch
 
     slopes = c.tilt if tilted else ()
     start = np.array([c.radius.mean(), *c.rods, *c.angles, *c.homed, *slopes])
-    return made(fit_numbers(model, start, lambda v: c.machine(made(v)), c.bed)), c
+    return made(fit_numbers(model, start, lambda v: c.machine(made(v)), c.bed, present)), c
 
 
-def shoulders(model: Model, places: Array | None, level: bool) -> tuple[Shoulders, Chains]:
+def shoulders(
+    model: Model, places: Array | None, level: bool, present: Refinement | None = None
+) -> tuple[Shoulders, Chains]:
     """Fit one radius, arms, rods, angles and end-stops, and one height (`level`) or three."""
     c = chains_of(model, places)
 
@@ -118,10 +122,12 @@ def shoulders(model: Model, places: Array | None, level: bool) -> tuple[Shoulder
 
     heights = [c.heights.mean()] if level else c.heights
     start = np.array([c.radius.mean(), *c.arms, *c.rods, *c.angles, *c.homed, *heights])
-    return made(fit_numbers(model, start, lambda v: c.machine(made(v)), c.bed)), c
+    return made(fit_numbers(model, start, lambda v: c.machine(made(v)), c.bed, present)), c
 
 
-def fit_equal_towers(model: Model, places: Array) -> tuple[Towers, Machine]:
+def fit_equal_towers(
+    model: Model, places: Array, present: Refinement | None = None
+) -> tuple[Towers, Machine]:
     """Fit equal towers at `places`, an end-stop for each, and the origin."""
     c = chains_of(model, places)
 
@@ -131,11 +137,13 @@ def fit_equal_towers(model: Model, places: Array) -> tuple[Towers, Machine]:
         return c.machine(delta, np.array([v[5], v[6], 0.0]))
 
     start = np.array([c.radius.mean(), c.rods.mean(), *c.homed, 0.0, 0.0])
-    found = machine(fit_numbers(model, start, machine, c.bed))
+    found = machine(fit_numbers(model, start, machine, c.bed, present))
     return found.firmware, found  # type: ignore[return-value]
 
 
-def fit_equal_shoulders(model: Model, places: Array, one_stop: bool) -> tuple[Shoulders, Machine]:
+def fit_equal_shoulders(
+    model: Model, places: Array, one_stop: bool, present: Refinement | None = None
+) -> tuple[Shoulders, Machine]:
     """Fit equal chains at `places` about an origin in the plane of their motors.
 
     With `one_stop`, all end-stops are at one angle.
@@ -151,9 +159,8 @@ def fit_equal_shoulders(model: Model, places: Array, one_stop: bool) -> tuple[Sh
 
     tops = [c.homed.mean()] if one_stop else c.homed
     lengths = [c.radius.mean(), c.arms.mean(), c.rods.mean()]
-    found = machine(
-        fit_numbers(model, np.array([*lengths, 0, 0, c.heights.mean(), *tops]), machine, c.bed)
-    )
+    start = np.array([*lengths, 0, 0, c.heights.mean(), *tops])
+    found = machine(fit_numbers(model, start, machine, c.bed, present))
     return found.firmware, found  # type: ignore[return-value]
 
 

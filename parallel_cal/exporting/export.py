@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from inspect import signature
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import ModuleType
@@ -15,8 +16,9 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import BACKUP_SUFFIX, write_atomically
 from parallel_cal.base.options import convert_options, split_options
 from parallel_cal.base.threads import single_threaded
+from parallel_cal.exporting.bed_fit import MAX_UNMEASURED_MOVE, BedFit, Movement, Present
 from parallel_cal.exporting.editing import edit_files, format_settings, read_verbatim
-from parallel_cal.exporting.heights import BedHeights, bed_heights
+from parallel_cal.exporting.heights import BedHeights, nozzle_heights, rms_height, why_not
 from parallel_cal.exporting.projection import Firmware, Machine, Projection, loss
 from parallel_cal.importing.settings import Settings
 from parallel_cal.importing.touch_samples import Touches
@@ -25,6 +27,8 @@ from parallel_cal.model.region import describe_workspace_excess
 from parallel_cal.model.shelf import list_plugins, load_module, wrap_plugin_function
 
 SHELF = "exporting.targets"
+N_FOLDS, FOLD_SEED = 4, 3
+MIN_FOLDED_TOUCHES = 24  # twice the numbers of a linear Delta in RepRapFirmware
 
 
 @dataclass(frozen=True)
@@ -32,7 +36,8 @@ class ExportResult:
     """The written files.
 
     For a firmware, `loss` is the loss of accuracy by its numbers, `before` the loss with its old
-    numbers, `heights` the heights at touches of its bed, and `remarks` are further notes.
+    numbers, `heights` the heights at touches of its bed, `movement` how far x and y move over this
+    bed, and `remarks` are further notes.
     """
 
     paths: list[Path]
@@ -40,6 +45,7 @@ class ExportResult:
     before: Mapping[str, Any] | None = None
     remarks: list[str] = field(default_factory=list)
     heights: BedHeights | None = None
+    movement: Movement | None = None
 
 
 @single_threaded()
@@ -99,7 +105,11 @@ def export(
     if _holds(module, model):
         projection, found = _project(name, module, robot)
         made |= {file: format_settings(numbers) for file, numbers in projection.settings.items()}
-        heights = None if touches is None else bed_heights(robot, None, found, touches)
+        heights = None
+        if touches is not None:
+            _check_touches_apply(robot)
+            after = rms_height(robot, found, touches, "the new")
+            heights = BedHeights(len(touches.q), None, after)
         result = ExportResult([], loss(robot, found), None, _remarks(robot, projection), heights)
     Path(folder).mkdir(parents=True, exist_ok=True)
     for file, text in made.items():
@@ -119,8 +129,10 @@ def export_into(
 ) -> ExportResult:
     """Write a firmware's numbers into its own configuration files, and keep comments and order.
 
-    The old files remain as `NAME.previous`. If the heights at `touches` of the bed get worse, no
-    file is changed and the result is a ModelError, unless `force` is set.
+    The old files remain as `NAME.previous`. With `touches` of the bed, the numbers fit their
+    heights, and x and y stay where nothing measured them. If the heights at the touches get worse,
+    or if x and y move by more than MAX_UNMEASURED_MOVE without a measurement, no file is changed
+    and the result is a ModelError, unless `force` is set.
     """
     module, robot = load_module(SHELF, target), model.robot()
     if not _holds(module, model):
@@ -134,6 +146,12 @@ def export_into(
     projection, found = _project(target, module, robot)
     if type(now) is not type(found.firmware):
         raise ModelError(f"{files[0]}: it is configured for another kind of machine")
+    old_height = 0.0
+    if touches is not None:
+        _check_touches_apply(robot)
+        old_height = rms_height(robot, replace(found, firmware=now), touches, "the file's")
+        if _takes_touches(module):
+            projection, found = _project(target, module, robot, Present(now, touches))
     texts: dict[Path, str] = {}
     written = {field for numbers in projection.settings.values() for field in numbers}
     cleared = [field for field in getattr(module, "CLEARED", ()) if field in stated]
@@ -148,9 +166,17 @@ def export_into(
     old, new = (
         replace(found, firmware=firmware) for firmware in (now, _read(module, files, texts))
     )
-    heights = None if touches is None else bed_heights(robot, old, new, touches)
-    if heights is not None and heights.worse and not force:
-        raise _worse_bed(files, heights)
+    heights = movement = None
+    if touches is not None:
+        new_height = rms_height(robot, new, touches, "the new")
+        heights = BedHeights(len(touches.q), old_height, new_height)
+        movement = BedFit(robot, old, touches).movement(new.firmware)
+        if heights.worse and not force:
+            raise _worse_bed(files, heights)
+        if movement.unsupported > MAX_UNMEASURED_MOVE and not force:
+            raise _moves_too_far(files, movement)
+        held_out = _held_out_height(target, module, robot, Present(now, touches))
+        heights = replace(heights, held_out=held_out)
     before, after = loss(robot, old), loss(robot, new)
     for path, text in texts.items():
         write_atomically(path.with_name(path.name + BACKUP_SUFFIX), read_verbatim(path), like=path)
@@ -163,7 +189,7 @@ def export_into(
                 "which override the new numbers: remove them there, or export --into "
                 "that file as well"
             )
-    return ExportResult(list(texts), after, before, remarks, heights)
+    return ExportResult(list(texts), after, before, remarks, heights, movement)
 
 
 def _worse_bed(files: Sequence[Path], heights: BedHeights) -> ModelError:
@@ -178,6 +204,47 @@ def _worse_bed(files: Sequence[Path], heights: BedHeights) -> ModelError:
         "parameters that the firmware does not have (fit --fix), or pass --force"
     )
     return ModelError(f"{', '.join(map(str, files))}: {words}; nothing was written: {cure}")
+
+
+def _moves_too_far(files: Sequence[Path], movement: Movement) -> ModelError:
+    """Return the error for new parameters that move x and y without a measurement of them."""
+    known = "" if movement.sigma is None else f" (the data leave {1e3 * movement.sigma:.2g} mm)"
+    words = (
+        f"x and y move by up to {1e3 * movement.unsupported:.2f} mm against each other over the "
+        f"bed with the new parameters, and no measurement shows this{known}: expected at most "
+        f"{1e3 * MAX_UNMEASURED_MOVE:g} mm"
+    )
+    cure = (
+        "measure one printed length (import --option printed_x=[sent, measured]) and fit again, "
+        "or pass --force"
+    )
+    return ModelError(f"{', '.join(map(str, files))}: {words}; nothing was written: {cure}")
+
+
+def _check_touches_apply(robot: Model) -> None:
+    if reason := why_not(robot):
+        raise ModelError(reason)
+
+
+def _takes_touches(module: ModuleType) -> bool:
+    return "present" in signature(module.project).parameters
+
+
+def _held_out_height(name: str, module: ModuleType, robot: Model, present: Present) -> float | None:
+    """Return the rms height (m) at touches that the firmware's numbers were not fitted to.
+
+    None if there are too few touches for N_FOLDS folds.
+    """
+    touches = present.touches
+    if len(touches.q) < MIN_FOLDED_TOUCHES or not _takes_touches(module):
+        return None
+    fold = np.random.default_rng(FOLD_SEED).permutation(len(touches.q)) % N_FOLDS
+    heights = np.empty(len(touches.q))
+    for k in range(N_FOLDS):
+        train = replace(present, touches=touches.select(fold != k), by_touch=True)
+        _, machine = _project(name, module, robot, train)
+        heights[fold == k] = nozzle_heights(robot, machine, touches.select(fold == k))
+    return float(np.sqrt(np.mean(heights**2)))
 
 
 def _holds(module: ModuleType, model: Model) -> bool:
@@ -202,9 +269,12 @@ def _refusal(
     )
 
 
-def _project(name: str, module: ModuleType, robot: Model) -> tuple[Projection, Machine]:
+def _project(
+    name: str, module: ModuleType, robot: Model, present: Present | None = None
+) -> tuple[Projection, Machine]:
     """Return a firmware's numbers, and the machine that has them as they are written."""
-    projection: Projection = wrap_plugin_function(name, module.project)(robot)
+    given = {} if present is None else {"present": present}
+    projection: Projection = wrap_plugin_function(name, module.project)(robot, **given)
     texts = {Path(file): format_settings(numbers) for file, numbers in projection.settings.items()}
     firmware = _read(module, [*texts], texts)
     return projection, Machine(firmware, projection.frame, projection.stops)

@@ -13,31 +13,30 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
+from parallel_cal.exporting.bed_fit import PROBE, Touched
 from parallel_cal.exporting.projection import Array, Machine
 from parallel_cal.importing.touch_samples import Touches
-from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model
 
-PROBE = "probe"
-MAX_STEPS = 50  # of Newton's method; three are usual
-CLOSE = 1e-10  # m; a smaller step has converged
-DIFFERENCE = 1e-6  # m, for slopes of the firmware's formula
+ROUNDING = 0.1e-6  # m, of heights, by the digits of the numbers in a file
 
 
 @dataclass(frozen=True)
 class BedHeights:
     """Rms heights (m) at `touches` touches, before and after the new numbers.
 
-    `before` is None if there is no file of the firmware.
+    `before` is None if there is no file of the firmware. `held_out` is the rms at touches that the
+    firmware's numbers were not fitted to, in folds; None if there are too few touches.
     """
 
     touches: int
     before: float | None
     after: float
+    held_out: float | None = None
 
     @property
     def worse(self) -> bool:
-        return self.before is not None and self.after > self.before
+        return self.before is not None and self.after > self.before + ROUNDING
 
 
 def why_not(model: Model) -> str:
@@ -61,50 +60,20 @@ def nozzle_heights(model: Model, machine: Machine, touches: Touches) -> Array:
 
     NaN if the firmware's formula has no solution for these motors.
     """
-    frame, firmware = machine.frame, machine.firmware
-    motors = firmware.homed + frame.motors(touches.q - machine.stops)
-    near = Kinematics(model, quick=True).direct(touches.q)
-    r, R = frame.poses(near.position, near.rotation)
-    for _ in range(MAX_STEPS):
-        off = firmware.joints(r, R) - motors
-        slopes = np.stack(
-            [
-                (firmware.joints(r + d, R) - firmware.joints(r - d, R)) / (2 * DIFFERENCE)
-                for d in DIFFERENCE * np.eye(3)
-            ],
-            axis=2,
+    touched = Touched.by(model, machine, touches)
+    return np.asarray(touched.positions(machine.firmware)[:, 2] - touched.height)
+
+
+def rms_height(model: Model, machine: Machine, touches: Touches, whose: str) -> float:
+    """Return the rms height (m) at touches; ModelError if one is out of reach of the machine.
+
+    `whose` names the numbers of the machine, for the message.
+    """
+    heights = nozzle_heights(model, machine, touches)
+    if beyond := int(np.isnan(heights).sum()):
+        raise ModelError(
+            f"{touches.source}: {beyond} of {len(heights)} touches are beyond the firmware's reach "
+            f"with {whose} numbers: expected touches of this machine, imported with the "
+            "configuration from which the model was made"
         )
-        bad = ~(np.isfinite(slopes).all(axis=(1, 2)) & np.isfinite(off).all(axis=1))
-        slopes[bad] = np.eye(3)
-        step = np.linalg.solve(slopes, off[:, :, None])[:, :, 0]
-        step[bad] = np.nan
-        r = r - step
-        if not (np.abs(step) > CLOSE).any():
-            break
-    else:
-        r = np.where(np.abs(step) > CLOSE, np.nan, r)
-    tip = next(sensor for sensor in model.sensors if sensor.name == PROBE).options.get("tip")
-    below = 0.0 if tip is None else float(tip[2])
-    upwards = np.sign(frame.turn[2, 2])  # 1 if z of the firmware points along z of {B}, else -1
-    return np.asarray(r[:, 2] + upwards * (below - touches.height))
-
-
-def bed_heights(
-    model: Model, before: Machine | None, after: Machine, touches: Touches
-) -> BedHeights:
-    """Return rms heights at touches, before and after; ModelError if a touch is out of reach."""
-    if words := why_not(model):
-        raise ModelError(words)
-
-    def rms(machine: Machine, whose: str) -> float:
-        heights = nozzle_heights(model, machine, touches)
-        if beyond := int(np.isnan(heights).sum()):
-            raise ModelError(
-                f"{touches.source}: {beyond} of {len(heights)} touches are beyond the "
-                f"firmware's reach with {whose} numbers: expected touches of this "
-                "machine, imported with the configuration from which the model was made"
-            )
-        return float(np.sqrt(np.mean(heights**2)))
-
-    old = None if before is None else rms(before, "the file's")
-    return BedHeights(len(touches.q), old, rms(after, "the new"))
+    return float(np.sqrt(np.mean(heights**2)))

@@ -119,6 +119,13 @@ class Bed:
         return np.column_stack([xy, z]), np.broadcast_to(np.eye(3), (n, 3, 3))
 
 
+class Refinement(Protocol):
+    """What is known of the machine itself, besides the model."""
+
+    def refine(self, model: Model, numbers: Array, machine: Callable[[Array], Machine]) -> Array:
+        """Return the numbers (k,) that agree with it, from those that agree with the model."""
+
+
 class TargetPoses:
     """The poses that a model reaches, with its joints."""
 
@@ -176,13 +183,17 @@ def compute_pose_difference(wanted: Solutions, found: Solutions) -> Array:
 
 
 def fit_numbers(
-    model: Model, start: Array, machine: Callable[[Array], Machine], bed: Bed | None = None
+    model: Model,
+    start: Array,
+    machine: Callable[[Array], Machine],
+    bed: Bed | None = None,
+    present: Refinement | None = None,
 ) -> Array:
     """Return the numbers (k,) with which a machine moves the robot closest to the wanted poses.
 
     The fit is a least-squares fit of the controlled coordinates, from `start`. Heights on a
     printer's `bed` have more weight, so that errors that the firmware cannot represent (leaning
-    towers) do not spoil them.
+    towers) do not spoil them. What is known of the present machine (`present`) refines the numbers.
     """
     from scipy.optimize import least_squares
 
@@ -205,7 +216,8 @@ def fit_numbers(
         raise ModelError(f"{model.mechanism.name}: the firmware does not reach its whole workspace")
     tight = {"ftol": 1e-14, "xtol": 1e-14, "gtol": 1e-14}
     scale = np.maximum(np.abs(start), 0.01)
-    return np.asarray(least_squares(missed, start, x_scale=scale, **tight).x)
+    numbers = np.asarray(least_squares(missed, start, x_scale=scale, **tight).x)
+    return numbers if present is None else present.refine(model, numbers, machine)
 
 
 def loss(model: Model, machine: Machine) -> dict[str, Any]:

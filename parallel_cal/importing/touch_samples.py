@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,12 +27,19 @@ NO_SIZE = (
 
 @dataclass(frozen=True)
 class Touches:
-    """Joints (N, nq) in m or rad at touches of a bed, and stored heights (N,) of the tip in m."""
+    """Joints (N, nq) in m or rad at touches of a bed, and stored heights (N,) of the tip in m.
+
+    `xy_measured` states whether the recording also has measurements of x or y.
+    """
 
     q: Array
     height: Array
     source: str
     sha256: str
+    xy_measured: bool = False
+
+    def select(self, rows: Array) -> Touches:
+        return replace(self, q=self.q[rows], height=self.height[rows])
 
 
 def touches_in(dataset: Dataset, joints: Sequence[str]) -> Touches:
@@ -46,7 +53,10 @@ def touches_in(dataset: Dataset, joints: Sequence[str]) -> Touches:
             "create them"
         )
     q = order_joints(dataset, joints).q
-    return Touches(q[touched], height[touched], dataset.source, dataset.sha256)
+    other = [name for name in dataset.conditions if name.startswith(READING) and name != PROBE]
+    read = any(np.isfinite(dataset.conditions[name]).any() for name in other)
+    xy_measured = read or bool(dataset.measured[..., :2].any())
+    return Touches(q[touched], height[touched], dataset.source, dataset.sha256, xy_measured)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import numpy as np
 
 from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.exporting.deltas import ROTARY, fit_equal_shoulders
-from parallel_cal.exporting.projection import Firmware, Projection
+from parallel_cal.exporting.projection import Firmware, Projection, Refinement
 from parallel_cal.importing.deltas import Shoulders
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines
 from parallel_cal.model.model import Model
@@ -46,8 +46,8 @@ def firmware(stated: Settings) -> Firmware:
     return Shoulders(radius, 0 * same, arm * same, rod * same, SHOULDER_ANGLES, limits)
 
 
-def project(model: Model) -> Projection:
-    delta, found = fit_equal_shoulders(model, SHOULDER_ANGLES, one_stop=True)
+def project(model: Model, present: Refinement | None = None) -> Projection:
+    delta, found = fit_equal_shoulders(model, SHOULDER_ANGLES, one_stop=True, present=present)
     numbers = (delta.rods[0] / MM, delta.arms[0] / MM, delta.radius / MM / SIDE, 0.0)
     written = {f"${641 + k}": f"{number:.3f}" for k, number in enumerate(numbers)}
     written["$646"] = f"{-delta.homed[0] / DEGREE:.3f}"

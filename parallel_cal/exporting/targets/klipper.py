@@ -17,7 +17,7 @@ import numpy as np
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.exporting.deltas import LINEAR, ROTARY, shoulders, towers
-from parallel_cal.exporting.projection import Firmware, Projection
+from parallel_cal.exporting.projection import Firmware, Projection, Refinement
 from parallel_cal.importing.deltas import Shoulders
 from parallel_cal.importing.importers import klipper
 from parallel_cal.importing.importers.klipper import STEPPERS
@@ -37,15 +37,15 @@ def firmware(stated: Settings) -> Firmware:
     return klipper.delta(stated)
 
 
-def project(model: Model) -> Projection:
+def project(model: Model, present: Refinement | None = None) -> Projection:
     if model.mechanism.name in LINEAR:
-        tall, c = towers(model, places=None, tilted=False)
+        tall, c = towers(model, places=None, tilted=False, present=present)
         kind, heights = "delta", tall.heights
         printer = {"delta_radius": tall.radius[0] / MM}
         angles = tall.first + np.arange(3) * 120 * DEGREE + tall.trim
         each = {"arm_length": tall.rods / MM}
     else:
-        turned, c = shoulders(model, places=None, level=True)
+        turned, c = shoulders(model, places=None, level=True, present=present)
         kind, heights, angles = "rotary_delta", end_stop_heights(turned), turned.angles
         printer = {"shoulder_radius": turned.radius / MM}
         printer |= {"shoulder_height": turned.heights[0] / MM}

@@ -17,7 +17,14 @@ import numpy as np
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.exporting.deltas import LINEAR, ROTARY, fit_equal_shoulders, fit_equal_towers
-from parallel_cal.exporting.projection import Firmware, Frame, Machine, Projection, fit_numbers
+from parallel_cal.exporting.projection import (
+    Firmware,
+    Frame,
+    Machine,
+    Projection,
+    Refinement,
+    fit_numbers,
+)
 from parallel_cal.exporting.targets import c
 from parallel_cal.importing.deltas import Shoulders
 from parallel_cal.importing.importers import linuxcnc
@@ -99,14 +106,14 @@ def _read_homed(stated: Settings, n: int, unit: float) -> np.ndarray:
     return np.array([stated.number(HOMED.format(i), expected, 0.0) for i in range(n)]) * unit
 
 
-def project(model: Model) -> Projection:
+def project(model: Model, present: Refinement | None = None) -> Projection:
     name = model.mechanism.name
     if name in LINEAR:
-        tall, found = fit_equal_towers(model, TOWERS)
+        tall, found = fit_equal_towers(model, TOWERS, present)
         pins = {"lineardeltakins.R": tall.radius[0], "lineardeltakins.L": tall.rods[0]}
         homed = tall.homed / MM
     elif name in ROTARY:
-        turned, found = fit_equal_shoulders(model, SHOULDERS, one_stop=False)
+        turned, found = fit_equal_shoulders(model, SHOULDERS, one_stop=False, present=present)
         sizes = (turned.radius, turned.arms[0], turned.rods[0], 0.0)
         pins = {f"rotarydeltakins.{p}": size for p, size in zip(ROTARY_PINS, sizes, strict=True)}
         homed = -turned.homed / DEGREE

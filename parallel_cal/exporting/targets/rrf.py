@@ -18,7 +18,14 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.exporting.deltas import LINEAR, ROTARY, TOWERS, shoulders, towers
 from parallel_cal.exporting.editing import read_verbatim
-from parallel_cal.exporting.projection import Firmware, Frame, Machine, Projection, fit_numbers
+from parallel_cal.exporting.projection import (
+    Firmware,
+    Frame,
+    Machine,
+    Projection,
+    Refinement,
+    fit_numbers,
+)
 from parallel_cal.importing.fivebar import TURNS, FiveBars
 from parallel_cal.importing.gcode import settings as settings_of
 from parallel_cal.importing.hangprinter import Hangprinter
@@ -51,14 +58,17 @@ def firmware(stated: Settings) -> Firmware:
     return of.get(rrf.kind(stated), rrf.read_delta)(stated)
 
 
-def project(model: Model) -> Projection:
+def project(model: Model, present: Refinement | None = None) -> Projection:
     name = model.mechanism.name
-    of = {"five_bar": _five_bar, "cable": _cable}
-    return (_linear if name in LINEAR else _rotary if name in ROTARY else of[name])(model)
+    if name in LINEAR:
+        return _linear(model, present)
+    if name in ROTARY:
+        return _rotary(model, present)
+    return {"five_bar": _five_bar, "cable": _cable}[name](model)
 
 
-def _linear(model: Model) -> Projection:
-    delta, c = towers(model, TOWERS, tilted=True)
+def _linear(model: Model, present: Refinement | None) -> Projection:
+    delta, c = towers(model, TOWERS, tilted=True, present=present)
     homed = delta.heights.mean()
     found = {"M665 L": _numbers(delta.rods / MM, 4), "M665 R": _numbers(delta.radius[:1] / MM, 4)}
     found |= {"M665 H": _numbers([homed / MM], 4)}
@@ -69,8 +79,8 @@ def _linear(model: Model) -> Projection:
     return Projection({FILE: found}, c.frame, c.stops)
 
 
-def _rotary(model: Model) -> Projection:
-    delta, c = shoulders(model, TOWERS, level=False)
+def _rotary(model: Model, present: Refinement | None) -> Projection:
+    delta, c = shoulders(model, TOWERS, level=False, present=present)
     limits = np.array(model.mechanism.joint_limits, float)
     least = c.frame.motors(limits[:, 0] if c.frame.signs[0] > 0 else limits[:, 1]).max()
     top = delta.homed.mean()

@@ -1,0 +1,282 @@
+"""Fit a firmware's numbers to a bed that was touched, and keep x and y where nothing measured them.
+
+Touches determine heights. They hardly determine x and y: other rods, radii and tower angles that
+change x and y by millimetres give nearly the same heights. At the same motor positions, the fit
+therefore makes the firmware's heights agree with those of the model, and its x and y with those of
+the firmware's present numbers. Where a printed length or a device measured x and y, they agree with
+the model instead. All values are in SI units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from parallel_cal.base.errors import ModelError
+from parallel_cal.exporting.projection import Array, Firmware, Machine
+from parallel_cal.importing.touch_samples import Touches
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.model import Model
+
+PROBE = "probe"
+MAX_STEPS = 50  # of Newton's method; three are usual
+STEPS_PER_SLOPES = 5  # the slopes hardly change over a step
+CLOSE = 1e-10  # m; a smaller step has converged
+DIFFERENCE = 1e-6  # m, for slopes of the firmware's formula
+XY_SIGMA = 0.1e-3  # m, rms over the bed: how exact x and y by the present numbers are taken to be
+MODEL_XY_SIGMA = 0.01e-3  # m, rms over the bed: x and y by no model are taken to be more exact
+MAX_UNMEASURED_MOVE = 0.5e-3  # m, of x and y against each other, if nothing measured it
+MAX_TIGHTENINGS = 8  # each halves XY_SIGMA, until the movement is within MAX_UNMEASURED_MOVE
+NOISE_ROUNDS = 3  # of estimating the noise of the heights from the residuals of the fit before
+N_BED_POINTS = 60  # where x and y are compared, at each of the LAYERS
+LAYERS = (0.5, 1.0)  # above the bed, in heights of the workspace
+UNDETERMINED = 1e-12  # of a variance in tolerances: the data leave this combination open
+
+
+def compute_positions(firmware: Firmware, motors: Array, near: Array) -> Array:
+    """Return the nozzle's positions (N, 3) in m by a firmware's formula with its motors (N, 3).
+
+    `near` (N, 3) are starting values. NaN if the formula has no solution for these motors.
+    """
+    r, R = np.array(near, float), np.broadcast_to(np.eye(3), (len(near), 3, 3))
+    for k in range(MAX_STEPS):
+        off = firmware.joints(r, R) - motors
+        if k % STEPS_PER_SLOPES == 0:
+            slopes = np.stack(
+                [
+                    (firmware.joints(r + d, R) - firmware.joints(r - d, R)) / (2 * DIFFERENCE)
+                    for d in DIFFERENCE * np.eye(3)
+                ],
+                axis=2,
+            )
+            bad = ~np.isfinite(slopes).all(axis=(1, 2))
+            slopes[bad] = np.eye(3)
+            inverse = np.linalg.inv(slopes)
+            inverse[bad] = np.nan
+        step = np.einsum("nij,nj->ni", inverse, off)
+        r = r - step
+        if not (np.abs(step) > CLOSE).any():
+            return r
+    return np.where(np.abs(step).max(axis=1, keepdims=True) > CLOSE, np.nan, r)
+
+
+@dataclass(frozen=True)
+class Touched:
+    """Where the nozzle was at touches of the bed, in the frame of a machine's firmware."""
+
+    steps: Array  # motors (N, 3) from the end-stops, m or rad
+    position: Array  # (N, 3) by the model, m
+    height: Array  # (N,) by the touch itself, m
+
+    @classmethod
+    def by(cls, model: Model, machine: Machine, touches: Touches) -> Touched:
+        frame = machine.frame
+        found = Kinematics(model, quick=True).direct(touches.q)
+        position, _ = frame.poses(found.position, found.rotation)
+        tip = next(sensor for sensor in model.sensors if sensor.name == PROBE).options.get("tip")
+        below = 0.0 if tip is None else float(tip[2])
+        upwards = np.sign(frame.turn[2, 2])  # 1 if z of the firmware points along z of {B}, else -1
+        steps = frame.motors(touches.q - machine.stops)
+        return cls(steps, position, upwards * (touches.height - below))
+
+    def positions(self, firmware: Firmware) -> Array:
+        """Return the nozzle's positions (N, 3) by a firmware, in its own frame."""
+        return compute_positions(firmware, firmware.homed + self.steps, self.position)
+
+
+@dataclass(frozen=True)
+class Present:
+    """A firmware with the numbers of its files, and touches of the bed that it moved to."""
+
+    firmware: Firmware
+    touches: Touches
+    by_touch: bool = False
+
+    def refine(self, model: Model, numbers: Array, machine: Callable[[Array], Machine]) -> Array:
+        """Return the numbers (k,) that fit the bed best, from those that agree with the model."""
+        old = replace(machine(numbers), firmware=self.firmware)
+        return BedFit(model, old, self.touches, self.by_touch).fit(numbers, machine)
+
+
+@dataclass(frozen=True)
+class Movement:
+    """How far x and y move over the bed at the same motor positions, in m.
+
+    `largest` is the largest movement, `shape` the largest one that remains after the shift and the
+    turn that all points have in common: these move a part on the bed and leave its shape as it is.
+    `sigma` is the standard deviation with which the model knows x and y, None if it was not fitted.
+    `unsupported` is the part of `shape` that nothing measured.
+    """
+
+    largest: float
+    shape: float
+    unsupported: float
+    sigma: float | None
+    measured: bool
+
+
+@dataclass(frozen=True)
+class BedFit:
+    """Fits the numbers of a firmware to touches of a bed.
+
+    `old` is the machine with its present numbers. The heights at the touches are those of the
+    model; those of the touches themselves if `by_touch`, which predicts heights at other touches.
+    """
+
+    model: Model
+    old: Machine
+    touches: Touches
+    by_touch: bool = False
+
+    @cached_property
+    def touched(self) -> Touched:
+        return Touched.by(self.model, self.old, self.touches)
+
+    @cached_property
+    def points(self) -> Array:
+        """Points (n, 3) in m, by the present numbers, over the bed where it was touched."""
+        at = self.touched.positions(self.old.firmware)
+        at = at[np.isfinite(at).all(axis=1)]
+        if not len(at):
+            raise ModelError(
+                f"{self.touches.source}: the firmware's present numbers reach no touch"
+            )
+        centre = at[:, :2].mean(axis=0)
+        radius = np.linalg.norm(at[:, :2] - centre, axis=1).max()
+        k = np.arange(N_BED_POINTS) + 0.5
+        out, around = radius * np.sqrt(k / N_BED_POINTS), k * np.pi * (3 - 5**0.5)  # a sunflower
+        xy = centre + np.column_stack([out * np.cos(around), out * np.sin(around)])
+        points = np.column_stack([xy, np.full(len(xy), at[:, 2].mean())])
+        return points[np.isfinite(self._motors(points)).all(axis=1)]
+
+    @cached_property
+    def raised(self) -> list[Array]:
+        """The points, raised to layers above the bed."""
+        low, high = self.model.mechanism.workspace.low[2], self.model.mechanism.workspace.high[2]
+        layers = [self.points + [0.0, 0.0, share * abs(high - low)] for share in LAYERS]
+        return [layer for layer in layers if np.isfinite(self._motors(layer)).all()]
+
+    def _motors(self, points: Array) -> Array:
+        return self.old.firmware.joints(points, np.broadcast_to(np.eye(3), (len(points), 3, 3)))
+
+    def moves(self, firmware: Firmware, points: Array) -> Array:
+        """Return how far (n, 3) a firmware moves points, at the same motor positions."""
+        motors = self._motors(points) - self.old.firmware.homed + firmware.homed
+        return compute_positions(firmware, motors, points) - points
+
+    @cached_property
+    def model_moves(self) -> tuple[Array, Array]:
+        """Movements (2n,) of x and y to those by the model, and their covariance (2n, 2n)."""
+        m = self.model
+        frame, q = self.old.frame, self._readings(self.points)
+        found = Kinematics(m, quick=True).direct(q)
+
+        def xy(model: Model) -> Array:
+            at = Kinematics(model, quick=True).direct(q, start=found)
+            return np.asarray(frame.poses(at.position, at.rotation)[0][:, :2].ravel())
+
+        here = xy(m)
+        free = np.flatnonzero(~m.fixed)
+        tolerance = m.table.tolerance[free]
+        covariance = np.asarray(m.covariance)[np.ix_(free, free)] / np.outer(tolerance, tolerance)
+        variances, directions = np.linalg.eigh(covariance)
+        # The covariance contains only what data determine; the rest is known by its tolerance.
+        sizes = np.sqrt(np.where(variances < UNDETERMINED, 1.0, variances))
+        changes = []
+        for size, direction in zip(sizes, directions.T, strict=True):
+            values = m.values.copy()
+            values[free] += size * tolerance * direction
+            changes.append(xy(m.with_values(values)) - here)
+        J = np.array(changes)
+        return here - self.points[:, :2].ravel(), J.T @ J
+
+    def _readings(self, points: Array) -> Array:
+        return self.old.stops + self.old.frame.readings(
+            self._motors(points) - self.old.firmware.homed
+        )
+
+    @cached_property
+    def supported(self) -> tuple[Array, Array]:
+        """Movements (2n,) of x and y that measurements support, and the whitening (2n, 2n) of
+        deviations from them.
+
+        The model with its covariance and the present numbers with XY_SIGMA are two independent
+        statements on x and y. Without a measurement of x and y, only the second one is used.
+        """
+        size = 2 * len(self.points)
+        present = len(self.points) * XY_SIGMA**2 * np.eye(size)
+        if not self.touches.xy_measured or self.model.covariance is None:
+            return np.zeros(size), np.eye(size) / np.sqrt(present[0, 0])
+        target, covariance = self.model_moves
+        covariance = covariance + len(self.points) * MODEL_XY_SIGMA**2 * np.eye(size)
+        both = np.linalg.inv(present + covariance)
+        combined = present - present @ both @ present
+        return present @ both @ target, np.linalg.inv(np.linalg.cholesky(combined))
+
+    def fit(self, start: Array, machine: Callable[[Array], Machine]) -> Array:
+        """Return the numbers (k,) of the machine that fits best, from `start`."""
+        for tightening in 2.0 ** np.arange(MAX_TIGHTENINGS + 1):
+            found = self._fit(start, machine, tightening)
+            if self.movement(machine(found).firmware).unsupported <= MAX_UNMEASURED_MOVE:
+                break
+        return found
+
+    def _fit(
+        self,
+        start: Array,
+        machine: Callable[[Array], Machine],
+        tightening: float,
+    ) -> Array:
+        from scipy.optimize import least_squares
+
+        heights = self.touched.height if self.by_touch else self.touched.position[:, 2]
+        target, whitening = self.supported
+        scale = np.maximum(np.abs(start), 0.01)
+        [probe] = [sensor for sensor in self.model.sensors if sensor.name == PROBE]
+        noise = probe.weighing_sigma
+
+        def missed(numbers: Array) -> Array:
+            firmware = machine(numbers).firmware
+            on_bed = self.moves(firmware, self.points)
+            weight = tightening / (np.sqrt(len(self.points)) * XY_SIGMA)
+            rows = [
+                (self.touched.positions(firmware)[:, 2] - heights) / noise,
+                tightening * whitening @ (on_bed[:, :2].ravel() - target),
+                *((self.moves(firmware, layer) - on_bed).ravel() * weight for layer in self.raised),
+                1e-6 * (numbers - start) / scale,  # numbers that change no position stay
+            ]
+            return np.concatenate(rows)
+
+        numbers = start
+        for _ in range(NOISE_ROUNDS):
+            numbers = np.asarray(least_squares(missed, numbers, x_scale=scale).x)
+            at = self.touched.positions(machine(numbers).firmware)
+            spare = len(at) - len(start)
+            if spare > 0:
+                noise = float(np.sqrt(np.sum((at[:, 2] - self.touched.height) ** 2) / spare))
+        return numbers
+
+    def movement(self, firmware: Firmware) -> Movement:
+        """Return how far a firmware moves x and y over the bed."""
+        moves = self.moves(firmware, self.points)[:, :2]
+        target = self.supported[0].reshape(-1, 2)
+        sigma = None
+        if self.model.covariance is not None:
+            variances = np.diag(self.model_moves[1]).reshape(-1, 2).sum(axis=1)
+            sigma = float(np.sqrt(variances.max()))
+        shape, unsupported = (self._largest_shape(each) for each in (moves, moves - target))
+        largest = float(np.linalg.norm(moves, axis=1).max())
+        return Movement(largest, shape, unsupported, sigma, self.touches.xy_measured)
+
+    def _largest_shape(self, moves: Array) -> float:
+        """Return the largest of movements (n, 2) after their common shift and turn."""
+        x, y = (self.points[:, :2] - self.points[:, :2].mean(axis=0)).T
+        common = np.zeros((len(x), 2, 3))
+        common[:, 0, 0] = common[:, 1, 1] = 1.0
+        common[:, :, 2] = np.column_stack([-y, x])
+        rows = common.reshape(-1, 3)
+        rest = moves.ravel() - rows @ np.linalg.lstsq(rows, moves.ravel(), rcond=None)[0]
+        return float(np.linalg.norm(rest.reshape(-1, 2), axis=1).max())
