@@ -34,7 +34,6 @@ from parallel_cal.campaign.targets import (
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import dump_model, parse_model, read_model
 from parallel_cal.model.mechanism import Box
-from parallel_cal.model.model import Noise
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.session.session import Session
 
@@ -95,12 +94,12 @@ def test_samples_that_no_fit_can_weigh_are_told_after_the_first(tmp_path):
     class Unsure(SimulatedCell):
         def sample(self, go_on):
             d = super().sample(go_on).dataset
-            return Sample(Dataset.from_arrays(d.joint_names, d.q, d.r, d.R))
+            covariance = np.eye(6) + 2 * np.eye(6, k=1)
+            return Sample(Dataset.from_arrays(d.joint_names, d.q, d.r, d.R, pose_cov=covariance))
 
-    text = dump_model(replace(DELTA, noise=Noise(None, DELTA.noise.position, None)))
     cell = Unsure()
-    outcome = Campaign(tmp_path, text, Goal(), cell, work=work).run()
-    assert "the noise of the joint readings is not known" in outcome.message
+    outcome = Campaign(tmp_path, dump_model(DELTA), Goal(), cell, work=work).run()
+    assert "the recorded pose covariance is not symmetric" in outcome.message
     assert len(cell.sent) == 1
 
 

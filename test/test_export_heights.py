@@ -161,11 +161,12 @@ def test_readings_that_nobody_stated_the_noise_of_prove_nothing(tmp_path):
     held = replace(model, fixed=model.fixed | model.table.matching(UNKNOWN))
     found = fit(held, dataset, hold_out=0)
     document = found.document()
-    assert document["noise_from"]["reading"] == "assumed"
+    assert document["noise_from"]["reading"] == "estimated from the residuals"
     assert document["chi2_band"] == [None, None]
     assert not [words for words in found.warnings if "chi2/dof" in words]
-    # chi2 is in units of the guess, 20 um
-    assert np.sqrt(document["chi2_per_dof"]) * 20e-6 == pytest.approx(40e-6, rel=0.2)
+    [probe] = [one for one in document["noise"] if one["name"] == "probe"]
+    assert probe["value"] == pytest.approx(40e-6, rel=0.2)
+    assert document["chi2_per_dof"] == pytest.approx(1, abs=0.03)
 
 
 def test_tolerances_throughout_weigh_by_the_noise_that_is_found(tmp_path):

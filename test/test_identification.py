@@ -323,7 +323,7 @@ def test_masks_that_contradict_each_other_or_leave_nothing_are_errors():
         free_after(free=["leg1.*"])
 
 
-def test_missing_joints_conditions_methods_and_noise_are_clear_errors():
+def test_missing_joints_conditions_and_methods_are_clear_errors():
     model, data = new_model("delta54"), measured(0)
     with pytest.raises(FitError, match=r"no method 'magic': expected one of .*implicit"):
         fit(model, data, method="magic")
@@ -333,10 +333,6 @@ def test_missing_joints_conditions_methods_and_noise_are_clear_errors():
     ):
         fit(model, renamed)
     bare = Dataset.from_arrays(JOINTS, data.q, data.r, data.R, pose_cov=data.pose_cov)
-    with pytest.raises(
-        FitError, match="the noise of the joint readings is not known; give --joint-sigma"
-    ):
-        fit(model, bare)
     with pytest.raises(FitError, match=r"direction.joint1.*was not recorded, but.*backlash"):
         fit(model.with_effect("backlash"), bare, joint_sigma=1e-4)
     with pytest.raises(FitError, match="joint sigma -1"):

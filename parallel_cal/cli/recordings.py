@@ -122,7 +122,7 @@ def simulate(
     )
     robot = session.model
     stated = simulation.stated_noise(robot)
-    if robot.noise.joint is None:
+    if isinstance(stated.joint, float) and robot.noise.joint is None:
         console.note(
             f"{model} states no joint noise: {stated.joint:.3g} {robot.mechanism.joint_unit} "
             f"is assumed; fit with --joint-sigma {stated.joint:.3g}"

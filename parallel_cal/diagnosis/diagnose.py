@@ -50,6 +50,7 @@ from parallel_cal.diagnosis.unusual import UnusualEffect, find_unusual_effects
 from parallel_cal.diagnosis.verdict import Findings, Verdict, judge
 from parallel_cal.identification.fit import FitResult, fit, fit_registered
 from parallel_cal.identification.given_model import GivenModel
+from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.registration import (
     Registration,
@@ -283,10 +284,16 @@ def _diagnose_trusted(
 ) -> Diagnosis:
     """Diagnose samples without excluding any."""
     dataset = given.dataset
+    noise_of_base: Observations | None = None
 
     def refit(extended: Model, insist: bool) -> FitResult:
+        nonlocal noise_of_base
         asked = replace(least_squares, insist=insist or least_squares.insist)
-        return fit_registered(extended, dataset, asked, given=given)
+        result = fit_registered(extended, dataset, asked, given=given, noise=noise_of_base)
+        # Only with equal weights can the residuals of two models be compared.
+        if noise_of_base is None:
+            noise_of_base = result.observations
+        return result
 
     search = Search(model, refit, report, usual_only)
     report("identifying the geometry", 0.0)

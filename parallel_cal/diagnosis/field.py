@@ -8,6 +8,7 @@ import numpy as np
 
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.identification.linearisation import Linearisation, compute_joint_jacobians
+from parallel_cal.identification.observations import UNMEASURED
 from parallel_cal.model.configuration import Configuration
 
 
@@ -17,7 +18,8 @@ class Field:
 
     pose (N, 6) m and rad about base axes, 0 where not measured; `noise_units` (N, k) the same
     divided by what joint and device noise explain together; `measured` (N, 6). `held` is the rms,
-    in the device's sigmas, of measured coordinates that the model holds at one value.
+    in the device's sigmas, of measured coordinates that the model holds at one value; 0 if
+    these sigmas were not stated.
     """
 
     pose: np.ndarray = field(repr=False)
@@ -38,7 +40,8 @@ class Field:
         pose = seen.change_from(predicted)[:, n:]
         variance = np.diagonal(observations.S, axis1=1, axis2=2)[:, n:]
         fixed = (pose**2 / np.where(variance > 0, variance, 1.0))[shown & ~moved]
-        held = float(np.sqrt(fixed.mean())) if fixed.size else 0.0
+        unmeasured = observations.noise_from.get("pose") in UNMEASURED
+        held = float(np.sqrt(fixed.mean())) if fixed.size and not unmeasured else 0.0
         pose = np.where(measured, pose, 0.0)
         S, readings = observations.S, scene.reading_residuals
         if measured.any():
@@ -47,8 +50,9 @@ class Field:
             return cls(pose, _in_noise_units(pose, total, measured), measured, held)
         if np.isfinite(readings).any():
             by_joint = _compute_joint_jacobians(scene)[1]
-            own = scene.model.structure.standard_uncertainty
-            total = by_joint @ S[:, :n, :n] @ by_joint.transpose(0, 2, 1) + np.diag(own**2)
+            own = observations.get_reading_sigma(scene.model)[:, :, None] ** 2
+            total = by_joint @ S[:, :n, :n] @ by_joint.transpose(0, 2, 1)
+            total = total + own * np.eye(own.shape[1])
             noise_units = _in_noise_units(readings, total, np.isfinite(readings))
             return cls(pose, noise_units, measured, held)
         return cls(pose, scene.by_sample(scene.residual), measured, held)

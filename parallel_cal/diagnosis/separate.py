@@ -360,4 +360,5 @@ def typical_noise(model: Model, observations: Observations) -> Noise:
         measured = variance[part][ever[part]]
         return float(np.sqrt(measured.mean())) if len(measured) else None
 
-    return Noise(typical(slice(0, n)), typical(slice(n, n + 3)), typical(slice(n + 3, n + 6)))
+    joint = dict(zip(model.joints, np.sqrt(variance[:n]).tolist(), strict=True))
+    return Noise(joint, typical(slice(n, n + 3)), typical(slice(n + 3, n + 6)))

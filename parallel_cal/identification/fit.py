@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from parallel_cal.identification.checks import (
     chosen_parameters,
     explain_too_few_poses,
 )
-from parallel_cal.identification.estimators import check_convergent_method, estimator
+from parallel_cal.identification.estimators import Estimator, check_convergent_method, estimator
 from parallel_cal.identification.fit_warnings import (
     DownWeightedSample,
     chi2_band,
@@ -39,10 +39,11 @@ from parallel_cal.identification.given_model import Folds, GivenModel
 from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.identification.noise_floor import noise_floor
 from parallel_cal.identification.observability import directions_in_words
-from parallel_cal.identification.observations import Observations, observe
+from parallel_cal.identification.observations import Observations, list_noise, observe
 from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.prediction_errors import Errors, Summary, errors, improvement
 from parallel_cal.identification.predictions import predict_positions
+from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.refit import add_consider_covariance
 from parallel_cal.identification.registration import (
     Registration,
@@ -53,9 +54,11 @@ from parallel_cal.identification.thresholds import (
     CONTRADICTED_SIGMAS,
     LOOSENING,
     MAX_LOOSENINGS,
+    MAX_NOISE_ROUNDS,
     MAX_REGION_SAMPLES,
 )
 from parallel_cal.identification.unusual import UnusualSize, describe_by_effect
+from parallel_cal.identification.variance_components import estimate_noise
 from parallel_cal.model.model import Model
 from parallel_cal.model.region import IdentifiedRegion
 from parallel_cal.recordings.dataset import Dataset, check_inputs
@@ -234,6 +237,7 @@ class FitResult(ShownInNotebook):
             "iso_9283": to_json_value(self.iso_9283),
             "noise_floor": self.noise_floor.document(),
             "noise_from": self.observations.noise_from,
+            "noise": to_json_value(list_noise(self.model, self.observations)),
             "method": self.options.method,
             "loss": self.options.loss,
             "refit": list(self.refitted_parameters),
@@ -383,16 +387,20 @@ def fit_registered(
     options: FitOptions,
     progress: Progress | None = None,
     given: GivenModel | None = None,
+    noise: Observations | None = None,
 ) -> FitResult:
     """Fit a model that describes where its device stands; `given` is the model to compare with, by
-    default the model itself."""
+    default the model itself. `noise` are the same samples with noise that another fit estimated, if
+    this fit must use the same weights."""
     given = given or GivenModel(model, model, dataset, options.joint_sigma, options.insist)
     report = progress or ignore_progress
-    mask, partial = chosen_parameters(model, options)
+    mask, is_partial = chosen_parameters(model, options)
     estimate_with = estimator(options.method, options.prior, options.loss)
-    if partial:
+    if is_partial:
         check_convergent_method(options.method, "a partial re-calibration")
     observations = observe(model, dataset, options.joint_sigma, options.insist)
+    if noise is not None:
+        observations = observations.with_noise_of(noise)
     if words := explain_too_few_poses(model, observations, mask, options.prior):
         raise FitError(words)
 
@@ -412,21 +420,20 @@ def fit_registered(
         return errors(model.with_values(found.values), observations.select(test))
 
     report("identifying", 0.0)
-    usual, estimate = model, estimate_with(model, observations, mask)
-    for _ in range(MAX_LOOSENINGS if options.prior is None else 0):
-        loosened = _loosen_contradicted_tolerances(model, estimate, mask)
-        if loosened is None:
-            break
-        try:
-            freer = estimate_with(loosened.with_values(estimate.values), observations, mask)
-        except FitError:
-            break  # without the usual size the data determine no solution
-        if freer.chi2 > estimate.chi2:
-            break
-        model, estimate = loosened, freer
+    identify = partial(_identify, estimate_with, mask, options.prior)
+    usual, (model, estimate) = model, identify(model, observations, model.values)
+    inseparable: tuple[tuple[str, ...], ...] = ()
+    if observations.unknown and noise is None:
+        guessed, last = observations, None
+        for _ in range(MAX_NOISE_ROUNDS):
+            one = estimate_noise(model, guessed, mask, estimate, options.prior is not False)
+            if last is not None and not one.differs_from(last):
+                break
+            last, observations, inseparable = one, one.observations, one.inseparable
+            model, estimate = identify(usual, observations, estimate.values)
     if observations.noise_assumed:
         estimate = scale_covariance(estimate)
-    if partial:
+    if is_partial:
         estimate = add_consider_covariance(model, observations, mask, estimate)
     fitted = usual.with_values(estimate.values, estimate.covariance)
     fitted, unusual, insisted = check_plausible(
@@ -436,7 +443,7 @@ def fit_registered(
     check_joint_errors(fitted, after)
     held_out = _cross_validate(_folds(dataset, options), judged, after, report)
     return FitResult(
-        model=replace(fitted, fixed=usual.fixed if partial else ~mask),
+        model=replace(fitted, fixed=usual.fixed if is_partial else ~mask),
         start=usual,
         options=options,
         estimate=replace(estimate, system=None),  # of the size of the data
@@ -456,7 +463,7 @@ def fit_registered(
             *insisted,
             *list_parameter_warnings(fitted, estimate, mask),
             *on_priors(fitted, estimate),
-            *list_noise_warnings(estimate, observations),
+            *list_noise_warnings(fitted, estimate, observations, inseparable),
             *list_held_coordinate_warnings(
                 fitted, after.summary, lambda: noise_floor(fitted, observations)
             ),
@@ -465,6 +472,31 @@ def fit_registered(
         given=given,
         unusual=unusual,
     )
+
+
+def _identify(
+    estimate_with: Estimator,
+    free: np.ndarray,
+    prior: bool | Prior | None,
+    model: Model,
+    observations: Observations,
+    start: np.ndarray,
+) -> tuple[Model, Estimate]:
+    """Identify the free parameters, starting at `start`; the model gets larger tolerances where the
+    data contradict those of effects."""
+    estimate = estimate_with(model.with_values(start), observations, free)
+    for _ in range(MAX_LOOSENINGS if prior is None else 0):
+        loosened = _loosen_contradicted_tolerances(model, estimate, free)
+        if loosened is None:
+            break
+        try:
+            freer = estimate_with(loosened.with_values(estimate.values), observations, free)
+        except FitError:
+            break  # without the usual size the data determine no solution
+        if freer.chi2 > estimate.chi2:
+            break
+        model, estimate = loosened, freer
+    return model, estimate
 
 
 def _loosen_contradicted_tolerances(

@@ -9,7 +9,13 @@ import numpy as np
 
 from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL
 from parallel_cal.identification.estimate import Estimate
-from parallel_cal.identification.observations import SCATTER, Observations
+from parallel_cal.identification.observations import (
+    SCATTER,
+    UNMEASURED,
+    NoiseFigure,
+    Observations,
+    list_noise,
+)
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.identification.thresholds import (
     MAX_HELD_ERROR_TO_NOISE_RATIO,
@@ -63,13 +69,27 @@ def on_priors(model: Model, estimate: Estimate) -> list[str]:
     ]
 
 
-def list_noise_warnings(estimate: Estimate, observations: Observations) -> list[str]:
-    """Compare the residuals with the stated noise."""
+def list_noise_warnings(
+    model: Model,
+    estimate: Estimate,
+    observations: Observations,
+    inseparable: Sequence[Sequence[str]] = (),
+) -> list[str]:
+    """Compare the residuals with the stated noise, or say what noise they contain.
+
+    `inseparable` lists kinds of noise that the data do not separate.
+    """
     if observations.noise_assumed:
-        return [
-            "the noise is assumed: only the ratios of its values weight the fit, the sigmas are "
-            "computed from the residuals, and it is not known whether the residuals exceed the "
-            "noise"
+        found = [one for one in list_noise(model, observations) if one.source in UNMEASURED]
+        named = ", ".join(f"{one.name} {_format_noise(one)}" for one in found)
+        words = [
+            f"the noise is not stated, so it was estimated from the residuals ({named}): they "
+            "cannot show whether the model is complete"
+        ]
+        return words + [
+            f"the data do not separate the noise of {' and '.join(names)}: the ratio of their "
+            "standard deviations is a guess"
+            for names in inseparable
         ]
     low, high = chi2_band(estimate.dof)
     if estimate.dof > 0 and not low <= estimate.chi2_per_dof <= high:
@@ -85,6 +105,11 @@ def list_noise_warnings(estimate: Estimate, observations: Observations) -> list[
             f"{noise}"
         ]
     return []
+
+
+def _format_noise(figure: NoiseFigure) -> str:
+    prefix, factor = ("u", 1e6) if figure.value < 1e-3 else ("m", 1e3)
+    return f"{figure.value * factor:.3g} {prefix}{figure.unit}"
 
 
 def format_distinctly(values: Sequence[float]) -> list[str]:

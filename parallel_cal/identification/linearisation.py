@@ -121,8 +121,8 @@ class Linearisation:
         self._unread = np.zeros((len(observations), self._rows), dtype=bool)
         self._unread[:, closure:] = np.isnan(observations.reading)
         self._read = np.nan_to_num(observations.reading)
-        self._variance = np.zeros(self._rows)
-        self._variance[closure:] = model.structure.standard_uncertainty**2
+        self._variance = np.zeros((len(observations), self._rows))
+        self._variance[:, closure:] = observations.get_reading_sigma(model) ** 2
         self._n = len(model.joints)
         moved = np.zeros(self._n + 6, dtype=bool)
         moved[: self._n] = True
@@ -203,7 +203,7 @@ class Linearisation:
         phi, C, J = self.blocks(values, x, part)
         away, here = self.compute_adjustments(x, part), Configuration.from_rows(x)
         SC = self._covariance(part) @ C.transpose(0, 2, 1)
-        K = self._whitening(C @ SC + np.diag(self._variance))
+        K = self._whitening(C @ SC + self._reading_covariance(part))
         r[:] = (K @ (phi[:, :, None] + C @ away[:, :, None]))[:, :, 0]
         np.matmul(K, J, out=A)
         free_of, explain = self._projection(K, C, part)
@@ -224,12 +224,19 @@ class Linearisation:
         coordinates."""
         T = np.empty((len(x), self._rows, self._rows))
         for part in _parts(x):
-            C = self.blocks(values, x[part], part)[1]
-            W = C @ self._covariance(part) @ C.transpose(0, 2, 1)
-            K = self._whitening(W + np.diag(self._variance))
-            free_of = self._projection(K, C, part)[0]
-            T[part] = K if free_of is None else free_of @ K
+            T[part] = self.whiten(self.blocks(values, x[part], part)[1], part)
         return T
+
+    def whiten(self, C: np.ndarray, part: slice = slice(None)) -> np.ndarray:
+        """`whiteners` of rows with the derivatives C (N, rows, nq+6) by the measured quantities."""
+        K = self._whitening(self.covariance_of(C, part))
+        free_of = self._projection(K, C, part)[0]
+        return K if free_of is None else np.asarray(free_of @ K)
+
+    def covariance_of(self, C: np.ndarray, part: slice = slice(None)) -> np.ndarray:
+        """Covariance (N, rows, rows) of rows with the derivatives C by the measured quantities."""
+        W = C @ self._covariance(part) @ C.transpose(0, 2, 1)
+        return np.asarray(W + self._reading_covariance(part))
 
     def blocks(
         self, values: np.ndarray, x: np.ndarray, part: slice = slice(None)
@@ -248,6 +255,10 @@ class Linearisation:
         seen = self._observations.measured[part]
         S = self._observations.S[part]
         return S if seen.all() else np.where(seen[:, :, None] & seen[:, None, :], S, 0.0)
+
+    def _reading_covariance(self, part: slice) -> np.ndarray:
+        """Covariance (N, rows, rows) that the readings of sensors add to the rows."""
+        return np.asarray(self._variance[part, :, None] * np.eye(self._rows))
 
     def _whitening(self, W: np.ndarray) -> np.ndarray:
         """K with K W K^T = 1, for the noise that the rows inherit."""

@@ -44,7 +44,7 @@ def noise_floor(model: Model, observations: Observations, seed: int = 0) -> Summ
     pose = noise[:, :, n:].copy()
     pose[:, :, m.moved] -= np.einsum("nij,dnj->dni", to_pose, noise[:, :, :n])
     joint = noise[:, :, :n] - np.einsum("nij,dnj->dni", to_joint, noise[:, :, given])
-    read = model.structure.standard_uncertainty * rng.standard_normal(
+    read = observations.get_reading_sigma(model) * rng.standard_normal(
         (*draws.shape[:2], to_reading.shape[1])
     )
     read -= np.einsum("nij,dnj->dni", to_reading, noise[:, :, :n])

@@ -10,15 +10,45 @@ import numpy as np
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
 from parallel_cal.identification.readings import doubt_readings
-from parallel_cal.identification.thresholds import BLOCKS
+from parallel_cal.identification.thresholds import BLOCKS, GUESSED_NOISE_SHARE
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.samples import READING
 
 ASSUMED = "assumed"  # source of a noise that was not measured
-GUESS = "(if you do not know it: state a guess and noise.assumed: true)"
+UNSTATED = "not stated"  # source of a noise that nothing is known about
+ESTIMATED = "estimated from the residuals"  # source of such a noise after a fit
+UNMEASURED = (ASSUMED, UNSTATED, ESTIMATED)
 SCATTER = "scatter within dwells"  # source of a noise that is not stated
+UNIT_NAMES = {"rad": "angular joints", "m": "linear joints"}
+
+
+@dataclass(frozen=True)
+class UnknownNoise:
+    """A kind of noise whose size is not stated: S and the readings hold a guess of it.
+
+    `coordinates` (N, nq+6) and `channels` (N, n_channels) mark the entries that this guess scales.
+    The guess has one value for each joint, so the proportions within the kind remain.
+    """
+
+    name: str
+    unit: str
+    coordinates: np.ndarray
+    channels: np.ndarray
+
+    def select(self, index: np.ndarray) -> UnknownNoise:
+        return replace(self, coordinates=self.coordinates[index], channels=self.channels[index])
+
+
+@dataclass(frozen=True)
+class NoiseFigure:
+    """A standard deviation (1 sigma, SI) with which samples were weighted, and its source."""
+
+    name: str
+    value: float
+    unit: str
+    source: str
 
 
 @dataclass(frozen=True)
@@ -27,9 +57,10 @@ class Observations:
 
     x (N, nq+12) configurations (q, r, R9); S (N, nq+6, nq+6) covariance of (q, r, w); measured (N,
     nq+6) mask; a (N, n_conditions); group (N,) equal for replicates; reading (N, n_channels) of the
-    model's sensors (m), NaN if not read. `noise_from` names the source of S for joints and pose,
-    and of the readings' noise if it is not stated. `doubts` explains why the joint readings are
-    implausible, if the caller insisted on them.
+    model's sensors (m), NaN if not read, with the standard deviations `reading_sigma`; None: those
+    of the model's sensors. `noise_from` names the source of S for joints and pose, and of the
+    readings' noise if it is not stated. `unknown` lists the noise that is not stated. `doubts`
+    explains why the joint readings are implausible, if the caller insisted on them.
     """
 
     x: np.ndarray
@@ -40,6 +71,8 @@ class Observations:
     reading: np.ndarray
     noise_from: dict[str, str]
     doubts: str = ""
+    reading_sigma: np.ndarray | None = None
+    unknown: tuple[UnknownNoise, ...] = ()
 
     def __len__(self) -> int:
         return len(self.x)
@@ -49,12 +82,46 @@ class Observations:
 
     @property
     def noise_assumed(self) -> bool:
-        """Whether the noise is only assumed: S gives weights, but chi2 and sigma prove nothing."""
-        return ASSUMED in self.noise_from.values()
+        """Whether some noise is assumed or estimated from the residuals: S gives weights, but chi2
+        cannot show whether the model is complete."""
+        return not set(UNMEASURED).isdisjoint(self.noise_from.values())
+
+    def get_reading_sigma(self, model: Model) -> np.ndarray:
+        """Standard deviations (N, n_channels) of the readings, m."""
+        if self.reading_sigma is not None:
+            return self.reading_sigma
+        return np.broadcast_to(model.structure.standard_uncertainty, self.reading.shape)
 
     def select(self, index: np.ndarray) -> Observations:
         names = ("x", "S", "measured", "a", "group", "reading")
-        return replace(self, **{name: getattr(self, name)[index] for name in names})
+        sigma = None if self.reading_sigma is None else self.reading_sigma[index]
+        return replace(
+            self,
+            **{name: getattr(self, name)[index] for name in names},
+            reading_sigma=sigma,
+            unknown=tuple(kind.select(index) for kind in self.unknown),
+        )
+
+    def scale_unknown_noise(self, factors: np.ndarray) -> Observations:
+        """Multiply the standard deviation of each kind of unknown noise by its factor."""
+        S = self.S.copy()
+        diagonal = np.einsum("nii->ni", S)  # a view
+        sigma = self.reading_sigma
+        for kind, factor in zip(self.unknown, factors, strict=True):
+            diagonal[kind.coordinates] *= factor**2
+            if sigma is not None:
+                sigma = np.where(kind.channels, factor * sigma, sigma)
+        return replace(self, S=S, reading_sigma=sigma)
+
+    def with_noise_of(self, other: Observations) -> Observations:
+        """The same samples with the noise that another fit used."""
+        return replace(
+            self,
+            S=other.S,
+            reading_sigma=other.reading_sigma,
+            noise_from=other.noise_from,
+            unknown=other.unknown,
+        )
 
 
 def blocks(dataset: Dataset) -> np.ndarray:
@@ -92,46 +159,125 @@ def observe(
     w = np.where(measured[:, n + 3 :], rotation_vector(R @ R0.T), 0.0)
     turned = ~measured[:, n + 3 :].all(axis=1)
     R[turned] = rotation_matrix(w[turned]) @ R0  # in place: a view of x
-    joint, joint_from = _joint_sigma(model, dataset, joint_sigma, order)
-    pose, pose_from = _pose_covariance(model, dataset)
+    joint, joint_from, guessed_joints = _joint_sigma(model, dataset, joint_sigma, order)
+    pose, pose_from, guessed_pose = _pose_covariance(model, dataset)
     S = np.zeros((len(x), measured.shape[1], measured.shape[1]))
     S[:, range(n), range(n)] = joint**2
     S[:, n:, n:] = pose
     a = conditions(model, dataset)
     noise_from = {"joint": joint_from, "pose": pose_from}
-    if set(model.structure.channels_without_sigma) & set(_list_read_channels(dataset)):
-        noise_from["reading"] = ASSUMED
+    silent = np.isin(model.structure.channels, model.structure.channels_without_sigma)
+    guessed_channels = silent & np.isfinite(reading)
+    if guessed_channels.any():
+        noise_from["reading"] = UNSTATED
+    guessed = np.hstack([np.broadcast_to(guessed_joints, (len(x), n)), guessed_pose]) & measured
     group = np.asarray(dataset.pose_id)
     doubts = doubt_readings(model, x, measured, a, dataset.source)
     if doubts and not insist:
         raise FitError(doubts)
-    return Observations(x, S, measured, a, group, reading, noise_from, doubts)
+    reading_sigma = np.broadcast_to(model.structure.standard_uncertainty, reading.shape).copy()
+    unknown = _list_unknown_noise(model, guessed, guessed_channels)
+    return Observations(
+        x, S, measured, a, group, reading, noise_from, doubts, reading_sigma, unknown
+    )
+
+
+def list_noise(model: Model, observations: Observations) -> list[NoiseFigure]:
+    """List the noise of joints, device and sensors: its rms over the samples."""
+    sources = observations.noise_from
+    variance = np.diagonal(observations.S, axis1=1, axis2=2)
+    unknown = {kind.name for kind in observations.unknown}
+    found = []
+    for name, unit, own in _kinds(model):
+        used = observations.measured & own
+        if used.any():
+            source = sources["joint" if own[: len(model.joints)].any() else "pose"]
+            if source == ESTIMATED and name not in unknown:
+                source = "model file"  # a part of the joints or of the device
+            found.append(NoiseFigure(name, float(np.sqrt(variance[used].mean())), unit, source))
+    sigma = observations.get_reading_sigma(model)
+    for sensor in model.sensors:
+        own = np.isin(model.structure.channels, sensor.channels)
+        used = np.isfinite(observations.reading) & own
+        if used.any():
+            silent = sensor.sigma is None
+            source = sources.get("reading", UNSTATED) if silent else "model file"
+            rms = float(np.sqrt(np.mean(sigma[used] ** 2)))
+            found.append(NoiseFigure(sensor.name, rms, "m", source))
+    return found
+
+
+def _kinds(model: Model) -> list[tuple[str, str, np.ndarray]]:
+    """Name, unit and columns (nq+6,) of every kind of noise of joints and device."""
+    n = len(model.joints)
+    units = np.array([*model.mechanism.joint_units, *["position"] * 3, *["orientation"] * 3])
+    kinds = [(UNIT_NAMES.get(u, f"joints ({u})"), u, units == u) for u in dict.fromkeys(units[:n])]
+    if len(kinds) == 1:
+        kinds = [("joints", kinds[0][1], kinds[0][2])]
+    device = (("position", "m"), ("orientation", "rad"))
+    return kinds + [(f"device {part}", unit, units == part) for part, unit in device]
+
+
+def _list_unknown_noise(
+    model: Model, guessed: np.ndarray, guessed_channels: np.ndarray
+) -> tuple[UnknownNoise, ...]:
+    """List the kinds of noise that the entries (N, nq+6) and channels (N, n_channels) guess."""
+    none, nowhere = np.zeros_like(guessed_channels), np.zeros_like(guessed)
+    found = [
+        UnknownNoise(name, unit, guessed & own, none)
+        for name, unit, own in _kinds(model)
+        if (guessed & own).any()
+    ]
+    for sensor in model.sensors:
+        own = guessed_channels & np.isin(model.structure.channels, sensor.channels)
+        if own.any():
+            found.append(UnknownNoise(sensor.name, "m", nowhere, own))
+    return tuple(found)
 
 
 def _joint_sigma(
     model: Model, dataset: Dataset, given: float | None, order: list[int]
-) -> tuple[np.ndarray, str]:
-    """Joint noise (nq,), and its source: option, dataset, model file, scatter."""
+) -> tuple[np.ndarray, str, np.ndarray]:
+    """Joint noise (nq,), its source, and a mask (nq,) of the joints for which it is a guess."""
+    nowhere = np.zeros(len(order), dtype=bool)
     if given is not None:
         if not 0 < given < np.inf:
             raise FitError(f"joint sigma {given} rad: expected a positive number")
-        return np.full(len(order), given), "option"
+        return np.full(len(order), given), "option", nowhere
     if dataset.joint_sigma is not None:
-        return np.asarray(dataset.joint_sigma, dtype=float)[order], "dataset"
-    if model.noise.joint is not None:
-        return np.full(len(order), model.noise.joint), _get_noise_source(model)
+        return np.asarray(dataset.joint_sigma, dtype=float)[order], "dataset", nowhere
+    stated, guess = model.joint_noise, _guess_joint_sigma(model, dataset.q[:, order])
+    lacking = np.isnan(stated)
+    if not lacking.all():
+        sigma = np.where(lacking, guess, stated)
+        if model.noise.assumed:
+            return sigma, ASSUMED, ~nowhere
+        return sigma, UNSTATED if lacking.any() else "model file", lacking
     scatter = _pool_scatter(dataset.scatter_q[:, order])
-    if not (scatter > 0).all():
-        raise FitError(
-            f"{dataset.source or 'samples'}: the noise of the joint readings is not "
-            f"known; give --joint-sigma "
-            f"(rad or m) or noise.joint in the model file {GUESS}"
-        )
-    return scatter, SCATTER
+    if (scatter > 0).all():
+        return scatter, SCATTER, nowhere
+    return guess, UNSTATED, ~nowhere
 
 
-def _get_noise_source(model: Model) -> str:
-    return ASSUMED if model.noise.assumed else "model file"
+def _guess_joint_sigma(model: Model, q: np.ndarray) -> np.ndarray:
+    """A share of the joints' travel (nq,), equal for joints of one unit."""
+    travel = np.ptp(q, axis=0) if len(q) else np.zeros(q.shape[1])
+    limits = np.ptp(np.array(model.mechanism.joint_limits), axis=1)
+    travel = np.where(travel > 0, travel, np.where(np.isfinite(limits), limits, 1.0))
+    units = np.array(model.mechanism.joint_units)
+    for unit in set(units):
+        travel[units == unit] = travel[units == unit].max()
+    return np.asarray(GUESSED_NOISE_SHARE * travel)
+
+
+def _guess_pose_sigma(model: Model, dataset: Dataset) -> np.ndarray:
+    """The same share (6,) of the largest travel, for angles divided by the mechanism's length."""
+    r = np.where(dataset.measured[:, :3], dataset.r, np.nan)
+    seen = r[:, np.isfinite(r).all(axis=0)]
+    length = model.mechanism.length
+    travel = np.ptp(seen, axis=0).max(initial=0.0) if len(seen) else 0.0
+    position = GUESSED_NOISE_SHARE * (travel or length)
+    return np.repeat([position, position / length], 3)
 
 
 def _pool_scatter(scatter: np.ndarray) -> np.ndarray:
@@ -141,30 +287,33 @@ def _pool_scatter(scatter: np.ndarray) -> np.ndarray:
     return np.sqrt(np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan))
 
 
-def _pose_covariance(model: Model, dataset: Dataset) -> tuple[np.ndarray, str]:
-    """Covariance (N, 6, 6) and its source: the device, the model file, or the scatter within
-    dwells."""
+def _pose_covariance(model: Model, dataset: Dataset) -> tuple[np.ndarray, str, np.ndarray]:
+    """Covariance (N, 6, 6), its source (the device, the model file, the scatter within dwells), and
+    a mask (N, 6) of the variances that are a guess."""
     covariance = np.nan_to_num(np.array(dataset.pose_cov, dtype=float))
     lacking = ~(np.diagonal(covariance, axis1=1, axis2=2) > 0)
     wanted = np.any(lacking & dataset.measured, axis=0)
-    # Noise where the device states none; 1 where none is needed.
     noise = model.noise
     given = np.repeat([noise.position or np.nan, noise.orientation or np.nan], 3)
-    sigma = np.where(np.isfinite(given), given, _pool_scatter(dataset.scatter_pose))
-    if not (sigma[wanted] > 0).all():
-        raise FitError(
-            f"{dataset.source}: the noise of the device is not known; record a covariance, or give "
-            f"noise.position (m) and noise.orientation (rad) in the model file {GUESS}"
-        )
-    sigma = np.where(sigma > 0, sigma, 1.0)
+    scatter = _pool_scatter(dataset.scatter_pose)
+    sigma = np.where(np.isfinite(given), given, scatter)
+    unstated = ~(sigma > 0)
+    sigma = np.where(unstated, _guess_pose_sigma(model, dataset), sigma)
     for i in np.flatnonzero(lacking.any(axis=1)):
         bad = lacking[i]
         covariance[i][bad, :], covariance[i][:, bad] = 0.0, 0.0
         covariance[i][bad, bad] = sigma[bad] ** 2
     _check_definite(covariance, dataset)
+    assumed = np.isfinite(given) & noise.assumed
     if not wanted.any():
-        return covariance, "dataset"
-    return covariance, _get_noise_source(model) if np.isfinite(given[wanted]).any() else SCATTER
+        source = "dataset"
+    elif (unstated & wanted).any():
+        source = UNSTATED
+    elif np.isfinite(given[wanted]).any():
+        source = ASSUMED if noise.assumed else "model file"
+    else:
+        source = SCATTER
+    return covariance, source, lacking & (unstated | assumed)
 
 
 def _check_definite(covariance: np.ndarray, dataset: Dataset) -> None:

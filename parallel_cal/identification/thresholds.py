@@ -42,6 +42,16 @@ MIN_DIRECT_SINGULAR_VALUE_RATIO = 0.2
 MIN_INVERSE_SINGULAR_VALUE_RATIO = 1e-4
 # samples nearer to a singularity are omitted; at direct ones two branches meet (5.3.4)
 
+# Noise that nobody stated
+GUESSED_NOISE_SHARE = 1e-5  # of the travel: of it only proportions may count, never the size
+MIN_NOISE_SHARE = 0.01  # of the residual variance: an estimate is not smaller, to keep weights sane
+MIN_NOISE_FACTOR = 1e-6  # of the guess: exact data would make weights infinite
+MAX_NOISE_SHARE_SIGMA = 0.2  # standard error of that share: above, the data cannot separate it
+MAX_NOISE_SAMPLES = 2000  # samples that estimate the noise: more would hardly improve it
+MAX_NOISE_STEPS = 50  # of its estimation with a linearised model
+MAX_NOISE_ROUNDS = 3  # estimations of the noise, each followed by a fit
+CONVERGED_NOISE_RATIO = 1.01  # of standard deviations: smaller changes end the estimation
+
 # Convergence
 CONVERGED_STEP = 1e-8  # tolerances: smaller steps change nothing a person can measure
 CONVERGED_GAIN = (

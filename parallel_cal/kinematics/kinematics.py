@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from parallel_cal.base.compiled import Single
 from parallel_cal.kinematics.problem import Problem
@@ -143,7 +144,7 @@ class Kinematics:
     fk, ik = direct, inverse  # common names in the field
 
     def direct_covariance(
-        self, solution: Solutions, at: Mapping[str, Any] | None = None, joint_sigma: float = 0.0
+        self, solution: Solutions, at: Mapping[str, Any] | None = None, joint_sigma: ArrayLike = 0.0
     ) -> np.ndarray:
         """Compute the covariance of each computed pose.
 
@@ -156,7 +157,7 @@ class Kinematics:
             Result of `direct`.
         at : mapping of str to float or array (N,), optional
             The conditions of that result.
-        joint_sigma : float
+        joint_sigma : float or array (nq,)
             Standard deviation of joint readings, rad or m. Default 0.
 
         Returns
@@ -314,7 +315,7 @@ class Kinematics:
         at: Mapping[str, Any] | None,
         columns: list[int],
         answer_size: int,
-        joint_sigma: float,
+        joint_sigma: ArrayLike,
     ) -> np.ndarray:
         n, x = self._n, solution.configuration.rows
         rows, m = np.atleast_2d(x), self.model.structure.phi.shape[0]
@@ -328,7 +329,7 @@ class Kinematics:
             for flat in zip(*found, strict=True)
         )
         unknown, known = J_x[..., [c + n for c in columns]], J_x[..., :n]
-        spread = joint_sigma**2 * known @ known.swapaxes(1, 2)
+        spread = (known * np.square(joint_sigma)) @ known.swapaxes(1, 2)
         if self.model.covariance is not None:
             spread += J_v @ self.model.covariance @ J_v.swapaxes(1, 2)
         inverse = np.linalg.pinv(unknown)

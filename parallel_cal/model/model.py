@@ -25,8 +25,10 @@ class Noise:
 
     Parameters
     ----------
-    joint : float, optional
-        Standard deviation of joint readings, rad or m. Default: not stated.
+    joint : float or dict of float, optional
+        Standard deviation of joint readings, rad or m: one value for all joints, or values by unit
+        (`{"m": 2e-6, "rad": 2e-5}`) or by joint. A joint's own value precedes that of its unit.
+        Default: not stated.
     position : float, optional
         Standard deviation of each coordinate of a measured position, m. Default: not stated.
     orientation : float, optional
@@ -36,7 +38,7 @@ class Noise:
         weights, and estimates the common factor from the residuals. Default False.
     """
 
-    joint: float | None = None
+    joint: float | Mapping[str, float] | None = None
     position: float | None = None
     orientation: float | None = None
     assumed: bool = False
@@ -145,6 +147,15 @@ class Model:
     def joints(self) -> tuple[str, ...]:
         """Names of the joints, in the order of joint readings (nq,)."""
         return self.mechanism.joints
+
+    @property
+    def joint_noise(self) -> np.ndarray:
+        """Stated standard deviation (nq,) of each joint's readings, NaN if not stated."""
+        stated, m = self.noise.joint, self.mechanism
+        if not isinstance(stated, Mapping):
+            return np.full(len(m.joints), np.nan if stated is None else stated)
+        pairs = zip(m.joints, m.joint_units, strict=True)
+        return np.array([stated.get(j, stated.get(unit, np.nan)) for j, unit in pairs])
 
     @property
     def conditions(self) -> tuple[str, ...]:

@@ -113,7 +113,7 @@ def _with_covariances(kinematics: Kinematics, asked: Problems, found: Solutions)
             return None
         if asked.problem == "inverse":
             return kinematics.inverse_covariance(solution, asked.at)
-        noise = kinematics.model.noise.joint or 0.0
+        noise = np.nan_to_num(kinematics.model.joint_noise)
         return kinematics.direct_covariance(solution, asked.at, noise)
 
     return Answer(found, tuple(map(covariance, singles)))

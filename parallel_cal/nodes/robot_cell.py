@@ -64,7 +64,9 @@ class RobotCell:
         self._states: deque[tuple[float, float, np.ndarray]] = deque(maxlen=MAX_JOINT_STATES)
         self.done = Event()  # set when a person has done what was asked
         self._range = model.mechanism.joint_ranges
-        self._still = REST_TOLERANCE_SIGMAS * (model.noise.joint or 1e-4 * float(self._range.min()))
+        self._still = REST_TOLERANCE_SIGMAS * np.where(
+            model.joint_noise > 0, model.joint_noise, 1e-4 * float(self._range.min())
+        )
         self._departed = self._rested = 0.0  # stamps of the last motion's start and end
         self._rested_at = 0.0  # time.monotonic() when the joint state of that end was received
         self._others: list[str] = []  # received joint names that are not the model's

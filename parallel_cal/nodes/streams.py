@@ -181,7 +181,7 @@ class Streams:
         self._pose.publish(answer)
         if model.covariance is not None and self._sure_pose.get_subscription_count():
             covariance = served.kinematics.direct_covariance(
-                found, self._memory.conditions(model), model.noise.joint or 0.0
+                found, self._memory.conditions(model), np.nan_to_num(model.joint_noise)
             )
             sure = PoseWithCovariance(pose=answer.pose, covariance=covariance.ravel())
             self._sure_pose.publish(PoseWithCovarianceStamped(header=answer.header, pose=sure))

@@ -70,7 +70,7 @@ def approaches(
     past, turn = (robot.inverse(*m.poses(here + sign * away)) for sign in (1, -1))
     ways = np.tile(poses.joints, (len(STEPS), 1)) - turn.joints
     reverses = ways * (turn.joints - past.joints) < 0
-    significant = np.abs(ways) > MIN_APPROACH_SIGMAS * (model.noise.joint or 0.0)
+    significant = np.abs(ways) > MIN_APPROACH_SIGMAS * np.nan_to_num(model.joint_noise)
     ok = past.ok & turn.ok & inside & (reverses & significant).all(axis=1)
     # Select one of the drivable approaches at random; `ok` is false if there is none.
     rows = np.argmax(ok.reshape(-1, n) * rng.uniform(0.5, 1, (len(STEPS), n)), axis=0) * n

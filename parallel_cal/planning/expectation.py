@@ -126,7 +126,8 @@ def as_observations(
 ) -> Observations:
     """Make observations of poses without measurement errors, weighted by the model's noise."""
     n, noise, x = len(model.joints), model.noise, poses.configuration.rows
-    sigma = [noise.joint or 0.0] * n + [noise.position or 0.0] * 3 + [noise.orientation or 0.0] * 3
+    device = [noise.position or 0.0] * 3 + [noise.orientation or 0.0] * 3
+    sigma = np.append(np.nan_to_num(model.joint_noise), device)
     S = np.broadcast_to(np.diag(np.square(sigma)), (len(x), n + 6, n + 6))
     mask = np.broadcast_to(measured, (len(x), n + 6))
     # Plans ignore sensors other than the pose device: contact constrains their poses.

@@ -257,8 +257,9 @@ def _measured(model: Model) -> np.ndarray:
             f"{', '.join(channels)} instead: spread the tip along the rim of the plate and of "
             "each sphere, or remove the sensors from the model file and state noise.position"
         )
-    if noise.joint is None or not any(given):
-        missing = "noise.joint" if noise.joint is None else "noise.position or noise.orientation"
+    silent = np.isnan(model.joint_noise).any()
+    if silent or not any(given):
+        missing = "noise.joint" if silent else "noise.position or noise.orientation"
         raise FitError(
             f"the model states no {missing}: a plan weights measurements by their noise; state "
             "noise (1 sigma, rad or m) in the model file"

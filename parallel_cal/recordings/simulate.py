@@ -269,7 +269,7 @@ class _Errors:
     """Measurement errors: one draw per dwell, plus a smaller one per message (JITTER)."""
 
     def __init__(self, model: Model, noise: Noise, dwells: int, rng: np.random.Generator):
-        self.joint_sigma = np.full(len(model.joints), noise.joint or 0.0)
+        self.joint_sigma = np.nan_to_num(replace(model, noise=noise).joint_noise)
         self.pose_sigma = _pose_sigma(noise)
         self._rng = rng
         self._joint = rng.standard_normal((dwells, len(self.joint_sigma)))
@@ -290,9 +290,13 @@ class _Errors:
 
 def stated_noise(model: Model) -> Noise:
     """Return the model's noise, completed with that of typical instruments."""
-    unit, own = model.mechanism.joint_unit, model.noise
+    own, joint = model.noise, model.noise.joint
+    if np.isnan(model.joint_noise).any():
+        typical = {unit: TYPICAL[unit] for unit in model.mechanism.joint_units}
+        stated = joint if isinstance(joint, Mapping) else {}
+        joint = {**typical, **stated} if len(typical) > 1 or stated else typical.popitem()[1]
     return Noise(
-        TYPICAL[unit] if own.joint is None else own.joint,
+        joint,
         TYPICAL["position"] if own.position is None else own.position,
         TYPICAL["orientation"] if own.orientation is None else own.orientation,
     )

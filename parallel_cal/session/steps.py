@@ -21,7 +21,7 @@ from parallel_cal.diagnosis.search import is_superfluous
 from parallel_cal.diagnosis.verdict import robot_or_device
 from parallel_cal.identification.acceptance import IN_SAMPLE, Acceptance, acceptance
 from parallel_cal.identification.added_effects import limit_patterns
-from parallel_cal.identification.fit import FitResult, fit
+from parallel_cal.identification.fit import FitResult, fit, fit_registered
 from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.platform_shift import PlatformShift, compute_platform_shift
 from parallel_cal.identification.prediction_errors import Summary
@@ -197,12 +197,21 @@ def add(
     name = "+".join(one.name for one in more)
     found = acceptance(result, base, f" with '{name}'")
     if not found.against:
-        chance = is_superfluous(base.estimate, result.estimate)
+        chance = is_superfluous(_with_noise_of(result, base).estimate, result.estimate)
         words = f"the improvement by '{name}' may be chance"
         found = replace(
             found, against=words if chance else _explain_doubt(scene, more, result.model)
         )
     return _step("add", result, _check_proven(found, force), base, name)
+
+
+def _with_noise_of(result: FitResult, rival: FitResult) -> FitResult:
+    """The rival with the noise that the other fit estimated: only with equal weights can their
+    residuals be compared."""
+    if not result.observations.unknown:
+        return rival
+    options = replace(rival.options, hold_out=0)
+    return fit_registered(rival.start, rival.dataset, options, noise=result.observations)
 
 
 def _with_given_model_of(result: FitResult, rival: FitResult) -> FitResult:

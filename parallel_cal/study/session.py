@@ -96,17 +96,18 @@ def simulate_session(question: Question, one: PlantedEffect) -> tuple[Dataset, f
         change = rotation_vector(shown.rotation @ without.rotation.transpose(0, 2, 1))
     rms = float(np.sqrt(np.nanmean(np.sum(change**2, axis=1))))
     noise, n = model.noise, len(planned)
+    joint_sigma = model.joint_noise
     sigma = np.repeat([noise.position or 0.0, noise.orientation or 0.0], 3)
     error = sigma * rng.standard_normal((n, 6))
     kept = shown.solved
     dataset = Dataset.from_arrays(
         model.joints,
-        (q + (noise.joint or 0.0) * rng.standard_normal(q.shape))[kept],
+        (q + np.nan_to_num(joint_sigma) * rng.standard_normal(q.shape))[kept],
         (shown.position + error[:, :3])[kept],
         (rotation_matrix(error[:, 3:]) @ shown.rotation)[kept],
         measured=(planned.measured & (sigma > 0))[kept],
         pose_cov=np.diag(sigma**2),
-        joint_sigma=noise.joint,
+        joint_sigma=None if np.isnan(joint_sigma).any() else joint_sigma,
         conditions={name: column[kept] for name, column in planned.conditions.items()},
         pose_id=planned.pose_id[kept],
         source=planned.source,

@@ -13,7 +13,7 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.model.drive import Drive
 from parallel_cal.model.effect import Effect
 from parallel_cal.model.file import checks
-from parallel_cal.model.file.schema import FilePart, OwnNumberPart, validate
+from parallel_cal.model.file.schema import FilePart, OwnNumberPart, suggestion, validate
 from parallel_cal.model.file.sensoroptions import own_numbers, read_sensor
 from parallel_cal.model.file.yamltext import Document, Path
 from parallel_cal.model.machine_class import scale_usual_sizes
@@ -42,6 +42,7 @@ class Reader:
         file = validate(self._document, hint)
         self._configure(mechanism, file)
         tolerances = self._own_tolerances(mechanism, file)
+        self._check_noise(mechanism, file)
         entries = self._entries(file, mechanism, effects, sensors, tolerances)
         for path, parameter, entry in entries:
             checks.number(self._document, path, parameter, entry.value, entry.sigma)
@@ -175,6 +176,16 @@ class Reader:
                 )
             own |= {p.name: tolerance for p in free} if fixed else {f"{name}.*": tolerance}
         return own
+
+    def _check_noise(self, mechanism: Mechanism, file: FilePart) -> None:
+        """Check that the noise of joints is stated for joints or units that the robot has."""
+        known = [*mechanism.joints, *sorted(set(mechanism.joint_units))]
+        for name in file.noise.joint if isinstance(file.noise.joint, dict) else ():
+            if name not in known:
+                raise self._error(
+                    ("noise", "joint", name),
+                    f"neither a joint nor a unit of a joint{suggestion(name, known)}",
+                )
 
     def _set_joints(self, mechanism: Mechanism, file: FilePart) -> None:
         """Set names, limits, gearing, drives and rates of the joints, in the mechanism's order."""

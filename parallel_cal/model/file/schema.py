@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue, ValidationError
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    JsonValue,
+    Tag,
+    ValidationError,
+)
 
 from parallel_cal.base.errors import format_suggestion
 from parallel_cal.model.file.yamltext import Document, Path
@@ -12,6 +21,12 @@ from parallel_cal.model.machine_class import DEFAULT_CLASS, MachineClass
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
+VARIANTS = ("<one number>", "<numbers by name>")  # pydantic adds them to the path of an error
+NumberOrNumbers = Annotated[
+    Annotated[NotNegative | None, Tag(VARIANTS[0])]
+    | Annotated[dict[str, NotNegative], Tag(VARIANTS[1])],
+    Discriminator(lambda value: VARIANTS[isinstance(value, dict)]),
+]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
 
@@ -98,8 +113,12 @@ class NoisePart(Part):
 
 
 class ModelNoisePart(NoisePart):
-    """The noise with which a model is fitted, and whether it is assumed, not measured."""
+    """The noise with which a model is fitted, and whether it is assumed, not measured.
 
+    The noise of joints is one value, or values by unit or by joint.
+    """
+
+    joint: NumberOrNumbers = None  # type: ignore[assignment]
     assumed: bool = False
 
 
@@ -221,7 +240,7 @@ def validate(document: Document, hint: Any) -> FilePart:
             # A misspelt key is missing and unknown: only "unknown" comes with a suggestion.
             unknown = (e for e in errors if e["type"] == "extra_forbidden")
             first = next((e for e in unknown if e["loc"][:-1] == first["loc"][:-1]), first)
-        path = tuple(first["loc"])
+        path = tuple(step for step in first["loc"] if step not in VARIANTS)
         more = f" (and {len(errors) - 1} more)" if errors[1:] else ""
         raise document.error(path, sentence(first, path) + hint(path) + more) from None
 
