@@ -101,7 +101,7 @@ def session(robot: Model, seed: int = 0) -> Dataset:
         apart = rng.standard_normal(rows.shape) * robot.structure.standard_uncertainty
         readings = {f"reading.{c}": v for c, v in zip(channels, (rows + apart).T, strict=True)}
     seen = np.isin(range(6), m.moved) & (not channels)  # who probes has no other device
-    one = FINE * (noise.joint or 0.0)
+    one = FINE * np.nan_to_num(replace(robot, noise=noise).joint_noise)
     return Dataset.from_arrays(
         robot.joints,
         joints + one * rng.standard_normal((n, nq)),

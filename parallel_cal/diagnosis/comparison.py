@@ -31,6 +31,7 @@ from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prediction_errors import ERRORS, Errors, Summary
 from parallel_cal.identification.predictions import predict_positions
 from parallel_cal.identification.registration import Registration, add_registration_warning
+from parallel_cal.identification.variance_components import estimate_noise
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.model.region import IdentifiedRegion
@@ -209,7 +210,7 @@ def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) ->
     Raises
     ------
     FitError
-        If the samples have no usable pose, or the noise is unknown.
+        If the samples have no usable pose.
 
     Examples
     --------
@@ -230,11 +231,15 @@ def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) ->
         place = predict_positions(given.model, given.observations)
         if words := region.describe_excess(region.compute_excess(joints, place), "samples"):
             dataset = replace(dataset, warnings=(*dataset.warnings, words))
+    observations = given.observations
+    if observations.unknown:  # in units of the errors, not of a guess
+        none = np.zeros(len(given.model.values), dtype=bool)
+        observations = estimate_noise(given.model, observations, none).observations
     return Comparison(
         given.model,
         dataset,
-        given.observations,
+        observations,
         given.errors,
-        noise_floor(given.model, given.observations),
+        noise_floor(given.model, observations),
         given.registration,
     )

@@ -158,7 +158,7 @@ def _judge(found: Findings) -> Verdict:
         return Verdict(
             "cannot_know",
             f"{helps} ({errors}){rest}; without a noise figure it is not known whether the "
-            "explanation is complete: state noise in the model file, or visit poses again",
+            "explanation is complete: visit poses again, or state the noise if it was measured",
             share,
         )
     if found.held > MAX_HELD_COORDINATE_SIGMAS:

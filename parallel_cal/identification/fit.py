@@ -351,8 +351,7 @@ def fit(
     Raises
     ------
     FitError
-        If the data cannot determine the parameters, an estimate is physically impossible, or the
-        noise is unknown.
+        If the data cannot determine the parameters, or an estimate is physically impossible.
     ModelError
         If an effect is unknown or does not apply to the model.
 

@@ -37,11 +37,16 @@ Groups = list[list[int]]  # kinds of unknown noise (by index) whose proportion i
 
 @dataclass(frozen=True)
 class EstimatedNoise:
-    """Observations with estimated noise. `factors` multiply the guessed standard deviations;
-    `inseparable` lists the names of kinds that keep the proportion of their guesses."""
+    """Observations with estimated noise.
+
+    `factors` multiply the guessed standard deviations. `variance_error` are the relative standard
+    errors of the variances; they are infinite where no degree of freedom was left, and the guess
+    remained. `inseparable` lists the names of kinds that keep the proportion of their guesses.
+    """
 
     observations: Observations
     factors: np.ndarray
+    variance_error: np.ndarray
     inseparable: tuple[tuple[str, ...], ...]
 
     def differs_from(self, other: EstimatedNoise) -> bool:
@@ -74,17 +79,22 @@ def estimate_noise(
     rows = _Rows.of(model, observations_used.select(few), free, with_priors)
     seen = np.flatnonzero(rows.variances() > 0).tolist()
     groups: Groups = [[k] for k in seen]
-    factors = np.ones(len(names))
+    factors, error = np.ones(len(names)), np.full(len(names), np.inf)
     while groups:
-        factors, share_covariance = rows.solve(groups)
-        merged = _merge_inseparable(groups, share_covariance)
+        solution = rows.solve(groups)
+        merged = _merge_inseparable(groups, solution.share_covariance)
         if merged == groups:
+            if np.isfinite(solution.covariance).all():
+                factors = solution.factors
+                for group, one in zip(groups, np.sqrt(np.diag(solution.covariance)), strict=True):
+                    error[group] = one
             break
         groups = merged
     scaled = observations.scale_unknown_noise(factors)
     return EstimatedNoise(
         replace(scaled, noise_from=_name_sources(scaled)),
         factors,
+        error,
         tuple(tuple(names[k] for k in group) for group in groups if len(group) > 1),
     )
 
@@ -106,6 +116,8 @@ def _name_sources(observations: Observations) -> dict[str, str]:
 def _merge_inseparable(groups: Groups, covariance: np.ndarray) -> Groups:
     """Merge the group whose share of the variance is known least with the one that it is
     confounded with most; the same groups if the data separate all."""
+    if not np.isfinite(covariance).all():
+        return [sorted(k for group in groups for k in group)]
     sigma = np.sqrt(np.diag(covariance))
     worst = int(np.argmax(sigma))
     if len(groups) < 2 or sigma[worst] <= MAX_NOISE_SHARE_SIGMA:
@@ -115,6 +127,20 @@ def _merge_inseparable(groups: Groups, covariance: np.ndarray) -> Groups:
     other = int(np.argmin(against))
     merged = sorted(groups[worst] + groups[other])
     return [*(g for k, g in enumerate(groups) if k not in (worst, other)), merged]
+
+
+@dataclass(frozen=True)
+class _Solution:
+    """Factors of the standard deviations of all kinds, the relative covariance of the groups'
+    variances, and their shares of the residual variance."""
+
+    factors: np.ndarray
+    covariance: np.ndarray
+    share: np.ndarray
+
+    @property
+    def share_covariance(self) -> np.ndarray:
+        return self.covariance * np.outer(self.share, self.share)
 
 
 @dataclass(frozen=True)
@@ -149,9 +175,8 @@ class _Rows:
         parts = self._parts(unweighted, self.observations)
         return np.array([np.trace(part, axis1=1, axis2=2).sum() for part in parts])
 
-    def solve(self, groups: Groups) -> tuple[np.ndarray, np.ndarray]:
-        """Factors of the standard deviations of all kinds, and the covariance of the groups'
-        shares of the residual variance.
+    def solve(self, groups: Groups) -> _Solution:
+        """Iterate the steps of Fisher scoring until they change nothing.
 
         Every group begins with an equal part of the residuals: the guesses decide only about
         proportions within a group.
@@ -160,13 +185,13 @@ class _Rows:
         begin = np.array([np.vdot(self.phi, self.phi) / own[group].sum() for group in groups])
         variance = np.maximum(begin / len(groups), MIN_NOISE_FACTOR**2)
         for _ in range(MAX_NOISE_STEPS):
-            change, covariance = self._score(groups, self._factors(groups, variance))
+            change, covariance, share = self._score(groups, self._factors(groups, variance))
             variance = np.maximum(variance * change, MIN_NOISE_FACTOR**2)
             if np.abs(np.log(np.maximum(change, MIN_NOISE_FACTOR))).max() < np.log(
                 CONVERGED_NOISE_RATIO
             ):
                 break
-        return self._factors(groups, variance), covariance
+        return _Solution(self._factors(groups, variance), covariance, share)
 
     def _factors(self, groups: Groups, variance: np.ndarray) -> np.ndarray:
         factors = np.ones(len(self.observations.unknown))
@@ -174,9 +199,11 @@ class _Rows:
             factors[group] = np.sqrt(f)
         return factors
 
-    def _score(self, groups: Groups, factors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """One step of Fisher scoring: factors of the groups' variances, and the covariance of
-        their shares."""
+    def _score(
+        self, groups: Groups, factors: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """One step of Fisher scoring: factors of the groups' variances, their relative covariance,
+        and the shares of the groups."""
         seen = self.observations.scale_unknown_noise(factors)
         T = self._whiten(seen)
         parts = self._parts(T, seen)
@@ -201,22 +228,21 @@ class _Rows:
         trace = np.array([np.trace(a, axis1=1, axis2=2).sum() for a in A]) - [
             np.trace(m) for m in M
         ]
-        n, dof = len(groups), max(float(trace.sum()), 1.0)
+        n, dof = len(groups), float(trace.sum())
         own = Q[:n, :n]
-        if dof <= n:  # nothing is left to estimate the variances from
-            return np.ones(n), np.full((n, n), np.inf)
+        if round(dof) < n:  # too few to estimate as many variances
+            return np.ones(n), np.full((n, n), np.inf), np.ones(n)
         change = nnls(own, q - Q[:n, n])[0]
         total = float(change @ trace[:n] + trace[n])
         least = MIN_NOISE_SHARE * total / np.maximum(trace[:n], 1e-300)
         inverse = np.linalg.pinv(own, rcond=1e-12, hermitian=True)
-        share = trace[:n] / dof
-        return np.maximum(change, least), 2 * inverse * np.outer(share, share)
+        return np.maximum(change, least), 2 * inverse, trace[:n] / dof
 
     def _basis(self, T: np.ndarray) -> np.ndarray:
         """Orthonormal columns (N, rows, k) of what the free parameters can explain."""
+        if not self.J.shape[2]:
+            return self.J
         A = (T @ self.J).reshape(-1, self.J.shape[2])
-        if not A.shape[1]:
-            return A.reshape(*self.phi.shape, 0)
         _, sizes, directions = np.linalg.svd(np.linalg.qr(A, mode="r"))
         rank = min(A.shape)
         used = sizes[:rank] > max(RELATIVE_RANK * sizes[0], self.min_singular_value)
