@@ -169,6 +169,27 @@ def test_readings_that_nobody_stated_the_noise_of_prove_nothing(tmp_path):
     assert document["chi2_per_dof"] == pytest.approx(1, abs=0.03)
 
 
+@pytest.mark.wide
+def test_the_guess_of_an_unstated_probe_noise_decides_nothing(tmp_path):
+    """From 50 nm to 5 mm: the same parameters, errors at held-out touches and weak directions."""
+    files, dataset, *_ = rrf(tmp_path, 2, 40e-6)
+    model = configured(files).model
+
+    def fitted(guess):
+        [probe] = model.sensors
+        own = type("Own", (type(probe),), {"guessed_sigma": guess, "name": "probe"})
+        guessed = own(height=0.0, sigma=None, tip=probe.tip)
+        return fit(model.with_sensors((guessed,)), dataset)
+
+    first, *others = (fitted(guess) for guess in (20e-6, 50e-9, 5e-3))
+    for other in others:
+        away = (other.model.values - first.model.values) / model.table.tolerance
+        assert np.abs(away).max() < 0.02
+        assert len(other.estimate.spectrum.weak) == len(first.estimate.spectrum.weak)
+        errors = [one.held_out.summary.reading_rms for one in (first, other)]
+        assert errors[1] == pytest.approx(errors[0], rel=1e-3)
+
+
 def test_tolerances_throughout_weigh_by_the_noise_that_is_found(tmp_path):
     """Ten times another guess of what nobody stated: the same estimates."""
     files, dataset, *_ = rrf(tmp_path, 0, 40e-6)
