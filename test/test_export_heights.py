@@ -170,6 +170,24 @@ def test_readings_that_nobody_stated_the_noise_of_prove_nothing(tmp_path):
 
 
 @pytest.mark.wide
+@pytest.mark.parametrize("sigma", [40e-6, None])
+@pytest.mark.parametrize("loss", ["huber", "cauchy"])
+def test_a_robust_loss_ignores_bad_touches(tmp_path, sigma, loss):
+    """Every 15th touch is 2 mm off: the others fit as without them."""
+    files, dataset, *_ = rrf(tmp_path, 2, 40e-6)
+    model = configured(files).model
+    model = model.with_sensors((replace(model.sensors[0], sigma=sigma),))
+    bad = np.arange(0, len(dataset), 15)
+    read = dataset.conditions["reading.probe"].copy()
+    read[bad] += 2e-3
+    spoilt = replace(dataset, conditions={**dataset.conditions, "reading.probe": read})
+    found = fit(model, spoilt, hold_out=0, loss=loss)
+    assert {one.sample for one in found.down_weighted} == set(bad.tolist())
+    others = np.delete(found.after.reading, bad)
+    assert np.sqrt(np.mean(others**2)) < 42e-6
+
+
+@pytest.mark.wide
 def test_the_guess_of_an_unstated_probe_noise_decides_nothing(tmp_path):
     """From 50 nm to 5 mm: the same parameters, errors at held-out touches and weak directions."""
     files, dataset, *_ = rrf(tmp_path, 2, 40e-6)

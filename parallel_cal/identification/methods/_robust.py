@@ -67,7 +67,12 @@ def estimate_robustly(
 
 
 def reweight(observations: Observations, weight: np.ndarray | None) -> Observations:
-    """Divide the covariance of each sample by its weight (N,)."""
+    """Divide the covariance of each sample, with that of its readings, by its weight (N,)."""
     if weight is None:
         return observations
-    return replace(observations, S=observations.S / weight[:, None, None])
+    sigma = observations.reading_sigma
+    return replace(
+        observations,
+        S=observations.S / weight[:, None, None],
+        reading_sigma=None if sigma is None else sigma / np.sqrt(weight)[:, None],
+    )
