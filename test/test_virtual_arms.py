@@ -168,7 +168,7 @@ def test_a_device_in_the_base_is_left_where_it_is():
     for frame in ("", "base"):
         data = seen(va.session(robot, 40, 0, HERE), True, frame)
         assert compare(nominal("ur5"), data).registration is None
-    near = va.Tracker((0.004, -0.003, 0.002), (0.002, 0.0, -0.003))
+    near = va.Tracker((0.002, -0.0015, 0.001), (0.001, 0.0, -0.0015))
     assert compare(nominal("ur5"), seen(va.session(robot, 40, 0, near))).registration is None
 
 

@@ -28,6 +28,7 @@ from parallel_cal.identification.budget import iso_9283
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.noise_floor import noise_floor
 from parallel_cal.identification.observations import Observations
+from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import ERRORS, Errors, Summary
 from parallel_cal.identification.predictions import predict_positions
 from parallel_cal.identification.registration import Registration, add_registration_warning
@@ -41,17 +42,29 @@ from parallel_cal.recordings.residuals import Residuals
 
 @dataclass(frozen=True)
 class Comparison(ShownInNotebook):
-    """A model compared with measurements: the errors of each sample, and the noise floor."""
+    """A model compared with measurements: the errors of each sample, and the noise floor.
+
+    `model` and `errors` are those of the given model, registered only, as in the result of a fit.
+    """
 
     model: Model
     dataset: Dataset
     observations: Observations
     errors: Errors
     noise: Summary
+    given: GivenModel
     registration: Registration | None = None
 
     def __repr__(self) -> str:
         return f"Comparison({self.model.mechanism.name}, {len(self.dataset)} samples)"
+
+    @cached_property
+    @single_threaded()
+    def held_out(self) -> Errors:
+        """Errors at held-out poses, each registered by the other poses; in the folds of a fit with
+        default options."""
+        options = FitOptions()
+        return self.given.errors_at_held_out(self.dataset.folds(options.hold_out, options.seed))
 
     @cached_property
     @single_threaded()
@@ -167,6 +180,9 @@ class Comparison(ShownInNotebook):
         }
         document = {
             **self.errors.document(),
+            "as_given": self.given.errors_as_given.summary,
+            "held_out": self.held_out.summary,
+            "registered_only": self.given.is_registered,
             "noise_floor": self.noise,
             "registration": self.registration,
             "iso_9283": iso_9283(self.errors, self.observations),
@@ -241,5 +257,6 @@ def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) ->
         observations,
         given.errors,
         noise_floor(given.model, observations),
+        given,
         given.registration,
     )

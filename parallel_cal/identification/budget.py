@@ -11,6 +11,7 @@ from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prediction_errors import Errors, Summary, find_judgeable_samples
 from parallel_cal.identification.predictions import predict_configurations
+from parallel_cal.identification.registration import registered_by
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.replicates import average_groups
@@ -30,7 +31,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Budget:
-    """The rms error of the nominal model, and its parts.
+    """The rms error of the nominal model, registered only, and its parts.
 
     With e = measured minus nominal pose = sum of d_k, part k contributes mean(d_k . e) / rms(e).
     Contributions sum to rms(e) and may be negative if parts compensate each other. The last two
@@ -43,8 +44,14 @@ class Budget:
 
 
 @single_threaded()
-def budgets(model: Model, observations: Observations, noise: Summary) -> tuple[Budget, ...]:
-    """Make a budget for each kind of error that was measured."""
+def budgets(
+    model: Model, observations: Observations, noise: Summary, registered: bool = False
+) -> tuple[Budget, ...]:
+    """Make a budget for each kind of error that was measured.
+
+    If `registered`, the nominal model has the frames that fit these samples best: where the device
+    stands is no error of the robot.
+    """
     n = len(model.joints)
     # The parts of the budget, and the mask (n_p,) of the parameters of each; sensors have no part.
     groups = {"geometry": np.isin(model.table.names, model.mechanism.parameters.names)}
@@ -54,7 +61,10 @@ def budgets(model: Model, observations: Observations, noise: Summary) -> tuple[B
     values = model.values.copy()
     for which in groups.values():
         values[which] = model.table.nominal[which]
-    poses = [_pose(model.with_values(values), observations)]
+    nominal = model.with_values(values)
+    if registered:
+        nominal = registered_by(nominal, observations) or nominal
+    poses = [_pose(nominal, observations)]
     for which in groups.values():
         values[which] = model.values[which]
         poses.append(_pose(model.with_values(values), observations))

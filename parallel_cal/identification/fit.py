@@ -132,7 +132,7 @@ class FitResult(ShownInNotebook):
 
     @property
     def before(self) -> Errors:
-        """Errors of the given model, as `compare` shows them."""
+        """Errors of the given model, registered only, as `compare` shows them."""
         return self.given.errors
 
     @property
@@ -197,7 +197,7 @@ class FitResult(ShownInNotebook):
     @cached_property
     def budgets(self) -> tuple[Budget, ...]:
         """How much geometry, each effect and noise contribute to the error of the nominal model."""
-        return budgets(self.model, self.observations, self.noise_floor)
+        return budgets(self.model, self.observations, self.noise_floor, self.given.is_registered)
 
     @cached_property
     def iso_9283(self) -> tuple[Iso9283, ...]:
@@ -219,6 +219,7 @@ class FitResult(ShownInNotebook):
             "samples": self.samples,
             "parameters": to_json_value(self.parameters()),
             "before": before.document(),
+            "as_given": self.given.errors_as_given.summary.document(),
             "after": after.document(),
             "held_out": {"before": held_before.document(), "after": held_after.document()},
             "improvement": improvement(before, after),
@@ -372,7 +373,7 @@ def fit(
     check_inputs(model, dataset)
     options = with_changes(options or FitOptions(), changes, FitError)
     given = GivenModel.of(model, dataset, options.joint_sigma, options.insist)
-    start = add_effects(given.model, effects, dataset)
+    start = add_effects(given.start, effects, dataset)
     start, registration = prepared_for_fit(start, given.registration, dataset, options)
     result = fit_registered(
         start, add_registration_warning(dataset, registration), options, progress, given

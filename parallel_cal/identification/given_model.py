@@ -1,8 +1,9 @@
 """The given model before identification: `compare` shows its errors, and a fit must beat them.
 
-If the model does not state where the pose device stands, its frame and target are registered and
-nothing else is changed. At held-out poses they are registered by the other poses only, so that
-these errors are as much out of sample as those of the fit.
+If the model does not state where the pose device stands, its frame and target are fitted and
+nothing else is changed ("registered only"): a frame that is a little off is no error of the robot.
+At held-out poses they are fitted to the other poses only, so that these errors are as much out of
+sample as those of the fit.
 """
 
 from __future__ import annotations
@@ -16,7 +17,12 @@ import numpy as np
 
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.prediction_errors import Errors, errors
-from parallel_cal.identification.registration import Registration, register_device, registered_by
+from parallel_cal.identification.registration import (
+    Registration,
+    is_registrable,
+    register_device,
+    registered_by,
+)
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 
@@ -27,9 +33,10 @@ Folds = list[tuple[np.ndarray, np.ndarray]]  # indices of the training and of th
 class GivenModel:
     """A given model and the samples that judge it.
 
-    `unregistered` is the model as it was given, `model` the registered one whose errors count.
-    `known_held_out` are its errors at held-out poses if another fit of the same samples has
-    computed them.
+    `unregistered` is the model as it was given. `model` is the one whose errors count: registered
+    only, if the samples determine where the device stands. A fit begins at `start`: it identifies
+    frames only if the `registration` is needed. `known_held_out` are the errors at held-out poses
+    if another fit of the same samples has computed them.
     """
 
     unregistered: Model
@@ -48,9 +55,33 @@ class GivenModel:
         joint_sigma: float | None = None,
         insist: bool = False,
     ) -> GivenModel:
-        """Register the model if the samples need it; `insist` accepts implausible readings."""
+        """Register the model if the samples allow it; `insist` accepts implausible readings."""
         placed, registration = register_device(model, dataset, joint_sigma, insist)
+        if registration is None:
+            observations = observe(model, dataset, joint_sigma, insist)
+            if is_registrable(model, observations):
+                placed = registered_by(model, observations) or model
         return cls(model, placed, dataset, joint_sigma, insist, registration)
+
+    @property
+    def is_registered(self) -> bool:
+        """Whether the frames of the device were fitted to the samples."""
+        return self.model is not self.unregistered
+
+    @property
+    def label(self) -> str:
+        """Name of the errors in tables."""
+        return "registered only" if self.is_registered else "before"
+
+    @property
+    def start(self) -> Model:
+        """The model at which a fit begins."""
+        return self.unregistered if self.registration is None else self.model
+
+    @cached_property
+    def errors_as_given(self) -> Errors:
+        """Errors at all samples if the device stands where the given model says."""
+        return errors(self.unregistered, self.observations) if self.is_registered else self.errors
 
     @cached_property
     def observations(self) -> Observations:
@@ -64,7 +95,7 @@ class GivenModel:
     def errors_at_held_out(self, folds: Folds) -> Errors:
         """Errors at all samples, each registered by the folds that do not contain it; NaN if these
         are too few to register the device."""
-        if self.registration is None:
+        if not self.is_registered:
             return self.errors
         parts = self.errors.blank().parts()
         for train, test in folds:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import (
     matrix_to_quaternion,
     nearest_rotation,
@@ -28,8 +29,14 @@ from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.predictions import condition_columns, predict_configurations
 from parallel_cal.identification.thresholds import (
     LSTSQ_RANK_TOLERANCE,
+    MAX_DISPLACEMENT_M,
+    MAX_DISPLACEMENT_RAD,
+    MAX_REMAINING_SHARE,
+    MAX_REMAINING_SHARE_IDENTIFIED,
+    MAX_UNCERTAIN_TILT_RAD,
     MIN_EXPLAINED_ERROR_RATIO,
     MIN_FRAME_COLUMN_REMAINDER,
+    MIN_REGISTRATION_POSES,
     MIN_UNREGISTERED_ERROR_RATIO,
     NEWTON_STEP,
     OUTLIER_DISTANCE_RATIO,
@@ -41,6 +48,8 @@ from parallel_cal.model.shelf import load_sensor
 from parallel_cal.recordings.dataset import Dataset
 
 SENSOR = "device_frame"
+FRAME_PARAMETERS = ("device_frame.frame.", "device_frame.target.")
+TARGET_EFFECT = "target_offset"  # an effect that states where the target sits
 STEPS = 60
 TOLERANCE_SAMPLE_SIZE = 24  # poses for the median error that tolerances explain
 Array = np.ndarray
@@ -110,30 +119,46 @@ def register_device(
     model: Model, dataset: Dataset, joint_sigma: float | None = None, insist: bool = False
 ) -> tuple[Model, Registration | None]:
     """Add the sensor `device_frame` to the model if the poses are in a frame that is not its base,
-    or so far off that only frames explain it; else return the same model.
+    or if frames explain the error that the data show; else return the same model.
 
     FitError for joint readings that no such robot shows, unless the caller insists.
     """
     frame, base = dataset.frame or "device", model.frames["base"]
-    described = _device(model) is not None
     observations = observe(model, dataset, joint_sigma, insist)
     there = _Poses.of(model, observations)
-    elsewhere = dataset.frame not in ("", base) and not described
-    if there is None or not (elsewhere or there.is_off):
+    if there is None:
         return model, None
     found = there.frames()
-    if not (elsewhere or there.is_explained_by(found)):
+    elsewhere = dataset.frame not in ("", base) and _device(model) is None
+    if not (elsewhere or there.is_misplaced(found, _is_identified(model))):
         return model, None
-    placed = _with_frames(model, found)
+    placed = _with_fitted_frames(model, observations, there, found)
     why = "the poses are in another frame" if elsewhere else "the poses did not fit without it"
     told = there.tilts or not (there.turns and there.placed.any())
     return placed, _registration(placed, frame, why, told)
 
 
 def registered_by(model: Model, observations: Observations) -> Model | None:
-    """The model with the frames that these samples determine, None if they are too few."""
+    """The model with the frames that fit these samples best, None if they are too few.
+
+    Least squares in the noise metric of a fit; no other parameter changes.
+    """
     there = _Poses.of(model, observations)
-    return None if there is None else _with_frames(model, there.frames())
+    return (
+        None if there is None else _with_fitted_frames(model, observations, there, there.frames())
+    )
+
+
+def is_registrable(model: Model, observations: Observations) -> bool:
+    """Whether an error can be judged after registration: nothing states where the device stands,
+    and the platform turns far enough in enough poses to determine its frame and target.
+
+    An identified model is taken as it is: its own fit has placed the robot before the device.
+    """
+    if _device(model) is not None or model.covariance is not None:
+        return False
+    there = _Poses.of(model, observations)
+    return there is not None and there.determines_target
 
 
 def prepared_for_fit(
@@ -165,8 +190,10 @@ class _Poses:
     """Predicted poses in {B} and poses as the device shows them.
 
     `placed` and `turned` (N,) mark measured positions and orientations. `turns` is whether the
-    platform can turn, `tilts` whether it turned further than its tolerances explain: otherwise no
-    pose determines where the target sits. Angles are multiplied by `length`.
+    platform can turn, `tilts` whether it turned further than its tolerances explain, or so far that
+    no robot's errors explain it: otherwise no pose determines where the target sits.
+    `target_known` is whether an effect of the model states it. `poses` counts different poses.
+    Angles are multiplied by `length`.
     """
 
     r: Array
@@ -178,6 +205,8 @@ class _Poses:
     length: float
     turns: bool
     tilts: bool
+    target_known: bool
+    poses: int
     now: Frames  # as the model has them
     expected: Array  # rms (2,) of position and `length` times orientation that tolerances allow
 
@@ -213,7 +242,10 @@ class _Poses:
         ]
         R = reached.rotation[solved]
         away = rotation_vector(R @ nearest_rotation(R.sum(axis=0)).T)
-        allowed = np.median(np.sum(spread[:, 3:] ** 2, axis=1))
+        # Wide tolerances must not hide a rotation that nobody mistakes for an error.
+        allowed = min(
+            float(np.median(np.sum(spread[:, 3:] ** 2, axis=1))), MAX_UNCERTAIN_TILT_RAD**2
+        )
         tilts = bool(np.mean(np.sum(away**2, axis=1)) > allowed) and moves[1]
         return cls(
             reached.position,
@@ -225,6 +257,8 @@ class _Poses:
             m.length,
             moves[1],
             tilts,
+            any(effect.name == TARGET_EFFECT for effect in model.effects),
+            len(np.unique(observations.group[placed | turned])),
             _frames_of(model),
             np.array([sizes[0], m.length * sizes[1]]),
         )
@@ -239,19 +273,64 @@ class _Poses:
         return self._descend(best, sizes <= OUTLIER_DISTANCE_RATIO * np.median(sizes[self._used]))
 
     @property
-    def is_off(self) -> bool:
-        """Whether positions or orientations are further off than the robot's tolerances explain."""
-        return bool(
-            (
-                self._compute_median_errors(self.now) > MIN_UNREGISTERED_ERROR_RATIO * self.expected
-            ).any()
-        )
+    def determines_target(self) -> bool:
+        """Whether enough measured positions tell a displaced target from a displaced frame."""
+        return self.tilts and self.poses >= MIN_REGISTRATION_POSES and bool(self.placed.any())
 
-    def is_explained_by(self, found: Frames) -> bool:
-        """Whether frames explain most of the error."""
+    def is_misplaced(self, found: Frames, identified: bool) -> bool:
+        """Whether the data show that the device or its target is not where the model has it.
+
+        Either the error exceeds what the robot's tolerances explain, and frames explain most of it.
+        Or frames explain a significant part (by BIC) and differ from the model's by more than a
+        workshop would call aligned; this does not depend on tolerances. An `identified` robot has
+        no errors of its own that resemble frames, so the limit of alignment does not apply to it.
+        """
         before, after = self._compute_median_errors(self.now), self._compute_median_errors(found)
         off = before > MIN_UNREGISTERED_ERROR_RATIO * self.expected
-        return bool((off & (before > MIN_EXPLAINED_ERROR_RATIO * after)).any())
+        if (off & (before > MIN_EXPLAINED_ERROR_RATIO * after)).any():
+            return True
+        if not self.determines_target:
+            return False
+        squares = [float(np.sum(self._residual(frames) ** 2)) for frames in (self.now, found)]
+        rows = 3 * int(self.placed.sum() + self.turned.sum())
+        parameters = int(np.linalg.matrix_rank(self._jacobian(found).reshape(-1, 12)))
+        share = MAX_REMAINING_SHARE_IDENTIFIED if identified else MAX_REMAINING_SHARE
+        significant = rows * np.log(squares[0] / max(squares[1], 1e-300)) > parameters * np.log(
+            rows
+        )
+        displaced = identified or self._is_displaced(found)
+        return bool(significant and squares[1] < share * squares[0] and displaced)
+
+    def _is_displaced(self, found: Frames) -> bool:
+        """Whether a frame differs from the model's by more than a workshop calls aligned."""
+        now = self.now
+        # Compare at the robot's base: the origin of a device far away moves a lot with a small
+        # rotation, and at the poses the robot's own errors of angle look like shifts.
+        turn = found.F @ now.F.T
+        shifts = (found.f - turn @ now.f, found.t - now.t)
+        turns = (rotation_vector(turn), rotation_vector(found.T @ now.T.T))
+        return bool(
+            max(np.linalg.norm(v) for v in shifts) > MAX_DISPLACEMENT_M
+            or max(np.linalg.norm(v) for v in turns) > MAX_DISPLACEMENT_RAD
+        )
+
+    def find_near(self, frames: Frames) -> Array:
+        """Indices of the measured poses without those that are far off with these frames."""
+        sizes = self._sizes(frames)
+        near = sizes <= OUTLIER_DISTANCE_RATIO * np.median(sizes[self._used])
+        return np.flatnonzero(near & self._used)
+
+    @property
+    def _target_is_free(self) -> bool:
+        return self.tilts and not self.target_known
+
+    def is_free(self, name: str) -> bool:
+        """Whether a parameter of the sensor can be fitted: no pose determines the target of a
+        platform that does not tilt, and an effect may state it."""
+        kind = name.removeprefix(f"{SENSOR}.")
+        if kind in ("target.x", "target.y", "target.z"):
+            return self._target_is_free
+        return name.startswith(FRAME_PARAMETERS)
 
     @property
     def _used(self) -> Array:
@@ -294,7 +373,7 @@ class _Poses:
         # With v = F r', the columns of [v]x are those of w -> v x w.
         cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
         J[:, :3, 3:6] = -np.moveaxis(cross, -1, 0)
-        J[:, :3, 6:9] = -R if self.tilts else 0.0
+        J[:, :3, 6:9] = -R if self._target_is_free else 0.0
         J[:, 3:, 3:6] = self.length * np.eye(3)
         J[:, 3:, 9:] = -self.length * R if self.turns else 0.0
         J[:, :3] *= self.placed[:, None, None]
@@ -307,7 +386,7 @@ class _Poses:
         starts = [self.now]
         if self.placed.sum() >= 3:
             starts.append(self._from_positions(self.now.t))
-            if self.tilts:
+            if self._target_is_free:
                 starts.append(self._from_positions(self._linear_target()))
         if self.turns and self.turned.sum() >= 3:
             R, seen = self.R[self.turned], self.seen_R[self.turned]
@@ -349,7 +428,7 @@ class _Poses:
         if not self.placed.any():
             return Frames(np.zeros(3), F, np.zeros(3), T)
         away = (self.r - self.seen_r @ F.T)[self.placed]
-        if t is None and not self.tilts:
+        if t is None and not self._target_is_free:
             t = self.now.t
         if t is None:
             n = len(away)
@@ -371,11 +450,28 @@ def _with_frames(model: Model, frames: Frames) -> Model:
     )
     others = tuple(s for s in model.sensors if s.name != SENSOR)
     model = model.with_sensors((*others, sensor))
-    own = [
-        name.startswith(("device_frame.frame.", "device_frame.target."))
-        for name in model.table.names
-    ]
+    own = [name.startswith(FRAME_PARAMETERS) for name in model.table.names]
     return model.with_values(np.where(own, 0.0, model.values), model.covariance)
+
+
+def _with_fitted_frames(
+    model: Model, observations: Observations, there: _Poses, found: Frames
+) -> Model:
+    """The model with the frames that minimise chi2, starting at those found; the best found ones
+    if the search does not converge. Poses that are far off do not count."""
+    placed = _with_frames(model, found)
+    own = np.array([there.is_free(name) for name in placed.table.names])
+    near = observations.select(there.find_near(found))
+    try:
+        values = implicit.estimate(placed, near, own, prior=None).values
+    except FitError:
+        return placed
+    return _with_frames(placed, _frames_of(placed.with_values(values)))
+
+
+def _is_identified(model: Model) -> bool:
+    """Whether the model is the result of a fit that also identified where the device stands."""
+    return model.covariance is not None and _device(model) is not None
 
 
 def _tuple(values: Array) -> Any:
@@ -403,7 +499,9 @@ def _fit_frames(model: Model, observations: Observations, options: FitOptions) -
         free = free_mask(model, options.free, options.fix)
     if not (free & own).any():
         return model
-    found = implicit.estimate(model, observations, free, prior=None)
+    # Frames and robot are redundant. With every tolerance as a prior the solution is unique; with
+    # priors on the weak directions only, the choice of these may change from step to step for ever.
+    found = implicit.estimate(model, observations, free, prior=True)
     model = _with_frames(model, _frames_of(model.with_values(found.values)))
     robot = np.where(own, 0.0, found.values)
     linearise = Linearisation(model, observations, free, weighted=True)

@@ -82,6 +82,15 @@ FRAME_UNIT = 1e-3  # m, and rad at the mechanism's length: what a frame's error 
 # times the pose error that tolerances explain, and times the error after registration
 MIN_UNREGISTERED_ERROR_RATIO = 3.0
 MIN_EXPLAINED_ERROR_RATIO = 10.0
+# Rotation (rms) of a platform that no error of a robot explains, whatever its tolerances
+MAX_UNCERTAIN_TILT_RAD = 0.1
+MIN_REGISTRATION_POSES = 6  # different poses that judge a frame and a target
+MAX_DISPLACEMENT_M = 4e-3  # of a frame or target that a workshop calls aligned
+MAX_DISPLACEMENT_RAD = 0.07
+# Share of the squared error that may remain after a registration: of any robot, and of an
+# identified one
+MAX_REMAINING_SHARE = 0.5
+MAX_REMAINING_SHARE_IDENTIFIED = 0.25
 OUTLIER_DISTANCE_RATIO = 6.0  # times the usual distance: such poses are ignored
 LSTSQ_RANK_TOLERANCE = (
     1e-9  # of the largest singular value: below, no pose determines the direction

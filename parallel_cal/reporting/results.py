@@ -79,9 +79,11 @@ def describe_fit(result: FitResult, without: FitResult | None = None) -> Iterato
     """
     rival = result.held_out_before if without is None else without.held_out
     judged = {
-        "before": result.before.summary,
+        result.given.label: result.before.summary,
         "after": result.after.summary,
-        "held-out, before" if without is None else "held-out, without it": rival.summary,
+        f"held-out, {result.given.label}" if without is None else "held-out, without it": (
+            rival.summary
+        ),
         "held-out, after": result.held_out.summary,
     }
     estimate = result.estimate
@@ -219,7 +221,14 @@ def parameter_table(parameters: Mapping[str, DescribedParameter]) -> Table:
 def describe_comparison(comparison: Comparison) -> Iterator[Block]:
     """Describe errors, the worst samples, patterns of the errors, and odd samples."""
     yield f"{len(comparison.observations)} samples"
-    yield errors_table({"error": comparison.errors.summary}, comparison.noise, comparison.model)
+    errors = {"error": comparison.errors.summary}
+    if comparison.given.is_registered:
+        errors = {
+            "as given": comparison.given.errors_as_given.summary,
+            comparison.given.label: comparison.errors.summary,
+            f"held-out, {comparison.given.label}": comparison.held_out.summary,
+        }
+    yield errors_table(errors, comparison.noise, comparison.model)
     yield from map(iso_sentence, iso_9283(comparison.errors, comparison.observations)[:1])
     yield "worst samples:"
     yield _worst_samples(comparison)

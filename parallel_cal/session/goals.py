@@ -15,9 +15,8 @@ from typing import Any
 from parallel_cal.base.errors import ModelFileError, ParallelCalError
 from parallel_cal.base.files import BACKUP_SUFFIX
 from parallel_cal.diagnosis.diagnose import diagnose
-from parallel_cal.identification.observations import observe
+from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.options import FitOptions
-from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.model.file.modelfile import (
     model_hash,
     model_text,
@@ -82,8 +81,8 @@ def propose_model(request: Request, dataset: Dataset, tell: Tell | None = None) 
     try:
         report("reading the model file", 0.0)
         model = read_model(request.model_file)
-        seen = observe(model, dataset, request.options.joint_sigma, request.options.insist)
-        position_error = _or_nan(errors(model, seen).summary.position_mean)
+        given = GivenModel.of(model, dataset, request.options.joint_sigma, request.options.insist)
+        position_error = _or_nan(given.errors.summary.position_mean)
         # Force the step here: `_make_outcome` decides whether its model may be written.
         how: dict[str, Any] = {"force": True, "options": request.options, "progress": report}
         if request.effect:

@@ -20,16 +20,14 @@ from parallel_cal.diagnosis.verdict import AMBER_VERDICTS
 from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.fit import FitResult, fit
 from parallel_cal.identification.fit_warnings import list_parameter_warnings
-from parallel_cal.identification.observations import observe
+from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import (
     ERRORS,
     Errors,
     Summary,
-    errors,
     held_out_ratio,
 )
-from parallel_cal.identification.registration import register_device
 from parallel_cal.identification.thresholds import MAX_NEGLIGIBLE_ERROR_RISE
 from parallel_cal.model.file.modelfile import (
     model_hash,
@@ -234,8 +232,7 @@ class _Judged:
         model look bad.
         """
         if not fitted_to_these:
-            placed, _ = register_device(model, dataset, options.joint_sigma)
-            found = errors(placed, observe(placed, dataset, options.joint_sigma))
+            found = GivenModel.of(model, dataset, options.joint_sigma).errors
             return cls(found, PERHAPS_USED if _fitted_datasets(model) else UNSEEN)
         result: FitResult = fit(model, dataset, options)
         doubts = tuple(list_parameter_warnings(result.model, result.estimate, result.free))

@@ -90,6 +90,10 @@ def _make_comparison_view(found: Comparison) -> View:
     in_sample = any(fits_of(found.model, found.dataset))
     where = "in-sample error" if in_sample else "error at all samples"
     tiles = [results.make_tile("now", found.errors.summary, kinds, {}, where)]
+    if found.given.is_registered:
+        # The error that a fit has to lower: "now" contains the registration to the same poses.
+        held_out = found.held_out.summary
+        tiles.append(results.make_tile(found.given.label, held_out, kinds, {}))
     if found.noise.is_known:
         tiles.append(results.make_tile("noise floor", found.noise, kinds, {}, where))
     mechanism = found.model.mechanism

@@ -1,0 +1,150 @@
+"""What a fit must beat: the given model with nothing changed but the device's frame and target."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import virtual_arm as va
+from arms import nominal, seen
+
+from parallel_cal.diagnosis.comparison import compare
+from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.identification.fit import fit
+from parallel_cal.identification.registration import register_device
+from parallel_cal.model.file.modelfile import dump_model, parse_model
+from parallel_cal.model.model import Model
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.reporting.contents import HeldOutErrors
+from parallel_cal.reporting.text import show
+from parallel_cal.session.steps import fitted
+
+LASER_ARMS = Path(__file__).parents[2] / "shared" / "data" / "laser_arms"
+WIDE_TOLERANCES = {"m": 0.03, "rad": 0.1}
+REFLECTOR = va.Tracker(target=(0.0, 0.0, 0.053))
+
+
+def with_tolerances(model: Model, sizes: dict[str, float]) -> Model:
+    return replace(model, tolerances={p.name: sizes[p.unit] for p in model.table})
+
+
+@pytest.fixture(scope="module")
+def arm_in_its_base() -> Dataset:
+    """Positions of an arm whose device stands in {B}; its own errors look like a rotated frame."""
+    return seen(va.session(va.arm("ur5", 1), 60, 0, va.Tracker()), pose=False)
+
+
+def test_compare_fit_and_report_show_the_same_registered_only_error(arm_in_its_base):
+    model = nominal("ur5")
+    shown, result = compare(model, arm_in_its_base), fit(model, arm_in_its_base)
+    assert shown.registration is None  # it is not needed
+    assert result.document()["before"] == shown.errors.document()
+    assert result.held_out_before.summary == shown.held_out.summary
+    found = diagnose(model, arm_in_its_base, effects=("backlash",))
+    assert HeldOutErrors.of(found).before == shown.held_out.summary
+    for text in (show(shown), show(result)):
+        assert "held-out, registered only" in text
+    as_given = shown.given.errors_as_given.summary.position_rms
+    assert shown.errors.summary.position_rms < 0.5 * as_given
+    assert result.document()["as_given"]["position_rms"] == as_given
+
+
+def test_the_registered_only_error_is_the_least_squares_error_of_a_rigid_fit(arm_in_its_base):
+    """An independent descent over frame and target: no other frame fits the positions better."""
+    from scipy.optimize import least_squares
+    from scipy.spatial.transform import Rotation
+
+    from parallel_cal.kinematics.kinematics import Kinematics
+
+    data = arm_in_its_base
+    reached = Kinematics(nominal("ur5")).direct(data.q)
+
+    def distances(x):
+        at = reached.position + reached.rotation @ x[6:]
+        return (data.r - Rotation.from_rotvec(x[3:6]).apply(at) - x[:3]).ravel()
+
+    best = np.sqrt(3 * np.mean(least_squares(distances, np.zeros(9)).fun ** 2))
+    assert compare(nominal("ur5"), data).errors.summary.position_rms == pytest.approx(
+        best, rel=0.01
+    )
+
+
+def test_the_error_budget_begins_with_the_registered_model():
+    data = seen(va.session(va.arm("ur5", 2), 60, 0, REFLECTOR), pose=False)
+    result = fit(nominal("ur5"), data)
+    (budget,) = result.budgets
+    assert budget.total == pytest.approx(result.before.summary.position_rms, rel=1e-6)
+
+
+def test_a_fit_of_a_fitted_file_starts_where_the_first_fit_ended(arm_in_its_base):
+    data = replace(arm_in_its_base, sha256="a" * 64)
+    first = fitted(nominal("ur5"), data)
+    again = fitted(parse_model(dump_model(first.model)), data, force=True).result
+    ended = first.result.held_out.summary.position_rms
+    assert again.held_out_before.summary.position_rms == pytest.approx(ended, rel=1e-3)
+    assert again.held_out.summary.position_rms == pytest.approx(ended, rel=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["ur5", "wam"])
+@pytest.mark.parametrize("sizes", [{"m": 5e-4, "rad": 8.7e-3}, WIDE_TOLERANCES])
+def test_a_reflector_beyond_the_flange_is_found_whatever_the_tolerances_say(kind, sizes):
+    data = seen(va.session(va.arm(kind, 1), 80, 0, REFLECTOR), pose=False)
+    model = with_tolerances(nominal(kind), sizes)
+    shown = compare(model, data)
+    assert np.allclose(shown.registration.target_position, REFLECTOR.target, atol=3e-3)
+    result = fit(model, data)
+    floor = result.noise_floor.position_rms
+    assert result.held_out.summary.position_rms < 1.15 * floor
+    assert result.before.summary == shown.errors.summary
+
+
+@pytest.mark.parametrize("offset", [0.008, 0.02])
+def test_a_reflector_close_to_the_flange_is_found(offset):
+    data = seen(va.session(va.arm("wam", 1), 80, 0, va.Tracker(target=(0, 0, offset))), False)
+    shown = compare(nominal("wam"), data)
+    assert shown.registration.target_position[2] == pytest.approx(offset, abs=3e-3)
+
+
+def test_five_positions_are_too_few_to_move_a_target():
+    data = seen(va.session(va.arm("ur5", 1), 5, 0, va.Tracker()), pose=False)
+    shown = compare(nominal("ur5"), data)
+    assert shown.registration is None
+    assert not shown.given.is_registered
+
+
+def test_a_target_that_an_effect_states_is_not_registered():
+    data = seen(va.session(va.arm("ur5", 1), 60, 0, va.FAR_AWAY), pose=False, frame="tracker")
+    model = nominal("ur5").with_effect("target_offset")
+    stated = np.where(
+        [n.startswith("target_offset.") for n in model.table.names], 0.0, model.values
+    )
+    stated[[n.startswith("target_offset.") for n in model.table.names]] = va.FAR_AWAY.target
+    _, where = register_device(model.with_values(stated), data)
+    assert where is not None
+    assert where.target_position == (0.0, 0.0, 0.0)
+    assert np.abs(np.array(where.position) - va.FAR_AWAY.shift).max() < 20e-3
+
+
+def laser_arm(kind: str) -> Dataset:
+    file = LASER_ARMS / f"{kind.upper()}_grid.csv"
+    if not file.exists():
+        pytest.skip(f"the recordings of two laser-tracked arms are not here: {file}")
+    table = np.genfromtxt(file, delimiter=",", names=True)
+    joints = [name for name in table.dtype.names if name.startswith("joint_")]
+    q = np.radians(np.stack([table[name] for name in joints], axis=1))
+    r = 1e-3 * np.stack([table[f"{a}_t"] + table[f"{a}_dif"] for a in "xyz"], axis=1)
+    return Dataset.from_arrays([f"joint{i + 1}" for i in range(len(joints))], q, r)
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("sizes", [{"m": 5e-4, "rad": 8.7e-3}, WIDE_TOLERANCES])
+@pytest.mark.parametrize(("kind", "independent"), [("ur5", 103.2e-6), ("wam", 2172e-6)])
+def test_real_arms_with_an_unknown_reflector_reach_an_independent_fit(kind, independent, sizes):
+    """`independent`: mean error of a NumPy fit of frame, target and all links in the same folds."""
+    model = with_tolerances(nominal(kind), sizes)
+    model = replace(model, noise=replace(model.noise, joint=1e-5, position=3e-5, assumed=True))
+    data = laser_arm(kind)
+    shown, result = compare(model, data), fit(model, data)
+    assert shown.registration is not None
+    assert result.document()["before"] == shown.errors.document()
+    assert result.held_out.summary.position_mean < 1.05 * independent
