@@ -133,8 +133,9 @@ def test_the_hash_of_several_is_theirs_in_order(two):
 def test_recordings_of_another_robot_or_set_up_do_not_go_together(two):
     with pytest.raises(DatasetError, match=r"the second: joint_names is .*'a'.*only recordings of"):
         join_datasets((two[0], replace(two[1], joint_names=("a", "b", "c"))))
-    with pytest.raises(DatasetError, match="the second: frame is tracker, but"):
-        join_datasets((two[0], replace(two[1], frame="tracker")))
+    with pytest.raises(DatasetError, match="the second: mode is continuous, but"):
+        join_datasets((two[0], replace(two[1], mode="continuous")))
+    assert join_datasets((two[0], replace(two[1], frame="tracker"))).frame == two[0].frame
 
 
 def test_the_same_recording_does_not_count_twice(two):

@@ -239,7 +239,7 @@ def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) ->
     """
     check_inputs(model, dataset)
     given = GivenModel.of(model, dataset, joint_sigma, insist=True)
-    dataset = add_registration_warning(dataset, given.registration)
+    dataset = add_registration_warning(given.dataset, given.registration)
     if given.observations.doubts:
         dataset = replace(dataset, warnings=(*dataset.warnings, given.observations.doubts))
     if region := IdentifiedRegion.of_model(model):

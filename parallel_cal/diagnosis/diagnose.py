@@ -243,6 +243,7 @@ def diagnose(
     # The search refits with unusual sizes in any case: they are evidence against other effects.
     usual_only, options = options.usual_only, replace(options, usual_only=False)
     given = GivenModel.of(model, dataset, options.joint_sigma, options.insist)
+    dataset = given.dataset
     model, registration = prepared_for_fit(given.start, given.registration, dataset, options)
     dataset = add_registration_warning(dataset, registration)
     names = list_effects_to_test(model, also, effects)

@@ -373,6 +373,7 @@ def fit(
     check_inputs(model, dataset)
     options = with_changes(options or FitOptions(), changes, FitError)
     given = GivenModel.of(model, dataset, options.joint_sigma, options.insist)
+    dataset = given.dataset
     start = add_effects(given.start, effects, dataset)
     start, registration = prepared_for_fit(start, given.registration, dataset, options)
     result = fit_registered(

@@ -23,6 +23,7 @@ from parallel_cal.identification.registration import (
     register_device,
     registered_by,
 )
+from parallel_cal.identification.stations import has_stations, register_recordings
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 
@@ -55,11 +56,15 @@ class GivenModel:
         joint_sigma: float | None = None,
         insist: bool = False,
     ) -> GivenModel:
-        """Register the model if the samples allow it; `insist` accepts implausible readings."""
+        """Register the model if the samples allow it; `insist` accepts implausible readings.
+
+        Several recordings are first brought into the frame of one device.
+        """
+        model, dataset = register_recordings(model, dataset, joint_sigma, insist)
         placed, registration = register_device(model, dataset, joint_sigma, insist)
         if registration is None:
             observations = observe(model, dataset, joint_sigma, insist)
-            if is_registrable(model, observations):
+            if has_stations(model) or is_registrable(model, observations):
                 placed = registered_by(model, observations) or model
         return cls(model, placed, dataset, joint_sigma, insist, registration)
 

@@ -49,7 +49,13 @@ from parallel_cal.recordings.dataset import Dataset
 
 SENSOR = "device_frame"
 FRAME_PARAMETERS = ("device_frame.frame.", "device_frame.target.")
+# Of the effect that describes a station for each of several recordings
+STATION_EFFECT = "parallel_cal.identification.stations"
 TARGET_EFFECT = "target_offset"  # an effect that states where the target sits
+WHAT_MOVED = (
+    "if nobody moved the device, the base moved, or the zeros of the joints changed, which looks "
+    "alike: measure three fixed points of the base in every recording to tell these apart"
+)
 STEPS = 60
 TOLERANCE_SAMPLE_SIZE = 24  # poses for the median error that tolerances explain
 Array = np.ndarray
@@ -63,6 +69,13 @@ class Frames:
     F: Array
     t: Array
     T: Array
+
+    def describe_move(self, other: Frames) -> str:
+        """`its device stands 812.3 mm and 12.30 deg, its target 0.1 mm`, seen by this device."""
+        shift = 1e3 * np.linalg.norm(other.f - self.f)
+        angle = np.degrees(np.linalg.norm(rotation_vector(self.F.T @ other.F)))
+        target = 1e3 * np.linalg.norm(other.t - self.t)
+        return f"its device stands {shift:.1f} mm and {angle:.2f} deg, its target {target:.1f} mm"
 
     def moved(self, step: Array) -> Frames:
         """After a small step (12,) of f, F (a left turn), t, T (a left turn)."""
@@ -125,15 +138,17 @@ def register_device(
     """
     frame, base = dataset.frame or "device", model.frames["base"]
     observations = observe(model, dataset, joint_sigma, insist)
-    there = _Poses.of(model, observations)
+    there = DevicePoses.of(model, observations)
     if there is None:
         return model, None
     found = there.frames()
     elsewhere = dataset.frame not in ("", base) and _device(model) is None
-    if not (elsewhere or there.is_misplaced(found, _is_identified(model))):
+    if not (elsewhere or there.is_misplaced(found, is_identified(model))):
         return model, None
     placed = _with_fitted_frames(model, observations, there, found)
     why = "the poses are in another frame" if elsewhere else "the poses did not fit without it"
+    if not elsewhere and is_identified(model):
+        why += f"; {there.now.describe_move(found)} from where the model has it; {WHAT_MOVED}"
     told = there.tilts or not (there.turns and there.placed.any())
     return placed, _registration(placed, frame, why, told)
 
@@ -143,7 +158,7 @@ def registered_by(model: Model, observations: Observations) -> Model | None:
 
     Least squares in the noise metric of a fit; no other parameter changes.
     """
-    there = _Poses.of(model, observations)
+    there = DevicePoses.of(model, observations)
     return (
         None if there is None else _with_fitted_frames(model, observations, there, there.frames())
     )
@@ -157,7 +172,7 @@ def is_registrable(model: Model, observations: Observations) -> bool:
     """
     if _device(model) is not None or model.covariance is not None:
         return False
-    there = _Poses.of(model, observations)
+    there = DevicePoses.of(model, observations)
     return there is not None and there.determines_target
 
 
@@ -186,7 +201,7 @@ def add_registration_warning(dataset: Dataset, registration: Registration | None
 
 
 @dataclass(frozen=True)
-class _Poses:
+class DevicePoses:
     """Predicted poses in {B} and poses as the device shows them.
 
     `placed` and `turned` (N,) mark measured positions and orientations. `turns` is whether the
@@ -211,7 +226,7 @@ class _Poses:
     expected: Array  # rms (2,) of position and `length` times orientation that tolerances allow
 
     @classmethod
-    def of(cls, model: Model, observations: Observations) -> _Poses | None:
+    def of(cls, model: Model, observations: Observations) -> DevicePoses | None:
         """None if too little was measured, or the model moves nothing that was measured."""
         n, m = len(model.joints), model.mechanism
         seen = Configuration.from_rows(observations.x)
@@ -289,8 +304,12 @@ class _Poses:
         off = before > MIN_UNREGISTERED_ERROR_RATIO * self.expected
         if (off & (before > MIN_EXPLAINED_ERROR_RATIO * after)).any():
             return True
-        if not self.determines_target:
-            return False
+        judged = self.determines_target or (identified and self.poses >= MIN_REGISTRATION_POSES)
+        return judged and self.is_displaced(found, identified)
+
+    def is_displaced(self, found: Frames, identified: bool) -> bool:
+        """Whether frames explain a significant part of the error and differ from the model's by
+        more than a workshop calls aligned."""
         squares = [float(np.sum(self._residual(frames) ** 2)) for frames in (self.now, found)]
         rows = 3 * int(self.placed.sum() + self.turned.sum())
         parameters = int(np.linalg.matrix_rank(self._jacobian(found).reshape(-1, 12)))
@@ -298,11 +317,10 @@ class _Poses:
         significant = rows * np.log(squares[0] / max(squares[1], 1e-300)) > parameters * np.log(
             rows
         )
-        displaced = identified or self._is_displaced(found)
+        displaced = identified or self._are_far_apart(found)
         return bool(significant and squares[1] < share * squares[0] and displaced)
 
-    def _is_displaced(self, found: Frames) -> bool:
-        """Whether a frame differs from the model's by more than a workshop calls aligned."""
+    def _are_far_apart(self, found: Frames) -> bool:
         now = self.now
         # Compare at the robot's base: the origin of a device far away moves a lot with a small
         # rotation, and at the poses the robot's own errors of angle look like shifts.
@@ -455,12 +473,14 @@ def _with_frames(model: Model, frames: Frames) -> Model:
 
 
 def _with_fitted_frames(
-    model: Model, observations: Observations, there: _Poses, found: Frames
+    model: Model, observations: Observations, there: DevicePoses, found: Frames
 ) -> Model:
     """The model with the frames that minimise chi2, starting at those found; the best found ones
     if the search does not converge. Poses that are far off do not count."""
     placed = _with_frames(model, found)
     own = np.array([there.is_free(name) for name in placed.table.names])
+    station = [name.startswith(f"{STATION_EFFECT}.") for name in placed.table.names]
+    own |= np.array(station) & ~np.asarray(placed.fixed)
     near = observations.select(there.find_near(found))
     try:
         values = implicit.estimate(placed, near, own, prior=None).values
@@ -469,7 +489,7 @@ def _with_fitted_frames(
     return _with_frames(placed, _frames_of(placed.with_values(values)))
 
 
-def _is_identified(model: Model) -> bool:
+def is_identified(model: Model) -> bool:
     """Whether the model is the result of a fit that also identified where the device stands."""
     return model.covariance is not None and _device(model) is not None
 

@@ -6,7 +6,6 @@ command line. If neither is possible, they are refused.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -20,6 +19,7 @@ from parallel_cal.base.rotation import quaternion_to_matrix
 from parallel_cal.identification.registration import register_device
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.transforming import transform_poses
 
 DEVICE_FRAME_SENSOR = "device_frame"  # the sensor whose parameters are the pose of the device
 
@@ -92,27 +92,7 @@ def transform_dataset(dataset: Dataset, by: Transform, frame: str) -> Dataset:
     The position must be measured in all directions or in none, and so must the rotation; otherwise
     raise DatasetError.
     """
-    for part in (dataset.measured[:, :3], dataset.measured[:, 3:]):
-        if (part.any(axis=1) != part.all(axis=1)).any():
-            raise DatasetError(
-                "single coordinates were measured: TF transforms only whole positions and rotations"
-            )
-    turn = np.zeros((6, 6))
-    turn[:3, :3] = turn[3:, 3:] = by.R
-    placed, turned = dataset.measured[:, :1], dataset.measured[:, 3, None, None]
-    known = np.nan_to_num(dataset.pose_cov)
-    diagonal = np.diagonal(dataset.pose_cov, axis1=1, axis2=2)
-    given = ~np.isnan(diagonal)
-    covariance = turn @ known @ turn.T  # NaN as zero, and restored below
-    gaps = ~(given[:, :, None] & given[:, None, :])
-    covariance[gaps] = np.nan
-    return dataclasses.replace(
-        dataset,
-        r=np.where(placed, dataset.r @ by.R.T + by.r, dataset.r),
-        R=np.where(turned, by.R @ dataset.R, dataset.R),
-        pose_cov=covariance,
-        frame=frame,
-    )
+    return transform_poses(dataset, by.r, by.R, frame)
 
 
 def lookup(node: Node) -> Look:

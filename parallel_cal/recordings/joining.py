@@ -17,7 +17,7 @@ from parallel_cal.recordings.replicates import replicate_ids
 from parallel_cal.recordings.samplefile import PER_SAMPLE
 from parallel_cal.recordings.samples import READING
 
-SETUP_FIELDS = ("joint_names", "joint_sigma", "mode", "frame")
+SETUP_FIELDS = ("joint_names", "joint_sigma", "mode")
 
 
 def join_datasets(
@@ -33,6 +33,9 @@ def join_datasets(
 
     With `starts` (ns), the datasets are parts of one session, and replicates are detected again,
     within `tolerance`. A start of 0 is unknown: the next part follows its last sample.
+
+    Sessions may be measured in different frames: a fit registers each of them. The result names the
+    frame of the first.
 
     A condition that one dataset lacks is dropped with a warning. A missing reading of a sensor is
     NaN. DatasetError if the datasets differ in their set-up, or if a recording is given twice.

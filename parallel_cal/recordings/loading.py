@@ -176,7 +176,7 @@ def load_sessions(
     Raises
     ------
     BagError, DatasetError
-        As `load_dataset`; also if the recordings differ in joints or frames.
+        As `load_dataset`; also if the recordings differ in joints.
 
     Examples
     --------

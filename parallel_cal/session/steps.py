@@ -25,6 +25,7 @@ from parallel_cal.identification.fit import FitResult, fit, fit_registered
 from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.platform_shift import PlatformShift, compute_platform_shift
 from parallel_cal.identification.prediction_errors import Summary
+from parallel_cal.identification.stations import without_stations
 from parallel_cal.identification.thresholds import MAX_NEGLIGIBLE_ERROR_RISE
 from parallel_cal.model.effect import parse_effects
 from parallel_cal.model.model import Model
@@ -344,5 +345,7 @@ def _step(
     if found.against:
         entry["forced"] = found.against
     entry |= {key: document[key] for key in ("before", "after", "held_out", "chi2_per_dof")}
-    model = replace(result.model, history=(*result.model.history, entry))
+    # Stations belong to these recordings, not to the robot.
+    robot = without_stations(result.model)
+    model = replace(robot, history=(*robot.history, entry))
     return Step(name, model, result, found, rival)

@@ -1,0 +1,236 @@
+"""Recordings of one robot for which the measuring device, or its target, was set up anew.
+
+Every recording has its own frame and target. The closed-form registrations move the poses of the
+later recordings into the frame of the first one. What remains are a small shift and rotation of
+each later station, and the offset of its target. They are free parameters of the effect `Stations`,
+so that their uncertainty reaches the robot's parameters. They are no part of the robot: a model
+file does not keep them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.base.errors import FitError
+from parallel_cal.base.rotation import cayley
+from parallel_cal.identification.observations import observe
+from parallel_cal.identification.registration import (
+    STATION_EFFECT,
+    WHAT_MOVED,
+    DevicePoses,
+    Frames,
+    is_identified,
+)
+from parallel_cal.identification.thresholds import MIN_REGISTRATION_POSES
+from parallel_cal.model.effect import Effect, Seen
+from parallel_cal.model.mechanism import POSE, Mechanism
+from parallel_cal.model.model import Model
+from parallel_cal.model.parameters import Named, Parameter
+from parallel_cal.model.shelf import load_effect
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.transforming import transform_poses
+
+LATER_RECORDINGS = (1, 2, 3)  # that may have a station of their own
+TOLERANCE = {"m": 2e-3, "rad": 0.035}  # of a station after its closed-form registration
+TARGET_TOLERANCE_M = 0.05
+
+
+class Stations(Effect):
+    """R_ideal = exp(w) R exp(z), r_ideal = exp(w) r + v + R_ideal d, for each later recording.
+
+    `frame` has v (m) and w (rad) about axes of {B}, `target` has d (m) and z (rad) about axes of
+    {P}.
+    """
+
+    needs = ("session",)
+    fixed = ("recording*",)  # `register_recordings` frees those that the samples determine
+    of_device = True
+    physics = "Between two recordings the measuring device or its target was set up anew."
+    source = "anywhere"
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        moves = [c for c in POSE if c in mechanism.moves]
+        turns = any(c.startswith("r") for c in moves)
+        found = []
+        for k in LATER_RECORDINGS:
+            for part, coordinates in (("frame", POSE), ("target", moves if turns else [])):
+                for c in coordinates:
+                    unit = "rad" if c.startswith("r") else "m"
+                    at_target = part == "target" and unit == "m"
+                    size = TARGET_TOLERANCE_M if at_target else TOLERANCE[unit]
+                    found.append(Parameter(f"recording{k + 1}.{part}.{c}", unit, 0.0, size))
+        return found
+
+    def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
+        r, R = seen.r, seen.R
+        for k in LATER_RECORDINGS:
+            its = at.session == k
+
+            def vector(part: str, axes: tuple[str, ...], k: int = k, its: Any = its) -> Any:
+                names = [f"recording{k + 1}.{part}.{c}" for c in axes]
+                return its * ca.vertcat(*[e.get(name, 0) for name in names])
+
+            turn = cayley(vector("frame", POSE[3:]))
+            R = turn @ R @ cayley(vector("target", POSE[3:]))
+            r = turn @ r + vector("frame", POSE[:3]) + R @ vector("target", POSE[:3])
+        return seen.with_pose(r, R)
+
+
+@dataclass(frozen=True)
+class Station:
+    """The frames of one recording by itself, and those of the first recording.
+
+    `tilts` is whether the poses determine the target, `turned` whether orientations were measured.
+    """
+
+    first: Frames
+    own: Frames
+    tilts: bool
+    turned: bool
+
+    def is_free(self, axis: str) -> bool:
+        """Whether the samples determine a coordinate of the target."""
+        return self.turned if axis.startswith("r") else self.tilts
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """From the frame of this device to that of the first one."""
+        return np.asarray(self.first.F.T @ self.own.F)
+
+    @property
+    def position(self) -> np.ndarray:
+        """Where the first device sees the origin of this one."""
+        return np.asarray(self.first.F.T @ (self.own.f - self.first.f))
+
+    @property
+    def target_offset(self) -> np.ndarray:
+        """From this target to the first one, in {P}."""
+        return self.first.t - self.own.t
+
+    def move(self, dataset: Dataset) -> Dataset:
+        """The samples as the first device would have shown the orientation of the first target, at
+        the position of this target: the orientation that the offset depends on may be unknown."""
+        moved = transform_poses(dataset, self.position, self.rotation, dataset.frame)
+        if not self.turned:
+            return moved
+        turned = moved.measured[:, 3, None, None]
+        R = np.where(turned, moved.R @ self.own.T.T @ self.first.T, moved.R)
+        return replace(moved, R=R)
+
+    def describe(self, k: int) -> str:
+        """`recording 2 has a station of its own: its device stands 812.3 mm and 12.30 deg ...`"""
+        return (
+            f"recording {k + 1} has a station of its own: {self.first.describe_move(self.own)} "
+            f"from where recording 1 has it; each recording was registered by itself, and "
+            f"{WHAT_MOVED}"
+        )
+
+
+def register_recordings(
+    model: Model, dataset: Dataset, joint_sigma: float | None = None, insist: bool = False
+) -> tuple[Model, Dataset]:
+    """Move every recording that has a station or a target of its own into the frame of the first.
+
+    The model gets the effect `Stations`, and the dataset a warning that names each station. Both
+    stay as they are if there is one recording, or if the samples are too few to register each.
+    FitError if more recordings have stations of their own than the effect can describe.
+    """
+    bare = without_stations(model)
+    session = dataset.conditions.get("session", np.zeros(len(dataset)))
+    recordings = np.unique(session).astype(int)
+    if len(recordings) < 2:
+        return bare, dataset
+    if bare is not model and not _find_stations(model, dataset, joint_sigma, insist):
+        return model, dataset  # these samples were moved into one frame before
+    found = _find_stations(bare, dataset, joint_sigma, insist)
+    if found is None:
+        return bare, dataset
+    if not found:
+        words = (
+            f"the {len(recordings)} recordings share one station: registered one by one, no device "
+            "or target stands clearly elsewhere"
+        )
+        return bare, replace(dataset, warnings=tuple(dict.fromkeys((*dataset.warnings, words))))
+    if max(found) > LATER_RECORDINGS[-1]:
+        raise FitError(
+            f"{dataset.source}: recording {max(found) + 1} has a station of its own; expected at "
+            f"most {LATER_RECORDINGS[-1] + 1} recordings then: fit fewer recordings at once"
+        )
+    described = tuple(station.describe(k) for k, station in found.items())
+    for k, station in found.items():
+        moved = station.move(dataset)
+        its = session == k
+        parts: dict[str, Any] = {
+            name: np.where(
+                its.reshape(-1, *[1] * (new.ndim - 1)), new, np.asarray(getattr(dataset, name))
+            )
+            for name, new in (("r", moved.r), ("R", moved.R), ("pose_cov", moved.pose_cov))
+        }
+        dataset = replace(dataset, **parts)
+    return _with_stations(bare, found), replace(dataset, warnings=(*dataset.warnings, *described))
+
+
+def without_stations(model: Model) -> Model:
+    """The robot alone, without the stations of recordings."""
+    if not has_stations(model):
+        return model
+    kept = tuple(effect for effect in model.effects if effect.name != STATION_EFFECT)
+    return _keep_covariance(model, model.with_effects(kept))
+
+
+def has_stations(model: Model) -> bool:
+    return any(effect.name == STATION_EFFECT for effect in model.effects)
+
+
+def _find_stations(
+    model: Model, dataset: Dataset, joint_sigma: float | None, insist: bool
+) -> dict[int, Station] | None:
+    """Stations that differ from the one of the first recording, by the number of the recording;
+    None if a recording has too few poses to be registered."""
+    observations = observe(model, dataset, joint_sigma, insist)
+    session = dataset.conditions["session"]
+    stations, first = dict[int, Station](), None
+    for k in np.unique(session).astype(int):
+        there = DevicePoses.of(model, observations.select(np.flatnonzero(session == k)))
+        if there is None or there.poses < MIN_REGISTRATION_POSES:
+            return None
+        first = first or there.frames()
+        relative = replace(there, now=first)
+        own = relative.frames()
+        if relative.is_displaced(own, is_identified(model)):
+            stations[k] = Station(first, own, there.tilts, bool(there.turned.any()))
+    return stations
+
+
+def _with_stations(model: Model, stations: Mapping[int, Station]) -> Model:
+    """The model with the effect, whose parameters for these recordings are free."""
+    extended = model.with_effects((load_effect(STATION_EFFECT), *model.effects))
+    values, fixed = extended.values.copy(), extended.fixed.copy()
+    for i, name in enumerate(extended.table.names):
+        for k, station in stations.items():
+            part = name.removeprefix(f"{STATION_EFFECT}.recording{k + 1}.")
+            kind, _, axis = part.partition(".")
+            if part == name or (kind == "target" and not station.is_free(axis)):
+                continue
+            fixed[i] = False
+            if kind == "target" and axis in "xyz":
+                values[i] = station.target_offset["xyz".index(axis)]
+    changed = replace(extended, values=values, fixed=fixed)
+    return _keep_covariance(model, changed)
+
+
+def _keep_covariance(before: Model, after: Model) -> Model:
+    """The model after a change of its effects, with the covariance of the other parameters."""
+    if before.covariance is None:
+        return after
+    own, names = before.table.names, after.table.names
+    kept = [i for i, name in enumerate(names) if name in own]
+    at = [own.index(names[i]) for i in kept]
+    covariance = np.zeros((len(names), len(names)))
+    covariance[np.ix_(kept, kept)] = np.asarray(before.covariance)[np.ix_(at, at)]
+    return replace(after, covariance=covariance)
