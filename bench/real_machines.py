@@ -294,7 +294,7 @@ def write_models() -> None:
 
 INTRODUCTION = """# Real machines
 
-How well does parallel_cal calibrate machines that other people built and measured? This page says it
+How well does parallel_cal calibrate machines that others built and measured? This page says it
 for each set in [real/](../real/README.md), beside an independent fit (`bench/independent_fits.py`:
 scipy, kinematics of its own, nothing of this package). `make real` makes it.
 

@@ -8,6 +8,7 @@ the best that each of its lookalikes makes of the same residuals.
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 
