@@ -7,6 +7,7 @@ the best that each of its lookalikes makes of the same residuals.
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from dataclasses import replace
 from html import escape
@@ -102,7 +103,7 @@ def session(robot: Model, seed: int = 0) -> Dataset:
         apart = rng.standard_normal(rows.shape) * robot.structure.standard_uncertainty
         readings = {f"reading.{c}": v for c, v in zip(channels, (rows + apart).T, strict=True)}
     seen = np.isin(range(6), m.moved) & (not channels)  # who probes has no other device
-    one = FINE * np.nan_to_num(replace(robot, noise=noise).joint_noise)
+    one = FINE * np.nan_to_num(dataclasses.replace(robot, noise=noise).joint_noise)
     return Dataset.from_arrays(
         robot.joints,
         joints + one * rng.standard_normal((n, nq)),

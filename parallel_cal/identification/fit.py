@@ -427,7 +427,7 @@ def fit_registered(
     if observations.unknown and noise is None:
         guessed, last = observations, None
         for _ in range(MAX_NOISE_ROUNDS):
-            one = estimate_noise(model, guessed, mask, estimate, options.prior is not False)
+            one = estimate_noise(model, guessed, mask, estimate, options.prior is not False, last)
             if last is not None and not one.differs_from(last):
                 break
             last, observations, inseparable = one, one.observations, one.inseparable

@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import nnls
 
 from parallel_cal.identification.estimate import Estimate
 from parallel_cal.identification.linearisation import Linearisation
@@ -61,12 +60,14 @@ def estimate_noise(
     free: np.ndarray,
     found: Estimate | None = None,
     with_priors: bool = True,
+    last: EstimatedNoise | None = None,
 ) -> EstimatedNoise:
     """Estimate the noise that is not stated from the residuals of a model.
 
     `observations` hold the guesses. `found` is the estimate of the parameters in the mask `free`;
     None: those of the model, of which none is free. `with_priors` says whether tolerances hold the
-    directions that the data determine weakly: these take no degrees of freedom.
+    directions that the data determine weakly: these take no degrees of freedom. `last` is an
+    earlier estimate to start from.
     """
     names = [kind.name for kind in observations.unknown]
     if found is not None:
@@ -81,7 +82,7 @@ def estimate_noise(
     groups: Groups = [[k] for k in seen]
     factors, error = np.ones(len(names)), np.full(len(names), np.inf)
     while groups:
-        solution = rows.solve(groups)
+        solution = rows.solve(groups, last)
         merged = _merge_inseparable(groups, solution.share_covariance)
         if merged == groups:
             if np.isfinite(solution.covariance).all():
@@ -175,15 +176,18 @@ class _Rows:
         parts = self._parts(unweighted, self.observations)
         return np.array([np.trace(part, axis1=1, axis2=2).sum() for part in parts])
 
-    def solve(self, groups: Groups) -> _Solution:
+    def solve(self, groups: Groups, last: EstimatedNoise | None) -> _Solution:
         """Iterate the steps of Fisher scoring until they change nothing.
 
-        Every group begins with an equal part of the residuals: the guesses decide only about
-        proportions within a group.
+        Without an earlier estimate, every group begins with an equal part of the residuals: the
+        guesses decide only about proportions within a group.
         """
-        own = self.variances()
-        begin = np.array([np.vdot(self.phi, self.phi) / own[group].sum() for group in groups])
-        variance = np.maximum(begin / len(groups), MIN_NOISE_FACTOR**2)
+        if last is None:
+            own, whole = self.variances(), np.vdot(self.phi, self.phi) / len(groups)
+            variance = np.array([whole / own[group].sum() for group in groups])
+        else:
+            variance = np.array([np.mean(last.factors[group] ** 2) for group in groups])
+        variance = np.maximum(variance, MIN_NOISE_FACTOR**2)
         for _ in range(MAX_NOISE_STEPS):
             change, covariance, share = self._score(groups, self._factors(groups, variance))
             variance = np.maximum(variance * change, MIN_NOISE_FACTOR**2)
@@ -204,30 +208,31 @@ class _Rows:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """One step of Fisher scoring: factors of the groups' variances, their relative covariance,
         and the shares of the groups."""
+        from scipy.optimize import nnls
+
         seen = self.observations.scale_unknown_noise(factors)
-        T = self._whiten(seen)
+        linearise = Linearisation(self.model, seen, self.free, True)
+        T = linearise.whiten(self.C)
         parts = self._parts(T, seen)
         A = [sum((parts[k] for k in group[1:]), parts[group[0]]) for group in groups]
-        whole = T @ self._covariance(seen) @ T.transpose(0, 2, 1)
+        whole = T @ linearise.covariance_of(self.C) @ T.transpose(0, 2, 1)
         A.append(whole - sum(A[1:], A[0]))  # what is stated
-        white = (T @ self.phi[:, :, None])[:, :, 0]
+        white = (T @ self.phi[:, :, None]).reshape(-1)
         Z = self._basis(T)
-        residual = white - Z @ np.einsum("nik,ni->k", Z, white)
+        columns = Z.reshape(len(white), -1)
+        residual = (white - columns @ (columns.T @ white)).reshape(*self.phi.shape, 1)
         AZ = [a @ Z for a in A]
-        M = [np.einsum("nik,nil->kl", Z, az) for az in AZ]
-        Q = np.array(
-            [
-                [
-                    np.vdot(A[g], A[h]) - 2 * np.vdot(AZ[g], AZ[h]) + np.vdot(M[g], M[h])
-                    for h in range(len(A))
-                ]
-                for g in range(len(A))
-            ]
-        )
-        q = np.array([np.einsum("ni,nij,nj->", residual, a, residual) for a in A[:-1]])
-        trace = np.array([np.trace(a, axis1=1, axis2=2).sum() for a in A]) - [
-            np.trace(m) for m in M
+        M = [columns.T @ az.reshape(columns.shape) for az in AZ]
+        Q = np.zeros((len(A), len(A)))
+        for g in range(len(A)):
+            for h in range(g + 1):
+                Q[g, h] = np.vdot(A[g], A[h]) - 2 * np.vdot(AZ[g], AZ[h]) + np.vdot(M[g], M[h])
+                Q[h, g] = Q[g, h]
+        q = np.array([np.vdot(residual, a @ residual) for a in A[:-1]])
+        traces = [
+            np.trace(a, axis1=1, axis2=2).sum() - np.trace(m) for a, m in zip(A, M, strict=True)
         ]
+        trace = np.array(traces)
         n, dof = len(groups), float(trace.sum())
         own = Q[:n, :n]
         if round(dof) < n:  # too few to estimate as many variances
@@ -248,12 +253,6 @@ class _Rows:
         used = sizes[:rank] > max(RELATIVE_RANK * sizes[0], self.min_singular_value)
         Z = A @ (directions[:rank][used].T / sizes[:rank][used])
         return np.asarray(Z.reshape(*self.phi.shape, -1))
-
-    def _whiten(self, observations: Observations) -> np.ndarray:
-        return Linearisation(self.model, observations, self.free, True).whiten(self.C)
-
-    def _covariance(self, observations: Observations) -> np.ndarray:
-        return Linearisation(self.model, observations, self.free, True).covariance_of(self.C)
 
     def _parts(self, T: np.ndarray, seen: Observations) -> list[np.ndarray]:
         """Covariance (N, rows, rows) of rows, multiplied by T, from each kind of unknown noise."""
