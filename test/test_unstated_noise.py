@@ -154,6 +154,16 @@ def test_without_a_degree_of_freedom_the_guess_remains(session):
     found = fit(replace(model, fixed=~free), one, hold_out=0, prior=False)
     assert found.estimate.dof == 0
     assert noise_of(found)["joints"] == pytest.approx(40e-6)
+    assert ESTIMATED not in found.observations.noise_from.values()
+    assert any("too few measurements remain to estimate it" in w for w in found.warnings)
+
+
+def test_noise_of_an_orientation_that_the_model_holds_is_not_called_estimated(session):
+    found = fit(new_model("delta24"), delta_dataset(session), hold_out=0)
+    sources = {one["name"]: one["source"] for one in found.document()["noise"]}
+    assert sources["device position"] == ESTIMATED
+    assert sources["device orientation"] == "not stated"
+    assert not any("device orientation" in w for w in found.warnings)
 
 
 def test_exact_measurements_do_not_break_the_estimation(session):

@@ -10,8 +10,8 @@ import numpy as np
 from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL
 from parallel_cal.identification.estimate import Estimate
 from parallel_cal.identification.observations import (
+    ESTIMATED,
     SCATTER,
-    UNMEASURED,
     NoiseFigure,
     Observations,
     list_noise,
@@ -80,8 +80,13 @@ def list_noise_warnings(
     `inseparable` lists kinds of noise that the data do not separate.
     """
     if observations.noise_assumed:
-        found = [one for one in list_noise(model, observations) if one.source in UNMEASURED]
+        found = [one for one in list_noise(model, observations) if one.source == ESTIMATED]
         named = ", ".join(f"{one.name} {_format_noise(one)}" for one in found)
+        if not found:
+            return [
+                "the noise is not stated, and too few measurements remain to estimate it: the "
+                "weights of the measurements are a guess"
+            ]
         words = [
             f"the noise is not stated, so it was estimated from the residuals ({named}): they "
             "cannot show whether the model is complete"

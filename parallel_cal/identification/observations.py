@@ -29,13 +29,15 @@ class UnknownNoise:
     """A kind of noise whose size is not stated: S and the readings hold a guess of it.
 
     `coordinates` (N, nq+6) and `channels` (N, n_channels) mark the entries that this guess scales.
-    The guess has one value for each joint, so the proportions within the kind remain.
+    The guess has one value for each joint, so the proportions within the kind remain. `estimated`
+    is whether an estimate has replaced it.
     """
 
     name: str
     unit: str
     coordinates: np.ndarray
     channels: np.ndarray
+    estimated: bool = False
 
     def select(self, index: np.ndarray) -> UnknownNoise:
         return replace(self, coordinates=self.coordinates[index], channels=self.channels[index])
@@ -186,22 +188,24 @@ def list_noise(model: Model, observations: Observations) -> list[NoiseFigure]:
     """List the noise of joints, device and sensors: its rms over the samples."""
     sources = observations.noise_from
     variance = np.diagonal(observations.S, axis1=1, axis2=2)
-    unknown = {kind.name for kind in observations.unknown}
+    unknown = {
+        kind.name: ESTIMATED if kind.estimated else UNSTATED for kind in observations.unknown
+    }
     found = []
     for name, unit, own in _kinds(model):
         used = observations.measured & own
         if used.any():
             source = sources["joint" if own[: len(model.joints)].any() else "pose"]
-            if source == ESTIMATED and name not in unknown:
-                source = "model file"  # a part of the joints or of the device
+            # Another part of the joints or of the device may be the unknown one.
+            stated = "model file" if source in (UNSTATED, ESTIMATED) else source
+            source = unknown.get(name, stated)
             found.append(NoiseFigure(name, float(np.sqrt(variance[used].mean())), unit, source))
     sigma = observations.get_reading_sigma(model)
     for sensor in model.sensors:
         own = np.isin(model.structure.channels, sensor.channels)
         used = np.isfinite(observations.reading) & own
         if used.any():
-            silent = sensor.sigma is None
-            source = sources.get("reading", UNSTATED) if silent else "model file"
+            source = unknown.get(sensor.name, "model file")
             rms = float(np.sqrt(np.mean(sigma[used] ** 2)))
             found.append(NoiseFigure(sensor.name, rms, "m", source))
     return found

@@ -91,7 +91,11 @@ def estimate_noise(
                     error[group] = one
             break
         groups = merged
-    scaled = observations.scale_unknown_noise(factors)
+    kinds = zip(observations.unknown, np.isfinite(error).tolist(), strict=True)
+    scaled = replace(
+        observations.scale_unknown_noise(factors),
+        unknown=tuple(replace(kind, estimated=known) for kind, known in kinds),
+    )
     return EstimatedNoise(
         replace(scaled, noise_from=_name_sources(scaled)),
         factors,
@@ -103,7 +107,7 @@ def estimate_noise(
 def _name_sources(observations: Observations) -> dict[str, str]:
     """Sources of the noise after its estimation."""
     sources, n = dict(observations.noise_from), observations.S.shape[1] - 6
-    for kind in observations.unknown:
+    for kind in (kind for kind in observations.unknown if kind.estimated):
         for key, used in (
             ("joint", kind.coordinates[:, :n]),
             ("pose", kind.coordinates[:, n:]),
