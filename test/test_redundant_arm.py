@@ -115,7 +115,7 @@ def test_it_is_compared_and_identified_like_any_robot():
     rng = np.random.default_rng(5)
     shifts = np.array([2e-3 * rng.standard_normal(7), 0.3e-3 * rng.standard_normal(7)])
     data = session(shifts)
-    before = compare(arm(), data).errors.summary
+    before = compare(arm(), data).given.errors_as_given.summary
     result = fit(arm(), data)
     assert before.position_rms > 1e-3
     assert result.estimate.chi2_per_dof == pytest.approx(1, abs=0.2)
