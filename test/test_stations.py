@@ -127,6 +127,16 @@ def test_a_fitted_model_on_a_second_station_is_registered_and_says_how_far_it_mo
     assert "three fixed points" in shown.registration.description
 
 
+def test_a_new_station_keeps_the_covariance_of_the_robot():
+    known = fit(nominal("ur5"), recorded(FIRST, 0), hold_out=0).model
+    placed = compare(known, recorded(SECOND, 3)).model
+    assert np.array_equal(placed.covariance, known.covariance)
+    data = recorded(SECOND, 3)
+    again = fit(known, data, refit=["link1.theta"], hold_out=0)
+    assert again.registration is not None
+    assert rms(again.after) < 60e-6
+
+
 def test_a_fitted_model_on_its_own_station_is_not_registered_again():
     known = fit(nominal("ur5"), recorded(FIRST, 0), hold_out=0).model
     shown = compare(known, recorded(FIRST, 3))

@@ -486,7 +486,8 @@ def _with_fitted_frames(
         values = implicit.estimate(placed, near, own, prior=None).values
     except FitError:
         return placed
-    return _with_frames(placed, _frames_of(placed.with_values(values)))
+    fitted = placed.with_values(values, placed.covariance)
+    return _with_frames(fitted, _frames_of(fitted))
 
 
 def is_identified(model: Model) -> bool:
