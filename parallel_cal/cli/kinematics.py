@@ -80,7 +80,9 @@ def direct(
 
     robot, conditions = _read_robot_and_conditions(model, at)
     if table is not None:
-        return _output_table(*direct_table(robot, table, conditions, solver), output, as_json)
+        text, found = direct_table(robot, table, conditions, solver)
+        _warn_outside_region(found, robot)
+        return _output_table(text, found, output, as_json)
     if q is not None and len(q) != len(robot.joints):
         raise ParallelCalError(
             f"--joints: {len(q)} values given, {robot.mechanism.name} has {len(robot.joints)} "
@@ -117,7 +119,9 @@ def inverse(
 
     robot, conditions = _read_robot_and_conditions(model, at)
     if table is not None:
-        return _output_table(*inverse_table(robot, table, conditions, solver), output, as_json)
+        text, found = inverse_table(robot, table, conditions, solver)
+        _warn_outside_region(found, robot)
+        return _output_table(text, found, output, as_json)
     r = np.array(robot.mechanism.home.position if place is None else place)
     R = None if quaternion is None else answers.parse_rotation(quaternion)
     # The orientation of a Delta, for example, follows from its position.

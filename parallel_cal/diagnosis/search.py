@@ -28,7 +28,7 @@ from parallel_cal.diagnosis.thresholds import (
 )
 from parallel_cal.identification.acceptance import acceptance
 from parallel_cal.identification.checks import ContradictionError, WrongSignError
-from parallel_cal.identification.estimate import Estimate
+from parallel_cal.identification.estimate import Estimate, NoSolutionError
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.prediction_errors import held_out_ratio
 from parallel_cal.identification.unusual import describe_by_effect
@@ -129,7 +129,7 @@ class Search:
             except (FitError, ModelError) as error:  # or an effect of the larger model, without it
                 wrong_sign = isinstance(error, WrongSignError)
                 contradicts = isinstance(error, ContradictionError)
-                unsolved = isinstance(error, FitError) and not (wrong_sign or contradicts)
+                unsolved = isinstance(error, NoSolutionError)
                 self._known[key] = Trial(
                     chosen, None, str(error), wrong_sign, contradicts, unsolved
                 )

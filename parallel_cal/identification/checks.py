@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.identification.estimate import Estimate
+from parallel_cal.identification.estimate import Estimate, NoSolutionError
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import Errors
@@ -157,7 +157,7 @@ def check_joint_errors(model: Model, found: Errors) -> None:
         error = error[np.isfinite(error)]
         rms = float(np.sqrt(np.mean(error**2))) if len(error) else 0.0
         if rms > high - low:
-            raise FitError(
+            raise NoSolutionError(
                 f"the best fit misses the readings of joint {m.joints[i]} by {rms:.4g} "
                 f"{m.joint_units[i]} rms, more than its whole range ({low:.4g} to {high:.4g}): "
                 "check the readings' units, the order of the joints and the mechanism; nothing was "

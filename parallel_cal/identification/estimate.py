@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from parallel_cal.base.errors import FitError
 from parallel_cal.identification.linearisation import System
 from parallel_cal.identification.observability import Spectrum, spectrum
 from parallel_cal.identification.prior import Knowledge, Prior
@@ -17,6 +18,10 @@ from parallel_cal.identification.thresholds import (
     VARIANCE_STEPS,
 )
 from parallel_cal.model.model import Model
+
+
+class NoSolutionError(FitError):
+    """An identification found no parameters that describe the samples."""
 
 
 @dataclass(frozen=True)

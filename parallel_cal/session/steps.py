@@ -126,8 +126,7 @@ def fitted(
     result = fit(model, dataset, **options)
     if result.given.fits_of_these_samples:
         result = replace(result, warnings=(*result.warnings, IN_SAMPLE))
-    had = {effect.name for effect in result.given.model.effects}
-    added = "+".join(e.name for e in result.start.effects if e.name not in had)
+    added = "+".join(n for text in options.get("effects", ()) for n, _ in parse_effects(text))
     return _step("fit", result, _check_proven(acceptance(result), force), effect=added or None)
 
 

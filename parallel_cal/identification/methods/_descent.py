@@ -12,6 +12,7 @@ from parallel_cal.identification.estimate import (
     Estimate,
     EstimationProblem,
     NormalEquations,
+    NoSolutionError,
     make_estimate,
 )
 from parallel_cal.identification.linearisation import Linearisation, System
@@ -118,7 +119,7 @@ def minimise(
         costs.append(here.system.chi2 + here.known)
         if damping > 1e12:
             break
-    raise FitError(
+    raise NoSolutionError(
         f"identification did not converge in {iterations} iterations (chi2 "
         f"{here.system.chi2:.3g} of {len(here.system.residual)} samples): {advice}"
     )
