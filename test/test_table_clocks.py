@@ -120,6 +120,17 @@ def test_rests_are_joined_by_the_nearest_time_on_one_clock(logs):
     np.testing.assert_allclose((data.q - legs_of(data))[speed < 1e-5], 0, atol=120e-6)
 
 
+def test_rows_without_numbers_and_a_group_of_names_do_not_hide_the_offset(logs):
+    paths, columns = logs("join: {by: t, within: 0.02}\ngroup: place")
+    header, *rows = paths[1].read_text().split()
+    rows = [f"{row},home" for row in rows]
+    first = rows[0].split(",")  # far from any row of the joints, and not seen by the cameras
+    rows[0] = ",".join(["-9", *["nan"] * (len(first) - 2), "home"])
+    paths[1].write_text("\n".join([header + ",place", *rows]))
+    offset, sigma = offset_in(import_csv(paths, columns))
+    assert abs(offset - OFFSET) < 4 * sigma < 8e-3
+
+
 @pytest.mark.parametrize(
     "clock", ["log: {time: t, offset: %s}", "join: {by: t, within: 1, offset: %s}"]
 )

@@ -144,12 +144,21 @@ class ColumnMap(Part):
     noise: NoisePart = NoisePart()
 
     @property
+    def joint_columns(self) -> list[str]:
+        """The columns of the joints."""
+        return [joint.column for joint in self.joints.values()]
+
+    @property
+    def pose_columns(self) -> list[str]:
+        """The columns of position and orientation."""
+        names = [name for part in (self.position, self.angles) if part for name in part.columns]
+        return names + (self.orientation or [])
+
+    @property
     def columns(self) -> list[str]:
         """Every column that the map names."""
-        names = [joint.column for joint in self.joints.values()]
+        names = self.joint_columns + self.pose_columns
         names += [reading.column for reading in self.readings.values()]
-        names += [name for part in (self.position, self.angles) if part for name in part.columns]
-        names += self.orientation or []
         names += [c for c in self.conditions.values() if isinstance(c, str)]
         return names + ([self.group] if self.group else [])
 

@@ -58,16 +58,14 @@ def read_log(found: Columns, wanted: ColumnMap, clock: Join | Log) -> TableLog:
     columns of one of them are in several tables.
     """
     key = clock.by if isinstance(clock, Join) else clock.time
-    joint_table = found.require_one_table([joint.column for joint in wanted.joints.values()])
+    joint_table = found.require_one_table(wanted.joint_columns)
     time = _times(joint_table, key, clock.unit)
     q = np.hstack([found.joint(joint, gaps=True) for joint in wanted.joints.values()])
     rows = _complete_rows(joint_table, q, "joints", time)
-    poses = [*(wanted.position.columns if wanted.position else []), *(wanted.orientation or [])]
-    poses += wanted.angles.columns if wanted.angles else []
     none = np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 6), bool)
-    if not poses:
+    if not wanted.pose_columns:
         return TableLog(joint_table, None, time[rows], q[rows], np.zeros(0), *none)
-    pose_table = found.require_one_table(poses)
+    pose_table = found.require_one_table(wanted.pose_columns)
     pose_time = _times(pose_table, key, clock.unit)
     r, R = found.position(wanted, gaps=True), found.rotation(wanted, gaps=True)
     parts = [part.reshape(len(pose_time), -1) for part in (r, R) if part is not None]

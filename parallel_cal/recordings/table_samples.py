@@ -126,10 +126,10 @@ def _match_rows(
 
 
 def _select_complete_rows(table: Table, wanted: ColumnMap) -> Table:
-    """Return the rows whose cells are all usable: others may have no partner and do no harm."""
-    words = [word for name in wanted.columns if (word := table.find(name)) is not None]
-    texts = {wanted.group, *wanted.readings}
-    numbers = [table.column(word) for word in words if word not in texts]
+    """Return the rows with numbers for joints and pose: others may have no partner and do no
+    harm."""
+    names = wanted.joint_columns + wanted.pose_columns
+    numbers = [table.column(word) for name in names if (word := table.find(name)) is not None]
     usable = np.isfinite(numbers).all(axis=0) if numbers else np.ones(len(table.rows), bool)
     return table.select(np.flatnonzero(usable).tolist())
 
