@@ -36,6 +36,7 @@ from parallel_cal.identification.variance_components import estimate_noise
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.model.region import IdentifiedRegion
+from parallel_cal.recordings.configuration import explain_other_configuration
 from parallel_cal.recordings.dataset import Dataset, check_inputs
 from parallel_cal.recordings.residuals import Residuals
 
@@ -240,6 +241,8 @@ def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) ->
     check_inputs(model, dataset)
     given = GivenModel.of(model, dataset, joint_sigma, insist=True)
     dataset = add_registration_warning(given.dataset, given.registration)
+    if other := explain_other_configuration(model, dataset.configuration, dataset.source):
+        dataset = replace(dataset, warnings=(*dataset.warnings, other))
     if given.observations.doubts:
         dataset = replace(dataset, warnings=(*dataset.warnings, given.observations.doubts))
     if region := IdentifiedRegion.of_model(model):

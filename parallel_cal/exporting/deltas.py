@@ -196,4 +196,12 @@ def _match_places(angles: Array, places: Array) -> tuple[float, tuple[int, int, 
     turn = 0.0 if near else float(angles[0] - places[0])
     away = np.abs(_wrap_angles(angles - turn - places[:, None]))
     a, b, c = (int(i) for i in away.argmin(axis=1))
+    if {a, b, c} != {0, 1, 2}:
+        at = ", ".join(f"{angle:.1f}" for angle in np.degrees(angles))
+        expected = ", ".join(f"{place:g}" for place in np.degrees(places))
+        raise ModelError(
+            f"the towers are at {at} degrees about z: expected each near another one of "
+            f"{expected} degrees, apart from a turn of the whole frame. The firmware cannot "
+            "represent other places: use the targets c or table"
+        )
     return turn, (a, b, c)

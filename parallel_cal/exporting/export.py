@@ -107,7 +107,7 @@ def export(
         made |= {file: format_settings(numbers) for file, numbers in projection.settings.items()}
         heights = None
         if touches is not None:
-            _check_touches_apply(robot)
+            _check_touches_apply(robot, touches)
             after = rms_height(robot, found, touches, "the new")
             heights = BedHeights(len(touches.q), None, after)
         result = ExportResult([], loss(robot, found), None, _remarks(robot, projection), heights)
@@ -148,7 +148,7 @@ def export_into(
         raise ModelError(f"{files[0]}: it is configured for another kind of machine")
     old_height = 0.0
     if touches is not None:
-        _check_touches_apply(robot)
+        _check_touches_apply(robot, touches)
         old_height = rms_height(robot, replace(found, firmware=now), touches, "the file's")
         if _takes_touches(module):
             projection, found = _project(target, module, robot, Present(now, touches))
@@ -221,8 +221,8 @@ def _moves_too_far(files: Sequence[Path], movement: Movement) -> ModelError:
     return ModelError(f"{', '.join(map(str, files))}: {words}; nothing was written: {cure}")
 
 
-def _check_touches_apply(robot: Model) -> None:
-    if reason := why_not(robot):
+def _check_touches_apply(robot: Model, touches: Touches) -> None:
+    if reason := why_not(robot) or touches.explain_other_model(robot):
         raise ModelError(reason)
 
 

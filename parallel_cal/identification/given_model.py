@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.errors import FitError
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.prediction_errors import Errors, errors
 from parallel_cal.identification.registration import (
@@ -25,6 +26,7 @@ from parallel_cal.identification.registration import (
 )
 from parallel_cal.identification.stations import has_stations, register_recordings
 from parallel_cal.model.model import Model
+from parallel_cal.recordings.configuration import explain_other_configuration
 from parallel_cal.recordings.dataset import Dataset
 
 Folds = list[tuple[np.ndarray, np.ndarray]]  # indices of the training and of the held-out samples
@@ -58,8 +60,12 @@ class GivenModel:
     ) -> GivenModel:
         """Register the model if the samples allow it; `insist` accepts implausible readings.
 
-        Several recordings are first brought into the frame of one device.
+        Several recordings are first brought into the frame of one device. FitError for samples
+        that were imported with another configuration, unless insisted.
         """
+        other = explain_other_configuration(model, dataset.configuration, dataset.source)
+        if other and not insist:
+            raise FitError(other)
         model, dataset = register_recordings(model, dataset, joint_sigma, insist)
         placed, registration = register_device(model, dataset, joint_sigma, insist)
         if registration is None:

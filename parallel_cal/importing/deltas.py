@@ -27,6 +27,7 @@ from parallel_cal.importing.settings import Settings
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.model.shelf import load_mechanism, load_sensor
+from parallel_cal.recordings.configuration import END_STOP
 from parallel_cal.recordings.recording import Array
 
 JOINT_NAMES = ("joint1", "joint2", "joint3")
@@ -56,6 +57,10 @@ class Delta(Protocol):
 
     def mechanism(self) -> Mechanism:
         """Return the mechanism with these numbers."""
+
+    @property
+    def nominal(self) -> dict[str, float]:
+        """These numbers by the names of the mechanism's parameters."""
 
 
 @dataclass(frozen=True)
@@ -105,17 +110,21 @@ class Towers:
             up = np.sqrt(self.rods**2 - away)
         return (r[:, 2] + r[:, :2] @ np.array(self.tilt))[:, None] + up + np.array(self.zero)
 
-    def mechanism(self) -> Mechanism:
-        mechanism = load_mechanism("linear_delta", direction=self.first)
-        nominal: dict[str, float] = {}
+    @property
+    def nominal(self) -> dict[str, float]:
+        found: dict[str, float] = {}
         for i in range(3):
-            nominal |= {
+            found |= {
                 f"chain{i + 1}.D_x": self.radius[i] * np.cos(self.trim[i]),
                 f"chain{i + 1}.D_y": self.radius[i] * np.sin(self.trim[i]),
                 f"chain{i + 1}.D_z": -self.zero[i],
                 f"chain{i + 1}.Lb": self.rods[i],
             }
-        mechanism.parameters = mechanism.parameters.with_nominal(nominal)
+        return found
+
+    def mechanism(self) -> Mechanism:
+        mechanism = load_mechanism("linear_delta", direction=self.first)
+        mechanism.parameters = mechanism.parameters.with_nominal(self.nominal)
         mechanism.joint_limits = tuple((-0.1, float(top)) for top in self.end_stops)
         return _set_home(mechanism, self, self.reach or 0.6 * float(self.radius.mean()))
 
@@ -145,11 +154,11 @@ class Shoulders:
         with np.errstate(invalid="ignore"):
             return np.arctan2(dz, dx) - np.arccos(k / away)
 
-    def mechanism(self) -> Mechanism:
-        mechanism = load_mechanism("delta24")
-        nominal: dict[str, float] = {}
+    @property
+    def nominal(self) -> dict[str, float]:
+        found: dict[str, float] = {}
         for i in range(3):
-            nominal |= {
+            found |= {
                 f"chain{i + 1}.D_x": self.radius,
                 f"chain{i + 1}.D_y": self.heights[i],
                 f"chain{i + 1}.theta": self.angles[i],
@@ -157,9 +166,22 @@ class Shoulders:
                 f"chain{i + 1}.La_y": 0.0,
                 f"chain{i + 1}.Lb": self.rods[i],
             }
-        mechanism.parameters = mechanism.parameters.with_nominal(nominal)
+        return found
+
+    def mechanism(self) -> Mechanism:
+        mechanism = load_mechanism("delta24")
+        mechanism.parameters = mechanism.parameters.with_nominal(self.nominal)
         mechanism.joint_limits = self.limits
         return _set_home(mechanism, self, self.reach or 0.6 * float(self.arms.min()))
+
+
+def end_stops(delta: Delta) -> dict[str, float]:
+    """Return the joints at the end-stops as numbers of a Dataset's `configuration`.
+
+    They are all that joints depend on if the controller counted the steps from the end-stops.
+    """
+    names = [name + END_STOP for name in JOINT_NAMES]
+    return dict(zip(names, map(float, delta.homed), strict=True))
 
 
 def are_counter_clockwise(angles: Array) -> bool:

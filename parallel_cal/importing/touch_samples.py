@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +11,10 @@ from numpy.typing import ArrayLike
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.units import MM
-from parallel_cal.importing.deltas import JOINT_NAMES, Delta
+from parallel_cal.importing.deltas import JOINT_NAMES, Delta, end_stops
 from parallel_cal.importing.settings import SourceLine, sha256
+from parallel_cal.model.model import Model
+from parallel_cal.recordings.configuration import explain_other_configuration
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.loading import order_joints
 from parallel_cal.recordings.recording import Array, Dropped
@@ -29,7 +31,8 @@ NO_SIZE = (
 class Touches:
     """Joints (N, nq) in m or rad at touches of a bed, and stored heights (N,) of the tip in m.
 
-    `xy_measured` states whether the recording also has measurements of x or y.
+    `xy_measured` states whether the recording also has measurements of x or y. `configuration`
+    contains the numbers with which the joints were computed.
     """
 
     q: Array
@@ -37,9 +40,14 @@ class Touches:
     source: str
     sha256: str
     xy_measured: bool = False
+    configuration: Mapping[str, float] = field(default_factory=dict)
 
     def select(self, rows: Array) -> Touches:
         return replace(self, q=self.q[rows], height=self.height[rows])
+
+    def explain_other_model(self, model: Model) -> str:
+        """Return why the touches do not belong to a model; empty if they do."""
+        return explain_other_configuration(model, self.configuration, self.source)
 
 
 def touches_in(dataset: Dataset, joints: Sequence[str]) -> Touches:
@@ -56,7 +64,14 @@ def touches_in(dataset: Dataset, joints: Sequence[str]) -> Touches:
     other = [name for name in dataset.conditions if name.startswith(READING) and name != PROBE]
     read = any(np.isfinite(dataset.conditions[name]).any() for name in other)
     xy_measured = read or bool(dataset.measured[..., :2].any())
-    return Touches(q[touched], height[touched], dataset.source, dataset.sha256, xy_measured)
+    return Touches(
+        q[touched],
+        height[touched],
+        dataset.source,
+        dataset.sha256,
+        xy_measured,
+        dataset.configuration,
+    )
 
 
 @dataclass(frozen=True)
@@ -112,7 +127,10 @@ def make_touch_samples(
         x, y, z = at[k] / MM
         point = f"x {x:.3f} y {y:.3f} z {z:.3f} mm"
         raise places[k].error("position", point, "a point within reach of the configured rods")
-    return make_joint_samples(q, np.zeros(len(q)), paths, step, visits, dropped, printed=printed)
+    found = make_joint_samples(q, np.zeros(len(q)), paths, step, visits, dropped, printed=printed)
+    # The positions depend on every number of the configuration, and so do the joints.
+    numbers = {name: float(number) for name, number in delta.nominal.items()}
+    return replace(found, configuration=numbers | end_stops(delta))
 
 
 def make_joint_samples(
@@ -141,10 +159,10 @@ def make_joint_samples(
         none = np.full(n, np.nan)
         conditions = {PROBE: np.append(conditions[PROBE], np.full(more, np.nan))}
         conditions |= {name: np.append(none, read) for name, read in printed.readings.items()}
-        same = None if same is None else np.append(same, same.max() + 1 + np.arange(more))
+        same = None if same is None else np.append(same, np.zeros(more, int))
     else:
         warnings = (NO_SIZE, *warnings)
-    return Dataset.from_arrays(
+    found = Dataset.from_arrays(
         JOINT_NAMES,
         q,
         np.zeros((len(q), 3)),
@@ -157,3 +175,7 @@ def make_joint_samples(
         dropped=tuple(dropped),
         warnings=tuple(warnings),
     )
+    # Near ends of a short part are two poses, not two visits of one pose.
+    ends = len(q) - len(printed.q) + np.arange(len(printed.q))
+    found.pose_id[ends] = len(q) + np.arange(len(printed.q))
+    return found

@@ -81,6 +81,9 @@ class Dataset:
     warnings : tuple of str
     source, sha256, frame : str
         The recording, the hash of its data files, and the frame of the poses.
+    configuration : dict of float
+        Numbers with which a controller or an importer computed the joint readings, rad or m:
+        parameters of the mechanism by name, and `JOINT.end_stop`. Empty if they were measured.
     """
 
     joint_names: tuple[str, ...]
@@ -105,6 +108,7 @@ class Dataset:
     sha256: str = ""
     frame: str = ""
     joint_units: tuple[str, ...] | None = None
+    configuration: dict[str, float] = dataclasses.field(default_factory=dict)
 
     def __repr__(self) -> str:
         kinds = sorted({name.partition(".")[0] for name in self.conditions})

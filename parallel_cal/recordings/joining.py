@@ -11,6 +11,7 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.model.configuration import Configuration
+from parallel_cal.recordings.configuration import explain_difference
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array
 from parallel_cal.recordings.replicates import replicate_ids
@@ -104,6 +105,11 @@ def _check_joinable(datasets: Sequence[Dataset], equal: Sequence[str]) -> None:
             )
         known[dataset.sha256] = dataset.source
     for other in datasets[1:]:
+        if difference := explain_difference(other.configuration, datasets[0].configuration):
+            raise DatasetError(
+                f"{other.source}: {difference} in {datasets[0].source}; only samples that were "
+                "imported with one configuration can be joined"
+            )
         stated = datasets[0].joint_units is not None and other.joint_units is not None
         for name in (*equal, "joint_units") if stated else equal:
             one, two = getattr(datasets[0], name), getattr(other, name)

@@ -126,6 +126,8 @@ def _check_length(name: str, column: np.ndarray, n: int) -> None:
 
 
 def _convert_field(name: str, document: Mapping[str, Any]) -> Any:
+    if name == "configuration":  # files of older versions have none
+        return {key: float(number) for key, number in document.get(name, {}).items()}
     value = document[name]
     if name in ("count_q", "count_pose", "pose_id"):
         return np.array(value, np.int64)

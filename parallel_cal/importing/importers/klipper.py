@@ -60,9 +60,10 @@ def samples(
     if distances := sum(f"{TOUCHES} distance{k}" in stated for k in range(999)):
         warnings.append(f"{distances} {UNUSED}")
     printed = make_printed_ends(delta(stated), printed_x, printed_y)
-    return make_joint_samples(
+    touched = make_joint_samples(
         np.array(found), np.array(heights), paths, step, warnings=warnings, printed=printed
     )
+    return replace(touched, configuration=deltas.end_stops(delta(stated)))
 
 
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:

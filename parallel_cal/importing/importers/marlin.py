@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -83,7 +84,8 @@ def samples(
     towers = _towers(stated)
     q, printed = np.array(found) + towers.end_stops, make_printed_ends(towers, printed_x, printed_y)
     means = [MEANS] if skipped else []
-    return make_joint_samples(q, np.zeros(len(q)), paths, step, warnings=means, printed=printed)
+    touched = make_joint_samples(q, np.zeros(len(q)), paths, step, warnings=means, printed=printed)
+    return replace(touched, configuration=deltas.end_stops(towers))
 
 
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
