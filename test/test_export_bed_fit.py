@@ -117,7 +117,7 @@ def printer_files(folder, seed, noise):
 
 @pytest.mark.wide
 @pytest.mark.parametrize("seed", range(3))
-def test_the_default_path_fits_heights_and_does_not_spoil_the_real_x_and_y(tmp_path, seed):
+def test_the_default_path_fits_heights_and_improves_the_real_x_and_y(tmp_path, seed):
     printer, files = printer_files(tmp_path, seed, 20e-6)
     dataset = samples("rrf", [tmp_path / "map.csv", *files])
     model = fit(configured(files).model, dataset, hold_out=0).model
@@ -136,13 +136,13 @@ def test_the_default_path_fits_heights_and_does_not_spoil_the_real_x_and_y(tmp_p
     assert done.movement.largest == pytest.approx(
         1e-3 * np.linalg.norm(moves, axis=1).max(), rel=0.1
     )
-    assert done.movement.shape == pytest.approx(1e-3 * largest_shape(moves, bed), rel=0.1)
+    assert done.movement.shape == pytest.approx(1e-3 * largest_shape(moves, bed), rel=0.2)
     assert done.movement.shape < 0.5e-3
     assert not done.movement.measured
     before, after = (
         largest_shape(real_xy(printer, each, bed) - bed[:, :2], bed) for each in (old, new)
     )
-    assert after < before + 0.05
+    assert after < before
 
 
 @pytest.mark.wide

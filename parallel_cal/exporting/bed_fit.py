@@ -4,7 +4,8 @@ Touches determine heights. They hardly determine x and y: other rods, radii and 
 change x and y by millimetres give nearly the same heights. At the same motor positions, the fit
 therefore makes the firmware's heights agree with those of the model, and its x and y with those of
 the firmware's present numbers. Where a printed length or a device measured x and y, they agree with
-the model instead. All values are in SI units.
+the model instead. Rods keep their lengths as far as the heights allow: an owner knows a rod better
+than its tower's place. All values are in SI units.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ CLOSE = 1e-10  # m; a smaller step has converged
 DIFFERENCE = 1e-6  # m, for slopes of the firmware's formula
 XY_SIGMA = 0.1e-3  # m, rms over the bed: how exact x and y by the present numbers are taken to be
 MODEL_XY_SIGMA = 0.01e-3  # m, rms over the bed: x and y by no model are taken to be more exact
+ROD_SIGMA = 1e-3  # m: how exact the rods' present lengths are taken to be
 MAX_UNMEASURED_MOVE = 0.5e-3  # m, of x and y against each other, if nothing measured it
 MAX_TIGHTENINGS = 8  # each halves XY_SIGMA, until the movement is within MAX_UNMEASURED_MOVE
 NOISE_ROUNDS = 3  # of estimating the noise of the heights from the residuals of the fit before
@@ -246,6 +248,7 @@ class BedFit:
                 (self.touched.positions(firmware)[:, 2] - heights) / noise,
                 tightening * whitening @ (on_bed[:, :2].ravel() - target),
                 *((self.moves(firmware, layer) - on_bed).ravel() * weight for layer in self.raised),
+                (_rods(firmware) - _rods(self.old.firmware)) / ROD_SIGMA,
                 1e-6 * (numbers - start) / scale,  # numbers that change no position stay
             ]
             return np.concatenate(rows)
@@ -280,3 +283,8 @@ class BedFit:
         rows = common.reshape(-1, 3)
         rest = moves.ravel() - rows @ np.linalg.lstsq(rows, moves.ravel(), rcond=None)[0]
         return float(np.linalg.norm(rest.reshape(-1, 2), axis=1).max())
+
+
+def _rods(firmware: Firmware) -> Array:
+    """Return the rods' lengths (3,) in m, empty for a firmware without them."""
+    return np.asarray(getattr(firmware, "rods", ()), float)
