@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from dataclasses import replace
 from html import escape
 from pathlib import Path
 
