@@ -210,6 +210,15 @@ def test_a_model_fitted_twice_is_as_good_as_before_and_not_worse(first, recorded
     assert IN_SAMPLE not in first.result.warnings
 
 
+def test_samples_without_a_file_are_known_again_by_their_numbers(recorded):
+    """A second fit of samples that were made in Python knows that the first one used them."""
+    unnamed = replace(recorded, sha256="")
+    first = fitted(new_model("delta54"), unnamed, fix=["*"], free=["chain*.Lb"])
+    second = fitted(first.model, unnamed, force=True)
+    assert second.result.held_out_before.summary == second.result.held_out.summary
+    assert any(IN_SAMPLE in words for words in second.warnings)
+
+
 @pytest.mark.wide
 def test_a_fit_of_more_numbers_beats_the_fewer_ones_identified_in_the_same_folds(first, recorded):
     more = fitted(first.model, recorded, free=["chain*.D_*"])

@@ -21,6 +21,7 @@ from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.search import Chosen, Search
 from parallel_cal.diagnosis.thresholds import EFFECT_SIZES, FIELD_SIZES
 from parallel_cal.identification.fit import fit
+from parallel_cal.identification.platform_shift import explain_unseparated_device
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_effect, load_sensor
@@ -48,6 +49,23 @@ def test_a_field_of_the_device_that_is_larger_than_usual_is_named(refracted):
     assert found.effects == ("device_field",)
     assert found.verdict.word == "partly_explained"
     assert "usual up to 0.005): a fault, or another" in found.verdict.summary
+
+
+@pytest.mark.wide
+def test_a_scale_of_the_device_that_the_samples_do_not_separate_from_the_robot_is_refused():
+    """A stand that yields: after the field, the device's axes would lower the error by 4 um and
+    move the robot by 300 um, because a wrong scale of the device imitates a robot of another
+    size."""
+    rng, day = np.random.default_rng(770000), vf.session(770000, 120, 30)
+    yielding = sized(vb.DEVICE["yielding stand"], 2e-5, 1.5, day, vf.FINE, rng.integers(1 << 20))
+    data = dataset(vf.samples(day, [yielding], vf.FINE, 0), vf.FINE)
+    bent = add(new_model("delta54"), "device_field", data, force=True)
+    with pytest.raises(UnprovenStepError, match="the samples do not separate errors of the device"):
+        add(bent.model, "device_axes", data)
+    forced = add(bent.model, "device_axes", data, force=True)
+    shift = forced.platform_shift
+    assert shift.measured > 10 * shift.shown
+    assert explain_unseparated_device(bent.rival, bent.result) == ""
 
 
 def test_an_effect_that_the_device_may_cause_is_added_only_with_force(refracted):

@@ -31,6 +31,7 @@ from parallel_cal.identification.checks import ContradictionError, WrongSignErro
 from parallel_cal.identification.estimate import Estimate, NoSolutionError
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.prediction_errors import held_out_ratio
+from parallel_cal.identification.platform_shift import explain_unseparated_device
 from parallel_cal.identification.unusual import describe_by_effect
 from parallel_cal.model.model import Model
 from parallel_cal.model.parameters import Parameter
@@ -211,6 +212,7 @@ class Search:
             if not (
                 _describe_held_out_objection(before, after)
                 or _describe_chance_objection(before, after, one)
+                or explain_unseparated_device(before.fitted, after.fitted)
             ):
                 found.append(after)
         best: Trial | None = None

@@ -62,6 +62,7 @@ from parallel_cal.identification.variance_components import estimate_noise
 from parallel_cal.model.model import Model
 from parallel_cal.model.region import IdentifiedRegion
 from parallel_cal.recordings.dataset import Dataset, check_inputs
+from parallel_cal.recordings.joining import fingerprint
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -372,6 +373,8 @@ def fit(
     """
     check_inputs(model, dataset)
     options = with_changes(options or FitOptions(), changes, FitError)
+    if not dataset.sha256:  # so that another fit of these samples knows that the first used them
+        dataset = replace(dataset, sha256=fingerprint(dataset))
     given = GivenModel.of(model, dataset, options.joint_sigma, options.insist)
     dataset = given.dataset
     start = add_effects(given.start, effects, dataset)

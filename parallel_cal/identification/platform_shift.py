@@ -10,6 +10,7 @@ import numpy as np
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.predictions import condition_columns
+from parallel_cal.identification.thresholds import CONTRADICTED_SIGMAS, MAX_SHIFT_TO_SHOWN_RATIO
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.model.mechanism import poses_in_workspace
 
@@ -46,6 +47,37 @@ def compute_platform_shift(before: FitResult, after: FitResult) -> PlatformShift
         shown = math.sqrt(max(rms[0] ** 2 - rms[1] ** 2, 0.0))
     measured, workspace = _compute_rms_distance(*reached), _compute_rms_distance(*anywhere)
     return PlatformShift(measured or 0.0, workspace, shown)
+
+
+def explain_unseparated_device(before: FitResult, after: FitResult) -> str:
+    """Explain that effects of the device move the robot much further than the errors show; empty
+    if they do not.
+
+    The usual size of such an effect is a prior that separates the device from the robot. If the
+    data contradict it, only the data separate them, and some directions they cannot: a device
+    whose scale is wrong shows the same poses as a robot of another size.
+    """
+    device = {effect.name for effect in after.model.effects if effect.of_device}
+    large = sorted(
+        {
+            effect
+            for name, found in after.parameters().items()
+            if (effect := name.partition(".")[0]) in device
+            and abs(found.moved_tolerances) > CONTRADICTED_SIGMAS
+        }
+    )
+    if not large:
+        return ""
+    shift = compute_platform_shift(before, after)
+    furthest = max(shift.measured, shift.workspace or 0.0)
+    if shift.shown is None or furthest <= MAX_SHIFT_TO_SHOWN_RATIO * shift.shown:
+        return ""
+    return (
+        f"with {' and '.join(large)} the robot moves by {1e6 * furthest:.3g} um, but the change "
+        f"removes only {1e6 * shift.shown:.3g} um of the error at held-out poses: the samples do "
+        "not separate errors of the device from those of the robot. Measure an artefact of known "
+        "length, or state the device's certificate in the model file"
+    )
 
 
 def _compute_rms_distance(one: Solutions, other: Solutions) -> float | None:

@@ -103,3 +103,7 @@ MIN_FRAME_COLUMN_REMAINDER = (
 CONTRADICTED_SIGMAS = 3.0  # of the prior: the data moved an effect further, so the prior yields
 LOOSENING = 3.0  # times the usual size, at once
 MAX_LOOSENINGS = 8  # of a prior that the data contradict: up to 6,561 times the usual size
+# Movement of the robot by an effect of the device whose prior the data contradict, in units of the
+# error that it removes. What a robot had learned from its device moves it about two to four times
+# as far (refraction 1.8, leaning axes 3); where the two are not separated it was 75 times.
+MAX_SHIFT_TO_SHOWN_RATIO = 10.0

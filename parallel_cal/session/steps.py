@@ -23,7 +23,11 @@ from parallel_cal.identification.acceptance import IN_SAMPLE, Acceptance, accept
 from parallel_cal.identification.added_effects import limit_patterns
 from parallel_cal.identification.fit import FitResult, fit, fit_registered
 from parallel_cal.identification.options import FitKeywords, FitOptions
-from parallel_cal.identification.platform_shift import PlatformShift, compute_platform_shift
+from parallel_cal.identification.platform_shift import (
+    PlatformShift,
+    compute_platform_shift,
+    explain_unseparated_device,
+)
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.identification.stations import without_stations
 from parallel_cal.identification.thresholds import MAX_NEGLIGIBLE_ERROR_RISE
@@ -198,10 +202,9 @@ def add(
     found = acceptance(result, base, f" with '{name}'")
     if not found.against:
         chance = is_superfluous(_with_noise_of(result, base).estimate, result.estimate)
-        words = f"the improvement by '{name}' may be chance"
-        found = replace(
-            found, against=words if chance else _explain_doubt(scene, more, result.model)
-        )
+        words = f"the improvement by '{name}' may be chance" if chance else ""
+        words = words or explain_unseparated_device(base, result)
+        found = replace(found, against=words or _explain_doubt(scene, more, result.model))
     return _step("add", result, _check_proven(found, force), base, name)
 
 
