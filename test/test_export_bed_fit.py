@@ -240,7 +240,7 @@ def test_a_real_printer_gets_what_nine_factors_reach_at_held_out_touches(tmp_pat
     assert done.heights.before == pytest.approx(54.0e-6, abs=0.1e-6)
     assert done.heights.after < 44.5e-6
     assert done.heights.held_out < 1.05 * rms_at_held_out(old, points, -0.461)
-    assert done.movement.largest < 0.45e-3
+    assert done.movement.shape < 0.45e-3
 
 
 def test_touches_imported_with_another_configuration_are_refused(tmp_path):

@@ -29,6 +29,7 @@ CLOSE = 1e-10  # m; a smaller step has converged
 DIFFERENCE = 1e-6  # m, for slopes of the firmware's formula
 XY_SIGMA = 0.1e-3  # m, rms over the bed: how exact x and y by the present numbers are taken to be
 MODEL_XY_SIGMA = 0.01e-3  # m, rms over the bed: x and y by no model are taken to be more exact
+COMMON_SIGMA = 0.5e-3  # m, rms: the same for the shift and the turn that all points have in common
 ROD_SIGMA = 1e-3  # m: how exact the rods' present lengths are taken to be
 MAX_UNMEASURED_MOVE = 0.5e-3  # m, of x and y against each other, if nothing measured it
 MAX_TIGHTENINGS = 8  # each halves XY_SIGMA, until the movement is within MAX_UNMEASURED_MOVE
@@ -200,18 +201,20 @@ class BedFit:
             self._motors(points) - self.old.firmware.homed
         )
 
-    @cached_property
-    def supported(self) -> tuple[Array, Array]:
+    def supported(self, tightening: float = 1.0) -> tuple[Array, Array]:
         """Movements (2n,) of x and y that measurements support, and the whitening (2n, 2n) of
-        deviations from them.
+        deviations from them. `tightening` divides XY_SIGMA.
 
         The model with its covariance and the present numbers with XY_SIGMA are two independent
         statements on x and y. Without a measurement of x and y, only the second one is used.
         """
         size = 2 * len(self.points)
-        present = len(self.points) * XY_SIGMA**2 * np.eye(size)
+        # A firmware without a tilt of its bed shifts x and y by its end-stops instead.
+        common, _ = np.linalg.qr(self._common_moves)
+        present = (XY_SIGMA / tightening) ** 2 * np.eye(size) + COMMON_SIGMA**2 * common @ common.T
+        present = len(self.points) * present
         if not self.touches.xy_measured or self.model.covariance is None:
-            return np.zeros(size), np.eye(size) / np.sqrt(present[0, 0])
+            return np.zeros(size), np.linalg.inv(np.linalg.cholesky(present))
         target, covariance = self.model_moves
         covariance = covariance + len(self.points) * MODEL_XY_SIGMA**2 * np.eye(size)
         both = np.linalg.inv(present + covariance)
@@ -235,7 +238,7 @@ class BedFit:
         from scipy.optimize import least_squares
 
         heights = self.touched.height if self.by_touch else self.touched.position[:, 2]
-        target, whitening = self.supported
+        target, whitening = self.supported(tightening)
         scale = np.maximum(np.abs(start), 0.01)
         [probe] = [sensor for sensor in self.model.sensors if sensor.name == PROBE]
         noise = probe.weighing_sigma
@@ -246,7 +249,7 @@ class BedFit:
             weight = tightening / (np.sqrt(len(self.points)) * XY_SIGMA)
             rows = [
                 (self.touched.positions(firmware)[:, 2] - heights) / noise,
-                tightening * whitening @ (on_bed[:, :2].ravel() - target),
+                whitening @ (on_bed[:, :2].ravel() - target),
                 *((self.moves(firmware, layer) - on_bed).ravel() * weight for layer in self.raised),
                 (_rods(firmware) - _rods(self.old.firmware)) / ROD_SIGMA,
                 1e-6 * (numbers - start) / scale,  # numbers that change no position stay
@@ -265,7 +268,7 @@ class BedFit:
     def movement(self, firmware: Firmware) -> Movement:
         """Return how far a firmware moves x and y over the bed."""
         moves = self.moves(firmware, self.points)[:, :2]
-        target = self.supported[0].reshape(-1, 2)
+        target = self.supported()[0].reshape(-1, 2)
         sigma = None
         if self.model.covariance is not None:
             variances = np.diag(self.model_moves[1]).reshape(-1, 2).sum(axis=1)
@@ -274,13 +277,18 @@ class BedFit:
         largest = float(np.linalg.norm(moves, axis=1).max())
         return Movement(largest, shape, unsupported, sigma, self.touches.xy_measured)
 
-    def _largest_shape(self, moves: Array) -> float:
-        """Return the largest of movements (n, 2) after their common shift and turn."""
+    @cached_property
+    def _common_moves(self) -> Array:
+        """Movements (2n, 3) of x and y by a shift along x, one along y, and a turn about z."""
         x, y = (self.points[:, :2] - self.points[:, :2].mean(axis=0)).T
         common = np.zeros((len(x), 2, 3))
         common[:, 0, 0] = common[:, 1, 1] = 1.0
         common[:, :, 2] = np.column_stack([-y, x])
-        rows = common.reshape(-1, 3)
+        return common.reshape(-1, 3)
+
+    def _largest_shape(self, moves: Array) -> float:
+        """Return the largest of movements (n, 2) after their common shift and turn."""
+        rows = self._common_moves
         rest = moves.ravel() - rows @ np.linalg.lstsq(rows, moves.ravel(), rcond=None)[0]
         return float(np.linalg.norm(rest.reshape(-1, 2), axis=1).max())
 
