@@ -134,4 +134,4 @@ def test_the_build_up_of_a_hexapods_spools_is_identified(line):
     found = fit(model, Dataset.from_arrays(model.joints, q, r, R))
     assert found.model.value("spool_buildup.Q") == pytest.approx(Q, rel=0.02)
     assert found.held_out.summary.position_rms < 5e-6
-    assert found.held_out_before.summary.position_rms > 1e-3
+    assert found.held_out_before.summary.position_rms > 0.9e-3
