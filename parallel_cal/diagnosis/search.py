@@ -217,7 +217,7 @@ class Search:
                 found.append(after)
         best: Trial | None = None
         for after in found:
-            if best is None or information_gain(best, after) > 0:
+            if best is None or _explains_better(best, after):
                 best = after
         return best
 
@@ -309,10 +309,14 @@ class Search:
 
     def _iterate_swaps(self, trial: Trial, rivals: Rivals) -> Iterator[tuple[str, str, Trial]]:
         """Iterate over chosen effects, their rivals, and the trials with the one in place of the
-        other."""
+        other. A rival may be larger than usual if the effect is, and then must be able to stand
+        alone: refits without a solution are slow."""
         for i, one in enumerate(trial.chosen):
             for other in rivals.get(one.name, []):
-                swapped = (*trial.chosen[:i], Chosen.of(other), *trial.chosen[i + 1 :])
+                rival = replace(Chosen.of(other), unusual=one.unusual)
+                if rival.unusual and self.fit(rival).result is None:
+                    continue
+                swapped = (*trial.chosen[:i], rival, *trial.chosen[i + 1 :])
                 yield one.name, other.name, self.fit(*swapped)
 
 
@@ -415,6 +419,21 @@ def information_gain(trial: Trial, other: Trial) -> float:
     return float((own.chi2 - its.chi2) / noise + fewer * np.log(max(own.dof, 2)))
 
 
+def _explains_better(trial: Trial, other: Trial) -> bool:
+    """Whether other effects explain the data better: by the error at held-out poses if the number
+    of parameters says the same, else by the Bayesian information criterion.
+
+    Many parameters can imitate what a few explain: in-sample they may fit better, and predict worse.
+    """
+    ratio = ratio_of(trial, other)
+    fewer = other.fitted.estimate.dof - trial.fitted.estimate.dof
+    if ratio is not None and fewer > 0 and ratio <= 1:
+        return True
+    if ratio is not None and fewer < 0 and ratio >= 1:
+        return False
+    return information_gain(trial, other) > 0
+
+
 def ratio_of(before: Trial, after: Trial) -> float | None:
     """Held-out error after over before; None where one is not known."""
     if before.result is None or after.result is None:
@@ -431,8 +450,10 @@ def _is_superfluous_effect(without: Trial, trial: Trial) -> bool:
 
 def is_superfluous(less: Estimate, more: Estimate) -> bool:
     """Whether the improvement by additional parameters may be chance, by an F test."""
-    if less.dof == more.dof:  # a prior holds all of the additional parameters
-        return bool(more.chi2 > (1 - MIN_CHI2_FALL) * less.chi2)
+    if less.dof == more.dof:  # a prior holds all of the additional parameters: at best it is one
+        F = (less.chi2 - more.chi2) / max(more.chi2_per_dof, 1e-300)
+        chance = log_p_of(max(F, 0.0), 1, max(more.dof, 1)) > np.log(EFFECT_SIGNIFICANCE_LEVEL)
+        return bool(chance or more.chi2 > (1 - MIN_CHI2_FALL) * less.chi2)
     if less.dof < more.dof or more.dof <= 0:
         return False
     return improvement_log_p(less, more) > np.log(EFFECT_SIGNIFICANCE_LEVEL)
