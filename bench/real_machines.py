@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 import parallel_cal as pc
 from bench import independent_fits as own
 from parallel_cal.cli import main as cli
-from parallel_cal.recordings.csv_import import import_csv
+from parallel_cal.recordings.loading import load_dataset
 
 ROOT = Path(__file__).parents[1]
 REAL = ROOT / "real"
@@ -90,6 +90,10 @@ def split(n: int) -> tuple[Array, Array]:
     return np.sort(order[count:]), np.sort(order[:count])
 
 
+def read(model: pc.Model, table: Path, columns: Path) -> pc.Dataset:
+    return load_dataset(table, mechanism=model.mechanism, columns=str(columns))
+
+
 def timed(machine: Machine, name: str, work: Callable[[], Any]) -> Any:
     began = time.perf_counter()
     found = work()
@@ -128,12 +132,12 @@ def jugglebot(folder: Path) -> Machine:
     machine = Machine(
         "jugglebot",
         "Jugglebot, hexapod on strings and spools",
-        "the drawing (one command), a column map of nine lines",
+        "the drawing (one command), six spools, a column map of nine lines",
         "mm",
     )
     source = REAL / "jugglebot"
-    data = import_csv(source / "poses_108.csv", source / "columns.yaml")
-    calibrate(machine, pc.read_model(source / "model.yaml"), data)
+    model = pc.read_model(source / "model.yaml")
+    calibrate(machine, model, read(model, source / "poses_108.csv", source / "columns.yaml"))
     table = np.genfromtxt(source / "poses_108.csv", delimiter=",", names=True)
     turns = np.stack([table[f"leg_length_{i + 1}"] for i in range(6)], axis=1)
     r = 1e-3 * np.stack([table[f"position_{a}"] for a in "xyz"], axis=1)
@@ -186,8 +190,8 @@ def arm(kind: str, title: str, folder: Path) -> Machine:
         "um",
     )
     source = REAL / "laser_arms"
-    data = import_csv(source / f"{kind}.csv", source / f"{kind}.columns.yaml")
-    calibrate(machine, pc.read_model(source / f"{kind}.yaml"), data)
+    model = pc.read_model(source / f"{kind}.yaml")
+    calibrate(machine, model, read(model, source / f"{kind}.csv", source / f"{kind}.columns.yaml"))
     table = np.genfromtxt(source / f"{kind}.csv", delimiter=",", names=True)
     n = len(ARMS[kind])
     q = np.radians(np.stack([table[f"joint_{i + 1}"] for i in range(n)], axis=1))
@@ -215,10 +219,9 @@ def hangprinter(folder: Path) -> Machine:
         "mm",
     )
     source = REAL / "hangprinter_hp4"
-    data = import_csv(
-        source / "hp4_2021-12-14.csv", ROOT / "config" / "columns" / "hangprinter_hp4.yaml"
-    )
-    calibrate(machine, pc.read_model(ROOT / "config" / "hangprinter_hp4.yaml"), data)
+    model = pc.read_model(ROOT / "config" / "hangprinter_hp4.yaml")
+    columns = ROOT / "config" / "columns" / "hangprinter_hp4.yaml"
+    calibrate(machine, model, read(model, source / "hp4_2021-12-14.csv", columns))
     table = np.genfromtxt(source / "hp4_2021-12-14.csv", delimiter=",", names=True)
     motors = np.radians(np.stack([table[f"motor{c}_deg"] for c in "ABCD"], axis=1))
     r = 1e-3 * np.stack([table[f"{a}_mm"] for a in "xyz"], axis=1)
@@ -260,10 +263,13 @@ def write_models() -> None:
         *("--option", "height=0.565", "--option", "limits=[0, 0.3]", "--option", "tolerance=0.02"),
         *("-o", REAL / "jugglebot" / "model.yaml"),
     )
-    legs = "".join(
-        f"  leg{i}: {{column: leg_length_{i}, unit: rev, per_rev: {1 / v:.4f} mm}}\n"
-        for i, v in enumerate(TURNS_PER_MM, start=1)
-    )
+    # The builders state the travel of each string for a turn of its motor.
+    text = (REAL / "jugglebot" / "model.yaml").read_text()
+    for i, turns in enumerate(TURNS_PER_MM, start=1):
+        drive = f"drive: {{kind: spool, per_rev: {1e-3 / turns:.7f}, line: in}}"
+        text = text.replace(f"leg{i}: {{unit: m,", f"leg{i}: {{unit: m, {drive},")
+    (REAL / "jugglebot" / "model.yaml").write_text(text)
+    legs = "".join(f"  leg{i}: {{column: leg_length_{i}, unit: rev}}\n" for i in range(1, 7))
     columns = (
         "# Motor revolutions since homing, and the platform by motion capture.\n"
         f"joints:\n{legs}"
