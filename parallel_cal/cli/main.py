@@ -31,6 +31,7 @@ COMMANDS = {
     "add": "calibration",
     "remove": "calibration",
     "diagnose": "diagnosing",
+    "discover": "discovering",
     "report": "reporting",
     "export": "exporting",
     "export-residuals": "exporting",

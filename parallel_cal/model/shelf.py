@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from functools import wraps
 from importlib import import_module
+from importlib.util import find_spec
 from inspect import signature
 from types import ModuleType
 from typing import Any
@@ -91,7 +93,8 @@ def load_class(shelf: str, name: str, base: type) -> type:
 
 
 def load_module(shelf: str, name: str, error: type[ParallelCalError] = ModelError) -> ModuleType:
-    """Load parallel_cal/<shelf>/<name>.py or the module at a Python path; `error` for neither."""
+    """Load parallel_cal/<shelf>/<name>.py, the module at a Python path, or a file NAME.py on the
+    Python path; `error` for none of them."""
     path = name if "." in name else f"parallel_cal.{shelf}.{name}"
     require_allowed(path, error)
     try:
@@ -101,6 +104,8 @@ def load_module(shelf: str, name: str, error: type[ParallelCalError] = ModelErro
     except ModuleNotFoundError as missing:
         if missing.name is None or not path.startswith(missing.name):
             raise wrap_plugin_error(path, missing) from missing
+        if path != name and _is_own_file(name):
+            return _load_own_file(name, error)
         names = list_plugins(shelf)
         raise error(
             f"no {shelf.split('.')[-1].rstrip('s')} '{name}': expected one of "
@@ -109,6 +114,22 @@ def load_module(shelf: str, name: str, error: type[ParallelCalError] = ModelErro
         ) from None
     except Exception as raised:
         raise wrap_plugin_error(path, raised) from raised
+
+
+def _is_own_file(name: str) -> bool:
+    """Whether NAME.py is on the Python path, such as in the present folder, outside any package."""
+    if not name.isidentifier() or name.startswith("_") or name in sys.stdlib_module_names:
+        return False
+    spec = find_spec(name)
+    return spec is not None and (spec.origin or "").endswith(f"{name}.py")
+
+
+def _load_own_file(name: str, error: type[ParallelCalError]) -> ModuleType:
+    require_allowed(name, error)
+    try:
+        return import_module(name)
+    except Exception as raised:
+        raise wrap_plugin_error(name, raised) from raised
 
 
 def wrap_plugin_function(name: str, function: Callable[..., Any]) -> Callable[..., Any]:

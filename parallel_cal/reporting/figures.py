@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.discovery.shape import Shape
 from parallel_cal.identification.prediction_errors import Summary
-from parallel_cal.reporting.colours import ACCENT, BAND, QUIET, WARNING
+from parallel_cal.reporting.colours import ACCENT, BAND, MEASURED, PATTERN, QUIET, WARNING
 from parallel_cal.reporting.contents import DescribedParameter
 from parallel_cal.reporting.readable import error_unit, number, value_unit
 
@@ -240,3 +241,47 @@ def describe_parameter(p: DescribedParameter) -> str:
     sigma = f" ± {number(p.sigma, factor, 2)}" if p.sigma is not None else ", not identified"
     value, nominal = (number(v, factor, 6) for v in (p.value, p.nominal))
     return f"{escape(p.words)}: {value}{sigma} {unit}, nominal {nominal}"
+
+
+def law_over_shape(shape: Shape) -> Spec:
+    """Draw an error along its driver without a formula, with its band of 2 sigma, and the law."""
+    unit, factor = error_unit(shape.unit)
+    along = round_values(shape.along)
+    error, law = shape.error * factor, shape.law * factor
+    band = 2 * shape.sigma * factor
+    edges = {
+        "type": "scatter",
+        "mode": "lines",
+        "x": along + along[::-1],
+        "y": round_values(error + band) + round_values(error - band)[::-1],
+        "fill": "toself",
+        "fillcolor": BAND,
+        "line": {"width": 0},
+        "hoverinfo": "skip",
+        "name": "2 sigma",
+    }
+    curves = [
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "x": along,
+            "y": round_values(values),
+            "name": name,
+            "line": {"color": colour, "width": 3, "dash": dash},
+        }
+        for values, name, colour, dash in (
+            (error, "without a formula", MEASURED, "solid"),
+            (law, "the law", PATTERN, "dash"),
+        )
+    ]
+    across = f" [{shape.driver_unit}]" if shape.driver_unit != "1" else ""
+    return {
+        "data": [edges, *curves],
+        "layout": {
+            "height": 320,
+            "xaxis": {"title": {"text": escape(shape.driver + across)}},
+            "yaxis": {"title": {"text": f"error [{unit}]"}},
+            "legend": LEGEND,
+            "margin": {"t": 44, "r": 16},
+        },
+    }

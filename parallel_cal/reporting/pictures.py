@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.diagnosis.comparison import Comparison
 from parallel_cal.diagnosis.diagnose import Diagnosis
+from parallel_cal.discovery.discovery import Discovery
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.reporting import contents, figures, spaces
 from parallel_cal.reporting.readable import unit_of
@@ -22,9 +23,9 @@ def figure(result: Any) -> Figure:
 
     Parameters
     ----------
-    result : FitResult, Comparison or Diagnosis
+    result : FitResult, Comparison, Diagnosis or Discovery
         A fit shows how far parameters moved, a comparison the residual arrows, a diagnosis the
-        falling error.
+        falling error, a discovery the error along its driver with the law over it.
 
     Returns
     -------
@@ -46,7 +47,7 @@ def figure(result: Any) -> Figure:
     True
     """
     kind = type(result).__name__
-    raise TypeError(f"figure: expected the result of fit, compare or diagnose, found {kind}")
+    raise TypeError(f"figure: expected the result of fit, compare, diagnose or discover, found {kind}")
 
 
 def _make_figure(spec: figures.Spec) -> Figure:
@@ -72,6 +73,14 @@ def _(diagnosis: Diagnosis) -> Any:
     unit = unit_of(errors.kinds[0], dict(zip(mechanism.joints, mechanism.joint_units, strict=True)))
     rows = contents.history(diagnosis, errors)
     return _make_figure(figures.history(rows, errors.noise, errors.kinds[0], unit))
+
+
+@figure.register
+def _(found: Discovery) -> Any:
+    shapes = [law.shape for law in (*found.laws, *found.suspected) if law.shape is not None]
+    if not shapes:
+        raise ParallelCalError("no law of one quantity was found, so there is no curve to draw")
+    return _make_figure(figures.law_over_shape(shapes[0]))
 
 
 @figure.register

@@ -14,6 +14,7 @@ from parallel_cal.base.units import ARCMIN
 from parallel_cal.diagnosis.comparison import Comparison
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.entries import Entry
+from parallel_cal.discovery.discovery import Discovery
 from parallel_cal.identification.budget import Budget, Iso9283, iso_9283
 from parallel_cal.identification.fit import FitResult, ParameterEstimate
 from parallel_cal.identification.prediction_errors import ERRORS, Summary
@@ -49,7 +50,8 @@ def describe(result: Any) -> Iterator[Block]:
     """Describe a result; TypeError if it is not one of those below."""
     kind = type(result).__name__
     raise TypeError(
-        f"show: got {kind}, expected the result of fit, add, remove, compare or diagnose"
+        f"show: got {kind}, expected the result of fit, add, remove, compare, diagnose or "
+        "discover"
     )
 
 
@@ -305,6 +307,23 @@ def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
             f"{' from '.join(plan.separates)} "
             f"by {plan.sigmas.then:.1f} sigmas; the present samples do by {plan.sigmas.now:.1f}"
         )
+
+
+@describe.register
+def describe_discovery(found: Discovery) -> Iterator[Block]:
+    """Describe the verdict, each law with its parameters and validation errors, and advice."""
+    yield f"{found.verdict}: {found.summary}"
+    laws = [*found.laws, *found.suspected]
+    for law in laws:
+        judged = {"held-out, as it is": law.before, "held-out, with it": law.after}
+        yield errors_table(judged, law.noise_floor, found.model)
+        rows = [
+            (c.name, f"{c.value:.4g}", "-" if c.sigma is None else f"{c.sigma:.2g}", c.unit)
+            for c in law.parameters
+        ]
+        yield Table(("parameter", "value", "sigma", "unit"), rows)
+    for advice in found.measure_next:
+        yield f"measure next: {advice}"
 
 
 def candidate_table(diagnosis: Diagnosis, entries: Sequence[Entry]) -> Table:

@@ -14,7 +14,7 @@ def show(result: Any, html: bool = False) -> str:
 
     Parameters
     ----------
-    result : FitResult, Step, Comparison or Diagnosis
+    result : FitResult, Step, Comparison, Diagnosis or Discovery
     html : bool, optional
         Make HTML with tables instead of text.
 

@@ -1,0 +1,49 @@
+"""The command that discovers laws outside the catalogue."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from parallel_cal.cli.arguments import Bags, Data, FittingByMethod, Json, ModelFile, with_options
+from parallel_cal.cli.calibration import read_model_and_data
+from parallel_cal.reporting import console
+
+EffectOut = Annotated[
+    Path | None,
+    typer.Option(
+        "-o", "--output", metavar="my_effect.py", help="effect file to write [default: none]"
+    ),
+]
+
+
+@with_options
+def discover(
+    model: ModelFile,
+    bags: Bags,
+    *,
+    output: EffectOut = None,
+    options: FittingByMethod,
+    data: Data = None,
+    as_json: Json = False,
+) -> None:
+    """Find the law of an error that no effect of the catalogue describes, and write it as an
+    effect that `add` takes."""
+    from parallel_cal.discovery import discovery
+    from parallel_cal.discovery.effect_file import check_effect_path
+
+    if output is not None:
+        check_effect_path(output)  # before a search of seconds
+    judged, dataset = read_model_and_data(model, bags, data)
+    found = discovery.discover(judged, dataset, options=options, progress=console.progress)
+    files = found.write(output) if output is not None else []
+    console.progress("", 1.0)
+    if as_json:
+        return console.emit(found.document(files))
+    from parallel_cal.reporting import text
+
+    console.say(text.show(found))
+    for file in files:
+        console.say(f"written: {file}; next: parallel-cal add {model} {file.stem} RECORDING")

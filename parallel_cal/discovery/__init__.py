@@ -1,0 +1,1 @@
+"""Discovery: find the law of an error that no effect of the catalogue describes."""

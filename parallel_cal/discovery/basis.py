@@ -1,0 +1,77 @@
+"""Bases: columns that can bend as an unknown law of one or two drivers does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from parallel_cal.discovery.drivers import Driver
+from parallel_cal.discovery.thresholds import (
+    MAX_DEGREE,
+    MIN_SAMPLES_PER_PERIOD,
+    WAVES,
+)
+
+DEGREE = 3  # of the splines
+
+
+def splines(drivers: Sequence[Driver], count: int) -> np.ndarray:
+    """Columns (members, N, count) of one driver, the same functions for every member.
+
+    They are cubic B-splines with knots at quantiles, so that each column sees samples. A driver of
+    few values has polynomials through these values. Columns that a driver lacks are zero.
+    """
+    from scipy.interpolate import BSpline
+
+    values = np.array([one.values for one in drivers])
+    if drivers[0].few_values:
+        return _polynomials(values, count - 1)
+    inner = np.quantile(values, np.linspace(0, 1, count - DEGREE + 1))
+    inner = np.unique(inner)
+    knots = np.r_[[inner[0]] * DEGREE, inner, [inner[-1]] * DEGREE]
+    out = np.zeros((*values.shape, count))
+    for rows, own in zip(out, values, strict=True):
+        design = BSpline.design_matrix(own, knots, DEGREE).toarray()
+        rows[:, : design.shape[1]] = design
+    return out
+
+
+def products(one: Sequence[Driver], other: Sequence[Driver]) -> np.ndarray:
+    """Columns (members, N, k) of two drivers: products of Legendre polynomials of low order."""
+    a, b = (
+        _polynomials(np.array([driver.values for driver in own]), MAX_DEGREE)
+        for own in (one, other)
+    )
+    pairs = [
+        a[:, :, i] * b[:, :, j]
+        for i in range(MAX_DEGREE + 1)
+        for j in range(MAX_DEGREE + 1)
+        if i + j <= MAX_DEGREE + 1
+    ]
+    return np.stack(pairs, axis=2)
+
+
+def _polynomials(values: np.ndarray, degree: int) -> np.ndarray:
+    """Legendre polynomials (members, N, degree + 1) over the range of values (members, N); of few
+    values, only as many as these determine, and zeros."""
+    low, high = values.min(), values.max()
+    x = (2 * values - low - high) / (high - low)
+    out = np.polynomial.legendre.legvander(x, degree)
+    levels = len(np.unique(values))
+    out[:, :, levels:] = 0.0
+    return out
+
+
+def frequencies(values: np.ndarray) -> np.ndarray:
+    """Angular frequencies (k,) of waves over values (N,) that the samples determine, from one
+    period over the range on; they overlap by half a period."""
+    span, n = float(np.ptp(values)), len(np.unique(values))
+    most = min(n / MIN_SAMPLES_PER_PERIOD, WAVES / 2)
+    return 2 * np.pi / span * np.arange(1.0, max(most, 1.0) + 0.5, 0.5)
+
+
+def waves(drivers: Sequence[Driver], at: np.ndarray) -> np.ndarray:
+    """Sine and cosine (members, N, k, 2) of one driver at angular frequencies (k,)."""
+    angle = np.array([one.values for one in drivers])[:, :, None] * at
+    return np.stack([np.sin(angle), np.cos(angle)], axis=3)

@@ -1,0 +1,549 @@
+"""Discover the law of an error that no effect of the catalogue describes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from parallel_cal.base.documents import to_json_value
+from parallel_cal.base.errors import FitError
+from parallel_cal.base.notebook import ShownInNotebook
+from parallel_cal.base.options import with_changes
+from parallel_cal.base.progress import Progress, ignore_progress
+from parallel_cal.base.threads import single_threaded
+from parallel_cal.diagnosis.field import Field
+from parallel_cal.diagnosis.noise import NoiseLevel
+from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.diagnosis.verdict import share_explained
+from parallel_cal.discovery.drivers import list_drivers
+from parallel_cal.discovery.effect_file import (
+    Coefficient,
+    list_coefficients,
+    load_text,
+    write_effect,
+    write_effect_file,
+    write_formula,
+)
+from parallel_cal.discovery.formula import Formula, find_formula
+from parallel_cal.discovery.nulls import characterise_noise, compute_threshold, draw_residuals
+from parallel_cal.discovery.places import (
+    DEVICE,
+    JOINT,
+    PARAMETER,
+    PLATFORM,
+    list_places,
+    list_sites,
+)
+from parallel_cal.discovery.screening import Hypothesis, Screening, Targets
+from parallel_cal.discovery.shape import Shape, find_shape
+from parallel_cal.discovery.thresholds import (
+    MAX_EQUAL_EVIDENCE,
+    MAX_FORMULA_LAG,
+    MAX_FORMULAS,
+    MAX_LAWS,
+    NULL_SESSIONS,
+)
+from parallel_cal.identification.acceptance import format_errors
+from parallel_cal.identification.fit import fit
+from parallel_cal.identification.options import FitKeywords, FitOptions
+from parallel_cal.identification.prediction_errors import Summary
+from parallel_cal.model.model import Model
+from parallel_cal.recordings.dataset import Dataset, check_inputs
+from parallel_cal.session.steps import Step, add
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+
+@dataclass(frozen=True)
+class Law:
+    """A law that was found: where an error enters, on what it depends, and its formula.
+
+    Attributes
+    ----------
+    place : str
+        The quantity that errs: a joint, a parameter (`chain1.La_y`), `pose.z` or `device.z`, or
+        several of them, such as `joints`.
+    drivers : tuple of str
+        The quantities that the error depends on, such as `load.joint2`.
+    formula : str
+        The error as a sum of terms, with the names of `parameters`.
+    unit : str
+        Unit of the error.
+    parameters : tuple of Coefficient
+        The coefficients, identified together with the geometry, and the constants of terms.
+    share : float or None
+        Share of the error above the noise floor that the law accounts for.
+    before, after, noise_floor : Summary
+        Validation errors without and with the law; the error that noise alone causes.
+    tested : dict of (float, float)
+        The range of each driver in the samples.
+    alternatives : tuple of str
+        Laws that describe the data equally well, each as `PLACE by DRIVER`.
+    evidence, threshold : float
+        Log evidence of place and drivers without a formula, and the value that the best of all
+        hypotheses exceeds in one of a hundred sessions without a law.
+    against : str
+        Why the law is not proven; empty if it is.
+    of_device : bool
+        Whether the measuring device errs.
+    text : str
+        The effect file.
+    """
+
+    place: str
+    drivers: tuple[str, ...]
+    formula: str
+    unit: str
+    parameters: tuple[Coefficient, ...]
+    share: float | None
+    before: Summary
+    after: Summary
+    noise_floor: Summary
+    tested: Mapping[str, tuple[float, float]]
+    alternatives: tuple[str, ...]
+    evidence: float
+    threshold: float
+    against: str
+    of_device: bool
+    sentence: str
+    text: str = field(repr=False)
+    shape: Shape | None = field(repr=False, default=None)
+
+    @property
+    def name(self) -> str:
+        """`PLACE by DRIVER and DRIVER`."""
+        return f"{self.place} by {' and '.join(self.drivers)}"
+
+    def document(self) -> dict[str, Any]:
+        """The law as JSON data; SI, None for unknown values."""
+        return {
+            "place": self.place,
+            "drivers": list(self.drivers),
+            "formula": self.formula,
+            "unit": self.unit,
+            "parameters": {
+                c.name: {"value": c.value, "sigma": c.sigma, "unit": c.unit}
+                for c in self.parameters
+            },
+            "share": to_json_value(self.share),
+            "validation": {
+                "before": self.before.document(),
+                "after": self.after.document(),
+                "noise_floor": self.noise_floor.document(),
+            },
+            "tested": {name: list(span) for name, span in self.tested.items()},
+            "or": list(self.alternatives),
+            "of_device": self.of_device,
+            "against": self.against,
+            "evidence": to_json_value(self.evidence),
+            "threshold": to_json_value(self.threshold),
+        }
+
+
+@dataclass(frozen=True)
+class Discovery(ShownInNotebook):
+    """The result of `discover`.
+
+    Attributes
+    ----------
+    model : Model
+    dataset : Dataset
+    laws : tuple of Law
+        The proven laws, best first.
+    suspected : tuple of Law
+        Laws beyond chance that the same judgement as that of `add` refuses; `against` says why.
+    verdict : str
+        `described` (laws were found and proven at held-out poses), `robot_or_device` (the
+        measuring device may cause the error), `suspected` or `nothing`.
+    summary : str
+    measure_next : tuple of str
+        What to measure to decide between laws that describe the data equally well.
+    """
+
+    model: Model
+    dataset: Dataset
+    laws: tuple[Law, ...]
+    suspected: tuple[Law, ...]
+    verdict: str
+    summary: str
+    measure_next: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        found = "; ".join(law.name for law in self.laws) or "no law"
+        return (
+            f"Discovery({self.model.mechanism.name}, {len(self.dataset)} samples, "
+            f"{self.verdict}: {found})"
+        )
+
+    def write(self, path: str | Path) -> list[Path]:
+        """Write the proven laws as effect files: the first to `path`, further ones to
+        `path` with `_2` and `_3` behind the name. ModelError for a name that cannot be imported."""
+        path = Path(path)
+        paths = [
+            path.with_stem(f"{path.stem}_{k}") if k > 1 else path
+            for k in range(1, len(self.laws) + 1)
+        ]
+        for law, own in zip(self.laws, paths, strict=True):
+            write_effect_file(own, law.text)
+        return paths
+
+    def document(self, files: Sequence[str | Path] = ()) -> dict[str, Any]:
+        """The JSON document of `parallel-cal discover`; SI, None for unknown values."""
+        return {
+            "verdict": self.verdict,
+            "summary": self.summary,
+            "laws": [law.document() for law in self.laws],
+            "suspected": [law.document() for law in self.suspected],
+            "measure_next": list(self.measure_next),
+            "file": str(files[0]) if files else None,
+            "files": [str(file) for file in files],
+            "samples": len(self.dataset),
+            "dataset": {"source": self.dataset.source, "sha256": self.dataset.sha256},
+        }
+
+
+@dataclass(frozen=True)
+class _Winner:
+    """A law before its proof: the formula, equally good ones, and the screening's evidence."""
+
+    formula: Formula
+    equal: tuple[Formula, ...]
+    screened: Hypothesis
+    evidence: float
+
+
+@single_threaded()
+def discover(
+    model: Model,
+    dataset: Dataset,
+    *,
+    options: FitOptions | None = None,
+    progress: Progress | None = None,
+    **changes: Unpack[FitKeywords],
+) -> Discovery:
+    """Find the law of an error that no effect of the catalogue describes.
+
+    The free parameters are identified first. Then every place where an error can enter (each
+    joint, each parameter of the mechanism, the platform's pose, the device) is combined with every
+    quantity that it may depend on, without a formula; the part that geometric parameters could
+    imitate is removed before. The best combinations get a formula. A law must exceed what the same
+    search finds in sessions with the same noise and no law, and the judgement of `add`.
+
+    Parameters
+    ----------
+    model : Model
+    dataset : Dataset
+    options : FitOptions, optional
+        Options of the identification as one object.
+    progress : callable, optional
+        Called with a stage in words and the completed share (0 to 1). An exception that it raises
+        cancels the search.
+    **changes
+        Single options by name, as in `fit`.
+
+    Returns
+    -------
+    Discovery
+        `verdict` is `described`, `robot_or_device`, `suspected` or `nothing`; `laws` are the proven
+        laws; `write(path)` writes them as effects that `add` takes.
+
+    Raises
+    ------
+    FitError
+        If the free parameters cannot be identified.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> model = pc.read_model("config/delta_mockup_nominal.yaml")
+    >>> data = pc.load_dataset("bags/delta_backlash", joints=model.joints)
+    >>> pc.discover(model, data).laws[0].drivers
+    ('direction',)
+    """
+    check_inputs(model, dataset)
+    report = progress or ignore_progress
+    options = with_changes(options or FitOptions(), changes, FitError)
+    report("identifying the geometry", 0.0)
+    base = fit(model, dataset, options)
+    scene = Scene.of(base.model, base.dataset, base.observations, base.free)
+    screening = Screening(scene, list_sites(list_places(scene)), list_drivers(scene))
+    winners = _find_winners(scene, screening, report)
+    thresholds = _find_thresholds(scene, screening, winners, report)
+    real = [(one, t) for one, t in zip(winners, thresholds, strict=True) if one.evidence > t]
+    found, current = list[Law](), base.model
+    for k, (winner, threshold) in enumerate(real):
+        report("testing a law at held-out poses", 0.8 + 0.2 * k / len(real))
+        law, step = _prove(winner, threshold, current, dataset, options, scene)
+        found.append(law)
+        if not law.against:
+            current = step.model
+    return _conclude(model, dataset, found, thresholds)
+
+
+def _find_winners(scene: Scene, screening: Screening, report: Progress) -> list[_Winner]:
+    """The best law, and further ones in what it leaves, before any test of chance."""
+    columns = np.zeros((len(scene.residual), 0))
+    winners: list[_Winner] = []
+    for k in range(MAX_LAWS):
+        report("screening places and drivers", 0.1 + 0.1 * k)
+        targets = Targets.of(scene, scene.residual[:, None], columns)
+        scored = [
+            (float(e), one)
+            for part in screening.score(targets)
+            for e, one in zip(part.evidence[:, 0], part.hypotheses, strict=True)
+        ]
+        if not scored:
+            break
+        scored.sort(key=lambda item: -item[0])
+        # By chance, the best of so many hypotheses is about as much likelier as their number.
+        if scored[0][0] < np.log(len(scored)):
+            break
+        winner = _find_winner(scene, targets, scored)
+        if winner is None:
+            break
+        winners.append(winner)
+        columns = np.hstack([columns, winner.formula.columns])
+    return winners
+
+
+def _find_winner(
+    scene: Scene, targets: Targets, scored: Sequence[tuple[float, Hypothesis]]
+) -> _Winner | None:
+    """Find formulas for the best hypotheses; of those equally good, take the simplest."""
+    found: dict[tuple[Any, ...], tuple[Formula, Hypothesis]] = {}
+    for one in _select_for_formulas(scored):
+        formula = find_formula(scene, targets, one)
+        if formula is None:
+            continue
+        reduced = _reduce(formula)
+        key = reduced.hypothesis.key
+        if key not in found or found[key][0].evidence < reduced.evidence:
+            found[key] = reduced, one
+    if not found:
+        return None
+    ranked = sorted(found.values(), key=lambda item: -item[0].evidence)
+    limit = ranked[0][0].evidence - MAX_EQUAL_EVIDENCE
+    equal = sorted(
+        (formula for formula, _ in ranked if formula.evidence >= limit),
+        key=lambda formula: (*formula.complexity, -formula.evidence),
+    )
+    best = equal[0]
+    screened = found[best.hypothesis.key][1]
+    return _Winner(best, tuple(equal[1:]), screened, max(scored[0][0], best.evidence))
+
+
+def _select_for_formulas(scored: Sequence[tuple[float, Hypothesis]]) -> list[Hypothesis]:
+    """The best hypotheses, but none of two drivers that gains little over one of them, and waves of
+    one place and driver only once."""
+    best, chosen = scored[0][0], list[Hypothesis]()
+    seen: set[tuple[Any, ...]] = set()
+    single = {}
+    for e, one in scored:
+        if len(one.drivers) == 1:
+            key = (*one.site.key, one.families)
+            single[key] = max(single.get(key, -np.inf), e)
+    for e, one in scored:
+        if e < best - MAX_FORMULA_LAG or len(chosen) >= MAX_FORMULAS:
+            break
+        key = (*one.site.key, one.families)
+        if key in seen:
+            continue
+        alone = max(single.get((*one.site.key, (own,)), -np.inf) for own in one.families)
+        if len(one.drivers) == 2 and e < alone + MAX_EQUAL_EVIDENCE:
+            continue
+        seen.add(key)
+        chosen.append(one)
+    return chosen
+
+
+def _reduce(formula: Formula) -> Formula:
+    """The formula of a hypothesis without the drivers that it does not use."""
+    used = formula.used_drivers
+    if len(used) == len(formula.hypothesis.drivers):
+        return formula
+    terms = tuple(
+        replace(term, factors=tuple((used.index(n), factor) for n, factor in term.factors))
+        for term in formula.terms
+    )
+    drivers = tuple(formula.hypothesis.drivers[n] for n in used)
+    return replace(formula, terms=terms, hypothesis=replace(formula.hypothesis, drivers=drivers))
+
+
+def _find_thresholds(
+    scene: Scene, screening: Screening, winners: Sequence[_Winner], report: Progress
+) -> list[float]:
+    """For each winner, the evidence that the best hypothesis of a session without any law rarely
+    exceeds; drivers that change slowly are compared among themselves.
+
+    The noise is what the winners leave, except those that change slowly: these could describe
+    correlated noise, and must exceed what such noise imitates.
+    """
+    if not winners:
+        return []
+    nothing = np.zeros((len(scene.residual), 0))
+    removed = [one for one in winners if not one.formula.hypothesis.slow]
+    columns = np.hstack([nothing, *(one.formula.columns for one in removed)])
+    rest = Targets.of(scene, scene.residual[:, None], columns).residuals[:, 0]
+    noise = characterise_noise(scene, rest)
+    targets = Targets.of(scene, draw_residuals(scene, noise, NULL_SESSIONS), nothing)
+    maxima = {True: np.full(NULL_SESSIONS, -np.inf), False: np.full(NULL_SESSIONS, -np.inf)}
+    done = 0
+    for part in screening.score(targets):
+        is_slow = np.array([one.slow for one in part.hypotheses])
+        for kind in (True, False):
+            if np.any(is_slow == kind):
+                own = part.evidence[is_slow == kind].max(axis=0)
+                maxima[kind] = np.maximum(maxima[kind], own)
+        done += 1
+        report("searching sessions without a law", 0.4 + 0.4 * (1 - 0.99**done))
+    return [compute_threshold(maxima[one.formula.hypothesis.slow]) for one in winners]
+
+
+def _prove(
+    winner: _Winner,
+    threshold: float,
+    model: Model,
+    dataset: Dataset,
+    options: FitOptions,
+    scene: Scene,
+) -> tuple[Law, Step]:
+    """Judge a law as `add` judges an effect, and describe it with the refitted numbers."""
+    formula = winner.formula
+    hypothesis = formula.hypothesis
+    sentence, tested = describe_law(hypothesis), _list_ranges(hypothesis)
+    where = _describe_data(dataset, tested)
+    name = load_text(write_effect(formula, sentence, where))
+    step = add(model, name, dataset, force=True, options=options)
+    refitted = step.result.parameters()
+    coefficients = []
+    for c in list_coefficients(formula):
+        p = refitted[f"{name}.{c.name}"]
+        coefficients.append(replace(c, value=p.value, sigma=None if c.scanned else p.sigma))
+    own = {c.name: (c.value, c.sigma) for c in coefficients}
+    assert step.rival is not None
+    noise = NoiseLevel.of(scene, Field.of(scene), structured=True).variance
+    alternatives = tuple(dict.fromkeys(_name(one.hypothesis) for one in winner.equal))
+    of_device = hypothesis.site.kind == DEVICE
+    against = step.acceptance.against.replace(f" with '{name}'", "").replace(name, "it")
+    others = [one.hypothesis for one in winner.equal if one.hypothesis.site.kind == DEVICE]
+    if not against and others and not of_device:
+        against = f"the measuring device may cause it: {_name(others[0])} describes it as well"
+    law = Law(
+        place=_name_place(hypothesis),
+        drivers=hypothesis.families,
+        formula=write_formula(formula),
+        unit=hypothesis.site.unit,
+        parameters=tuple(coefficients),
+        share=share_explained(
+            step.rival.estimate.chi2_per_dof, step.result.estimate.chi2_per_dof, noise
+        ),
+        before=step.acceptance.before,
+        after=step.acceptance.after,
+        noise_floor=step.result.noise_floor,
+        tested=tested,
+        alternatives=alternatives,
+        evidence=winner.evidence,
+        threshold=threshold,
+        against=against,
+        of_device=of_device,
+        sentence=sentence,
+        text=write_effect(formula, sentence, where, values=own),
+        shape=find_shape(scene, formula),
+    )
+    return law, step
+
+
+def _name_place(hypothesis: Hypothesis) -> str:
+    site = hypothesis.site
+    return f"{site.name}, each its own" if site.each else site.name
+
+
+def _name(hypothesis: Hypothesis) -> str:
+    return f"{_name_place(hypothesis)} by {' and '.join(hypothesis.families)}"
+
+
+def describe_law(hypothesis: Hypothesis) -> str:
+    """Say where an error enters and on what it depends: "The reading of joint2 errs with ..."."""
+    site = hypothesis.site
+    names = [place.name for place in site.members]
+    what = {
+        JOINT: f"The reading of {', '.join(names)}",
+        PARAMETER: f"The parameter {', '.join(names)}",
+        PLATFORM: f"The platform's {', '.join(n.rpartition('.')[2] for n in names)}",
+        DEVICE: f"The {', '.join(n.rpartition('.')[2] for n in names)} that the device shows",
+    }[site.kind]
+    words = {"load": "load", "radius": "the radius"}
+    on = " and ".join(words.get(name, name) for name in hypothesis.families)
+    each = ", each in its own way" if site.each else ""
+    own = (
+        " of its own joint" if any(len({d.name for d in s}) > 1 for s in hypothesis.drivers) else ""
+    )
+    return f"{what} errs with {on}{own}{each}"
+
+
+def _list_ranges(hypothesis: Hypothesis) -> dict[str, tuple[float, float]]:
+    drivers = {one.name: one for own in hypothesis.drivers for one in own}
+    return {name: one.range for name, one in drivers.items()}
+
+
+def _describe_data(dataset: Dataset, tested: Mapping[str, tuple[float, float]]) -> str:
+    spans = ", ".join(f"{name} {low:.4g} to {high:.4g}" for name, (low, high) in tested.items())
+    digest = f" (sha256 {dataset.sha256[:12]})" if dataset.sha256 else ""
+    return (
+        f"parallel-cal discover, {len(dataset)} samples of {dataset.source or 'arrays'}{digest}; "
+        f"tested in SI units: {spans}"
+    )
+
+
+def _conclude(
+    model: Model, dataset: Dataset, found: Sequence[Law], thresholds: Sequence[float]
+) -> Discovery:
+    """The verdict, its sentence, and what to measure next."""
+    laws = tuple(law for law in found if not law.against)
+    suspected = tuple(law for law in found if law.against)
+    doubtful = [law for law in suspected if "device" in law.against]
+    verdict = "described" if laws else "robot_or_device" if doubtful else "nothing"
+    if not laws and suspected and not doubtful:
+        verdict = "suspected"
+    words = [_describe_proof(law) for law in laws]
+    words += [f"{law.sentence}, but this is not proven: {law.against}" for law in suspected]
+    if not words:
+        words = [
+            "no place and no driver explain more than in sessions with the same noise and without "
+            "a law"
+        ]
+    advice = []
+    for law in (*laws, *suspected):
+        if law.alternatives:
+            advice.append(_advise(law))
+    return Discovery(model, dataset, laws, suspected, verdict, ". ".join(words), tuple(advice))
+
+
+def _describe_proof(law: Law) -> str:
+    terms = ", ".join(
+        f"{c.name} {c.value:.3g}{f' +- {c.sigma:.2g}' if c.sigma else ''} {c.unit}"
+        for c in law.parameters
+    )
+    share = "" if law.share is None else f" and accounts for {100 * law.share:.0f} % of the error"
+    above = "" if law.share is None else " above the noise floor"
+    spans = ", ".join(f"{n} {low:.3g} to {high:.3g}" for n, (low, high) in law.tested.items())
+    other = f"; equally good: {', '.join(law.alternatives)}" if law.alternatives else ""
+    return (
+        f"{law.sentence} as {law.formula} ({terms}){share}{above}: error at held-out poses "
+        f"{format_errors(law.after, law.before)}; noise floor {format_errors(law.noise_floor)}; "
+        f"tested at {spans}{other}"
+    )
+
+
+def _advise(law: Law) -> str:
+    others = " or ".join(law.alternatives)
+    spans = ", ".join(law.drivers)
+    return (
+        f"to decide between {law.name} and {others}: measure poses at which {spans} changes while "
+        "the other quantities stay, and poses nearer to the edges of the workspace"
+    )

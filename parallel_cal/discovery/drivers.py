@@ -1,0 +1,153 @@
+"""Drivers: quantities that an error can depend on, at every sample and as code of an effect."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.base.compiled import Batch, dense
+from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.diagnosis.thresholds import MIN_SLOW_CORRELATION
+from parallel_cal.discovery.thresholds import MAX_LEVELS, MIN_VARIATION
+from parallel_cal.effects._statics import PAYLOAD, joint_forces, masses, needs_weight
+from parallel_cal.model.effect import CONDITIONS, Seen
+from parallel_cal.model.parameters import Named
+
+READING, LOAD, CONDITION, PLACE = "reading", "load", "condition", "place"
+JOINT_CONDITIONS = tuple(name for name, (_, _, per_joint) in CONDITIONS.items() if per_joint)
+COMMON_CONDITIONS = tuple(name for name, (_, _, per_joint) in CONDITIONS.items() if not per_joint)
+# How a law names a driver, and what an effect's `ideal` computes it from.
+PLACES = {
+    "x": ("m", "seen.r[0]"),
+    "y": ("m", "seen.r[1]"),
+    "z": ("m", "seen.r[2]"),
+    "radius": ("m", "ca.sqrt(seen.r[0] ** 2 + seen.r[1] ** 2 + 1e-12)"),
+    "tilt_x": ("rad", "seen.R[2, 1]"),
+    "tilt_y": ("rad", "-seen.R[2, 0]"),
+}
+# Physics rarely depends on the last ones: they order only laws that explain the data equally well.
+PLAUSIBILITY = (
+    LOAD, "payload", READING, "direction", "travel", "temperature",
+    "radius", "velocity", "z", "x", "y", "tilt_x", "tilt_y", "time", "session",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Driver:
+    """A quantity at every sample, relative to `zero`.
+
+    `name` is as in reports (`load.joint2`), `family` its name without the joint, `code` what an
+    effect computes it from, `needs` the condition that this requires. `slow` is whether it changes
+    as slowly as noise may.
+    """
+
+    name: str
+    family: str
+    unit: str
+    code: str
+    values: np.ndarray = field(repr=False)
+    joint: int | None = None
+    zero: float = 0.0
+    needs: str = ""
+    slow: bool = False
+
+    @property
+    def few_values(self) -> bool:
+        return len(np.unique(self.values)) <= MAX_LEVELS
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """The lowest and the highest value in the samples, not relative to `zero`."""
+        return float(self.values.min() + self.zero), float(self.values.max() + self.zero)
+
+    @property
+    def rank(self) -> int:
+        return PLAUSIBILITY.index(self.family)
+
+
+def list_drivers(scene: Scene) -> list[Driver]:
+    """List the quantities that vary between the samples."""
+    order = np.argsort(scene.dataset.time, kind="stable")
+    known_order = "time" in scene.dataset.conditions
+    found = []
+    for one in _iterate_drivers(scene):
+        if np.isfinite(one.values).all() and np.ptp(one.values) > MIN_VARIATION:
+            slow = known_order and _varies_slowly(one.values[order])
+            found.append(Driver(**{**vars(one), "slow": slow}))
+    return found
+
+
+def _varies_slowly(series: np.ndarray) -> bool:
+    away = series - series.mean()
+    return bool(away[1:] @ away[:-1] > MIN_SLOW_CORRELATION * (away @ away))
+
+
+def _iterate_drivers(scene: Scene) -> Iterator[Driver]:
+    """Iterate over all quantities that were recorded or follow from the configuration."""
+    mechanism, seen = scene.model.mechanism, scene.seen
+    joints, units, n = scene.model.joints, mechanism.joint_units, len(scene.model.joints)
+    for i, (name, unit) in enumerate(zip(joints, units, strict=True)):
+        q = seen[:, i]
+        middle = _round_middle(q)
+        yield Driver(name, READING, unit, f"seen.q[{i}]", q - middle, i, middle)
+    for i, values in enumerate(compute_loads(scene).T):
+        unit = "N m" if units[i] == "rad" else "N"
+        yield Driver(f"load.{joints[i]}", LOAD, unit, f"load[{i}]", values, i, needs=PAYLOAD)
+    known = scene.dataset.conditions
+    for kind in JOINT_CONDITIONS:
+        for i, name in enumerate(joints):
+            key = f"{kind}.{name}"
+            if key in known:
+                unit = CONDITIONS[kind][0].replace("rad", units[i])
+                yield Driver(key, kind, unit, f'at["{key}"]', known[key], i, needs=kind)
+    for kind in COMMON_CONDITIONS:
+        if kind in known:
+            unit, neutral, _ = CONDITIONS[kind]
+            unit = unit.replace("degC", "K")  # of a difference
+            yield Driver(
+                kind, kind, unit, f"at.{kind}", known[kind] - neutral, zero=neutral, needs=kind
+            )
+    r, R = seen[:, n : n + 3], seen[:, n + 3 : n + 12]
+    moved = set(mechanism.moves)
+    values = {a: r[:, k] for k, a in enumerate("xyz") if a in moved}
+    if {"x", "y"} <= moved:
+        values["radius"] = np.hypot(r[:, 0], r[:, 1])
+    if "rx" in moved:
+        values["tilt_x"] = R[:, 7]
+    if "ry" in moved:
+        values["tilt_y"] = -R[:, 6]
+    for name, column in values.items():
+        unit, code = PLACES[name]
+        middle = 0.0 if name == "radius" else _round_middle(column)
+        yield Driver(name, name, unit, code, column - middle, zero=middle)
+
+
+def _round_middle(values: np.ndarray) -> float:
+    """A round number in the middle of the values, as the zero of powers."""
+    middle, spread = float(np.ptp(values) / 2 + values.min()), float(np.ptp(values))
+    if spread <= 0:
+        return 0.0
+    step = 10.0 ** np.floor(np.log10(spread) - 0.5)
+    return float(round(middle / step) * step)
+
+
+def compute_loads(scene: Scene) -> np.ndarray:
+    """Load of the payload on each joint (N, nq), N m or N; without columns if it is unknown.
+
+    The masses of the robot's own links are not known; they are zero, as in `joint_compliance`.
+    """
+    mechanism, payload = scene.model.mechanism, scene.dataset.conditions.get(PAYLOAD)
+    if payload is None or needs_weight(mechanism):
+        return np.zeros((len(scene.seen), 0))
+    ideal = scene.model.structure.ideal
+    kinds = masses(mechanism)
+    e = Named([kind.name for kind in kinds], ca.SX.zeros(len(kinds)))
+    carried = ca.SX.sym("payload")
+    seen = Seen(ideal.q, ideal.r, ideal.R, ideal.geometry)
+    forces = joint_forces(seen, e, Named([PAYLOAD], carried), mechanism)
+    z = ca.vertcat(ideal.configuration, ideal.v)
+    (loads,) = Batch(dense("loads", (z, carried), (forces,)))(scene.seen, payload[:, None])
+    return np.asarray(loads)

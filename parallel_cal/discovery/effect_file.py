@@ -1,0 +1,328 @@
+"""The effect of a law that was found: an ordinary effect file, readable and editable."""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from textwrap import fill, indent
+from types import ModuleType
+
+import numpy as np
+
+from parallel_cal.base.errors import ModelError
+from parallel_cal.base.files import write_atomically
+from parallel_cal.discovery.drivers import LOAD, Driver
+from parallel_cal.discovery.formula import Factor, Formula, Term
+from parallel_cal.discovery.places import DEVICE, JOINT, PARAMETER, PLATFORM, Place
+from parallel_cal.model.mechanism import POSE
+
+WIDTH = 96  # characters of a line of the docstring
+RELATIVE_CONSTANT_TOLERANCE = 0.1  # of a scanned constant, if a user frees it
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """A parameter of the effect: its name there, unit, value and sigma in SI; `scanned` if it is a
+    constant of a term, which a fit does not identify."""
+
+    name: str
+    unit: str
+    value: float
+    sigma: float | None
+    scanned: bool = False
+
+
+def list_coefficients(formula: Formula) -> list[Coefficient]:
+    """List the parameters of a formula as an effect: coefficients by term and member, then the
+    constants that a scan found."""
+    site = formula.hypothesis.site
+    found = []
+    for word, term, values, sigmas in zip(
+        _term_names(formula), formula.terms, formula.coefficients, formula.sigma, strict=True
+    ):
+        unit = _unit(formula, term)
+        for m, (value, sigma) in enumerate(zip(values, sigmas, strict=True)):
+            name = f"{member_name(site.members[m])}_{word}" if site.each else word
+            found.append(Coefficient(name, unit, float(value), float(sigma)))
+    for (number, _, value), name in _constant_names(formula).items():
+        driver = formula.hypothesis.drivers[number][0]
+        own = driver.unit if driver.unit != "1" else "1"
+        unit = own if not name.startswith("frequency") else "1" if own == "rad" else f"rad/{own}"
+        found.append(Coefficient(name, unit, value, None, scanned=True))
+    return found
+
+
+def member_name(place: Place) -> str:
+    """A member of a site in the name of a parameter: `joint1`, `chain1`, `x`."""
+    if place.kind == JOINT:
+        return place.name
+    if place.kind == PARAMETER:
+        return place.name.partition(".")[0]
+    return place.name.rpartition(".")[2]
+
+
+def _term_names(formula: Formula) -> list[str]:
+    """One name for each term; a number tells equal ones apart."""
+    words = [term.word for term in formula.terms]
+    return [
+        word if words.count(word) == 1 else f"{word}{words[: k + 1].count(word)}"
+        for k, word in enumerate(words)
+    ]
+
+
+def _constant_names(formula: Formula) -> dict[tuple[int, str, float], str]:
+    """Names of the scanned constants by driver, kind and value; sine and cosine share one."""
+    found: dict[tuple[int, str, float], str] = {}
+    for term in formula.terms:
+        for number, factor in term.factors:
+            for kind, value in zip(factor.constant_names, factor.constants, strict=False):
+                if (number, kind, value) not in found:
+                    count = 1 + sum(key[1] == kind for key in found)
+                    found[number, kind, value] = kind if count == 1 else f"{kind}{count}"
+    return found
+
+
+def _unit(formula: Formula, term: Term) -> str:
+    """The unit of a term's coefficient: that of the site over those of the drivers."""
+    powers: dict[str, int] = {}
+    for number, factor in term.factors:
+        unit = formula.hypothesis.drivers[number][0].unit
+        if unit != "1" and factor.dimension:
+            powers[unit] = powers.get(unit, 0) + factor.dimension
+    if not powers:
+        return formula.hypothesis.site.unit
+    parts = []
+    for unit, power in powers.items():
+        own = f"({unit})" if " " in unit or "/" in unit else unit
+        parts.append(own if power == 1 else f"{own}^{power}")
+    below = " ".join(parts)
+    return f"{formula.hypothesis.site.unit}/{below if len(parts) == 1 else f'({below})'}"
+
+
+def write_formula(formula: Formula) -> str:
+    """The formula for people: `cubic * load^3`, in the names of the effect's parameters."""
+    names = [own[0].name if len(own) == 1 else own[0].family for own in formula.hypothesis.drivers]
+    shown = [
+        f"({name} - {own[0].zero:g})" if own[0].zero else name
+        for name, own in zip(names, formula.hypothesis.drivers, strict=True)
+    ]
+    return _sum(formula, _term_names(formula), shown, "")
+
+
+def _sum(formula: Formula, words: Sequence[str], variables: Sequence[str], prefix: str) -> str:
+    constants = _constant_names(formula)
+    parts = []
+    for word, term in zip(words, formula.terms, strict=True):
+        factors = []
+        for number, factor in term.factors:
+            own = [
+                ("e." if prefix else "") + constants[number, kind, value]
+                for kind, value in zip(factor.constant_names, factor.constants, strict=False)
+            ]
+            factors.append(_bracketed(factor, variables[number], own, prefix))
+        parts.append(" * ".join([("e." if prefix else "") + word, *factors]))
+    return " + ".join(parts)
+
+
+def _bracketed(factor: Factor, x: str, constants: Sequence[str], prefix: str) -> str:
+    return factor.write(x, constants, prefix)
+
+
+def write_effect(
+    formula: Formula,
+    sentence: str,
+    found: str,
+    *,
+    values: Mapping[str, tuple[float, float | None]] | None = None,
+) -> str:
+    """The text of an effect file.
+
+    `sentence` says where an error enters and on what it depends, `found` in which data and range it
+    was found. `values` are coefficients and sigmas after a refit with the geometry.
+    """
+    site = formula.hypothesis.site
+    used = [formula.hypothesis.drivers[number] for number in formula.used_drivers]
+    loads = any(own[0].family == LOAD for own in used)
+    needs = list(dict.fromkeys(own[0].needs for own in used if own[0].needs))
+    coefficients = list_coefficients(formula)
+    values = values or {}
+    fixed = [c.name for c in coefficients if c.scanned] + (["mass.*"] if loads else [])
+    quoted = ", ".join(f'"{name}"' for name in fixed)
+    required = ", ".join(f'"{name}"' for name in needs)
+    lines = [
+        '"""' + fill(f"{sentence}. Found in data; its cause is not known.", WIDTH),
+        "",
+        _equation(formula),
+        "",
+        fill(found, WIDTH),
+        '"""',
+        "",
+        "import casadi as ca",
+        "",
+        "from parallel_cal import Effect, Parameter",
+    ]
+    if site.kind in (PLATFORM, DEVICE):
+        lines.append("from parallel_cal.base.rotation import cayley")
+    if loads:
+        lines.append("from parallel_cal.effects._statics import joint_forces, masses, needs_weight")
+    lines += ["", "", "class FoundLaw(Effect):"]
+    lines.append(f'    """{_equation(formula)}"""')
+    lines.append("")
+    if needs:
+        lines.append(f"    needs = ({required},)")
+    if fixed:
+        lines.append(f"    fixed = ({quoted},)")
+    if site.kind == DEVICE:
+        lines.append("    of_device = True")
+    lines += [
+        "    physics = (",
+        *_string(f"{sentence}; found in data, its cause is not known", 8),
+        "    )",
+        '    remedy = "find the cause at the machine; until then, keep the correction in the model"',
+        "    source = (",
+        *_string(found, 8),
+        "    )",
+        "",
+        "    def parameters(self, mechanism):",
+        "        return [",
+    ]
+    for c in coefficients:
+        value, sigma = values.get(c.name, (c.value, c.sigma))
+        size = abs(value) * RELATIVE_CONSTANT_TOLERANCE if c.scanned else _tolerance(value, sigma)
+        nominal = repr(float(f"{value:.9g}")) if c.scanned else "0.0"
+        if not c.scanned:
+            spread = f" +- {sigma:.2g}" if sigma else ""
+            lines.append(f"            # found: {value:.4g}{spread} {c.unit}")
+        lines.append(f'            Parameter("{c.name}", "{c.unit}", {nominal}, {size:.3g}),')
+    if loads:
+        lines.append("            *masses(mechanism),")
+    lines += ["        ]", "", "    def applies(self, mechanism):", *_applies(formula, loads)]
+    lines += ["", "    def ideal(self, seen, e, at, mechanism):", *_ideal(formula, loads)]
+    return "\n".join(lines) + "\n"
+
+
+def _tolerance(value: float, sigma: float | None) -> float:
+    """The usual size of a coefficient: as large as found, so that ten times that is plausible."""
+    return max(abs(value), 2 * (sigma or 0.0), 1e-300)
+
+
+def _equation(formula: Formula) -> str:
+    site = formula.hypothesis.site
+    name = {JOINT: "q", PARAMETER: "length", PLATFORM: "pose", DEVICE: "shown pose"}[site.kind]
+    sign = "-" if site.kind in (PLATFORM, DEVICE) else "+"
+    members = ", ".join(place.name for place in site.members)
+    law = write_formula(formula)
+    return fill(f"ideal {name} = {name} {sign} ({law}), for {members}.", WIDTH)
+
+
+def _string(text: str, spaces: int) -> Iterator[str]:
+    """A long string as lines of Python, joined by the parser."""
+    words = fill(text.replace("\\", "/").replace('"', "'"), WIDTH - spaces - 2).splitlines()
+    for k, line in enumerate(words):
+        space = " " if k < len(words) - 1 else ""
+        yield f'{" " * spaces}"{line}{space}"'
+
+
+def _applies(formula: Formula, loads: bool) -> Iterator[str]:
+    site = formula.hypothesis.site
+    joints = [place.name for place in site.members if place.kind == JOINT]
+    lengths = [place.name for place in site.members if place.kind == PARAMETER]
+    needed = ", ".join(f'"{name}"' for name in (*joints, *lengths))
+    if needed:
+        yield f"        missing = {{{needed}}} - {{*mechanism.joints, *mechanism.parameters.names}}"
+        yield "        if missing:"
+        yield "            return f\"it has no {', '.join(sorted(missing))}\""
+    yield f"        return {'needs_weight(mechanism)' if loads else repr('')}".replace("''", '""')
+
+
+def _ideal(formula: Formula, loads: bool) -> Iterator[str]:
+    site, hypothesis = formula.hypothesis.site, formula.hypothesis
+    if loads:
+        yield "        load = joint_forces(seen, e, at, mechanism)"
+    start = {
+        JOINT: "q = ca.vertsplit(seen.q)",
+        PARAMETER: "changed = {}",
+        PLATFORM: "shift, turn = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]",
+        DEVICE: "shift, turn = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]",
+    }
+    yield f"        {start[site.kind]}"
+    known: set[str] = set()
+    for m, place in enumerate(site.members):
+        variables = []
+        for number, own in enumerate(hypothesis.drivers):
+            driver = own[m]
+            variables.append(_variable(driver))
+            if number in formula.used_drivers and variables[-1] not in known:
+                known.add(variables[-1])
+                less = f" - {driver.zero!r}" if driver.zero else ""
+                yield f"        {variables[-1]} = {driver.code}{less}"
+        words = _term_names(formula)
+        if site.each:
+            words = [f"{member_name(place)}_{word}" for word in words]
+        error = _sum(formula, words, variables, "ca.")
+        yield from _assign(place, error)
+    end = {
+        JOINT: "return seen.with_q(ca.vertcat(*q))",
+        PARAMETER: "return seen.with_p(changed)",
+        PLATFORM: "return seen.with_pose(seen.r - ca.vertcat(*shift), "
+        "cayley(ca.vertcat(*turn)).T @ seen.R)",
+    }
+    yield f"        {end[PLATFORM if site.kind == DEVICE else site.kind]}"
+
+
+def _variable(driver: Driver) -> str:
+    """A name for a driver that is neither that of an input nor of another driver."""
+    return f"{driver.name.replace('.', '_')}_value"
+
+
+def _assign(place: Place, error: str) -> Iterator[str]:
+    target = {
+        JOINT: f"q[{place.index}] += ",
+        PARAMETER: f'changed["{place.name}"] = seen.p["{place.name}"] + ',
+    }.get(place.kind)
+    if target is None:
+        part, index = ("shift", place.index) if place.index < 3 else ("turn", place.index - 3)
+        assert POSE[place.index]
+        target = f"{part}[{index}] = "
+    whole = f"        {target}{error}"
+    if len(whole) <= WIDTH:
+        yield whole
+        return
+    yield f"        {target}("
+    yield indent(error.replace(" + ", "\n+ "), " " * 12)
+    yield "        )"
+
+
+def load_text(text: str) -> str:
+    """Make the text of an effect file loadable in this process, without a file; return its name.
+
+    The name follows from the text, because equations are kept by the names of their effects.
+    """
+    name = f"parallel_cal.discovery.law_{hashlib.sha256(text.encode()).hexdigest()[:12]}"
+    if name not in sys.modules:
+        module = ModuleType(name)
+        try:
+            exec(compile(text, f"{name}.py", "exec"), module.__dict__)
+        except Exception as error:
+            raise ModelError(f"the effect of a law is no valid Python: {error}") from error
+        sys.modules[name] = module
+    return name
+
+
+def check_effect_path(path: str | Path) -> Path:
+    """Return the path of an effect file; ModelError for a name that cannot be imported."""
+    path = Path(path)
+    if path.suffix != ".py" or not path.stem.isidentifier():
+        raise ModelError(
+            f"{path}: an effect is loaded by the name of its file; expected a name such as "
+            "my_effect.py"
+        )
+    return path
+
+
+def write_effect_file(path: str | Path, text: str) -> None:
+    """Write an effect file; ModelError for a name that cannot be imported."""
+    write_atomically(check_effect_path(path), text)

@@ -1,0 +1,380 @@
+"""Formulas: the shortest sum of terms that describes an error where the screening found it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+
+import numpy as np
+
+from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
+from parallel_cal.discovery.basis import frequencies
+from parallel_cal.discovery.drivers import READING, Driver
+from parallel_cal.discovery.places import DEVICE, JOINT, PARAMETER, PLATFORM
+from parallel_cal.discovery.screening import Hypothesis, Targets, evidence
+from parallel_cal.discovery.thresholds import (
+    MAX_TERMS,
+    MIN_SIGN_SHARE,
+    MIN_TERM_EVIDENCE,
+    REDRAWS,
+)
+from parallel_cal.identification.observations import blocks
+
+PLACE_KINDS = (JOINT, PLATFORM, PARAMETER, DEVICE)  # the more usual place of an error first
+POWERS = {1: "linear", 2: "quadratic", 3: "cubic"}
+CENTRES = 24  # of a bump or a step, over the range of its driver
+WIDTHS = (0.02, 0.04, 0.08, 0.15, 0.3)  # of a bump or a step, as shares of the range
+SCALES = (0.05, 0.1, 0.2, 0.4, 0.8)  # in which a law saturates, as shares of the largest value
+
+
+@dataclass(frozen=True)
+class Factor:
+    """A function of one driver: `power`, `absolute`, `sign`, `sin`, `cos`, `saturating`, `bump` or
+    `step`; `constants` are the power, the angular frequency, the scale, or centre and width."""
+
+    kind: str
+    constants: tuple[float, ...] = ()
+
+    def value(self, x: np.ndarray) -> np.ndarray:
+        c = self.constants
+        functions = {
+            "power": lambda: x ** int(c[0]),
+            "absolute": lambda: np.abs(x),
+            "sign": lambda: np.sign(x),
+            "sin": lambda: np.sin(c[0] * x),
+            "cos": lambda: np.cos(c[0] * x),
+            "saturating": lambda: np.tanh(x / c[0]),
+            "bump": lambda: np.exp(-(((x - c[0]) / c[1]) ** 2) / 2),
+            "step": lambda: np.tanh((x - c[0]) / c[1]),
+        }
+        return np.asarray(functions[self.kind]())
+
+    @property
+    def dimension(self) -> int:
+        """The power of the driver's unit that the factor has."""
+        return {"power": int(self.constants[0]) if self.constants else 1, "absolute": 1}.get(
+            self.kind, 0
+        )
+
+    @property
+    def constant_names(self) -> tuple[str, ...]:
+        """Names of the constants that a scan found, which an effect keeps as fixed parameters."""
+        return {
+            "sin": ("frequency",),
+            "cos": ("frequency",),
+            "saturating": ("scale",),
+            "bump": ("centre", "width"),
+            "step": ("centre", "width"),
+        }.get(self.kind, ())
+
+    def write(self, x: str, constants: Sequence[str], prefix: str = "") -> str:
+        """The factor as an expression of `x` and its scanned constants; `prefix` is `ca.` in code
+        of an effect."""
+        c = list(constants)
+        p = prefix
+        if self.kind == "power":
+            power = int(self.constants[0])
+            return x if power == 1 else f"{x} ** {power}" if p else f"{x}^{power}"
+        if self.kind == "absolute":
+            return f"{p}fabs({x})" if p else f"|{x}|"
+        if self.kind == "bump":
+            square = f"(({x} - {c[0]}) / {c[1]}) ** 2"
+            return f"{p}exp(-({square}) / 2)" if p else f"exp(-(({x} - {c[0]}) / {c[1]})^2 / 2)"
+        if self.kind == "step":
+            return f"{p}tanh(({x} - {c[0]}) / {c[1]})"
+        if self.kind == "saturating":
+            return f"{p}tanh({x} / {c[0]})"
+        if self.kind == "sign":
+            return f"{p}sign({x})"
+        return f"{p}{self.kind}({c[0]} * {x})"
+
+    @property
+    def word(self) -> str:
+        if self.kind == "power":
+            return POWERS[int(self.constants[0])]
+        return self.kind
+
+
+@dataclass(frozen=True)
+class Term:
+    """A product of factors, each of one driver of the hypothesis, by its number."""
+
+    factors: tuple[tuple[int, Factor], ...]
+
+    def value(self, drivers: Sequence[np.ndarray]) -> np.ndarray:
+        """The term (N,) at driver values (N,) each."""
+        out = np.ones(len(drivers[0]))
+        for number, factor in self.factors:
+            out = out * factor.value(drivers[number])
+        return out
+
+    @property
+    def word(self) -> str:
+        """A short name of its coefficient: `cubic`, or `linear_quadratic` of a product."""
+        return "_".join(factor.word for _, factor in self.factors)
+
+
+@dataclass(frozen=True)
+class Group:
+    """Terms that are chosen together, such as sine and cosine; `scanned` is the number of constants
+    that were searched for, each of which counts like a coefficient."""
+
+    terms: tuple[Term, ...]
+    scanned: int = 0
+
+
+@dataclass(frozen=True)
+class Formula:
+    """The terms chosen for a hypothesis, their coefficients (terms, members or 1) with sigma, and
+    the evidence that they gain."""
+
+    hypothesis: Hypothesis
+    terms: tuple[Term, ...]
+    coefficients: np.ndarray
+    sigma: np.ndarray
+    evidence: float
+    columns: np.ndarray = field(repr=False)
+
+    @property
+    def complexity(self) -> tuple[int, int, int, int]:
+        """What makes one of two equally good formulas preferable: fewer drivers, fewer
+        coefficients, the more usual place, more plausible drivers."""
+        used = self.used_drivers
+        plausible = sum(self.hypothesis.drivers[number][0].rank for number in used)
+        site = self.hypothesis.site
+        return len(used), self.coefficients.size, PLACE_KINDS.index(site.kind), plausible
+
+    @property
+    def used_drivers(self) -> tuple[int, ...]:
+        """Numbers of the hypothesis' drivers that the formula depends on."""
+        return tuple(sorted({number for term in self.terms for number, _ in term.factors}))
+
+
+def find_formula(scene: Scene, targets: Targets, hypothesis: Hypothesis) -> Formula | None:
+    """Find the shortest formula for a hypothesis, on the first residual of the targets; None if no
+    term describes the residual.
+
+    Terms are added while each makes the data clearly likelier, and removed if later ones make them
+    superfluous, or if their sign changes with the choice of the poses.
+    """
+    groups = list(_iterate_groups(hypothesis, len(targets.residuals) // targets.rows))
+    search = _Selection(targets, hypothesis, groups)
+    chosen = search.forward()
+    chosen = search.backward(chosen)
+    while chosen:
+        unstable = _find_unstable(scene, search, chosen)
+        if unstable is None:
+            break
+        chosen = [number for number in chosen if number != unstable]
+    return search.formula(chosen) if chosen else None
+
+
+class _Selection:
+    """Forward selection of groups of terms, on columns without what the model can imitate."""
+
+    def __init__(self, targets: Targets, hypothesis: Hypothesis, groups: Sequence[Group]):
+        self.hypothesis, self.groups, self.targets = hypothesis, groups, targets
+        columns = [build_columns(hypothesis, group.terms) for group in groups]
+        self._widths = [own.shape[1] for own in columns]
+        self._starts = np.r_[0, np.cumsum(self._widths)]
+        self.raw = np.hstack(columns)
+        Q = targets.directions
+        lengths = np.linalg.norm(self.raw, axis=0)
+        self._scale = np.where(lengths > 1e-12, 1 / np.maximum(lengths, 1e-12), 0.0)
+        unit = self.raw * self._scale
+        self.projected = unit - Q @ (Q.T @ unit)
+        self._r = targets.residuals[:, 0]
+        self._total = float(self._r @ self._r)
+
+    def columns_of(self, chosen: Sequence[int]) -> np.ndarray:
+        """Numbers of the columns of some groups."""
+        return np.concatenate(
+            [np.arange(self._starts[g], self._starts[g + 1]) for g in chosen] or [np.zeros(0, int)]
+        )
+
+    def judge(self, chosen: Sequence[int]) -> float:
+        """Evidence of some groups together."""
+        if not chosen:
+            return 0.0
+        B = self.projected[:, self.columns_of(chosen)]
+        squares, V = np.linalg.eigh(B.T @ B)
+        visible = squares > MIN_COLUMN_REMAINDER**2
+        g = (V[:, visible].T @ (B.T @ self._r)) / np.sqrt(squares[visible])
+        rank = int(visible.sum()) + sum(self.groups[number].scanned for number in chosen)
+        found = evidence(
+            np.array(float(g @ g)), np.array(self._total), np.array(rank), self.targets.dof
+        )
+        return float(found)
+
+    def forward(self) -> list[int]:
+        chosen: list[int] = []
+        left, r, best = self.projected.copy(), self._r.copy(), 0.0
+        while len(chosen) < MAX_TERMS:
+            number, gain = self._find_best(left, r, chosen, best)
+            if number is None or gain < MIN_TERM_EVIDENCE:
+                break
+            chosen.append(number)
+            best = self.judge(chosen)
+            B = self.projected[:, self.columns_of(chosen)]
+            U, sizes, _ = np.linalg.svd(B, full_matrices=False)
+            U = U[:, sizes > MIN_COLUMN_REMAINDER]
+            left = self.projected - U @ (U.T @ self.projected)
+            r = self._r - U @ (U.T @ self._r)
+        return chosen
+
+    def _find_best(
+        self, left: np.ndarray, r: np.ndarray, chosen: list[int], before: float
+    ) -> tuple[int | None, float]:
+        """The group that makes the data likeliest next to those chosen, and its gain."""
+        onto = left.T @ r
+        best: tuple[int | None, float] = (None, 0.0)
+        rest = float(r @ r)
+        for width in set(self._widths):
+            numbers = [g for g, own in enumerate(self._widths) if own == width and g not in chosen]
+            if not numbers:
+                continue
+            at = np.array([np.arange(self._starts[g], self._starts[g + 1]) for g in numbers])
+            B = left[:, at].transpose(1, 0, 2)
+            squares, V = np.linalg.eigh(B.transpose(0, 2, 1) @ B)
+            visible = squares > MIN_COLUMN_REMAINDER**2
+            inverse = np.where(visible, np.maximum(squares, 1e-300) ** -0.5, 0.0)
+            g = np.einsum("gij,gi->gj", V, onto[at]) * inverse
+            rank = visible.sum(axis=1) + [self.groups[n].scanned for n in numbers]
+            gains = evidence(np.sum(g**2, axis=1), np.array(rest), rank, self.targets.dof)
+            k = int(np.argmax(gains))
+            if gains[k] > best[1]:
+                best = numbers[k], float(gains[k])
+        return best
+
+    def backward(self, chosen: list[int]) -> list[int]:
+        """Remove groups without which the data are about as likely."""
+        while len(chosen) > 1:
+            whole = self.judge(chosen)
+            without = [[n for n in chosen if n != g] for g in chosen]
+            evidences = [self.judge(own) for own in without]
+            k = int(np.argmax(evidences))
+            if whole - evidences[k] >= MIN_TERM_EVIDENCE:
+                break
+            chosen = without[k]
+        return chosen
+
+    def solve(self, chosen: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """Coefficients of the chosen columns, and their covariance."""
+        at = self.columns_of(chosen)
+        B = self.projected[:, at]
+        inverse = np.linalg.pinv(B.T @ B, rcond=MIN_COLUMN_REMAINDER**2, hermitian=True)
+        found = -inverse @ (B.T @ self._r)  # the error cancels the residual
+        rest = float(np.sum((self._r + B @ found) ** 2)) / max(self.targets.dof - len(at), 1)
+        scale = self._scale[at]
+        return found * scale, inverse * np.outer(scale, scale) * max(rest, 1e-300)
+
+    def formula(self, chosen: Sequence[int]) -> Formula:
+        values, covariance = self.solve(chosen)
+        terms = tuple(term for number in chosen for term in self.groups[number].terms)
+        members = len(self.hypothesis.site.members) if self.hypothesis.site.each else 1
+        shape = len(terms), members
+        return Formula(
+            self.hypothesis,
+            terms,
+            values.reshape(shape),
+            np.sqrt(np.diag(covariance)).reshape(shape),
+            self.judge(chosen),
+            self.raw[:, self.columns_of(chosen)],
+        )
+
+
+def build_columns(hypothesis: Hypothesis, terms: Sequence[Term]) -> np.ndarray:
+    """d residual/d(coefficients of the terms) (n, k), by term, then by member if each has its
+    own."""
+    site = hypothesis.site
+    out = []
+    for term in terms:
+        own = [
+            place.columns * term.value([d[m].values for d in hypothesis.drivers])[:, None]
+            for m, place in enumerate(site.members)
+        ]
+        out += [column.ravel() for column in (own if site.each else [sum(own)])]
+    return np.stack(out, axis=1)
+
+
+def _iterate_groups(hypothesis: Hypothesis, n_samples: int) -> Iterator[Group]:
+    """Iterate over the groups of terms that may describe a hypothesis."""
+    numbers = range(len(hypothesis.drivers))
+    for number in numbers:
+        own = hypothesis.drivers[number]
+        for factor in _plain_factors(own):
+            yield Group((Term(((number, factor),)),))
+        yield from _scanned_groups(number, own)
+    if len(hypothesis.drivers) < 2:
+        return
+    one, other = (list(_plain_factors(own)) for own in hypothesis.drivers)
+    for a, b in product(one, other):
+        if a.dimension + b.dimension <= 4:
+            yield Group((Term(((0, a), (1, b))),))
+
+
+def _plain_factors(own: Sequence[Driver]) -> Iterator[Factor]:
+    values = np.unique(np.concatenate([one.values for one in own]))
+    few = len(values)
+    for power in POWERS:
+        if power < few:
+            yield Factor("power", (float(power),))
+    if few > 2 and values[0] < 0 < values[-1]:
+        yield Factor("absolute")
+        if few > 3:
+            yield Factor("sign")
+
+
+def _scanned_groups(number: int, own: Sequence[Driver]) -> Iterator[Group]:
+    """Terms with a constant that is scanned: none for a driver of few values."""
+    if own[0].few_values:
+        return
+    values = np.concatenate([one.values for one in own])
+    low, span, largest = float(values.min()), float(np.ptp(values)), float(np.abs(values).max())
+
+    def term(kind: str, *constants: float) -> Term:
+        return Term(((number, Factor(kind, constants)),))
+
+    if own[0].family == READING:
+        at = list(frequencies(values))
+        if own[0].unit == "rad":  # whole harmonics of a turn, which the scan does not meet
+            at += [float(k) for k in range(1, 5)]
+        for w in at:
+            yield Group((term("sin", w), term("cos", w)), 1)
+    for share in SCALES:
+        if low < 0:
+            yield Group((term("saturating", share * largest),), 1)
+    for centre in low + span * (np.arange(CENTRES) + 0.5) / CENTRES:
+        for share in WIDTHS:
+            for kind in ("bump", "step"):
+                yield Group((term(kind, float(centre), share * span),), 2)
+
+
+def _find_unstable(scene: Scene, search: _Selection, chosen: Sequence[int]) -> int | None:
+    """The group whose terms all change their sign with the choice of the poses; None if all keep
+    it. Visits of one pose stay together."""
+    group = blocks(scene.dataset)
+    names = np.unique(group)
+    rng = np.random.default_rng(0)
+    at = search.columns_of(chosen)
+    Z = np.column_stack([search.projected[:, at], search.targets.residuals[:, 0]])
+    rows = Z.reshape(-1, search.targets.rows, Z.shape[1])
+    grams = np.array(
+        [np.einsum("nri,nrj->ij", rows[group == name], rows[group == name]) for name in names]
+    )
+    k, found = len(at), []
+    for _ in range(REDRAWS):
+        count = np.bincount(rng.integers(len(names), size=len(names)), minlength=len(names))
+        G = np.tensordot(count, grams, axes=1)
+        found.append(np.linalg.pinv(G[:k, :k], rcond=1e-9, hermitian=True) @ G[:k, k])
+    signs = np.abs(np.mean(np.sign(found), axis=0))
+    start, worst, least = 0, None, 2 * MIN_SIGN_SHARE - 1
+    for number in chosen:
+        width = len(search.columns_of([number]))
+        stable = float(np.max(signs[start : start + width]))
+        if stable < least:
+            worst, least = number, stable
+        start += width
+    return worst

@@ -1,0 +1,122 @@
+"""Places: where an error can enter the closure, and how it moves the residuals from there."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.base.rotation import left_generators
+from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.model.mechanism import POSE
+
+JOINT, PARAMETER, PLATFORM, DEVICE = "joint", "parameter", "pose", "device"
+MEMBER = re.compile(r"(.*?\d+)\.(.+)")  # chain1.La_x: the chain, and the name of its parameter
+
+
+@dataclass(frozen=True)
+class Place:
+    """One quantity that can err.
+
+    `columns` (N, rows) are the derivatives of the residual, in noise units, by an error of the
+    quantity in SI units. `joint` is the index of the joint that the quantity belongs to; None if it
+    belongs to no single joint.
+    """
+
+    name: str
+    kind: str
+    unit: str
+    index: int
+    joint: int | None
+    columns: np.ndarray = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Site:
+    """One place, or several places of one kind that follow the same law.
+
+    With `each`, every member has coefficients of its own.
+    """
+
+    name: str
+    members: tuple[Place, ...]
+    each: bool = False
+
+    @property
+    def kind(self) -> str:
+        return self.members[0].kind
+
+    @property
+    def unit(self) -> str:
+        return self.members[0].unit
+
+    @property
+    def key(self) -> tuple[str, bool]:
+        return self.name, self.each
+
+
+def list_places(scene: Scene) -> list[Place]:
+    """List every joint reading, every parameter of the mechanism, and the platform's pose, which
+    is also the pose that the device shows."""
+    mechanism = scene.model.mechanism
+    joints, J = scene.model.joints, scene.seen_jacobian
+    n = len(joints)
+    found = [
+        Place(name, JOINT, unit, i, i, J[:, :, i])
+        for i, (name, unit) in enumerate(zip(joints, mechanism.joint_units, strict=True))
+    ]
+    pose = _pose_columns(scene)
+    for i in mechanism.moved:
+        unit = "m" if i < 3 else "rad"
+        found += [
+            Place(f"{kind}.{POSE[i]}", kind, unit, i, None, pose[:, :, i])
+            for kind in (PLATFORM, DEVICE)
+        ]
+    owners = _find_owners(mechanism.parameters.names, n)
+    found += [
+        Place(p.name, PARAMETER, p.unit, k, owners.get(p.name), J[:, :, n + 12 + k])
+        for k, p in enumerate(mechanism.parameters)
+    ]
+    return [place for place in found if np.any(place.columns)]
+
+
+def list_sites(places: list[Place]) -> list[Site]:
+    """List single places and groups of places: all joints, one parameter of all chains, the pose's
+    translations. A group follows one law, or each member has coefficients of its own."""
+    sites = [Site(place.name, (place,)) for place in places]
+    groups: dict[str, list[Place]] = defaultdict(list)
+    for place in places:
+        if place.kind == JOINT:
+            groups["joints"].append(place)
+        elif place.kind == PARAMETER and (match := MEMBER.fullmatch(place.name)):
+            groups[match[2]].append(place)
+        elif place.index < 3:
+            groups[f"{place.kind}.xyz"].append(place)
+    for name, members in groups.items():
+        if len(members) < 2:
+            continue
+        if members[0].kind in (JOINT, PARAMETER):
+            sites.append(Site(name, tuple(members)))
+        sites.append(Site(name, tuple(members), each=True))
+    return sites
+
+
+def _pose_columns(scene: Scene) -> np.ndarray:
+    """d residual / d(shift and turn of the measured platform) (N, rows, 6): the ideal pose is the
+    measured one without them, hence the sign."""
+    J, n = scene.seen_jacobian, len(scene.model.joints)
+    R9 = ca.SX.sym("R", 9)
+    turned = ca.Function("turned", [R9], [left_generators(ca.reshape(R9, 3, 3).T)])
+    by_turn = np.array([np.array(turned(R)) for R in scene.seen[:, n + 3 : n + 12]])
+    return -np.concatenate([J[:, :, n : n + 3], J[:, :, n + 3 : n + 12] @ by_turn], axis=2)
+
+
+def _find_owners(names: tuple[str, ...], n_joints: int) -> dict[str, int]:
+    """The joint of each parameter that belongs to one chain, if there is a chain for each joint."""
+    chains = list(dict.fromkeys(m[1] for name in names if (m := MEMBER.fullmatch(name))))
+    if len(chains) != n_joints:
+        return {}
+    return {name: chains.index(match[1]) for name in names if (match := MEMBER.fullmatch(name))}

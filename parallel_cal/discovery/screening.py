@@ -1,0 +1,256 @@
+"""Screening: where an error enters and on what it depends, without a formula.
+
+A hypothesis is a site and a driver, or two. Its columns are the site's derivatives times a basis of
+the driver, without what the geometry and the model's effects can imitate. Its score compares the
+residual with and without these columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+
+from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
+from parallel_cal.discovery import basis
+from parallel_cal.discovery.drivers import (
+    COMMON_CONDITIONS,
+    JOINT_CONDITIONS,
+    LOAD,
+    PLACES,
+    READING,
+    Driver,
+)
+from parallel_cal.discovery.places import DEVICE, JOINT, PARAMETER, PLATFORM, Place, Site
+from parallel_cal.discovery.thresholds import (
+    FINE_SPLINES,
+    MAX_CHUNK_NUMBERS,
+    MIN_SAMPLES_PER_FINE_SPLINE,
+    SPLINES,
+)
+
+# One driver for every member of a site: `load` of its own joint, or `payload` for all.
+DriverSet = tuple[Driver, ...]
+OF_DEVICE = {*PLACES, "time", "temperature", "session"}  # families that an error of a device knows
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A site errs with one or two drivers; `wave` is an angular frequency of the first one."""
+
+    site: Site
+    drivers: tuple[DriverSet, ...]
+    wave: float | None = None
+
+    @property
+    def families(self) -> tuple[str, ...]:
+        """Names of the drivers; of each member's own joint without the joint."""
+        return tuple(
+            own[0].name if len({one.name for one in own}) == 1 else own[0].family
+            for own in self.drivers
+        )
+
+    @property
+    def slow(self) -> bool:
+        """Whether all drivers change as slowly as noise may."""
+        return all(one.slow for own in self.drivers for one in own)
+
+    @property
+    def key(self) -> tuple[str, bool, frozenset[str]]:
+        return *self.site.key, frozenset(self.families)
+
+
+@dataclass(frozen=True)
+class Targets:
+    """What hypotheses are scored on: `directions` (n, p), orthonormal, that the model can imitate,
+    and `residuals` (n, m) without them, with `dof` degrees of freedom each."""
+
+    directions: np.ndarray = field(repr=False)
+    residuals: np.ndarray = field(repr=False)
+    rows: int
+    dof: int
+
+    @classmethod
+    def of(cls, scene: Scene, residuals: np.ndarray, found: np.ndarray) -> Targets:
+        """Targets from residuals (n, m), with the columns (n, k) of laws that were found."""
+        Q = scene.basis
+        if found.shape[1]:
+            left = scene.project_off_geometry(found)
+            left = scene.project_off_geometry(left / np.linalg.norm(left, axis=0))
+            U, sizes, _ = np.linalg.svd(left, full_matrices=False)
+            Q = np.hstack([Q, U[:, sizes > MIN_COLUMN_REMAINDER]])
+        left = residuals - Q @ (Q.T @ residuals)
+        dof = scene.dof - (Q.shape[1] - scene.basis.shape[1])
+        return cls(Q, left, scene.rows, dof)
+
+
+@dataclass(frozen=True)
+class Scored:
+    """Hypotheses with their evidence (h, m) for each of m residuals."""
+
+    hypotheses: Sequence[Hypothesis]
+    evidence: np.ndarray
+
+
+def evidence(explained: np.ndarray, total: np.ndarray, rank: np.ndarray, dof: int) -> np.ndarray:
+    """Log of how much likelier a residual is with `rank` columns that explain some of its sum of
+    squares: dof/2 log(total / rest) - rank/2 log(dof) (Schwarz 1978), noise of unknown size."""
+    rest = np.maximum(total - explained, 1e-12 * total)
+    return np.asarray(dof / 2 * np.log(total / rest) - rank / 2 * np.log(dof))
+
+
+class Screening:
+    """All hypotheses about a robot's residuals, and their scores."""
+
+    def __init__(self, scene: Scene, sites: Sequence[Site], drivers: Sequence[Driver]):
+        self._scene, self._sites, self._drivers = scene, sites, drivers
+        self._n = len(scene.x)
+
+    def score(self, targets: Targets) -> Iterator[Scored]:
+        """Score all hypotheses, site by site."""
+        for site in self._sites:
+            total = np.sum(targets.residuals**2, axis=0)
+            work = _SiteWork(site, targets)
+            for hypotheses, columns in self._iterate_bases(site):
+                explained, rank = work.explain(columns)
+                yield Scored(hypotheses, evidence(explained, total, rank[:, None], targets.dof))
+
+    def _iterate_bases(self, site: Site) -> Iterator[tuple[list[Hypothesis], np.ndarray]]:
+        """Iterate over hypotheses with their columns (members, hypotheses, N, k)."""
+        sets = self._driver_sets(site)
+        yield from _chunks(
+            ([Hypothesis(site, (own,))], basis.splines(own, SPLINES))
+            for own in sets
+            if site.kind != PLATFORM or own[0].family not in OF_DEVICE
+        )
+        if len(site.members) == 1 or not site.each:
+            pairs = (
+                (one, other)
+                for one, other in combinations(sets, 2)
+                if self._is_plausible_pair(site, one, other)
+            )
+            yield from _chunks(([Hypothesis(site, pair)], basis.products(*pair)) for pair in pairs)
+        if site.kind != JOINT:
+            return
+        turning = [own for own in sets if own[0].family == READING]
+        if self._n >= MIN_SAMPLES_PER_FINE_SPLINE * FINE_SPLINES:
+            own_joint = [
+                own
+                for own in turning
+                if all(d.joint == p.joint for d, p in zip(own, site.members, strict=True))
+            ]
+            yield from _chunks(
+                ([Hypothesis(site, (own,))], basis.splines(own, FINE_SPLINES)) for own in own_joint
+            )
+        for own in turning:
+            at = basis.frequencies(np.concatenate([one.values for one in own]))
+            columns = basis.waves(own, at).transpose(0, 2, 1, 3)
+            yield [Hypothesis(site, (own,), float(w)) for w in at], columns
+
+    def _driver_sets(self, site: Site) -> list[DriverSet]:
+        """Drivers that each member may depend on: those of its own joint, those of all joints for
+        a single place, and those of the whole robot."""
+        n = len(site.members)
+        common = [one for one in self._drivers if one.joint is None]
+        own = [one for one in self._drivers if one.joint is not None]
+        if site.kind == DEVICE:
+            return [(one,) * n for one in common if one.family in OF_DEVICE]
+        if site.kind == PLATFORM:
+            return [(one,) * n for one in (*own, *common) if one.family != READING]
+        if n == 1:
+            return [(one,) for one in self._drivers]
+        by_joint: dict[tuple[str, int], Driver] = {(d.family, int(d.joint or 0)): d for d in own}
+        families = dict.fromkeys(one.family for one in own)
+        joints = [place.joint for place in site.members]
+        sets: list[DriverSet] = []
+        if None not in joints:
+            for family in families:
+                members = [by_joint.get((family, int(joint or 0))) for joint in joints]
+                if all(member is not None for member in members):
+                    sets.append(tuple(one for one in members if one is not None))
+        return [*sets, *((one,) * n for one in common)]
+
+    def _is_plausible_pair(self, site: Site, one: DriverSet, other: DriverSet) -> bool:
+        """Whether two drivers may act together on a site: for a joint, its own quantities, other
+        readings and those of the whole robot; for a single length, its own joint's as well."""
+        if site.kind == DEVICE:
+            return all(own[0].family in {*PLACES, "time"} for own in (one, other))
+        if site.kind == PLATFORM:  # a field of position alone is the device's
+            return any(own[0].family not in OF_DEVICE for own in (one, other))
+        if len(site.members) > 1:
+            return True
+        if site.kind == PARAMETER and site.members[0].joint is not None:
+            return False  # its group and its joint stand for it
+        return all(
+            d.joint in (None, site.members[0].joint) or d.family == READING
+            for own in (one, other)
+            for d in own
+        )
+
+
+def _chunks(
+    items: Iterator[tuple[list[Hypothesis], np.ndarray]],
+) -> Iterator[tuple[list[Hypothesis], np.ndarray]]:
+    """Join hypotheses with columns (members, N, k) of equal shape, as many as memory allows."""
+    waiting: list[tuple[list[Hypothesis], np.ndarray]] = []
+
+    def joined() -> tuple[list[Hypothesis], np.ndarray]:
+        hypotheses = [one for own, _ in waiting for one in own]
+        return hypotheses, np.stack([columns for _, columns in waiting], axis=1)
+
+    for item in items:
+        waiting.append(item)
+        if len(waiting) * item[1].size > MAX_CHUNK_NUMBERS:
+            yield joined()
+            waiting = []
+    if waiting:
+        yield joined()
+
+
+class _SiteWork:
+    """Sums over rows that all hypotheses about one site share."""
+
+    def __init__(self, site: Site, targets: Targets):
+        both = np.hstack([targets.directions, targets.residuals])
+        self._p, self._each = targets.directions.shape[1], site.each
+        by_sample = both.reshape(-1, targets.rows, both.shape[1])
+        J = np.array([place.columns for place in site.members])  # (members, N, rows)
+        self._along = np.einsum("jnr,nrm->jnm", J, by_sample, optimize=True)
+        self._weights = np.einsum("inr,jnr->ijn", J, J, optimize=True)
+
+    def explain(self, W: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Explained sums of squares (h, m) and ranks (h,) of columns W (members, h, N, k)."""
+        members, h, n, k = W.shape
+        flat = W.transpose(0, 1, 3, 2).reshape(members, h * k, n)
+        onto = (flat @ self._along).reshape(members, h, k, -1)
+        gram = np.empty((h, members, k, members, k))
+        for i in range(members):
+            for j in range(i, members):
+                weighted = W[j] * self._weights[i, j][:, None]
+                block = W[i].transpose(0, 2, 1) @ weighted
+                gram[:, i, :, j] = block
+                gram[:, j, :, i] = block.transpose(0, 2, 1)
+        if self._each:
+            size = members * k
+            B = onto.transpose(1, 0, 2, 3).reshape(h, size, -1)
+            G = gram.reshape(h, size, size)
+        else:
+            B, G = onto.sum(axis=0), gram.sum(axis=(1, 3))
+        return _explained(G, B[:, :, : self._p], B[:, :, self._p :])
+
+
+def _explained(G: np.ndarray, along: np.ndarray, onto: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Explained sums of squares (h, m) and ranks (h,), from Gram matrices (h, k, k) of columns,
+    their products with the model's directions (h, k, p) and with the residuals (h, k, m)."""
+    lengths = np.sqrt(np.diagonal(G, axis1=1, axis2=2))
+    scale = np.where(lengths > 1e-12, 1 / np.maximum(lengths, 1e-12), 0.0)
+    left = (G - along @ along.transpose(0, 2, 1)) * scale[:, :, None] * scale[:, None, :]
+    squares, directions = np.linalg.eigh(left)
+    visible = squares > MIN_COLUMN_REMAINDER**2
+    inverse = np.where(visible, np.maximum(squares, 1e-300) ** -0.5, 0.0)
+    U = directions * inverse[:, None, :] * scale[:, :, None]
+    g = U.transpose(0, 2, 1) @ onto
+    return np.sum(g**2, axis=1), visible.sum(axis=1)

@@ -1,0 +1,28 @@
+"""Limits that decide in a discovery, each with its meaning."""
+
+# Screening: where an error enters and on what it depends, without a formula
+SPLINES = 8  # columns of one driver: enough for a cubic law with a saturation
+FINE_SPLINES = 24  # columns of a joint's own reading: enough for a dent of a twentieth of the range
+MIN_SAMPLES_PER_FINE_SPLINE = 4  # with fewer samples, a local column describes single samples
+MAX_DEGREE = 3  # of each of two drivers; together at most one more
+MAX_LEVELS = 5  # a driver with so few values has polynomials through these values
+MIN_VARIATION = 1e-9  # in SI: a driver that varies less is constant
+MAX_CHUNK_NUMBERS = 1 << 23  # numbers in the largest array: 64 MB
+WAVES = 240  # periods scanned of each joint's reading
+MIN_SAMPLES_PER_PERIOD = 2.5  # a shorter period is not determined by the samples
+
+# Chance: sessions with the same noise and no law
+NULL_SESSIONS = 200
+MAX_FALSE_LAW_SHARE = 0.01  # of sessions without a law: a law is named beyond this quantile
+MAX_CORRELATION_P = 0.05  # p-value: below it, drawn noise is correlated, or grows from the centre
+MAX_OUTLIER_P = 1e-3  # p-value over all samples: below it, a sample is an outlier of drawn noise
+
+# Which laws are reported
+MAX_LAWS = 3
+MAX_EQUAL_EVIDENCE = 5.0  # log of how much likelier one of two equally good laws may be
+MAX_FORMULAS = 20  # winners of the screening for which a formula is searched ...
+MAX_FORMULA_LAG = 40.0  # ... if their evidence is at most so much smaller: a formula needs fewer
+MAX_TERMS = 4  # of one formula
+MIN_TERM_EVIDENCE = 4.0  # log of how much likelier a further term makes the data
+REDRAWS = 40  # of the poses: a term that changes its sign in too many is removed
+MIN_SIGN_SHARE = 0.95  # of the redraws in which a term has the same sign
