@@ -342,7 +342,7 @@ def _select_for_formulas(scored: Sequence[tuple[float, Hypothesis]]) -> list[Hyp
     one place and driver only once."""
     best, chosen = scored[0][0], list[Hypothesis]()
     seen: set[tuple[Any, ...]] = set()
-    single = {}
+    single: dict[tuple[Any, ...], float] = {}
     for e, one in scored:
         if len(one.drivers) == 1:
             key = (*one.site.key, one.families)
@@ -392,14 +392,12 @@ def _find_thresholds(
     noise = characterise_noise(scene, rest)
     targets = Targets.of(scene, draw_residuals(scene, noise, NULL_SESSIONS), nothing)
     maxima = {True: np.full(NULL_SESSIONS, -np.inf), False: np.full(NULL_SESSIONS, -np.inf)}
-    done = 0
-    for part in screening.score(targets):
+    for done, part in enumerate(screening.score(targets)):
         is_slow = np.array([one.slow for one in part.hypotheses])
         for kind in (True, False):
             if np.any(is_slow == kind):
                 own = part.evidence[is_slow == kind].max(axis=0)
                 maxima[kind] = np.maximum(maxima[kind], own)
-        done += 1
         report("searching sessions without a law", 0.4 + 0.4 * (1 - 0.99**done))
     return [compute_threshold(maxima[one.formula.hypothesis.slow]) for one in winners]
 

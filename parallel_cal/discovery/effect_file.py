@@ -10,8 +10,6 @@ from pathlib import Path
 from textwrap import fill, indent
 from types import ModuleType
 
-import numpy as np
-
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import write_atomically
 from parallel_cal.discovery.drivers import LOAD, Driver
@@ -181,7 +179,7 @@ def write_effect(
         "    physics = (",
         *_string(f"{sentence}; found in data, its cause is not known", 8),
         "    )",
-        '    remedy = "find the cause at the machine; until then, keep the correction in the model"',
+        '    remedy = "find the cause; until then, keep the correction in the model"',
         "    source = (",
         *_string(found, 8),
         "    )",

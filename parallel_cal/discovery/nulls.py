@@ -119,9 +119,7 @@ def _correlations(time: np.ndarray, memory: float) -> np.ndarray:
 def _match_memory(scene: Scene, shape: NoiseShape, growth: np.ndarray) -> float:
     """The shortest memory whose drawn sessions are as correlated as the residual; the geometry
     takes part of the correlation away, from these as from the data."""
-    n = len(scene.model.joints)
     step = float(np.median(np.diff(np.sort(scene.dataset.time))))
-    places = scene.x[:, n : n + 3]
     if step <= 0:
         return 0.0
     for times in MEMORIES:

@@ -17,14 +17,11 @@ from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
 from parallel_cal.discovery import basis
 from parallel_cal.discovery.drivers import (
-    COMMON_CONDITIONS,
-    JOINT_CONDITIONS,
-    LOAD,
     PLACES,
     READING,
     Driver,
 )
-from parallel_cal.discovery.places import DEVICE, JOINT, PARAMETER, PLATFORM, Place, Site
+from parallel_cal.discovery.places import DEVICE, JOINT, PARAMETER, PLATFORM, Site
 from parallel_cal.discovery.thresholds import (
     FINE_SPLINES,
     MAX_CHUNK_NUMBERS,

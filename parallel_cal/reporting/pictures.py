@@ -47,7 +47,9 @@ def figure(result: Any) -> Figure:
     True
     """
     kind = type(result).__name__
-    raise TypeError(f"figure: expected the result of fit, compare, diagnose or discover, found {kind}")
+    raise TypeError(
+        f"figure: expected the result of fit, compare, diagnose or discover, found {kind}"
+    )
 
 
 def _make_figure(spec: figures.Spec) -> Figure:

@@ -50,8 +50,7 @@ def describe(result: Any) -> Iterator[Block]:
     """Describe a result; TypeError if it is not one of those below."""
     kind = type(result).__name__
     raise TypeError(
-        f"show: got {kind}, expected the result of fit, add, remove, compare, diagnose or "
-        "discover"
+        f"show: got {kind}, expected the result of fit, add, remove, compare, diagnose or discover"
     )
 
 
