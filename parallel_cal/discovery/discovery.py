@@ -163,6 +163,9 @@ class Discovery(ShownInNotebook):
     summary : str
     measure_next : tuple of str
         What to measure to decide between laws that describe the data equally well.
+    described : Model
+        The fitted model with the proven laws, for use in this process. To write a model file, write
+        the effect first and add it with `add`.
     """
 
     model: Model
@@ -172,6 +175,7 @@ class Discovery(ShownInNotebook):
     verdict: str
     summary: str
     measure_next: tuple[str, ...]
+    described: Model
 
     def __repr__(self) -> str:
         found = "; ".join(law.name for law in self.laws) or "no law"
@@ -282,7 +286,7 @@ def discover(
         found.append(law)
         if not law.against:
             current = step.model
-    return _conclude(model, dataset, found, thresholds)
+    return _conclude(model, dataset, found, current)
 
 
 def _find_winners(scene: Scene, screening: Screening, report: Progress) -> list[_Winner]:
@@ -499,7 +503,7 @@ def _describe_data(dataset: Dataset, tested: Mapping[str, tuple[float, float]]) 
 
 
 def _conclude(
-    model: Model, dataset: Dataset, found: Sequence[Law], thresholds: Sequence[float]
+    model: Model, dataset: Dataset, found: Sequence[Law], described: Model
 ) -> Discovery:
     """The verdict, its sentence, and what to measure next."""
     laws = tuple(law for law in found if not law.against)
@@ -519,7 +523,7 @@ def _conclude(
     for law in (*laws, *suspected):
         if law.alternatives:
             advice.append(_advise(law))
-    return Discovery(model, dataset, laws, suspected, verdict, ". ".join(words), tuple(advice))
+    return Discovery(model, dataset, laws, suspected, verdict, ". ".join(words), tuple(advice), described)
 
 
 def _describe_proof(law: Law) -> str:
