@@ -20,7 +20,7 @@ from parallel_cal.model.model import Model, new_model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.virtual import robot as vr
 
-FIRST_SIZE = 10.0  # times the noise of a joint: the sizes of laws are scaled from here
+FIRST_SIZE = 1.0  # times the noise of a joint: the sizes of laws are scaled from here
 
 
 class SerialRobot:
@@ -129,9 +129,7 @@ def _conditions(
     at = day.at(day.arrive + day.dwell / 2)
     ways = np.diff(reading, axis=0, prepend=day.home[None])
     known = {f"direction.{j}": at.direction[:, i] for i, j in enumerate(robot.kin.joints)}
-    known |= {
-        f"travel.{j}": findings.travel(ways[:, i]) for i, j in enumerate(robot.kin.joints)
-    }
+    known |= {f"travel.{j}": findings.travel(ways[:, i]) for i, j in enumerate(robot.kin.joints)}
     return at, known | {
         "time": at.time, "temperature": at.temperature, "payload": np.asarray(at.payload)
     }  # fmt: skip
@@ -184,9 +182,7 @@ def hiding(
     return measured(robot, day, [effect], robot.noise, seed), hidden, effect
 
 
-def compute_true_error(
-    name: str, model: Model, effect: vr.Effect, seed: int, end: float
-) -> float:
+def compute_true_error(name: str, model: Model, effect: vr.Effect, seed: int, end: float) -> float:
     """Rms position error (m) of a model at poses that nobody measured, within the time of the
     session, which took until `end` (s)."""
     robot = ROBOTS[name]

@@ -159,7 +159,8 @@ def friction(kin: Kin, rng: np.random.Generator) -> Hidden:
     def law(q: Array, t: Array, at: SampleConditions) -> Array:
         return -at.direction * np.abs(t / kin.load) ** power
 
-    return Hidden("friction", lambda s: JointLaw(s, law), _all(kin), frozenset({"direction", "load"}))
+    drivers = frozenset({"direction", "load"})
+    return Hidden("friction", lambda s: JointLaw(s, law), _all(kin), drivers)
 
 
 def cross(kin: Kin, rng: np.random.Generator) -> Hidden:

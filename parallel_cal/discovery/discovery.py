@@ -19,7 +19,7 @@ from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.verdict import share_explained
-from parallel_cal.discovery.drivers import list_drivers
+from parallel_cal.discovery.drivers import NEXT, PLACES, PREVIOUS, list_drivers
 from parallel_cal.discovery.effect_file import (
     Coefficient,
     list_coefficients,
@@ -432,9 +432,8 @@ def _prove(
     alternatives = tuple(dict.fromkeys(_name(one.hypothesis) for one in winner.equal))
     of_device = hypothesis.site.kind == DEVICE
     against = step.acceptance.against.replace(f" with '{name}'", "").replace(name, "it")
-    others = [one.hypothesis for one in winner.equal if one.hypothesis.site.kind == DEVICE]
-    if not against and others and not of_device:
-        against = f"the measuring device may cause it: {_name(others[0])} describes it as well"
+    if not against and not of_device:
+        against = _explain_device(winner)
     law = Law(
         place=_name_place(hypothesis),
         drivers=hypothesis.families,
@@ -460,6 +459,22 @@ def _prove(
     return law, step
 
 
+def _explain_device(winner: _Winner) -> str:
+    """Explain why the measuring device may cause the error of a law; empty if it may not.
+
+    A law of the platform's position alone is a field over the workspace, as a device has it."""
+    others = [one.hypothesis for one in winner.equal if one.hypothesis.site.kind == DEVICE]
+    if others:
+        return f"the measuring device may cause it: {_name(others[0])} describes it as well"
+    drivers = winner.formula.hypothesis.families
+    if set(drivers) <= set(PLACES):
+        return (
+            f"the measuring device may cause it: it depends on {' and '.join(drivers)} alone, as "
+            "an error of a device does"
+        )
+    return ""
+
+
 def _name_place(hypothesis: Hypothesis) -> str:
     site = hypothesis.site
     return f"{site.name}, each its own" if site.each else site.name
@@ -479,12 +494,13 @@ def describe_law(hypothesis: Hypothesis) -> str:
         PLATFORM: f"The platform's {', '.join(n.rpartition('.')[2] for n in names)}",
         DEVICE: f"The {', '.join(n.rpartition('.')[2] for n in names)} that the device shows",
     }[site.kind]
-    words = {"load": "load", "radius": "the radius"}
-    on = " and ".join(words.get(name, name) for name in hypothesis.families)
+    on = " and ".join(hypothesis.families)
     each = ", each in its own way" if site.each else ""
-    own = (
-        " of its own joint" if any(len({d.name for d in s}) > 1 for s in hypothesis.drivers) else ""
+    each_joint = any(
+        own[0].family not in (NEXT, PREVIOUS) and len({one.name for one in own}) > 1
+        for own in hypothesis.drivers
     )
+    own = " of its own joint" if each_joint else ""
     return f"{what} errs with {on}{own}{each}"
 
 
@@ -502,9 +518,7 @@ def _describe_data(dataset: Dataset, tested: Mapping[str, tuple[float, float]]) 
     )
 
 
-def _conclude(
-    model: Model, dataset: Dataset, found: Sequence[Law], described: Model
-) -> Discovery:
+def _conclude(model: Model, dataset: Dataset, found: Sequence[Law], described: Model) -> Discovery:
     """The verdict, its sentence, and what to measure next."""
     laws = tuple(law for law in found if not law.against)
     suspected = tuple(law for law in found if law.against)
@@ -523,7 +537,8 @@ def _conclude(
     for law in (*laws, *suspected):
         if law.alternatives:
             advice.append(_advise(law))
-    return Discovery(model, dataset, laws, suspected, verdict, ". ".join(words), tuple(advice), described)
+    summary = ". ".join(words)
+    return Discovery(model, dataset, laws, suspected, verdict, summary, tuple(advice), described)
 
 
 def _describe_proof(law: Law) -> str:

@@ -16,7 +16,8 @@ from parallel_cal.effects._statics import PAYLOAD, joint_forces, masses, needs_w
 from parallel_cal.model.effect import CONDITIONS, Seen
 from parallel_cal.model.parameters import Named
 
-READING, LOAD, CONDITION, PLACE = "reading", "load", "condition", "place"
+READING, LOAD = "reading", "load"
+NEXT, PREVIOUS = "next joint", "previous joint"  # readings of neighbours, for laws of all joints
 JOINT_CONDITIONS = tuple(name for name, (_, _, per_joint) in CONDITIONS.items() if per_joint)
 COMMON_CONDITIONS = tuple(name for name, (_, _, per_joint) in CONDITIONS.items() if not per_joint)
 # How a law names a driver, and what an effect's `ideal` computes it from.
@@ -30,7 +31,7 @@ PLACES = {
 }
 # Physics rarely depends on the last ones: they order only laws that explain the data equally well.
 PLAUSIBILITY = (
-    LOAD, "payload", READING, "direction", "travel", "temperature",
+    LOAD, "payload", READING, "direction", "travel", "temperature", NEXT, PREVIOUS,
     "radius", "velocity", "z", "x", "y", "tilt_x", "tilt_y", "time", "session",
 )  # fmt: skip
 

@@ -167,7 +167,7 @@ def write_effect(
     if loads:
         lines.append("from parallel_cal.effects._statics import joint_forces, masses, needs_weight")
     lines += ["", "", "class FoundLaw(Effect):"]
-    lines.append(f'    """{_equation(formula)}"""')
+    lines += indent(f'"""{fill(sentence + ".", WIDTH - 8)}"""', " " * 4).splitlines()
     lines.append("")
     if needs:
         lines.append(f"    needs = ({required},)")

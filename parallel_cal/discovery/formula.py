@@ -11,7 +11,7 @@ import numpy as np
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
 from parallel_cal.discovery.basis import frequencies
-from parallel_cal.discovery.drivers import READING, Driver
+from parallel_cal.discovery.drivers import NEXT, PREVIOUS, READING, Driver
 from parallel_cal.discovery.places import DEVICE, JOINT, PARAMETER, PLATFORM
 from parallel_cal.discovery.screening import Hypothesis, Targets, evidence
 from parallel_cal.discovery.thresholds import (
@@ -175,7 +175,7 @@ class _Selection:
     """Forward selection of groups of terms, on columns without what the model can imitate."""
 
     def __init__(self, targets: Targets, hypothesis: Hypothesis, groups: Sequence[Group]):
-        self.hypothesis, self.groups, self.targets = hypothesis, groups, targets
+        self.hypothesis, self.groups, self.targets = hypothesis, list(groups), targets
         columns = [build_columns(hypothesis, group.terms) for group in groups]
         self._widths = [own.shape[1] for own in columns]
         self._starts = np.r_[0, np.cumsum(self._widths)]
@@ -215,7 +215,7 @@ class _Selection:
             number, gain = self._find_best(left, r, chosen, best)
             if number is None or gain < MIN_TERM_EVIDENCE:
                 break
-            chosen.append(number)
+            chosen.append(self._refine(number, chosen))
             best = self.judge(chosen)
             B = self.projected[:, self.columns_of(chosen)]
             U, sizes, _ = np.linalg.svd(B, full_matrices=False)
@@ -247,6 +247,54 @@ class _Selection:
             if gains[k] > best[1]:
                 best = numbers[k], float(gains[k])
         return best
+
+    def _refine(self, number: int, others: Sequence[int]) -> int:
+        """The number of a group whose scanned constants fit best next to the others: between those
+        of the scan, or as they are if they fit best."""
+        from scipy.optimize import minimize
+
+        group = self.groups[number]
+        if not group.scanned:
+            return number
+        driver, factor = group.terms[0].factors[0]
+        start = np.array(factor.constants)
+        steps = _scan_steps(self.hypothesis.drivers[driver], factor)
+        Q = self.targets.directions
+        U, sizes, _ = np.linalg.svd(self.projected[:, self.columns_of(others)], full_matrices=False)
+        U = U[:, sizes > MIN_COLUMN_REMAINDER]
+
+        def left_over(away: np.ndarray) -> float:
+            constants = start + steps * away
+            if np.any(np.abs(away) > 1.5) or (len(constants) > 1 and constants[1] <= 0):
+                return self._total
+            B = build_columns(self.hypothesis, _with_constants(group, constants).terms)
+            B = B / np.maximum(np.linalg.norm(B, axis=0), 1e-12)
+            B = B - Q @ (Q.T @ B)
+            B = B - U @ (U.T @ B)
+            fitted = np.linalg.lstsq(B, self._r, rcond=MIN_COLUMN_REMAINDER)[0]
+            return float(np.sum((self._r - B @ fitted) ** 2))
+
+        simplex = np.vstack([np.zeros(len(start)), 0.5 * np.eye(len(start))])
+        found = minimize(
+            left_over,
+            simplex[0],
+            method="Nelder-Mead",
+            options={"initial_simplex": simplex, "xatol": 0.01, "fatol": 1e-3, "maxfev": 60},
+        )
+        self._append(_with_constants(group, start + steps * found.x))
+        return len(self.groups) - 1
+
+    def _append(self, group: Group) -> None:
+        self.groups.append(group)
+        columns = build_columns(self.hypothesis, group.terms)
+        self._widths.append(columns.shape[1])
+        self._starts = np.r_[0, np.cumsum(self._widths)]
+        lengths = np.linalg.norm(columns, axis=0)
+        scale = np.where(lengths > 1e-12, 1 / np.maximum(lengths, 1e-12), 0.0)
+        Q, unit = self.targets.directions, columns * scale
+        self.raw = np.hstack([self.raw, columns])
+        self._scale = np.r_[self._scale, scale]
+        self.projected = np.hstack([self.projected, unit - Q @ (Q.T @ unit)])
 
     def backward(self, chosen: list[int]) -> list[int]:
         """Remove groups without which the data are about as likely."""
@@ -337,7 +385,7 @@ def _scanned_groups(number: int, own: Sequence[Driver]) -> Iterator[Group]:
     def term(kind: str, *constants: float) -> Term:
         return Term(((number, Factor(kind, constants)),))
 
-    if own[0].family == READING:
+    if own[0].family in (READING, NEXT, PREVIOUS):
         at = list(frequencies(values))
         if own[0].unit == "rad":  # whole harmonics of a turn, which the scan does not meet
             at += [float(k) for k in range(1, 5)]
@@ -350,6 +398,24 @@ def _scanned_groups(number: int, own: Sequence[Driver]) -> Iterator[Group]:
         for share in WIDTHS:
             for kind in ("bump", "step"):
                 yield Group((term(kind, float(centre), share * span),), 2)
+
+
+def _scan_steps(own: Sequence[Driver], factor: Factor) -> np.ndarray:
+    """Distances from scanned constants to their neighbours in the scan."""
+    span = float(np.ptp(np.concatenate([one.values for one in own])))
+    first = {"sin": np.pi / (2 * span), "saturating": factor.constants[0] / 2}
+    steps = [first.get(factor.kind, span / CENTRES), *(c / 2 for c in factor.constants[1:])]
+    return np.array(steps)
+
+
+def _with_constants(group: Group, constants: np.ndarray) -> Group:
+    """A group of terms with other scanned constants, which all its terms share."""
+    values = tuple(float(value) for value in constants)
+    terms = tuple(
+        Term(tuple((number, Factor(one.kind, values)) for number, one in term.factors))
+        for term in group.terms
+    )
+    return Group(terms, group.scanned)
 
 
 def _find_unstable(scene: Scene, search: _Selection, chosen: Sequence[int]) -> int | None:

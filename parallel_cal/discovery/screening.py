@@ -8,7 +8,7 @@ residual with and without these columns.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
@@ -17,7 +17,9 @@ from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
 from parallel_cal.discovery import basis
 from parallel_cal.discovery.drivers import (
+    NEXT,
     PLACES,
+    PREVIOUS,
     READING,
     Driver,
 )
@@ -132,12 +134,13 @@ class Screening:
             yield from _chunks(([Hypothesis(site, pair)], basis.products(*pair)) for pair in pairs)
         if site.kind != JOINT:
             return
-        turning = [own for own in sets if own[0].family == READING]
+        turning = [own for own in sets if own[0].family in (READING, NEXT, PREVIOUS)]
         if self._n >= MIN_SAMPLES_PER_FINE_SPLINE * FINE_SPLINES:
             own_joint = [
                 own
                 for own in turning
-                if all(d.joint == p.joint for d, p in zip(own, site.members, strict=True))
+                if own[0].family == READING
+                and all(d.joint == p.joint for d, p in zip(own, site.members, strict=True))
             ]
             yield from _chunks(
                 ([Hypothesis(site, (own,))], basis.splines(own, FINE_SPLINES)) for own in own_joint
@@ -168,6 +171,11 @@ class Screening:
                 members = [by_joint.get((family, int(joint or 0))) for joint in joints]
                 if all(member is not None for member in members):
                     sets.append(tuple(one for one in members if one is not None))
+        if site.kind == JOINT and n == len(self._scene.model.joints) > 1:
+            readings = [by_joint[READING, int(joint or 0)] for joint in joints]
+            for family, step in ((NEXT, 1), (PREVIOUS, -1)):
+                turned = [readings[(k + step) % n] for k in range(n)]
+                sets.append(tuple(replace(one, family=family) for one in turned))
         return [*sets, *((one,) * n for one in common)]
 
     def _is_plausible_pair(self, site: Site, one: DriverSet, other: DriverSet) -> bool:
@@ -178,7 +186,7 @@ class Screening:
         if site.kind == PLATFORM:  # a field of position alone is the device's
             return any(own[0].family not in OF_DEVICE for own in (one, other))
         if len(site.members) > 1:
-            return True
+            return not {one[0].family, other[0].family} & {NEXT, PREVIOUS}
         if site.kind == PARAMETER and site.members[0].joint is not None:
             return False  # its group and its joint stand for it
         return all(
