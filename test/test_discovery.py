@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 
 import findings
 import law_sessions as ls
@@ -128,6 +129,30 @@ def test_an_error_of_the_device_is_not_learned_by_the_robot(device):
         assert "device" in law.against
 
 
+def test_a_search_is_cancelled_by_an_exception_of_its_progress():
+    class Cancelled(Exception):
+        pass
+
+    def progress(stage, share):
+        assert 0 <= share <= 1
+        if stage.startswith("screening"):
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        discover(new_model("delta54"), findings.clean(0), progress=progress, hold_out=0)
+
+
+@pytest.mark.wide
+def test_samples_that_a_robust_loss_mistrusts_are_excluded_before_the_search():
+    data, *_ = hiding("delta", laws.cogging)
+    r = data.r.copy()
+    r[[3, 50, 77]] += 1e-3
+    found = discover(new_model("delta54"), replace(data, r=r), loss="cauchy")
+    assert len(found.dataset) <= len(data) - 3
+    assert not {3, 50, 77} & {*found.dataset.numbers}
+    assert found.laws[0].name == "joint2 by joint2"
+
+
 # ------------------------------------------------------------------------ the effect of a law
 
 
@@ -252,8 +277,6 @@ def test_a_formula_takes_the_term_that_made_the_error_and_its_coefficient(here):
 
 
 def test_drawn_noise_is_as_correlated_as_it_was_told(here):
-    from dataclasses import replace
-
     white = characterise_noise(here, here.residual)
     assert white.memory == 0
     step = float(np.median(np.diff(here.dataset.time)))

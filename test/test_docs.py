@@ -9,6 +9,7 @@ import os
 import re
 import shlex
 import shutil
+import sys
 from contextlib import redirect_stderr, redirect_stdout
 from functools import cache
 from importlib.util import module_from_spec, spec_from_file_location
@@ -147,6 +148,15 @@ def test_the_page_on_export_shows_what_its_commands_print(tmp_path):
     for name in ("bags", "config"):
         (tmp_path / name).symlink_to(ROOT / name)
     assert in_order("export.md", tmp_path) == 3
+
+
+@pytest.mark.wide
+def test_the_page_on_discovery_shows_what_its_commands_print(tmp_path, monkeypatch):
+    for name in ("bags", "config"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert in_order("discover.md", tmp_path) == 4
+    sys.modules.pop("wires")
 
 
 @pytest.mark.wide

@@ -46,4 +46,5 @@ def discover(
 
     console.say(text.show(found))
     for file in files:
-        console.say(f"written: {file}; next: parallel-cal add {model} {file.stem} RECORDING")
+        command = f"PYTHONPATH={file.parent} parallel-cal add {model} {file.stem} RECORDING"
+        console.say(f"written: {file}; next: {command}")

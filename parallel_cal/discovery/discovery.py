@@ -18,8 +18,9 @@ from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.diagnosis.thresholds import MAX_MISTRUSTED_SHARE
 from parallel_cal.diagnosis.verdict import share_explained
-from parallel_cal.discovery.drivers import NEXT, PLACES, PREVIOUS, list_drivers
+from parallel_cal.discovery.drivers import PLACES, WORDS, Driver, list_drivers
 from parallel_cal.discovery.effect_file import (
     Coefficient,
     list_coefficients,
@@ -45,10 +46,11 @@ from parallel_cal.discovery.thresholds import (
     MAX_FORMULA_LAG,
     MAX_FORMULAS,
     MAX_LAWS,
+    MAX_SCREENED_SAMPLES,
     NULL_SESSIONS,
 )
 from parallel_cal.identification.acceptance import format_errors
-from parallel_cal.identification.fit import fit
+from parallel_cal.identification.fit import FitResult, fit
 from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.model.model import Model
@@ -57,6 +59,9 @@ from parallel_cal.session.steps import Step, add
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+
+MAX_SHOWN_PARAMETERS = 6  # of a law in its sentence; the table has all
 
 
 @dataclass(frozen=True)
@@ -274,8 +279,15 @@ def discover(
     options = with_changes(options or FitOptions(), changes, FitError)
     report("identifying the geometry", 0.0)
     base = fit(model, dataset, options)
-    scene = Scene.of(base.model, base.dataset, base.observations, base.free)
-    screening = Screening(scene, list_sites(list_places(scene)), list_drivers(scene))
+    if options.loss != "linear":
+        worst = base.down_weighted[: int(MAX_MISTRUSTED_SHARE * len(dataset))]
+        aside = sorted(one.sample for one in worst)
+        dataset = dataset.excluding(aside, f"by --loss {options.loss}")
+        options = replace(options, loss="linear")
+        base = fit(model, dataset, options)
+    scene = _make_scene(base)
+    drivers = list_drivers(scene)
+    screening = Screening(scene, list_sites(list_places(scene)), drivers)
     winners = _find_winners(scene, screening, report)
     thresholds = _find_thresholds(scene, screening, winners, report)
     real = [(one, t) for one, t in zip(winners, thresholds, strict=True) if one.evidence > t]
@@ -286,7 +298,17 @@ def discover(
         found.append(law)
         if not law.against:
             current = step.model
-    return _conclude(model, dataset, found, current)
+    advice = [_advise(scene, winner, drivers) for winner, _ in real]
+    return _conclude(model, dataset, found, [words for words in advice if words], current)
+
+
+def _make_scene(base: FitResult) -> Scene:
+    """The residuals to screen: of all samples, or evenly chosen ones of very many."""
+    n = len(base.dataset)
+    some = np.unique(np.linspace(0, n - 1, min(n, MAX_SCREENED_SAMPLES)).astype(int))
+    return Scene.of(
+        base.model, base.dataset.select(some), base.observations.select(some), base.free
+    )
 
 
 def _find_winners(scene: Scene, screening: Screening, report: Progress) -> list[_Winner]:
@@ -485,23 +507,27 @@ def _name(hypothesis: Hypothesis) -> str:
 
 
 def describe_law(hypothesis: Hypothesis) -> str:
-    """Say where an error enters and on what it depends: "The reading of joint2 errs with ..."."""
+    """Say where an error enters and on what it depends: "The reading of joint2 errs with the load
+    on joint2"."""
     site = hypothesis.site
     names = [place.name for place in site.members]
+    last = ", ".join(name.rpartition(".")[2] for name in names)
     what = {
-        JOINT: f"The reading of {', '.join(names)}",
-        PARAMETER: f"The parameter {', '.join(names)}",
-        PLATFORM: f"The platform's {', '.join(n.rpartition('.')[2] for n in names)}",
-        DEVICE: f"The {', '.join(n.rpartition('.')[2] for n in names)} that the device shows",
+        JOINT: f"The reading of {_join(names)}",
+        PARAMETER: f"The parameter {_join(names)}",
+        PLATFORM: f"The platform's {last}",
+        DEVICE: f"The {last} that the device shows",
     }[site.kind]
-    on = " and ".join(hypothesis.families)
-    each = ", each in its own way" if site.each else ""
-    each_joint = any(
-        own[0].family not in (NEXT, PREVIOUS) and len({one.name for one in own}) > 1
+    on = " and ".join(
+        own[0].words if len({one.name for one in own}) == 1 else WORDS[own[0].family]
         for own in hypothesis.drivers
     )
-    own = " of its own joint" if each_joint else ""
-    return f"{what} errs with {on}{own}{each}"
+    each = ", each in its own way" if site.each else ""
+    return f"{what} errs with {on}{each}"
+
+
+def _join(names: Sequence[str]) -> str:
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
 def _list_ranges(hypothesis: Hypothesis) -> dict[str, tuple[float, float]]:
@@ -518,7 +544,13 @@ def _describe_data(dataset: Dataset, tested: Mapping[str, tuple[float, float]]) 
     )
 
 
-def _conclude(model: Model, dataset: Dataset, found: Sequence[Law], described: Model) -> Discovery:
+def _conclude(
+    model: Model,
+    dataset: Dataset,
+    found: Sequence[Law],
+    advice: Sequence[str],
+    described: Model,
+) -> Discovery:
     """The verdict, its sentence, and what to measure next."""
     laws = tuple(law for law in found if not law.against)
     suspected = tuple(law for law in found if law.against)
@@ -527,40 +559,57 @@ def _conclude(model: Model, dataset: Dataset, found: Sequence[Law], described: M
     if not laws and suspected and not doubtful:
         verdict = "suspected"
     words = [_describe_proof(law) for law in laws]
-    words += [f"{law.sentence}, but this is not proven: {law.against}" for law in suspected]
+    words += [f"{law.sentence}, but this is not proven: {law.against}." for law in suspected]
     if not words:
         words = [
             "no place and no driver explain more than in sessions with the same noise and without "
             "a law"
         ]
-    advice = []
-    for law in (*laws, *suspected):
-        if law.alternatives:
-            advice.append(_advise(law))
-    summary = ". ".join(words)
+    summary = " ".join(words)
     return Discovery(model, dataset, laws, suspected, verdict, summary, tuple(advice), described)
 
 
 def _describe_proof(law: Law) -> str:
-    terms = ", ".join(
-        f"{c.name} {c.value:.3g}{f' +- {c.sigma:.2g}' if c.sigma else ''} {c.unit}"
-        for c in law.parameters
-    )
-    share = "" if law.share is None else f" and accounts for {100 * law.share:.0f} % of the error"
-    above = "" if law.share is None else " above the noise floor"
+    """The sentence about a proven law."""
+    numbers = [_format_coefficient(c) for c in law.parameters[:MAX_SHOWN_PARAMETERS]]
+    rest = len(law.parameters) - len(numbers)
+    terms = ", ".join(numbers) + (f" and {rest} more" if rest else "")
+    share = ""
+    if law.share is not None:
+        share = f" It accounts for {100 * law.share:.0f} % of the error above the noise floor."
     spans = ", ".join(f"{n} {low:.3g} to {high:.3g}" for n, (low, high) in law.tested.items())
-    other = f"; equally good: {', '.join(law.alternatives)}" if law.alternatives else ""
+    floor = f"; noise floor {format_errors(law.noise_floor)}" if law.noise_floor.is_known else ""
+    other = f" Equally good: {', '.join(law.alternatives)}." if law.alternatives else ""
     return (
-        f"{law.sentence} as {law.formula} ({terms}){share}{above}: error at held-out poses "
-        f"{format_errors(law.after, law.before)}; noise floor {format_errors(law.noise_floor)}; "
-        f"tested at {spans}{other}"
+        f"{law.sentence}: {law.formula} ({terms}).{share} Error at held-out poses "
+        f"{format_errors(law.after, law.before)}{floor}. Tested at {spans}.{other}"
     )
 
 
-def _advise(law: Law) -> str:
-    others = " or ".join(law.alternatives)
-    spans = ", ".join(law.drivers)
+def _format_coefficient(c: Coefficient) -> str:
+    sigma = f" +- {c.sigma:.2g}" if c.sigma else ""
+    return f"{c.name} {c.value:.3g}{sigma} {c.unit}"
+
+
+def _advise(scene: Scene, winner: _Winner, drivers: Sequence[Driver]) -> str:
+    """Say which poses tell a law from an equally good one: those that resemble the samples at which
+    the two differ most. Empty if there is no other."""
+    if not winner.equal:
+        return ""
+    own, other = (
+        scene.project_off_geometry(one.columns) @ one.coefficients.ravel()
+        for one in (winner.formula, winner.equal[0])
+    )
+    apart = np.linalg.norm(scene.by_sample(own - other), axis=1)
+    far = np.argsort(-apart)[: max(len(apart) // 10, 3)]
+    shifts = [
+        (float(np.mean(one.values[far]) - np.mean(one.values)) / float(np.std(one.values)), one)
+        for one in drivers
+    ]
+    shifts.sort(key=lambda item: -abs(item[0]))
+    where = [f"{'large' if shift > 0 else 'small'} {one.name}" for shift, one in shifts[:2]]
+    names = f"{_name(winner.formula.hypothesis)} from {_name(winner.equal[0].hypothesis)}"
     return (
-        f"to decide between {law.name} and {others}: measure poses at which {spans} changes while "
-        "the other quantities stay, and poses nearer to the edges of the workspace"
+        f"to tell {names}, measure more poses with {' and '.join(where)}, where they differ most; "
+        f"the present samples tell them by {np.linalg.norm(apart):.1f} sigmas"
     )

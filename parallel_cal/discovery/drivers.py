@@ -17,7 +17,7 @@ from parallel_cal.model.effect import CONDITIONS, Seen
 from parallel_cal.model.parameters import Named
 
 READING, LOAD = "reading", "load"
-NEXT, PREVIOUS = "next joint", "previous joint"  # readings of neighbours, for laws of all joints
+NEXT, PREVIOUS = "next_joint", "previous_joint"  # readings of neighbours, for laws of all joints
 JOINT_CONDITIONS = tuple(name for name, (_, _, per_joint) in CONDITIONS.items() if per_joint)
 COMMON_CONDITIONS = tuple(name for name, (_, _, per_joint) in CONDITIONS.items() if not per_joint)
 # How a law names a driver, and what an effect's `ideal` computes it from.
@@ -28,6 +28,30 @@ PLACES = {
     "radius": ("m", "ca.sqrt(seen.r[0] ** 2 + seen.r[1] ** 2 + 1e-12)"),
     "tilt_x": ("rad", "seen.R[2, 1]"),
     "tilt_y": ("rad", "-seen.R[2, 0]"),
+}
+WORDS = {  # of drivers of the whole robot, and of those of a member's own joint
+    "payload": "the payload",
+    "temperature": "the temperature",
+    "time": "time",
+    "session": "the session",
+    "radius": "the platform's distance from the z axis",
+    "tilt_x": "the platform's tilt about x",
+    "tilt_y": "the platform's tilt about y",
+    **{axis: f"the platform's {axis}" for axis in "xyz"},
+    LOAD: "the load on its own joint",
+    READING: "the reading of its own joint",
+    NEXT: "the reading of the next joint",
+    PREVIOUS: "the reading of the previous joint",
+    "direction": "the approach direction of its own joint",
+    "travel": "the travel of its own joint since the reversal",
+    "velocity": "the velocity of its own joint",
+}
+JOINT_WORDS = {  # of drivers of one named joint
+    LOAD: "the load on {}",
+    READING: "the reading of {}",
+    "direction": "the approach direction of {}",
+    "travel": "the travel of {} since the reversal",
+    "velocity": "the velocity of {}",
 }
 # Physics rarely depends on the last ones: they order only laws that explain the data equally well.
 PLAUSIBILITY = (
@@ -63,6 +87,13 @@ class Driver:
     def range(self) -> tuple[float, float]:
         """The lowest and the highest value in the samples, not relative to `zero`."""
         return float(self.values.min() + self.zero), float(self.values.max() + self.zero)
+
+    @property
+    def words(self) -> str:
+        """The driver in words: `the load on joint2`."""
+        if self.joint is None or self.family not in JOINT_WORDS:
+            return WORDS[self.family]
+        return JOINT_WORDS[self.family].format(self.name.rpartition(".")[2])
 
     @property
     def rank(self) -> int:

@@ -44,7 +44,7 @@ def characterise_noise(scene: Scene, residual: np.ndarray) -> Noise:
     scale = np.median(squares / np.maximum(k - 2 / 3, 0.3))
     p = chdtrc(k, squares / max(scale, 1e-300)) * len(squares)
     outliers = np.sqrt(squares / (k * max(scale, 1e-300)))[p < MAX_OUTLIER_P]
-    known_order = "time" in scene.dataset.conditions and scene.dataset.mode != "continuous"
+    known_order = "time" in scene.dataset.conditions
     memory = 0.0
     if known_order and shape.correlation_p < MAX_CORRELATION_P:
         memory = _match_memory(scene, shape, growth)

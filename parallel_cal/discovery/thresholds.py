@@ -7,6 +7,7 @@ MIN_SAMPLES_PER_FINE_SPLINE = 4  # with fewer samples, a local column describes 
 MAX_DEGREE = 3  # of each of two drivers; together at most one more
 MAX_LEVELS = 5  # a driver with so few values has polynomials through these values
 MIN_VARIATION = 1e-9  # in SI: a driver that varies less is constant
+MAX_SCREENED_SAMPLES = 3000  # evenly chosen of more; the proof uses all
 MAX_CHUNK_NUMBERS = 1 << 23  # numbers in the largest array: 64 MB
 WAVES = 240  # periods scanned of each joint's reading
 MIN_SAMPLES_PER_PERIOD = 2.5  # a shorter period is not determined by the samples

@@ -1,0 +1,246 @@
+"""The study of `discover`: laws of nobody's catalogue drawn by seed, and sessions without any law.
+
+Robots, sessions, laws and noise come from the independent virtual robots; the laws are drawn from
+physics, not from the terms that the search knows (test/virtual_laws.py). Families: `laws` (each
+kind of law on a Delta, a hexapod and an arm), `null`, `noise` (correlated, growing, twice as
+large), `outliers`, `payload` (recorded wrongly) and `device` (errors of the measuring device,
+which the robot must not learn). With `--results` every outcome is kept as a line of a file; a case
+that stands there already is not run again. Usage: `PYTHONPATH=. python bench/discover.py
+[--draws N] [--first SEED] [--jobs N] [--scheduler ADDRESS] [--results FILE] [--minutes M] [FAMILY ...]`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
+
+import blind
+import law_sessions as ls
+import virtual_blind as vb
+
+from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.discovery.discovery import discover
+from parallel_cal.fleet.cluster import cluster, run_each
+from parallel_cal.identification.fit import fit
+from parallel_cal.model.model import new_model
+
+CLEARLY = 1.1  # of the true error before: its own uncertainty at 60 poses
+SIGMAS = (1.0, 2.0)  # of the residual that the geometry leaves of a law
+GOALS = {  # family -> what is counted, and the share that it must (not) reach
+    "laws": (("place", ">=", 0.85), ("driver", ">=", 0.85), ("worse", "<=", 0.0)),
+    "null": (("law", "<=", 0.01),),
+    "noise": (("law", "<=", 0.02),),
+    "outliers": (("law", "<=", 0.02),),
+    "payload": (("law", "<=", 0.02),),
+    "device": (("learned", "<=", 0.0),),
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One session: what hides in it, on which robot, by how many sigmas."""
+
+    family: str
+    seed: int
+    kind: str = ""
+    robot: str = "delta"
+    sigmas: float = 0.0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What was found, and the true error (m, rms) of the robot without and with it; NaN where no
+    law was hidden."""
+
+    case: Case
+    verdict: str
+    laws: tuple[str, ...]
+    of_robot: tuple[str, ...]  # those that the robot would learn
+    place: bool = False
+    driver: bool = False
+    before: float = math.nan
+    after: float = math.nan
+    error: str = ""
+    seconds: float = 0.0  # of the processor
+
+    @property
+    def worse(self) -> bool:
+        return self.after > CLEARLY * self.before + 1e-6
+
+
+def families(draws: int, first: int) -> dict[str, Callable[[], Iterator[Case]]]:
+    def seeds(n: int) -> range:
+        return range(first, first + n)
+
+    def laws() -> Iterator[Case]:
+        for name, robot in ls.ROBOTS.items():
+            for kind in robot.kinds:
+                for s in seeds(draws):
+                    yield Case("laws", s, kind.__name__, name, SIGMAS[s % len(SIGMAS)])
+
+    def null() -> Iterator[Case]:
+        yield from (Case("null", s) for s in seeds(10 * draws))
+
+    def noise() -> Iterator[Case]:
+        for kind in vb.NOISE:
+            yield from (Case("noise", s, kind) for s in seeds(3 * draws))
+
+    def outliers() -> Iterator[Case]:
+        yield from (Case("outliers", s) for s in seeds(3 * draws))
+
+    def payload() -> Iterator[Case]:
+        yield from (Case("payload", s) for s in seeds(3 * draws))
+
+    def device() -> Iterator[Case]:
+        for kind in vb.DEVICE:
+            yield from (Case("device", s, kind, sigmas=1.5) for s in seeds(3 * draws))
+
+    return {f.__name__: f for f in (laws, null, noise, outliers, payload, device)}
+
+
+def without_law(case: Case) -> Any:
+    """A session of the Delta without a law of the robot."""
+    if case.family in ("noise", "device"):
+        named = {"noise": {"noise": case.kind}, "device": {"device": case.kind}}[case.family]
+        drawn = blind.Case(case.family, case.seed, size=case.sigmas, **named)
+        day, effects, noise = blind.session(drawn)
+        return blind.measured(drawn, day, effects, noise)
+    robot, rng = ls.ROBOTS[case.robot], np.random.default_rng([case.seed, 8])
+    data = ls.measured(robot, robot.day(case.seed), [], robot.noise, case.seed)
+    if case.family == "outliers":
+        some = rng.choice(len(data), 5, replace=False)
+        r = data.r.copy()
+        r[some] += 10 * robot.noise.position * rng.standard_normal((5, 3))
+        return replace(data, r=r)
+    if case.family == "payload":  # the notes of the loads are one change late
+        wrong = np.roll(data.conditions["payload"], 25)
+        return replace(data, conditions=data.conditions | {"payload": wrong})
+    return data
+
+
+def run(case: Case) -> Outcome:
+    begin = time.process_time()
+    try:
+        found = outcome(case)
+    except ParallelCalError as error:
+        found = Outcome(case, "error", (), (), error=str(error))
+    return replace(found, seconds=round(time.process_time() - begin, 2))
+
+
+def outcome(case: Case) -> Outcome:
+    if case.family != "laws":
+        found = discover(new_model("delta54"), without_law(case))
+        robots = tuple(law.name for law in found.laws if not law.of_device)
+        return Outcome(case, found.verdict, tuple(law.name for law in found.laws), robots)
+    robot = ls.ROBOTS[case.robot]
+    kind = next(k for k in robot.kinds if k.__name__ == case.kind)
+    data, hidden, effect = ls.hiding(case.robot, kind, case.seed, case.sigmas)
+    found = discover(robot.model(), data)
+    plain = fit(robot.model(), data, hold_out=0).model
+    end = float(data.time.max())
+    before, after = (
+        ls.compute_true_error(case.robot, model, effect, case.seed, end)
+        for model in (plain, found.described)
+    )
+    names = tuple(law.name for law in found.laws)
+    place, driver = ls.is_named(found.laws, hidden)
+    return Outcome(case, found.verdict, names, names, place, driver, before, after)
+
+
+def report(outcomes: list[Outcome]) -> None:
+    """A row for each kind of case, then counts with their exact intervals, and the goals."""
+    groups: dict[str, list[Outcome]] = {}
+    for one in outcomes:
+        c = one.case
+        groups.setdefault(f"{c.family} {c.robot} {c.kind}".strip(), []).append(one)
+    for name, some in groups.items():
+        before, after = (
+            1e6 * np.median([getattr(o, k) for o in some]) for k in ("before", "after")
+        )
+        print(
+            f"{name}: {len(some)} sessions, place {sum(o.place for o in some)}, driver "
+            f"{sum(o.driver for o in some)}, with a law {sum(bool(o.laws) for o in some)}, true "
+            f"error {before:.1f} -> {after:.1f} um"
+        )
+        for o in some:
+            if o.error or (o.case.family == "laws") != (o.place and o.driver and bool(o.laws)):
+                print(f"    seed {o.case.seed}: {o.verdict}; {', '.join(o.laws)} {o.error[:120]}")
+    for family in dict.fromkeys(o.case.family for o in outcomes):
+        some = [o for o in outcomes if o.case.family == family]
+        counts = {
+            "place": sum(o.place for o in some),
+            "driver": sum(o.driver for o in some),
+            "law": sum(bool(o.laws) for o in some),
+            "learned": sum(bool(o.of_robot) for o in some),
+            "worse": sum(o.worse for o in some),
+            "error": sum(bool(o.error) for o in some),
+        }
+        told = [f"{name} {k} ({blind.interval(k, len(some))})" for name, k in counts.items()]
+        seconds = np.mean([o.seconds for o in some])
+        print(f"{family}, {len(some)}: {', '.join(told)}; {seconds:.1f} s a session")
+        for name, sign, goal in GOALS[family]:
+            share = counts[name] / len(some)
+            reached = share >= goal if sign == ">=" else share <= goal
+            print(f"    goal: {name} {sign} {goal:.0%}: {'reached' if reached else 'MISSED'}")
+
+
+def kept(file: Path | None) -> dict[Case, Outcome]:
+    """The outcomes that a file of earlier slices holds."""
+    if file is None or not file.exists():
+        return {}
+    rows = [json.loads(line) for line in file.read_text().splitlines()]
+    outcomes = [
+        Outcome(
+            **row
+            | {
+                "case": Case(**row["case"]),
+                "laws": tuple(row["laws"]),
+                "of_robot": tuple(row["of_robot"]),
+            }
+        )
+        for row in rows
+    ]
+    return {one.case: one for one in outcomes}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--draws", type=int, default=5)
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
+    parser.add_argument("--jobs", type=int, default=1, help="processes on this machine")
+    parser.add_argument("--scheduler", help="a Dask cluster's address, in place of this machine")
+    parser.add_argument("--results", type=Path)
+    parser.add_argument("--minutes", type=float, default=math.inf)
+    parser.add_argument("family", nargs="*")
+    given = parser.parse_args()
+    all_of = families(given.draws, given.first)
+    if unknown := [name for name in given.family if name not in all_of]:
+        parser.error(f"{', '.join(unknown)}: expected some of {', '.join(all_of)}")
+    cases = [case for name in given.family or all_of for case in all_of[name]()]
+    outcomes = {c: o for c, o in kept(given.results).items() if c in set(cases)}
+    until = time.monotonic() + 60 * given.minutes
+    with cluster(given.scheduler, given.jobs) as client:
+        left = [(case,) for case in cases if case not in outcomes]
+        for _, one in run_each(client, run, left):
+            outcomes[one.case] = one
+            if given.results is not None:
+                with given.results.open("a") as lines:
+                    lines.write(json.dumps(asdict(one)) + "\n")
+            if time.monotonic() > until:
+                break
+    report([outcomes[case] for case in cases if case in outcomes])
+
+
+if __name__ == "__main__":
+    main()
