@@ -1,12 +1,17 @@
 """The study of `discover`: laws of nobody's catalogue drawn by seed, and sessions without any law.
 
-Robots, sessions, laws and noise come from the independent virtual robots; the laws are drawn from
-physics, not from the terms that the search knows (test/virtual_laws.py). Families: `laws` (each
-kind of law on a Delta, a hexapod and an arm), `null`, `noise` (correlated, growing, twice as
-large), `outliers`, `payload` (recorded wrongly) and `device` (errors of the measuring device,
-which the robot must not learn). With `--results` every outcome is kept as a line of a file; a case
-that stands there already is not run again. Usage: `PYTHONPATH=. python bench/discover.py
-[--draws N] [--first SEED] [--jobs N] [--scheduler ADDRESS] [--results FILE] [--minutes M] [FAMILY ...]`.
+Robots, sessions, laws and noise come from the independent virtual robots. The laws are drawn from
+physics, not from the terms that the search knows (test/virtual_laws.py). The families are:
+
+- `laws`: each kind of law on a Delta, a hexapod and an arm,
+- `null`: white noise,
+- `noise`: correlated noise, noise that grows outwards, noise twice as large as stated,
+- `outliers`, and `payload`, which is recorded one change late,
+- `device`: errors of the measuring device, which the robot must not learn.
+
+With `--results` every outcome is kept as a line of a file; a case that stands there already is not
+run again. Usage: `PYTHONPATH=. python bench/discover.py [--draws N] [--first SEED] [--jobs N]
+[--scheduler ADDRESS] [--results FILE] [--minutes M] [FAMILY ...]`.
 """
 
 from __future__ import annotations

@@ -369,7 +369,8 @@ def _plain_factors(own: Sequence[Driver]) -> Iterator[Factor]:
     for power in POWERS:
         if power < few:
             yield Factor("power", (float(power),))
-    if few > 2 and values[0] < 0 < values[-1]:
+    # A reading or a place has no zero of its own at which an error could have a corner.
+    if few > 2 and values[0] < 0 < values[-1] and own[0].zero == 0:
         yield Factor("absolute")
         if few > 3:
             yield Factor("sign")
