@@ -53,9 +53,14 @@ class Robot:
         visits = poses + again
         masses = np.where(np.arange(visits) * 6 // visits % 2, 1.2, 0.2)
         return vd.visit(
-            self.readings(poses, seed), self.home, again, seed, dwell=10.0, air=days.wandering,
+            self.readings(poses, seed),
+            self.home,
+            again,
+            seed,
+            dwell=10.0,
+            air=days.wandering,
             payload=masses,
-        )  # fmt: skip
+        )
 
 
 def _kin(readings: vr.Array, joints: tuple[str, ...], **more: Any) -> laws.Kin:
@@ -95,7 +100,12 @@ ROBOTS = {
         vr.NOMINAL.inverse(vr.NOMINAL.home)[0],
         laws.CHAIN_KINDS,
         _kin(
-            _delta_readings(200, 0), THREE, load=0.5, chains=CHAINS, warm="La_x", rod="Lb",
+            _delta_readings(200, 0),
+            THREE,
+            load=0.5,
+            chains=CHAINS,
+            warm="La_x",
+            rod="Lb",
             equal=tuple((f"{c}.La_y",) for c in CHAINS),
         ),
     ),
@@ -107,8 +117,15 @@ ROBOTS = {
         days.DESIGNED.home_joints,
         laws.CHAIN_KINDS,
         _kin(
-            _hexapod_readings(200, 0), LEGS, load=4.0, chains=LEGS, warm="L0", rod="L0",
-            reach=0.04, height=0.3, equal=tuple((f"{leg}.L0",) for leg in LEGS),
+            _hexapod_readings(200, 0),
+            LEGS,
+            load=4.0,
+            chains=LEGS,
+            warm="L0",
+            rod="L0",
+            reach=0.04,
+            height=0.3,
+            equal=tuple((f"{leg}.L0",) for leg in LEGS),
         ),
     ),
     "arm": Robot(
@@ -120,7 +137,7 @@ ROBOTS = {
         laws.JOINT_KINDS,
         _kin(_arm_readings(200, 0), SIX, load=4.0),
     ),
-}  # fmt: skip
+}
 
 
 def _conditions(
@@ -131,8 +148,10 @@ def _conditions(
     known = {f"direction.{j}": at.direction[:, i] for i, j in enumerate(robot.kin.joints)}
     known |= {f"travel.{j}": findings.travel(ways[:, i]) for i, j in enumerate(robot.kin.joints)}
     return at, known | {
-        "time": at.time, "temperature": at.temperature, "payload": np.asarray(at.payload)
-    }  # fmt: skip
+        "time": at.time,
+        "temperature": at.temperature,
+        "payload": np.asarray(at.payload),
+    }
 
 
 def measured(

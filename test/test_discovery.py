@@ -34,14 +34,23 @@ from parallel_cal.virtual import robot as vr
 # kind -> size (rad or m) that the geometry leaves as about 1.5 sigmas, on each robot
 SIZES = {
     "delta": {
-        laws.spring: 3.8e-4, laws.lag: 1.05e-4, laws.friction: 3.1e-4, laws.cross: 2.3e-3,
-        laws.coupling: 1.4e-3, laws.dent: 2e-3, laws.cogging: 8e-4, laws.scratch: 1.8e-3,
-        laws.warm_joint: 4.3e-4, laws.warm_parts: 4.1e-4, laws.sag: 1.5e-4,
-        laws.soft_column: 2.3e-4, laws.rod_play: 6e-5,
+        laws.spring: 3.8e-4,
+        laws.lag: 1.05e-4,
+        laws.friction: 3.1e-4,
+        laws.cross: 2.3e-3,
+        laws.coupling: 1.4e-3,
+        laws.dent: 2e-3,
+        laws.cogging: 8e-4,
+        laws.scratch: 1.8e-3,
+        laws.warm_joint: 4.3e-4,
+        laws.warm_parts: 4.1e-4,
+        laws.sag: 1.5e-4,
+        laws.soft_column: 2.3e-4,
+        laws.rod_play: 6e-5,
     },
     "hexapod": {laws.spring: 3.6e-4, laws.lag: 6.9e-6},
     "arm": {laws.cross: 2.4e-4, laws.coupling: 2.3e-4, laws.dent: 1.1e-3},
-}  # fmt: skip
+}
 CASES = [(name, kind) for name, sizes in SIZES.items() for kind in sizes]
 
 
@@ -166,6 +175,7 @@ def test_the_written_effect_is_judged_by_add_and_its_history_names_it(
     step = add(new_model("delta54"), path.stem, data)
     assert not step.acceptance.against
     assert step.model.history[-1]["effect"] == path.stem
+    assert step.model.history[-1]["cause"] == "unknown: found in data"
     first = found.laws[0].parameters[0]
     name = f"{path.stem}.{first.name}"
     assert step.model.value(name) == pytest.approx(first.value, rel=1e-3)

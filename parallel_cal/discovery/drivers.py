@@ -55,9 +55,24 @@ JOINT_WORDS = {  # of drivers of one named joint
 }
 # Physics rarely depends on the last ones: they order only laws that explain the data equally well.
 PLAUSIBILITY = (
-    LOAD, "payload", READING, "direction", "travel", "temperature", NEXT, PREVIOUS,
-    "radius", "velocity", "z", "x", "y", "tilt_x", "tilt_y", "time", "session",
-)  # fmt: skip
+    LOAD,
+    "payload",
+    READING,
+    "direction",
+    "travel",
+    "temperature",
+    NEXT,
+    PREVIOUS,
+    "radius",
+    "velocity",
+    "z",
+    "x",
+    "y",
+    "tilt_x",
+    "tilt_y",
+    "time",
+    "session",
+)
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,8 @@ from types import ModuleType
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import write_atomically
 from parallel_cal.discovery.drivers import LOAD, Driver
-from parallel_cal.discovery.formula import Factor, Formula, Term
+from parallel_cal.discovery.formula import Formula, Term
 from parallel_cal.discovery.places import DEVICE, JOINT, PARAMETER, PLATFORM, Place
-from parallel_cal.model.mechanism import POSE
 
 WIDTH = 96  # characters of a line of the docstring
 RELATIVE_CONSTANT_TOLERANCE = 0.1  # of a scanned constant, if a user frees it
@@ -47,8 +46,9 @@ def list_coefficients(formula: Formula) -> list[Coefficient]:
             found.append(Coefficient(name, unit, float(value), float(sigma)))
     for (number, _, value), name in _constant_names(formula).items():
         driver = formula.hypothesis.drivers[number][0]
-        own = driver.unit if driver.unit != "1" else "1"
-        unit = own if not name.startswith("frequency") else "1" if own == "rad" else f"rad/{own}"
+        unit = driver.unit
+        if name.startswith("frequency"):  # rad per unit of the driver
+            unit = "1" if unit == "rad" else f"rad/{unit}"
         found.append(Coefficient(name, unit, value, None, scanned=True))
     return found
 
@@ -120,13 +120,9 @@ def _sum(formula: Formula, words: Sequence[str], variables: Sequence[str], prefi
                 ("e." if prefix else "") + constants[number, kind, value]
                 for kind, value in zip(factor.constant_names, factor.constants, strict=False)
             ]
-            factors.append(_bracketed(factor, variables[number], own, prefix))
+            factors.append(factor.write(variables[number], own, prefix))
         parts.append(" * ".join([("e." if prefix else "") + word, *factors]))
     return " + ".join(parts)
-
-
-def _bracketed(factor: Factor, x: str, constants: Sequence[str], prefix: str) -> str:
-    return factor.write(x, constants, prefix)
 
 
 def write_effect(
@@ -173,6 +169,7 @@ def write_effect(
         lines.append(f"    needs = ({required},)")
     if fixed:
         lines.append(f"    fixed = ({quoted},)")
+    lines.append("    found_in_data = True")
     if site.kind == DEVICE:
         lines.append("    of_device = True")
     lines += [
@@ -283,7 +280,6 @@ def _assign(place: Place, error: str) -> Iterator[str]:
     }.get(place.kind)
     if target is None:
         part, index = ("shift", place.index) if place.index < 3 else ("turn", place.index - 3)
-        assert POSE[place.index]
         target = f"{part}[{index}] = "
     whole = f"        {target}{error}"
     if len(whole) <= WIDTH:

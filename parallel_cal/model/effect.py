@@ -74,6 +74,8 @@ class Effect(ABC):
     refines : bool
         Whether the parameter that `scan` tries is continuous. False for an integer, such as the
         order of a harmonic. Default True.
+    found_in_data : bool
+        Whether its formula was found in data, so that its cause is not known. Default False.
     physics : str
         The cause, in one sentence.
     remedy : str
@@ -98,6 +100,7 @@ class Effect(ABC):
     depends_on_class: ClassVar[bool] = True
     widens: ClassVar[bool] = False
     refines: ClassVar[bool] = True
+    found_in_data: ClassVar[bool] = False
     physics: ClassVar[str]
     remedy: ClassVar[str] = ""
     source: ClassVar[str]

@@ -334,6 +334,8 @@ def _step(
     entry: dict[str, Any] = {"step": name}
     if effect is not None:
         entry["effect"] = effect
+        if any(load_effect(one).found_in_data for one in effect.split("+")):
+            entry["cause"] = "unknown: found in data"
     document = result.document()
     entry |= {key: document[key] for key in ("method", "samples", "dataset", "region")}
     # What differs from least squares of all free parameters on all samples.
