@@ -17,7 +17,7 @@ from parallel_cal.cli import main as cli
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.discovery.discovery import discover
 from parallel_cal.discovery.drivers import list_drivers
-from parallel_cal.discovery.effect_file import load_text, write_effect_file
+from parallel_cal.discovery.effect_file import load_text, write_effect, write_effect_file
 from parallel_cal.discovery.formula import find_formula
 from parallel_cal.discovery.nulls import characterise_noise, compute_threshold, draw_residuals
 from parallel_cal.discovery.places import Site, list_places, list_sites
@@ -188,7 +188,7 @@ def test_the_written_effect_is_judged_by_add_and_its_history_names_it(
 @pytest.mark.wide
 def test_a_discovery_is_shown_as_text_and_as_a_figure_of_the_law_over_the_shape(spring):
     found, *_ = spring
-    assert show(found).startswith(f"described: {found.laws[0].sentence} as ")
+    assert show(found).startswith(f"described: {found.laws[0].sentence}: ")
     band, curve, law = figure(found).data
     assert np.ptp(np.array(curve.y) - np.array(law.y)) < 0.2 * np.ptp(law.y)
     assert len(band.x) == 2 * len(curve.x)
@@ -284,6 +284,24 @@ def test_a_formula_takes_the_term_that_made_the_error_and_its_coefficient(here):
     assert [term.word for term in found.terms] == ["cubic"]
     value, sigma = found.coefficients[0, 0], found.sigma[0, 0]
     assert abs(value - 2e-3) < 4 * sigma < 1e-3
+
+
+def test_no_name_of_a_joint_or_a_file_becomes_code_of_the_effect(here):
+    odd = 'shoulder-"pan"'
+    place = replace(next(one for one in list_places(here) if one.name == "joint1"), name=odd)
+    driver = next(one for one in list_drivers(here) if one.name == "direction.joint1")
+    code = f"at[{json.dumps('direction.' + odd)}]"
+    driver = replace(driver, name=f"direction.{odd}", code=code)
+    residual = here.project_off_geometry(
+        here.residual - (place.columns * 2e-3 * driver.values[:, None]).ravel()
+    )
+    targets = Targets.of(here, residual[:, None], np.zeros((len(residual), 0)))
+    found = find_formula(here, targets, Hypothesis(Site(odd, (place,)), ((driver,),)))
+    quotes = chr(34) * 3
+    text = write_effect(found, f"{odd} errs", f"C:\\new {quotes}\nraise SystemExit\n{quotes}")
+    effect = load_effect(load_text(text))
+    assert effect.applies(here.model.mechanism) == f"it has no {odd}"
+    assert [p.name for p in effect.parameters(here.model.mechanism)] == ["linear"]
 
 
 def test_drawn_noise_is_as_correlated_as_it_was_told(here):

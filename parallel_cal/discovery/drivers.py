@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -149,7 +150,7 @@ def _iterate_drivers(scene: Scene) -> Iterator[Driver]:
             key = f"{kind}.{name}"
             if key in known:
                 unit = CONDITIONS[kind][0].replace("rad", units[i])
-                yield Driver(key, kind, unit, f'at["{key}"]', known[key], i, needs=kind)
+                yield Driver(key, kind, unit, f"at[{json.dumps(key)}]", known[key], i, needs=kind)
     for kind in COMMON_CONDITIONS:
         if kind in known:
             unit, neutral, _ = CONDITIONS[kind]

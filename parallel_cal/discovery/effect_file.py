@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import json
+import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -56,10 +58,20 @@ def list_coefficients(formula: Formula) -> list[Coefficient]:
 def member_name(place: Place) -> str:
     """A member of a site in the name of a parameter: `joint1`, `chain1`, `x`."""
     if place.kind == JOINT:
-        return place.name
+        return _identifier(place.name)
     if place.kind == PARAMETER:
-        return place.name.partition(".")[0]
+        return _identifier(place.name.partition(".")[0])
     return place.name.rpartition(".")[2]
+
+
+def _identifier(name: str) -> str:
+    """A name as part of a Python name: a joint may be called `shoulder-pan`."""
+    return re.sub(r"\W", "_", name)
+
+
+def _plain(text: str) -> str:
+    """Text that can stand in a Python string of any kind, whatever a file or a joint is called."""
+    return text.replace("\\", "/").replace('"', "'").encode("ascii", "replace").decode()
 
 
 def _term_names(formula: Formula) -> list[str]:
@@ -137,6 +149,7 @@ def write_effect(
     `sentence` says where an error enters and on what it depends, `found` in which data and range it
     was found. `values` are coefficients and sigmas after a refit with the geometry.
     """
+    sentence, found = _plain(sentence), _plain(found)
     site = formula.hypothesis.site
     used = [formula.hypothesis.drivers[number] for number in formula.used_drivers]
     loads = any(own[0].family == LOAD for own in used)
@@ -210,12 +223,12 @@ def _equation(formula: Formula) -> str:
     sign = "-" if site.kind in (PLATFORM, DEVICE) else "+"
     members = ", ".join(place.name for place in site.members)
     law = write_formula(formula)
-    return fill(f"ideal {name} = {name} {sign} ({law}), for {members}.", WIDTH)
+    return fill(_plain(f"ideal {name} = {name} {sign} ({law}), for {members}."), WIDTH)
 
 
 def _string(text: str, spaces: int) -> Iterator[str]:
     """A long string as lines of Python, joined by the parser."""
-    words = fill(text.replace("\\", "/").replace('"', "'"), WIDTH - spaces - 2).splitlines()
+    words = fill(text, WIDTH - spaces - 2).splitlines()
     for k, line in enumerate(words):
         space = " " if k < len(words) - 1 else ""
         yield f'{" " * spaces}"{line}{space}"'
@@ -225,7 +238,7 @@ def _applies(formula: Formula, loads: bool) -> Iterator[str]:
     site = formula.hypothesis.site
     joints = [place.name for place in site.members if place.kind == JOINT]
     lengths = [place.name for place in site.members if place.kind == PARAMETER]
-    needed = ", ".join(f'"{name}"' for name in (*joints, *lengths))
+    needed = ", ".join(json.dumps(name) for name in (*joints, *lengths))
     if needed:
         yield f"        missing = {{{needed}}} - {{*mechanism.joints, *mechanism.parameters.names}}"
         yield "        if missing:"
@@ -270,13 +283,13 @@ def _ideal(formula: Formula, loads: bool) -> Iterator[str]:
 
 def _variable(driver: Driver) -> str:
     """A name for a driver that is neither that of an input nor of another driver."""
-    return f"{driver.name.replace('.', '_')}_value"
+    return f"{_identifier(driver.name)}_value"
 
 
 def _assign(place: Place, error: str) -> Iterator[str]:
     target = {
         JOINT: f"q[{place.index}] += ",
-        PARAMETER: f'changed["{place.name}"] = seen.p["{place.name}"] + ',
+        PARAMETER: f"changed[{json.dumps(place.name)}] = seen.p[{json.dumps(place.name)}] + ",
     }.get(place.kind)
     if target is None:
         part, index = ("shift", place.index) if place.index < 3 else ("turn", place.index - 3)
