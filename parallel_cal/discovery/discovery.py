@@ -47,6 +47,7 @@ from parallel_cal.discovery.thresholds import (
     MAX_FORMULAS,
     MAX_LAWS,
     MAX_SCREENED_SAMPLES,
+    MIN_RIVAL_EVIDENCE_SHARE,
     NULL_SESSIONS,
 )
 from parallel_cal.identification.acceptance import format_errors
@@ -218,12 +219,13 @@ class Discovery(ShownInNotebook):
 
 @dataclass(frozen=True)
 class _Winner:
-    """A law before its proof: the formula, equally good ones, and the screening's evidence."""
+    """A law before its proof: the formula, equally good ones, and the screening's evidence; for a
+    law of the device, `rival` is one of the robot that explains nearly as much."""
 
     formula: Formula
     equal: tuple[Formula, ...]
-    screened: Hypothesis
     evidence: float
+    rival: Hypothesis | None
 
 
 @single_threaded()
@@ -359,8 +361,9 @@ def _find_winner(
         key=lambda formula: (*formula.complexity, -formula.evidence),
     )
     best = equal[0]
-    screened = found[best.hypothesis.key][1]
-    return _Winner(best, tuple(equal[1:]), screened, max(scored[0][0], best.evidence))
+    limit = MIN_RIVAL_EVIDENCE_SHARE * scored[0][0]
+    robots = (one for e, one in scored if e >= limit and one.site.kind != DEVICE)
+    return _Winner(best, tuple(equal[1:]), max(scored[0][0], best.evidence), next(robots, None))
 
 
 def _select_for_formulas(scored: Sequence[tuple[float, Hypothesis]]) -> list[Hypothesis]:
@@ -454,7 +457,7 @@ def _prove(
     alternatives = tuple(dict.fromkeys(_name(one.hypothesis) for one in winner.equal))
     of_device = hypothesis.site.kind == DEVICE
     against = step.acceptance.against.replace(f" with '{name}'", "").replace(name, "it")
-    if not against and not of_device:
+    if not against:
         against = _explain_device(winner)
     law = Law(
         place=_name_place(hypothesis),
@@ -484,7 +487,15 @@ def _prove(
 def _explain_device(winner: _Winner) -> str:
     """Explain why the measuring device may cause the error of a law; empty if it may not.
 
-    A law of the platform's position alone is a field over the workspace, as a device has it."""
+    A law of the platform's position alone is a field over the workspace, as a device has it. For a
+    law of the device, explain why the robot may cause the error."""
+    if winner.formula.hypothesis.site.kind == DEVICE:
+        if winner.rival is None:
+            return ""
+        return (
+            "the robot may cause it as well as the measuring device: "
+            f"{_name(winner.rival)} explains nearly as much"
+        )
     others = [one.hypothesis for one in winner.equal if one.hypothesis.site.kind == DEVICE]
     if others:
         return f"the measuring device may cause it: {_name(others[0])} describes it as well"

@@ -21,6 +21,8 @@ MAX_OUTLIER_P = 1e-3  # p-value over all samples: below it, a sample is an outli
 # Which laws are reported
 MAX_LAWS = 3
 MAX_EQUAL_EVIDENCE = 5.0  # log of how much likelier one of two equally good laws may be
+# of the evidence for a law of the device: from it on, the robot may cause the error as well
+MIN_RIVAL_EVIDENCE_SHARE = 0.8
 MAX_FORMULAS = 20  # winners of the screening for which a formula is searched ...
 MAX_FORMULA_LAG = 40.0  # ... if their evidence is at most so much smaller: a formula needs fewer
 MAX_TERMS = 4  # of one formula
