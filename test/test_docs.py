@@ -240,6 +240,6 @@ def test_the_picture_of_the_rooms_is_that_of_the_code():
     spec.loader.exec_module(rooms)
     assert rooms.PICTURE.read_text(encoding="utf-8") == rooms.picture(), "python docs/rooms.py"
     shown = rooms.imported()
-    assert all((a, b) in rooms.arrows() for a, b in [("model", "base"), ("reporting", "session")])
+    assert all((a, b) in rooms.arrows() for a, b in [("model", "base"), ("reporting", "discovery")])
     assert ("cli", "base") not in rooms.arrows()  # it follows from others
     assert "base" in shown["cli"]
