@@ -8,6 +8,7 @@ results of the tool, at the same poses. All lengths are in metres, all angles in
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -256,3 +257,18 @@ def fit_printer(given: Array, free: Sequence[int], touches: Array) -> Array:
     found = given.copy()
     found[free] = gauss_newton(error, given[free])
     return found
+
+
+def read_d300vs(heightmap: Path) -> tuple[Array, Array]:
+    """Return the printer's numbers (10,) by its configuration, and its touches (N, 3)."""
+    header, *rows = heightmap.read_text().splitlines()[2:]
+    x0, _, y0, _, _, dx, dy = map(float, header.split(",")[:7])
+    touches = [
+        (x0 + i * dx, y0 + j * dy, float(cell))
+        for j, row in enumerate(rows)
+        for i, cell in enumerate(row.split(","))
+        if cell.strip() != "0"  # not probed
+    ]
+    # M666 X Y Z, M665 R X Y L, no tilt, M665 H of config-override.g
+    given = [0.304e-3, -1.064e-3, 0.761e-3, 0.205906, -0.336, -0.499, 0.375, 0.0, 0.0, 0.43959]
+    return np.array(given), 1e-3 * np.array(touches)

@@ -7,7 +7,10 @@ fit sees. All errors are at the latter.
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
+import shutil
 import sys
 import tempfile
 import time
@@ -106,13 +109,13 @@ def calibrate(machine: Machine, model: pc.Model, data: pc.Dataset) -> pc.Model:
     """Fit, then diagnose and add until nothing is named; note the errors at held-out poses."""
     training, held_out = (data.select(index) for index in split(len(data)))
 
-    def error(model: pc.Model) -> float:
+    def error_of(model: pc.Model) -> float:
         return float(pc.compare(model, held_out).errors.summary.position_rms)
 
     machine.samples = len(data)
-    machine.registered = error(model)
+    machine.registered = error_of(model)
     fitted = timed(machine, "fit", lambda: pc.fit(model, training))
-    machine.geometry = error(fitted.model)
+    machine.geometry = error_of(fitted.model)
     model = fitted.model
     for _ in range(MAX_EFFECTS):
         found = timed(machine, "diagnose", lambda model=model: pc.diagnose(model, training))
@@ -120,10 +123,15 @@ def calibrate(machine: Machine, model: pc.Model, data: pc.Dataset) -> pc.Model:
         if not found.additions:
             break
         for addition in found.additions:
-            step = timed(machine, "add", lambda a=addition: pc.add(model, a, training))
+            try:
+                step = timed(machine, "add", lambda a=addition: pc.add(model, a, training))
+            except pc.FitError as error:
+                machine.notes.append(f"`add {addition}` refused: {error}")
+                machine.with_effects = error_of(model)
+                return model
             model = step.model
             machine.effects.append(str(addition))
-    machine.with_effects = error(model)
+    machine.with_effects = error_of(model)
     return model
 
 
@@ -235,11 +243,58 @@ def hangprinter(folder: Path) -> Machine:
     return machine
 
 
+def d300vs(folder: Path) -> Machine:
+    """Calibrate the printer by the commands of docs/delta_printer.md.
+
+    Errors are heights at the touches by the firmware's formula; there is no other device.
+    """
+    machine = Machine(
+        "d300vs",
+        "UltiBots D300VS, delta printer and its own bed probe",
+        "nothing; four commands",
+        "um",
+    )
+    for name in ("config.g", "config-override.g", "heightmap.csv"):
+        shutil.copy(REAL / "d300vs" / name, folder)
+    configuration = [folder / "config.g", folder / "config-override.g"]
+    new = [word for path in configuration for word in ("--from", path)]
+    into = [word for path in configuration for word in ("--into", path)]
+    model, touches, fitted = (folder / n for n in ("m.yaml", "touches.json", "fitted.yaml"))
+
+    def calibrated() -> str:
+        run("new", *new, "-o", model)
+        run("import", "rrf", folder / "heightmap.csv", *configuration, "-o", touches)
+        run("fit", model, touches, "-o", fitted)
+        with contextlib.redirect_stdout(io.StringIO()) as printed:
+            run("export", fitted, "--to", "rrf", *into, "--touches", touches, "--json")
+        return printed.getvalue()
+
+    document = json.loads(timed(machine, "new, import, fit and export", calibrated))
+    heights = document["heights"]
+    machine.samples = heights["touches"]
+    machine.registered, machine.geometry = heights["before"], heights["held_out"]
+    machine.with_effects = np.nan
+    moved = 1e3 * document["movement"]["largest"]
+    machine.notes.append(
+        f"`export`: heights at all touches {1e6 * heights['before']:.1f} -> "
+        f"{1e6 * heights['after']:.1f} um; x and y move by at most {moved:.2f} mm"
+    )
+    given, places = own.read_d300vs(REAL / "d300vs" / "heightmap.csv")
+    unseen = np.empty(len(places))
+    folds = np.random.default_rng(0).permutation(len(places)) % 4
+    for fold in range(4):
+        p = own.fit_printer(given, range(9), places[folds != fold])
+        unseen[folds == fold] = own.printer_heights(p, given, places[folds == fold])
+    machine.own["geometry"] = own.rms(unseen)
+    return machine
+
+
 MACHINES: dict[str, Callable[[Path], Machine]] = {
     "jugglebot": jugglebot,
     "ur5": lambda folder: arm("ur5", "UR5, serial arm and laser tracker", folder),
     "wam": lambda folder: arm("wam", "Barrett WAM, serial arm and laser tracker", folder),
     "hangprinter_hp4": hangprinter,
+    "d300vs": d300vs,
 }
 
 
@@ -306,9 +361,10 @@ scipy, kinematics of its own, nothing of this package). `make real` makes it.
 
 Each set is divided once: three quarters of the poses are for fitting, one quarter is for judging.
 Neither the tool nor the independent fit sees the poses for judging. All errors are rms position
-errors there.
+errors there. For the printer they are heights at touches in four folds, by the firmware's formula.
 
-- **registered**: the makers' dimensions; only the frames of device and target are estimated.
+- **registered**: the makers' dimensions; only the frames of device and target are estimated
+  (printer: the numbers of its file).
 - **geometry**: `fit`.
 - **with effects**: `diagnose` and `add` until the diagnosis names nothing.
 - **independent**: least squares with the same unknowns.
@@ -350,6 +406,8 @@ def _row(machine: Machine) -> list[str]:
 
 
 def _length(machine: Machine, metres: float) -> str:
+    if not np.isfinite(metres):
+        return "-"
     scale, digits = {"mm": (1e3, 2), "um": (1e6, 0)}[machine.unit]
     return f"{scale * metres:.{digits}f} {machine.unit}"
 
@@ -358,11 +416,13 @@ def _section(machine: Machine) -> str:
     effects = ", then ".join(f"`{effect}`" for effect in machine.effects) or "none"
     seconds = ", ".join(f"{name} {value:.0f} s" for name, value in machine.seconds.items())
     said = "\n".join(f"{i}. {note}" for i, note in enumerate(machine.notes, start=1))
+    diagnosed = (
+        f"\n\nWhat `diagnose` said, in order:\n\n{said}" if machine.effects else f"\n\n{said}"
+    )
     return (
         f"## {machine.name.replace('_', '-')}\n\n"
         f"By hand: {machine.hand_work}. Effects added: {effects}. Time on two cores: {seconds} "
-        "(the longest call of each).\n\n"
-        f"What `diagnose` said, in order:\n\n{said}"
+        f"(the longest call of each).{diagnosed}"
     )
 
 

@@ -78,20 +78,23 @@ def is_needed(one: Candidate, among: Sequence[Candidate], scene: Scene, fitted: 
     numbers, _, rank, _ = np.linalg.lstsq(off_geometry, shared.residual)
     left = shared.residual - off_geometry @ numbers
     chi2_per_dof = float(left @ left) / max(shared.dof - int(rank), 1)
+    if shared.observations.noise_assumed:
+        # The noise was estimated from the residuals of the base: it contains what is missing.
+        scale = max(chi2_per_dof, 1e-300)
+        gain = cost(shared, without, scale) - cost(shared, both, scale)
+        return gain > MIN_SEPARATION_SIGMAS**2
     noise = max(chi2_per_dof, 1.0)
     return cost(shared, without) - cost(shared, both) > MIN_SEPARATION_SIGMAS**2 * noise
 
 
-def cost(scene: Scene, B: np.ndarray) -> float:
-    """min over e of |r - B e|^2 + |e|^2: misfit of the residual r (n,) by columns B (n, k) in
-    tolerances, without the part that the geometry absorbs, plus the price of large coefficients e.
-    """
-    B = scene.project_off_geometry(B)
-    along = B.T @ scene.residual
-    return float(
-        scene.residual @ scene.residual
-        - along @ np.linalg.solve(np.eye(B.shape[1]) + B.T @ B, along)
-    )
+def cost(scene: Scene, B: np.ndarray, scale: float = 1.0) -> float:
+    """min over e of |r - B e|^2 / scale + |e|^2: misfit of the residual r (n,) by columns B (n, k)
+    in tolerances, without the part that the geometry absorbs, plus the price of large coefficients
+    e. `scale` is the variance of the noise in units of the scene's."""
+    B = scene.project_off_geometry(B) / np.sqrt(scale)
+    residual = scene.residual / np.sqrt(scale)
+    along = B.T @ residual
+    return float(residual @ residual - along @ np.linalg.solve(np.eye(B.shape[1]) + B.T @ B, along))
 
 
 def _shared_scene(scene: Scene, chosen: Sequence[Candidate]) -> Scene:

@@ -30,8 +30,8 @@ from parallel_cal.identification.acceptance import acceptance
 from parallel_cal.identification.checks import ContradictionError, WrongSignError
 from parallel_cal.identification.estimate import Estimate, NoSolutionError
 from parallel_cal.identification.fit import FitResult
-from parallel_cal.identification.prediction_errors import held_out_ratio
 from parallel_cal.identification.platform_shift import explain_unseparated_device
+from parallel_cal.identification.prediction_errors import held_out_ratio
 from parallel_cal.identification.unusual import describe_by_effect
 from parallel_cal.model.model import Model
 from parallel_cal.model.parameters import Parameter
@@ -423,7 +423,7 @@ def _explains_better(trial: Trial, other: Trial) -> bool:
     """Whether other effects explain the data better: by the error at held-out poses if the number
     of parameters says the same, else by the Bayesian information criterion.
 
-    Many parameters can imitate what a few explain: in-sample they may fit better, and predict worse.
+    Many parameters can imitate what a few explain: in-sample they fit better, and predict worse.
     """
     ratio = ratio_of(trial, other)
     fewer = other.fitted.estimate.dof - trial.fitted.estimate.dof

@@ -234,7 +234,8 @@ def _explain_doubt(scene: Scene, added: list[Candidate], fitted: Model) -> str:
         return robot_or_device(doubtful[0])
     for one in added:
         better = [c for c in device if c.scene is one.scene and is_clearly_better(c, one)]
-        if better and not is_needed(one, better, scene, fitted):
+        others = [c for c in added if c is not one]  # they may hide what this one explains
+        if better and not is_needed(one, [*others, *better], scene, fitted):
             outdone_by = " and ".join(c.name for c in better)
             return (
                 f"{outdone_by} explains the error clearly better than '{one.name}' (see diagnose)"
