@@ -122,15 +122,24 @@ def calibrate(machine: Machine, model: pc.Model, data: pc.Dataset) -> pc.Model:
         machine.notes.append(f"{found.verdict.word}: {found.verdict.summary}")
         if not found.additions:
             break
-        for addition in found.additions:
+        # One by one in the order named; if one of them helps only with the others, together.
+        waiting = list(found.additions)
+        while waiting:
             try:
-                step = timed(machine, "add", lambda a=addition: pc.add(model, a, training))
-            except pc.FitError as error:
-                machine.notes.append(f"`add {addition}` refused: {error}")
-                machine.with_effects = error_of(model)
-                return model
+                step = timed(machine, "add", lambda: pc.add(model, waiting[0], training))
+                taken = waiting[:1]
+            except pc.FitError:
+                together = "+".join(waiting)
+                try:
+                    step = timed(machine, "add", lambda: pc.add(model, together, training))
+                    taken = waiting
+                except pc.FitError as error:
+                    machine.notes.append(f"`add {together}` refused: {error}")
+                    machine.with_effects = error_of(model)
+                    return model
             model = step.model
-            machine.effects.append(str(addition))
+            machine.effects += taken
+            waiting = waiting[len(taken) :]
     machine.with_effects = error_of(model)
     return model
 

@@ -151,7 +151,7 @@ class Search:
                 after,
                 f"its coefficients would be {size:.0f} times their usual size for little gain",
             )
-        return after, ""
+        return after, explain_unseparated_device(before.fitted, after.result)
 
     def is_suspected(self, before: Trial, one: Candidate) -> bool:
         """Whether one more effect is significant but not proven yet, so that more poses would

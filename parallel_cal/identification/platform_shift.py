@@ -10,7 +10,10 @@ import numpy as np
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.predictions import condition_columns
-from parallel_cal.identification.thresholds import CONTRADICTED_SIGMAS, MAX_SHIFT_TO_SHOWN_RATIO
+from parallel_cal.identification.thresholds import (
+    MAX_DEVICE_TOLERANCES,
+    MAX_SHIFT_TO_SHOWN_RATIO,
+)
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.model.mechanism import poses_in_workspace
 
@@ -63,7 +66,7 @@ def explain_unseparated_device(before: FitResult, after: FitResult) -> str:
             effect
             for name, found in after.parameters().items()
             if (effect := name.partition(".")[0]) in device
-            and abs(found.moved_tolerances) > CONTRADICTED_SIGMAS
+            and abs(found.moved_tolerances) > MAX_DEVICE_TOLERANCES
         }
     )
     if not large:

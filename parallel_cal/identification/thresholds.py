@@ -103,7 +103,8 @@ MIN_FRAME_COLUMN_REMAINDER = (
 CONTRADICTED_SIGMAS = 3.0  # of the prior: the data moved an effect further, so the prior yields
 LOOSENING = 3.0  # times the usual size, at once
 MAX_LOOSENINGS = 8  # of a prior that the data contradict: up to 6,561 times the usual size
-# Movement of the robot by an effect of the device whose prior the data contradict, in units of the
-# error that it removes. What a robot had learned from its device moves it about two to four times
-# as far (refraction 1.8, leaning axes 3); where the two are not separated it was 75 times.
+# An effect of the device beyond so many of its tolerances is separated from the robot by the data
+# alone. It is refused if it moves the robot further than so many times the error that it removes:
+# refraction and leaning axes made the ratio 1.8 to 3, a scale that a yielding stand imitated 75.
+MAX_DEVICE_TOLERANCES = 5.0
 MAX_SHIFT_TO_SHOWN_RATIO = 10.0

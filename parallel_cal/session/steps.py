@@ -233,6 +233,8 @@ def _explain_doubt(scene: Scene, added: list[Candidate], fitted: Model) -> str:
     if doubtful := find_doubtful_effects(scene, added, device, fitted):
         return robot_or_device(doubtful[0])
     for one in added:
+        if one.effect.of_device:
+            continue
         better = [c for c in device if c.scene is one.scene and is_clearly_better(c, one)]
         others = [c for c in added if c is not one]  # they may hide what this one explains
         if better and not is_needed(one, [*others, *better], scene, fitted):
