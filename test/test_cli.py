@@ -161,6 +161,7 @@ def test_help_names_the_commands_that_exist_and_no_other():
         "add",
         "remove",
         "diagnose",
+        "discover",
         "report",
         "export",
         "export-residuals",
