@@ -27,7 +27,7 @@ from parallel_cal.cli import main as cli
 
 ROOT = Path(__file__).parents[1]
 TUTORIAL = (ROOT / "docs" / "judge_your_calibration.md").read_text(encoding="utf-8")
-TABLE = ROOT.parent / "shared/data/hangprinter_hp4/hp4_2021-12-14.csv"
+TABLE = ROOT / "real/hangprinter_hp4/hp4_2021-12-14.csv"
 VERDICTS = ("at_noise", "explained", "partly_explained", "unexplained", "cannot_know")
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
@@ -57,11 +57,6 @@ def cases():
         yield pytest.param(command, lines, id=command, marks=marks)
 
 
-def measured_elsewhere(command):
-    """Whether a command needs the cable robot's table, which is not in the repository."""
-    return "hp4" in command
-
-
 def like(seen, printed):
     """Whether a line is another one but for spaces and the last digits of its numbers."""
     if NUMBER.sub("#", seen).split() != NUMBER.sub("#", printed).split():
@@ -76,8 +71,7 @@ def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("tutorial")
     for name in ("bags", "config"):
         (path / name).symlink_to(ROOT / name)
-    if TABLE.exists():
-        shutil.copy(TABLE, path)
+    shutil.copy(TABLE, path)
     for text in quoted("python"):
         file = path / re.match(r"# (\S+\.py)\n", text)[1]
         file.parent.mkdir()
@@ -116,8 +110,6 @@ def execute(words, folder):
 @pytest.mark.wide
 @pytest.mark.parametrize(("command", "lines"), list(cases()))
 def test_the_tutorial_shows_what_the_command_prints(run, command, lines):
-    if measured_elsewhere(command) and not TABLE.exists():
-        pytest.skip(f"needs {TABLE}, which is not in every clone")
     code, printed = run(command)
     refused = any(line.startswith("error:") for line in lines)
     assert code == (1 if refused else 0), "\n".join(printed)

@@ -12,7 +12,7 @@ import pytest
 import virtual_firmware as vf
 import virtual_printer as vp
 from scipy.optimize import least_squares
-from test_export_heights import SHARED, points_of, rms_height
+from test_export_heights import D300VS, points_of, rms_height
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.exporting.export import export_into
@@ -225,18 +225,17 @@ def test_an_unmeasured_move_of_x_and_y_is_refused_without_force(tmp_path, monkey
 
 
 @pytest.mark.wide
-@pytest.mark.skipif(not SHARED.is_dir(), reason="the real printer's data (../shared) is not here")
 def test_a_real_printer_gets_what_nine_factors_reach_at_held_out_touches(tmp_path):
     """Before this fit, the export moved x and y of this printer by 2.7 mm."""
     files = [tmp_path / name for name in ("config.g", "config-override.g")]
     for file in files:
-        file.write_bytes((SHARED / file.name).read_bytes())
-    dataset = samples("rrf", [SHARED / "heightmap.csv", *files])
+        file.write_bytes((D300VS / file.name).read_bytes())
+    dataset = samples("rrf", [D300VS / "heightmap.csv", *files])
     model = fit(configured(files).model, dataset, hold_out=0).model
     done = export_into(model, "rrf", files, touches_in(dataset, model.joints))
     old = np.array([205.906, 375, 375, 375, 209.664, 329.501, 90, 0, 0, 0, 0, 0])
     old[7:10] = 439.590 + np.array([0.304, -1.064, 0.761])
-    points = map_points(SHARED / "heightmap.csv", -0.461)
+    points = map_points(D300VS / "heightmap.csv", -0.461)
     assert done.heights.before == pytest.approx(54.0e-6, abs=0.1e-6)
     assert done.heights.after < 44.5e-6
     assert done.heights.held_out < 1.05 * rms_at_held_out(old, points, -0.461)

@@ -24,7 +24,7 @@ from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
 
-SHARED = Path(__file__).parents[2] / "shared/data/d300vs"
+D300VS = Path(__file__).parents[1] / "real/d300vs"
 TRIGGER = 0.1  # mm, G31 Z of the virtual printer
 KLIPPER = "[printer]\nkinematics: delta\ndelta_radius: 100\n" + "".join(
     f"[stepper_{tower}]\nposition_endstop: 300\narm_length: 250\nangle: {angle}\n"
@@ -393,14 +393,13 @@ def test_a_setups_probe_takes_the_noise_that_somebody_states(tmp_path, capsys):
 
 
 @pytest.mark.wide
-@pytest.mark.skipif(not SHARED.is_dir(), reason=f"needs {SHARED}, which is not in every clone")
 def test_a_real_printers_bed_gets_as_good_as_its_firmware_can(tmp_path):
     """54.0 um as it was; nine factors of the firmware, fitted by somebody else, reach 43.7 um."""
     names = ("config.g", "config-override.g")
     for name in names:
-        (tmp_path / name).write_text((SHARED / name).read_text())
+        (tmp_path / name).write_text((D300VS / name).read_text())
     files = [tmp_path / name for name in names]
-    dataset = samples("rrf", [SHARED / "heightmap.csv", *files])
+    dataset = samples("rrf", [D300VS / "heightmap.csv", *files])
     model = fit(configured(files).model, dataset, hold_out=0).model
     done = export_into(model, "rrf", files, touches_in(dataset, model.joints))
     assert done.heights.touches == 137

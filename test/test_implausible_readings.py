@@ -37,7 +37,7 @@ from parallel_cal.session.goals import Request, examine, propose_model
 from parallel_cal.session.steps import add
 from parallel_cal.virtual import robot as vr
 
-JUGGLEBOT = Path(__file__).parents[2] / "shared" / "data" / "jugglebot" / "poses_108.csv"
+JUGGLEBOT = Path(__file__).parents[1] / "real" / "jugglebot" / "poses_108.csv"
 NOISE = Noise(joint=1e-5, position=1e-5, orientation=1e-4)
 
 
@@ -323,9 +323,6 @@ def jugglebot():
     return replace(new_model(mechanism), noise=Noise(1e-3, 1e-3, 1e-3, assumed=True))
 
 
-@pytest.mark.skipif(
-    not JUGGLEBOT.exists(), reason=f"needs {JUGGLEBOT}, which is not in every clone"
-)
 def test_motor_revolutions_of_a_real_hexapod_are_refused_and_what_the_message_says_cures_it(
     tmp_path,
 ):

@@ -706,10 +706,9 @@ def test_an_argos_without_size_is_refused(radius):
         load_mechanism("argos27", radius=radius)
 
 
-HP4 = Path(__file__).parents[2] / "shared/data/hangprinter_hp4/hp4_2021-12-14.csv"
+HP4 = Path(__file__).parents[1] / "real/hangprinter_hp4/hp4_2021-12-14.csv"
 
 
-@pytest.mark.skipif(not HP4.exists(), reason=f"needs {HP4}, which is not in every clone")
 def test_measured_cable_robot_is_fitted_to_the_known_error():
     """Anchors, offsets and two radii fitted to 37 poses leave 1.557 mm a line."""
     table = np.loadtxt(HP4, delimiter=",", skiprows=1)

@@ -21,15 +21,11 @@ from parallel_cal.model.model import Noise
 from parallel_cal.recordings.loading import load_dataset
 
 ROOT = Path(__file__).parents[1]
-TABLE = ROOT.parent / "shared/data/hangprinter_hp4/hp4_2021-12-14.csv"
+TABLE = ROOT / "real/hangprinter_hp4/hp4_2021-12-14.csv"
 MODEL = ROOT / "config/hangprinter_hp4.yaml"
 COLUMNS = ROOT / "config/columns/hangprinter_hp4.yaml"
 EACH_POSE = 1e-3  # share left out: as many folds as poses
 BUILDUP = "spool_buildup.Q"
-
-pytestmark = pytest.mark.skipif(
-    not TABLE.exists(), reason=f"needs {TABLE}, which is not in every clone"
-)
 
 
 def run(*arguments):

@@ -19,9 +19,6 @@ from parallel_cal.model.model import new_model
 from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.session.steps import add
 
-pytestmark = pytest.mark.skipif(
-    not JUGGLEBOT.exists(), reason=f"needs {JUGGLEBOT}, which is not in every clone"
-)
 STATED_MM = (75.69, 71.20, 72.34, 70.80, 70.62, 71.26)
 SEPARATE_FIT_MM = (71.09, 71.05, 71.72, 71.19, 71.03, 70.84)
 

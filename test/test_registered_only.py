@@ -19,7 +19,7 @@ from parallel_cal.reporting.contents import HeldOutErrors
 from parallel_cal.reporting.text import show
 from parallel_cal.session.steps import fitted
 
-LASER_ARMS = Path(__file__).parents[2] / "shared" / "data" / "laser_arms"
+LASER_ARMS = Path(__file__).parents[1] / "real" / "laser_arms"
 WIDE_TOLERANCES = {"m": 0.03, "rad": 0.1}
 REFLECTOR = va.Tracker(target=(0.0, 0.0, 0.053))
 
@@ -126,13 +126,10 @@ def test_a_target_that_an_effect_states_is_not_registered():
 
 
 def laser_arm(kind: str) -> Dataset:
-    file = LASER_ARMS / f"{kind.upper()}_grid.csv"
-    if not file.exists():
-        pytest.skip(f"the recordings of two laser-tracked arms are not here: {file}")
-    table = np.genfromtxt(file, delimiter=",", names=True)
+    table = np.genfromtxt(LASER_ARMS / f"{kind}.csv", delimiter=",", names=True)
     joints = [name for name in table.dtype.names if name.startswith("joint_")]
     q = np.radians(np.stack([table[name] for name in joints], axis=1))
-    r = 1e-3 * np.stack([table[f"{a}_t"] + table[f"{a}_dif"] for a in "xyz"], axis=1)
+    r = 1e-3 * np.stack([table[f"{a}_mm"] for a in "xyz"], axis=1)
     return Dataset.from_arrays([f"joint{i + 1}" for i in range(len(joints))], q, r)
 
 

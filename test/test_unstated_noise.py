@@ -31,7 +31,7 @@ from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.virtual import robot as vr
 
 ROOT = Path(__file__).parents[1]
-DATA = ROOT.parent / "shared/data"
+DATA = ROOT / "real"
 ESTIMATED = "estimated from the residuals"
 TRUE_NOISE = vr.Noise(joint=20e-6, position=6e-6, orientation=50e-6)
 
@@ -265,15 +265,13 @@ def test_noise_of_a_joint_that_does_not_exist_is_an_error_with_file_and_line():
 
 
 def laser_arm(kind):
-    """A measured grid of a real arm, as shared/data/laser_arms describes it."""
-    path = DATA / f"laser_arms/{kind.upper()}_grid.csv"
-    if not path.exists():
-        pytest.skip(f"needs {path}, which is not in every clone")
-    rows = list(csv.DictReader(path.open()))
+    """A measured grid of a real arm, as real/laser_arms describes it."""
+    path = DATA / f"laser_arms/{kind}.csv"
+    table = np.genfromtxt(path, delimiter=",", names=True)
     joints = [f"joint{i + 1}" for i in range(len(va.HOME[kind]))]
-    q = [[float(row[f"joint_{i + 1}"]) for i in range(len(joints))] for row in rows]
-    r = [[float(row[f"{c}_t"]) + float(row[f"{c}_dif"]) for c in "xyz"] for row in rows]
-    return Dataset.from_arrays(joints, np.radians(q), 1e-3 * np.array(r), source=path.name)
+    q = np.stack([table[f"joint_{i + 1}"] for i in range(len(joints))], axis=1)
+    r = np.stack([table[f"{c}_mm"] for c in "xyz"], axis=1)
+    return Dataset.from_arrays(joints, np.radians(q), 1e-3 * r, source=path.name)
 
 
 def mean_held_out_error(result):
@@ -295,10 +293,8 @@ def test_a_real_arm_without_stated_noise_is_as_good_as_with_good_figures(kind, g
 
 
 def jugglebot():
-    """The real hexapod of shared/data/jugglebot: its nominal model and its 108 poses."""
+    """The real hexapod of real/jugglebot: its nominal model and its 108 poses."""
     path = DATA / "jugglebot/poses_108.csv"
-    if not path.exists():
-        pytest.skip(f"needs {path}, which is not in every clone")
     rows = list(csv.DictReader(path.open()))
 
     def columns(*names):

@@ -19,7 +19,7 @@ from parallel_cal.virtual.robot import NOMINAL, axis_rotation, turn
 from parallel_cal.virtual.robot import Delta as RodDelta
 
 DEGREE = np.pi / 180
-HP4 = Path(__file__).parents[2] / "shared/data/hangprinter_hp4/hp4_2021-12-14.csv"
+HP4 = Path(__file__).parents[1] / "real/hangprinter_hp4/hp4_2021-12-14.csv"
 
 
 def circle(radius, degrees):
@@ -436,7 +436,6 @@ def test_a_slack_line_is_noticed():
         robot.forward(q + [0, 0, 0, 1.0])
 
 
-@pytest.mark.skipif(not HP4.exists(), reason=f"needs {HP4}, which is not in every clone")
 def test_the_measured_cable_robot_behaves_so_with_its_makers_numbers():
     data = np.genfromtxt(HP4, delimiter=",", names=True)
     r = np.stack([data[f"{c}_mm"] for c in "xyz"], -1) / 1000
