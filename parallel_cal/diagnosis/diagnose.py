@@ -304,6 +304,7 @@ def _diagnose_trusted(
     best, against = _search_effects(search, catalogue)
     if _is_outdone_by_wrong_sign(search, best, ranked):
         best = base  # what was found only imitates it
+    best = search.order_for_adding(best)
 
     swaps = search.swaps(best, rivals_of(best, ranked))
     residual_field = Field.of(best.scene)

@@ -285,6 +285,24 @@ class Search:
                 trial = after
         return trial
 
+    def order_for_adding(self, trial: Trial) -> Trial:
+        """Order the effects so that each of them lowers the error at held-out poses when it is
+        added after those before it, as far as there is such an order.
+
+        The search may have exchanged effects that the later ones needed.
+        """
+        before, left, ordered = self.fit(), list(trial.chosen), list[Chosen]()
+        while len(left) > 1:
+            steps = ((one, self.fit(*ordered, one)) for one in left)
+            step = next((s for s in steps if not _describe_objection_to_step(before, s[1])), None)
+            if step is None:
+                break
+            one, before = step
+            left.remove(one)
+            ordered.append(one)
+        chosen = (*ordered, *left)
+        return trial if chosen == trial.chosen else self.fit(*chosen)
+
     def exchange_rivals(self, trial: Trial, rivals: Rivals) -> Trial:
         """Exchange one effect for a rival that explains clearly more; the same trial if there is
         none."""
@@ -439,6 +457,12 @@ def ratio_of(before: Trial, after: Trial) -> float | None:
     if before.result is None or after.result is None:
         return None
     return held_out_ratio(before.result.held_out.summary, after.result.held_out.summary)
+
+
+def _describe_objection_to_step(before: Trial, after: Trial) -> str:
+    if after.result is None:
+        return after.reason
+    return _describe_held_out_objection(before, after)
 
 
 def _is_superfluous_effect(without: Trial, trial: Trial) -> bool:
