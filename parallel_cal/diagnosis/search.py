@@ -460,8 +460,11 @@ def ratio_of(before: Trial, after: Trial) -> float | None:
 
 
 def _describe_objection_to_step(before: Trial, after: Trial) -> str:
+    """Objection of `add`; empty if there is none."""
     if after.result is None:
         return after.reason
+    if _is_superfluous_effect(before, after):
+        return "the improvement may be chance"
     return _describe_held_out_objection(before, after)
 
 
