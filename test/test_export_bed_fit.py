@@ -165,7 +165,7 @@ def test_a_printed_length_sets_the_scale_without_fixed_parameters(tmp_path, seed
     done = export_into(model, "rrf", files, touches_in(dataset, model.joints))
     assert done.movement.measured
     assert done.heights.after < 8e-6
-    assert length(vf.Duet(files[0].read_text())) == pytest.approx(80.0, abs=0.06)
+    assert length(vf.Duet(files[0].read_text())) == pytest.approx(80.0, abs=0.1)
 
 
 @pytest.mark.wide

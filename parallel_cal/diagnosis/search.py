@@ -21,6 +21,7 @@ from parallel_cal.diagnosis.thresholds import (
     MAX_LINEAR_OVERSIZE,
     MAX_SWAP_ERROR_RATIO,
     MAX_UNUSUAL_ERROR_RATIO,
+    MAX_UNUSUAL_START_RATIO,
     MIN_CHI2_FALL,
     MIN_LOG_EVIDENCE_GAIN,
     MIN_SEPARATION_SIGMAS,
@@ -314,8 +315,17 @@ class Search:
         return min(clear, key=lambda other: other.fitted.estimate.chi2_per_dof, default=trial)
 
     def alternatives(self, trial: Trial, rivals: Rivals) -> list[Trial]:
-        """The same set with one effect exchanged for a rival, wherever it can be fitted."""
-        return [other for *_, other in self._iterate_swaps(trial, rivals) if other.result]
+        """The same set with one effect exchanged for a rival, wherever it can be fitted.
+
+        A rival that is larger than usual must predict about as well: refits of such sizes are slow.
+        """
+        found = [other for *_, other in self._iterate_swaps(trial, rivals) if other.result]
+        return [
+            other
+            for other in found
+            if not any(one.unusual for one in other.chosen)
+            or (ratio_of(trial, other) or np.inf) <= MAX_UNUSUAL_START_RATIO
+        ]
 
     def swaps(self, trial: Trial, rivals: Rivals) -> dict[str, list[str]]:
         """For each chosen effect, the rivals that explain the data as well in its place."""

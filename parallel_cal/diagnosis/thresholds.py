@@ -56,6 +56,7 @@ MIN_SLOW_CORRELATION = (
 # of the validation error: an effect larger than usual must lower it by a tenth, because large
 # enough numbers of a flexible effect follow anything a little
 MAX_UNUSUAL_ERROR_RATIO = 0.9
+MAX_UNUSUAL_START_RATIO = 1.2  # of the validation error: a search that begins there may end better
 # of the usual range: a pair of effects that a linear step takes further beyond it is not refitted
 MAX_LINEAR_OVERSIZE = 0.5
 # of chi2: an effect that its prior holds, and that lowers chi2 by less, explains nothing

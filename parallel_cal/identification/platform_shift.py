@@ -16,6 +16,7 @@ from parallel_cal.identification.thresholds import (
 )
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.model.mechanism import poses_in_workspace
+from parallel_cal.model.model import Model
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,18 @@ def compute_platform_shift(before: FitResult, after: FitResult) -> PlatformShift
     return PlatformShift(measured or 0.0, workspace, shown)
 
 
+def find_large_device_effects(model: Model) -> list[str]:
+    """Names of the effects of the device with a parameter far beyond its tolerance: such a prior no
+    longer separates the device from the robot."""
+    away = (
+        np.abs(model.values - model.table.nominal) > MAX_DEVICE_TOLERANCES * model.table.tolerance
+    )
+    large = {
+        name.partition(".")[0] for name, far in zip(model.table.names, away, strict=True) if far
+    }
+    return sorted(large & {effect.name for effect in model.effects if effect.of_device})
+
+
 def explain_unseparated_device(before: FitResult, after: FitResult) -> str:
     """Explain that effects of the device move the robot much further than the errors show; empty
     if they do not.
@@ -60,15 +73,7 @@ def explain_unseparated_device(before: FitResult, after: FitResult) -> str:
     data contradict it, only the data separate them, and some directions they cannot: a device
     whose scale is wrong shows the same poses as a robot of another size.
     """
-    device = {effect.name for effect in after.model.effects if effect.of_device}
-    large = sorted(
-        {
-            effect
-            for name, found in after.parameters().items()
-            if (effect := name.partition(".")[0]) in device
-            and abs(found.moved_tolerances) > MAX_DEVICE_TOLERANCES
-        }
-    )
+    large = find_large_device_effects(after.model)
     if not large:
         return ""
     shift = compute_platform_shift(before, after)

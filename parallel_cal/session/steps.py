@@ -27,6 +27,7 @@ from parallel_cal.identification.platform_shift import (
     PlatformShift,
     compute_platform_shift,
     explain_unseparated_device,
+    find_large_device_effects,
 )
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.identification.stations import without_stations
@@ -232,8 +233,10 @@ def _explain_doubt(scene: Scene, added: list[Candidate], fitted: Model) -> str:
     device = [candidate(scene, name) for name in device_effects]
     if doubtful := find_doubtful_effects(scene, added, device, fitted):
         return robot_or_device(doubtful[0])
+    large = find_large_device_effects(fitted)
     for one in added:
-        if one.effect.of_device:
+        # An error of the device of usual size is none that the robot would learn.
+        if one.effect.of_device and one.name not in large:
             continue
         better = [c for c in device if c.scene is one.scene and is_clearly_better(c, one)]
         others = [c for c in added if c is not one]  # they may hide what this one explains
