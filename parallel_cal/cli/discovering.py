@@ -45,6 +45,8 @@ def discover(
     from parallel_cal.reporting import text
 
     console.say(text.show(found))
+    if output is not None and not files:
+        console.say(f"nothing was written to {output}: no law was proven to be the robot's")
     for file in files:
         command = f"PYTHONPATH={file.parent} parallel-cal add {model} {file.stem} RECORDING"
         console.say(f"written: {file}; next: {command}")

@@ -9,6 +9,7 @@ import numpy as np
 from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.thresholds import MIN_POSES_BEYOND_REGION, POOL
 from parallel_cal.identification.fit import FitResult
+from parallel_cal.identification.predictions import predict_positions
 from parallel_cal.model.region import REGION_MARGIN
 from parallel_cal.planning.expectation import prediction_blocks
 from parallel_cal.planning.posepool import make_pool
@@ -29,8 +30,10 @@ class Region:
         """None if the whole workspace was measured, or the robot does not control positions."""
         model, axes = result.model, [k for k in result.model.mechanism.controlled if k < 3]
         covariance, n = model.covariance, len(model.joints)
-        seen = result.observations.x[:, n : n + 3]
+        # In {B}: a device may measure in a frame of its own.
+        seen = predict_positions(model, result.observations)
         shown = result.observations.measured[:, [n + k for k in axes]].all(axis=1)
+        shown &= np.isfinite(seen).all(axis=1)
         if not axes or covariance is None or not shown.any():
             return None
         low, high = seen[shown].min(axis=0), seen[shown].max(axis=0)

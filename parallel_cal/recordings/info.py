@@ -90,7 +90,7 @@ def info_of(dataset: Dataset) -> dict[str, Any]:
         "frame": dataset.frame,
         "topics": [],
         "channels": {},
-        "joints": _joint_ranges(dataset.joint_names, dataset.q),
+        "joints": _joint_ranges(dataset.joint_names, dataset.q, dataset.joint_units),
         "measured": _coordinates(dataset.measured),
         **_dataset_part(dataset),
     }
@@ -125,9 +125,16 @@ def _coordinates(measured: np.ndarray) -> list[str]:
     return np.array(COORDINATES)[measured.any(axis=0)].tolist()
 
 
-def _joint_ranges(names: Sequence[str], q: np.ndarray) -> dict[str, dict[str, float]]:
-    """Return the smallest and largest reading of each joint, in rad or m."""
-    return {name: _range(readings) for name, readings in zip(names, q.T, strict=True)}
+def _joint_ranges(
+    names: Sequence[str], q: np.ndarray, units: Sequence[str] | None = None
+) -> dict[str, dict[str, Any]]:
+    """Return the smallest and largest reading of each joint, in rad or m, and the unit if known."""
+    ranges: dict[str, dict[str, Any]] = {
+        name: dict(_range(readings)) for name, readings in zip(names, q.T, strict=True)
+    }
+    for name, unit in zip(names, units or (), strict=False):
+        ranges[name]["unit"] = unit
+    return ranges
 
 
 def _range(values: np.ndarray) -> dict[str, float]:

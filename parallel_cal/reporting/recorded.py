@@ -51,14 +51,17 @@ def _topic_table(document: dict[str, Any]) -> Any:
 
 
 def _joint_table(document: dict[str, Any]) -> Any:
-    """Make the table of joints and their ranges, also in degrees: a joint's type is unknown."""
+    """Make the table of joints and their ranges, also in degrees unless a joint is prismatic. A
+    topic does not tell the type of a joint; a column map does."""
     from rich.table import Table
 
-    table = Table("joint", "from", "to", "(if revolute)", box=None, pad_edge=False)
+    known = all("unit" in span for span in document["joints"].values())
+    angles = "in degrees" if known else "(if revolute)"
+    table = Table("joint", "from", "to", angles, box=None, pad_edge=False)
     for name, span in document["joints"].items():
-        low, high = span["min"], span["max"]
-        degrees = f"{np.degrees(low):.2f} to {np.degrees(high):.2f} deg"
-        table.add_row(name, f"{low:.4f} rad|m", f"{high:.4f} rad|m", degrees)
+        low, high, unit = span["min"], span["max"], span.get("unit", "rad|m")
+        degrees = "" if unit == "m" else f"{np.degrees(low):.2f} to {np.degrees(high):.2f} deg"
+        table.add_row(name, f"{low:.4f} {unit}", f"{high:.4f} {unit}", degrees)
     return table
 
 
