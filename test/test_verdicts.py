@@ -10,6 +10,7 @@ import virtual_findings as vf
 from datasets import JOINTS, measured
 from findings import dataset, sized
 
+from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.field import Field
@@ -62,6 +63,17 @@ def test_a_small_cube_says_how_far_off_the_rest_of_the_workspace_may_be():
     assert region.beyond > 2 * region.inside
     assert region.description.startswith(" inside x -")
     assert Region.of(fit(MODEL, within(0.12, 0), hold_out=0)) is None
+
+
+def test_the_region_is_stated_in_the_robots_base_wherever_the_device_stands():
+    """The same samples in the frame of a tracker that stands two metres away and is turned."""
+    near = within(0.06, 0)
+    turned = rotation_matrix(np.array([0.0, 0.0, 1.2]))
+    far = replace(near, r=near.r @ turned.T + [2.0, -1.0, 0.5], R=turned @ near.R, frame="tracker")
+    here, there = (Region.of(fit(MODEL, data, hold_out=0)) for data in (near, far))
+    np.testing.assert_allclose(there.low, here.low, atol=5e-3)
+    np.testing.assert_allclose(there.high, here.high, atol=5e-3)
+    assert there.beyond == pytest.approx(here.beyond, rel=0.5)
 
 
 @pytest.mark.wide

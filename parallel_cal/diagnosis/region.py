@@ -10,6 +10,8 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.thresholds import MIN_POSES_BEYOND_REGION, POOL
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.predictions import predict_positions
+from parallel_cal.identification.registration import SENSOR
+from parallel_cal.model.model import Model
 from parallel_cal.model.region import REGION_MARGIN
 from parallel_cal.planning.expectation import prediction_blocks
 from parallel_cal.planning.posepool import make_pool
@@ -29,24 +31,26 @@ class Region:
     def of(cls, result: FitResult) -> Region | None:
         """None if the whole workspace was measured, or the robot does not control positions."""
         model, axes = result.model, [k for k in result.model.mechanism.controlled if k < 3]
-        covariance, n = model.covariance, len(model.joints)
+        n = len(model.joints)
         # In {B}: a device may measure in a frame of its own.
         seen = predict_positions(model, result.observations)
         shown = result.observations.measured[:, [n + k for k in axes]].all(axis=1)
         shown &= np.isfinite(seen).all(axis=1)
-        if not axes or covariance is None or not shown.any():
+        if not axes or model.covariance is None or not shown.any():
             return None
+        robot, own = _without_device_frame(model)
+        free, covariance = result.free[own], model.covariance[np.ix_(own, own)]
         low, high = seen[shown].min(axis=0), seen[shown].max(axis=0)
         try:
-            pool = make_pool(model, POOL, np.random.default_rng(0), symmetric=False)
+            pool = make_pool(robot, POOL, np.random.default_rng(0), symmetric=False)
         except FitError:
             return None
         away = np.abs(pool.poses.position - (low + high) / 2)[:, axes]
         outside = (away > (0.5 + REGION_MARGIN) * (high - low)[axes]).any(axis=1)
         if outside.sum() < MIN_POSES_BEYOND_REGION:
             return None
-        G = prediction_blocks(model, result.free, np.ones(n + 6, bool), pool)[:, :3]
-        variance = np.einsum("nij,jk,nik->n", G, covariance[np.ix_(result.free, result.free)], G)
+        G = prediction_blocks(robot, free, np.ones(n + 6, bool), pool)[:, :3]
+        variance = np.einsum("nij,jk,nik->n", G, covariance[np.ix_(free, free)], G)
         inner, outer = (
             float(np.sqrt(np.mean(v))) if len(v) else 0.0
             for v in (variance[~outside], variance[outside])
@@ -64,3 +68,12 @@ class Region:
             f" inside {box} mm; the model uncertainty is {1e6 * self.inside:.0f} um inside and "
             f"{1e6 * self.beyond:.0f} um in the rest of the workspace"
         )
+
+
+def _without_device_frame(model: Model) -> tuple[Model, np.ndarray]:
+    """The model as it moves in {B}, wherever the device stands, and the indices of its parameters
+    in those of the given model."""
+    sensors = tuple(sensor for sensor in model.sensors if sensor.name != SENSOR)
+    robot = model.with_sensors(sensors)
+    own = np.array([model.table.index_of(name) for name in robot.table.names])
+    return robot.with_values(model.values[own]), own

@@ -67,8 +67,8 @@ def _joint_table(document: dict[str, Any]) -> Any:
 
 def _sample_sentence(document: dict[str, Any]) -> str:
     again = document["replicates"]
-    frame = document["frame"] or "no frame_id"
-    pose = f"{' '.join(document['measured'])} in frame {frame}" if document["measured"] else ""
+    frame = f"frame {document['frame']}" if document["frame"] else "a frame without a name"
+    pose = f"{' '.join(document['measured'])} in {frame}" if document["measured"] else ""
     read = ", ".join(f"{name} ({count})" for name, count in document["readings"].items())
     return (
         f"{document['samples']} samples ({document['mode'] or 'none'}) of {document['poses']} "
