@@ -460,17 +460,22 @@ def test_poses_outside_the_identified_region_are_counted(robot):
 def test_a_joint_state_without_a_joint_is_counted_and_told(robot):
     publisher = robot.client._node.create_publisher(JointState, "joint_states", 10)
     robot.client.wait(lambda: publisher.get_subscription_count() > 0, "the node")
-    message = JointState(name=NAMES[:2], position=[0.5, 0.5])
+    incomplete = JointState(name=NAMES[:2], position=[0.5, 0.5])
+    complete = JointState(name=[*NAMES], position=[0.5, 0.5, 0.5])
+    for _ in range(3):
+        robot.fk([0.5] * 3)
 
     def told(status):
-        publisher.publish(message)
-        reasons = {v.key: v.value for v in status.values}
-        return "joint3" in reasons.get("joint_states refused: last reason", "")
+        publisher.publish(incomplete)
+        publisher.publish(complete)
+        values = {v.key: v.value for v in status.values}
+        return "joint3" in values.get("joint_states refused: last reason", "") and int(
+            values.get("joint_states received", 0)
+        ) > int(values.get("joint_states refused", 0))
 
     counts = robot.wait_for_diagnosis("traffic", told)
     assert int(counts["joint_states refused"]) >= 1
-    assert int(counts["joint_states received"]) > int(counts["joint_states refused"])
-    assert int(counts["compute_fk answered"]) > 50
+    assert int(counts["compute_fk answered"]) >= 3
 
 
 def told_of(robot, publisher, message, reason):

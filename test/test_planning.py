@@ -10,6 +10,7 @@ import virtual_day as vd
 from datasets import as_dataset
 
 from parallel_cal.base.errors import FitError
+from parallel_cal.base.rotation import matrix_to_quaternion, rotation_matrix
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.cli import main as cli
 from parallel_cal.identification.methods.implicit import estimate
@@ -17,6 +18,7 @@ from parallel_cal.identification.observations import observe
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.singularity import distances
 from parallel_cal.model.model import Noise, new_model
+from parallel_cal.model.shelf import load_sensor
 from parallel_cal.model.words import describe, direction_in_words
 from parallel_cal.planning.indices import indices, prediction_rms
 from parallel_cal.planning.plan import plan
@@ -35,6 +37,24 @@ def noisy(name="delta54", noise=FULL, **options):
 @pytest.fixture(scope="module")
 def sixteen():
     return plan(noisy(), 16)
+
+
+def test_a_plan_expects_the_same_errors_wherever_the_device_stands():
+    """The device shows its target in its own frame; the robot is the same."""
+    model = noisy()
+    turned = tuple(matrix_to_quaternion(rotation_matrix(np.array([0.1, -0.2, 1.2]))))
+    frame = load_sensor(
+        "device_frame",
+        position=(2.0, -1.0, 0.5),
+        quaternion=turned,
+        target_position=(0.01, 0.0, 0.05),
+    )
+    far = model.with_sensors((frame,))
+    fixed = far.fixed | far.table.matching(["device_frame.*"])
+    here, there = plan(model, 16), plan(replace(far, fixed=fixed), 16)
+    for kind in ("position_rms", "orientation_rms"):
+        expected = getattr(here.expected, kind)
+        assert getattr(there.expected, kind) == pytest.approx(expected, rel=0.1)
 
 
 # ------------------------------------------------------------------- indices

@@ -274,7 +274,7 @@ class DevicePoses:
             tilts,
             any(effect.name == TARGET_EFFECT for effect in model.effects),
             len(np.unique(observations.group[placed | turned])),
-            _frames_of(model),
+            frames_of(model),
             np.array([sizes[0], m.length * sizes[1]]),
         )
 
@@ -487,7 +487,7 @@ def _with_fitted_frames(
     except FitError:
         return placed
     fitted = placed.with_values(values, placed.covariance)
-    return _with_frames(fitted, _frames_of(fitted))
+    return _with_frames(fitted, frames_of(fitted))
 
 
 def is_identified(model: Model) -> bool:
@@ -523,7 +523,7 @@ def _fit_frames(model: Model, observations: Observations, options: FitOptions) -
     # Frames and robot are redundant. With every tolerance as a prior the solution is unique; with
     # priors on the weak directions only, the choice of these may change from step to step for ever.
     found = implicit.estimate(model, observations, free, prior=True)
-    model = _with_frames(model, _frames_of(model.with_values(found.values)))
+    model = _with_frames(model, frames_of(model.with_values(found.values)))
     robot = np.where(own, 0.0, found.values)
     linearise = Linearisation(model, observations, free, weighted=True)
     # Linearise at poses that satisfy the closure: at others, the columns of equal motions differ.
@@ -541,7 +541,7 @@ def _fit_frames(model: Model, observations: Observations, options: FitOptions) -
     return replace(model, fixed=fixed)
 
 
-def _frames_of(model: Model) -> Frames:
+def frames_of(model: Model) -> Frames:
     """The frames of a model's sensor, or those of the base and the platform without one."""
     device = _device(model)
     if device is None:

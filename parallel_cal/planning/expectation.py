@@ -10,7 +10,9 @@ from parallel_cal.identification.estimate import EstimationProblem
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observability import Spectrum, spectrum
 from parallel_cal.identification.observations import Observations
+from parallel_cal.identification.registration import frames_of
 from parallel_cal.kinematics.kinematics import Solutions
+from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.model.words import direction_in_words
 from parallel_cal.planning.indices import Indices, indices, prediction_rms
@@ -124,8 +126,13 @@ def prediction_blocks(
 def as_observations(
     model: Model, measured: np.ndarray, poses: Solutions, a: np.ndarray
 ) -> Observations:
-    """Make observations of poses without measurement errors, weighted by the model's noise."""
-    n, noise, x = len(model.joints), model.noise, poses.configuration.rows
+    """Make observations of poses without measurement errors, weighted by the model's noise.
+
+    The poses are those of {P} in {B}; the observations are of the target in the device's frame.
+    """
+    n, noise, at = len(model.joints), model.noise, frames_of(model)
+    r, R = poses.position, poses.rotation
+    x = Configuration(poses.joints, (r + R @ at.t - at.f) @ at.F, at.F.T @ R @ at.T).rows
     device = [noise.position or 0.0] * 3 + [noise.orientation or 0.0] * 3
     sigma = np.append(np.nan_to_num(model.joint_noise), device)
     S = np.broadcast_to(np.diag(np.square(sigma)), (len(x), n + 6, n + 6))
