@@ -257,10 +257,7 @@ def diagnose(
         )
 
     def suspects(judged: Model) -> list[int]:
-        """The worst ones: where most are mistrusted it is the model that is wrong."""
-        found = fit(judged, dataset, options, hold_out=0).down_weighted
-        worst = found[: int(MAX_MISTRUSTED_SHARE * len(dataset))]  # least trusted first
-        return sorted(one.sample for one in worst)
+        return find_mistrusted_samples(fit(judged, dataset, options, hold_out=0))
 
     if options.loss == "linear":
         return without([])
@@ -272,6 +269,13 @@ def diagnose(
     except FitError:  # with all samples an effect may be out of its range
         return found
     return found if again == aside else without(again)
+
+
+def find_mistrusted_samples(robust: FitResult) -> list[int]:
+    """Return the samples that a robust fit trusts least, in order. Where most are mistrusted, it is
+    the model that is wrong: at most a quarter of the samples is returned."""
+    worst = robust.down_weighted[: int(MAX_MISTRUSTED_SHARE * len(robust.dataset))]
+    return sorted(one.sample for one in worst)
 
 
 def _diagnose_trusted(

@@ -11,7 +11,6 @@ from parallel_cal.diagnosis.thresholds import MIN_POSES_BEYOND_REGION, POOL
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.predictions import predict_positions
 from parallel_cal.identification.registration import SENSOR
-from parallel_cal.model.model import Model
 from parallel_cal.model.region import REGION_MARGIN
 from parallel_cal.planning.expectation import prediction_blocks
 from parallel_cal.planning.posepool import make_pool
@@ -38,8 +37,10 @@ class Region:
         shown &= np.isfinite(seen).all(axis=1)
         if not axes or model.covariance is None or not shown.any():
             return None
-        robot, own = _without_device_frame(model)
-        free, covariance = result.free[own], model.covariance[np.ix_(own, own)]
+        # The robot as it moves in {B}, wherever the device stands.
+        robot = model.with_sensors(tuple(one for one in model.sensors if one.name != SENSOR))
+        free = result.free[[model.table.index_of(name) for name in robot.table.names]]
+        covariance = np.asarray(robot.covariance)
         low, high = seen[shown].min(axis=0), seen[shown].max(axis=0)
         try:
             pool = make_pool(robot, POOL, np.random.default_rng(0), symmetric=False)
@@ -68,12 +69,3 @@ class Region:
             f" inside {box} mm; the model uncertainty is {1e6 * self.inside:.0f} um inside and "
             f"{1e6 * self.beyond:.0f} um in the rest of the workspace"
         )
-
-
-def _without_device_frame(model: Model) -> tuple[Model, np.ndarray]:
-    """The model as it moves in {B}, wherever the device stands, and the indices of its parameters
-    in those of the given model."""
-    sensors = tuple(sensor for sensor in model.sensors if sensor.name != SENSOR)
-    robot = model.with_sensors(sensors)
-    own = np.array([model.table.index_of(name) for name in robot.table.names])
-    return robot.with_values(model.values[own]), own

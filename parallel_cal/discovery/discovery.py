@@ -15,10 +15,10 @@ from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.base.threads import single_threaded
+from parallel_cal.diagnosis.diagnose import find_mistrusted_samples
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.scene import Scene
-from parallel_cal.diagnosis.thresholds import MAX_MISTRUSTED_SHARE
 from parallel_cal.diagnosis.verdict import share_explained
 from parallel_cal.discovery.drivers import PLACES, WORDS, Driver, list_drivers
 from parallel_cal.discovery.effect_file import (
@@ -85,7 +85,7 @@ class Law:
     share : float or None
         Share of the error above the noise floor that the law accounts for.
     before, after, noise_floor : Summary
-        Validation errors without and with the law; the error that noise alone causes.
+        Validation errors without and with the law; the noise floor.
     tested : dict of (float, float)
         The range of each driver in the samples.
     alternatives : tuple of str
@@ -95,6 +95,8 @@ class Law:
         hypotheses exceeds in one of a hundred sessions without a law.
     against : str
         Why the law is not proven; empty if it is.
+    device_may_err : bool
+        Whether the reason is that robot and measuring device may both cause the error.
     of_device : bool
         Whether the measuring device errs.
     text : str
@@ -115,6 +117,7 @@ class Law:
     evidence: float
     threshold: float
     against: str
+    device_may_err: bool
     of_device: bool
     sentence: str
     text: str = field(repr=False)
@@ -282,9 +285,7 @@ def discover(
     report("identifying the geometry", 0.0)
     base = fit(model, dataset, options)
     if options.loss != "linear":
-        worst = base.down_weighted[: int(MAX_MISTRUSTED_SHARE * len(dataset))]
-        aside = sorted(one.sample for one in worst)
-        dataset = dataset.excluding(aside, f"by --loss {options.loss}")
+        dataset = dataset.excluding(find_mistrusted_samples(base), f"by --loss {options.loss}")
         options = replace(options, loss="linear")
         base = fit(model, dataset, options)
     scene = _make_scene(base)
@@ -457,8 +458,10 @@ def _prove(
     alternatives = tuple(dict.fromkeys(_name(one.hypothesis) for one in winner.equal))
     of_device = hypothesis.site.kind == DEVICE
     against = step.acceptance.against.replace(f" with '{name}'", "").replace(name, "it")
+    device_may_err = step.acceptance.device_may_err
     if not against:
         against = _explain_device(winner)
+        device_may_err = bool(against)
     law = Law(
         place=_name_place(hypothesis),
         drivers=hypothesis.families,
@@ -476,6 +479,7 @@ def _prove(
         evidence=winner.evidence,
         threshold=threshold,
         against=against,
+        device_may_err=device_may_err,
         of_device=of_device,
         sentence=sentence,
         text=write_effect(formula, sentence, where, values=own),
@@ -565,10 +569,12 @@ def _conclude(
     """The verdict, its sentence, and what to measure next."""
     laws = tuple(law for law in found if not law.against)
     suspected = tuple(law for law in found if law.against)
-    doubtful = [law for law in suspected if "device" in law.against]
-    verdict = "described" if laws else "robot_or_device" if doubtful else "nothing"
-    if not laws and suspected and not doubtful:
-        verdict = "suspected"
+    if laws:
+        verdict = "described"
+    elif any(law.device_may_err for law in suspected):
+        verdict = "robot_or_device"
+    else:
+        verdict = "suspected" if suspected else "nothing"
     words = [_describe_proof(law) for law in laws]
     words += [f"{law.sentence}, but this is not proven: {law.against}." for law in suspected]
     if not words:

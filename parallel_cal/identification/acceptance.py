@@ -27,12 +27,14 @@ class Acceptance:
     """Errors before and after: at held-out poses if `judged`, else at the samples used.
 
     `against` says in one sentence why the new model must not replace the old one; empty if it may.
+    `device_may_err` is whether the reason is that the measuring device may cause the error.
     """
 
     before: Summary
     after: Summary
     judged: bool
     against: str = ""
+    device_may_err: bool = False
 
     @property
     def description(self) -> str:

@@ -180,7 +180,7 @@ def without_stations(model: Model) -> Model:
     if not has_stations(model):
         return model
     kept = tuple(effect for effect in model.effects if effect.name != STATION_EFFECT)
-    return _keep_covariance(model, model.with_effects(kept))
+    return model.with_effects(kept).with_covariance_of(model)
 
 
 def has_stations(model: Model) -> bool:
@@ -220,17 +220,4 @@ def _with_stations(model: Model, stations: Mapping[int, Station]) -> Model:
             fixed[i] = False
             if kind == "target" and axis in "xyz":
                 values[i] = station.target_offset["xyz".index(axis)]
-    changed = replace(extended, values=values, fixed=fixed)
-    return _keep_covariance(model, changed)
-
-
-def _keep_covariance(before: Model, after: Model) -> Model:
-    """The model after a change of its effects, with the covariance of the other parameters."""
-    if before.covariance is None:
-        return after
-    own, names = before.table.names, after.table.names
-    kept = [i for i, name in enumerate(names) if name in own]
-    at = [own.index(names[i]) for i in kept]
-    covariance = np.zeros((len(names), len(names)))
-    covariance[np.ix_(kept, kept)] = np.asarray(before.covariance)[np.ix_(at, at)]
-    return replace(after, covariance=covariance)
+    return replace(extended, values=values, fixed=fixed).with_covariance_of(model)

@@ -262,15 +262,19 @@ class Model:
         Parameters that the model already has keep their values and covariance, and stay free or
         fixed.
         """
-        changed = self._with_parts(self.effects, sensors)
-        if self.covariance is None:
-            return changed
-        own, names = self.table.names, changed.table.names
+        return self._with_parts(self.effects, sensors).with_covariance_of(self)
+
+    def with_covariance_of(self, other: Model) -> Model:
+        """Return the model with the covariance of another one for the parameters that both have;
+        that of all further parameters is zero. None if the other one has no covariance."""
+        if other.covariance is None:
+            return replace(self, covariance=None)
+        own, names = other.table.names, self.table.names
         kept = [i for i, name in enumerate(names) if name in own]
         before = [own.index(names[i]) for i in kept]
         covariance = np.zeros((len(names), len(names)))
-        covariance[np.ix_(kept, kept)] = np.asarray(self.covariance)[np.ix_(before, before)]
-        return replace(changed, covariance=covariance)
+        covariance[np.ix_(kept, kept)] = np.asarray(other.covariance)[np.ix_(before, before)]
+        return replace(self, covariance=covariance)
 
     def _with_parts(self, effects: tuple[Effect, ...], sensors: tuple[Sensor, ...]) -> Model:
         table = structure_of(self.mechanism, effects, sensors).table

@@ -202,10 +202,12 @@ def add(
     name = "+".join(one.name for one in more)
     found = acceptance(result, base, f" with '{name}'")
     if not found.against:
-        chance = is_superfluous(_with_noise_of(result, base).estimate, result.estimate)
-        words = f"the improvement by '{name}' may be chance" if chance else ""
-        words = words or explain_unseparated_device(base, result)
-        found = replace(found, against=words or _explain_doubt(scene, more, result.model))
+        if is_superfluous(_with_noise_of(result, base).estimate, result.estimate):
+            found = replace(found, against=f"the improvement by '{name}' may be chance")
+        elif doubt := explain_unseparated_device(base, result) or _explain_doubt(
+            scene, more, result.model
+        ):
+            found = replace(found, against=doubt, device_may_err=True)
     return _step("add", result, _check_proven(found, force), base, name)
 
 
