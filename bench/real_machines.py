@@ -22,8 +22,14 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
+
+import virtual_arm
+from arms import AXES, ROWS
+
 import parallel_cal as pc
 from bench import independent_fits as own
+from parallel_cal.base.documents import to_json_value
 from parallel_cal.cli import main as cli
 from parallel_cal.recordings.loading import load_dataset
 
@@ -35,35 +41,6 @@ MAX_EFFECTS = 6  # rounds of diagnose and add
 
 Array = np.ndarray
 
-# Makers' numbers (m, rad): a, d, alpha of each link.
-QUARTER = float(np.pi / 2)
-ARMS: dict[str, tuple[tuple[float, float, float], ...]] = {
-    "ur5": (
-        (0.0, 0.089159, QUARTER),
-        (-0.425, 0.0, 0.0),
-        (-0.39225, 0.0, 0.0),
-        (0.0, 0.10915, QUARTER),
-        (0.0, 0.09465, -QUARTER),
-        (0.0, 0.0823, 0.0),
-    ),
-    "wam": (
-        (0.0, 0.0, -QUARTER),
-        (0.0, 0.0, QUARTER),
-        (0.045, 0.55, -QUARTER),
-        (-0.045, 0.0, QUARTER),
-        (0.0, 0.3, -QUARTER),
-        (0.0, 0.0, QUARTER),
-        (0.0, 0.06, 0.0),
-    ),
-}
-AXES = {
-    "ur5": ("perpendicular", "parallel", "parallel", "perpendicular", "perpendicular"),
-    "wam": ("perpendicular",) * 6,
-}
-HOME = {
-    "ur5": (0.3, -1.2, 1.4, -0.8, -1.3, 0.4),
-    "wam": (0.1, 0.5, 0.1, 1.2, 0.1, 0.5, 0.1),
-}
 # Stated revolutions per millimetre of the six strings.
 TURNS_PER_MM = (0.01321144, 0.0140456, 0.0138233, 0.014124109, 0.01416007, 0.01403256)
 
@@ -80,7 +57,7 @@ class Machine:
     registered: float = np.nan
     geometry: float = np.nan
     effects: list[str] = field(default_factory=list)
-    with_effects: float = np.nan
+    with_effects: float | None = None
     own: dict[str, float] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
@@ -202,15 +179,15 @@ def arm(kind: str, title: str, folder: Path) -> Machine:
     machine = Machine(
         kind,
         title,
-        f"{len(ARMS[kind])} lines of Denavit-Hartenberg parameters, a column map of "
-        f"{len(ARMS[kind]) + 2} lines",
+        f"{len(ROWS[kind])} lines of Denavit-Hartenberg parameters, a column map of "
+        f"{len(ROWS[kind]) + 2} lines",
         "um",
     )
     source = REAL / "laser_arms"
     model = pc.read_model(source / f"{kind}.yaml")
     calibrate(machine, model, read(model, source / f"{kind}.csv", source / f"{kind}.columns.yaml"))
     table = np.genfromtxt(source / f"{kind}.csv", delimiter=",", names=True)
-    n = len(ARMS[kind])
+    n = len(ROWS[kind])
     q = np.radians(np.stack([table[f"joint_{i + 1}"] for i in range(n)], axis=1))
     r = 1e-3 * np.stack([table[f"{a}_mm"] for a in "xyz"], axis=1)
     fitting, held_out = split(len(r))
@@ -221,8 +198,8 @@ def arm(kind: str, title: str, folder: Path) -> Machine:
     if kind == "ur5":
         cases.append(("with harmonics 2, 3 and 13 of each joint", {"harmonics": (2, 3, 13)}))
     for label, options in cases:
-        p = own.fit_arm(ARMS[kind], q[fitting], r[fitting], **options)
-        computed = own.arm_positions(p, ARMS[kind], q[held_out], options.get("harmonics", ()))
+        p = own.fit_arm(ROWS[kind], q[fitting], r[fitting], **options)
+        computed = own.arm_positions(p, ROWS[kind], q[held_out], options.get("harmonics", ()))
         machine.own[label] = own.rms(computed - r[held_out])
     return machine
 
@@ -282,7 +259,6 @@ def d300vs(folder: Path) -> Machine:
     heights = document["heights"]
     machine.samples = heights["touches"]
     machine.registered, machine.geometry = heights["before"], heights["held_out"]
-    machine.with_effects = np.nan
     moved = 1e3 * document["movement"]["largest"]
     machine.notes.append(
         f"`export`: heights at all touches {1e6 * heights['before']:.1f} -> "
@@ -341,7 +317,7 @@ def write_models() -> None:
         "orientation: [orientation_x, orientation_y, orientation_z, orientation_w]\n"
     )
     (REAL / "jugglebot" / "columns.yaml").write_text(columns)
-    for kind, rows in ARMS.items():
+    for kind, rows in ROWS.items():
         links = ["- {joint: null, axes: coincident}"]
         for (a, d, alpha), axes in zip(rows, [*AXES[kind], None], strict=True):
             ends = f", axes: {axes}" if axes else ""
@@ -350,7 +326,7 @@ def write_models() -> None:
             "new",
             "serial",
             *("--option", "links=" + "\n".join(links)),
-            *("--option", f"home={list(HOME[kind])}"),
+            *("--option", f"home={list(virtual_arm.HOME[kind])}"),
             *("-o", REAL / "laser_arms" / f"{kind}.yaml"),
         )
         joints = "".join(
@@ -414,8 +390,8 @@ def _row(machine: Machine) -> list[str]:
     ]
 
 
-def _length(machine: Machine, metres: float) -> str:
-    if not np.isfinite(metres):
+def _length(machine: Machine, metres: float | None) -> str:
+    if metres is None:
         return "-"
     scale, digits = {"mm": (1e3, 2), "um": (1e6, 0)}[machine.unit]
     return f"{scale * metres:.{digits}f} {machine.unit}"
@@ -442,7 +418,7 @@ def main(names: Sequence[str]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         for name in names or MACHINES:
             machine = MACHINES[name](Path(folder))
-            results[name] = json.loads(json.dumps(vars(machine), default=float))
+            results[name] = to_json_value(machine)
             print(json.dumps(results[name], indent=1), flush=True)
     RESULTS.write_text(json.dumps(results, indent=1) + "\n")
     write_page(results)

@@ -249,68 +249,68 @@ def test_the_text_of_an_effect_is_loaded_without_a_file_under_a_name_of_its_own(
 
 
 @pytest.fixture(scope="module")
-def here():
+def scene():
     """A fitted Delta without any law."""
     data = findings.clean(4)
     result = fit(new_model("delta54"), data, hold_out=0)
     return Scene.of(result.model, data, result.observations, result.free)
 
 
-def test_the_screening_scores_a_hypothesis_as_least_squares_does(here):
+def test_the_screening_scores_a_hypothesis_as_least_squares_does(scene):
     """The sums over rows that hypotheses share give the F statistic's sums of squares."""
-    site = next(one for one in list_sites(list_places(here)) if one.name == "joint2")
-    drivers = [one for one in list_drivers(here) if one.name == "joint3"]
-    targets = Targets.of(here, here.residual[:, None], np.zeros((len(here.residual), 0)))
-    part = next(iter(Screening(here, [site], drivers).score(targets)))
+    site = next(one for one in list_sites(list_places(scene)) if one.name == "joint2")
+    drivers = [one for one in list_drivers(scene) if one.name == "joint3"]
+    targets = Targets.of(scene, scene.residual[:, None], np.zeros((len(scene.residual), 0)))
+    part = next(iter(Screening(scene, [site], drivers).score(targets)))
     from parallel_cal.discovery.basis import splines
 
     W = splines(drivers, 8)[0]
-    B = here.project_off_geometry(
-        (site.members[0].columns[:, :, None] * W[:, None]).reshape(len(here.residual), -1)
+    B = scene.project_off_geometry(
+        (site.members[0].columns[:, :, None] * W[:, None]).reshape(len(scene.residual), -1)
     )
-    fitted, _, rank, _ = np.linalg.lstsq(B, here.residual, rcond=3e-3 / 8)
-    total, rest = here.residual @ here.residual, np.sum((here.residual - B @ fitted) ** 2)
-    expected = here.dof / 2 * np.log(total / rest) - rank / 2 * np.log(here.dof)
+    fitted, _, rank, _ = np.linalg.lstsq(B, scene.residual, rcond=3e-3 / 8)
+    total, rest = scene.residual @ scene.residual, np.sum((scene.residual - B @ fitted) ** 2)
+    expected = scene.dof / 2 * np.log(total / rest) - rank / 2 * np.log(scene.dof)
     assert part.evidence[0, 0] == pytest.approx(expected, rel=1e-3, abs=1e-3)
 
 
-def test_a_formula_takes_the_term_that_made_the_error_and_its_coefficient(here):
-    place = next(one for one in list_places(here) if one.name == "joint1")
-    driver = next(one for one in list_drivers(here) if one.name == "load.joint1")
+def test_a_formula_takes_the_term_that_made_the_error_and_its_coefficient(scene):
+    place = next(one for one in list_places(scene) if one.name == "joint1")
+    driver = next(one for one in list_drivers(scene) if one.name == "load.joint1")
     error = 2e-3 * driver.values**3
-    residual = here.project_off_geometry(here.residual - (place.columns * error[:, None]).ravel())
-    targets = Targets.of(here, residual[:, None], np.zeros((len(residual), 0)))
-    found = find_formula(here, targets, Hypothesis(Site("joint1", (place,)), ((driver,),)))
+    residual = scene.project_off_geometry(scene.residual - (place.columns * error[:, None]).ravel())
+    targets = Targets.of(scene, residual[:, None], np.zeros((len(residual), 0)))
+    found = find_formula(scene, targets, Hypothesis(Site("joint1", (place,)), ((driver,),)))
     assert [term.word for term in found.terms] == ["cubic"]
     value, sigma = found.coefficients[0, 0], found.sigma[0, 0]
     assert abs(value - 2e-3) < 4 * sigma < 1e-3
 
 
-def test_no_name_of_a_joint_or_a_file_becomes_code_of_the_effect(here):
+def test_no_name_of_a_joint_or_a_file_becomes_code_of_the_effect(scene):
     odd = 'shoulder-"pan"'
-    place = replace(next(one for one in list_places(here) if one.name == "joint1"), name=odd)
-    driver = next(one for one in list_drivers(here) if one.name == "direction.joint1")
+    place = replace(next(one for one in list_places(scene) if one.name == "joint1"), name=odd)
+    driver = next(one for one in list_drivers(scene) if one.name == "direction.joint1")
     code = f"at[{json.dumps('direction.' + odd)}]"
     driver = replace(driver, name=f"direction.{odd}", code=code)
-    residual = here.project_off_geometry(
-        here.residual - (place.columns * 2e-3 * driver.values[:, None]).ravel()
+    residual = scene.project_off_geometry(
+        scene.residual - (place.columns * 2e-3 * driver.values[:, None]).ravel()
     )
-    targets = Targets.of(here, residual[:, None], np.zeros((len(residual), 0)))
-    found = find_formula(here, targets, Hypothesis(Site(odd, (place,)), ((driver,),)))
+    targets = Targets.of(scene, residual[:, None], np.zeros((len(residual), 0)))
+    found = find_formula(scene, targets, Hypothesis(Site(odd, (place,)), ((driver,),)))
     quotes = chr(34) * 3
     text = write_effect(found, f"{odd} errs", f"C:\\new {quotes}\nraise SystemExit\n{quotes}")
     effect = load_effect(load_text(text))
-    assert effect.applies(here.model.mechanism) == f"it has no {odd}"
-    assert [p.name for p in effect.parameters(here.model.mechanism)] == ["linear"]
+    assert effect.applies(scene.model.mechanism) == f"it has no {odd}"
+    assert [p.name for p in effect.parameters(scene.model.mechanism)] == ["linear"]
 
 
-def test_drawn_noise_is_as_correlated_as_it_was_told(here):
-    white = characterise_noise(here, here.residual)
+def test_drawn_noise_is_as_correlated_as_it_was_told(scene):
+    white = characterise_noise(scene, scene.residual)
     assert white.memory == 0
-    step = float(np.median(np.diff(here.dataset.time)))
+    step = float(np.median(np.diff(scene.dataset.time)))
     slow = replace(white, memory=8 * step, outliers=np.zeros(0))
-    drawn = draw_residuals(here, slow, 1)[:, 0]
-    again = characterise_noise(here, here.project_off_geometry(drawn))
+    drawn = draw_residuals(scene, slow, 1)[:, 0]
+    again = characterise_noise(scene, scene.project_off_geometry(drawn))
     assert 3 * step < again.memory < 33 * step
 
 

@@ -315,7 +315,7 @@ class Search:
         return min(clear, key=lambda other: other.fitted.estimate.chi2_per_dof, default=trial)
 
     def alternatives(self, trial: Trial, rivals: Rivals) -> list[Trial]:
-        """The same set with one effect exchanged for a rival, wherever it can be fitted.
+        """The chosen effects, with one of them exchanged for a rival, wherever it can be fitted.
 
         A rival that is larger than usual must predict about as well: refits of such sizes are slow.
         """

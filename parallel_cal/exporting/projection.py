@@ -120,7 +120,7 @@ class Bed:
 
 
 class Refinement(Protocol):
-    """What is known of the machine itself, besides the model."""
+    """Knowledge of the machine itself, besides the model."""
 
     def refine(self, model: Model, numbers: Array, machine: Callable[[Array], Machine]) -> Array:
         """Return the numbers (k,) that agree with it, from those that agree with the model."""
@@ -193,7 +193,7 @@ def fit_numbers(
 
     The fit is a least-squares fit of the controlled coordinates, from `start`. Heights on a
     printer's `bed` have more weight, so that errors that the firmware cannot represent (leaning
-    towers) do not spoil them. What is known of the present machine (`present`) refines the numbers.
+    towers) do not spoil them. `present`, knowledge of the present machine, refines the numbers.
     """
     from scipy.optimize import least_squares
 

@@ -116,7 +116,7 @@ class Observations:
         return replace(self, S=S, reading_sigma=sigma)
 
     def with_noise_of(self, other: Observations) -> Observations:
-        """The same samples with the noise that another fit used."""
+        """These samples with the noise that another fit used."""
         return replace(
             self,
             S=other.S,
@@ -275,7 +275,7 @@ def _guess_joint_sigma(model: Model, q: np.ndarray) -> np.ndarray:
 
 
 def _guess_pose_sigma(model: Model, dataset: Dataset) -> np.ndarray:
-    """The same share (6,) of the largest travel, for angles divided by the mechanism's length."""
+    """An equal share (6,) of the largest travel, for angles divided by the mechanism's length."""
     r = np.where(dataset.measured[:, :3], dataset.r, np.nan)
     seen = r[:, np.isfinite(r).all(axis=0)]
     length = model.mechanism.length
