@@ -46,6 +46,8 @@ class NodeProcess:
         except subprocess.TimeoutExpired:
             self._process.kill()
             raise
+        finally:
+            print(f"{self.node}:\n{self.said}")  # pytest shows it where the test fails
         assert "Traceback" not in self.said, self.said
         assert "never retrieved" not in self.said, self.said
         return status

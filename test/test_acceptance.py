@@ -114,7 +114,7 @@ def test_a_removal_may_cost_a_hundredth_and_no_more(identified):
 
 @pytest.mark.wide
 @pytest.mark.parametrize("face", FACES)
-def test_a_fit_that_does_not_lower_the_error_at_poses_left_out_is_not_written(face, answer):
+def test_a_fit_that_does_not_lower_the_held_out_error_is_not_written(face, answer):
     done, words, output = answer(face)
     assert not done
     assert "the error at held-out poses does not fall (" in words
@@ -125,7 +125,7 @@ def test_a_fit_that_does_not_lower_the_error_at_poses_left_out_is_not_written(fa
 
 
 @pytest.mark.parametrize("face", FACES)
-def test_where_no_pose_was_left_out_nothing_is_proven_and_only_force_writes(face, answer):
+def test_without_held_out_poses_nothing_is_proven_and_only_force_writes(face, answer):
     done, words, output = answer(face, hold_out=0)
     assert not done
     assert NOTHING in words
@@ -135,7 +135,7 @@ def test_where_no_pose_was_left_out_nothing_is_proven_and_only_force_writes(face
 
 
 @pytest.mark.wide
-def test_all_three_faces_say_the_same_of_an_effect_that_is_not_there(clean, identified, answer):
+def test_command_line_python_and_page_report_an_absent_effect_alike(clean, identified, answer):
     search = Search(identified.model, lambda model, insist: fit(model, clean), lambda *_: None)
     base = search.fit()
     _, against = search.try_adding(base, candidate(base.scene, "encoder_gain"))
@@ -231,7 +231,7 @@ def test_a_fit_of_more_numbers_beats_the_fewer_ones_identified_in_the_same_folds
 
 
 @pytest.mark.wide
-def test_a_fit_by_another_method_is_held_against_the_method_of_the_model_before(first, recorded):
+def test_a_fit_by_another_method_is_compared_with_the_previous_models_method(first, recorded):
     robust = fitted(first.model, recorded, force=True, loss="huber")
     before = robust.result.held_out_before.summary
     assert before.position_rms == pytest.approx(first.result.held_out.summary.position_rms)

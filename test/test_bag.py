@@ -94,7 +94,7 @@ def test_a_recording_split_over_files_is_read_as_one(tmp_path):
         read_bag(bag)
 
 
-def test_a_folder_that_is_no_recording_is_refused(tmp_path):
+def test_a_folder_without_a_recording_is_refused(tmp_path):
     (tmp_path / "a.txt").write_text("hello")
     with pytest.raises(
         BagError, match=r"not a rosbag2 recording: it contains neither metadata\.yaml"
@@ -107,7 +107,7 @@ def test_a_missing_file_is_named(tmp_path):
         read_bag(tmp_path / "nowhere")
 
 
-def test_a_file_that_is_no_recording_is_refused(tmp_path):
+def test_a_file_that_is_not_a_recording_is_refused(tmp_path):
     (tmp_path / "a.txt").write_text("hello")
     with pytest.raises(BagError, match="not a rosbag2 recording"):
         read_bag(tmp_path / "a.txt")
@@ -169,7 +169,7 @@ def test_a_commanded_pose_is_never_taken_for_a_measurement(tmp_path):
         read_bag(bag)
 
 
-def test_a_topic_that_was_asked_for_by_name_is_not_replaced(tmp_path):
+def test_a_topic_requested_by_name_is_not_replaced(tmp_path):
     bag = write_bag(tmp_path / "b", joint_states(MOVES) + poses(MOVES))
     with pytest.raises(BagError, match="'/tracker'"):
         read_bag(bag, ReadOptions(topics={"measured_pose": "/tracker"}))
@@ -378,7 +378,7 @@ def correlated(value, *, both=True):
 
 
 @pytest.mark.parametrize("value", [5e-10, -5e-10, np.inf, 1e300])
-def test_a_matrix_that_is_no_covariance_leaves_its_variances_and_is_told(tmp_path, value):
+def test_an_invalid_covariance_is_reported_and_its_variances_are_kept(tmp_path, value):
     recording = read_bag(write_bag(tmp_path / "b", correlated(value)))
     np.testing.assert_array_equal(recording.pose.covariance[0], np.diag([1e-10] * 6))
     assert "the covariance has a negative eigenvalue" in recording.notes[0]
@@ -428,7 +428,7 @@ def test_a_temperature_from_another_day_is_ignored_with_a_note(tmp_path):
     assert "do not overlap" in recording.notes[0]
 
 
-def test_progress_is_told_from_start_to_end(tmp_path):
+def test_progress_is_reported_from_start_to_end(tmp_path):
     told = []
     bag = write_bag(tmp_path / "b", joint_states(MOVES) + poses(MOVES))
     read_bag(bag, progress=lambda stage, fraction: told.append(fraction))

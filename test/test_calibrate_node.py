@@ -155,7 +155,7 @@ def test_nodes_do_not_outlive_a_command_that_is_killed(command):
     wait_until(lambda: not any(Path(f"/proc/{p}").exists() for p in nodes), "the nodes' end")
 
 
-def test_what_is_wrong_with_a_command_is_told_before_anything_is_started(tmp_path):
+def test_an_invalid_command_is_reported_before_anything_starts(tmp_path):
     told = {
         ("robot.yaml",): "no such file",
         ("robot.yaml", "--keep-out", "nonsense"): "six numbers 'x y z x y z' .m",
@@ -166,7 +166,7 @@ def test_what_is_wrong_with_a_command_is_told_before_anything_is_started(tmp_pat
             calibrate(tmp_path / given[0], keep_out=[*given[2:]])
 
 
-def test_what_a_simulated_robot_had_is_told_as_effects(tmp_path):
+def test_the_hidden_effects_of_a_simulated_robot_are_listed(tmp_path):
     cell = {"robot": "delta", "effects": "backlash, wind_up"}
     assert Calibration(tmp_path / "a.yaml", simulated=cell).hidden == ["backlash", "hysteresis"]
     assert Calibration(tmp_path / "a.yaml").hidden == []

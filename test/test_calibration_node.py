@@ -233,7 +233,7 @@ def test_comparing_shows_every_sample_and_the_residuals_as_arrows(full):
     assert {marker.id for marker in arrows[1:]} == listed
 
 
-def test_comparing_tells_every_residual_as_plain_numbers_too(full):
+def test_a_comparison_returns_every_residual_as_plain_numbers(full):
     vectors, joints, node = [], [], full.client._node
     listening = [
         node.create_subscription(type, f"calibration_node/residuals/{name}", kept.append, 200)
@@ -354,7 +354,7 @@ def test_a_hold_out_of_zero_is_the_parameter_and_below_it_only_force_writes(full
     assert Path(full.folder / "other.yaml.previous").read_bytes() == after
 
 
-def test_a_tracker_s_frame_is_registered_as_on_the_command_line_and_it_is_said(full):
+def test_a_tracker_s_frame_is_registered_and_reported_as_on_the_command_line(full):
     """The tracker shows everything 1, 2, 3 m further on."""
     clean = load_dataset(CLEAN)
     away = dataclasses.replace(clean, r=clean.r + [1.0, 2.0, 3.0], frame="tracker")
@@ -377,7 +377,7 @@ def test_a_tracker_s_frame_is_registered_as_on_the_command_line_and_it_is_said(f
     )
 
 
-def test_undo_is_about_whichever_of_its_model_files_replaced_another(robot, tmp_path):
+def test_undo_concerns_the_model_file_that_replaced_another(robot, tmp_path):
     """Also of a run before, and where the file that results go to was never written."""
     model = Path(shutil.copy(PRESET, tmp_path / "m.yaml"))
     before = model.read_bytes()
@@ -730,7 +730,7 @@ def test_parameters_set_to_what_cannot_be_are_refused_with_the_reason(robot):
 
 
 @mock.patch.dict(os.environ)
-def test_with_a_clock_that_stands_still_a_topic_of_another_type_is_told_and_paths_may_use_home(
+def test_with_a_stopped_clock_a_topic_of_another_type_is_reported_and_paths_may_use_home(
     tmp_path,
 ):
     os.environ["HOME"] = str(tmp_path)

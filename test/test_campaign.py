@@ -83,14 +83,14 @@ def campaign(folder, cell, goal, tell=lambda status: None, work=work, **more):
 # ------------------------------------------------------------------ before it goes anywhere
 
 
-def test_an_effect_that_there_is_not_is_told_before_the_robot_moves(tmp_path):
+def test_an_unknown_effect_is_reported_before_the_robot_moves(tmp_path):
     cell = SimulatedCell()
     outcome = campaign(tmp_path, cell, Goal(effects=("banana",))).run()
     assert "banana" in outcome.message
     assert not cell.sent
 
 
-def test_samples_that_no_fit_can_weigh_are_told_after_the_first(tmp_path):
+def test_samples_without_usable_weights_are_reported_after_the_first(tmp_path):
     class Unsure(SimulatedCell):
         def sample(self, go_on):
             d = super().sample(go_on).dataset
@@ -224,7 +224,7 @@ def calibrated(tmp_path_factory):
 
 
 @pytest.mark.wide
-def test_a_hidden_effect_is_found_told_from_its_lookalike_and_proven(calibrated):
+def test_a_hidden_effect_is_found_distinguished_from_its_lookalike_and_proven(calibrated):
     one, outcome, _cell, said = calibrated
     assert outcome.success, outcome.message
     assert outcome.verdict == "explained"
@@ -359,7 +359,7 @@ def test_a_frame_that_gives_and_warm_parts_are_both_found_with_no_more_load_than
 
 
 @pytest.mark.slow
-def test_it_does_not_measure_on_for_what_no_pose_in_the_workspace_tells(tmp_path):
+def test_it_stops_measuring_for_what_no_pose_in_the_workspace_shows(tmp_path):
     """Over half a turn of the arms one wave a turn and two are nearly one."""
     one = Campaign(tmp_path, TEXT, Goal(100), SimulatedCell("delta", 0, ["eccentricity"]))
     outcome = one.run()
@@ -390,7 +390,7 @@ def test_where_the_better_model_sees_it_outside_the_robot_goes_home_by_the_one_b
 # ------------------------------------------------------------------ its budget
 
 
-def test_poses_and_minutes_are_kept_and_what_is_missing_is_said(tmp_path):
+def test_limits_of_poses_and_minutes_are_kept_and_what_is_missing_is_reported(tmp_path):
     one = campaign(tmp_path, SimulatedCell(), Goal(poses=20))
     outcome = one.run()
     assert len(one.samples) == 20
@@ -533,7 +533,7 @@ def numbers(one):
     return [(k, *s.dataset.q[0]) for k, s in one.samples.items()]
 
 
-def test_it_is_held_in_the_middle_of_a_motion_and_goes_on_with_the_same_pose(tmp_path):
+def test_it_pauses_in_the_middle_of_a_motion_and_resumes_with_the_same_pose(tmp_path):
     cell, control, said = SimulatedCell(), Control(), []
 
     def tell(status):

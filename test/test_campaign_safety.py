@@ -94,7 +94,7 @@ def home(desk):
 
 @pytest.mark.wide
 @pytest.mark.parametrize("fault", FAULTS)
-def test_what_goes_wrong_stops_the_robot_and_is_told(desk, fault):
+def test_a_fault_stops_the_robot_and_is_reported(desk, fault):
     value, cured, words = FAULTS[fault]
     begun = desk.status[0].poses if desk.status else 0
     _, result = desk.goal(keep_out=[x for corner in KEEP_OUT for x in corner])

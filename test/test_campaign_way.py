@@ -27,7 +27,7 @@ def joints_at(*position):
 # ------------------------------------------------------------------ times
 
 
-def test_a_long_way_rises_cruises_and_falls():
+def test_on_a_long_path_velocity_rises_stays_and_falls():
     """3 rad at 1 rad/s and 2 rad/s^2: 0.5 s up over 0.25 rad, 2.5 s at 1 rad/s, 0.5 s down."""
     motion = trapezoid(np.zeros(1), np.array([3.0]), ONE, TWO)
     assert motion.seconds == pytest.approx(3.5)
@@ -49,7 +49,7 @@ def test_a_long_way_rises_cruises_and_falls():
         assert at[time] == pytest.approx((position, velocity), abs=1e-9)
 
 
-def test_a_short_way_turns_to_falling_before_it_is_at_its_velocity():
+def test_on_a_short_path_velocity_falls_before_its_limit_is_reached():
     """0.5 rad at 2 rad/s^2: half of it in sqrt(0.5) s, at 2 sqrt(0.5) / 2 < 1 rad/s."""
     motion = trapezoid(np.zeros(1), np.array([-0.32]), ONE, TWO)
     assert motion.seconds == pytest.approx(0.8)
@@ -58,7 +58,7 @@ def test_a_short_way_turns_to_falling_before_it_is_at_its_velocity():
     assert (motion.velocities <= 1e-12).all()
 
 
-def test_all_joints_are_under_way_for_as_long_as_the_slowest():
+def test_all_joints_move_for_as_long_as_the_slowest():
     """The second joint needs 3.5 s; the first goes a third of its way with it, straight."""
     motion = trapezoid(np.zeros(2), np.array([1.0, 3.0]), np.ones(2), np.full(2, 2.0))
     assert motion.seconds == pytest.approx(3.5)
@@ -106,7 +106,7 @@ def test_velocities_are_the_model_files_or_a_quarter_of_the_range_a_second():
 # ------------------------------------------------------------------ what is never driven
 
 
-def test_a_way_between_two_poses_of_the_workspace_is_one_line():
+def test_a_path_between_two_poses_of_the_workspace_is_one_line():
     a, b = joints_at(0.05, 0, 0.2), joints_at(-0.05, 0.05, 0.16)
     assert [stop.tolist() for stop in Guard.of(DELTA).plan_path(a, [b])] == [a.tolist(), b.tolist()]
 
@@ -135,7 +135,7 @@ def test_a_reach_of_2_allows_poses_twice_as_far_from_the_middle_of_the_workspace
     assert Guard.of(DELTA, reach=2.0).is_allowed(beyond).tolist() == [True, False]
 
 
-def test_no_way_leads_to_joints_outside_their_limits():
+def test_no_path_leads_to_joints_outside_their_limits():
     low, high = DELTA.mechanism.joint_limits[0]
     beyond = joints_at(0, 0, 0.2) + np.array([high, 0, 0])
     with pytest.raises(PathError, match=r"reach|limits|workspace|singularity"):
@@ -146,7 +146,7 @@ def test_no_way_leads_to_joints_outside_their_limits():
         Guard.of(narrow).plan_path(joints_at(0, 0, 0.2), [joints_at(0, 0, 0.255)])
 
 
-def test_no_way_leads_out_of_the_workspace_or_out_of_reach():
+def test_no_path_leads_out_of_the_workspace_or_out_of_reach():
     here = joints_at(0, 0, 0.2)
     with pytest.raises(PathError, match="outside the workspace"):
         Guard.of(DELTA).plan_path(here, [joints_at(0.075, 0, 0.2)])
@@ -155,7 +155,7 @@ def test_no_way_leads_out_of_the_workspace_or_out_of_reach():
         Guard.of(DELTA).plan_path(here, [np.array([-0.5, 2.0, 2.0])])
 
 
-def test_no_way_leads_near_a_singularity_or_beyond_it():
+def test_no_path_leads_near_a_singularity_or_beyond_it():
     """0.7 rad on, slider and crank are nearly in one line; 3.2 rad on, they are past it."""
     model = new_model("slider_crank")
     model.mechanism.workspace = Workspace((-10.0,), (10.0,))
@@ -169,7 +169,7 @@ def test_no_way_leads_near_a_singularity_or_beyond_it():
         guard.plan_path(home, [home - 3.2])
 
 
-def test_a_box_to_keep_out_of_is_gone_round_by_way_of_home_or_not_at_all():
+def test_a_forbidden_box_is_avoided_through_home_or_the_path_is_refused():
     """A box between two corners at one height, with home beside it; then one around the corner."""
     a, b = joints_at(0.055, 0.055, 0.15), joints_at(0.055, -0.055, 0.15)
     middle = Kinematics(DELTA).direct((a + b) / 2).position
@@ -212,7 +212,7 @@ def test_a_robot_that_rests_a_hair_beyond_a_joint_limit_is_taken_back():
         guard.plan_path(q + np.array([0.1, 0, 0]), [there])
 
 
-def test_where_too_few_poses_may_be_gone_to_it_says_what_forbids_them():
+def test_with_too_few_reachable_poses_the_message_says_what_forbids_them():
     table = Box((-0.1, -0.1, 0.0), (0.1, 0.1, 0.3))
     with pytest.raises(PathError, match=r"only 0 of 400 .*: 400 are inside the keep-out box"):
         first_targets(Guard.of(DELTA, [table]), 80)

@@ -63,7 +63,7 @@ def test_the_document_of_a_recording_and_its_screen_tell_of_it(samples):
     assert "humidity: 0.4" in shown.get()
 
 
-def test_it_is_found_by_its_type_or_named_and_a_wrong_unit_is_warned_of(tmp_path):
+def test_a_topic_is_found_by_its_type_or_named_and_a_wrong_unit_causes_a_warning(tmp_path):
     said = [humidity(0.0, 40.0, "lab/air"), humidity(10.0, 60.0, "lab/air")]
     bag = bw.write_bag(tmp_path / "bag", messages(*said))
     found, named = load_dataset(bag), load_dataset(bag, data_options(["humidity=/lab/air"]))
@@ -84,7 +84,7 @@ def test_live_collection_gives_the_same_samples(samples):
     )
 
 
-def test_a_new_reading_stands_beside_the_others(tmp_path):
+def test_a_new_reading_is_one_more_entry(tmp_path):
     gauge = [bw.distance(k + 0.1 * i, 0.2 + 0.01 * k, "probe") for k in range(3) for i in range(6)]
     wire = [("wire", *m[1:]) for m in gauge]
     bag = bw.write_bag(tmp_path / "bag", [*bw.joint_states(ts.session(STOPS)), *gauge, *wire])

@@ -363,7 +363,7 @@ def test_a_problem_without_solution_has_a_status_and_exit_code_0(document, run):
     assert "unreachable" in out
 
 
-def test_joints_beyond_their_limits_are_said_to_be(document):
+def test_joints_beyond_their_limits_are_reported(document):
     found = document("direct", DELTA24, "--joints", 2.5, 2.5, 2.5)["solutions"][0]
     assert found["status"] == "outside_limits"
 
@@ -585,7 +585,7 @@ def test_add_lowers_the_error_and_remove_is_refused_where_it_would_raise_it(
     fails(run("remove", fitted, "backlash", backlash), "has no effect 'backlash'")
 
 
-def test_a_number_given_with_an_effect_is_held(document, backlash):
+def test_a_number_given_with_an_effect_is_kept_fixed(document, backlash):
     found = document("add", IDENTIFIED, "backlash:joint2.width=0.00025", backlash, "--force")
     widths = [found["parameters"][f"backlash.joint{j}.width"] for j in (1, 2, 3)]
     assert [w["fixed"] for w in widths] == [False, True, False]
@@ -593,9 +593,7 @@ def test_a_number_given_with_an_effect_is_held(document, backlash):
     assert widths[0]["sigma"] > 0
 
 
-def test_add_is_refused_where_the_error_at_poses_left_out_does_not_fall(
-    document, run, tmp_path, clean
-):
+def test_add_is_refused_where_the_held_out_error_does_not_fall(document, run, tmp_path, clean):
     out = tmp_path / "out.yaml"
     fails(run("add", NOMINAL, "backlash", clean, "-o", out), "does not fall", "--force")
     assert not out.exists()

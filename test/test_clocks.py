@@ -71,7 +71,7 @@ def test_what_a_driver_may_be_late_by_stays_an_effect():
         assert clock_offset(there.joints, there.pose) is None
 
 
-def test_a_device_that_shows_noise_alone_tells_nothing():
+def test_a_device_that_shows_only_noise_gives_no_offset():
     there = recording("delta_crosstalk")
     noise = 1e-5 * np.random.default_rng(0).standard_normal(there.pose.position.shape)
     assert clock_offset(there.joints, dataclasses.replace(there.pose, position=noise)) is None
@@ -130,7 +130,7 @@ AT_REST = {
 }
 
 
-def test_a_robot_at_rest_tells_no_offset():
+def test_a_robot_at_rest_gives_no_offset():
     found = [offset_of(0.0, seed) for seed in range(200)]
     assert not any(found)
 
@@ -144,7 +144,7 @@ def test_none_of_1000_looks_at_a_robot_at_rest_finds_an_offset(kind, delay):
 
 @pytest.mark.parametrize("rate", [20.0, 100.0])
 @pytest.mark.parametrize("which", [[3], [0, 4], range(6)], ids=["one", "two", "all"])
-def test_a_short_move_among_rest_tells_the_offset(which, rate):
+def test_a_short_move_between_rests_gives_the_offset(which, rate):
     """Joints that rest are noise, and take no part."""
     for delay in (0.2, 1.8, -1.8):
         found = offset_of(delay, 1, moves(6, which), rate=rate)
@@ -160,7 +160,7 @@ def test_motion_that_repeats_is_no_proof_of_an_offset_of_half_a_period():
     assert not any(offset_of(0.9 * MAX_DRIVER_DELAY_S, seed, swing, joints=1) for seed in range(6))
 
 
-def test_a_device_that_does_not_see_the_motion_tells_nothing():
+def test_a_device_that_does_not_see_the_motion_gives_no_offset():
     joints, _ = drawn(0, moves(6, range(6)))
     for seed in range(50):
         assert clock_offset(joints, drawn(seed)[1]) is None

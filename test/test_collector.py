@@ -156,7 +156,7 @@ def test_a_first_message_ahead_of_its_time_costs_no_sample(messages, channel):
     assert found.strays == 1
 
 
-def test_samples_from_two_publishers_at_once_are_refused_and_told(messages):
+def test_samples_from_two_publishers_at_once_are_refused_with_the_reason(messages):
     """A second tracker whose clock is 5 s off, both with counts of their own."""
     collector, part = Collector(), until(messages, 30)
     counts = {"a": 0, "b": 0}
@@ -229,7 +229,9 @@ def test_every_measurement_is_counted_as_paired_or_dropped(messages):
     assert collector.paired >= poses - 1
 
 
-def test_poses_on_another_clock_are_brought_to_that_of_the_joints_and_it_is_said(messages, offline):
+def test_poses_on_another_clock_are_shifted_to_that_of_the_joints_and_the_shift_is_reported(
+    messages, offline
+):
     """0.4 s late: the samples, and how many measurements were paired, are those of one clock."""
     late = [
         (channel, log, copy.deepcopy(m) if "pose" in channel else m) for channel, log, m in messages
@@ -284,7 +286,7 @@ def test_without_auto_collect_only_what_is_taken_counts(messages):
     assert collector.collection().ids.tolist() == [number]
 
 
-def test_taking_while_the_robot_moves_says_why_not(messages):
+def test_taking_a_sample_while_the_robot_moves_is_refused_with_the_reason(messages):
     moving = [m for m in until(messages, 3.0) if m[0].strip("/") != "joint_states"]
     with pytest.raises(DatasetError, match="no messages received on joint_states yet"):
         feed(Collector(), moving).take()
@@ -367,7 +369,7 @@ def test_positions_alone_and_poses_without_covariance_are_taken_too(messages, of
         np.testing.assert_array_equal(dataset.r, offline.r)
 
 
-def test_a_latched_payload_heard_twice_is_one(messages):
+def test_a_latched_payload_received_twice_counts_once(messages):
     doubled = [m for m in messages for _ in range(2 if m[0].strip("/") == "payload" else 1)]
     collector = feed(Collector(), doubled)
     assert not collector.dropped()
@@ -392,14 +394,14 @@ def test_looking_in_between_changes_nothing_without_poses_either(tied, tied_bag)
     same(collector.collection().dataset, load_dataset(tied_bag))
 
 
-def test_a_constraint_said_long_before_anything_moves_still_holds(tied):
+def test_a_constraint_published_long_before_any_motion_still_applies(tied):
     first = next(m for m in tied if m[0] == "constraint")
     early = [(first[0], first[1] - 3600 * 10**9, first[2])]
     collection = feed(Collector(), early + [m for m in tied if m is not first]).collection()
     assert len(collection) == 30
 
 
-def test_words_heard_late_and_twice_change_nothing(tied, tied_bag):
+def test_constraints_received_late_and_twice_change_nothing(tied, tied_bag):
     """Topics overtake each other, and what is latched is heard by two subscriptions."""
     words = [m for m in tied if m[0] == "constraint"]
     others = [m for m in tied if m[0] != "constraint"]
@@ -426,7 +428,7 @@ def test_sessions_on_different_spheres_keep_the_readings_of_both(tied):
     assert both.sha256 != join_datasets(parts[::-1], [10**12, 2 * 10**12]).sha256
 
 
-def test_neither_poses_nor_a_constraint_is_said(tied):
+def test_missing_poses_and_constraints_are_reported(tied):
     collector = feed(Collector(), [m for m in tied if m[0] == "joint_states"])
     with pytest.raises(
         DatasetError, match="no messages received on measured_pose or constraint or"

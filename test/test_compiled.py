@@ -174,9 +174,7 @@ def test_a_batch_leaves_what_it_was_given_and_what_it_gave_before():
     "spoiled",
     [unwritable, of_somebody_else, without_a_home, from_another_machine, with_a_failing_compiler],
 )
-def test_where_machine_code_cannot_be_had_the_virtual_machine_serves_in_silence(
-    spoiled, tmp_path, monkeypatch, capfd
-):
+def test_without_machine_code_the_virtual_machine_is_used(spoiled, tmp_path, monkeypatch, capfd):
     spoiled(tmp_path, monkeypatch)
     function = compiled.compile_function(squared())
     assert function.class_name() == "SXFunction"

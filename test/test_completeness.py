@@ -115,7 +115,7 @@ def test_the_rank_does_not_depend_on_the_robot_or_the_poses_drawn():
 
 
 @pytest.mark.parametrize("name", load_mechanism("scara16").parameters.names)
-def test_a_scara_with_any_one_parameter_left_out_is_not_complete(name):
+def test_a_scara_without_any_one_parameter_is_not_complete(name):
     found = completeness.compute_completeness(load_mechanism("scara16"), without=[name])
     assert (found.rank, found.needed, found.is_complete()) == (15, 16, False)
 

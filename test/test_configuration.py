@@ -18,7 +18,7 @@ def test_a_row_holds_joints_position_and_the_rotation_row_by_row():
     assert np.array_equal(back.R, [QUARTER, QUARTER + 1])
 
 
-def test_one_part_serves_several_of_the_others():
+def test_one_part_provides_for_several_others():
     r = np.arange(6.0).reshape(2, 3)
     rows = Configuration(np.array([7.0]), r, np.eye(3)).rows
     assert rows.tolist() == [[7, *r[0], *np.eye(3).ravel()], [7, *r[1], *np.eye(3).ravel()]]

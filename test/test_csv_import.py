@@ -65,7 +65,7 @@ def test_columns_become_samples_in_si(files):
     assert data.sha256 == hashlib.sha256(TABLE.encode()).hexdigest()
 
 
-def test_a_motors_angle_becomes_the_way_of_its_joint(files):
+def test_a_motors_angle_becomes_the_travel_of_its_joint(files):
     """Revolutions, or degrees, of a motor that moves its joint by so much a revolution."""
     moved = MAP.replace(
         "slide: {column: b_mm, unit: mm}", "slide: {column: a_deg, per_rev: -72 mm}"
@@ -80,7 +80,7 @@ def test_a_motors_angle_becomes_the_way_of_its_joint(files):
 
 
 @pytest.mark.parametrize("way", ["72", "72 furlong", "mm", "0 mm", "nan mm", "72mm"])
-def test_a_way_for_each_revolution_that_is_none_is_refused_by_line_and_key(files, way):
+def test_an_invalid_travel_per_revolution_is_refused_with_line_and_key(files, way):
     columns = MAP.replace("unit: deg}", f"unit: deg, per_rev: '{way}'}}")
     words = r"map.yaml:2: joints.arm.per_rev: .*expected a number and a unit, as in 71.2 mm"
     with pytest.raises(ParallelCalError, match=words):
@@ -171,7 +171,7 @@ def test_units_of_the_header_are_taken_whatever_stands_between_cells(files, apar
     np.testing.assert_allclose(data.r[0], [1e-3, 2e-6, 0.0254])
 
 
-def test_a_comma_may_be_the_decimal_point_where_cells_are_apart_otherwise(files):
+def test_a_comma_may_be_the_decimal_point_where_another_character_separates_cells(files):
     table = "arm_deg;slide_mm;x_mm;y_mm;z_mm\n1,5;2,25;-0,5;0;1e-1\n"
     data = import_csv(*files(table, SHORT + "position: {columns: [x, y, z]}"))
     np.testing.assert_allclose(data.q[0], [np.radians(1.5), 2.25e-3])
@@ -222,7 +222,7 @@ def test_a_unit_that_the_header_contradicts_is_refused(files):
         import_csv(*files(table, SHORT + "position: {columns: [x, y, z], unit: m}"))
 
 
-def test_readings_alone_are_a_measurement_and_an_empty_cell_is_none(files):
+def test_readings_alone_are_a_measurement_and_an_empty_cell_is_not(files):
     table = "arm_deg,slide_mm,gauge_um\n1,2,30\n3,4,\n"
     data = import_csv(*files(table, SHORT + "readings: {probe: {column: gauge}}"))
     np.testing.assert_allclose(data.conditions["reading.probe"], [3e-5, np.nan])
@@ -256,7 +256,7 @@ def two(files, tmp_path):
     return read
 
 
-def test_tables_are_joined_by_an_index_and_what_has_no_partner_is_said(two):
+def test_tables_are_joined_by_an_index_and_rows_without_a_partner_are_reported(two):
     data = two(
         "3,0,30,3\n1,0,10,1\n2,0,20,2\n", "1,0,1,1,1\n2,0,2,2,2\n4,0,4,4,4\n", "join: {by: no}"
     )
@@ -286,7 +286,7 @@ def test_tables_are_joined_by_the_nearest_time_within_reach(two):
         ("join: {by: no, within: 0}", "join.within: "),
     ],
 )
-def test_tables_that_cannot_be_joined_are_said(two, join, words):
+def test_tables_that_cannot_be_joined_are_reported(two, join, words):
     with pytest.raises(ParallelCalError, match=words):
         two("1,0,1,1\n2,0,2,2\n3,2,3,3\n", "1,0,1,1,1\n2,1,2,2,2\n", join)
 
@@ -457,7 +457,7 @@ def test_imported_samples_are_read_like_a_recording_whatever_the_files_name(
     assert f"written: {out}" in capsys.readouterr().out.replace("\n", " ")
 
 
-def test_a_joint_of_the_model_that_the_map_does_not_name_is_said(files, tmp_path, capsys):
+def test_a_joint_missing_from_the_column_map_is_reported(files, tmp_path, capsys):
     table, columns = files()
     assert run("import-csv", table, "--columns", columns, "-o", tmp_path / "s.json") == 0
     assert run("new", "delta24", "-o", tmp_path / "m.yaml") == 0

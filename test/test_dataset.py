@@ -636,9 +636,7 @@ def mirrored(document):
         (lambda d: d.update(dropped=[{"odd": 1}]), "dropped"),
     ],
 )
-def test_a_sample_file_with_a_column_that_is_none_is_refused_by_its_key(
-    robot, tmp_path, spoil, said
-):
+def test_a_sample_file_with_an_invalid_column_is_refused_with_its_key(robot, tmp_path, spoil, said):
     path = tmp_path / "s.json"
     robot.to_json(path)
     document = json.loads(path.read_text())
@@ -661,7 +659,7 @@ def test_what_is_no_regular_sample_file_of_sane_depth_is_refused(tmp_path):
 # ---- look
 
 
-def test_look_tells_everything_as_json(tmp_path):
+def test_look_returns_everything_as_json(tmp_path):
     wild = joint_state(0.5051, ROBOT.names, [np.nan, 0.0, 0.0])
     bag = write_bag(tmp_path / "bag", [*joint_states(ROBOT), *poses(ROBOT), wild])
     document = json.loads(json.dumps(info(bag), allow_nan=False))

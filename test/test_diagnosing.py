@@ -47,7 +47,7 @@ def test_holm_multiplies_the_smallest_p_value_by_the_number_of_tests_and_so_on()
     assert adjusted == pytest.approx([0.08, 0.004, 0.06, 0.5])
 
 
-def test_holm_never_orders_two_tests_the_other_way_and_never_exceeds_one():
+def test_holm_keeps_the_order_of_two_tests_and_never_exceeds_one():
     assert holm(np.array([0.010, 0.0101, 0.9])) == pytest.approx([0.03, 0.03, 0.9])
     assert holm(np.array([0.6, 0.7])) == pytest.approx([1.0, 1.0])
 

@@ -217,7 +217,7 @@ def test_temperature_that_rises_evenly_cannot_tell_growth_from_drift():
 
 
 @pytest.mark.wide
-def test_poses_planned_to_tell_two_explanations_apart_do_so():
+def test_poses_planned_to_distinguish_two_explanations_do_so():
     plan = diagnose(MODEL, all_of_steel_warming_up()).document()["measure_next"]["plan"]
     assert plan is not None
     assert plan["sigmas"]["then"] > 2 * plan["sigmas"]["now"]
@@ -325,7 +325,7 @@ def test_a_baseline_that_cannot_be_identified_is_a_clear_error():
         diagnose(MODEL, measured(0, n_poses=5, n_replicates=0))
 
 
-def test_it_says_what_it_does_and_stops_when_told():
+def test_it_reports_progress_and_can_be_cancelled():
     class Stop(Exception):
         pass
 

@@ -76,7 +76,7 @@ def test_a_drift_in_white_noise_is_still_a_drift():
 
 
 @pytest.mark.wide
-def test_noise_that_grows_outwards_is_said_to_grow():
+def test_noise_that_grows_outwards_is_reported_as_growing():
     found = found_in(noisy(vb.growing, 0))
     assert not found.effects
     assert found.noise_shape.grows_from_centre

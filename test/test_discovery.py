@@ -76,7 +76,7 @@ def spring():
 @pytest.mark.parametrize(
     ("name", "kind"), CASES, ids=[f"{name}-{kind.__name__}" for name, kind in CASES]
 )
-def test_a_law_of_nobodys_catalogue_is_found_and_lowers_the_true_error(name, kind):
+def test_a_law_outside_the_catalogue_is_found_and_lowers_the_true_error(name, kind):
     data, hidden, effect, end = hiding(name, kind)
     robot = ls.ROBOTS[name]
     found = discover(robot.model(), data)
@@ -304,7 +304,7 @@ def test_no_name_of_a_joint_or_a_file_becomes_code_of_the_effect(scene):
     assert [p.name for p in effect.parameters(scene.model.mechanism)] == ["linear"]
 
 
-def test_drawn_noise_is_as_correlated_as_it_was_told(scene):
+def test_drawn_noise_is_as_correlated_as_stated(scene):
     white = characterise_noise(scene, scene.residual)
     assert white.memory == 0
     step = float(np.median(np.diff(scene.dataset.time)))

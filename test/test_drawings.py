@@ -143,7 +143,7 @@ def test_a_mechanism_without_lines_has_no_drawing(monkeypatch):
     assert drawings.drawing(model) is None
 
 
-def test_a_line_whose_parameters_moved_far_is_marked_and_told_where_one_points():
+def test_a_row_whose_parameters_moved_far_is_marked_and_explained_under_the_pointer():
     from parallel_cal.reporting.contents import DescribedParameter
 
     model = new_model("delta24")

@@ -162,7 +162,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_the_effect_is_found_and_brings_poses_left_out_to_the_noise(name):
+def test_the_effect_is_found_and_brings_held_out_poses_to_the_noise(name):
     line, loads, number, truth = CASES[name]
     data = session(line, seed=3, loads=loads)
     plain, found = (fit(model, data) for model in (new_model("cable"), with_effect(name)))

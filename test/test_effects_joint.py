@@ -210,7 +210,7 @@ def test_a_knock_is_undone_from_its_moment_on(time, after):
         ("x_zz", [0.1, -0.2, 0.3]),
     ],
 )
-def test_a_bent_axis_leads_aside_by_the_square_of_the_way_from_home(number, expected):
+def test_a_bent_axis_deviates_by_the_square_of_the_distance_from_home(number, expected):
     home = load_mechanism("stewart42").home.position
     _, r, R = sees("device_field", "stewart42", {number: 1e-3}, {}, r=np.add(home, [0.1, -0.2, 0]))
     np.testing.assert_allclose(r - home, np.array(expected) - [0, 0, 0.3], atol=1e-15)
@@ -506,7 +506,7 @@ def identified(case, data, **options):
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
-def test_a_hidden_effect_is_found_with_its_size_and_the_error_at_poses_left_out_falls(case):
+def test_a_hidden_effect_is_found_with_its_size_and_the_held_out_error_falls(case):
     found, without = identified(case, measured(case.robot, [case.hidden]))
     sigma = dict(zip(found.model.table.names, found.estimate.sigma, strict=True))
     for name, planted in case.numbers.items():

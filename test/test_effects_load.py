@@ -203,7 +203,7 @@ def test_a_model_file_may_name_the_joints_and_lay_the_robot_on_its_side():
         ("down", "gravity"),
     ],
 )
-def test_a_gravity_that_is_none_is_refused(gravity, error):
+def test_an_invalid_gravity_is_refused(gravity, error):
     text = dump_model(new_model("delta54")).replace("frames:", f"gravity: {gravity}\nframes:")
     with pytest.raises(ModelFileError, match=error):
         parse_model(text, "file")
@@ -409,7 +409,7 @@ def test_the_direct_problem_under_load_agrees_with_the_virtual_robot(case):
 
 @pytest.mark.wide
 @each
-def test_what_is_hidden_is_found_within_its_sigma_and_predicts_poses_left_out(case):
+def test_the_hidden_effect_is_found_within_its_sigma_and_predicts_held_out_poses(case):
     data, model = measured(case), start(case)
     result = fit(model, data)
     sigma = dict(zip(result.model.table.names, result.estimate.sigma, strict=True))

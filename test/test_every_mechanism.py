@@ -171,7 +171,7 @@ def test_a_module_without_a_mechanism_or_an_unknown_path_is_a_clear_error():
 
 
 @pytest.mark.parametrize("name", sorted(set(list_plugins("mechanisms")) - NEEDS_OPTIONS))
-def test_joints_that_are_no_numbers_are_invalid_input_even_where_all_poses_are_asked_for(name):
+def test_joints_that_are_not_numbers_are_invalid_input_even_where_all_poses_are_requested(name):
     kinematics = Kinematics(new_model(name))
     joints = np.full(len(kinematics.model.joints), np.nan)
     for found in (kinematics.direct(joints), direct_all(kinematics.model, joints)[0]):
@@ -182,7 +182,7 @@ def test_joints_that_are_no_numbers_are_invalid_input_even_where_all_poses_are_a
     ("name", "solver"),
     [("argos9", "polynomial"), ("argos27", "three_circles"), ("delta54", "homotopy")],
 )
-def test_a_complete_solver_asked_by_name_says_so_of_joints_that_are_no_numbers_too(name, solver):
+def test_a_complete_solver_chosen_by_name_also_refuses_joints_that_are_not_numbers(name, solver):
     found = solving.direct(new_model(name), np.full(3, np.nan), {}, every=True, solver=solver)
     assert Status(int(found[0].status)) == Status.INVALID_INPUT
 

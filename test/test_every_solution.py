@@ -142,12 +142,12 @@ def test_an_effect_that_bends_the_closed_form_leaves_others_possible():
     assert (len(found), found.complete) == (8, False)
 
 
-def test_a_pose_out_of_reach_has_no_solution_and_a_closed_form_knows():
+def test_a_pose_out_of_reach_has_no_solution_and_a_closed_form_reports_it():
     found = inverse_all(new_model("delta24"), np.array([0, 0, 9.0]))
     assert list(found.status) == [Status.UNREACHABLE]
     assert found.complete
 
 
-def test_one_answer_says_nothing_of_others():
+def test_one_solution_does_not_exclude_others():
     model = new_model("delta24")
     assert solving.inverse(model, np.array([0, 0, 0.2]), None, {})[0].complete is None

@@ -242,7 +242,7 @@ def test_nan_and_infinity_are_a_status_and_nothing_else_is_answered():
         assert exported.direct(home, at=[bad, *neutral[1:]])[0] == Status.INVALID_INPUT
 
 
-def test_a_start_that_is_no_number_does_no_harm():
+def test_a_start_that_is_not_a_number_does_no_harm():
     exported = Exported("delta54")
     home = np.array(exported.model.mechanism.home.joints)
     _, expected = exported.direct(home)
@@ -294,13 +294,13 @@ def test_the_command_writes_the_robot_alone_with_a_makefile_that_checks_it(tmp_p
         ("c:name=my robot", "name=my robot: expected a valid C identifier"),
     ],
 )
-def test_what_cannot_be_exported_is_said(target, said, tmp_path):
+def test_what_cannot_be_exported_is_reported(target, said, tmp_path):
     with pytest.raises(ModelError, match=said):
         export(robot("cable"), target, tmp_path)
     assert not list(tmp_path.iterdir())
 
 
-def test_a_target_of_ones_own_is_a_file_on_the_python_path(tmp_path, monkeypatch):
+def test_a_users_own_target_is_a_file_on_the_python_path(tmp_path, monkeypatch):
     (tmp_path / "my_pkg").mkdir()
     (tmp_path / "my_pkg" / "my_target.py").write_text(
         "def files(model, ending='txt'):\n    return {f'joints.{ending}': ' '.join(model.joints)}\n"

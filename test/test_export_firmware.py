@@ -183,7 +183,7 @@ def test_a_hangprinters_lines_agree_with_wound_ones_to_the_stated_loss(tmp_path)
     assert done.remarks == ["the loss includes what its numbers cannot represent of spool_buildup"]
 
 
-def test_lines_that_start_at_another_length_are_lost_and_said(tmp_path):
+def test_lines_that_start_at_another_length_are_lost_and_reported(tmp_path):
     """The firmware has no number for the line's length at reading zero."""
     model = off("cable")
     done = export(model, "rrf", tmp_path)
@@ -425,7 +425,7 @@ def test_a_signal_that_leads_to_a_pin_is_set(tmp_path):
         export_into(new_model("linear_delta"), "linuxcnc", [hal, ini])
 
 
-def test_what_a_target_cannot_hold_is_refused_with_those_that_can(tmp_path):
+def test_what_a_target_cannot_hold_is_refused_and_targets_that_can_are_named(tmp_path):
     for name, target, can in (
         ("stewart42", "klipper", "c, linuxcnc, table can represent it"),
         ("linear_delta", "grblhal", "c, klipper, linuxcnc, rrf, table can represent it"),
@@ -460,7 +460,7 @@ def project(model):
 """
 
 
-def test_a_firmware_of_ones_own_takes_part_by_its_python_path(tmp_path, monkeypatch):
+def test_a_users_own_firmware_is_found_by_its_python_path(tmp_path, monkeypatch):
     (tmp_path / "own_workshop").mkdir()
     file = tmp_path / "own_workshop" / "own_firmware.py"
     file.write_text(OF_ONES_OWN)
@@ -506,7 +506,7 @@ def test_a_leaning_bed_is_the_firmwares_zero(tmp_path):
     )
 
 
-def test_the_command_line_tells_what_is_lost(tmp_path, capsys):
+def test_the_command_line_reports_what_is_lost(tmp_path, capsys):
     (tmp_path / "config.g").write_text(CONFIG)
     write_model(moved(configured([tmp_path / "config.g"]).model), tmp_path / "m.yaml")
     command = [

@@ -154,7 +154,7 @@ def test_an_unstated_probe_noise_gives_the_estimates_of_the_stated_one(tmp_path)
     assert np.abs(wrong - true).max() > 1.0
 
 
-def test_readings_that_nobody_stated_the_noise_of_prove_nothing(tmp_path):
+def test_readings_of_unstated_noise_prove_nothing(tmp_path):
     files, dataset, *_ = rrf(tmp_path, 0, 40e-6)
     model = configured(files).model
     assert model.sensors[0].sigma is None

@@ -50,7 +50,7 @@ def test_the_stated_error_is_what_an_independent_robot_shows(tmp_path):
 
 
 @pytest.mark.wide
-def test_the_direct_table_tells_the_pose(tmp_path):
+def test_the_direct_table_gives_the_pose(tmp_path):
     export(MOCK_UP, "table:problem=direct,size=7", tmp_path)
     axes, values, about = read(tmp_path)
     assert list(about["axes"]) == ["joint1", "joint2", "joint3"]
@@ -62,6 +62,6 @@ def test_the_direct_table_tells_the_pose(tmp_path):
     assert np.nanmean(left) == pytest.approx(about["error"]["position_mean"], rel=0.2)
 
 
-def test_an_unknown_problem_is_said(tmp_path):
+def test_an_unknown_problem_is_reported(tmp_path):
     with pytest.raises(ModelError, match="problem=both: expected one of inverse, direct"):
         export(MOCK_UP, "table:problem=both", tmp_path)

@@ -49,7 +49,7 @@ def test_robots_that_differ_by_their_noise_alone_have_no_spread():
     assert 0.3 < found.high[0] < 2.5
 
 
-def test_a_direction_that_nobody_sees_is_known_to_be_unknown():
+def test_a_direction_without_data_has_unknown_uncertainty():
     d = np.array([1.0, 1.0]) / np.sqrt(2)
     found = population([Evidence(NAMES[:2], np.zeros(2), np.outer(d, d), d * x) for x in range(6)])
     sigma = np.sqrt([d @ found.covariance @ d, 1.0])

@@ -38,7 +38,7 @@ def test_importing_the_package_imports_nothing_heavy():
 
 @pytest.mark.wide
 @pytest.mark.parametrize("seed", [None, 1])
-def test_every_name_is_there_in_whatever_order_it_is_asked_for(seed):
+def test_every_name_exists_in_whatever_order_it_is_requested(seed):
     names = list(pc.__all__)
     if seed is not None:
         random.Random(seed).shuffle(names)

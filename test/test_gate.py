@@ -46,7 +46,7 @@ def test_a_wild_stamp_at_the_very_beginning_is_dropped_too(off):
 
 
 @pytest.mark.parametrize("jump", [-50.0, 50.0])
-def test_a_clock_that_jumps_is_believed_when_several_agree_and_nothing_is_lost(jump):
+def test_a_clock_that_jumps_is_accepted_when_several_stamps_agree_and_nothing_is_lost(jump):
     stream = steady(range(100), begin=100)
     stream = [(n, s + jump * (n >= 50), log, i) for n, s, log, i in stream]
     passed, gate = through(stream)
@@ -69,14 +69,14 @@ def test_messages_of_two_simultaneous_publishers_are_not_used():
         assert "two publishers" in gate.trouble
 
 
-def test_with_equal_counts_they_are_told_apart_too():
+def test_they_are_distinguished_with_equal_counts_too():
     a, b = steady("a" * 300), steady("b" * 300, log=0.005)
     passed, gate = through(sorted(a + b, key=lambda m: m[2]))
     assert len(passed) <= 2 * MIN_AGREEING_MESSAGES
     assert gate.strays > 590
 
 
-def test_a_publisher_that_takes_over_from_another_is_believed_after_a_while():
+def test_a_publisher_that_replaces_another_is_accepted_after_a_while():
     a, b = steady(range(50)), steady(range(50, 150), begin=0.6, sequence=1)
     passed, gate = through(a + b)
     assert passed == list(range(150))

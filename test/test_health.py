@@ -31,7 +31,7 @@ def test_loss_is_counted_by_the_publisher_s_count_and_is_a_warning_then_an_error
     assert items["Events since startup"] == str(999 - lost)
 
 
-def test_refusals_and_what_was_skipped_are_told_with_the_reason():
+def test_refused_and_skipped_messages_are_reported_with_the_reason():
     stream = Stream()
     for sequence in range(1, 101):
         stream.count_received(sequence)
@@ -54,7 +54,7 @@ def test_what_is_over_leaves_the_window_and_stays_in_the_total():
     assert items["Lost since startup"] == "1"
 
 
-def test_two_publishers_are_told_apart_and_their_losses_added():
+def test_two_publishers_are_distinguished_and_their_losses_added():
     sources = Sources()
     a, b = sources.identify(100_000), sources.identify(1)
     assert a is not b

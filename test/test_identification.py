@@ -455,7 +455,7 @@ def test_identification_jacobian_is_the_finite_difference_of_the_residuals():
         assert np.abs(difference - J[:, :, k]).max() < 1e-4
 
 
-def test_a_tilt_that_the_model_holds_still_is_said_although_chi2_does_not_see_it():
+def test_a_tilt_that_the_model_excludes_is_reported_although_chi2_does_not_see_it():
     result = fit(new_model("delta24"), measured(4), hold_out=0)
     assert result.estimate.chi2_per_dof < 1.3
     (words,) = [w for w in result.warnings if "holds the orientation at one value" in w]

@@ -251,7 +251,7 @@ def test_a_few_wild_readings_are_no_unit():
     assert len(observe(stewart(), replace(data, q=q))) == len(data)
 
 
-def test_who_states_the_limits_or_insists_is_believed():
+def test_stated_limits_or_force_override_the_check():
     data = legs(1e3)
     observe(stewart((0.0, 200.0)), data)
     assert len(observe(stewart(), data, insist=True)) == 40
@@ -262,7 +262,7 @@ def test_who_states_the_limits_or_insists_is_believed():
     assert any("its limits are 0 to 0.01 m" in w for w in found.warnings)
 
 
-def test_a_carriage_within_its_rail_is_left_alone():
+def test_a_carriage_within_its_rail_is_not_changed():
     model = new_model(LinearDelta())
     q = np.random.default_rng(0).uniform(*model.mechanism.joint_limits[0], (30, 3))
     data = Dataset.from_arrays(model.joints, q, np.zeros((30, 3)), np.tile(np.eye(3), (30, 1, 1)))

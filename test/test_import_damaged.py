@@ -46,7 +46,7 @@ def told(read, *arguments, **options):
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_damage_is_told_in_one_line(name, tmp_path):
+def test_damage_is_reported_in_one_line(name, tmp_path):
     rng, kind = np.random.default_rng(35), name.split(",")[0]
     options = {"unit": "mm"} if kind == "linuxcnc" else {}
     paths, refused = [tmp_path / file for file in FILES[name]], []
@@ -58,7 +58,7 @@ def test_damage_is_told_in_one_line(name, tmp_path):
     assert not [text for text in refused if "\n" in text or str(tmp_path) not in text]
 
 
-def test_damage_of_a_urdf_is_told_in_one_line(tmp_path):
+def test_damage_of_a_urdf_is_reported_in_one_line(tmp_path):
     rng, path, refused = np.random.default_rng(36), tmp_path / "robot.urdf", []
     for _ in range(TIMES):
         path.write_text(damaged(urdf.UR5, rng), encoding="utf-8")

@@ -81,7 +81,7 @@ def test_a_broken_file_is_named_with_line_and_field(files, name):
     assert message in str(error.value)
 
 
-def test_the_unit_has_to_be_said(files):
+def test_the_unit_must_be_stated(files):
     with pytest.raises(ParallelCalError, match=r"missing a required argument: 'unit'.*unit, step"):
         samples("linuxcnc", files())
     with pytest.raises(ParallelCalError, match="unit=furlong: expected mm, in or m"):

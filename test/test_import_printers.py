@@ -107,7 +107,7 @@ def printed(printer, config):
 
 @pytest.mark.wide
 @pytest.mark.parametrize("seed", range(3))
-def test_one_printed_length_tells_the_size(tmp_path, seed):
+def test_one_printed_length_determines_the_size(tmp_path, seed):
     """A printer with rods 1.5 mm longer; touches alone leave 0.2 to 0.4 per cent."""
     printer = vp.drawn(seed)
     printer = replace(printer, rod=printer.rod + 1.5e-3, radius=printer.radius + 0.6e-3)
@@ -131,7 +131,7 @@ def test_one_printed_length_tells_the_size(tmp_path, seed):
 
 
 @pytest.mark.parametrize("given", [[80], [80, "long"], [80, -1], [800, 801], 80])
-def test_a_printed_length_that_cannot_be_is_said(tmp_path, given):
+def test_an_impossible_printed_length_is_reported(tmp_path, given):
     touched(tmp_path, vp.drawn(0), 0)
     files = [tmp_path / "seen.csv", tmp_path / "config.g"]
     with pytest.raises(ParallelCalError, match=r"printed_y=.*expected \[sent, measured\] in mm"):

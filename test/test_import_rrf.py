@@ -279,7 +279,7 @@ def test_the_commands_write_samples_and_a_model_that_can_be_read(files, tmp_path
         (("import", "rrf", "c.g", "-o", "a.json", "--option", "x=1"), 1, "rrf: got an unexpected"),
     ],
 )
-def test_wrong_usage_is_said_in_one_line(words, code, message, tmp_path, monkeypatch, capsys):
+def test_wrong_usage_is_reported_in_one_line(words, code, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as ended:
         cli.main(words)

@@ -89,7 +89,7 @@ def test_clocks_may_stand_in_other_zones(files):
         samples("table", files(tracker, log.replace("11-22 1", "13-22 1")), within=0.03)
 
 
-def test_one_table_may_hold_both_and_other_names_are_said(files):
+def test_one_table_may_hold_both_and_other_names_are_reported(files):
     table = "nr,A1,A2,XA,YA,ZA\n1,0.5,1,0.1,0.2,0.3\n2,0.25,2,0.4,0.5,0.6\n"
     path = files(table)[:1]
     data = samples(

@@ -83,7 +83,7 @@ def test_what_was_removed_or_saved_does_not_come_back(collector, tmp_path):
     assert journal.path == ""
 
 
-def test_one_that_another_node_is_at_is_left_alone(collector, tmp_path):
+def test_a_journal_that_another_node_uses_is_not_touched(collector, tmp_path):
     journal = Journal(tmp_path, "node")
     journal.keep(collector.entries())
     assert Journal(tmp_path, "node").resume() == []
@@ -91,7 +91,7 @@ def test_one_that_another_node_is_at_is_left_alone(collector, tmp_path):
     journal.close("")
 
 
-def test_a_journal_that_is_none_is_an_error_with_its_name(tmp_path):
+def test_an_invalid_journal_is_an_error_with_its_name(tmp_path):
     line = {"id": 1, "start_ns": 0, "sample": {"q": [None]}}
     (tmp_path / "node-1.journal").write_text(json.dumps(line) + "\n")
     with pytest.raises(DatasetError, match=r"node-1\.journal"):

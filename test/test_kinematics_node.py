@@ -364,7 +364,7 @@ def test_a_bad_file_is_reported_in_status_and_diagnostics_and_the_model_stays(ro
     robot.wait_for_diagnosis("model", lambda s: s.level == DiagnosticStatus.OK)
 
 
-def test_the_same_file_again_is_said_to_be_the_same(robot):
+def test_loading_the_same_file_again_is_reported_as_unchanged(robot):
     assert "same content" in robot.call(Trigger, "reload").message
 
 
@@ -457,7 +457,7 @@ def test_poses_outside_the_identified_region_are_counted(robot):
     robot.back_to(NOMINAL)
 
 
-def test_a_joint_state_without_a_joint_is_counted_and_told(robot):
+def test_a_joint_state_without_a_joint_is_counted_and_reported(robot):
     publisher = robot.client._node.create_publisher(JointState, "joint_states", 10)
     robot.client.wait(lambda: publisher.get_subscription_count() > 0, "the node")
     incomplete = JointState(name=NAMES[:2], position=[0.5, 0.5])
@@ -488,7 +488,7 @@ def told_of(robot, publisher, message, reason):
     robot.wait_for_diagnosis("traffic", told)
 
 
-def test_a_joint_given_twice_and_a_temperature_that_is_none_are_refused(robot):
+def test_a_joint_given_twice_and_an_invalid_temperature_are_refused(robot):
     joints = robot.client._node.create_publisher(JointState, "joint_states", 10)
     thermometer = robot.client._node.create_publisher(Temperature, "temperature", 10)
     twice = JointState(name=[*NAMES, "joint1"], position=[0.5, 0.6, 0.7, 0.9])
@@ -496,7 +496,7 @@ def test_a_joint_given_twice_and_a_temperature_that_is_none_are_refused(robot):
     told_of(robot, thermometer, Temperature(temperature=np.nan), "the value is nan")
 
 
-def test_velocities_that_are_no_numbers_are_worked_out_from_the_positions(robot):
+def test_velocities_that_are_not_numbers_are_computed_from_the_positions(robot):
     model = read_model(IDENTIFIED).with_effect("latency")
     write_model(model, robot.folder / "late.yaml")
     robot.learn(robot.folder / "late.yaml")
@@ -510,7 +510,7 @@ def test_velocities_that_are_no_numbers_are_worked_out_from_the_positions(robot)
     robot.back_to(NOMINAL)
 
 
-def test_a_topic_that_is_published_with_another_type_is_told(robot):
+def test_a_topic_that_is_published_with_another_type_is_reported(robot):
     stranger = Client("stranger", robot.namespace, [])
     stranger._node.create_publisher(Pose, "target_pose", 10)
     expected = "target_pose is published as geometry_msgs/msg/Pose, expected"

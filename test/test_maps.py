@@ -78,7 +78,7 @@ def test_a_robot_that_only_turns_has_no_map_of_places(identified):
     assert PositionUncertainty.of(model.with_values(model.values, values)) is None
 
 
-def test_a_planar_robot_is_shown_in_plan_alone():
+def test_a_planar_robot_is_shown_only_in_plan():
     model = new_model("planar_stewart")
     model = model.with_values(model.values, np.eye(len(model.values)) * 1e-10)
     found = PositionUncertainty.of(model)

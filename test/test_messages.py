@@ -77,7 +77,7 @@ def test_a_status_carries_the_purpose_of_a_pose_and_typed_questions():
         assert status.questions[0].value == 2.0
 
 
-def test_the_feedback_has_the_fields_that_a_campaign_tells_in_this_order():
+def test_the_feedback_has_the_fields_of_a_campaigns_state_in_this_order():
     from parallel_cal_msgs.action import Calibrate
 
     fields = list(Calibrate.Feedback.get_fields_and_field_types())

@@ -209,7 +209,7 @@ def test_the_history_says_what_was_refitted_with_which_loss_and_mistrusted(calib
     assert not {"loss", "refit", "down_weighted"} & plain.keys()
 
 
-def test_refitting_with_assumed_noise_scales_what_is_new_alone(calibrated):
+def test_refitting_with_assumed_noise_scales_only_what_is_new(calibrated):
     """The parameters kept keep their covariance, and what it adds does not depend on the guess."""
     bare, sigma = few(0), vr.THESIS_NOISE
     bare = replace(bare, pose_cov=np.zeros_like(bare.pose_cov), joint_sigma=None)

@@ -59,7 +59,7 @@ def test_a_good_file_is_in_use_with_the_hash_of_its_text(server):
         ("0.14], high: [0.06, 0.06, 0.26]", "0.54], high: [0.06, 0.06, 0.56]", "self-test"),
     ],
 )
-def test_a_bad_file_changes_nothing_and_the_reason_is_told(server, tmp_path, old, new, word):
+def test_a_bad_file_changes_nothing_and_the_reason_is_reported(server, tmp_path, old, new, word):
     before = server.current
     attempt = server.load(spoilt(tmp_path / "bad.yaml", old, new), "watch")
     assert not attempt.ok
@@ -223,7 +223,7 @@ def test_a_file_whose_folder_is_yet_to_come_is_seen_when_it_comes(tmp_path, watc
     assert seen(changed)
 
 
-def test_nothing_is_watched_when_asked_to(watched):
+def test_a_file_is_not_watched_when_watching_is_off(watched):
     file, changed, watch = watched
     watch.watch(None)
     shutil.copy(IDENTIFIED, file)

@@ -333,7 +333,7 @@ def test_a_tolerance_of_zero_is_refused(text):
     refused(text.replace(LINK, LINK.replace("0.001", "0.0")), "D_x.tolerance", "above 0", "(in m)")
 
 
-def test_noise_that_nobody_measured_says_so_and_no_other_does(text):
+def test_only_noise_that_was_not_measured_is_marked_so(text):
     assert "assumed" not in text
     words = text.replace("noise: {", "noise: {assumed: true, ")
     model = parse_model(words)
@@ -356,7 +356,7 @@ def test_a_sigma_that_contradicts_the_covariance_is_refused():
     )
 
 
-def test_a_matrix_that_is_no_covariance_is_refused():
+def test_a_matrix_that_is_not_a_covariance_is_refused():
     written = dump_model(with_covariance(new_model("delta24")))
     head, rows = written.split("  lower:\n")
     _, *others = rows.split("\n")

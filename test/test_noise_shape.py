@@ -36,7 +36,7 @@ def test_noise_of_which_nine_tenths_stay_is_correlated_over_ten_samples():
     assert shape.remarks[0].startswith("the noise is correlated over")
 
 
-def test_noise_three_times_larger_outside_is_said_to_be_so():
+def test_noise_three_times_larger_outside_is_reported():
     for seed in range(10):
         z, time, places = drawn(seed)
         away = np.linalg.norm(places, axis=1)

@@ -141,7 +141,7 @@ def test_insist_does_not_accept_a_negative_backlash():
 
 
 @pytest.mark.wide
-def test_what_a_fit_gives_can_be_read_again_though_the_data_cannot_tell_two_plays_apart():
+def test_a_fitted_model_can_be_read_again_though_the_data_cannot_separate_two_plays():
     """A robot whose play is below zero, which none is: between reversals that are all far apart a
     lag and a backlash look alike, and each takes a part of it that its file would not excuse."""
     crank = replace(new_model("slider_crank"), noise=Noise(1e-6, 1e-6, 1e-6))

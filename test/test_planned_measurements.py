@@ -23,7 +23,7 @@ def winding():
     return plan(replace(new_model("delta54"), noise=NOISE).with_effect("hysteresis"), 16, pool=200)
 
 
-def test_each_joint_comes_from_where_it_turned_back_over_the_way_that_is_planned(winding):
+def test_each_joint_approaches_from_its_last_reversal_on_the_planned_path(winding):
     """Driven in any order: what a joint did before its two stops is all the same."""
     poses, names = winding.document()["poses"], [f"travel.joint{i}" for i in (1, 2, 3)]
     order = np.random.default_rng(0).permutation(len(poses))
@@ -40,7 +40,7 @@ def test_ways_are_short_and_long(winding):
     assert ways.max() > 50e-3
 
 
-def test_a_way_that_would_be_too_short_is_planned_as_long_as_it_will_be():
+def test_a_path_that_would_be_too_short_is_planned_at_its_real_length():
     model = new_model("delta54").with_effect("hysteresis")
     pool = make_pool(model, 50, np.random.default_rng(1), symmetric=False)
     least = np.array([2e-3, 0.0, 30e-3])
@@ -54,7 +54,7 @@ def test_a_way_that_would_be_too_short_is_planned_as_long_as_it_will_be():
     assert np.array_equal(travelled, after)
 
 
-def test_a_course_is_cold_then_warm_then_cold_again_as_fast_as_it_was_seen_to_change():
+def test_a_schedule_is_cold_warm_and_cold_again_as_fast_as_the_temperature_was_seen_to_change():
     """4 K in 1000 s were recorded, a sample in 10 s: blocks of 20 poses last 200 s."""
     time = np.arange(0.0, 1001.0, 10.0)
     course = Schedule.after({"time": time, "temperature": 18 + 0.004 * time}, 20)

@@ -221,7 +221,7 @@ def test_position_alone_is_planned_for_where_only_position_has_noise():
     assert found.expected.position_rms < 60e-6
 
 
-def test_poses_of_ones_own_can_be_the_pool():
+def test_a_users_own_poses_can_be_the_pool():
     model = noisy()
     own = Kinematics(model).inverse(vd.targets(40, 0))
     found = plan(model, 12, pool=own)
@@ -237,7 +237,7 @@ def test_a_play_is_planned_for_by_approaches_from_both_sides():
     }
 
 
-def test_what_no_pose_can_see_is_said_in_words():
+def test_what_no_pose_can_show_is_reported_in_words():
     loose = plan(noisy(values={}), 16, pool=100, free=["*"])
     assert loose.warnings
     assert "platform" in " ".join(loose.warnings)
@@ -317,7 +317,7 @@ def test_parameters_and_directions_have_words():
     assert direction_in_words(together, delta) == "rod length of chain 1, 3"
 
 
-def test_every_parameter_of_the_thesis_robots_has_words_of_its_own():
+def test_every_parameter_of_the_thesis_robots_has_its_own_description():
     for name in ("delta24", "delta54", "delta_nominal", "argos9", "argos27", "stewart42"):
         table = new_model(name).table
         for p in table:

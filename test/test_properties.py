@@ -162,7 +162,7 @@ def test_any_sample_file_is_read_or_refused(folder, data):
 @given(words)
 @example("[" * 100_000)
 @example('{"a": ' + "9" * 5000 + "}")
-def test_a_line_that_is_no_json_does_not_hide_the_next(folder, line):
+def test_a_line_that_is_not_json_does_not_hide_the_next(folder, line):
     path = folder / "journal.jsonl"
     path.write_bytes(line.encode(errors="surrogatepass") + b'\n{"good": 1}\n')
     assert list(json_lines(path, 1 << 20))[-1] == {"good": 1}
@@ -209,7 +209,7 @@ def test_a_value_in_a_model_file_is_read_back(value):
 
 @given(st.integers(-(10**18) + 1, 10**18 - 1))
 @example(-(10**17))
-def test_a_whole_number_has_18_digits_besides_its_sign(number):
+def test_a_whole_number_has_18_digits_and_its_sign(number):
     assert parse_yaml(f"key: {number}", "text").data == {"key": number}
 
 

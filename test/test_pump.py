@@ -67,7 +67,7 @@ def test_an_executor_sleeps_while_messages_come_in_beside_it(node):
     assert executor.looks - before <= 1.5 * spun
 
 
-def test_a_publisher_that_offers_too_little_is_told(node):
+def test_a_publisher_of_an_incompatible_quality_of_service_is_reported(node):
     """Heard on /rosout: what is printed may be cut away by a test that reads it meanwhile."""
     executor, told = SingleThreadedExecutor(context=node.context), []
     executor.add_node(node)

@@ -93,7 +93,7 @@ def test_unweighted_line_errors_are_those_of_the_independent_computation(
         assert sigma == pytest.approx(0.010e-3, abs=0.5e-6)
 
 
-def test_by_command_line_build_up_lowers_the_error_at_poses_left_out(samples, tmp_path, capsys):
+def test_spool_build_up_added_by_command_line_lowers_the_held_out_error(samples, tmp_path, capsys):
     plain, better = tmp_path / "plain.yaml", tmp_path / "better.yaml"
     fold = ("--hold-out", EACH_POSE, "--json")
     assert run("fit", MODEL, samples, "-o", plain, *fold) == 0

@@ -177,7 +177,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("command", WRONG)
-def test_what_is_wrong_with_a_file_of_ones_own_is_told_in_one_line(folder, ran, command):
+def test_a_fault_in_a_users_file_is_reported_in_one_line(folder, ran, command):
     (folder / "my_pkg" / "bad.py").write_text(
         "def estimate(model, observations, free, prior=False):\n    return 1 / 0\n\n\n"
         "def direct(model, q, at=None):\n    return 1 / 0\n"

@@ -95,7 +95,7 @@ def test_at_held_out_poses_the_model_before_is_registered_by_the_other_poses(far
 
 
 @pytest.mark.wide
-def test_an_effect_added_to_a_registered_robot_is_held_against_the_model_that_compare_shows(far):
+def test_an_effect_added_to_a_registered_robot_is_compared_with_the_model_that_compare_shows(far):
     model = new_model("delta54")
     step = add(model, "backlash", far, force=True)
     assert step.document()["before"] == compare(model, far).errors.document()

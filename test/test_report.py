@@ -152,7 +152,7 @@ def test_every_figure_is_one_that_plotly_knows(text):
         go.Figure(figure)  # raises for an unknown attribute or value
 
 
-def test_the_big_numbers_are_errors_at_poses_left_out_with_their_units(document, text):
+def test_the_headline_numbers_are_held_out_errors_with_their_units(document, text):
     said = section(text, "numbers")
     for key in ("before", "now", "found", "noise"):
         e = document["errors"][key]
@@ -311,7 +311,7 @@ def test_orientations_alone_are_shown_at_the_platform_axis():
     assert "unit sphere" in section(text, "residuals-in-space")
 
 
-def test_what_the_data_cannot_tell_is_said_in_words_and_correlations_by_name(data):
+def test_what_the_data_do_not_determine_is_reported_in_words_and_correlations_by_name(data):
     positions = replace(data, measured=np.tile([True] * 3 + [False] * 3, (len(data), 1)))
     document, text = shown(new_model("delta24"), positions, effects=["zero_shift"], free=["*.D_z"])
     said = section(text, "what-the-data-do-not-determine")
@@ -347,7 +347,7 @@ def test_a_set_up_without_any_pose_says_that_there_is_nothing_in_space():
     assert "no smooth map" in section(text, "unexplained-structure")
 
 
-def test_without_poses_left_out_errors_are_unknown_and_said_to_be(data):
+def test_without_held_out_poses_errors_are_reported_as_unknown(data):
     _, text = shown(new_model("delta54"), data, effects=["zero_shift"], hold_out=0.0)
     assert "<dd>–<span>µm</span>" in section(text, "numbers")
 

@@ -90,12 +90,12 @@ def test_the_furthest_mean_is_that_which_leaves_the_band_furthest():
     assert peak(entry) == "mean up to 0.9 σ, 3.0 × the band"
 
 
-def test_velocities_of_a_robot_at_rest_are_left_out(made, text):
+def test_velocities_of_a_robot_at_rest_are_ignored(made, text):
     assert "velocity.joint1" in made.residuals.regressors
     assert "velocity.joint1" not in part(text, "residuals-against-quantities")
 
 
-def test_parameters_are_said_to_be_those_with_the_effects_found(made, text):
+def test_parameters_are_reported_as_those_with_the_effects_found(made, text):
     assert list(made.diagnosis.effects) == ["backlash"]
     assert "Model with backlash added: " in text
 

@@ -140,7 +140,7 @@ def test_saved_samples_are_exported_too_from_stamp_zero_on(tmp_path, capsys):
         assert reader.start_time == round(1e9 * dataset.time[0])
 
 
-def test_what_was_not_measured_is_not_told():
+def test_what_was_not_measured_is_not_reported():
     from parallel_cal import Dataset, Kinematics, compare, new_model
 
     model = new_model("delta24")

@@ -95,7 +95,7 @@ def no_dwell():
 
 
 @pytest.mark.wide
-def test_a_device_that_says_nothing_is_noticed_without_one_sample_taken():
+def test_a_silent_device_is_noticed_before_any_sample():
     desk = Desk(no_dwell)
     with pytest.raises(
         CellError, match=r"no pose was received while the robot rested\. Check that the device"

@@ -140,7 +140,7 @@ def test_the_tolerances_from_a_certificate_cause_the_stated_error_at_the_workspa
         ({"volumetric_accuracy": -1e-5}, "above 0"),
     ],
 )
-def test_a_certificate_that_says_nothing_is_refused(options, words):
+def test_an_empty_certificate_is_refused(options, words):
     with pytest.raises(ModelError, match=words):
         load_sensor("certificate", **options)
 
@@ -176,7 +176,7 @@ def test_a_refused_lookalike_of_two_effects_together_is_no_objection_to_one_of_t
 
 
 @pytest.mark.wide
-def test_a_weak_effect_beside_a_strong_one_is_held_against_what_both_leave():
+def test_a_weak_effect_beside_a_strong_one_is_compared_with_what_both_leave():
     """Not against what the geometry leaves, which is ten times the noise here."""
     day = vf.session(0)
     kinds = [(vf.KINDS["backlash"], 3.0), (vf.KINDS["joint compliance"], 0.2)]

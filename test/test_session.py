@@ -174,7 +174,7 @@ def test_a_broken_session_file_is_named_with_its_key(session, change, words):
         Session(session.folder)
 
 
-def test_a_folder_without_a_session_and_one_with_are_told(session, tmp_path):
+def test_a_folder_without_a_session_and_one_with_a_session_are_reported(session, tmp_path):
     with pytest.raises(SessionError, match="no session here"):
         Session(tmp_path)
     with pytest.raises(SessionError, match="already holds a session"):
@@ -324,7 +324,9 @@ def test_a_worse_model_is_written_where_the_owner_insists_and_the_history_keeps_
     assert in_use.with_name("robot.yaml.previous").read_text() == better
 
 
-def test_a_better_model_is_written_without_a_question_and_both_errors_are_told(session, tmp_path):
+def test_a_better_model_is_written_without_a_question_and_both_errors_are_reported(
+    session, tmp_path
+):
     file = tmp_path / "robot.yaml"
     shutil.copy(MODEL, file)
     found = session.save(file)

@@ -158,7 +158,7 @@ def test_the_topics_can_be_named_and_are_never_guessed(tmp_path):
         load_dataset(path, topics={"constraint": "/tie"})
 
 
-def test_a_pose_that_nobody_named_is_not_taken_beside_a_constraint(tmp_path):
+def test_an_unnamed_pose_topic_is_not_used_beside_a_constraint(tmp_path):
     """A driver's own pose is the model's opinion; it must not pass for a measurement."""
     own = bw.poses(moves(), topic="driver/tool_pose")
     held = [bw.tie(-0.1, "plane")]
@@ -168,7 +168,7 @@ def test_a_pose_that_nobody_named_is_not_taken_beside_a_constraint(tmp_path):
     assert named.measured.all()
 
 
-def test_a_pose_device_that_said_nothing_is_no_hindrance(tmp_path):
+def test_a_silent_pose_device_is_no_hindrance(tmp_path):
     held = ts.ties_of(moves(), ["plane"] * 4)
     silent = [bw.pose(0.1, (0, 0, 0))]
     path = bag_of(tmp_path, bw.joint_states(moves()), held, silent)
@@ -285,7 +285,7 @@ def test_an_unknown_constraint_names_the_channels_of_the_model(plate_model, run,
     assert "readings of sfere1, but the model's sensors have plane, sphere1, sphere2" in said
 
 
-def test_a_model_with_sensors_refuses_poses_alone(plate_model, run, tmp_path):
+def test_a_model_with_sensors_refuses_only_poses(plate_model, run, tmp_path):
     path = bag_of(tmp_path, bw.joint_states(moves()), bw.poses(moves()))
     said = run("fit", plate_model, path, "--json")
     assert "no measurement with plane, sphere1, sphere2" in said

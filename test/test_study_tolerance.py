@@ -79,7 +79,7 @@ def test_conditions_count():
     assert not any(name.endswith("reference") for name in of)
 
 
-def test_tolerances_too_large_for_the_budget_are_said():
+def test_tolerances_too_large_for_the_budget_are_reported():
     """The crank's angle strays by 10 deg where rod and crank are nearly stretched (12.5 deg): its
     squares add a fifth."""
     model = crank(at=0.125)

@@ -221,7 +221,7 @@ def test_times_in_nanoseconds_without_a_unit_are_refused_with_line_and_cure(logs
         import_csv(paths, columns)
 
 
-def test_an_offset_that_motion_does_not_show_is_asked_for(logs):
+def test_an_offset_that_motion_does_not_show_must_be_stated(logs):
     paths, columns = logs(offset=100.0, seconds=0.9)
     words = (
         r"the times never overlap: .*joints.csv from 0.000 to .*state it in the column map \(off"

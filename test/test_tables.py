@@ -261,7 +261,7 @@ def test_the_argos_parameters_are_found_again_and_are_those_of_the_thesis():
             assert dict(leaves(fresh["after"]))[path] == pytest.approx(value, rel=1e-2, abs=5e-3)
 
 
-def test_left_out_geometry_leaves_the_argos_as_wrong_as_the_thesis_was():
+def test_without_the_full_geometry_the_argos_is_as_wrong_as_in_the_thesis():
     kept, fresh = KEPT["argos"]["argos27 with nine"]["0.5"], argos.left_with_nine(0.5)
     assert kept["position"]["mean"][3] == pytest.approx(285, rel=0.1)  # table 5.27
     assert 10 < kept["orientation"]["mean"][3] < 19

@@ -96,7 +96,7 @@ def test_the_stated_uncertainty_outside_the_measured_region_matches_the_true_err
 
 
 @pytest.mark.wide
-def test_stop_looking_is_said_of_the_region_that_was_measured():
+def test_stop_looking_refers_to_the_region_that_was_measured():
     assert (
         "no further effect is needed inside x -" in diagnose(MODEL, within(0.06, 1)).verdict.summary
     )

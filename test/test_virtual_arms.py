@@ -129,7 +129,7 @@ def test_the_diagnosis_names_a_joint_effect_although_device_frame_and_target_are
 @pytest.mark.parametrize("kind", ["ur5", pytest.param("wam", marks=pytest.mark.wide)])
 @pytest.mark.parametrize("pose", [True, False], ids=["pose", "position"])
 @pytest.mark.parametrize("frame", ["tracker", pytest.param("", marks=pytest.mark.wide)])
-def test_a_tracker_that_stands_anywhere_is_registered_and_said(kind, pose, frame):
+def test_a_tracker_that_stands_anywhere_is_registered_and_reported(kind, pose, frame):
     robot = va.arm(kind, 1)
     data, model = seen(va.session(robot, 80), pose, frame), nominal(kind)
     before = compare(model, data)

@@ -274,7 +274,7 @@ def test_thirteen_kinds_may_be_hidden_seven_and_more_in_every_robot():
     }
 
 
-def test_hidden_kinds_are_drawn_by_the_seed_each_once_and_a_wrong_name_is_told():
+def test_hidden_kinds_are_drawn_by_the_seed_each_once_and_a_wrong_name_is_reported():
     drawn = [hide("delta", ["hidden", "backlash", "hidden"], seed)[0] for seed in range(40)]
     assert {len(set(names)) for names in drawn} == {3}
     assert all(names[1] == "backlash" for names in drawn)

@@ -176,7 +176,7 @@ def test_a_stop_ends_the_motion_within_a_tenth_of_a_second(tmp_path):
         assert ended == 0
 
 
-def test_a_kind_that_no_robot_has_is_told_in_one_line(tmp_path):
+def test_a_kind_that_no_robot_has_is_reported_in_one_line(tmp_path):
     with mock.patch.dict(os.environ):
         wrong = {"robot": "argos", "effects": "soft_rods"}
         process = NodeProcess(NODE, tmp_path, f"{use_private_domain()}/none", **wrong)

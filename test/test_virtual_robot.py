@@ -319,7 +319,7 @@ def test_the_last_dwell_reads_as_the_session_drew_it() -> None:
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_the_page_beside_the_recordings_tells_their_hashes_and_they_are_small(name: str) -> None:
+def test_the_page_beside_the_recordings_lists_their_hashes_and_they_are_small(name: str) -> None:
     content = data_file(name).read_bytes()
     assert hashlib.sha256(content).hexdigest() in (make_bags.BAGS / "README.md").read_text()
     assert len(content) <= 2_000_000

@@ -340,7 +340,7 @@ def test_a_spherical_argos_turns_about_a_centre_that_stays():
 
 
 @pytest.mark.wide
-def test_model_9_has_nine_independent_parameters_in_orientations_alone():
+def test_model_9_has_nine_independent_parameters_from_orientations_only():
     nine = {k: va.TABLE_5_22[k] for k in va.ANGLES}
     q, _, _ = IDENTIFIED.inverse(R=orientations(40, 5))
     columns = sensitivities(lambda p: va.Argos(va.spherical(p)), nine, q)
@@ -381,7 +381,7 @@ def test_one_link_is_the_product_of_its_five_movements():
     np.testing.assert_allclose(whole[:3, 3], axis_rotation("z", 0.4) @ [0.2, 0, 0.1], atol=1e-15)
 
 
-def test_a_strayed_scara_reaches_a_point_that_it_was_asked_for():
+def test_a_strayed_scara_reaches_its_target():
     robot = vs.Serial(strayed(SCARA, 1))
     target = np.random.default_rng(2).uniform(-0.05, 0.05, (50, 3))
     q, r, R = robot.inverse(target)

@@ -43,7 +43,7 @@ def test_positions_alone_identify_the_whole_delta(seed):
     assert elsewhere.errors.summary.position_rms < 1.3 * elsewhere.noise.position_rms
 
 
-def test_it_is_said_in_one_line_and_in_the_document():
+def test_it_is_reported_in_one_line_and_in_the_document():
     result = fit(ALL, only("x y z", measured(0)), hold_out=0)
     said = [w for w in result.warnings if w.startswith("the tolerances determine")]
     document = result.document()

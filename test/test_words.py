@@ -22,7 +22,7 @@ def test_winches_err_in_degrees_and_arms_in_arcmin():
     assert "343.77  arcmin" in arms
 
 
-def test_a_gear_ratio_that_was_found_is_shown_and_a_mass_that_nobody_gave_is_not():
+def test_a_found_gear_ratio_is_shown_and_an_unstated_mass_is_not():
     model = new_model("delta24", effects=["gear_transmission_error", "joint_compliance"])
     found = with_effects(model, [("gear_transmission_error", {"ratio": 37.0})])
     assert find_given_parameters(found) == {"gear_transmission_error.ratio"}

@@ -106,7 +106,7 @@ def test_a_foreign_host_or_origin_is_refused(headers, status):
         assert asked(headers, kind="websocket")["type"] == "websocket.close"
 
 
-def test_where_a_token_is_asked_for_nobody_comes_in_without():
+def test_where_a_token_is_required_no_one_enters_without_it():
     here = {"host": "127.0.0.1"}
     assert asked(here, token="secret")["status"] == 403
     assert asked(here, token="secret", query=b"token=wrong")["status"] == 403
@@ -297,7 +297,7 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
 
 
 @pytest.mark.wide
-def test_a_full_disk_is_said_and_the_session_stays_as_it_was(folder):
+def test_a_full_disk_is_reported_and_the_session_is_unchanged(folder):
     from parallel_cal.workbench.bench import Bench
 
     bench = Bench(folder)

@@ -74,7 +74,7 @@ def test_the_loop_on_nodes_that_the_workbench_starts(tmp_path):
     assert nodes_on(tmp_path) == []  # what was started is ended
 
 
-def test_a_robot_is_let_calibrate_itself_held_and_stopped_on_the_page(tmp_path):
+def test_a_campaign_is_started_paused_and_stopped_on_the_page(tmp_path):
     use_private_domain()
     file = tmp_path / "robot.yaml"
     cell = NodeProcess(
@@ -115,7 +115,7 @@ def test_a_robot_is_let_calibrate_itself_held_and_stopped_on_the_page(tmp_path):
             assert cell.end() == 0
 
 
-def test_what_nodes_tell_is_gathered_and_missed_where_nobody_speaks(tmp_path):
+def test_messages_of_nodes_are_gathered_and_silence_is_reported(tmp_path):
     namespace = use_private_domain()
     watch, nodes = Watch(namespace), []
     try:
@@ -149,6 +149,7 @@ def test_what_nodes_tell_is_gathered_and_missed_where_nobody_speaks(tmp_path):
             assert node.end() == 0  # whether it has ended by itself or not
         until(lambda: "silent" in " ".join(watch.snapshot()["trouble"]), "they are missed")
     finally:
+        print(watch.snapshot())
         watch.close()
         for node in nodes:
             node.end()

@@ -56,11 +56,11 @@ def told(worker, n):
     return told
 
 
-def test_what_is_told_comes_in_order_and_then_the_result(worker):
+def test_progress_comes_in_order_and_then_the_result(worker):
     assert told(worker, 5) == [0, 1, 2, 3, 4]
 
 
-def test_what_was_told_is_there_when_the_time_is_over(worker):
+def test_the_last_progress_is_available_after_a_timeout(worker):
     done = []
     with pytest.raises(TimeBudgetExceeded):
         worker.work(count_for_ever, seconds=0.2, tell=done.append)
@@ -82,7 +82,7 @@ def test_an_error_in_the_worker_is_reported_and_the_worker_goes_on(worker, what,
     assert told(worker, 2) == [0, 1]
 
 
-def test_work_that_nobody_wants_any_more_ends_though_it_would_never_return(worker):
+def test_abandoned_work_is_ended_though_it_would_never_return(worker):
     asked = iter([True, True, False])
     with pytest.raises(WorkCancelled):
         worker.work(never_return, wanted=lambda: next(asked))
