@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import time
-from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -21,17 +20,20 @@ from parallel_cal_msgs.msg import CollectionStatus, CommandStatus, ModelStatus
 from parallel_cal_msgs.srv import SaveSamples
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import NodeNameNonExistentError
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.nodes.campaign_client import CampaignClient
 from parallel_cal.nodes.client import CALIBRATION, KINEMATICS, TIMEOUT_S, NodeError, Process
-from parallel_cal.nodes.parameters import LATCHED, SENSOR
+from parallel_cal.nodes.live_errors import MAX_WAITING_POSES, LiveErrors
+from parallel_cal.nodes.parameters import LATCHED
 from parallel_cal.nodes.run import type_name
 
 NODE_TIMEOUT_S = 5.0  # s without diagnostics, which nodes publish once a second
 MAX_ERRORS = 6000  # errors of measured poses: a minute at 100 Hz
-MAX_WAITING_POSES = 600  # predicted and measured poses that wait for one another
+# Deep, so that no pose is lost while the page is drawn.
+POSES = QoSProfile(depth=MAX_WAITING_POSES, reliability=ReliabilityPolicy.BEST_EFFORT)
 LEVELS = {b"\x00": "ok", b"\x01": "warn", b"\x02": "error", b"\x03": "stale"}
 MEASURED = {type_name(t): t for t in (PoseWithCovarianceStamped, PoseStamped)}
 
@@ -53,8 +55,7 @@ class Watch:
         self._model: dict[str, Any] = {}
         self._samples: dict[str, Any] = {}
         self._dropped: list[dict[str, Any]] = []
-        self._predicted: deque[tuple[float, np.ndarray]] = deque(maxlen=MAX_WAITING_POSES)
-        self._waiting: deque[tuple[float, np.ndarray]] = deque(maxlen=MAX_WAITING_POSES)
+        self._live_errors = LiveErrors()
         self._errors: deque[tuple[float, float]] = deque(maxlen=MAX_ERRORS)
         self._measured = ""  # the topic of the measured pose, once it is found
         listen = self._node.create_subscription
@@ -62,7 +63,7 @@ class Watch:
         listen(ModelStatus, f"{KINEMATICS}/model_status", self._on_model, LATCHED)
         listen(CollectionStatus, f"{CALIBRATION}/collection_status", self._on_samples, LATCHED)
         listen(String, f"{CALIBRATION}/dropped", self._on_dropped, LATCHED)
-        listen(PoseStamped, f"{KINEMATICS}/pose", self._on_predicted, SENSOR)
+        listen(PoseStamped, f"{KINEMATICS}/pose", self._on_predicted, POSES)
         self._node.create_timer(1.0, self._find_measured)
         self._command_status: CommandStatus | None = None
         listen(CommandStatus, f"{KINEMATICS}/command_status", self._on_command_status, 10)
@@ -256,30 +257,22 @@ class Watch:
         for topic, types in heard:
             for kind in set(types) & set(MEASURED):
                 self._measured = topic
-                self._node.create_subscription(MEASURED[kind], topic, self._on_measured, SENSOR)
+                self._node.create_subscription(MEASURED[kind], topic, self._on_measured, POSES)
                 return
 
     def _on_predicted(self, message: PoseStamped) -> None:
-        self._predicted.append((_seconds(message.header.stamp), _position(message.pose)))
-        self._match()
+        position = _position(message.pose)
+        self._note(self._live_errors.add_predicted(_seconds(message.header.stamp), position))
 
     def _on_measured(self, message: Any) -> None:
         pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
-        self._waiting.append((_seconds(message.header.stamp), _position(pose)))
-        self._match()
+        position = _position(pose)
+        self._note(self._live_errors.add_measured(_seconds(message.header.stamp), position))
 
-    def _match(self) -> None:
-        """Compare each measured pose with the prediction interpolated at its time."""
-        while self._waiting and self._predicted and self._waiting[0][0] <= self._predicted[-1][0]:
-            at, measured = self._waiting.popleft()
-            k = bisect_left(self._predicted, at, key=lambda one: one[0])
-            if k == 0:
-                continue
-            (t0, r0), (t1, r1) = self._predicted[k - 1], self._predicted[k]
-            predicted = r0 + (r1 - r0) * (at - t0) / (t1 - t0)
-            with self._lock:
-                error = float(np.linalg.norm(measured - predicted))
-                self._errors.append((time.monotonic(), error))
+    def _note(self, errors: list[float]) -> None:
+        now = time.monotonic()
+        with self._lock:
+            self._errors.extend((now, error) for error in errors)
 
 
 def _wait_for(condition: Callable[[], bool], patience: float = TIMEOUT_S) -> bool:
