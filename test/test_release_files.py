@@ -1,0 +1,58 @@
+"""What a release states in several files is the same in all of them."""
+
+import json
+import re
+from configparser import ConfigParser
+from pathlib import Path
+from xml.etree import ElementTree
+
+import yaml
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = [ROOT / "package.xml", ROOT / "msg_defs" / "package.xml"]
+
+
+def setup():
+    parser = ConfigParser()
+    parser.read(ROOT / "setup.cfg", encoding="utf-8")
+    return parser["metadata"]
+
+
+def citation():
+    return yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+
+
+def test_version_licence_and_maintainer_are_the_same_in_every_file():
+    stated = [(setup()["version"], setup()["license"], setup()["maintainer_email"])]
+    stated.append((citation()["version"], citation()["license"], citation()["authors"][0]["email"]))
+    for package in map(ElementTree.parse, PACKAGES):
+        root = package.getroot()
+        maintainer = root.find("maintainer")
+        stated.append((root.findtext("version"), root.findtext("license"), maintainer.get("email")))
+    assert len(stated) == 4
+    assert len(set(stated)) == 1, stated
+
+
+def test_the_ros_packages_that_the_code_imports_are_declared():
+    declared = {e.text for e in ElementTree.parse(PACKAGES[0]).getroot().iter("exec_depend")}
+    imported = set()
+    ours = {"parallel_cal_msgs"}
+    for folder in ("parallel_cal", "launch"):
+        for file in (ROOT / folder).rglob("*.py"):
+            text = file.read_text(encoding="utf-8")
+            names = re.findall(r"^\s*(?:from|import) (\w+)", text, re.M)
+            imported |= {n for n in names if n.endswith(("_msgs", "_srvs", "_interfaces"))}
+            imported |= {n for n in names if n.startswith(("rclpy", "tf2_ros", "launch"))}
+    assert ours < imported
+    assert imported - declared == set()
+
+
+def test_files_for_continuous_integration_and_containers_can_be_read():
+    workflow = yaml.safe_load((ROOT / ".github/workflows/test.yaml").read_text(encoding="utf-8"))
+    assert workflow["jobs"]["python"]["strategy"]["matrix"]["python"][0] == "3.10"
+    assert ".ci/run" in str(workflow["jobs"]["check"]["steps"])
+    assert (
+        "make venv"
+        in json.loads((ROOT / ".devcontainer/devcontainer.json").read_text())["postCreateCommand"]
+    )
+    assert yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"]
