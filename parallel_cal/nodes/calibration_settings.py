@@ -40,6 +40,17 @@ PARAMETERS = {
     ),
     "hold_out": Setting(0.25, "share of held-out poses if a goal gives none", (0, 0.5)),
     "pose_type": Setting(POSE_TYPES[0], "type of measured_pose", POSE_TYPES, fixed=True),
+    "driver_type": Setting(
+        "",
+        "full name of the type of measured_pose, such as tf2_msgs/msg/TFMessage, if it is not one "
+        "of pose_type; empty = pose_type",
+        fixed=True,
+    ),
+    "body": Setting(
+        "",
+        "name of the body, tag or frame in the messages of driver_type; empty = the only one",
+        fixed=True,
+    ),
     "channels": Setting("", "Python paths of your own channels, separated by commas", fixed=True),
     "journal": Setting(True, "write every sample to disk at once", fixed=True),
     "journal_folder": Setting(

@@ -24,11 +24,12 @@ from parallel_cal.nodes.clock_alignment import ClockAlignment, JointClock
 from parallel_cal.nodes.gate import Gate, StampedMessage
 from parallel_cal.nodes.inbox import Inbox
 from parallel_cal.nodes.journal import Entry, Part
-from parallel_cal.recordings.channels import CHANNELS, list_channels, stamp_of
+from parallel_cal.recordings.channels import CHANNELS, list_channels
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import fingerprint, join_datasets
 from parallel_cal.recordings.loading import load_dataset, order_joints
 from parallel_cal.recordings.options import SampleOptions
+from parallel_cal.recordings.pose_messages import stamp_of
 from parallel_cal.recordings.recording import Dropped
 
 # Joint states of an inbox: a quarter of an hour at 100 Hz. A new inbox begins then, and the old one

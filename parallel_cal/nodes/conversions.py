@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Duration
-from geometry_msgs.msg import Point, Pose, Quaternion
+from geometry_msgs.msg import Point, Pose, PoseWithCovarianceStamped, Quaternion
 from parallel_cal_msgs.msg import Condition, Solution
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -19,6 +19,8 @@ from parallel_cal.base.rotation import quaternion_to_matrix
 from parallel_cal.kinematics.answers import named_conditions
 from parallel_cal.kinematics.kinematics import Solutions, Status
 from parallel_cal.model.model import Model
+from parallel_cal.recordings.pose_messages import read_pose
+from parallel_cal.recordings.pose_stream import NOT_MEASURED
 
 STOPPING_TIME_S = 0.05  # s in which a stop message brings the robot to rest
 UNIT_LENGTH = 1e-3  # a quaternion whose norm deviates more from 1 is refused
@@ -40,6 +42,29 @@ def message_class(type: str) -> Any:
     """
     package, _, name = type.split("/")
     return getattr(import_module(f"{package}.msg"), name)
+
+
+def find_measured_pose(message: Any, body: str) -> PoseWithCovarianceStamped | None:
+    """Return the pose of a body in a driver's message; None if the message lacks the body.
+
+    The covariance is zero where the driver states none. Raise BagError if the message holds several
+    bodies and none is named.
+    """
+    found = read_pose(message, body)
+    if found is None:
+        return None
+    stamp, (frame, position, quaternion, covariance) = found
+    pose = PoseWithCovarianceStamped()
+    pose.header.frame_id = frame
+    pose.header.stamp.sec, pose.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
+    turn = quaternion or (0.0, 0.0, 0.0, 1.0)
+    set_pose(pose.pose.pose, np.array(position), np.array(turn))
+    if covariance is not None:
+        pose.pose.covariance = covariance
+    elif quaternion is None:
+        variances = [0.0] * 3 + [2 * NOT_MEASURED] * 3
+        pose.pose.covariance = np.diag(variances).ravel()
+    return pose
 
 
 def joint_order(names: Sequence[str], joints: Sequence[str]) -> list[int]:

@@ -14,17 +14,20 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile
 
-from parallel_cal.nodes.conversions import message_class
+from parallel_cal.base.errors import BagError, ParallelCalError
+from parallel_cal.nodes.conversions import find_measured_pose, message_class
 from parallel_cal.nodes.health import Stream
 from parallel_cal.nodes.inflow import Inflow
 from parallel_cal.nodes.managed_node import ManagedNode
 from parallel_cal.nodes.parameters import LATCHED, overridable
 from parallel_cal.nodes.pump import Messages, Pump
 from parallel_cal.recordings.channels import CHANNELS
+from parallel_cal.recordings.pose_messages import body_names
 
 # Reliable, and deep enough for minutes of a 1 kHz stream while this process is busy.
 STREAM = QoSProfile(depth=100_000)
 MEASURED = ("poses", "readings")  # kinds of channels that a measuring device fills by itself
+LOG_THROTTLE_S = 5.0  # s between two log lines about messages without the pose
 STREAMED = ("joints", *MEASURED)  # kinds read in threads of their own, however busy the node is
 
 
@@ -88,16 +91,22 @@ class Subscriptions:
         queue: MessageQueue,
         on_joint_state: Callable[[Any], None],
         pose_type: str,
+        driver_type: str,
+        body: str,
         group: CallbackGroup,
     ):
+        """Read `measured_pose` as `pose_type`, or the poses of `body` from `driver_type`."""
         self._node, self._queue, self._group = node, queue, group
         self._on_joint_state = on_joint_state
+        # Before any thread is started, as it may fail.
+        pose_class = _driver_class(driver_type) or getattr(geometry_msgs.msg, pose_type)
+        self._body = body if driver_type else None
         self._pumps: list[Pump] = []
         quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
         for name, channel in CHANNELS.items():
             type = message_class(channel.types[0])
             if name == "measured_pose":
-                type = getattr(geometry_msgs.msg, pose_type)
+                type = pose_class
             self._subscribe(name, type, STREAM, qos_overriding_options=overridable())
             if channel.latched:
                 # Often published once: the subscription above would miss it, while a latched one
@@ -126,4 +135,37 @@ class Subscriptions:
         for message, info in received:
             if channel == "joint_states":
                 self._on_joint_state(message)
+            elif channel == "measured_pose" and self._body is not None:
+                message = self._find_body(message, self._body)
+                if message is None:
+                    continue
             self._queue.put(channel, message, info)
+
+    def _find_body(self, message: Any, body: str) -> Any:
+        """Return the pose of the body; None, with a warning, if the driver's message lacks it."""
+        try:
+            found = find_measured_pose(message, body)
+        except BagError as error:
+            found, why = None, str(error)
+        else:
+            why = f"no body '{body}' in it; it holds {', '.join(body_names(message)) or 'no pose'}"
+        # A tf topic carries the frames of everybody, each in messages of its own.
+        if found is None and not hasattr(message, "transforms"):
+            self._node.get_logger().warning(
+                f"measured_pose: message without a pose: {why}",
+                throttle_duration_sec=LOG_THROTTLE_S,
+            )
+        return found
+
+
+def _driver_class(name: str) -> Any:
+    """Return the class of a driver's message type; None for an empty name."""
+    if not name:
+        return None
+    try:
+        return message_class(name)
+    except (ImportError, AttributeError, ValueError):
+        raise ParallelCalError(
+            f"driver_type {name}: not found; expected PACKAGE/msg/TYPE of a package that is "
+            "installed and sourced here"
+        ) from None

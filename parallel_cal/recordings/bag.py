@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from parallel_cal.base.errors import BagError, ParallelCalError
 from parallel_cal.base.progress import Progress
-from parallel_cal.recordings.channels import CHANNELS, stamp_of
+from parallel_cal.recordings.channels import CHANNELS, Channel
 from parallel_cal.recordings.cleaning import assemble
 from parallel_cal.recordings.options import ReadOptions
+from parallel_cal.recordings.pose_messages import body_names, read_pose, split_body, stamp_of
 from parallel_cal.recordings.recording import Raw, Recording, TopicInfo
 from parallel_cal.recordings.topics import choose_topics
 
@@ -30,7 +31,7 @@ def read_bag(
     try:
         with _Bag(path) as bag:
             chosen = choose_topics(bag.topics, options.topics, bag.notes)
-            raws = _read_messages(bag, chosen, progress)
+            raws = _read_messages(bag, chosen, options.topics, progress)
         recording = assemble(raws, options, str(path), bag.notes)
         return replace(recording, sha256=data_hash(path), topics=bag.topics)
     except BagError as error:
@@ -148,28 +149,84 @@ class _Bag:
 
 
 def _read_messages(
-    bag: _Bag, chosen: dict[str, TopicInfo], progress: Progress | None
+    bag: _Bag,
+    chosen: Mapping[str, TopicInfo],
+    topics: Mapping[str, str],
+    progress: Progress | None,
 ) -> dict[str, Raw]:
     """Decode the chosen topics' messages in one pass."""
-    from rosbags.typesys import Stores, get_typestore
-
-    # Use the standard types of Jazzy, so that a bag's own definitions cannot interfere.
-    store = get_typestore(Stores.ROS2_JAZZY)
     raws = {channel: Raw(topic.name, topic.type) for channel, topic in chosen.items()}
-    targets = {(raw.topic, raw.type): (CHANNELS[c], raw) for c, raw in raws.items()}
-    connections = [c for c in bag.reader.connections if (c.topic, c.msgtype) in targets]
+    decoders = {
+        (raw.topic, raw.type): _Decoder(CHANNELS[c], raw, split_body(topics.get(c, ""))[1])
+        for c, raw in raws.items()
+    }
+    connections = [c for c in bag.reader.connections if (c.topic, c.msgtype) in decoders]
+    store = _type_store(connections)
     total = max(1, sum(c.msgcount for c in connections))
     for i, (connection, log, data) in enumerate(bag.messages(connections)):
-        channel, raw = targets[connection.topic, connection.msgtype]
-        try:
-            message = store.deserialize_cdr(data, raw.type)
-            row = channel.decode(message)
-        except Exception:  # bytes that are not a message fail in any manner; they are counted
-            raw.undecodable += 1
-        else:
-            raw.append(log, stamp_of(message), row)
+        decoders[connection.topic, connection.msgtype].take(store, log, data)
         if progress and i % 2000 == 0:
             progress(f"reading {bag.path.name}", i / total)
+    for decoder in decoders.values():
+        decoder.require_body()
     if progress:
         progress(f"read {bag.path.name}", 1.0)
     return raws
+
+
+class _Decoder:
+    """Appends the messages of one topic to its rows; of a list of bodies, only the named one."""
+
+    def __init__(self, channel: Channel, raw: Raw, body: str):
+        self.channel, self.raw, self.body = channel, raw, body
+        self.others: set[str] = set()  # bodies in messages that lack the named one
+
+    def take(self, store: Any, log: int, data: bytes) -> None:
+        try:
+            message = store.deserialize_cdr(data, self.raw.type)
+            if self.channel.kind != "poses":
+                self.raw.append(log, stamp_of(message), self.channel.decode(message))
+            elif (found := read_pose(message, self.body)) is not None:
+                self.raw.append(log, *found)
+            else:
+                self.others.update(body_names(message))
+        except BagError as error:
+            raise BagError(f"{self.raw.topic}: {error}") from None
+        except Exception:  # bytes that are not a message fail in any manner; they are counted
+            self.raw.undecodable += 1
+
+    def require_body(self) -> None:
+        """Raise BagError if no message had the named body, or any pose at all."""
+        if self.channel.kind != "poses" or self.raw.rows or self.raw.undecodable:
+            return
+        if self.others:
+            raise BagError(
+                f"{self.raw.topic}: no body '{self.body}' in its messages; they hold "
+                f"{', '.join(sorted(self.others))}"
+            )
+        raise BagError(
+            f"{self.raw.topic}: messages of type {self.raw.type} hold no pose, transform or point. "
+            "If the driver also publishes tf, name that: measured_pose=/tf:PARENT->CHILD"
+        )
+
+
+def _type_store(connections: Sequence[Any]) -> Any:
+    """Return the message types: the standard ones of Jazzy, and others as the bag defines them.
+
+    A bag's own definition of a standard type is not used, so that it cannot interfere.
+    """
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for connection in connections:
+        if connection.msgtype in store.types:
+            continue
+        text = getattr(connection.msgdef, "data", "")
+        if not text:
+            raise BagError(
+                f"{connection.topic}: its type {connection.msgtype} is not a standard one, and the "
+                "bag does not hold its definition: record as mcap (ros2 bag record -s mcap)"
+            )
+        own = get_types_from_msg(text, connection.msgtype)
+        store.register({name: fields for name, fields in own.items() if name not in store.types})
+    return store

@@ -16,6 +16,7 @@ import numpy as np
 
 from parallel_cal.base.errors import BagError, wrap_plugin_error
 from parallel_cal.model.shelf import require_allowed
+from parallel_cal.recordings.pose_messages import pose_row
 
 Kind = Literal["joints", "poses", "condition", "words", "readings"]
 
@@ -54,20 +55,6 @@ def joint_row(message: Any) -> tuple:
         np.asarray(message.position, float),
         np.asarray(message.effort, float),
     )
-
-
-def pose_row(message: Any) -> tuple:
-    """Return (frame, position, quaternion, covariance); None for what the type does not contain."""
-    if hasattr(message, "point"):
-        return message.header.frame_id, _xyz(message.point), None, None
-    covariance = getattr(message.pose, "covariance", None)
-    pose = message.pose if covariance is None else message.pose.pose
-    o = pose.orientation
-    return message.header.frame_id, _xyz(pose.position), (o.x, o.y, o.z, o.w), covariance
-
-
-def _xyz(point: Any) -> tuple:
-    return point.x, point.y, point.z
 
 
 # The name of a channel is also the name of its usual topic.
@@ -126,11 +113,3 @@ def register_channels(path: str) -> None:
     if not own:
         raise BagError(f"{path} defines no Channel: assign one to a name there")
     CHANNELS.update(own)
-
-
-def stamp_of(message: Any) -> int:
-    """Return the time of a message's header in ns; 0 if it has no header."""
-    if not hasattr(message, "header"):
-        return 0
-    stamp = message.header.stamp
-    return int(stamp.sec * 1_000_000_000 + stamp.nanosec)

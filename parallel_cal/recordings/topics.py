@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from parallel_cal.base.errors import BagError
 from parallel_cal.recordings.channels import CHANNELS, Kind, list_channels
+from parallel_cal.recordings.pose_messages import POSE_TYPES, may_hold_poses, split_body
 from parallel_cal.recordings.recording import TopicInfo
 
 Types = tuple[str, ...]
@@ -25,7 +26,7 @@ def choose_topics(
 
     BagError if there are no joints, or nothing measured.
     """
-    names = {channel: topics.get(channel, channel) for channel in CHANNELS}
+    names = {channel: split_body(topics.get(channel, channel))[0] for channel in CHANNELS}
     offer = _Offer(available, notes)
     joints = CHANNELS["joint_states"].types
     chosen = {"joint_states": offer.require("joint_states", names["joint_states"], joints)}
@@ -40,7 +41,7 @@ def choose_topics(
     choose("words")
     choose("readings")
     if pose := _pose(offer, names, needed=len(chosen) == 1):
-        chosen["measured_pose" if pose.type in POSES else "measured_position"] = pose
+        chosen["measured_position" if pose.type in POINTS else "measured_pose"] = pose
     choose("condition")
     return chosen
 
@@ -82,11 +83,13 @@ class _Offer:
     def find_named(self, name: str, types: Types) -> TopicInfo | None:
         """Return the topic of this name, or None; BagError if its type does not fit."""
         found = [t for t in self.available if name and t.name.strip("/") == name.strip("/")]
-        fitting = [t for t in found if t.type in types]
+        any_pose = set(POSES) <= set(types)  # a pose may have many types if its topic is named
+        fitting = [t for t in found if t.type in types or (any_pose and may_hold_poses(t.type))]
         if found and not fitting:
+            expected = (*types, *POSE_TYPES[len(POSES) :], "a driver's own") if any_pose else types
             raise BagError(
                 f"topic {found[0].name} has type {found[0].type}; expected "
-                f"{' or '.join(types)}. Name another topic. {self.listing}"
+                f"{' or '.join(expected)}. Name another topic. {self.listing}"
             )
         return max(fitting, key=lambda t: t.count, default=None)
 
