@@ -74,7 +74,9 @@ class CalibrationNode(ManagedNode):
             self,
             self._queue,
             self._campaigning.on_joint_state,
-            *(settings.get(name) for name in ("pose_type", "driver_type", "body")),
+            settings.get("pose_type"),
+            settings.get("driver_type"),
+            settings.get("body"),
             group,
         )
         SampleServices(self, samples, settings.folders, calibrator, report, group)
