@@ -19,6 +19,7 @@ import numpy as np
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.files import MEGABYTE, read_foreign_text
 from parallel_cal.base.units import UNIT_ALIASES, UNITS
+from parallel_cal.recordings.motive import is_motive, merge_header
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
 MAX_TABLE_BYTES = 512 * MEGABYTE
@@ -113,6 +114,8 @@ class Table:
 def read_table(path: Path) -> Table:
     """Read a table with a header line; skip empty lines and leading `#` lines.
 
+    The header of an export of OptiTrack's Motive is merged into one line (motive.py).
+
     DatasetError if the file is not such a table.
     """
     try:
@@ -137,7 +140,13 @@ def read_table(path: Path) -> Table:
         raise DatasetError(f"{path}: not a CSV table: {error}") from None
     if not found or not any(found[0][1]):
         raise DatasetError(f"{path}:1: the file is empty; expected a header line")
-    (_, header), *rows = found
+    if is_motive([row for _, row in found]):
+        last, header = merge_header([row for _, row in found])
+        rows = [
+            (line, [*row, *[""] * len(header)][: len(header)]) for line, row in found[last + 1 :]
+        ]
+    else:
+        (_, header), *rows = found
     names = [" ".join(name.split()) for name in header]  # Excel breaks lines within a cell
     decimal = "." if apart == "," else ","
     return Table(path, names, [row for _, row in rows], [line for line, _ in rows], decimal)
