@@ -36,7 +36,7 @@ class LiveSamples:
         self._queue, self._recording, self._report, self._look = queue, recording, report, look
 
     def resume(self) -> None:
-        """Take over the samples of a run that crashed; name the journals that are not taken over."""
+        """Take over the samples of a run that crashed; name journals that are not taken over."""
         if self._journal is None:
             return
         try:
