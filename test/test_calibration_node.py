@@ -628,6 +628,7 @@ def played(tmp_path, bag, by):
 @pytest.mark.parametrize("by", [signal.SIGKILL, signal.SIGTERM])
 @mock.patch.dict(os.environ)
 def test_samples_outlive_their_node_however_it_ends_until_they_are_saved(tmp_path, by):
+    """After a crash they are there again; after an end in order, the file is named."""
     namespace = played(tmp_path, CLEAN, by)
     folder = str(tmp_path / "j")
     for expected in (94, 0):  # the second time they were saved
@@ -636,9 +637,17 @@ def test_samples_outlive_their_node_however_it_ends_until_they_are_saved(tmp_pat
         client = Client("tester", namespace, [node])
         status = client.subscribe_latest(CollectionStatus, "calibration_node/collection_status")
         client.wait(lambda s=status: bool(s), "a status")
-        assert status[0].samples == expected
+        if expected and by == signal.SIGTERM:
+            assert status[0].samples == 0
+            (journal,) = (tmp_path / "j").glob("*.journal")
+            assert f"its samples are in {journal}" in status[0].last_event
+            loaded = client.call(LoadSamples, "calibration_node/load_samples", path=str(journal))
+            assert loaded.samples == expected, loaded.message
+        else:
+            assert status[0].samples == expected
         if expected:
-            assert "94 samples of the previous run were read" in status[0].last_event
+            if by == signal.SIGKILL:
+                assert "94 samples of the previous run were read" in status[0].last_event
             path = str(tmp_path / "s.json")
             saved = client.call(SaveSamples, "calibration_node/save_samples", path=path)
             assert saved.samples == 94

@@ -675,6 +675,84 @@ def test_a_stored_judgement_that_cannot_be_read_is_set_aside_and_its_samples_jud
     last.close()
 
 
+class SlippedTarget(SimulatedCell):
+    """Its target slips on the platform by 1.2 mm after 14 samples."""
+
+    taken = 0
+
+    def sample(self, go_on):
+        self.taken += 1
+        sample = super().sample(go_on)
+        if self.taken <= 14:
+            return sample
+        d = sample.dataset
+        return Sample(replace(d, r=d.r + d.R[0] @ [1e-3, -6e-4, 3e-4]), sample.start_ns)
+
+
+@pytest.mark.wide
+def test_a_slipped_target_is_named_and_ends_no_campaign(tmp_path):
+    """Without the slip, no geometry fits: leg2.C_z would have to be 17 mm off."""
+    one = Campaign(
+        tmp_path,
+        dump_model(model_of("stewart")),
+        Goal(poses=24, effects=("device_bump", "backlash", "encoder_gain")),
+        SlippedTarget("stewart", 4, ("backlash",)),
+    )
+    outcome = one.run()
+    one.close()
+    assert outcome.ended
+    assert outcome.document["effects"][0] == "device_bump"
+    assert outcome.message.count("no geometry fits the samples without device_bump") == 1
+    judged = one.judgements[-1]
+    assert judged.additions[0].startswith("device_bump:time=")
+    text = parse_model(judged.text)
+    moved = text.table.mapping(text.values)
+    shift = [moved[f"device_bump.v_{axis}"] for axis in "xyz"]
+    assert np.allclose(shift, [1e-3, -6e-4, 3e-4], atol=3e-4)
+
+
+@pytest.mark.wide
+def test_samples_that_no_model_describes_are_judged_so_and_the_first_poses_are_measured_again(
+    tmp_path,
+):
+    """The target slips, and nobody asks whether it did."""
+    given = Goal(poses=40, effects=("backlash",))
+    text = dump_model(model_of("stewart"))
+    one = Campaign(tmp_path, text, given, SlippedTarget("stewart", 4, ("backlash",)))
+    while not one.judgements:
+        assert one._step() is None
+    (judged,) = one.judgements
+    assert judged.verdict == "unexplained"
+    assert judged.summary.startswith("no model describes the 24 samples: ")
+    assert judged.effects == ()
+    assert judged.text == one.model
+    before = one.dataset.select(~one.validation_mask).q[:14]  # before the slip
+    assert len(judged.targets) == 8
+    for target in judged.targets:
+        assert np.abs(before - target.joints).max(axis=1).min() < 1e-6
+    one.close()
+    again = Campaign(tmp_path, one.model, given, SimulatedCell("stewart", 4))
+    assert again.judgements == one.judgements
+    again.close()
+
+
+def test_the_last_model_of_a_campaign_without_a_geometry_is_that_of_its_best_judgement(tmp_path):
+    """A session whose samples no geometry fits; nothing is written without a better model."""
+    one = campaign(tmp_path, SimulatedCell(), Goal(poses=20))
+    for _ in range(3):
+        one._step()
+    Session(tmp_path).take(one.dataset.to_json)  # too few samples to identify anything
+    judged = quick(JudgementRequest(TEXT), one.dataset, one.validation_mask)
+    worse = replace(judged, unseen={"position": 3e-3})
+    one.close()
+    found = conclude(tmp_path, [judged])
+    assert found.text == judged.text
+    assert "the model is that of 3 poses" in found.words
+    found = conclude(tmp_path, [worse])
+    assert found.text == ""
+    assert "nothing was written" in found.words
+
+
 def test_a_model_that_cannot_be_read_begins_no_campaign(tmp_path):
     with pytest.raises(ModelFileError, match=r"leg1\.lag\.value: -2\.35"):
         Campaign(tmp_path / "new", SLIP.read_text(), Goal(), SimulatedCell(), work=work)

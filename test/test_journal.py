@@ -91,6 +91,48 @@ def test_a_journal_that_another_node_uses_is_not_touched(collector, tmp_path):
     journal.close("")
 
 
+def test_a_session_that_ended_in_order_does_not_join_the_next_one(collector, tmp_path):
+    journal = Journal(tmp_path, "node")
+    journal.keep(collector.entries())
+    path = journal.path
+    journal.end("the node ended in order")
+    following = Journal(tmp_path, "node")
+    assert following.resume() == []
+    assert following.left == path
+    loaded = Collector()
+    assert loaded.load(path) == len(collector)
+    assert np.array_equal(loaded.collection().dataset.q, collector.collection().dataset.q)
+
+
+def test_an_older_journal_does_not_join_after_a_session_that_ended_in_order(collector, tmp_path):
+    """It was left by a node that crashed long ago, or that had other joints."""
+    older = Journal(tmp_path, "node")
+    older.keep(collector.entries())
+    os.close(older._file)
+    newer = Journal(tmp_path, "node")
+    newer.keep(collector.entries())
+    newer.end("the node ended in order")
+    assert Journal(tmp_path, "node").resume() == []
+
+
+def test_a_journal_that_another_node_uses_is_named(collector, tmp_path):
+    journal = Journal(tmp_path, "node")
+    journal.keep(collector.entries())
+    second = Journal(tmp_path, "node")
+    assert second.resume() == []
+    assert second.busy == [journal.path]
+    journal.close("")
+
+
+def test_a_journal_without_samples_is_not_loaded(collector, tmp_path):
+    path = tmp_path / "node-1.journal"
+    path.write_text('{"id": 3}\n')
+    before = len(collector)
+    with pytest.raises(DatasetError, match=r"node-1\.journal: a journal without samples"):
+        collector.load(path)
+    assert len(collector) == before
+
+
 def test_an_invalid_journal_is_an_error_with_its_name(tmp_path):
     line = {"id": 1, "start_ns": 0, "sample": {"q": [None]}}
     (tmp_path / "node-1.journal").write_text(json.dumps(line) + "\n")

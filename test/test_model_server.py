@@ -86,6 +86,35 @@ def test_the_same_content_again_keeps_the_model_and_is_reported(server):
     assert len(server.reports) == 2
 
 
+def test_a_file_with_other_values_uses_what_was_derived_for_the_mechanism_before(server, tmp_path):
+    """Deriving it again left 0.55 MB with each of 200 reloads."""
+    model, path = read_model(NOMINAL), tmp_path / "robot.yaml"
+    before = server.current.model
+    for k in range(3):
+        write_model(model.with_values(model.values + 1e-6 * (k + 1)), path)
+        assert server.load(path, "service").ok
+        assert server.current.model.structure is before.structure
+        assert np.array_equal(server.current.model.values, read_model(path).values)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("low: -0.52", "low: -0.42"),
+        ("nominal: 0.076,", "nominal: 0.0761,"),
+        ("low: [-0.06", "low: [-0.05"),
+    ],
+)
+def test_a_file_with_another_mechanism_is_used_with_its_own(server, tmp_path, old, new):
+    text, path = NOMINAL.read_text(), tmp_path / "robot.yaml"
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    assert server.load(path, "service").ok
+    here, read = server.current.model.mechanism, read_model(path).mechanism
+    assert (here.joint_limits, here.workspace) == (read.joint_limits, read.workspace)
+    assert tuple(here.parameters) == tuple(read.parameters)
+
+
 def test_compiled_code_takes_over_and_gives_the_very_same_numbers(server):
     slow = Kinematics(read_model(NOMINAL))
     server.wait_until_compiled(60)

@@ -7,22 +7,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from parallel_cal.base.errors import FitError
+from parallel_cal.base.errors import FitError, ModelFileError
 from parallel_cal.base.threads import single_threaded
+from parallel_cal.campaign.first_effect import find_first_effect
 from parallel_cal.campaign.path_guard import Guard
-from parallel_cal.campaign.targets import Target, next_targets
+from parallel_cal.campaign.targets import Target, next_targets, repeat_first_poses
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
+from parallel_cal.diagnosis.search import Chosen
 from parallel_cal.diagnosis.separate import explain_separation
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import errors
+from parallel_cal.identification.registration import register_device
 from parallel_cal.model.file.modelfile import parse_model, readable_text
 from parallel_cal.model.mechanism import Box
+from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.session.session import Session
 from parallel_cal.session.steps import UnprovenStepError
@@ -118,14 +123,18 @@ def judge_samples(
     question: JudgementRequest, dataset: Dataset, unseen: np.ndarray, tell: Tell | None = None
 ) -> Judgement:
     """Diagnose the samples outside the mask `unseen` (N,) of the validation poses, and plan the
-    next targets. Raises FitError if the samples cannot determine the free parameters."""
+    next targets.
+
+    If no model describes the samples, the judgement names no effect, states why in its summary and
+    keeps the campaign's model; the next targets are the first poses again."""
     model = parse_model(question.model)
     fitted = dataset.select(~unseen)
-    found = diagnose(
-        model, fitted, effects=question.effects, options=question.options, progress=tell
-    )
-    best = found.best.fitted.model
-    text = readable_text(best, f"the model of the judgement of {len(dataset)} samples")
+    try:
+        found, first = _diagnose_with_first_effect(model, fitted, question, tell)
+        best = found.best.fitted.model
+        text = readable_text(best, f"the model of the judgement of {len(dataset)} samples")
+    except (FitError, ModelFileError) as error:
+        return _make_judgement_without_model(model, dataset, unseen, question, str(error))
     doubt = tuple(
         dict.fromkeys([*(n for s in found.swaps.values() for n in s), *found.robot_or_device])
     )
@@ -135,12 +144,15 @@ def judge_samples(
         targets, untold = next_targets(
             found, guard, question.more, question.left, question.changes, question.seed
         )
+    summary = found.verdict.summary
+    if first:
+        summary = f"no geometry fits the samples without {first.name}; with it: {summary}"
     return Judgement(
         len(dataset),
         found.verdict.word,
-        found.verdict.summary,
-        found.effects,
-        found.additions,
+        summary,
+        (*([first.name] if first else ()), *found.effects),
+        (*([first.text] if first else ()), *found.additions),
         doubt,
         untold,
         found.suspected,
@@ -151,6 +163,54 @@ def judge_samples(
         rms(best, dataset, question.options),
         tuple(targets),
         found.document(),
+    )
+
+
+def _diagnose_with_first_effect(
+    model: Model, fitted: Dataset, question: JudgementRequest, tell: Tell | None
+) -> tuple[Diagnosis, Chosen | None]:
+    """Diagnose; if the geometry alone cannot be identified, do so with the effect that is clearly
+    needed before the first fit, and return it, too."""
+    diagnosed = partial(diagnose, effects=question.effects, options=question.options, progress=tell)
+    try:
+        return diagnosed(model, fitted), None
+    except FitError:
+        first = find_first_effect(model, fitted, question.effects, question.options)
+        if first is None:
+            raise
+        return diagnosed(model.with_effect(first.name, first.settings), fitted), first
+
+
+def _make_judgement_without_model(
+    model: Model, dataset: Dataset, unseen: np.ndarray, question: JudgementRequest, why: str
+) -> Judgement:
+    """Make a judgement that names nothing because no model describes the samples.
+
+    If something slipped or moved, the first poses show it when they are measured again."""
+    try:
+        registered, _ = register_device(
+            model, dataset, question.options.joint_sigma, question.options.insist
+        )
+        errors_before = rms(registered, dataset.select(unseen), question.options)
+    except FitError:
+        errors_before = {}
+    guard = Guard.of(model, question.keep_out, question.reach)
+    targets = repeat_first_poses(dataset.select(~unseen), guard, question.more)
+    return Judgement(
+        len(dataset),
+        "unexplained",
+        f"no model describes the {len(dataset)} samples: {why}",
+        (),
+        (),
+        (),
+        (),
+        (),
+        ("if the device or its target slipped, start a new campaign",),
+        question.model,
+        errors_before,
+        errors_before,
+        {},
+        tuple(targets),
     )
 
 
@@ -198,8 +258,8 @@ class Conclusion:
 def conclude(folder: Path, judgements: Sequence[Judgement]) -> Conclusion:
     """Take the session's last steps: fit, and add each effect found that cross-validation proves.
 
-    If the error at the validation poses has risen since an earlier judgement, return the model of
-    that judgement instead."""
+    If the error at the validation poses has risen since an earlier judgement, or if the geometry
+    alone cannot be identified, return the model of the best judgement instead."""
     judgement, best = judgements[-1], min(judgements, key=lambda one: one.validation_error)
     now, least = judgement.validation_error, best.validation_error
     if now > MAX_ERROR_RISE * least > 0 and least < select_primary_error(best.before):
@@ -209,7 +269,12 @@ def conclude(folder: Path, judgements: Sequence[Judgement]) -> Conclusion:
             f"the model is that of {best.samples} poses: {words} by a factor of {now / least:.1f}",
         )
     session = Session(folder)
-    state = session.fit()
+    try:
+        state = session.fit()
+    except FitError as error:
+        if least < select_primary_error(best.before):
+            return Conclusion(best.text, f"the model is that of {best.samples} poses: {error}")
+        return Conclusion("", f"{error}; nothing was written")
     if state.against:
         return Conclusion("", f"{state.against}; nothing was written")
     words, why = "parameters identified", dict[str, str]()

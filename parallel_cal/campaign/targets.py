@@ -18,6 +18,7 @@ from parallel_cal.model.shelf import load_effect
 from parallel_cal.planning.approach import approaches, controlled_coordinates
 from parallel_cal.planning.plan import equations_per_pose, plan
 from parallel_cal.planning.posepool import Pool, make_pool
+from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.simulate import with_noise
 
 POOL = 400  # candidates for the first poses
@@ -169,6 +170,16 @@ def next_targets(
         ]
         return targets, ()
     return _plan_refinement(found, guard, n, may, seed), tuple(dict.fromkeys(untold))
+
+
+def repeat_first_poses(dataset: Dataset, guard: Guard, n: int) -> list[Target]:
+    """Return up to n poses of the samples again: those measured least often, the earliest first."""
+    _, first, count = np.unique(dataset.pose_id, return_index=True, return_counts=True)
+    order = np.lexsort((dataset.time[first], count))
+    joints = dataset.q[first[order]]
+    allowed = joints[guard.is_allowed(joints)][:n]
+    purpose = "measured before, again to see whether anything moved"
+    return [Target(tuple(q), purpose=purpose) for q in allowed.tolist()]
 
 
 def _plan_untried_conditions(

@@ -16,6 +16,7 @@ from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.added_effects import add_effects
+from parallel_cal.identification.base_motion import BaseMotion, compute_base_motion
 from parallel_cal.identification.budget import Budget, Iso9283, budgets, iso_9283
 from parallel_cal.identification.checks import (
     check_joint_errors,
@@ -99,6 +100,8 @@ class FitResult(ShownInNotebook):
         The model that you passed to `fit`, registered if necessary, and its errors at the samples.
     registration : Registration, optional
         The estimated frame of the measuring device; None if none was needed.
+    base_motion : BaseMotion, optional
+        How far the identified robot stands from the drawn one in {B}; None without a registration.
     unusual : dict of str to UnusualSize
         Parameters of effects that are larger than usual for the machine's class, by name.
     """
@@ -115,6 +118,7 @@ class FitResult(ShownInNotebook):
     warnings: tuple[str, ...]
     given: GivenModel
     registration: Registration | None = None
+    base_motion: BaseMotion | None = None
     unusual: Mapping[str, UnusualSize] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -247,6 +251,7 @@ class FitResult(ShownInNotebook):
             "down_weighted": to_json_value(self.down_weighted),
             "iterations": self.estimate.iterations,
             "registration": to_json_value(self.registration),
+            "base_motion": to_json_value(self.base_motion),
             "unusual": to_json_value(list(self.unusual.values())),
             "warnings": list(self.warnings),
             "dataset": {"source": self.dataset.source, "sha256": self.dataset.sha256},
@@ -382,7 +387,11 @@ def fit(
     result = fit_registered(
         start, add_registration_warning(dataset, registration), options, progress, given
     )
-    return replace(result, registration=registration)
+    if registration is None:
+        return result
+    motion = compute_base_motion(result.model, result.observations)
+    warnings = (*result.warnings, *([motion.description] if motion else []))
+    return replace(result, registration=registration, base_motion=motion, warnings=warnings)
 
 
 def fit_registered(

@@ -27,6 +27,7 @@ from parallel_cal.identification.observability import find_independent_columns
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.predictions import condition_columns, predict_configurations
+from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.thresholds import (
     LSTSQ_RANK_TOLERANCE,
     MAX_DISPLACEMENT_M,
@@ -57,6 +58,7 @@ WHAT_MOVED = (
     "alike: measure three fixed points of the base in every recording to tell these apart"
 )
 STEPS = 60
+UNKNOWN_FRAME_TOLERANCES = 1e3  # sigma of a frame's parameter of which nothing is known
 TOLERANCE_SAMPLE_SIZE = 24  # poses for the median error that tolerances explain
 Array = np.ndarray
 
@@ -360,6 +362,11 @@ class DevicePoses:
         masks = (self.placed, self.turned)
         return np.array([np.median(sizes[k, i]) if k.any() else 0.0 for i, k in enumerate(masks)])
 
+    def compute_position_rms(self, frames: Frames) -> float:
+        """Rms distance (m) of the measured positions from the predicted ones."""
+        away = self._residual(frames)[self.placed, :3]
+        return float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
+
     def _sizes(self, frames: Frames) -> Array:
         return np.asarray(np.linalg.norm(self._residual(frames), axis=1))
 
@@ -522,7 +529,7 @@ def _fit_frames(model: Model, observations: Observations, options: FitOptions) -
         return model
     # Frames and robot are redundant. With every tolerance as a prior the solution is unique; with
     # priors on the weak directions only, the choice of these may change from step to step for ever.
-    found = implicit.estimate(model, observations, free, prior=True)
+    found = implicit.estimate(model, observations, free, prior=_robot_prior(model))
     model = _with_frames(model, frames_of(model.with_values(found.values)))
     robot = np.where(own, 0.0, found.values)
     linearise = Linearisation(model, observations, free, weighted=True)
@@ -539,6 +546,17 @@ def _fit_frames(model: Model, observations: Observations, options: FitOptions) -
     fixed = model.fixed.copy()
     fixed[np.flatnonzero(free)[own[free] & ~adds]] = True
     return replace(model, fixed=fixed)
+
+
+def _robot_prior(model: Model) -> Prior:
+    """The tolerances of the robot and of the target, and no knowledge of where the device stands.
+
+    The origin of a device that stands a metre away moves by millimetres if {B} tilts about the
+    robot. A tolerance of this origin would tilt {B} away from the drawing.
+    """
+    frame = [name.startswith(f"{SENSOR}.frame.") for name in model.table.names]
+    sigma = np.where(frame, UNKNOWN_FRAME_TOLERANCES, 1.0) * model.table.tolerance
+    return Prior(model.table.nominal, np.diag(sigma**2))
 
 
 def frames_of(model: Model) -> Frames:

@@ -23,7 +23,7 @@ from parallel_cal.base.keyed_warning import KeyedWarning
 from parallel_cal.nodes.clock_alignment import ClockAlignment, JointClock
 from parallel_cal.nodes.gate import Gate, StampedMessage
 from parallel_cal.nodes.inbox import Inbox
-from parallel_cal.nodes.journal import Entry, Part
+from parallel_cal.nodes.journal import SUFFIX, Entry, Part, read_journal
 from parallel_cal.recordings.channels import CHANNELS, list_channels
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import fingerprint, join_datasets
@@ -328,11 +328,15 @@ class Collector:
         return len(ids)
 
     def load(self, path: str | Path) -> int:
-        """Replace the collection by the samples of a file or a bag; return how many.
+        """Replace the collection by the samples of a file, a bag or a journal; return how many.
 
         If they cannot be read, the collection stays unchanged.
         """
-        dataset = load_dataset(path, joints=self.joints)
+        if Path(path).suffix == SUFFIX:
+            parts = [(order_joints(p.dataset, self.joints), p.start_ns) for p in read_journal(path)]
+        else:
+            parts = [(load_dataset(path, joints=self.joints), 0)]
         self.clear()
-        self._inboxes.insert(0, Inbox.from_dataset(dataset, self._numbers))
-        return len(dataset)
+        for k, (dataset, start_ns) in enumerate(parts):
+            self._inboxes.insert(k, Inbox.from_dataset(dataset, self._numbers, start_ns))
+        return sum(len(dataset) for dataset, _ in parts)

@@ -1,7 +1,7 @@
 """Writes samples to disk as soon as they are taken; independent of ROS.
 
 One line of JSON for each sample; of several lines with the same number the last one counts. However
-the node ends, the next start finds every sample that was taken.
+the node ends, every sample that was taken is in the file. The next start resumes it after a crash.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import fcntl
 import json
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from errno import EEXIST
@@ -65,17 +65,24 @@ class Part:
 class Journal:
     """Appends changed samples to a file and returns when they are safely on disk.
 
-    A node locks its file against other nodes. A closed file is not resumed.
+    A node locks its file against other nodes. A journal that was closed, because its samples were
+    saved, is not resumed. Nor is one whose node ended in order: the next session may be about
+    something else.
+
+    After `resume`, `left` is the newest journal if its node ended in order and it has samples, and
+    `busy` lists the journals that other nodes use.
     """
 
     def __init__(self, folder: Path, name: str):
         self._folder, self._name = folder, name
         self._file: int | None = None
         self._known: dict[int, bytes] = {}
-        self.path = ""
+        self.path = self.left = ""
+        self.busy: list[str] = []
 
     def resume(self) -> list[Part]:
-        """Continue the newest journal that was not closed; return its samples, [] if there is none.
+        """Continue the newest journal if its node did not end in order; return its samples, [] if
+        there is none.
 
         DatasetError if it cannot be read.
         """
@@ -85,29 +92,23 @@ class Journal:
                 lines = list(json_lines(path, MAX_JOURNAL_BYTES))
             except (OSError, ValueError) as error:
                 raise DatasetError(f"{path}: not a journal: {error}") from None
-            if file is None or any("closed" in line for line in lines):
-                if file is not None:
-                    os.close(file)
+            if file is None:
+                self.busy.append(str(path))
                 continue
+            if any("closed" in line for line in lines):
+                os.close(file)
+                continue
+            if any("ended" in line for line in lines):
+                os.close(file)
+                self.left = str(path) if _latest_samples(lines) else ""
+                return []
             self._file, self.path = file, str(path)
-            latest = {line["id"]: line for line in lines}
-            # The last line of a removed sample contains its number only.
-            kept = {number: line for number, line in latest.items() if "sample" in line}
-            return self._read_parts(kept, path)
+            parts = _read_parts(lines, path)
+            for part in parts:
+                entries = (Entry(part.dataset, i, part.start_ns) for i in range(len(part.ids)))
+                self._known |= {k: e.key() for k, e in zip(part.ids, entries, strict=True)}
+            return parts
         return []
-
-    def _read_parts(self, kept: Mapping[int, Any], path: Path) -> list[Part]:
-        """Join the samples of each clock, in the order of time."""
-        parts = []
-        for start in dict.fromkeys(line["start_ns"] for line in kept.values()):
-            ids = [k for k, line in kept.items() if line["start_ns"] == start]
-            ones = [Dataset.from_document(kept[k]["sample"], str(path)) for k in ids]
-            order = sorted(range(len(ids)), key=lambda i: ones[i].time[0])
-            dataset = join_datasets([ones[i] for i in order], [1] * len(ids))
-            ids = [ids[i] for i in order]
-            parts.append(Part(dataset, ids, start))
-            self._known |= {k: Entry(dataset, i, start).key() for i, k in enumerate(ids)}
-        return parts
 
     def keep(self, entries: Mapping[int, Entry]) -> None:
         """Make the journal contain exactly these samples; OSError if it cannot be written."""
@@ -127,9 +128,16 @@ class Journal:
 
     def close(self, why: str) -> None:
         """Mark the journal as complete; the next change begins another one."""
+        self._finish({"closed": why})
+
+    def end(self, why: str) -> None:
+        """Mark the journal as that of a node that ended in order, with samples not saved."""
+        self._finish({"ended": why})
+
+    def _finish(self, line: Mapping[str, str]) -> None:
         if self._file is None:
             return
-        append_lines(self._file, [json.dumps({"closed": why})])
+        append_lines(self._file, [json.dumps(line)])
         os.close(self._file)
         self._file, self.path = None, ""
 
@@ -145,3 +153,34 @@ class Journal:
                 fcntl.flock(file, fcntl.LOCK_EX)
                 return file
         raise FileExistsError(EEXIST, "a thousand journals of this second", str(self._folder))
+
+
+def read_journal(path: str | Path) -> list[Part]:
+    """Return the samples of a journal, whether or not it was closed; DatasetError if it cannot be
+    read."""
+    try:
+        lines = list(json_lines(path, MAX_JOURNAL_BYTES))
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"{path}: not a journal: {error}") from None
+    if parts := _read_parts(lines, Path(path)):
+        return parts
+    raise DatasetError(f"{path}: a journal without samples")
+
+
+def _latest_samples(lines: Iterable[Mapping[str, Any]]) -> dict[int, Any]:
+    """Return the last line of each sample that was not removed, by its number."""
+    latest = {line["id"]: line for line in lines if "id" in line}
+    # The last line of a removed sample contains its number only.
+    return {number: line for number, line in latest.items() if "sample" in line}
+
+
+def _read_parts(lines: Iterable[Mapping[str, Any]], path: Path) -> list[Part]:
+    """Join the samples of each clock, in the order of time."""
+    kept, parts = _latest_samples(lines), []
+    for start in dict.fromkeys(line["start_ns"] for line in kept.values()):
+        ids = [k for k, line in kept.items() if line["start_ns"] == start]
+        ones = [Dataset.from_document(kept[k]["sample"], str(path)) for k in ids]
+        order = sorted(range(len(ids)), key=lambda i: ones[i].time[0])
+        dataset = join_datasets([ones[i] for i in order], [1] * len(ids))
+        parts.append(Part(dataset, [ids[i] for i in order], start))
+    return parts

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.keyed_warning import KeyedWarning
@@ -35,7 +36,7 @@ class LiveSamples:
         self._queue, self._recording, self._report, self._look = queue, recording, report, look
 
     def resume(self) -> None:
-        """Take over the samples that the previous run left in its journal."""
+        """Take over the samples of a run that crashed; name journals that are not taken over."""
         if self._journal is None:
             return
         try:
@@ -48,6 +49,17 @@ class LiveSamples:
             self._report.warn(
                 f"{resumed} samples of the previous run were read from {self._journal.path}; "
                 "call clear_samples to discard them"
+            )
+        if self._journal.left:
+            self._report.warn(
+                f"the previous run ended in order; its samples are in {self._journal.left} and "
+                "are not part of this session. To continue with them, call load_samples with this "
+                "path"
+            )
+        for path in self._journal.busy:
+            self._report.warn(
+                f"{path} is in use by another node of the same name, which keeps its samples "
+                "there; this node begins a journal of its own"
             )
 
     def refresh(self) -> None:
@@ -87,6 +99,9 @@ class LiveSamples:
         self._process_messages()
         self.collector.refresh()
         self.keep()
+        if self._journal is not None and not self._report.trouble:
+            with suppress(OSError):  # then the next run resumes it as after a crash
+                self._journal.end("the node ended in order")
 
     def collection(self) -> Collection:
         """Return the samples in use; DatasetError says why there are none."""

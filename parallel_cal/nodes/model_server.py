@@ -87,7 +87,7 @@ class ModelServer:
         if not str(path):
             raise ModelFileError("no model file: set the parameter model_file or call load_model")
         text = model_text(path)
-        model = parse_model(text, str(path))
+        model = self._with_known_mechanism(parse_model(text, str(path)))
         kinematics = Kinematics(model.robot())
         try:
             self_test(kinematics)
@@ -104,6 +104,17 @@ class ModelServer:
         self._compilation.start()
         was = f", was {before.hash[:12]}" if before is not None else ""
         return f"{path}: {served.hash[:12]} in use{was}"
+
+    def _with_known_mechanism(self, model: Model) -> Model:
+        """Return the model with the mechanism of the model in use, if the two are the same.
+
+        The functions of a mechanism are derived once and cached with it. A file that was written
+        again with other values would otherwise leave half a megabyte with each load.
+        """
+        before = self.current
+        if before is None or not _is_same_mechanism(before.model.mechanism, model.mechanism):
+            return model
+        return replace(model, mechanism=before.model.mechanism)
 
     def _exchange_for(self, served: ServedModel) -> None:
         with self._exchange:
@@ -124,6 +135,24 @@ class ModelServer:
         """Wait for the compiler. Only tests and benchmarks do this; requests never wait."""
         if self._compilation is not None:
             self._compilation.join(timeout)
+
+
+def _is_same_mechanism(one: Mechanism, other: Mechanism) -> bool:
+    """Return whether two mechanisms are of one type and equal in all that their files state."""
+    if type(one) is not type(other):
+        return False
+    names = {
+        name
+        for name in {**vars(one), **vars(other)}
+        if not isinstance(getattr(type(one), name, None), cached_property)
+    }
+    stated = ({n: getattr(m, n, None) for n in names - {"parameters"}} for m in (one, other))
+    try:
+        return tuple(one.parameters) == tuple(other.parameters) and bool(
+            next(stated) == next(stated)
+        )
+    except ValueError:  # of arrays in a user's own mechanism, which have no truth value
+        return False
 
 
 def self_test(kinematics: Kinematics) -> None:

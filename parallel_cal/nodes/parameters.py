@@ -57,7 +57,6 @@ class Setting(NamedTuple):
         """Describe the parameter for `ros2 param describe` and other tools."""
         descriptor = ParameterDescriptor(
             description=self.what,
-            dynamic_typing=isinstance(self.default, float),
             read_only=self.fixed,
             additional_constraints=self.expected() if isinstance(self.default, str) else "",
         )
@@ -97,7 +96,7 @@ def declare(
     """
     for name, setting in settings.items():
         try:
-            value = node.declare_parameter(name, setting.default, setting.descriptor()).value
+            value = _declare_one(node, name, setting)
         except (InvalidParameterTypeException, InvalidParameterValueException):
             value = None
         if not setting.allows(value):
@@ -112,7 +111,35 @@ def declare(
                 return SetParametersResult(successful=False, reason=reason)
         return accept(changes)
 
+    def convert(changes: Changes) -> Changes:
+        """Turn an integer for a float parameter into a float, so that its type never changes."""
+        return [
+            Parameter(change.name, Parameter.Type.DOUBLE, float(change.value))
+            if change.type_ == Parameter.Type.INTEGER
+            and change.name in settings
+            and isinstance(settings[change.name].default, float)
+            else change
+            for change in changes
+        ]
+
+    node.add_pre_set_parameters_callback(convert)
     node.add_on_set_parameters_callback(check)
+
+
+def _declare_one(node: Node, name: str, setting: Setting) -> Any:
+    """Declare a parameter and return its value; an integer for a float becomes a float."""
+    descriptor, start = setting.descriptor(), setting.default
+    if isinstance(start, float):
+        # The value at the start may be an integer: read it without a type, then declare the type.
+        node.declare_parameter(name, start, ParameterDescriptor(dynamic_typing=True))
+        start = node.get_parameter(name).value
+        node.undeclare_parameter(name)
+        if isinstance(start, int) and not isinstance(start, bool):
+            start = float(start)
+        if not isinstance(start, float):
+            return start
+    known = isinstance(start, float)
+    return node.declare_parameter(name, start, descriptor, ignore_override=known).value
 
 
 # Parameters of all nodes that accept requests.

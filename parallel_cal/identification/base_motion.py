@@ -1,0 +1,98 @@
+"""How far an identified robot stands from the drawn one in the base frame {B}, as a rigid motion.
+
+Poses that are measured in a device's own frame do not determine {B}: the robot and the device may
+move together. So a change of the poses in {B} has two parts, a rigid motion and a change of shape.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.identification.observations import Observations
+from parallel_cal.identification.predictions import condition_columns
+from parallel_cal.identification.registration import IDENTITY_FRAMES, DevicePoses
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.model import Model
+
+MIN_POSITIONS = 4  # with fewer, a rigid motion is not determined
+
+
+@dataclass(frozen=True)
+class BaseMotion:
+    """The motions of {B} and {P} that move the identified poses nearest to the drawn robot's.
+
+    `position` (3,) m and `rotation` (3,) rad, a rotation vector, state where the identified base
+    stands in the drawn one; `platform_position` and `platform_rotation` where the point that the
+    identified poses state as {P} sits on the drawn platform. `change` is the rms distance (m)
+    between the positions of both robots at the measured joints, as stated in {B};
+    `change_of_shape` is what remains of it after both motions.
+    """
+
+    base: str
+    platform: str
+    position: tuple[float, ...]
+    rotation: tuple[float, ...]
+    platform_position: tuple[float, ...]
+    platform_rotation: tuple[float, ...]
+    change: float
+    change_of_shape: float
+
+    @property
+    def description(self) -> str:
+        size = np.linalg.norm
+        motions = [
+            f"'{name}' ({1e3 * size(shift):.2f} mm, {1e3 * size(turn):.2f} mrad)"
+            for name, shift, turn in (
+                (self.base, self.position, self.rotation),
+                (self.platform, self.platform_position, self.platform_rotation),
+            )
+        ]
+        return (
+            f"at the same joints, the identified robot is {1e6 * self.change:.0f} um (rms) from "
+            f"the drawn one as stated in '{self.base}', and {1e6 * self.change_of_shape:.0f} um "
+            f"after the best rigid motions of {' and '.join(motions)}. The poses do not determine "
+            "these frames: they lie where the drawing fits best within the tolerances. To tie "
+            "them to features, fix the features' parameters (--fix)"
+        )
+
+    def document(self) -> dict[str, Any]:
+        return dict(vars(self))
+
+
+def compute_base_motion(model: Model, observations: Observations) -> BaseMotion | None:
+    """Compare an identified robot with the one drawn (all parameters nominal) at the same joints.
+
+    None if fewer than MIN_POSITIONS positions can be compared.
+    """
+    robot = model.robot()
+    drawn = DevicePoses.of(robot.with_values(robot.table.nominal), observations)
+    if drawn is None:
+        return None
+    joints = observations.x[:, : len(robot.joints)]
+    found = Kinematics(robot).direct(joints, condition_columns(robot, observations))
+    placed, turned = drawn.placed & found.solved, drawn.turned & found.solved
+    if placed.sum() < MIN_POSITIONS:
+        return None
+    poses = replace(
+        drawn,
+        seen_r=found.position,
+        seen_R=found.rotation,
+        placed=placed,
+        turned=turned,
+        now=IDENTITY_FRAMES,
+    )
+    frames = poses.frames()
+    return BaseMotion(
+        robot.frames["base"],
+        robot.frames["platform"],
+        tuple(frames.f.tolist()),
+        tuple(rotation_vector(frames.F).tolist()),
+        tuple(frames.t.tolist()),
+        tuple(rotation_vector(frames.T).tolist()),
+        poses.compute_position_rms(IDENTITY_FRAMES),
+        poses.compute_position_rms(frames),
+    )
