@@ -161,6 +161,8 @@ def export_into(
             raise ModelError(
                 f"{target}: some numbers belong in {file}: pass that file with --into as well"
             )
+        if hasattr(module, "convert_units"):
+            numbers = module.convert_units(stated, numbers)
         texts |= edit_files(stated, {**numbers, **dict.fromkeys(cleared, "0")}, its)
         cleared = []
     old, new = (
