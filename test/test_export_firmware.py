@@ -381,6 +381,29 @@ def test_a_users_file_keeps_all_but_its_numbers_and_the_old_one_stays(target, tm
     assert export_into(again, target, [file]).before["position_max"] < 0.2e-6
 
 
+def test_the_frame_of_the_previous_numbers_is_no_error_of_the_robot(tmp_path):
+    """A turn of all towers and another homed height move the frame and leave the shape."""
+    file = tmp_path / "config.g"
+    file.write_text(CONFIG)
+    model = moved(configured([file]).model)
+    export_into(model, "rrf", [file])
+    same = export_into(model, "rrf", [file]).before["without_frame"]
+    words = vf.words(file.read_text())
+    height, angles = words["M665 H"][0], [words[f"M665 {axis}"][0] for axis in "XYZ"]
+    text = file.read_text().replace(f"H{height:.4f}", f"H{height + 1:.4f}")
+    for axis, angle in zip("XYZ", angles, strict=True):
+        text = text.replace(f"{axis}{angle:.5f}", f"{axis}{angle + 0.5:.5f}")
+    file.write_text(text)
+    done = export_into(model, "rrf", [file])
+    assert done.before["position_mean"] > 1e-3
+    before = done.before["without_frame"]
+    assert before["position_max"] == pytest.approx(same["position_max"], abs=2e-6)
+    turn, shift = before["turn"] - same["turn"], before["shift"] - same["shift"]
+    assert turn == pytest.approx([0, 0, -0.5 * DEGREE], abs=20e-6)
+    assert shift[2] == pytest.approx(-1e-3, abs=10e-6)
+    assert done.loss["without_frame"]["position_mean"] <= done.loss["position_mean"]
+
+
 def test_of_a_word_that_stands_twice_the_last_one_counts_and_comments_do_not(tmp_path):
     file = tmp_path / "config.g"
     file.write_text(CONFIG.replace("L250.000 R100", "L260 R100 L250 (not L250)"))
@@ -502,7 +525,8 @@ def test_a_leaning_bed_is_the_firmwares_zero(tmp_path):
     np.testing.assert_allclose(touched[:, 2], xy @ [0.003, -0.002], atol=0.2e-6)
     assert done.loss["position_max"] < 0.2e-6
     assert done.remarks[0].startswith(
-        "the origin of the firmware's frame is at x 0 y 0 z 0 mm in {B}, its x-axis is 1 0 0.003"
+        "the origin of the firmware's frame is at x 0 y 0 z 0 mm in {B}, its x-axis is 1 0 0.003, "
+        "its y-axis is 0 1 -0.002, its z-axis is 0 0 1. The axes are not orthogonal"
     )
 
 
@@ -528,6 +552,8 @@ def test_the_command_line_reports_what_is_lost(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "error that the firmware's simpler model leaves: mean " in said
     assert "error with the previous numbers: mean " in said
+    assert "the frame of the previous numbers was off by x " in said
+    assert "mrad; without this rigid motion the error with the previous numbers is mean " in said
     assert read_model(tmp_path / "m.yaml").mechanism.name == "linear_delta"
     with pytest.raises(SystemExit) as ended:
         main(command[:4])

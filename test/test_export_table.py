@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import virtual_day as vd
 from scipy.interpolate import RegularGridInterpolator
+from test_export_firmware import off
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.exporting.export import export
@@ -60,6 +61,36 @@ def test_the_direct_table_gives_the_pose(tmp_path):
     found = nominal.direct(q).position + change[:, :3]
     left = np.linalg.norm(vr.MOCK_UP.forward(q)[0] - found, axis=1)
     assert np.nanmean(left) == pytest.approx(about["error"]["position_mean"], rel=0.2)
+
+
+@pytest.mark.wide
+def test_the_error_at_half_the_size_says_whether_a_larger_table_helps(tmp_path):
+    """A quarter where corrections are smooth; little where a ripple is finer than the grid."""
+    ripple = {f"gear_transmission_error.joint{i}.sin1": 0.3e-3 for i in (1, 2, 3)}
+    ripple["gear_transmission_error.ratio"] = 50.0
+    gear = new_model("delta54", vr.TABLE_5_18 | ripple, ["gear_transmission_error"])
+    found = {}
+    for name, model in (("smooth", MOCK_UP), ("ripple", gear)):
+        export(model, "table:size=9", tmp_path)
+        found[name] = read(tmp_path)[2]["error"]
+    export(MOCK_UP, "table:size=5", tmp_path)
+    half = found["smooth"]["half_size"]
+    assert half.pop("size") == 5
+    smaller = read(tmp_path)[2]["error"]
+    assert half == {key: smaller[key] for key in half}
+    assert found["smooth"]["position_mean"] < 0.3 * half["position_mean"]
+    assert found["ripple"]["position_mean"] > 0.9 * found["ripple"]["half_size"]["position_mean"]
+
+
+def test_the_largest_error_of_an_orientation_is_at_a_commanded_orientation(tmp_path):
+    """Argos only turns: its position is the same everywhere."""
+    export(off("argos27"), "table:size=3", tmp_path)
+    error = read(tmp_path)[2]["error"]
+    worst = np.array(error["orientation_worst_at"])
+    grid = np.array(list(read(tmp_path)[2]["axes"].values()))
+    low, high = grid[:, 0], grid[:, -1]
+    assert "position_worst_at" not in error
+    assert ((low <= worst) & (worst <= high)).all()
 
 
 def test_an_unknown_problem_is_reported(tmp_path):

@@ -121,6 +121,20 @@ def test_a_nozzle_beside_its_probe_takes_no_part_in_its_touches(file):
         assert model.sensors[0].tip == (0.0, 0.007, 0.0)
 
 
+def test_an_included_file_that_was_not_read_is_named(file, tmp_path):
+    path = file(LINEAR.replace("[printer]", "[include delta.cfg]\n[printer]", 1))
+    (remark,) = [text for text in configured(path).remarks if "delta.cfg" in text]
+    assert remark.startswith("the included file delta.cfg was not read: if a value of the kinem")
+    head, body = LINEAR.split("[stepper_a]")
+    path = file("[include macros/*.cfg]\n[include delta.cfg]\n" + head)
+    with pytest.raises(ParallelCalError) as error:
+        configured(path)
+    assert "the included files macros/*.cfg, delta.cfg were not read" in str(error.value)
+    (tmp_path / "delta.cfg").write_text("[stepper_a]" + body)
+    remarks = configured([*path, tmp_path / "delta.cfg"]).remarks
+    assert any("the included file macros/*.cfg was not read" in text for text in remarks)
+
+
 def test_the_rotary_model_is_the_firmwares_formula(file):
     """(dx, dy) from a shoulder to the nozzle, |elbow| = upper arm, |nozzle - elbow|^2 + across^2
     = lower arm squared, solved here by bisection of the arm's angle."""

@@ -2,10 +2,14 @@
 
 import numpy as np
 import pytest
+import virtual_firmware as vf
 
 from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.exporting.export import export, export_into
 from parallel_cal.importing.controller_files import configured, samples
 from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.mechanism import poses_in_workspace
+from parallel_cal.model.model import new_model
 
 HAL = """\
 loadrt lineardeltakins
@@ -86,3 +90,120 @@ def test_the_unit_must_be_stated(files):
         samples("linuxcnc", files())
     with pytest.raises(ParallelCalError, match="unit=furlong: expected mm, in or m"):
         samples("linuxcnc", files(), unit="furlong")
+
+
+# ------------------------------------------------------------------ its own kinematics, any unit
+
+INCH = 25.4  # mm
+ROTARY = """\
+net pfr rotarydeltakins.platformradius => view.pfr
+net tl rotarydeltakins.thighlength => view.tl
+net sl rotarydeltakins.shinlength => view.sl
+net fr rotarydeltakins.footradius => view.fr
+sets pfr 10
+sets tl 10
+sets sl 18
+sets fr 5 # of the foot
+"""
+HOMED = "[JOINT_{}]\nHOME_OFFSET = {}\nMAX_LIMIT = 90.0\n"
+
+
+def machine(folder, hal, unit, homed):
+    """Both files of a machine whose joints are homed at these positions."""
+    joints = "".join(HOMED.format(i, at) for i, at in enumerate(homed))
+    (folder / "machine.hal").write_text(hal)
+    (folder / "machine.ini").write_text(f"[TRAJ]\nLINEAR_UNITS = {unit}\n{joints}")
+    return [folder / "machine.hal", folder / "machine.ini"]
+
+
+def hexapod_pins():
+    """Pins of a hexapod in inches: two flat triangles of pairs, the platform 20 inches up."""
+    base, platform = ([[-23, 13], [23, 13], [23, 13], [0, -26], [0, -26], [-23, 13]],) + (
+        [[-1, 11], [1, 11], [10, -5], [9, -6], [-9, -6], [-10, -5]],
+    )
+    lines = [
+        f"setp genhexkins.{name}.{k}.{axis} {value}"
+        for name, points in (("base", base), ("platform", platform))
+        for k, point in enumerate(points)
+        for axis, value in zip("xyz", [*point, 0.0], strict=True)
+    ]
+    spans = np.linalg.norm(np.subtract(platform, base), axis=1)
+    return "\n".join(lines) + "\n", np.hypot(spans, 20.0)
+
+
+def test_a_rotary_delta_in_inches_is_read_where_its_shins_reach(tmp_path):
+    model = configured(machine(tmp_path, ROTARY, "inch", [0, 5, -5])).model
+    text = ROTARY.replace("net ", "#").replace("sets pfr", "setp rotarydeltakins.platformradius")
+    for short, pin in (("tl", "thighlength"), ("sl", "shinlength"), ("fr", "footradius")):
+        text = text.replace(f"sets {short}", f"setp rotarydeltakins.{pin}")
+    lines = [line.split(" #")[0] for line in text.splitlines() if not line.startswith("#")]
+    firmware = vf.LinuxCnc("\n".join(lines), (tmp_path / "machine.ini").read_text())
+    r, _ = poses_in_workspace(model.mechanism, 200, np.random.default_rng(1))
+    found = Kinematics(model).inverse(r)
+    assert found.solved.all()
+    np.testing.assert_allclose(
+        np.degrees(found.joints), -firmware.motors(r / (INCH * 1e-3)), atol=1e-9
+    )
+    tops = np.degrees([high for _, high in model.mechanism.joint_limits])
+    assert tops == pytest.approx([0, -5, 5])
+
+
+def test_a_hexapod_in_inches_has_readings_that_are_the_lengths_of_its_struts(tmp_path):
+    pins, lengths = hexapod_pins()
+    model = configured(machine(tmp_path, pins, "inch", lengths)).model
+    home = model.mechanism.home
+    np.testing.assert_allclose(home.joints, lengths * INCH * 1e-3, atol=1e-12)
+    assert home.position == pytest.approx((0, 0, 20 * INCH * 1e-3))
+    assert model.value("leg1.C_x") == pytest.approx(-23 * INCH * 1e-3)
+
+
+@pytest.mark.parametrize("kind", ["rotary", "hexapod"])
+def test_numbers_go_back_into_a_file_in_inches_in_inches(kind, tmp_path):
+    pins, homed = (ROTARY, [0, 5, -5]) if kind == "rotary" else hexapod_pins()
+    files = machine(tmp_path, pins, "inch", homed)
+    before = files[0].read_text()
+    model = configured(files).model
+    done = export_into(model, "linuxcnc", files)
+    assert done.before["position_max"] < 5e-9
+    assert done.loss["position_max"] < 5e-9
+    kept = {*files[0].read_text().splitlines()} & {*before.splitlines()}
+    changed = {*before.splitlines()} - kept
+    assert {line.split()[1] for line in changed} <= ({"pfr", "fr"} if kind == "rotary" else set())
+    longer = "chain1.Lb" if kind == "rotary" else "leg1.C_x"
+    values = model.values.copy()
+    values[model.table.index_of(longer)] += 0.0254e-2  # a hundredth of an inch
+    export_into(model.with_values(values), "linuxcnc", files)
+    if kind == "hexapod":
+        assert "genhexkins.base.0.x -22.99" in files[0].read_text()
+    else:
+        assert "sets sl 18.00" in files[0].read_text()
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("name", ["stewart42", "delta24", "linear_delta"])
+def test_what_was_exported_for_its_own_kinematics_is_read_again(name, tmp_path):
+    model = new_model(name)
+    export(model, "linuxcnc", tmp_path)
+    files = [tmp_path / "machine.hal", tmp_path / "machine.ini"]
+    again = configured(files)
+    assert any("lengths are assumed to be in mm" in remark for remark in again.remarks)
+    done = export(again.model, "linuxcnc", tmp_path / "again")
+    assert done.loss["position_max"] < 0.1e-6
+    for file in files:
+        assert (tmp_path / "again" / file.name).read_text() == file.read_text()
+
+
+def test_what_is_wrong_in_files_of_its_own_kinematics_is_said(tmp_path):
+    pins, lengths = hexapod_pins()
+    for hal, unit, homed, message in (
+        (ROTARY, "furlong", [0, 0, 0], "LINEAR_UNITS is 'furlong', expected one of mm, metric, i"),
+        (ROTARY.replace("sl 18", "sl 9"), "mm", [0, 0, 0], "shinlength is '9', expected a length"),
+        (pins, "inch", [0.0] * 6, "HOME_OFFSET is '0.0', expected the strut's length"),
+        (pins, "inch", [10.0] * 6, "struts of 254 mm at home do not reach"),
+        (pins.replace("base.3.y", "base.3.q"), "mm", lengths, "no genhexkins.base.3.y, expected"),
+        ("loadrt trivkins\n", "mm", [0], "no genhexkins.base.0.x, expected pins of genhexkins, l"),
+    ):
+        with pytest.raises(ParallelCalError) as error:
+            configured(machine(tmp_path, hal, unit, homed))
+        assert message in str(error.value)
+        assert "machine." in str(error.value)

@@ -177,6 +177,38 @@ def test_the_command_writes_a_model_that_is_read_again(file, tmp_path, capsys):
     assert ended.value.code == 2
 
 
+def test_a_link_that_no_joint_moves_is_no_end_of_the_chain(file):
+    """As ROS-Industrial's files have it: the base's own frame is a leaf, and so is a flange."""
+    frame = joint("frame", "fixed", "base", "base_frame")
+    again = UR5.replace("</robot>", frame + "</robot>")
+    with pytest.raises(ParallelCalError, match="the chain may end in camera, tool0: choose"):
+        arm(file(again))
+    tool = joint("hand", "fixed", "tool0", "gripper")
+    found = arm(file(again.replace("</robot>", tool + "</robot>")))
+    assert found.model.frames == {"base": "world", "platform": "gripper"}
+    assert found.remarks == ("the chain ends in gripper; camera can be chosen with --to-link",)
+    assert arm(file(SCARA.replace("</robot>", frame + "</robot>"))).model.frames["platform"] == "d"
+
+
+def test_fingers_that_different_joints_move_are_offered(file):
+    fingers = [joint(f"f{k}", "revolute", "tool0", f"finger{k}", limit=TURN) for k in (1, 2)]
+    with pytest.raises(ParallelCalError) as error:
+        arm(file(UR5.replace("</robot>", "".join(fingers) + "</robot>")))
+    assert "may end in camera, finger1, finger2: choose one with --to-link" in str(error.value)
+
+
+def test_limits_of_0_and_0_state_no_limits(file):
+    zero = '<limit lower="0" upper="0" velocity="3.1" effort="1"/>'
+    found = arm(file(UR5.replace(TURN, zero, 2)), "", "tool0")
+    m = found.model.mechanism
+    assert m.joint_limits[:3] == ((-np.inf, np.inf), (-np.inf, np.inf), (-2.5, 1.5))
+    assert found.remarks[0].startswith("the limits of pan, lift are 0 to 0, which does not state")
+    slide = '<limit lower="0.02" upper="0.12" velocity="0.5"/>'
+    stands = arm(file(SCARA.replace(slide, zero))).model.mechanism.joint_limits[2]
+    assert stands[0] < stands[1]
+    assert np.isfinite(stands).all()
+
+
 BROKEN = {
     "leaves": ("", "", ("", ""), "the chain may end in camera, tool0: choose one with --to-link"),
     "no link": ("", "", ("base", "hand"), "no link 'hand', expected one of base, camera, fore"),

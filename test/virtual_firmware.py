@@ -1,6 +1,9 @@
 """Firmwares as their documents describe them: own readers, own root finding, nothing shared.
 
-Each answers, in mm and degrees, with the motors' positions for points and at the end-stops.
+Each answers, in mm and degrees, with the motors' positions for points (`motors`) and at the
+end-stops (`homed`), with the point that it computes from its motors (`forward`), and with the point
+at which it believes the nozzle after homing (`home_position`). `number` is the type with which the
+firmware computes: `forward` and `computed_motors` take it.
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ import numpy as np
 
 from parallel_cal.virtual.robot import Array
 
-HALVINGS, WINDINGS = 80, 4000
+HALVINGS, WINDINGS, NEWTON_STEPS = 80, 4000, 8
 ANCHORS = "ABCDI"  # of a Hangprinter in M669, whose other letters are taken
 
 
@@ -73,6 +76,61 @@ def nozzle_between(joints: Array, rods: Array) -> Array:
     return np.asarray(first + foot - depth[:, None] * normal)
 
 
+def lowest_point(joints: Array, rods: Array, number: type = np.float64) -> Array:
+    """Where (N, 3) rods from three joints (N, 3, 3) meet: of the two points, the lower one.
+
+    Two differences of the three equations of spheres give x and y as straight lines over z. The
+    first sphere then is a quadratic equation in z, of which the smaller root counts.
+    """
+    joints, rods = joints.astype(number), rods.astype(number)
+    first, two = joints[:, 0], number(2)
+    sides = joints[:, 1:] - first[:, None]
+    squares = (joints**2).sum(axis=2) - rods**2
+    half = (squares[:, 1:] - squares[:, :1]) / two
+    (ax, ay, az), (bx, by, bz) = sides[:, 0].T, sides[:, 1].T
+    width = ax * by - ay * bx
+    x0 = (half[:, 0] * by - half[:, 1] * ay) / width
+    x1 = (ay * bz - az * by) / width
+    y0 = (half[:, 1] * ax - half[:, 0] * bx) / width
+    y1 = (az * bx - ax * bz) / width
+    dx, dy, up = x0 - first[:, 0], y0 - first[:, 1], first[:, 2]
+    a = number(1) + x1**2 + y1**2
+    b = x1 * dx + y1 * dy - up
+    c = dx**2 + dy**2 + up**2 - rods[0] ** 2
+    with np.errstate(invalid="ignore"):
+        z = (-b - np.sqrt(b**2 - a * c)) / a
+    return np.column_stack([x0 + x1 * z, y0 + y1 * z, z])
+
+
+def elbows(motors: Array, out: Array, up: Array, upper: Array, around: Array) -> Array:
+    """Elbows (N, 3, 3) of arms turned up by motors (N, 3) degrees."""
+    turned = np.radians(motors)
+    far, high = out + upper * np.cos(turned), up + upper * np.sin(turned)
+    return np.stack([far * np.cos(around), far * np.sin(around), high], axis=2)
+
+
+def carriages_by_root(r: Array, towers: Array, rods: Array, slope: Array) -> Array:
+    """The closed form of `carriages`, in the type of numbers of r."""
+    away = ((r[:, None, :2] - towers) ** 2).sum(axis=2)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.sqrt(rods**2 - away) + (r[:, 2] + r[:, :2] @ slope)[:, None])
+
+
+def arms_by_root(
+    r: Array, out: Array, up: Array, upper: Array, lower: Array, around: Array
+) -> Array:
+    """The closed form of `arms`, in the type of numbers of r: a cos t + b sin t = c."""
+    far = out - (r[:, :1] * np.cos(around) + r[:, 1:2] * np.sin(around))
+    side = r[:, 1:2] * np.cos(around) - r[:, :1] * np.sin(around)
+    tall = up - r[:, 2:]
+    two = r.dtype.type(2)
+    a, b = two * upper * far, two * upper * tall
+    c = lower**2 - upper**2 - tall**2 - far**2 - side**2
+    with np.errstate(invalid="ignore"):
+        sine = (b * c - a * np.sqrt(a**2 + b**2 - c**2)) / (a**2 + b**2)
+        return np.degrees(np.arcsin(sine))
+
+
 def wound(line: Array, radius: Array, buildup: Array) -> Array:
     """Turns of a spool (rad) that let out line, in small steps: what leaves it makes it smaller."""
     steps = (np.arange(WINDINGS) + 0.5) / WINDINGS
@@ -86,6 +144,8 @@ class Klipper:
     Sources: Klipper documentation, "Configuration reference"; klippy/kinematics/delta.py and
     rotary_delta.py, whose trilateration needs joints that stand counter-clockwise.
     """
+
+    number = np.float64
 
     def __init__(self, text: str) -> None:
         file = ConfigParser(inline_comment_prefixes=("#", ";"), strict=False)
@@ -111,22 +171,22 @@ class Klipper:
         at = [self.motors(np.array([[0, 0, z]]))[0] for z in self.each("position_endstop")]
         return np.diag(at)
 
-    def forward(self, motors: Array) -> Array:
-        """Points (N, 3) at which it believes the nozzle with motors (N, 3)."""
-        cos, sin = np.cos(self.around), np.sin(self.around)
-        if self.rotary:
-            upper, angles = self.each("upper_arm_length"), np.radians(motors)
-            out = float(self.printer["shoulder_radius"]) + upper * np.cos(angles)
-            up = float(self.printer["shoulder_height"]) + upper * np.sin(angles)
-            rods = self.each("lower_arm_length")
-        else:
-            out = float(self.printer["delta_radius"]) + 0 * motors
-            up, rods = motors, self.each("arm_length")
-        return nozzle_between(np.stack([out * cos, out * sin, up], axis=2), rods)
+    def computed_motors(self, r: Array) -> Array:
+        return self.motors(r)
 
-    def home_position(self) -> Array:
+    def forward(self, motors: Array, number: type = np.float64) -> Array:
+        """Points (N, 3) at which it believes the nozzle with motors (N, 3)."""
+        if self.rotary:
+            out, up = (float(self.printer[f"shoulder_{key}"]) for key in ("radius", "height"))
+            joints = elbows(motors, out, up, self.each("upper_arm_length"), self.around)
+            return nozzle_between(joints, self.each("lower_arm_length"))
+        radius = float(self.printer["delta_radius"])
+        joints = elbows(0 * motors, radius, motors, np.zeros(3), self.around)
+        return nozzle_between(joints, self.each("arm_length"))
+
+    def home_position(self, number: type = np.float64) -> Array:
         """Where (3,) it believes the nozzle after homing."""
-        return self.forward(self.homed()[None])[0]
+        return self.forward(self.homed()[None], number)[0]
 
 
 def words(text: str) -> dict[str, Array]:
@@ -140,6 +200,12 @@ def words(text: str) -> dict[str, Array]:
 
 
 class Duet:
+    """RepRapFirmware. Sources: Duet documentation, "M665", "M666", "M669"; the sources under
+    src/Movement/Kinematics, version 3.5.
+    """
+
+    number = np.float32
+
     def __init__(self, text: str) -> None:
         self.w = words(text)
         self.kind = int(self.w.get("M669 K", [3])[0])
@@ -156,31 +222,96 @@ class Duet:
     def xyz(self, code: str) -> Array:
         return np.concatenate([self.w.get(f"{code} {axis}", np.zeros(1)) for axis in "XYZ"])
 
+    def towers(self) -> tuple[Array, Array, Array]:
+        """Places (3, 2), rods (3,) and the bed's slope (2,) of a linear Delta."""
+        w, angles = self.w, np.radians(30)
+        x, y, z = np.radians(self.xyz("M665"))
+        places = w["M665 R"] * np.array(
+            [
+                [-np.cos(angles + x), -np.sin(angles + x)],
+                [np.cos(angles - y), -np.sin(angles - y)],
+                [-np.sin(z), np.cos(z)],
+            ]
+        )
+        slope = np.concatenate([w.get(f"M666 {axis}", np.zeros(1)) for axis in "AB"]) / 100
+        return places, w["M665 L"] * np.ones(3), slope
+
+    def shoulders(self) -> tuple[Array, ...]:
+        """Radius, heights, arms, rods (3,) mm and directions (3,) rad of a rotary Delta."""
+        lengths = [self.w[f"M669 {letter}"] * np.ones(3) for letter in "RHUL"]
+        return *lengths, np.radians([-150, -30, 90] + self.xyz("M669"))
+
+    def lines(self) -> tuple[Array, Array, Array, Array]:
+        """Anchors (n, 3), spool radii (n,), mm, and what they grow a line's mm, of a Hangprinter;
+        and the degrees that a motor turns for one of its spool.
+        """
+        w = self.w
+        anchors = np.array([w[f"M669 {letter}"] for letter in ANCHORS[: int(w["M669 N"][0])]])
+        ones = np.ones(len(anchors))
+        return anchors, w["M666 R"] * ones, w["M666 Q"] * w["M666 O"], w["M666 H"] / w["M666 L"]
+
     def motors(self, r: Array) -> Array:
-        w, ones = self.w, np.ones(3)
         if self.kind == 3:
-            x, y, z = np.radians(self.xyz("M665"))
-            angles = np.radians(30)
-            towers = w["M665 R"] * np.array(
-                [
-                    [-np.cos(angles + x), -np.sin(angles + x)],
-                    [np.cos(angles - y), -np.sin(angles - y)],
-                    [-np.sin(z), np.cos(z)],
-                ]
-            )
-            slope = np.concatenate([w.get(f"M666 {axis}", np.zeros(1)) for axis in "AB"]) / 100
-            return carriages(r, towers, w["M665 L"] * ones, slope)
+            return carriages(r, *self.towers())
         if self.kind == 10:
-            around = np.radians([-150, -30, 90] + self.xyz("M669"))
-            return arms(r, w["M669 R"], w["M669 H"] * ones, w["M669 U"], w["M669 L"], around)
+            return arms(r, *self.shoulders())
         if self.kind == 9:
             return self.cranks(r)
-        anchors = np.array([w[f"M669 {letter}"] for letter in ANCHORS[: int(w["M669 N"][0])]])
+        anchors, radii, grows, gears = self.lines()
         away = np.linalg.norm(r[:, None] - anchors, axis=2) - np.linalg.norm(anchors, axis=1)
-        line = away * w["M666 U"]
-        gears = w["M666 H"] / w["M666 L"]
-        grows = w["M666 Q"] * w["M666 O"] * np.ones(len(anchors))
-        return np.degrees(gears * wound(line, w["M666 R"] * np.ones(len(anchors)), grows))
+        return np.degrees(
+            gears * wound(away * self.w["M666 U"], radii, grows * np.ones(len(radii)))
+        )
+
+    def computed_motors(self, r: Array) -> Array:
+        """The motors as its single-precision numbers make them (Deltas)."""
+        if self.kind == 3:
+            return carriages_by_root(*(part.astype(self.number) for part in (r, *self.towers())))
+        return arms_by_root(*(part.astype(self.number) for part in (r, *self.shoulders())))
+
+    def forward(self, motors: Array, number: type = np.float64) -> Array:
+        if self.kind == 3:
+            places, rods, slope = self.towers()
+            up = np.stack([*np.broadcast_arrays(*places.T[:, None], motors)], axis=2)
+            found = lowest_point(up, rods, number)
+            return found - np.outer(found[:, :2] @ slope.astype(number), [0, 0, 1]).astype(number)
+        if self.kind == 10:
+            out, up, upper, rods, around = self.shoulders()
+            joints = elbows(motors.astype(number), out, up, upper, around)
+            first = np.full(3, upper[0])  # arm A's length makes the heights of all three elbows
+            joints[:, :, 2] = elbows(motors.astype(number), out, up, first, around)[:, :, 2]
+            return lowest_point(joints, rods, number)
+        return self.tool(motors) if self.kind == 9 else self.end_point(motors)
+
+    def home_position(self, number: type = np.float64) -> Array:
+        """Where (3,) it believes the nozzle, with its motors at the end-stops."""
+        return self.forward(self.homed()[None], number)[0]
+
+    def tool(self, motors: Array) -> Array:
+        """Where the rods of a five-bar meet: left of the line from the left to the right elbow."""
+        w, turned = self.w, np.radians(motors)
+        axes = np.column_stack([w["M669 X"], w["M669 Y"]])
+        ends = axes + w["M669 P"][:, None] * np.stack([np.cos(turned), np.sin(turned)], axis=2)
+        across = ends[:, 1] - ends[:, 0]
+        span = np.linalg.norm(across, axis=1)
+        long = w["M669 D"][:2] ** 2
+        along = (span**2 + long[0] - long[1]) / (2 * span)
+        unit = across / span[:, None]
+        left = np.column_stack([-unit[:, 1], unit[:, 0]])
+        height = np.sqrt(long[0] - along**2)
+        at = ends[:, 0] + along[:, None] * unit + height[:, None] * left
+        return np.column_stack([at, np.zeros(len(at))])
+
+    def end_point(self, motors: Array) -> Array:
+        """Where the lines of a Hangprinter meet: differences of the spheres are planes."""
+        anchors, radii, grows, gears = self.lines()
+        now = radii - grows * np.radians(motors) / gears / 2  # a spool's radius falls evenly
+        line = (radii**2 - now**2) / grows / self.w["M666 U"]
+        home = np.linalg.norm(anchors, axis=1)
+        squares = (line + home) ** 2 - home**2
+        sides = anchors[:-1] - anchors[-1]
+        right = (squares[:, -1:] - squares[:, :-1]) / 2
+        return np.linalg.lstsq(sides, right.T, rcond=None)[0].T
 
     def homed(self) -> Array:
         w = self.w
@@ -207,8 +338,18 @@ class Duet:
         return np.degrees(np.column_stack(found)) % 360
 
 
+def turn_by(v: Array) -> Array:
+    """The rotation (3, 3) by a vector (3,) rad."""
+    angle = np.linalg.norm(v)
+    x, y, z = v / angle if angle else v
+    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K)
+
+
 class LinuxCnc:
     """kins(9) with `setp` lines of a .hal file and the offsets of an .ini file."""
+
+    number = np.float64
 
     def __init__(self, hal: str, ini: str) -> None:
         self.pins = {p[1]: float(p[2]) for line in hal.splitlines() if (p := line.split())}
@@ -223,20 +364,59 @@ class LinuxCnc:
             [[self.pin(f"genhexkins.{which}.{k}.{a}") for a in "xyz"] for k in range(6)]
         )
 
+    @property
+    def kind(self) -> str:
+        return next(name.split(".")[0] for name in self.pins)
+
+    def towers(self) -> Array:
+        unit = np.array([[0, 1], [-(0.75**0.5), -0.5], [0.75**0.5, -0.5]])
+        return np.asarray(self.pin("lineardeltakins.R") * unit)
+
+    def shoulders(self) -> tuple[Array, ...]:
+        out, inner, thigh, shin = (
+            self.pin(f"rotarydeltakins.{name}") * np.ones(3)
+            for name in ("platformradius", "footradius", "thighlength", "shinlength")
+        )
+        return out - inner, np.zeros(3), thigh, shin, np.radians([-90, 30, 150])
+
     def motors(self, r: Array, R: Array | None = None) -> Array:
-        if "lineardeltakins.R" in self.pins:
-            radius, ones = self.pin("lineardeltakins.R"), np.ones(3)
-            towers = radius * np.array([[0, 1], [-(0.75**0.5), -0.5], [0.75**0.5, -0.5]])
-            return carriages(r, towers, self.pin("lineardeltakins.L") * ones, np.zeros(2))
-        if "rotarydeltakins.thighlength" in self.pins:
-            out, inner, thigh, shin = (
-                self.pin(f"rotarydeltakins.{name}")
-                for name in ("platformradius", "footradius", "thighlength", "shinlength")
-            )
-            around, ones = np.radians([-90, 30, 150]), np.ones(3)
-            return -arms(r, out - inner, 0 * ones, thigh * ones, shin * ones, around)
+        if self.kind == "lineardeltakins":
+            rods = self.pin("lineardeltakins.L") * np.ones(3)
+            return carriages(r, self.towers(), rods, np.zeros(2))
+        if self.kind == "rotarydeltakins":
+            return -arms(r, *self.shoulders())
         tops = r[:, None] + np.einsum("nij,kj->nki", R, self.ends("platform"))
         return np.linalg.norm(tops - self.ends("base"), axis=2)
+
+    def computed_motors(self, r: Array) -> Array:
+        return self.motors(r)
+
+    def forward(self, motors: Array, number: type = np.float64) -> Array:
+        """Points (N, 3) of a Delta."""
+        if self.kind == "lineardeltakins":
+            joints = np.stack(np.broadcast_arrays(*self.towers().T[:, None], motors), axis=2)
+            return lowest_point(joints, self.pin("lineardeltakins.L") * np.ones(3))
+        out, up, thigh, shin, around = self.shoulders()
+        return lowest_point(elbows(-motors, out, up, thigh, around), shin)
+
+    def forward_pose(self, motors: Array, r: Array, R: Array) -> tuple[Array, Array]:
+        """Poses (N, 3), (N, 3, 3) of a hexapod, by Newton's method from nearby poses.
+
+        As in genhexkins, a step turns by small angles about the axes of the base.
+        """
+        for _ in range(NEWTON_STEPS):
+            arms_out = np.einsum("nij,kj->nki", R, self.ends("platform"))
+            struts = r[:, None] + arms_out - self.ends("base")
+            long = np.linalg.norm(struts, axis=2)
+            unit = struts / long[..., None]
+            slopes = np.concatenate([unit, np.cross(arms_out, unit)], axis=2)
+            step = np.linalg.solve(slopes, (motors - long)[..., None])[..., 0]
+            r = r + step[:, :3]
+            R = np.stack([turn_by(v) @ now for v, now in zip(step[:, 3:], R, strict=True)])
+        return r, R
+
+    def home_position(self, number: type = np.float64) -> Array:
+        return self.forward(self.homed()[None], number)[0]
 
     def homed(self) -> Array:
         joints = range(sum(name.startswith("JOINT") for name in self.ini.sections()))
@@ -246,13 +426,28 @@ class LinuxCnc:
 class GrblHal:
     """Its Delta: triangles' sides in place of radii, knees down is positive."""
 
+    number = np.float32
+
     def __init__(self, text: str) -> None:
         self.s = {int(n): float(v) for n, v in re.findall(r"\$(\d+)=(\S+)", text)}
 
-    def motors(self, r: Array) -> Array:
+    def shoulders(self) -> tuple[Array, ...]:
         out, ones = (self.s[643] - self.s[644]) / (2 * 3**0.5), np.ones(3)
-        around = np.radians([-90, 30, 150])
-        return -arms(r, out, 0 * ones, self.s[642] * ones, self.s[641] * ones, around)
+        arm, rod = self.s[642] * ones, self.s[641] * ones
+        return out * ones, 0 * ones, arm, rod, np.radians([-90, 30, 150])
+
+    def motors(self, r: Array) -> Array:
+        return -arms(r, *self.shoulders())
 
     def homed(self) -> Array:
         return np.full(3, self.s[646])
+
+    def computed_motors(self, r: Array) -> Array:
+        return -arms_by_root(*(part.astype(self.number) for part in (r, *self.shoulders())))
+
+    def forward(self, motors: Array, number: type = np.float64) -> Array:
+        out, up, arm, rod, around = self.shoulders()
+        return lowest_point(elbows(-motors.astype(number), out, up, arm, around), rod, number)
+
+    def home_position(self, number: type = np.float64) -> Array:
+        return self.forward(self.homed()[None], number)[0]

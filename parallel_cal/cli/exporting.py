@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -88,6 +89,8 @@ def export(
             console.say(f"error that the firmware's simpler model leaves: {words}")
         if done.before:
             console.say(f"error with the previous numbers: {_format_loss(done.before)}")
+        if done.before and done.loss and {"without_frame"} <= done.before.keys() & done.loss.keys():
+            console.say(_format_frame(done.before["without_frame"], done.loss["without_frame"]))
     if done.heights:
         console.say(_heights(done.heights))
     if done.movement:
@@ -168,14 +171,14 @@ def _format_movement(movement: Movement) -> str:
 
 def _format_loss(loss: Mapping[str, Any]) -> str:
     """Format `mean 12.3 um, max 40.1 um at x 42 y -42 z 0 mm (2000 poses)`."""
-    units = {"position": ("um", 1e6), "orientation": ("urad", 1e6)}
-    parts = []
-    for kind, (unit, factor) in units.items():
-        if f"{kind}_mean" in loss:
-            mean, most = (f"{factor * loss[f'{kind}_{of}']:.1f} {unit}" for of in ("mean", "max"))
-            worst = zip("xyz", 1e3 * loss[f"{kind}_worst_at"], strict=True)
-            at = " ".join(f"{axis} {value:.0f}" for axis, value in worst)
-            parts.append(f"mean {mean}, max {most} at {at} mm")
+    places = {
+        "position": lambda at: f"{_format_axes('', 1e3 * at, 0)} mm",
+        "orientation": lambda at: f"{_format_axes('r', 180 / math.pi * at, 1)} deg",
+    }
+    parts = [
+        f"{words} at {places[kind](loss[f'{kind}_worst_at'])}"
+        for kind, words in _format_sizes(loss).items()
+    ]
     if "line_mean" in loss:
         parts.append(
             f"lines mean {1e6 * loss['line_mean']:.1f}, max {1e6 * loss['line_max']:.1f} um"
@@ -183,6 +186,36 @@ def _format_loss(loss: Mapping[str, Any]) -> str:
     parts = parts or ["no pose is reachable"]
     beyond = f", {loss['not_reached']} not reachable" if loss["not_reached"] else ""
     return f"{'; '.join(parts)} ({loss['poses']} poses{beyond})"
+
+
+def _format_sizes(loss: Mapping[str, Any]) -> dict[str, str]:
+    """Format `mean 12.3 um, max 40.1 um` of each kind that the robot controls."""
+    units = {"position": "um", "orientation": "urad"}
+    return {
+        kind: f"mean {1e6 * loss[f'{kind}_mean']:.1f} {unit}, max {1e6 * loss[f'{kind}_max']:.1f} "
+        f"{unit}"
+        for kind, unit in units.items()
+        if f"{kind}_mean" in loss
+    }
+
+
+def _format_axes(prefix: str, values: Any, digits: int) -> str:
+    """Format `x 42 y -42 z 0`."""
+    rounded = values.round(digits) + 0.0  # no -0
+    return " ".join(
+        f"{prefix}{axis} {value:.{digits}f}" for axis, value in zip("xyz", rounded, strict=True)
+    )
+
+
+def _format_frame(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
+    """Format the errors without frames, and where the frame of the previous numbers was."""
+    shift = _format_axes("", 1e3 * before["shift"], 3)
+    turn = _format_axes("r", 1e3 * before["turn"], 3)
+    old, new = ("; ".join(_format_sizes(loss).values()) for loss in (before, after))
+    return (
+        f"the frame of the previous numbers was off by {shift} mm, {turn} mrad; without this rigid "
+        f"motion the error with the previous numbers is {old}, with the new numbers {new}"
+    )
 
 
 def export_residuals(

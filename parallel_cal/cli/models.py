@@ -46,7 +46,7 @@ def new(
     ] = None,
     from_link: Annotated[str, typer.Option(help="first link of the URDF [default: its root]")] = "",
     to_link: Annotated[
-        str, typer.Option(help="last link of the URDF [default: its only leaf]")
+        str, typer.Option(help="last link of the URDF [default: the leaf that its joints move]")
     ] = "",
     option: Option = None,
     sensor: Annotated[

@@ -110,18 +110,25 @@ def towers(
 
 
 def shoulders(
-    model: Model, places: Array | None, level: bool, present: Refinement | None = None
+    model: Model,
+    places: Array | None,
+    equal_heights: bool = False,
+    equal_arms: bool = False,
+    present: Refinement | None = None,
 ) -> tuple[Shoulders, Chains]:
-    """Fit one radius, arms, rods, angles and end-stops, and one height (`level`) or three."""
+    """Fit one radius, rods, angles and end-stops, and a height and an arm for each chain or all."""
     c = chains_of(model, places)
+    heights = [c.heights.mean()] if equal_heights else [*c.heights]
+    arms = [c.arms.mean()] if equal_arms else [*c.arms]
+    n = len(heights)
 
     def made(v: Array) -> Shoulders:
-        heights = np.full(3, v[13]) if level else v[13:16]
-        limits = tuple((-np.pi / 2, float(top)) for top in v[10:13])
-        return Shoulders(v[0], heights, v[1:4], v[4:7], v[7:10], limits)
+        same = np.ones(3)
+        limits = tuple((-np.pi / 2, float(top)) for top in v[7:10])
+        each = v[10 : 10 + n] * same, v[10 + n :] * same
+        return Shoulders(v[0], *each, v[1:4], v[4:7], limits)
 
-    heights = [c.heights.mean()] if level else c.heights
-    start = np.array([c.radius.mean(), *c.arms, *c.rods, *c.angles, *c.homed, *heights])
+    start = np.array([c.radius.mean(), *c.rods, *c.angles, *c.homed, *heights, *arms])
     return made(fit_numbers(model, start, lambda v: c.machine(made(v)), c.bed, present)), c
 
 

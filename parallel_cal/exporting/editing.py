@@ -31,12 +31,14 @@ def edit_files(
 ) -> dict[Path, str]:
     """Return the texts of `files` with new settings.
 
-    A setting replaces its last value. A new one is inserted next to settings of the same command or
-    section, or at the end of the last file.
+    A setting replaces its last value, unless this is the same number in other digits. A new one is
+    inserted next to settings of the same command or section, or at the end of the last file.
     """
     lines = {path: read_verbatim(path).splitlines(keepends=True) for path in files}
     places = {field: (place.path, place.line - 1) for field, (_, place) in stated.texts.items()}
     for field, value in settings.items():
+        if field in stated and _are_same_numbers(stated.texts[field][0], value):
+            continue
         near = [place for other, place in places.items() if _head(other) == _head(field)]
         path, k = places.get(field) or (near[-1] if near else (None, 0))
         if path is None:
@@ -77,6 +79,15 @@ def _line(field: str, value: str) -> str:
     if field[0] == "[":
         return f"{_key(field)} = {value}"
     return f"{field}={value}" if field[0] == "$" else f"setp {field} {value}"
+
+
+def _are_same_numbers(old: str, new: str) -> bool:
+    """Return whether two texts are the same numbers, separated by colons."""
+    try:
+        before, after = ([float(word) for word in text.split(":")] for text in (old, new))
+    except ValueError:
+        return False
+    return before == after
 
 
 def _replace_value(line: str, field: str, old: str, new: str) -> str:

@@ -161,6 +161,8 @@ def export_into(
             raise ModelError(
                 f"{target}: some numbers belong in {file}: pass that file with --into as well"
             )
+        if hasattr(module, "convert_units"):
+            numbers = module.convert_units(stated, numbers)
         texts |= edit_files(stated, {**numbers, **dict.fromkeys(cleared, "0")}, its)
         cleared = []
     old, new = (
@@ -296,12 +298,17 @@ def _remarks(robot: Model, projection: Projection) -> list[str]:
     if np.any(frame.origin) or not np.array_equal(frame.axes, np.eye(3)):
         origin, axes = np.round(1e3 * frame.origin, 3) + 0.0, np.round(frame.axes, 6) + 0.0
         at = " ".join(f"{axis} {value:g}" for axis, value in zip("xyz", origin, strict=True))
-        x, z = (" ".join(f"{value:g}" for value in axes[:, k]) for k in (0, 2))
         square = np.allclose(frame.axes.T @ frame.axes, np.eye(3), atol=1e-9)
+        shown = {
+            axis: " ".join(f"{value:g}" for value in axes[:, k])
+            for k, axis in enumerate("xyz")
+            if axis != "y" or not square  # z and x determine it
+        }
         shear = ". The axes are not orthogonal: the firmware corrects a tilted bed by a shear"
         remarks.append(
-            f"the origin of the firmware's frame is at {at} mm in {{B}}, its x-axis is {x}, "
-            f"its z-axis is {z}{'' if square else shear}"
+            f"the origin of the firmware's frame is at {at} mm in {{B}}, "
+            f"{', '.join(f'its {axis}-axis is {words}' for axis, words in shown.items())}"
+            f"{'' if square else shear}"
         )
     if frame.order != tuple(range(len(frame.order))):
         joints = ", ".join(robot.joints[k] for k in frame.order)

@@ -7,14 +7,14 @@ and its effects over the workspace. All values are in SI units.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
-from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.base.rotation import nearest_rotation, rotation_vector
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.solutions import Solutions
 from parallel_cal.model.mechanism import poses_in_workspace
@@ -224,24 +224,54 @@ def loss(model: Model, machine: Machine) -> dict[str, Any]:
     """Return the loss: reached minus commanded pose, at poses that the fit did not use.
 
     For robots with more joints than degrees of freedom, also the error of the lines (m).
+
+    `without_frame` is the loss after the commanded poses were moved as a rigid body to where they
+    agree best with the reached ones: `shift` (m, of their middle) and `turn` (rad), about the base
+    axes. Numbers for another frame have a large loss and a small one without their frame.
     """
     wanted = TargetPoses.over_workspace(model, N_VALIDATION_POSES, seed=1)
     q = machine.readings(wanted.at.position, wanted.at.rotation)
     start = wanted.at[np.isfinite(q).all(axis=1)]
     found = wanted.kinematics.direct(q[np.isfinite(q).all(axis=1)], start=start)
-    document = summary(model, start[found.solved], found[found.solved])
-    reached = int(found.solved.sum())
-    document |= {"poses": reached, "not_reached": len(q) - reached}
+    start, found = start[found.solved], found[found.solved]
+    document = summary(model, start, found)
+    if len(found):
+        moved, shift, turn = move_to_frame(model, start, found)
+        document["without_frame"] = {"shift": shift, "turn": turn} | summary(model, moved, found)
+    document |= {"poses": len(found), "not_reached": len(q) - len(found)}
     if wanted.more:
         lines = np.abs((q - wanted.at.joints) * wanted.winds)
         document |= {"line_mean": np.nanmean(lines), "line_max": np.nanmax(lines)}
     return document
 
 
+def move_to_frame(
+    model: Model, wanted: Solutions, found: Solutions
+) -> tuple[Solutions, Array, Array]:
+    """Return the wanted poses moved as a rigid body to the found ones (least squares).
+
+    Also return the shift (3,) in m of their middle, and the turn (3,) in rad.
+    """
+    middle, centre = wanted.position.mean(axis=0), found.position.mean(axis=0)
+    away = wanted.position - middle
+    agreement = (found.position - centre).T @ away / len(away)
+    if set(model.mechanism.controlled) & {3, 4, 5}:  # an orientation weighs like the poses' spread
+        turned = (found.rotation @ wanted.rotation.transpose(0, 2, 1)).mean(axis=0)
+        agreement = agreement + np.mean(away**2) * turned
+    turn = nearest_rotation(agreement)
+    moved = replace(wanted, position=centre + away @ turn.T, rotation=turn @ wanted.rotation)
+    return moved, centre - middle, rotation_vector(turn)
+
+
 def summary(model: Model, wanted: Solutions, found: Solutions) -> dict[str, Any]:
-    """Return mean and largest error of the controlled coordinates, and where it is largest."""
+    """Return mean and largest error of the controlled coordinates, and where it is largest.
+
+    The largest error of the orientation is stated with the commanded orientation (rotation vector
+    in rad), that of the position with the commanded position (m).
+    """
     change = compute_pose_difference(wanted, found)
     document: dict[str, Any] = {}
+    places = {"position": wanted.position, "orientation": rotation_vector(wanted.rotation)}
     for kind, part in (("position", range(3)), ("orientation", range(3, 6))):
         columns = [i for i in part if i in model.mechanism.controlled]
         norm = np.linalg.norm(change[:, columns], axis=1)
@@ -250,6 +280,6 @@ def summary(model: Model, wanted: Solutions, found: Solutions) -> dict[str, Any]
             document |= {
                 f"{kind}_mean": np.nanmean(norm),
                 f"{kind}_max": norm[worst],
-                f"{kind}_worst_at": wanted.position[worst],
+                f"{kind}_worst_at": places[kind][worst],
             }
     return document

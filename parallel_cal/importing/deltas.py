@@ -32,6 +32,7 @@ from parallel_cal.recordings.recording import Array
 
 JOINT_NAMES = ("joint1", "joint2", "joint3")
 HOME_HEIGHT_M = 0.05  # m above the bed; the middle of the used height
+BED_LEVELS = (0.0, HOME_HEIGHT_M, 0.1)  # m: the bed, home and the top of the workspace
 FLAT = 1e-6  # twice the area of a triangle on the unit circle; a smaller one has no orientation
 NOT_STATED = (
     "inclinations of towers or motors, errors between the two rods of a pair "
@@ -131,7 +132,10 @@ class Towers:
 
 @dataclass(frozen=True)
 class Shoulders:
-    """A rotary Delta; `angles` (rad) are the directions of its motors about z."""
+    """A rotary Delta; `angles` (rad) are the directions of its motors about z.
+
+    `middle` is the height (m) of the middle of its workspace; without it, there is a bed at z = 0.
+    """
 
     radius: float
     heights: Array
@@ -140,6 +144,7 @@ class Shoulders:
     angles: Array
     limits: tuple[tuple[float, float], ...] = ((-np.pi / 2, np.pi / 2),) * 3
     reach: float | None = None
+    middle: float | None = None
 
     @property
     def homed(self) -> Array:
@@ -172,7 +177,11 @@ class Shoulders:
         mechanism = load_mechanism("delta24")
         mechanism.parameters = mechanism.parameters.with_nominal(self.nominal)
         mechanism.joint_limits = self.limits
-        return _set_home(mechanism, self, self.reach or 0.6 * float(self.arms.min()))
+        arm = float(self.arms.min())
+        if self.middle is None:
+            return _set_home(mechanism, self, self.reach or 0.6 * arm)
+        levels = (self.middle - arm / 4, self.middle, self.middle + arm / 4)
+        return _set_home(mechanism, self, self.reach or 0.6 * arm, levels)
 
 
 def end_stops(delta: Delta) -> dict[str, float]:
@@ -198,11 +207,22 @@ def check_reach(delta: Delta, stated: Settings, field: str) -> None:
         )
 
 
-def _set_home(mechanism: Mechanism, delta: Delta, reach: float) -> Mechanism:
-    """Place home above the middle of the bed, with a workspace of radius `reach` (m)."""
-    home = delta.joints(np.array([[0.0, 0.0, HOME_HEIGHT_M]]))[0]
-    mechanism.home = Home(tuple(map(float, home)), (0.0, 0.0, HOME_HEIGHT_M))
-    mechanism.workspace = Workspace((-reach / 2**0.5,) * 2 + (0.0,), (reach / 2**0.5,) * 2 + (0.1,))
+def _set_home(
+    mechanism: Mechanism,
+    delta: Delta,
+    reach: float,
+    levels: tuple[float, float, float] = BED_LEVELS,
+) -> Mechanism:
+    """Place home on the axis, with a workspace of radius `reach` (m).
+
+    `levels` are the heights (m) of the workspace's floor, of home and of the workspace's top.
+    """
+    low, at, high = levels
+    home = delta.joints(np.array([[0.0, 0.0, at]]))[0]
+    mechanism.home = Home(tuple(map(float, home)), (0.0, 0.0, at))
+    mechanism.workspace = Workspace(
+        (-reach / 2**0.5,) * 2 + (low,), (reach / 2**0.5,) * 2 + (high,)
+    )
     return mechanism
 
 

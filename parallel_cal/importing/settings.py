@@ -39,10 +39,14 @@ class SourceLine:
 
 @dataclass(frozen=True)
 class Settings:
-    """The texts of a configuration by field (`M665 L`, `[printer] delta_radius`)."""
+    """The texts of a configuration by field (`M665 L`, `[printer] delta_radius`).
+
+    `unread` names files that the configuration includes and that are not among `paths`.
+    """
 
     texts: dict[str, tuple[str, SourceLine]]
     paths: Sequence[Path]
+    unread: tuple[str, ...] = ()
 
     def __contains__(self, field: str) -> bool:
         return field in self.texts
@@ -51,8 +55,18 @@ class Settings:
         """Return a field's text and line; DatasetError if no file has the field."""
         if field not in self.texts:
             files = ", ".join(map(str, self.paths))
-            raise DatasetError(f"{files}: no {field}, expected {expected}")
+            unread = f"; {self.describe_unread()}" if self.unread else ""
+            raise DatasetError(f"{files}: no {field}, expected {expected}{unread}")
         return self.texts[field]
+
+    def describe_unread(self) -> str:
+        """`the included files delta.cfg, macros/*.cfg were not read: name them as well`."""
+        names = ", ".join(self.unread)
+        plural = "s" if len(self.unread) > 1 else ""
+        return (
+            f"the included file{plural} {names} {'were' if plural else 'was'} not read: if a value "
+            "of the kinematics is in there, give that file as well, with the same option"
+        )
 
     def error(self, field: str, expected: str) -> DatasetError:
         """Return the error for a field whose text is not as expected."""

@@ -24,6 +24,7 @@ from parallel_cal.recordings.recording import Array
 KINDS = {"revolute": "R", "continuous": "R", "prismatic": "P", "fixed": None}
 MAX_PARALLEL_SINE = 0.1  # sine of the angle between axes below which they count as parallel
 MAX_COINCIDENT_DISTANCE_M = 1e-3  # m between parallel axes below which they count as one
+ASSUMED_TRAVEL_M = 0.5  # of a slide without limits, as the mechanism `serial` has it
 ROUNDING_TOLERANCE = 1e-13  # m or 1; smaller values are rounding errors
 
 
@@ -39,14 +40,21 @@ class Joint:
     axis: Array
     limits: tuple[float, float]
     velocity: float
+    is_limit_zero: bool = False  # stated as 0 to 0
 
 
 def arm(path: Path, start: str = "", end: str = "", **options: Any) -> ConfiguredRobot:
-    """Return the model of the chain from link `start` (the root) to `end` (the only leaf).
+    """Return the model of the chain from link `start` (the root) to `end`.
 
-    `options` are the options of the mechanism `serial` except its links.
+    Without `end`, it is the only leaf that a joint moves. If several leaves are fixed to the same
+    last joint, it is the one after the most fixed joints; a remark names the others. `options` are
+    the options of the mechanism `serial` except its links.
     """
-    joints = _chain(path, _joints(path), start, end)
+    every, remarks = _joints(path), list[str]()
+    if not end:
+        end, remark = _find_tip(path, every, start)
+        remarks += [remark] if remark else []
+    joints = _chain(path, every, start, end)
     driven = [joint for joint in joints if joint.kind]
     if not driven:
         raise DatasetError(f"{path}: no joint moves between '{start}' and '{end}'")
@@ -63,7 +71,12 @@ def arm(path: Path, start: str = "", end: str = "", **options: Any) -> Configure
     mechanism.joint_limits = tuple(joint.limits for joint in driven)
     mechanism.joint_rates = tuple((joint.velocity, np.inf) for joint in driven)
     frames = {"base": joints[0].parent, "platform": joints[-1].child}
-    return ConfiguredRobot(replace(new_model(mechanism), frames=frames), ())
+    if unlimited := [joint.name for joint in driven if joint.is_limit_zero]:
+        remarks.append(
+            f"the limits of {', '.join(unlimited)} are 0 to 0, which does not state how far they "
+            "move: set them in the model file (joint_limits)"
+        )
+    return ConfiguredRobot(replace(new_model(mechanism), frames=frames), tuple(remarks))
 
 
 # ------------------------------------------------------------------ the file
@@ -98,6 +111,11 @@ def _joint(path: Path, part: ElementTree.Element) -> Joint:
     limit, moves = part.find("limit"), kind in ("revolute", "prismatic")
     low, high = (_read_one(where, limit, k, None if moves else 0.0) for k in ("lower", "upper"))
     velocity = _read_one(where, limit, "velocity", 0.0) or np.inf
+    zero = moves and low == high == 0
+    if zero:  # what generators write for joints without limits
+        low, high = (
+            (-ASSUMED_TRAVEL_M, ASSUMED_TRAVEL_M) if kind == "prismatic" else (-np.inf, np.inf)
+        )
     return Joint(
         name,
         KINDS.get(kind, kind),
@@ -107,6 +125,7 @@ def _joint(path: Path, part: ElementTree.Element) -> Joint:
         axis / (np.linalg.norm(axis) or 1.0),
         (low, high) if moves else (-np.inf, np.inf),
         velocity,
+        zero,
     )
 
 
@@ -145,6 +164,41 @@ def _rotation_from_rpy(rpy: Array) -> Array:
     )
 
 
+def _find_tip(path: Path, joints: Sequence[Joint], start: str) -> tuple[str, str]:
+    """Return the leaf in which the chain ends, and a remark if there were others to choose from.
+
+    DatasetError if several leaves are moved by different joints, or equally far along.
+    """
+    parents = {joint.child: joint for joint in joints}
+    used = {joint.parent for joint in joints}
+    last: dict[str, str] = {}  # leaf -> the last joint that moves it
+    fixed: dict[str, int] = {}  # leaf -> number of fixed joints after that one
+    for leaf in (joint.child for joint in joints if joint.child not in used):
+        at, n = leaf, 0
+        while at != start and at in parents and n <= len(joints):
+            if parents[at].kind:
+                last[leaf], fixed[leaf] = parents[at].name, n
+                break
+            at, n = parents[at].parent, n + 1
+    moved = sorted(last)
+    if not moved:
+        whole = sorted({*parents, *used} - used)
+        return (whole or [joints[-1].child])[0], ""
+    most = max(fixed.values())
+    furthest = [leaf for leaf in moved if fixed[leaf] == most]
+    if len({*last.values()}) > 1 or len(furthest) > 1:
+        raise DatasetError(
+            f"{path}: the chain may end in {', '.join(moved)}: choose one with --to-link"
+        )
+    others = [leaf for leaf in moved if leaf != furthest[0]]
+    remark = (
+        f"the chain ends in {furthest[0]}; {', '.join(others)} can be chosen with --to-link"
+        if others
+        else ""
+    )
+    return furthest[0], remark
+
+
 def _chain(path: Path, joints: Sequence[Joint], start: str, end: str) -> list[Joint]:
     """Return the joints from one link to another; DatasetError if the chain is not unique."""
     children = {joint.child: joint for joint in joints}
@@ -154,19 +208,12 @@ def _chain(path: Path, joints: Sequence[Joint], start: str, end: str) -> list[Jo
             raise DatasetError(
                 f"{path}: no link '{link}', expected one of {', '.join(sorted(links))}"
             )
-    leaves = sorted(links - {joint.parent for joint in joints})
-    if not end and len(leaves) > 1:
-        raise DatasetError(
-            f"{path}: the chain may end in {', '.join(leaves)}: choose one with --to-link"
-        )
-    chain, at = list[Joint](), end or leaves[0]
+    chain, at = list[Joint](), end
     while at != start and at in children and len(chain) <= len(joints):
         chain.append(children[at])
         at = children[at].parent
     if start and at != start:
-        raise DatasetError(
-            f"{path}: link '{end or leaves[0]}' does not descend from link '{start}'"
-        )
+        raise DatasetError(f"{path}: link '{end}' does not descend from link '{start}'")
     for joint in chain:
         if joint.kind not in (*KINDS.values(), "R", "P"):
             kinds = "revolute, continuous, prismatic or fixed"

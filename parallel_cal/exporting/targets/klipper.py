@@ -45,7 +45,7 @@ def project(model: Model, present: Refinement | None = None) -> Projection:
         angles = tall.first + np.arange(3) * 120 * DEGREE + tall.trim
         each = {"arm_length": tall.rods / MM}
     else:
-        turned, c = shoulders(model, places=None, level=True, present=present)
+        turned, c = shoulders(model, places=None, equal_heights=True, present=present)
         kind, heights, angles = "rotary_delta", end_stop_heights(turned), turned.angles
         printer = {"shoulder_radius": turned.radius / MM}
         printer |= {"shoulder_height": turned.heights[0] / MM}

@@ -8,7 +8,7 @@ kins(9), lineardeltakins(9), "INI configuration", and src/emc/kinematics.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.resources import files as resources
 from pathlib import Path
 
@@ -26,9 +26,8 @@ from parallel_cal.exporting.projection import (
     fit_numbers,
 )
 from parallel_cal.exporting.targets import c
-from parallel_cal.importing.deltas import Shoulders
 from parallel_cal.importing.importers import linuxcnc
-from parallel_cal.importing.importers.linuxcnc import HOMED
+from parallel_cal.importing.importers.linuxcnc import HEXAPOD, HOMED, ROTARY_PINS, SHOULDERS
 from parallel_cal.importing.settings import Settings
 from parallel_cal.importing.struts import Struts
 from parallel_cal.model.model import Model
@@ -36,13 +35,12 @@ from parallel_cal.model.model import Model
 HOLDS = ("stewart42", *LINEAR, *ROTARY)
 CLEARED = tuple(f"lineardeltakins.J{i}off" for i in range(3))  # the offsets of older versions
 HAL, INI = "machine.hal", "machine.ini"
-HEXAPOD = "genhexkins"
+INCH_DECIMALS = 7  # as fine as the digits of mm
 SWITCHES = (
     "HOME_OFFSET assumes switches at the joints' upper limits in the model "
     "file: if yours are elsewhere, change these limits"
 )
-TOWERS, SHOULDERS = np.radians([90.0, 210.0, 330.0]), np.radians([270.0, 30.0, 150.0])
-ROTARY_PINS = {"platformradius": "R", "thighlength": "U", "shinlength": "L", "footradius": "E"}
+TOWERS = np.radians([90.0, 210.0, 330.0])
 
 
 def files(model: Model, name: str = "") -> dict[str, str]:
@@ -77,33 +75,21 @@ def settings(paths: Sequence[Path]) -> Settings:
 
 def firmware(stated: Settings) -> Firmware:
     """Return the kinematics whose pins are set."""
-    unit = stated.texts.get("[TRAJ] LINEAR_UNITS")
-    if unit and unit[0] != "mm":
-        raise unit[1].error("[TRAJ] LINEAR_UNITS", unit[0], "mm")
-    same = np.ones(3)
-    if "lineardeltakins.R" in stated:
-        return linuxcnc.towers(stated, "mm")
-    if "rotarydeltakins.thighlength" in stated:
-        size = {short: _pin(stated, f"rotarydeltakins.{pin}") for pin, short in ROTARY_PINS.items()}
-        limits = tuple((-np.pi / 2, -float(top)) for top in _read_homed(stated, 3, DEGREE))
-        return Shoulders(
-            size["R"] - size["E"], 0 * same, size["U"] * same, size["L"] * same, SHOULDERS, limits
-        )
-    stated.text(f"{HEXAPOD}.base.0.x", "pins of genhexkins, lineardeltakins or rotarydeltakins")
-    base, platform = (
-        np.array([[_pin(stated, f"{HEXAPOD}.{ends}.{k}.{a}") for a in "xyz"] for k in range(6)])
-        for ends in ("base", "platform")
-    )
-    return Struts(base, platform, _read_homed(stated, 6, MM))
+    return linuxcnc.kinematics(stated)
 
 
-def _pin(stated: Settings, name: str) -> float:
-    return stated.number(name, f"setp {name}, a length in mm", None, -1e5, 1e5) * MM
-
-
-def _read_homed(stated: Settings, n: int, unit: float) -> np.ndarray:
-    expected = "where the joint is at its switch, mm or degrees"
-    return np.array([stated.number(HOMED.format(i), expected, 0.0) for i in range(n)]) * unit
+def convert_units(stated: Settings, numbers: Mapping[str, str]) -> dict[str, str]:
+    """Return settings in mm in the unit of the machine's own files."""
+    factor = MM / linuxcnc.length_unit(stated)
+    if factor == 1.0:
+        return dict(numbers)
+    angular = any(field.startswith(linuxcnc.ROTARY) for field in stated.texts)
+    return {
+        field: text
+        if angular and field.endswith("HOME_OFFSET")
+        else f"{float(text) * factor:.{INCH_DECIMALS}f}"
+        for field, text in numbers.items()
+    }
 
 
 def project(model: Model, present: Refinement | None = None) -> Projection:

@@ -38,6 +38,8 @@ HOLDS = (*LINEAR, *ROTARY, "five_bar", "cable")
 FILE, OVERRIDE = "config.g", "config-override.g"
 LOADS_OVERRIDE = re.compile(r"^\s*M501\b", re.MULTILINE | re.IGNORECASE)
 TEETH = 20  # of a motor's gear, if they give the ratio
+MAX_EQUAL_DIFFERENCE_M = 1e-7  # m; the numbers are written with this digit
+EQUAL_ARMS = "the arms differ, but M669 U has one length for all: " + rrf.UNEQUAL_ARMS
 MIN_BUILDUP_M = 2e-6  # m; the firmware divides by it, and rounding hides a smaller one
 
 
@@ -80,7 +82,8 @@ def _linear(model: Model, present: Refinement | None) -> Projection:
 
 
 def _rotary(model: Model, present: Refinement | None) -> Projection:
-    delta, c = shoulders(model, TOWERS, level=False, present=present)
+    """Fit arms of one length: the firmware's forward kinematics takes all heights by arm A's."""
+    delta, c = shoulders(model, TOWERS, equal_arms=True, present=present)
     limits = np.array(model.mechanism.joint_limits, float)
     least = c.frame.motors(limits[:, 0] if c.frame.signs[0] > 0 else limits[:, 1]).max()
     top = delta.homed.mean()
@@ -96,7 +99,8 @@ def _rotary(model: Model, present: Refinement | None) -> Projection:
     found |= _format_three("M669", trim / DEGREE, 5) | _format_three(
         "M666", (delta.homed - top) / DEGREE, 5
     )
-    return Projection({FILE: found}, c.frame, c.stops)
+    remarks = (EQUAL_ARMS,) if np.ptp(c.arms) > MAX_EQUAL_DIFFERENCE_M else ()
+    return Projection({FILE: found}, c.frame, c.stops, remarks)
 
 
 def _five_bar(model: Model) -> Projection:

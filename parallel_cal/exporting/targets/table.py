@@ -58,7 +58,7 @@ def files(
         "bytes_as_float32": 4 * values.size,
         "conditions": dict(zip(model.conditions, model.structure.neutral, strict=True)),
         "nominal": model.table.mapping(model.table.nominal),
-        "error": _error(model, table, problem),
+        "error": _error(model, table, problem, size),
     }
     return {
         "table.csv": "\n".join([header, *lines]) + "\n",
@@ -66,22 +66,30 @@ def files(
     }
 
 
-def _error(model: Model, table: LookUpTable, problem: str) -> dict[str, Any]:
-    """Return the error (m, rad) with the table, and `without` it, at random poses.
+def _error(model: Model, table: LookUpTable, problem: str, size: int) -> dict[str, Any]:
+    """Return the error (m, rad) with the table, `without` it, and at `half_size`, at random poses.
 
     For the inverse problem it is the reached minus the commanded pose, for the direct problem the
-    computed minus the true pose.
+    computed minus the true pose. The error at half the size says whether a larger table helps:
+    not before the grid is finer than a ripple of the corrections.
     """
     exact, m = Kinematics(model), model.mechanism
     r, R = poses_in_workspace(m, N_VALIDATION_POSES, np.random.default_rng(1))
     wanted = exact.inverse(r, R)
-    order, size = table.order, len(table.axes[0])
+    half = (size + 1) // 2
+
+    def left(size: int) -> dict[str, Any]:
+        if problem == "inverse":
+            found = lookup_table.inverse(model, r, R, size=size, order=table.order)
+            return summary(model, wanted, exact.direct(found.joints))
+        found = lookup_table.direct(model, wanted.joints, size=size, order=table.order)
+        return summary(model, wanted, found)
+
     if problem == "inverse":
-        found = lookup_table.inverse(model, r, R, size=size, order=order)
-        usual = table.nominal.inverse(r, R)
-        pair = [exact.direct(s.joints) for s in (found, usual)]
+        usual = exact.direct(table.nominal.inverse(r, R).joints)
     else:
-        found = lookup_table.direct(model, wanted.joints, size=size, order=order)
-        pair = [found, table.nominal.direct(wanted.joints)]
-    left, without = (summary(model, wanted, s) for s in pair)
-    return {**left, "without": without}
+        usual = table.nominal.direct(wanted.joints)
+    document = left(size) | {"without": summary(model, wanted, usual)}
+    if half >= lookup_table.MIN_SIZE[table.order]:
+        document["half_size"] = {"size": half} | left(half)
+    return document

@@ -72,7 +72,8 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     printer = delta(stated)
     if isinstance(printer, Shoulders):
         deltas.check_reach(printer, stated, "[printer] shoulder_height")
-    return deltas.make_configured_robot(printer, _probe(stated))
+    remarks = [stated.describe_unread()] if stated.unread else []
+    return deltas.make_configured_robot(printer, _probe(stated), remarks=remarks)
 
 
 def _position(stated: Settings, field: str) -> Array:

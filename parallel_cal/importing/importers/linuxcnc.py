@@ -1,9 +1,12 @@
-"""LinuxCNC: a probe log of a linear Delta, and the HAL file that configures lineardeltakins.
+"""LinuxCNC: a probe log of a linear Delta, and the files that configure its own kinematics.
+
+Its own kinematics are lineardeltakins, rotarydeltakins and genhexkins. Their pins are set in a HAL
+file; the .ini file has their unit (LINEAR_UNITS) and where the joints are homed (HOME_OFFSET).
 
 A log that (PROBEOPEN) opened contains X Y Z A B C U V W of each touch, one touch per line, in the
 program's coordinates and units. So no offsets may be active while probing. Sources: LinuxCNC
-documentation, "G-codes" (G38.x, Probe Logging), "Kinematics" and the manual page
-lineardeltakins(9).
+documentation, "G-codes" (G38.x, Probe Logging), "Kinematics", "INI configuration" and the manual
+pages lineardeltakins(9) and kins(9).
 """
 
 from __future__ import annotations
@@ -14,19 +17,28 @@ from pathlib import Path
 
 import numpy as np
 
-from parallel_cal.base.errors import DatasetError
-from parallel_cal.base.units import DEGREE, UNITS
+from parallel_cal.base.errors import DatasetError, ModelError
+from parallel_cal.base.units import DEGREE, MM, UNITS
 from parallel_cal.importing import deltas, sections
 from parallel_cal.importing.controller_files import ConfiguredRobot
-from parallel_cal.importing.deltas import Towers
+from parallel_cal.importing.deltas import Shoulders, Towers
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines
+from parallel_cal.importing.struts import Struts
 from parallel_cal.importing.touch_samples import make_printed_ends, make_touch_samples
+from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
 
-CONFIGURATION = (".hal",)
+CONFIGURATION = (".hal", ".ini")
 AXES = "XYZABCUVW"
-KINS = "lineardeltakins."
+KINS, HEXAPOD, ROTARY = "lineardeltakins.", "genhexkins", "rotarydeltakins"
+ANY = "pins of genhexkins, lineardeltakins or rotarydeltakins"
+ROTARY_PINS = {"platformradius": "R", "thighlength": "U", "shinlength": "L", "footradius": "E"}
+SHOULDERS = np.radians([270.0, 30.0, 150.0])
 HOMED = "[JOINT_{}] HOME_OFFSET"  # in the .ini file: the joint at its switch
+HOME = "[JOINT_{}] HOME"  # where the joint goes when it is homed
+UNIT = "[TRAJ] LINEAR_UNITS"
+LINEAR_UNITS = {"mm": "mm", "metric": "mm", "inch": "in", "in": "in", "imperial": "in"}
+BELOW_HOMED = 30 * DEGREE  # of a rotary Delta's arms in the middle of the workspace
 NO_PROBE = np.zeros(3)
 
 
@@ -38,7 +50,7 @@ def samples(
     printed_y: Sequence[float] = (),
 ) -> Dataset:
     """Read the touches of logs, with a .hal file, both in `unit`; `step` (m) is a motor's step."""
-    logs = [path for path in paths if path.suffix not in (*CONFIGURATION, ".ini")]
+    logs = [path for path in paths if path.suffix not in CONFIGURATION]
     if unit not in ("m", "mm", "in"):
         raise DatasetError(f"unit={unit}: expected mm, in or m, the unit of the program")
     delta = towers(settings([path for path in paths if path not in logs]), unit)
@@ -59,9 +71,73 @@ def samples(
 
 
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
-    """Return the machine that `setp lineardeltakins.R` and `.L` describe, in mm."""
-    remark = "lengths in the HAL file are assumed to be in mm"
-    return deltas.make_configured_robot(towers(settings(paths), "mm"), NO_PROBE, remarks=[remark])
+    """Return the machine that the pins of LinuxCNC's own kinematics describe."""
+    stated = settings(paths)
+    remarks = []
+    if UNIT not in stated:
+        remarks.append("no LINEAR_UNITS (the .ini file): lengths are assumed to be in mm")
+    machine = kinematics(stated)
+    if isinstance(machine, Towers):
+        return deltas.make_configured_robot(machine, NO_PROBE, remarks=remarks)
+    if isinstance(machine, Shoulders):
+        return ConfiguredRobot(new_model(machine.mechanism()), (deltas.NOT_STATED, *remarks))
+    if stated.number(f"{HEXAPOD}.screw-lead", "a length", 0.0):
+        remarks.append(f"{HEXAPOD}.screw-lead: the correction of the struts' lengths is not used")
+    unit = length_unit(stated)
+    home = _joints_at(stated, HOME, 6, unit, machine.homed)
+    try:
+        return ConfiguredRobot(new_model(machine.mechanism(home)), tuple(remarks))
+    except ModelError as error:
+        field = HOMED.format(int(home.argmin()))
+        raise stated.error(field, f"the strut's length at its switch: {error}") from None
+
+
+def length_unit(stated: Settings) -> float:
+    """Return what a length of 1 is in m: LINEAR_UNITS in the .ini file, or else mm."""
+    if UNIT not in stated:
+        return MM
+    text, place = stated.text(UNIT, "")
+    if text.lower() not in LINEAR_UNITS:
+        raise place.error(UNIT, text, f"one of {', '.join(LINEAR_UNITS)}")
+    return UNITS[LINEAR_UNITS[text.lower()]]
+
+
+def kinematics(stated: Settings) -> Towers | Shoulders | Struts:
+    """Return the kinematics whose pins are set."""
+    unit = length_unit(stated)
+    if f"{KINS}R" in stated:
+        return towers(stated, "in" if unit == UNITS["in"] else "mm")
+
+    def pin(name: str, low: float = -1e5) -> float:
+        return stated.number(name, f"setp {name}, a length", None, low, 1e5) * unit
+
+    if f"{ROTARY}.thighlength" in stated:
+        size = {short: pin(f"{ROTARY}.{name}", 0.0) for name, short in ROTARY_PINS.items()}
+        radius, homed = size["R"] - size["E"], -_joints_at(stated, HOMED, 3, DEGREE)
+        middle = homed - BELOW_HOMED
+        drop = size["L"] ** 2 - (radius + size["U"] * np.cos(middle)) ** 2
+        if (drop <= 0).any():
+            raise stated.error(f"{ROTARY}.shinlength", "a length that reaches the middle")
+        z = float(np.mean(size["U"] * np.sin(middle) - np.sqrt(drop)))
+        same, limits = np.ones(3), tuple((-np.pi / 2, float(top)) for top in homed)
+        arms, rods = size["U"] * same, size["L"] * same
+        return Shoulders(radius, 0 * same, arms, rods, SHOULDERS, limits, middle=z)
+    stated.text(f"{HEXAPOD}.base.0.x", ANY)
+    base, platform = (
+        np.array([[pin(f"{HEXAPOD}.{ends}.{k}.{a}") for a in "xyz"] for k in range(6)])
+        for ends in ("base", "platform")
+    )
+    return Struts(base, platform, _joints_at(stated, HOMED, 6, unit))
+
+
+def _joints_at(
+    stated: Settings, field: str, n: int, unit: float, default: np.ndarray | None = None
+) -> np.ndarray:
+    """Return a position of each joint (n,) in the .ini file, in m or rad."""
+    usual = np.zeros(n) if default is None else default / unit
+    expected = "a position of the joint, in the unit of LINEAR_UNITS or degrees"
+    values = [stated.number(field.format(i), expected, float(usual[i])) for i in range(n)]
+    return np.array(values) * unit
 
 
 def towers(stated: Settings, unit: str) -> Towers:

@@ -38,6 +38,10 @@ LABELS = (
     "xmin,xmax,ymin,ymax,radius,spacing,xnum,ynum",
 )
 MAX_HEIGHT_MM = 20.0  # from the nominal plane; no probe searches for a bed further away
+UNEQUAL_ARMS = (
+    "RepRapFirmware (read up to 3.5.3) computes the heights of all three arms with the length of "
+    "arm A when it computes the position from the motors, as after homing"
+)
 STEPS = 80.0  # per mm or degree, if M92 is missing
 ANCHORS = "ABCDI"  # letters of M669 that are anchors
 
@@ -85,10 +89,13 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     if kind(stated) == 9:
         return ConfiguredRobot(new_model(read_five_bars(stated).mechanism()))
     delta = read_delta(stated)
+    remarks = []
     if isinstance(delta, Shoulders):
         deltas.check_reach(delta, stated, "M669 H")
+        if np.ptp(delta.arms):
+            remarks.append(f"M669 U has different arms, but {UNEQUAL_ARMS}")
     plate = delta.tilt if isinstance(delta, Towers) else (0.0, 0.0)
-    return deltas.make_configured_robot(delta, tip(stated), plate)
+    return deltas.make_configured_robot(delta, tip(stated), plate, remarks)
 
 
 def tip(stated: Settings) -> Array:

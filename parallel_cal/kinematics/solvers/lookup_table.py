@@ -25,6 +25,7 @@ from parallel_cal.model.model import Model
 
 BUILDS = "a table of the whole workspace"
 SIZE = 9  # grid points per given coordinate
+MIN_SIZE = {"linear": 2, "smooth": 4}  # grid points per coordinate, by order
 EDGE = 0.02  # of each side: margin of the grid around the workspace
 
 
@@ -97,9 +98,9 @@ def table_for(
     model: Model, problem: str, at: Mapping[str, Any] | None, size: int, order: str
 ) -> LookUpTable:
     """Return the table of a model for one set of conditions; it is built at the first call."""
-    if order not in ("linear", "smooth"):
+    if order not in MIN_SIZE:
         raise SolveError(f"order='{order}'; expected 'linear' or 'smooth'")
-    least = 2 if order == "linear" else 4
+    least = MIN_SIZE[order]
     if size < least:
         raise SolveError(f"size={size}, but order='{order}' needs at least {least} points per axis")
     if any(np.ndim(v) for v in (at or {}).values()):
