@@ -1,6 +1,7 @@
 """Exported C beside our Python call and a Newton written by hand in C, on the same poses.
 
 The hand-written one knows the nominal Delta alone: three spheres, a 3x3 system by Cramer's rule.
+Last, 10^7 cycles of a controller: the time of each, and the calls of the heap in all of them.
 """
 
 from __future__ import annotations
@@ -95,6 +96,62 @@ int main(int count, char **words)
 }
 """  # noqa: E501
 
+# Nanoseconds of CYCLES cycles (motion, direct and inverse, both capped), each of the processor, not of others:
+# median, 99.9 %, 99.999 % and the longest, and the calls of the heap in them.
+CYCLE = r"""
+#define _POSIX_C_SOURCE 199309L
+#include "robot.h"
+#include <stdio.h>
+#include <stdlib.h>
+#include <time.h>
+enum { LONGEST = 200000 }; /* ns; the histogram's last class holds all that take longer */
+static double q[COUNT][3];
+static long heap_calls, histogram[LONGEST + 1];
+void *__real_malloc(size_t), *__real_calloc(size_t, size_t), *__real_realloc(void *, size_t);
+void *__wrap_malloc(size_t size) { ++heap_calls; return __real_malloc(size); }
+void *__wrap_calloc(size_t n, size_t size) { ++heap_calls; return __real_calloc(n, size); }
+void *__wrap_realloc(void *at, size_t size) { ++heap_calls; return __real_realloc(at, size); }
+static long share(double part)
+{
+    long seen = 0, at = 0;
+    while (at < LONGEST && seen + histogram[at] < part * CYCLES) seen += histogram[at++];
+    return at;
+}
+int main(int count, char **words)
+{
+    robot_configuration pose = robot_home, command = robot_home;
+    robot_conditions now = ROBOT_NEUTRAL;
+    robot_motion motion;
+    long failures = 0, longest = 0;
+    FILE *file = fopen(words[1], "rb");
+    if (count < 2 || !file || fread(q, sizeof q, 1, file) != 1) return 1;
+    robot_motion_begin(&motion, q[0]);
+    void *volatile proof = malloc(1); /* shows that calls are counted */
+    free(proof);
+    long before = heap_calls;
+    for (long cycle = 0; cycle < CYCLES; ++cycle) {
+        struct timespec begin, end;
+        long along = cycle % (2 * COUNT - 2); /* to and fro, without a jump */
+        const double *joints = q[along < COUNT ? along : 2 * COUNT - 2 - along];
+        clock_gettime(CLOCK_THREAD_CPUTIME_ID, &begin);
+        robot_motion_follow(&motion, joints, 1e-3);
+        robot_motion_conditions(&motion, &now);
+        failures += robot_direct_capped(joints, &now, &pose, 10, &pose, 0) != 0;
+        failures += robot_inverse_capped(pose.position, pose.rotation, &now, &command, 10,
+            &command, 0) != 0;
+        clock_gettime(CLOCK_THREAD_CPUTIME_ID, &end);
+        long spent = (end.tv_sec - begin.tv_sec) * 1000000000L + end.tv_nsec - begin.tv_nsec;
+        longest = spent > longest ? spent : longest;
+        ++histogram[spent < LONGEST ? spent : LONGEST];
+    }
+    printf("%ld %ld %ld %ld %ld %ld %ld\n", share(0.5), share(0.999), share(0.99999), longest,
+        failures, before, heap_calls - before);
+    return 0;
+}
+"""
+CYCLES = 10_000_000
+WRAPPED = "-Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc"
+
 
 def compiled_program(model: Model, folder: Path) -> Path:
     export(model, "c:name=robot,poses=10", folder)
@@ -143,9 +200,35 @@ def rows(model: Model, name: str, hand: bool) -> list[Row]:
     ]
 
 
+def cycles(model: Model) -> list[Row]:
+    """Time of a controller's cycle: median, rare and longest; no call of the heap, no failure."""
+    q = np.ascontiguousarray(Kinematics(model).inverse(path(model)).joints)
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        export(model, "c:name=robot,poses=10", folder)
+        (folder / "cycle.c").write_text(CYCLE)
+        (folder / "joints").write_bytes(q.tobytes())
+        words = ["gcc", "-std=c99", "-O2", f"-DCOUNT={N}", f"-DCYCLES={CYCLES}L", WRAPPED]
+        words += ["robot.c", "cycle.c", "-lm", "-o", "cycle"]
+        subprocess.run(words, cwd=folder, check=True)
+        run = subprocess.run(
+            [str(folder / "cycle"), "joints"], cwd=folder, capture_output=True, check=True
+        )
+    *times, failures, counted, heap_calls = map(int, run.stdout.split())
+    assert (failures, counted, heap_calls) == (0, 1, 0), (failures, counted, heap_calls)
+    names = ("median", "longest of 99.9 %", "longest of 99.999 %", f"longest of {CYCLES:.0e}")
+    return [Row(f"cycle, {name}", 1e-9 * time) for name, time in zip(names, times, strict=True)] + [
+        Row("jitter: longest of 99.999 % less median", 1e-9 * (times[2] - times[0]))
+    ]
+
+
 def main() -> None:
     show("Nominal Delta", rows(new_model("delta_nominal"), "nominal", True))
     show("Model 54 with three effects", rows(new_model("delta54", effects=EFFECTS), "54", False))
+    title = (
+        "Model 54 with three effects: a controller's cycle (motion, direct, inverse); heap calls: 0"
+    )
+    show(title, cycles(new_model("delta54", effects=EFFECTS)))
 
 
 if __name__ == "__main__":

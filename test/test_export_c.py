@@ -14,13 +14,18 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.cli.main import main
 from parallel_cal.exporting.export import export
 from parallel_cal.kinematics.kinematics import Kinematics, Status
-from parallel_cal.model.file.modelfile import write_model
+from parallel_cal.model.file.modelfile import model_hash, write_model
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import new_model
+from parallel_cal.nodes.stream_memory import DirectionTracker
+from parallel_cal.recordings.travel import travel
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="no C compiler")
 
-STRICT = "gcc -std=c99 -pedantic -Wall -Wextra -Werror".split()
+WARNINGS = "-Wall -Wextra -Wconversion -Wsign-conversion -Wpedantic -Wshadow -Werror".split()
+STRICT = ["gcc", "-std=c99", *WARNINGS]
+STRICT_CPP = ["-std=c++17", "-fno-exceptions", "-fno-rtti", *WARNINGS]
+SANITIZERS = ["-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover"]
 EFFECTS = {"delta54": ("encoder_eccentricity", "backlash", "thermal_expansion")}
 ROBOTS = [
     "delta54",
@@ -51,8 +56,7 @@ def folder(name, poses=1000):
     kept = TemporaryDirectory(prefix="exported")
     export(robot(name), f"c:poses={poses}", kept.name)
     source = [f"{name}_check.c", f"{name}.c"]
-    safe = ["-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover"]
-    run([*STRICT, *safe, *source, "-o", "check", "-lm"], kept.name)
+    run([*STRICT, *SANITIZERS, *source, "-o", "check", "-lm"], kept.name)
     return kept
 
 
@@ -118,7 +122,15 @@ def test_the_object_has_no_state_and_only_its_own_names(name):
     symbols = [line.split()[-2:] for line in run(["nm", "robot.o"], folder(name).name).splitlines()]
     assert not [s for s in symbols if s[0] in "dDbBC"]
     public = {symbol for kind, symbol in symbols if kind == "T"}
-    own = ("direct", "inverse", "jacobian", "inverse_jacobian")
+    own = (
+        *("direct", "inverse", "direct_capped", "inverse_capped"),
+        *("jacobian", "inverse_jacobian", "jacobian_rate"),
+        *("motion_begin", "motion_follow", "motion_conditions"),
+    )
+    constants = {symbol for kind, symbol in symbols if kind == "R"}
+    numbers = ("low", "high", "velocity", "acceleration", "names")
+    expected = {f"{name}_joint_{number}" for number in numbers}
+    assert constants == expected | {f"{name}_home", f"{name}_model_hash"}
     assert public == {f"{name}_{function}" for function in own}
     outside = {symbol for kind, symbol in symbols if kind == "U"}
     allowed = {"memcpy", "memset", "_GLOBAL_OFFSET_TABLE_", "__stack_chk_fail"}
@@ -173,6 +185,25 @@ class Exported:
             "inverse", numbers(r), turned, at and numbers(at), begin, ctypes.byref(answer), None
         )
         return status, answer
+
+    def capped(self, function, steps, *given, start=None):
+        answer = self.kind()
+        begin = ctypes.byref(start) if start is not None else None
+        arrays = [None if part is None else numbers(part) for part in given]
+        status = self._call(
+            f"{function}_capped", *arrays, None, begin, steps, ctypes.byref(answer), None
+        )
+        return status, answer
+
+    def constant(self, name, kind):
+        return kind.in_dll(self._library, f"{self._name}_{name}")
+
+    def jacobian_rate(self, answer, velocity):
+        n = len(self.model.joints)
+        found = (ctypes.c_double * (6 * n))()
+        moving = numbers(velocity)
+        assert self._call("jacobian_rate", ctypes.byref(answer), None, moving, found) == 0
+        return np.array(found).reshape(6, n)
 
     def jacobian(self, answer, function="jacobian"):
         found = (ctypes.c_double * (6 * len(self.model.joints)))()
@@ -230,6 +261,219 @@ def test_jacobians_are_the_differences_of_pythons_answers(name):
         np.testing.assert_allclose(there, np.eye(len(controlled)), atol=1e-8)
 
 
+@pytest.mark.parametrize("name", ROBOTS)
+def test_the_rate_of_the_jacobian_is_its_difference_along_the_motion(name):
+    exported, model = Exported(name), robot(name)
+    n, rng = len(model.joints), np.random.default_rng(5)
+    r, R = poses_in_workspace(model.mechanism, 1, rng)
+    q = Kinematics(model).inverse(r[0], R[0]).joints
+    # Joints of a redundant robot cannot move independently: take a motion of its platform.
+    _, answer = exported.direct(q)
+    ways = exported.jacobian(answer, "inverse_jacobian").reshape(n, 6)
+    velocity, step = ways @ rng.standard_normal(6), 1e-5
+    ahead, back = (
+        exported.jacobian(exported.direct(q + sign * step * velocity)[1]).reshape(6, n)
+        for sign in (1, -1)
+    )
+    expected = (ahead - back) / (2 * step)
+    found = exported.jacobian_rate(answer, velocity)
+    scale = np.abs(expected).max()
+    assert scale > 1e-3
+    np.testing.assert_allclose(found, expected, atol=1e-5 * scale)
+
+
+def test_the_model_s_numbers_are_symbols():
+    exported = Exported("delta54")
+    model, n = exported.model, len(exported.model.joints)
+    array = ctypes.c_double * n
+    assert exported.constant("model_hash", ctypes.c_char * 65).value.decode() == model_hash(model)
+    low, high = zip(*model.mechanism.joint_limits, strict=True)
+    assert tuple(exported.constant("joint_low", array)) == low
+    assert tuple(exported.constant("joint_high", array)) == high
+    assert np.isinf(exported.constant("joint_velocity", array)).all()
+    home = exported.constant("home", exported.kind)
+    assert tuple(home.joints) == tuple(model.mechanism.home.joints)
+    names = exported.constant("joint_names", (ctypes.c_char * (len(model.joints[0]) + 1)) * n)
+    assert [one.value.decode() for one in names] == list(model.joints)
+
+
+def test_the_effort_of_a_call_can_be_capped_and_the_status_says_so():
+    """Far out of reach, Newton's method fails and the careful method takes many steps."""
+    exported = Exported("delta54")
+    far = [0.05, 0.05, 0.9]
+    assert exported.inverse(far)[0] == Status.UNREACHABLE
+    for steps in (0, 1, 3):
+        assert exported.capped("inverse", steps, far, None)[0] == 7
+    assert exported.capped("inverse", 400, far, None)[0] == Status.UNREACHABLE
+    home = np.array(exported.model.mechanism.home.joints)
+    _, start = exported.direct(home)
+    status, answer = exported.capped("direct", 0, home + 0.01, start=start)
+    assert status == Status.CONVERGED
+    assert answer.position[:] == exported.direct(home + 0.01, start=start)[1].position[:]
+
+
+def test_direction_and_travel_are_those_of_the_recordings():
+    """The readings wander with noise below the threshold and reversals above it."""
+    exported, n = Exported("delta54"), 3
+    rng, double = np.random.default_rng(6), ctypes.c_double
+    turns = np.cumsum(rng.choice([-1.0, 1.0], (40, n)) * rng.uniform(1e-3, 0.05, (40, n)), axis=0)
+    t = np.linspace(0, 39, 2000)
+    q = np.stack([np.interp(t, np.arange(40), turns[:, j]) for j in range(n)], axis=1)
+    q += 2e-5 * rng.standard_normal(q.shape)
+    names = "threshold direction travel velocity reading furthest turned_at".split()
+    motion = type("motion", (ctypes.Structure,), {"_fields_": [(x, double * n) for x in names]})()
+    tracker = DirectionTracker(5e-4)
+    assert exported._call("motion_begin", ctypes.byref(motion), numbers(q[0])) == 0
+    assert list(motion.threshold) == [5e-4] * n
+    for i, reading in enumerate(q):
+        follow = (ctypes.byref(motion), numbers(reading), double(1e-3))
+        assert exported._call("motion_follow", *follow) == 0
+        tracker.follow({str(j): value for j, value in enumerate(reading)})
+        direction = np.array([[tracker.direction.get(str(j), 0.0) for j in range(n)]])
+        assert list(motion.direction) == direction[0].tolist()
+        if i % 20 == 19:
+            threshold = np.full(n, 5e-4)
+            expected = travel(q, [i + 1], reading[None], direction.astype(int), threshold)
+            np.testing.assert_allclose(motion.travel, expected[0], atol=1e-15)
+            np.testing.assert_allclose(motion.velocity, (reading - q[i - 1]) * 1e3, rtol=1e-9)
+    before = list(motion.travel)
+    for bad in ((numbers([np.nan] * n), double(1e-3)), (numbers(q[0]), double(0.0))):
+        assert exported._call("motion_follow", ctypes.byref(motion), *bad) == Status.INVALID_INPUT
+        assert list(motion.travel) == before
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_the_example_of_a_controller_loop_runs_without_a_failure(name):
+    run(
+        [*STRICT, *SANITIZERS, f"{name}_loop.c", f"{name}.c", "-o", "loop", "-lm"],
+        kept := folder(name).name,
+    )
+    _, failures, _, worst, *_ = run(["./loop"], kept).split()
+    assert failures == "0"
+    # A command assumes the last direction; behind a reversal, backlash moves the robot away.
+    assert float(worst) < (50e-6 if EFFECTS.get(name) else 1e-12)
+
+
+@pytest.mark.wide
+@pytest.mark.skipif(shutil.which("cmake") is None, reason="no CMake")
+@pytest.mark.parametrize("target", ["c", "cpp"])
+def test_cmake_builds_checks_and_installs_a_target_for_find_package(target, tmp_path):
+    export(robot("cable"), f"{target}:poses=20", tmp_path / "source")
+    (tmp_path / "user").mkdir()
+    (tmp_path / "user" / "CMakeLists.txt").write_text(
+        "cmake_minimum_required(VERSION 3.16)\nproject(user LANGUAGES C CXX)\n"
+        "find_package(cable REQUIRED)\nadd_executable(user user.cpp)\n"
+        "target_link_libraries(user PRIVATE parallel_cal::cable)\n"
+    )
+    header, begin = (
+        ("cable.h", "cable_home") if target == "c" else ("cable.hpp", "cable::c::cable_home")
+    )
+    (tmp_path / "user" / "user.cpp").write_text(
+        f"#include <{header}>\nint main() {{ return {begin}.rotation[0] > 0.5 ? 0 : 1; }}\n"
+    )
+    run(["cmake", "-S", "source", "-B", "build", "-DCMAKE_INSTALL_PREFIX=installed"], tmp_path)
+    run(["cmake", "--build", "build"], tmp_path)
+    run(["ctest", "--test-dir", "build", "--output-on-failure"], tmp_path)
+    run(["cmake", "--install", "build", "--prefix", "installed"], tmp_path)
+    run(["cmake", "-S", "user", "-B", "use", f"-DCMAKE_PREFIX_PATH={tmp_path}/installed"], tmp_path)
+    run(["cmake", "--build", "use"], tmp_path)
+    run(["./use/user"], tmp_path)
+
+
+# ------------------------------------------------------------------ C++
+
+CPP_LOOP = """
+#include "@.hpp"
+#include "@.hpp" // a second inclusion does no harm
+#include <cstdio>
+#include <cstdlib>
+#include <new>
+static long allocations = 0;
+void *operator new(std::size_t size) { ++allocations; return std::malloc(size); }
+void operator delete(void *memory) noexcept { std::free(memory); }
+void operator delete(void *memory, std::size_t) noexcept { std::free(memory); }
+int main()
+{
+    @::Robot robot;
+    @::Joints q{}, reading{};
+    @::Jacobian J{}, rate{};
+    @::InverseJacobian inverse{};
+    double worst = 0;
+    for (int i = 0; i < @::n_joints; ++i)
+        reading[static_cast<std::size_t>(i)] = robot.command().joints[i];
+    if (robot.begin(reading) != @::Status::converged) return 1;
+    for (int cycle = 0; cycle < 1000; ++cycle) {
+        @::Vector3 to{robot.command().position[0], robot.command().position[1] + 1e-6,
+            robot.command().position[2]};
+        @::Rotation level{1, 0, 0, 0, 1, 0, 0, 0, 1};
+        if (robot.solve(to, level, q) != @::Status::converged) return 2;
+        if (robot.update(q, 1e-3) != @::Status::converged) return 3;
+        worst = fmax(worst, fabs(robot.pose().position[1] - to[1]));
+        if (robot.jacobian(robot.pose(), J) != @::Status::converged) return 4;
+        if (robot.inverse_jacobian(robot.pose(), inverse) != @::Status::converged) return 5;
+        if (robot.jacobian_rate(robot.pose(), q, rate) != @::Status::converged) return 6;
+    }
+    @::Joints kept = q;
+    robot.max_steps = 2;
+    if (robot.solve({0, 0, 50}, {1, 0, 0, 0, 1, 0, 0, 0, 1}, q) == @::Status::converged) return 7;
+    if (q != kept) return 8;
+    kept[0] = NAN;
+    if (robot.update(kept, 1e-3) != @::Status::invalid_input) return 9;
+    std::printf("allocations %ld worst %.3g\\n", allocations, worst);
+    return 0;
+}
+"""
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
+@pytest.mark.parametrize("name", ROBOTS)
+def test_the_cpp_header_compiles_strictly_and_agrees_with_python(name, tmp_path):
+    export(robot(name), "cpp:poses=200", tmp_path)
+    run(["g++", *STRICT_CPP, *SANITIZERS, f"{name}_check.cpp", "-o", "check"], tmp_path)
+    assert "rows 400 other_status 0" in run(["./check", f"{name}_vectors.csv"], tmp_path)
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
+def test_a_cpp_robot_allocates_nothing_and_keeps_its_state_after_a_failure(
+    tmp_path,
+):
+    export(robot("delta54"), "cpp:poses=20", tmp_path)
+    (tmp_path / "loop.cpp").write_text(CPP_LOOP.replace("@", "delta54"))
+    run(["g++", *STRICT_CPP, *SANITIZERS, "loop.cpp", "-o", "loop"], tmp_path)
+    _, allocations, _, worst = run(["./loop"], tmp_path).split()
+    assert allocations == "0"
+    assert float(worst) < 50e-6  # backlash at the first cycles, whose direction is not known
+
+
+@pytest.mark.wide
+@pytest.mark.skipif(shutil.which("clang") is None, reason="no clang")
+@pytest.mark.parametrize("name", ["delta54", "argos27"])
+def test_clang_warns_of_nothing(name, tmp_path):
+    export(robot(name), "c:poses=2", tmp_path)
+    export(robot(name), "cpp:poses=2", tmp_path)
+    run(["clang", "-std=c99", *WARNINGS, "-c", f"{name}.c", f"{name}_loop.c"], tmp_path)
+    run(["clang++", *STRICT_CPP, "-c", f"{name}_check.cpp"], tmp_path)
+
+
+@pytest.mark.skipif(
+    shutil.which("g++") is None or not Path("/usr/include/eigen3").exists(), reason="no Eigen"
+)
+def test_the_views_of_eigen_show_the_arrays(tmp_path):
+    export(robot("cable"), "cpp:poses=2", tmp_path)
+    (tmp_path / "views.cpp").write_text(
+        '#define CABLE_WITH_EIGEN\n#include "cable.hpp"\nint main() {\n'
+        "cable::Robot robot; cable::Jacobian J{};\n"
+        "if (robot.jacobian(robot.pose(), J) != cable::Status::converged) return 1;\n"
+        "auto R = cable::rotation(robot.pose());\n"
+        "return cable::view(J)(0, 1) == J[1] && R(0, 0) == 1 ? 0 : 2;\n}\n"
+    )
+    run(
+        ["g++", "-std=c++17", "-isystem", "/usr/include/eigen3", "views.cpp", "-o", "views"],
+        tmp_path,
+    )
+    run(["./views"], tmp_path)
+
+
 def test_nan_and_infinity_are_a_status_and_nothing_else_is_answered():
     exported = Exported("delta54")
     home = np.array(exported.model.mechanism.home.joints)
@@ -278,15 +522,20 @@ def test_the_command_writes_the_robot_alone_with_a_makefile_that_checks_it(tmp_p
         main(words)
     assert not ended.value.code
     assert "robot.h" in capsys.readouterr().out
-    names = {"robot.c", "robot.h", "robot_check.c", "robot_vectors.csv", "Makefile"}
+    names = {"robot.c", "robot.h", "robot_check.c", "robot_loop.c", "robot_vectors.csv"}
+    names |= {"Makefile", "CMakeLists.txt"}
     assert {path.name for path in out.iterdir()} == names
     assert "other_status 0" in run(["make", "check"], out)
+    assert "failures 0" in run(["make", "loop"], out)
 
 
 @pytest.mark.parametrize(
     ("target", "said"),
     [
-        ("d", "no target 'd': expected one of c, grblhal, klipper, linuxcnc, rrf, table, urdf"),
+        (
+            "d",
+            "no target 'd': expected one of c, cpp, grblhal, klipper, linuxcnc, rrf, table, urdf",
+        ),
         ("c:size=3", "option 'size=3': expected one of name="),
         ("c:poses=many", "option 'poses=many': expected one of name="),
         ("c:poses=1", "poses=1: expected 2 to 300000"),

@@ -531,6 +531,7 @@ def test_a_target_becomes_the_command_of_the_calibrated_inverse_and_others_nothi
     (point,) = command.points
     assert command.joint_names == NAMES
     assert list(point.positions) == expected.joints.tolist()
+    assert list(point.velocities) == [0.0, 0.0, 0.0]
     assert point.time_from_start.nanosec == 100_000_000
     robot.client.wait(lambda: bool(spoken), "its status")
     assert (spoken[-1].status, spoken[-1].message) == (CommandStatus.ACCEPTED, "")

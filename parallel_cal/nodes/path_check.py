@@ -1,7 +1,9 @@
 """Check whether the path to a target is safe, and compute its duration. Does not use ROS.
 
-A controller moves along a straight line in joint space between two joint commands. The check solves
-points on this line. The path must not cross a singularity, come near one, or leave the workspace.
+joint_trajectory_controller moves each joint by a cubic polynomial in time, from its present
+position and velocity to the target at rest. From rest, this is a straight line in joint space. The
+check solves points on this path. The path must not cross a singularity, come near one, leave the
+workspace or leave the joint limits.
 """
 
 from __future__ import annotations
@@ -20,6 +22,11 @@ from parallel_cal.model.mechanism import Mechanism
 
 N_CHECKED_POINTS = 12  # points on the path, including both ends
 SLACK = 1e-6  # m or rad by which a target at the edge of the workspace may lie outside
+MIN_DURATION_S = 1e-6  # where the search for a duration begins if nothing else bounds it
+DURATION_STEP = 1.02  # ratio of two durations tried
+N_DURATIONS = 1400  # tried durations: up to 1e12 times the first one
+LOAD_SLACK = 1e-12  # of a limit: rounding
+N_BISECTIONS = 40  # between the last duration that breaks a limit and the first that keeps them
 
 
 @dataclass(frozen=True)
@@ -49,15 +56,22 @@ def check_path(
     target: Solutions,
     at: Mapping[str, float] | None,
     bounds: Bounds,
+    speed: np.ndarray | None = None,
+    requested: float = 0.0,
 ) -> CheckedPath:
     """Check the path from joints `start` (nq,) to a target; raise SolveError if it is not safe.
 
-    A cubic in time from rest to rest over a distance d with the velocity limit v and the
-    acceleration limit a takes at least 1.5 d / v and sqrt(6 d / a).
+    `speed` (nq,) is the robot's present joint velocity; None: it is at rest. The duration is the
+    shortest one, not below `requested` [s], in which no joint exceeds its limits. From rest over a
+    distance d with the velocity limit v and the acceleration limit a, it is the larger of 1.5 d / v
+    and sqrt(6 d / a).
     """
     mechanism = kinematics.model.mechanism
-    share = np.linspace(0.0, 1.0, N_CHECKED_POINTS)[:, None]
-    found = kinematics.direct(start + share * (target.joints - start), at)
+    move = target.joints - start
+    begin = np.zeros(len(start)) if speed is None else speed
+    seconds, why = _compute_duration(mechanism, move, begin, bounds.crossing, requested)
+    path = _sample_cubic(start, move, begin * seconds)
+    found = kinematics.direct(path, at)
     usable = np.isin(found.status, (Status.CONVERGED, Status.OUTSIDE_LIMITS))
     if not usable[0]:
         raise SolveError(
@@ -67,6 +81,7 @@ def check_path(
     if not usable.all():
         word = Status(int(found.status[int(np.argmin(usable))])).text.replace("_", " ")
         raise SolveError(f"the path to the target is {word} {_part(int(np.argmin(usable)))}")
+    _check_joint_limits(mechanism, path)
     _check_workspace(mechanism, found)
     margins = distances(kinematics.model, found, at)
     least = np.minimum(margins.direct, margins.inverse)
@@ -85,9 +100,29 @@ def check_path(
             f"the path to the target is too near a singularity {_part(i)}: {least[i]:.3g}, "
             f"allowed {bounds.singularity:g}"
         )
-    return CheckedPath(
-        *_compute_duration(mechanism, np.abs(target.joints - start), bounds), float(least.min())
-    )
+    return CheckedPath(seconds, why, float(least.min()))
+
+
+def _sample_cubic(start: np.ndarray, move: np.ndarray, begin: np.ndarray) -> np.ndarray:
+    """Return points (n, nq) of the cubic from `start`, where a joint at its first speed would move
+    by `begin` (nq,), to rest at start + move. Without that speed they are equally spaced."""
+    share = np.linspace(0.0, 1.0, N_CHECKED_POINTS)[:, None]
+    s = 0.5 - np.sin(np.arcsin(1 - 2 * share) / 3)  # of the time: s^2 (3 - 2 s) = share
+    points: np.ndarray = start + share * move + s * (1 - s) ** 2 * begin
+    return points
+
+
+def _check_joint_limits(mechanism: Mechanism, path: np.ndarray) -> None:
+    """Refuse a path that leaves the joint limits, or leads further out if it begins outside."""
+    low, high = np.array(mechanism.joint_limits, dtype=float).T
+    out = np.maximum(low - path, path - high)
+    bad = out > np.maximum(SLACK, out[0] + SLACK)
+    if bad.any():
+        i, joint = (int(k[0]) for k in np.nonzero(bad))
+        raise SolveError(
+            f"the path to the target leaves the limits of {mechanism.joints[joint]} {_part(i)}, by "
+            f"{out[i, joint]:.3g}: the joint is too fast to stop before; wait until it rests"
+        )
 
 
 def _part(i: int) -> str:
@@ -108,21 +143,52 @@ def _check_workspace(mechanism: Mechanism, found: Solutions) -> None:
         )
 
 
-def _compute_duration(mechanism: Mechanism, moved: np.ndarray, bounds: Bounds) -> tuple[float, str]:
-    """Return the duration [s] of the slowest joint, and a sentence about its limit."""
-    needed = []
-    rates = mechanism.joint_rates or ((math.inf, math.inf),) * len(moved)
-    limits = zip(mechanism.joints, moved, mechanism.joint_ranges, rates, strict=True)
-    for joint, d, width, (velocity, acceleration) in limits:
-        speed, whose = velocity, "the model file's"
-        if not math.isfinite(speed):
-            speed, whose = width / bounds.crossing, "one range in full_travel"
-        for seconds, what in (
-            (1.5 * d / speed, f"velocity {speed:.3g} ({whose})"),
-            (
-                math.sqrt(6 * d / acceleration),
-                f"acceleration {acceleration:.3g} (the model file's)",
-            ),
-        ):
-            needed.append((float(seconds), f"{joint} moves {d:.3g}, limited to {what}"))
-    return max(needed)
+def _compute_duration(
+    mechanism: Mechanism, move: np.ndarray, begin: np.ndarray, crossing: float, requested: float
+) -> tuple[float, str]:
+    """Return the shortest duration [s] from `requested` on in which all joints keep their limits,
+    and a sentence about the limit that a shorter one would break."""
+    rates = mechanism.joint_rates or ((math.inf, math.inf),) * len(move)
+    given, acceleration = np.array(rates, dtype=float).T
+    velocity = np.where(np.isfinite(given), given, mechanism.joint_ranges / crossing)
+    least = max(requested, float(np.max(np.abs(move) / velocity)), MIN_DURATION_S)
+    tried = least * DURATION_STEP ** np.arange(N_DURATIONS)
+    # A joint that is too fast already may not become faster.
+    limits = np.stack([np.maximum(velocity, np.abs(begin)), acceleration])
+
+    def load(seconds: np.ndarray | float) -> np.ndarray:
+        """Peak velocity and acceleration as shares of their limits: (2, n, nq)."""
+        return _peaks(move, begin, np.reshape(seconds, (-1, 1))) / limits[:, None]
+
+    kept = (load(tried) <= 1 + LOAD_SLACK).all(axis=(0, 2))
+    if not kept.any():
+        raise SolveError("no duration keeps the joints' velocity and acceleration limits")
+    first = int(np.argmax(kept))
+    low, high = float(tried[max(first - 1, 0)]), float(tried[first])
+    for _ in range(N_BISECTIONS if first else 0):
+        middle = (low + high) / 2
+        if (load(middle) <= 1 + LOAD_SLACK).all():
+            high = middle
+        else:
+            low = middle
+    kind, _, joint = np.unravel_index(int(np.argmax(load(low))), (2, 1, len(move)))
+    name, limit = mechanism.joints[joint], limits[kind, joint]
+    whose = (
+        "the model file's" if kind or math.isfinite(given[joint]) else "one range in full_travel"
+    )
+    what = f"{('velocity', 'acceleration')[kind]} {limit:.3g} ({whose})"
+    return high, f"{name} moves {abs(move[joint]):.3g}, limited to {what}"
+
+
+def _peaks(move: np.ndarray, begin: np.ndarray, seconds: np.ndarray) -> np.ndarray:
+    """Return the peak velocity and acceleration (2, n, nq) of the cubics that move by `move` (nq,)
+    from the velocity `begin` (nq,) to rest, for durations (n, 1)."""
+    mean = move / seconds
+    # At the share s of the time: v = begin (1 - 4 s + 3 s^2) + 6 mean (s - s^2).
+    bend = 3 * begin - 6 * mean
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s = (2 * begin - 3 * mean) / bend
+    s = np.where((s > 0) & (s < 1), s, 0.0)
+    turning = begin * (1 - 4 * s + 3 * s**2) + 6 * mean * (s - s**2)
+    ends = np.abs(np.stack([6 * mean - 4 * begin, 2 * begin - 6 * mean])) / seconds
+    return np.stack([np.maximum(np.abs(begin), np.abs(turning)), ends.max(axis=0)])

@@ -40,7 +40,7 @@ class Memory:
     def __init__(self, threshold: float):
         self.tracker = DirectionTracker(threshold)
         self.heard: dict[str, float] = {}
-        self._joints: dict[str, float] = {}
+        self._motion: dict[str, tuple[float, float]] = {}  # position and velocity of each joint
         self._time: float | None = None
 
     def on_joint_state(
@@ -61,19 +61,26 @@ class Memory:
         if velocity is None:
             lapse = 0.0 if self._time is None else stamp - self._time
             velocity = np.zeros(len(now))
-            if lapse > 0 and self._joints.keys() == now.keys():
-                velocity = (q - [self._joints[joint] for joint in now]) / lapse
+            if lapse > 0 and self._motion.keys() == now.keys():
+                velocity = (q - [self._motion[joint][0] for joint in now]) / lapse
         self.tracker.follow(now)
         for joint, value in zip(model.joints, velocity, strict=True):
             self.heard[f"velocity.{joint}"] = float(value)
-        self._joints, self._time = now, stamp
+        self._motion = dict(zip(model.joints, zip(q, velocity, strict=True), strict=True))
+        self._time = stamp
 
     def joints(self, model: Model) -> np.ndarray | None:
         """Return the last joints (nq,), or None before the first joint state."""
-        known = self._joints  # another thread may exchange it
+        motion = self.motion(model)
+        return None if motion is None else motion[0]
+
+    def motion(self, model: Model) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return the last joints and velocities (nq,), or None before the first joint state."""
+        known = self._motion  # another thread may exchange it
         if any(joint not in known for joint in model.joints):
             return None
-        return np.array([known[joint] for joint in model.joints])
+        q, velocity = np.array([known[joint] for joint in model.joints]).T
+        return q, velocity
 
     def conditions(self, model: Model) -> dict[str, float] | None:
         """Return the known conditions among those that the model's effects need."""

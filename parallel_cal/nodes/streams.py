@@ -233,8 +233,8 @@ class Streams:
                 f"frame_id '{frame}', expected '{model.frames['base']}' or an empty one"
             )
         r, R = controlled_pose(model, *pose_numbers(message.pose))
-        start = self._memory.joints(model)
-        if start is None:
+        motion = self._memory.motion(model)
+        if motion is None:
             raise SolveError("no joint state received yet: the position of the robot is unknown")
         found = joints_for(served, self._memory, r, R)
         requested, crossing, least = (
@@ -242,16 +242,17 @@ class Streams:
             for name in ("time_from_start", "full_travel", "singularity_margin")
         )
         at, bounds = self._memory.conditions(model), Bounds(crossing, least)
-        path = check_path(served.kinematics, start, found, at, bounds)
-        seconds = max(requested, path.seconds)
-        status.time_from_start, status.singularity = seconds, path.singularity
+        start, speed = motion
+        path = check_path(served.kinematics, start, found, at, bounds, speed, requested)
+        status.time_from_start, status.singularity = path.seconds, path.singularity
         status.status = CommandStatus.ACCEPTED
         if path.seconds > requested:
             status.status = CommandStatus.SLOWED
-            status.message = f"{seconds:.3g} s instead of {requested:.3g} s: {path.why}"
+            status.message = f"{path.seconds:.3g} s instead of {requested:.3g} s: {path.why}"
             self._tally.add("target_pose", "slowed", status.message)
-        point = JointTrajectoryPoint(positions=found.joints.tolist())
-        point.time_from_start = Duration(seconds=seconds).to_msg()
+        # Without velocities, a controller would interpolate linearly and break the limits.
+        point = JointTrajectoryPoint(positions=found.joints.tolist(), velocities=[0.0] * len(start))
+        point.time_from_start = Duration(seconds=path.seconds).to_msg()
         self._command.publish(JointTrajectory(joint_names=list(model.joints), points=[point]))
         self._warn_outside_region(served, "target_pose", found.joints, r)
         self._tally.add("target_pose", "answered")

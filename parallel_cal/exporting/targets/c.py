@@ -1,6 +1,7 @@
 """C99 source and header for both problems and the Jacobians, without dependency or allocation.
 
-A program comes with them that checks them against Python's solutions.
+With them come a program that checks them against Python's solutions, and an example of a
+controller's loop.
 """
 
 from __future__ import annotations
@@ -29,6 +30,9 @@ from parallel_cal.model.file.modelfile import model_hash
 from parallel_cal.model.model import Model
 
 PROBLEMS = ("direct", "inverse")
+DIRECTION_THRESHOLD = 5e-4  # rad or m, as the parameter of the kinematics node
+MAX_DESCENTS = 100  # steps of one Levenberg-Marquardt descent
+PATH_AMPLITUDE = 0.005  # of the example's path, as a share of the mechanism's length
 MAX_POSES = 300_000  # test vectors; each takes a few kB of memory and 1 kB of the file
 HELPERS = {
     "casadi_real": "double",
@@ -39,18 +43,22 @@ HELPERS = {
     "casadi_fmin": "fmin",
 }
 MAKEFILE = """# Checks @robot@.c against @robot@_vectors.csv, Python's answers.
-CFLAGS = -std=c99 -O2 -Wall -Wextra -Werror
+CFLAGS = -std=c99 -O2 -Wall -Wextra -Wconversion -Wsign-conversion -Wpedantic -Werror
 
 check: @robot@_check
 \t./@robot@_check @robot@_vectors.csv
 
-@robot@_check: @robot@_check.c @robot@.c @robot@.h
-\t$(CC) $(CFLAGS) @robot@_check.c @robot@.c -o $@ -lm
+# Runs the example of a controller's loop.
+loop: @robot@_loop
+\t./@robot@_loop
+
+@robot@_%: @robot@_%.c @robot@.c @robot@.h
+\t$(CC) $(CFLAGS) $< @robot@.c -o $@ -lm
 """
 
 
 def files(model: Model, name: str = "", poses: int = 1000) -> dict[str, str]:
-    """Return C source, header, check, Makefile and `poses` test vectors by file name.
+    """Return C source, header, check, example, build files and `poses` test vectors by name.
 
     `name` is the prefix of all names in them; the default is the mechanism's name.
     """
@@ -59,18 +67,20 @@ def files(model: Model, name: str = "", poses: int = 1000) -> dict[str, str]:
         raise ModelError(f"name={robot}: expected a valid C identifier")
     if not 2 <= poses <= MAX_POSES:
         raise ModelError(f"poses={poses}: expected 2 to {MAX_POSES}")
-    words = _words(model, robot)
+    words = template_words(model, robot)
     templates = {
-        f"{robot}.h": _template("robot.h"),
-        f"{robot}.c": _template("robot.c"),
-        f"{robot}_check.c": _template("check.c"),
+        f"{robot}.h": read_template("robot.h"),
+        f"{robot}.c": read_template("robot.c"),
+        f"{robot}_check.c": read_template("check.c"),
+        f"{robot}_loop.c": read_template("loop.c"),
+        "CMakeLists.txt": read_template("library.cmake"),
         "Makefile": MAKEFILE,
     }
     written = {file: fill_template(text, words) for file, text in templates.items()}
     return written | {f"{robot}_vectors.csv": vectors(model, poses)}
 
 
-def _template(name: str) -> str:
+def read_template(name: str) -> str:
     return resources(__package__).joinpath("_c", name).read_text(encoding="utf-8")
 
 
@@ -78,7 +88,7 @@ def fill_template(text: str, words: Mapping[str, str]) -> str:
     return re.sub(r"@(\w+)@", lambda found: words[found[1]], text)
 
 
-def _words(model: Model, robot: str) -> dict[str, str]:
+def template_words(model: Model, robot: str) -> dict[str, str]:
     """Return the replacement of each @word@ in the templates."""
     s, m, n = model.structure, model.mechanism, len(model.joints)
     newton = [newton_functions(s, problem) for problem in PROBLEMS]
@@ -87,10 +97,22 @@ def _words(model: Model, robot: str) -> dict[str, str]:
     constants = [functions.iteration.n_constants for functions in newton]
     limits = np.array(m.joint_limits, dtype=float).reshape(-1, 2).T
     names = _condition_names(model)
+    kinds = list(dict.fromkeys(name.split(".")[0] for name in model.conditions))
+    by_joint = [kind for kind in kinds if CONDITIONS[kind][2]]
     fields = [
-        f"    double {c}; /* {CONDITIONS[full.split('.')[0]][0]}, {neutral:g} */"
-        for c, full, neutral in zip(names, model.conditions, s.neutral, strict=True)
+        f"    double {kind}{f'[{robot.upper()}_JOINTS]' * (kind in by_joint)}; "
+        f"/* {CONDITIONS[kind][0]}, {CONDITIONS[kind][1]:g} */"
+        for kind in kinds
     ]
+    neutral = [
+        f"{{{_list([CONDITIONS[kind][1]] * n)}}}"
+        if kind in by_joint
+        else _list([CONDITIONS[kind][1]])
+        for kind in kinds
+    ]
+    rates = np.array(m.joint_rates or ((np.inf, np.inf),) * n, dtype=float).T
+    home = np.asarray(m.home.configuration)
+    letters = max(map(len, m.joints)) + 1
     words: dict[str, Any] = {
         "robot": robot,
         "ROBOT": robot.upper(),
@@ -115,7 +137,21 @@ def _words(model: Model, robot: str) -> dict[str, str]:
         "low": _list(limits[0]),
         "high": _list(limits[1]),
         "turn": _list(m.joint_periods),
-        "neutral": _list(s.neutral or [0.0]),
+        "velocity": _list(rates[0]),
+        "acceleration": _list(rates[1]),
+        "name_size": letters,
+        "joint_names": ", ".join(f'"{joint}"' for joint in m.joints),
+        "home_joints": _list(home[:n]),
+        "home_position": _list(home[n : n + 3]),
+        "home_rotation": _list(home[n + 3 :]),
+        "threshold": DIRECTION_THRESHOLD,
+        "all_steps": 4 * MAX_DESCENTS,
+        "descents": MAX_DESCENTS,
+        "amplitude": PATH_AMPLITUDE * m.length,
+        "followed": _lines(
+            f"memcpy(at->{kind}, motion->{kind}, sizeof at->{kind});" for kind in by_joint
+        ),
+        "neutral": ", ".join(neutral or ["0.0"]),
         "generated": _generate_functions(model, newton),
         "conditions": "\n".join(fields or ["    double none; /* the model needs none */"]),
         "copied": _lines(f"a[{k}] = at->{c};" for k, c in enumerate(names or ["none"])),
@@ -135,9 +171,9 @@ def _words(model: Model, robot: str) -> dict[str, str]:
 
 
 def _condition_names(model: Model) -> list[str]:
-    """Return the conditions as unique names of struct members."""
-    names = [re.sub(r"\W", "_", name) for name in model.conditions]
-    return [f"{c}_{k}" if names.count(c) > 1 else c for k, c in enumerate(names)]
+    """Return the conditions as struct members: `temperature`, or `direction[0]` of a joint."""
+    parts = [name.partition(".") for name in model.conditions]
+    return [f"{kind}[{model.joints.index(joint)}]" if joint else kind for kind, _, joint in parts]
 
 
 def _generate_copy(to: str, source: str, coordinates: list[int]) -> list[str]:
@@ -164,7 +200,12 @@ def _generate_functions(model: Model, newton: list[NewtonFunctions]) -> str:
     """Generate the functions that the templates call, with the model's numbers."""
     s = model.structure
     parts = [s.closure_configuration(s.configuration, s.a, ca.DM(model.values))]
-    functions = [(dense("closure", [s.configuration, s.a], list(parts[0])), "x a", "phi slopes")]
+    change = ca.SX.sym("change", s.configuration.shape[0])
+    rate = ca.jtimes(ca.vec(parts[0][1]), s.configuration, change)
+    functions = [
+        (dense("closure", [s.configuration, s.a], list(parts[0])), "x a", "phi slopes"),
+        (dense("closure_rate", [s.configuration, s.a, change], [rate]), "x a change", "slopes"),
+    ]
     for problem, of in zip(PROBLEMS, newton, strict=True):
         step, k = of.iteration, Single(of.tables)(model.values)[0]
         before = step.prepare(s.configuration, s.a, ca.DM(k))
@@ -192,6 +233,9 @@ def _c_function(function: ca.Function, inputs: list[str], outputs: list[str]) ->
         body = re.sub(rf"arg\[{i}\]\? arg\[{i}\]\[(\d+)\] : 0", rf"{name}[\1]", body)
     for i, name in enumerate(outputs):
         body = re.sub(rf"if \(res\[{i}\]!=0\) res\[{i}\]\[(\d+)\]=", rf"{name}[\1]=", body)
+    body = re.sub(r"!(a\d+)\b", r"\1==0", body)
+    body = re.sub(r"\((a\d+)\?", r"(\1!=0?", body)
+    body = re.sub(r"\((a\d+)(&&|\|\|)(a\d+)\)", r"(\1!=0\2\3!=0)", body)
     body = re.sub(r"casadi_\w+", lambda word: HELPERS.get(word[0], word[0]), body)
     if strange := re.search(r"casadi_\w*|\b(arg|res|iw|w)\b", body):
         raise ModelError(

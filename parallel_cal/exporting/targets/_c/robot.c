@@ -18,14 +18,22 @@
 #define SMALL @singular@    /* smallest scaled singular value of a regular configuration */
 #define SUSPECT @suspect@   /* a pivot below this asks for that value */
 #define ITERATIONS 2 /* of third order; twice, where the first do not arrive */
-#define DESCENTS 100
+#define DESCENTS @descents@
+
+#define ALL_STEPS @all_steps@ /* two descents, twice */
 
 enum { DIRECT, INVERSE };
 
+const char @robot@_model_hash[65] = "@hash@";
+const char @robot@_joint_names[NQ][@name_size@] = {@joint_names@};
+const @robot@_configuration @robot@_home = {{@home_joints@}, {@home_position@}, {@home_rotation@}};
+const double @robot@_joint_low[NQ] = {@low@};
+const double @robot@_joint_high[NQ] = {@high@};
+const double @robot@_joint_velocity[NQ] = {@velocity@};
+const double @robot@_joint_acceleration[NQ] = {@acceleration@};
+
 static const double HOME[NX] = {@home@};
 static const double SCALE[NC] = {@scale@};     /* m that a unit moves things */
-static const double LOW[NQ] = {@low@};
-static const double HIGH[NQ] = {@high@};
 static const double TURN[NQ] = {@turn@};       /* by how much a joint may be off */
 static const int UNKNOWN[2][MOST] = {{@unknown_direct@}, {@unknown_inverse@}};
 static const int UNKNOWNS[2] = {@n_direct@, @n_inverse@};
@@ -162,6 +170,11 @@ static void moved(int problem, const double *x, const double *step, double *to)
     memcpy(to + NQ + 3, turned, sizeof turned);
 }
 
+static int within_limits(int joint, double q)
+{
+    return @robot@_joint_low[joint] <= q && q <= @robot@_joint_high[joint];
+}
+
 /* Solved angles within half a turn of home, or one further where only that is inside the limits;
  * whether any was moved. */
 static int turned_towards_home(int problem, double *x)
@@ -171,7 +184,7 @@ static int turned_towards_home(int problem, double *x)
         if (!(TURN[i] > 0)) continue;
         double q = x[i] - TURN[i] * rint((x[i] - HOME[i]) / TURN[i]);
         double other = q - TURN[i] * sign(q - HOME[i]);
-        if ((q < LOW[i] || q > HIGH[i]) && LOW[i] <= other && other <= HIGH[i]) q = other;
+        if (!within_limits(i, q) && within_limits(i, other)) q = other;
         any |= q != x[i];
         x[i] = q;
     }
@@ -196,8 +209,8 @@ static double iterated(int problem, int most, const double *constants, double *x
     return length;
 }
 
-/* Levenberg-Marquardt from x, in place; a status. */
-static int descended(int problem, double *x, const double *a, double *residual)
+/* Levenberg-Marquardt from x, in place, with at most DESCENTS and `steps` steps; a status. */
+static int descended(int problem, double *x, const double *a, int *steps, double *residual)
 {
     double phi[ROWS], J[ROWS * MOST], trial_phi[ROWS], trial_J[ROWS * MOST], trial[NX];
     double gradient[MOST], A[MOST * MOST], step[MOST], damping = 1e-3, slope = 0;
@@ -214,6 +227,7 @@ static int descended(int problem, double *x, const double *a, double *residual)
             }
         }
         *residual = size;
+        if (--*steps < 0) return @ROBOT@_EFFORT_EXCEEDED;
         if (!solved(n, A, 1, step)) return @ROBOT@_NOT_CONVERGED;
         for (int i = 0; i < n; ++i) length += step[i] * step[i];
         if (sqrt(length) < 1e-15) break;
@@ -243,7 +257,7 @@ static int descended(int problem, double *x, const double *a, double *residual)
 }
 
 /* The same from where Newton's method ended and, where that fails, from `given`; the better end. */
-static int carefully(int problem, const double *given, const double *a, double *x,
+static int carefully(int problem, const double *given, const double *a, int *steps, double *x,
     double *residual)
 {
     double ends[2][NX], sizes[2] = {HUGE_VAL, HUGE_VAL};
@@ -252,8 +266,13 @@ static int carefully(int problem, const double *given, const double *a, double *
     memcpy(ends[1], given, sizeof ends[1]);
     for (int i = 0; i < 2; ++i) {
         if (!all_finite(NX, ends[i])) continue;
-        status[i] = descended(problem, ends[i], a, &sizes[i]);
+        status[i] = descended(problem, ends[i], a, steps, &sizes[i]);
         if (status[i] == @ROBOT@_CONVERGED) break;
+        if (status[i] == @ROBOT@_EFFORT_EXCEEDED) {
+            memcpy(x, ends[i], sizeof ends[i]);
+            *residual = sizes[i];
+            return status[i];
+        }
     }
     best = status[0] == @ROBOT@_CONVERGED || (status[1] != @ROBOT@_CONVERGED && !(sizes[1] < sizes[0]))
         ? 0 : 1;
@@ -263,8 +282,8 @@ static int carefully(int problem, const double *given, const double *a, double *
 }
 
 /* x (in: the start, where `warm`) for what is given; a status. */
-static int answered(int problem, const double *given, const double *a, int warm, double *x,
-    double *residual)
+static int answered(int problem, const double *given, const double *a, int warm, int steps,
+    double *x, double *residual)
 {
     double before[CONSTANTS + NX], phi[ROWS], J[ROWS * MOST], pivot = 0, squares = 0;
     int status = @ROBOT@_CONVERGED, inside = 1;
@@ -279,7 +298,7 @@ static int answered(int problem, const double *given, const double *a, int warm,
         inverse_prepare(given, a, before);
     if (!warm) memcpy(x, before + TABLE[problem], NX * sizeof *x);
     double length = iterated(problem, ITERATIONS, before, x, &pivot);
-    if ((turned_towards_home(problem, x) && EFFECTS) || (isfinite(length) && length >= SETTLED))
+    if ((turned_towards_home(problem, x) && EFFECTS != 0) || (isfinite(length) && length >= SETTLED))
         length = iterated(problem, ITERATIONS, before, x, &pivot);
     if (problem == DIRECT)
         direct_residual(x, before, phi);
@@ -290,16 +309,16 @@ static int answered(int problem, const double *given, const double *a, int warm,
     int closed = redundant(problem) ? isfinite(*residual) : *residual < CLOSED;
     int settled = length < SETTLED && closed;
     if (!settled) {
-        status = carefully(problem, given, a, x, residual);
-        if (turned_towards_home(problem, x) && EFFECTS)
-            status = carefully(problem, given, a, x, residual);
+        status = carefully(problem, given, a, &steps, x, residual);
+        if (turned_towards_home(problem, x) && EFFECTS != 0)
+            status = carefully(problem, given, a, &steps, x, residual);
     }
     if (status == @ROBOT@_CONVERGED && !(settled && pivot > SUSPECT)) {
         closure_and_slopes(problem, x, a, phi, J);
         if (smallest_singular_value(UNKNOWNS[problem], J) < SMALL) status = @ROBOT@_SINGULAR;
     }
-    for (int i = 0; i < NQ; ++i) inside &= LOW[i] <= x[i] && x[i] <= HIGH[i];
-    return status == @ROBOT@_CONVERGED && !inside ? @ROBOT@_OUTSIDE_LIMITS : status;
+    for (int i = 0; i < NQ; ++i) inside &= within_limits(i, x[i]);
+    return status == @ROBOT@_CONVERGED && !inside ? (int)@ROBOT@_OUTSIDE_LIMITS : status;
 }
 
 static void row_of(const @robot@_configuration *from, double *x)
@@ -323,8 +342,9 @@ static void conditions_of(const @robot@_conditions *at, double a[CONDITIONS + 1]
 @copied@
 }
 
-int @robot@_direct(const double joints[NQ], const @robot@_conditions *at,
-    const @robot@_configuration *start, @robot@_configuration *answer, double *residual)
+int @robot@_direct_capped(const double joints[NQ], const @robot@_conditions *at,
+    const @robot@_configuration *start, int steps, @robot@_configuration *answer,
+    double *residual)
 {
     double given[NX], x[NX], a[CONDITIONS + 1], left;
     memcpy(given, HOME, sizeof given);
@@ -332,14 +352,14 @@ int @robot@_direct(const double joints[NQ], const @robot@_conditions *at,
     conditions_of(at, a);
     if (start) row_of(start, x);
     memcpy(x, joints, NQ * sizeof *x);
-    int status = answered(DIRECT, given, a, start != 0, x, &left);
+    int status = answered(DIRECT, given, a, start != 0, steps, x, &left);
     configuration_of(x, answer);
     if (residual) *residual = left;
     return status;
 }
 
-int @robot@_inverse(const double position[3], const double rotation[9],
-    const @robot@_conditions *at, const @robot@_configuration *start,
+int @robot@_inverse_capped(const double position[3], const double rotation[9],
+    const @robot@_conditions *at, const @robot@_configuration *start, int steps,
     @robot@_configuration *answer, double *residual)
 {
     double given[NX], x[NX], a[CONDITIONS + 1], left;
@@ -353,10 +373,23 @@ int @robot@_inverse(const double position[3], const double rotation[9],
         memcpy(x, start->joints, NQ * sizeof *x);
 @passive@
     }
-    int status = answered(INVERSE, given, a, start != 0, x, &left);
+    int status = answered(INVERSE, given, a, start != 0, steps, x, &left);
     configuration_of(x, answer);
     if (residual) *residual = left;
     return status;
+}
+
+int @robot@_direct(const double joints[NQ], const @robot@_conditions *at,
+    const @robot@_configuration *start, @robot@_configuration *answer, double *residual)
+{
+    return @robot@_direct_capped(joints, at, start, ALL_STEPS, answer, residual);
+}
+
+int @robot@_inverse(const double position[3], const double rotation[9],
+    const @robot@_conditions *at, const @robot@_configuration *start,
+    @robot@_configuration *answer, double *residual)
+{
+    return @robot@_inverse_capped(position, rotation, at, start, ALL_STEPS, answer, residual);
 }
 
 /* d unknowns / d given, (n, m) row by row, along the closure; 0 where singular. */
@@ -373,7 +406,7 @@ static int slopes(int problem, const @robot@_configuration *at_answer,
     for (int i = 0; i < ROWS; ++i)
         for (int j = 0; j < m; ++j) B[i * m + j] = -all[GIVEN[problem][j] * ROWS + i];
     int size = n == ROWS ? n : gram(n, J, A);
-    if (n == ROWS) memcpy(A, J, n * n * sizeof *A);
+    for (int i = 0; n == ROWS && i < n * n; ++i) A[i] = J[i];
     for (int i = 0; i < size; ++i)
         for (int j = 0; j < m; ++j) {
             b[i * m + j] = n < ROWS ? 0 : B[i * m + j];
@@ -410,4 +443,96 @@ int @robot@_inverse_jacobian(const @robot@_configuration *answer, const @robot@_
         for (int j = 0; j < GIVENS[INVERSE]; ++j)
             jacobian[6 * i + GIVEN[INVERSE][j] - NQ] = D[i * GIVENS[INVERSE] + j];
     return 0;
+}
+
+/* From A D = B for the slopes D (n, NQ) follows A D' = B' - A' D; with more rows than unknowns, from
+ * A^T (A D - B) = 0, A^T A D' = A^T (B' - A' D) + A'^T (B - A D). */
+int @robot@_jacobian_rate(const @robot@_configuration *answer, const @robot@_conditions *at,
+    const double velocity[NQ], double rate[6 * NQ])
+{
+    double x[NX], change[NX], a[CONDITIONS + 1], phi[ROWS], all[ROWS * NC], faster[ROWS * NC];
+    double D[MOST * MOST], J[ROWS * MOST], A[MOST * MOST], b[MOST * MOST], pose[6] = {0};
+    int n = UNKNOWNS[DIRECT];
+    memset(rate, 0, 6 * NQ * sizeof *rate);
+    if (!slopes(DIRECT, answer, at, D)) return @ROBOT@_SINGULAR;
+    for (int i = 0; i < n; ++i)
+        for (int j = 0; j < NQ; ++j)
+            pose[UNKNOWN[DIRECT][i] - NQ] += D[i * NQ + j] * velocity[j];
+    row_of(answer, x);
+    conditions_of(at, a);
+    memcpy(change, velocity, NQ * sizeof *change);
+    memcpy(change + NQ, pose, 3 * sizeof *change);
+    for (int i = 0; i < 3; ++i) /* R' = w x R */
+        for (int j = 0; j < 3; ++j)
+            change[NQ + 3 + 3 * i + j] = pose[3 + (i + 1) % 3] * x[NQ + 3 + 3 * ((i + 2) % 3) + j]
+                - pose[3 + (i + 2) % 3] * x[NQ + 3 + 3 * ((i + 1) % 3) + j];
+    closure(x, a, phi, all);
+    closure_rate(x, a, change, faster);
+    closure_and_slopes(DIRECT, x, a, phi, J);
+    if (n == ROWS)
+        for (int i = 0; i < n * n; ++i) A[i] = J[i];
+    else
+        gram(n, J, A);
+    for (int j = 0; j < NQ; ++j) {
+        double turning[ROWS], missing[ROWS]; /* B' - A' D and B - A D */
+        for (int k = 0; k < ROWS; ++k) {
+            turning[k] = -faster[j * ROWS + k], missing[k] = -all[j * ROWS + k];
+            for (int i = 0; i < n; ++i) {
+                int column = UNKNOWN[DIRECT][i];
+                turning[k] -= faster[column * ROWS + k] * D[i * NQ + j];
+                missing[k] -= all[column * ROWS + k] * D[i * NQ + j];
+            }
+        }
+        for (int i = 0; i < n; ++i) {
+            int column = UNKNOWN[DIRECT][i];
+            b[i * NQ + j] = n == ROWS ? turning[i] : 0;
+            for (int k = 0; n < ROWS && k < ROWS; ++k)
+                b[i * NQ + j] += J[k * n + i] * turning[k]
+                    + faster[column * ROWS + k] / SCALE[column] * missing[k];
+        }
+    }
+    if (!solved(n, A, NQ, b)) return @ROBOT@_SINGULAR;
+    for (int i = 0; i < n; ++i)
+        for (int j = 0; j < NQ; ++j) {
+            int column = UNKNOWN[DIRECT][i];
+            rate[NQ * (column - NQ) + j] = b[i * NQ + j] / SCALE[column];
+        }
+    return all_finite(6 * NQ, rate) ? 0 : (int)@ROBOT@_SINGULAR;
+}
+
+/* ------------------------------------------------------------------ motion */
+
+int @robot@_motion_begin(@robot@_motion *motion, const double joints[NQ])
+{
+    if (!all_finite(NQ, joints)) return @ROBOT@_INVALID_INPUT;
+    memset(motion, 0, sizeof *motion);
+    for (int i = 0; i < NQ; ++i) {
+        motion->threshold[i] = @ROBOT@_DIRECTION_THRESHOLD;
+        motion->reading[i] = motion->furthest[i] = motion->turned_at[i] = joints[i];
+    }
+    return 0;
+}
+
+int @robot@_motion_follow(@robot@_motion *motion, const double joints[NQ], double period)
+{
+    if (!all_finite(NQ, joints) || !(period > 0)) return @ROBOT@_INVALID_INPUT;
+    for (int i = 0; i < NQ; ++i) {
+        double moved_by = joints[i] - motion->furthest[i], going = motion->direction[i];
+        motion->velocity[i] = (joints[i] - motion->reading[i]) / period;
+        motion->reading[i] = joints[i];
+        if (fabs(moved_by) > motion->threshold[i] && !(moved_by * going > 0)) {
+            motion->turned_at[i] = motion->furthest[i];
+            motion->direction[i] = going = sign(moved_by);
+        }
+        if (moved_by * going > 0) motion->furthest[i] = joints[i];
+        motion->travel[i] = fabs(going) > 0 ? joints[i] - motion->turned_at[i] : 0;
+    }
+    return 0;
+}
+
+void @robot@_motion_conditions(const @robot@_motion *motion, @robot@_conditions *at)
+{
+    (void)motion;
+    (void)at;
+@followed@
 }

@@ -20,7 +20,8 @@ enum {
     @ROBOT@_SINGULAR = 2,       /* solved; errors are amplified more than 10^4 times */
     @ROBOT@_OUTSIDE_LIMITS = 3, /* solved; a joint is beyond its limits */
     @ROBOT@_NOT_CONVERGED = 4,
-    @ROBOT@_INVALID_INPUT = 5   /* NaN or infinity was given; the answer is NaN */
+    @ROBOT@_INVALID_INPUT = 5,  /* NaN or infinity was given; the answer is NaN */
+    @ROBOT@_EFFORT_EXCEEDED = 7 /* the allowed steps did not suffice; the answer is the last one */
 };
 
 /* What the robot's errors depend on. NULL stands for the values named here. */
@@ -35,6 +36,14 @@ typedef struct {
     double position[3];            /* m */
     double rotation[9];
 } @robot@_configuration;
+
+/* The model's numbers. A joint without a stated limit has an infinite one. */
+extern const char @robot@_model_hash[65]; /* sha256 of the model file */
+extern const char @robot@_joint_names[@ROBOT@_JOINTS][@name_size@];
+extern const @robot@_configuration @robot@_home;
+extern const double @robot@_joint_low[@ROBOT@_JOINTS], @robot@_joint_high[@ROBOT@_JOINTS];
+extern const double @robot@_joint_velocity[@ROBOT@_JOINTS]; /* per s */
+extern const double @robot@_joint_acceleration[@ROBOT@_JOINTS]; /* per s^2 */
 
 /* Pose for joints; returns a status. `start` is an answer before or near this one (NULL: the
  * start of the model's home branch), `residual` (may be NULL) the norm of the closure, m. */
@@ -54,6 +63,44 @@ int @robot@_jacobian(const @robot@_configuration *answer, const @robot@_conditio
 /* d joints / d (x y z, small turn), JOINTS x 6; 0 for what the robot does not control. */
 int @robot@_inverse_jacobian(const @robot@_configuration *answer, const @robot@_conditions *at,
     double jacobian[@ROBOT@_JOINTS * 6]);
+
+/* As above, with at most `steps` steps of Levenberg and Marquardt's method, for a bounded time: 0
+ * allows Newton's method alone, which suffices from a start nearby. Where more are needed, the
+ * status is @ROBOT@_EFFORT_EXCEEDED. The functions that are not capped allow @all_steps@. */
+int @robot@_direct_capped(const double joints[@ROBOT@_JOINTS], const @robot@_conditions *at,
+    const @robot@_configuration *start, int steps, @robot@_configuration *answer,
+    double *residual);
+int @robot@_inverse_capped(const double position[3], const double rotation[9],
+    const @robot@_conditions *at, const @robot@_configuration *start, int steps,
+    @robot@_configuration *answer, double *residual);
+
+/* The Jacobian's rate of change while the joints move by `velocity`, 6 x JOINTS row by row: the
+ * acceleration is jacobian * joint acceleration + rate * joint velocity. Conditions are constant.
+ * Returns 0, or @ROBOT@_SINGULAR. */
+int @robot@_jacobian_rate(const @robot@_configuration *answer, const @robot@_conditions *at,
+    const double velocity[@ROBOT@_JOINTS], double rate[6 * @ROBOT@_JOINTS]);
+
+/* Direction, travel and velocity of the joints, from their readings. */
+typedef struct {
+    double threshold[@ROBOT@_JOINTS]; /* a motion back by no more is noise, not a reversal */
+    double direction[@ROBOT@_JOINTS]; /* sign of the last motion; 0 before the first */
+    double travel[@ROBOT@_JOINTS];    /* signed, since the last reversal */
+    double velocity[@ROBOT@_JOINTS];  /* per s */
+    double reading[@ROBOT@_JOINTS], furthest[@ROBOT@_JOINTS], turned_at[@ROBOT@_JOINTS];
+} @robot@_motion;
+#define @ROBOT@_DIRECTION_THRESHOLD @threshold@ /* rad or m */
+
+/* Begin at a reading, with the threshold above for all joints: no motion is known. Returns 0, or
+ * @ROBOT@_INVALID_INPUT and changes nothing. */
+int @robot@_motion_begin(@robot@_motion *motion, const double joints[@ROBOT@_JOINTS]);
+
+/* Take the reading of every cycle, `period` s after the one before. Returns 0, or
+ * @ROBOT@_INVALID_INPUT and changes nothing. */
+int @robot@_motion_follow(@robot@_motion *motion, const double joints[@ROBOT@_JOINTS],
+    double period);
+
+/* Write those that the model needs into the conditions; the others stay. */
+void @robot@_motion_conditions(const @robot@_motion *motion, @robot@_conditions *at);
 
 #ifdef __cplusplus
 }
