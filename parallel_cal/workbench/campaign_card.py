@@ -25,10 +25,13 @@ class CampaignBar:
 
     def __init__(self, live: Live):
         self.live = live
+        self.runs = False
         with ui.row().classes("w-full no-wrap items-center gap-2"):
             with ui.column().classes("grow min-w-0 gap-0"):
-                self.words = ui.label().classes("w-full campaign-words")
+                self.words = ui.label().classes("w-full truncate")
                 self.words.props("id=campaign aria-live=polite")
+                with self.words:
+                    self.whole = ui.tooltip()
                 self.asked = ui.label().classes("w-full").props("id=asked role=alert")
                 self.asked.style(f"color: {COLOURS['amber']}")
             self.steers = {
@@ -47,7 +50,7 @@ class CampaignBar:
     def show(self, told: dict[str, Any]) -> None:
         """Show the campaign's status, as `nodes.steering` reports it."""
         state = told["state"]
-        running = state not in INACTIVE_STATES
+        self.runs = running = state not in INACTIVE_STATES
         for word, seen in (
             ("resume", state == "paused"),
             ("pause", state != "paused"),
@@ -57,7 +60,9 @@ class CampaignBar:
         self.steers["pause"].set_enabled(running and state != "asking")
         # A campaign may run although its status was not received yet.
         self.steers["stop"].set_enabled(running or not state)
-        self.words.set_text(_describe_status(told))
+        words = _describe_status(told)
+        self.words.set_text(words)
+        self.whole.set_text(words)
         self.asked.set_text(told["reason"] if state == "asking" else "")
         self.asked.set_visibility(state == "asking")
 
@@ -82,9 +87,7 @@ class CampaignCard:
                     )
                 )
                 self.begin = ui.button("Calibrate", on_click=self._begin).props("dense")
-            self.running = ui.label(
-                "The campaign is running. Pause and STOP are at the top of the page."
-            )
+            self.status = ui.label().props("id=campaign-status")
             figure = make_chart(
                 {"title": {"text": "measured poses"}, "rangemode": "tozero"},
                 "validation error [µm]",
@@ -97,7 +100,8 @@ class CampaignCard:
         """Show the campaign's status, as `nodes.steering` reports it."""
         inactive = told["state"] in INACTIVE_STATES
         self.begin.set_visibility(inactive)
-        self.running.set_visibility(not inactive)
+        self.status.set_visibility(not inactive)  # in full; the header has one line for it
+        self.status.set_text(_describe_status(told))
         self.chart.set_visibility(bool(told["curve"]))
         if told["curve"] != self._curve:
             self._curve = told["curve"]

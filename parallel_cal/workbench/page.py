@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -14,7 +14,7 @@ from parallel_cal.reporting.colours import MEASURED, PATTERN, QUIET
 from parallel_cal.reporting.readable import write_micro
 from parallel_cal.session.history import format_first_error
 from parallel_cal.workbench.bench import Bench, Live
-from parallel_cal.workbench.header import Header
+from parallel_cal.workbench.header import Header, Notice, VerdictCard
 from parallel_cal.workbench.live import LiveCard
 from parallel_cal.workbench.marking import SCRIPT, FigureSlot, Marking
 from parallel_cal.workbench.residuals_card import ResidualsCard
@@ -32,6 +32,9 @@ EMPTY = (
     "Reading the measurements. This takes a few seconds.",
     "No samples yet. Move the robot from pose to pose and hold it still at each for a second. "
     "Press Take samples when there are twenty or more.",
+)
+CAMPAIGN_RUNS = (
+    "No samples here yet: the campaign is measuring them. Press Take samples to see them."
 )
 PRIORS = {None: "of weakly determined parameters", True: "of all parameters", False: "none"}
 PLACE, TURN = ("x", "y", "z"), ("qx", "qy", "qz", "qw")  # columns of planned poses
@@ -59,14 +62,23 @@ class Window:
         ui.colors(primary=MEASURED)
         ui.add_head_html(HEAD + HEADER_HEIGHT + SCRIPT)
         ui.add_css(CSS)
-        self.header = Header(bench)
-        with ui.column().classes("w-full max-w-screen-xl mx-auto gap-4"):
-            if bench.live is not None:
-                LiveCard(bench, bench.live, self.header.campaign)
-            with ui.column().classes("w-full") as self.top:
-                self.failing = ResidualsCard(self.marking)
-            self.body = ui.column().classes("w-full gap-4")
-        self.layer = ui.element()  # dialogs stay while the body is redrawn
+        self.header, self.notice = Header(bench), Notice(bench)
+        with ui.column().classes("w-full max-w-[2200px] mx-auto gap-3") as content:
+            content.props("id=content tabindex=-1")
+            ui.label(f"Session {bench.session.folder.name}").classes("text-sm font-bold").props(
+                "role=heading aria-level=1"
+            )
+            self.empty = ui.label().props("id=empty")
+            with _columns() as self.work:
+                with ui.column().classes("w-full gap-3"):
+                    self.verdict = VerdictCard(bench)
+                    self.missing = ui.column().classes("w-full gap-3")
+                    if bench.live is not None:
+                        LiveCard(bench, bench.live, self._follow_campaign)
+                with ui.column().classes("w-full gap-3") as self.right:
+                    self.failing = ResidualsCard(self.marking)
+            self.rest = _columns()
+        self.layer = ui.element()  # dialogs stay while the page is redrawn
         self._draw()
         ui.timer(POLL_INTERVAL_S, self._poll)
         ui.timer(REFRESH_INTERVAL_S, bench.follow)
@@ -75,65 +87,101 @@ class Window:
         if self.version != self.bench.version:
             self._draw()
 
+    def _follow_campaign(self, told: dict[str, Any]) -> None:
+        """Show the campaign in the header, and that it measures where there are no samples."""
+        if (bar := self.header.campaign) is not None:
+            ran = bar.runs
+            bar.show(told)
+            if bar.runs != ran:
+                self.header.show_verdict()
+                self._show_empty()
+
+    def _show_empty(self) -> None:
+        """Say what to do if there are no samples, or that they are being read."""
+        view, bar = self.bench.view, self.header.campaign
+        runs = bar is not None and bar.runs
+        self.empty.set_text(CAMPAIGN_RUNS if runs and view is not None else EMPTY[view is not None])
+        self.empty.set_visibility(not view)
+
     def _draw(self) -> None:
         afresh = self.seen != self.bench.seen
         self.version, self.seen = self.bench.version, self.bench.seen
         self.header.show(afresh)
+        self.notice.show()
         if not afresh:
             return  # while a step runs, only its progress changes
         self.marking.numbers = set()
-        self.body.clear()
         view = self.bench.view or {}
-        self.top.set_visibility(bool(view))
-        with self.body:
-            if not view:
-                ui.label(EMPTY[self.bench.view is not None]).classes("p-4")
-                if self.bench.view is not None:
-                    self._history()
-                return
+        self._show_empty()
+        self.verdict.card.set_visibility(bool(view))
+        self.right.set_visibility(bool(view))
+        self.missing.clear()
+        self.rest.clear()
+        self.work.classes(**{"add" if view else "remove": "paired"})
+        if view:
+            self.verdict.show(view)
+            with self.missing:
+                self._missing(view)
             self.failing.show(view)
-            self._missing(view)
-            self._history()
-            self._samples(view)
-            self._parameters(view)
-            self._next(view)
+        with self.rest:
+            if view:
+                self._samples(view)
+                self._parameters(view)
+            if self.bench.view is not None:
+                self._history()
+            if view:
+                self._next(view)
 
     # ------------------------------------------------------------------ what is missing
 
     def _missing(self, view: dict[str, Any]) -> None:
         with card("What is missing"):
-            if not view["candidates"]:
+            candidates = view["candidates"]
+            if not candidates:
                 ui.label("No effect has been tested. Press Fit.")
             if both := view["together"]:
                 add = ui.button(
                     f"Add {both['names']}", on_click=partial(self.bench.begin, "add", both["text"])
                 )
                 add.props("dense").set_enabled(not self.bench.busy)
-            for one in view["candidates"][:8]:
-                with ui.row().classes("w-full items-center no-wrap max-lg:flex-wrap"):
-                    name = one["effect"]
-                    add = ui.button("Add", on_click=partial(self.bench.begin, "add", name))
-                    look = "dense" if one["found"] else "dense outline"
-                    add.props(f'{look} aria-label="add {name}"')
-                    add.set_enabled(not self.bench.busy)
-                    with ui.column().classes("gap-0 grow"):
-                        ui.label(name).classes("font-bold" if one["found"] else "")
-                        ui.label(one["effect details"]).classes("text-sm")
-                        resembles = one["confused with"] and f"resembles {one['confused with']}"
-                        remarks = filter(None, (resembles, one["confused with details"]))
-                        ui.label("; ".join(remarks)).classes("text-xs").style("opacity: 0.75")
-                        if one["pattern"]:
-                            self._unfolded("Show pattern", name, partial(self._pattern, one))
-                    with ui.column().classes("gap-0 items-end min-w-40"):
-                        ui.label(one["fall"] if one["fall details"] else "not refitted")
-                        ui.label(f"accounts for {one['explains']} · p {one['p']}").classes(
-                            "text-xs"
-                        ).tooltip(one["fall details"])
-            if view["untested"]:
-                n = len(view["untested"])
-                with ui.expansion(f"{n} effect{'' if n == 1 else 's'} not tested"):
-                    for one in view["untested"]:
-                        ui.label(f"{one['name']}: {one['why']}").style("opacity: 0.7")
+            for one in candidates:
+                if one["significant"]:
+                    self._candidate(one)
+            others = [one for one in candidates if not one["significant"]]
+            if candidates and len(others) == len(candidates):
+                ui.label("No tested effect is significant.")
+            if others:
+                title = f"{_count(others, 'tested effect')} not significant"
+                self._unfolded(title, "not significant", partial(self._candidates, others))
+            if untested := view["untested"]:
+                title = f"{_count(untested, 'effect')} not tested"
+                self._unfolded(title, "not tested", partial(_list_untested, untested))
+
+    def _candidates(self, candidates: list[dict[str, Any]]) -> None:
+        for one in candidates:
+            self._candidate(one)
+
+    def _candidate(self, one: dict[str, Any]) -> None:
+        name = one["effect"]
+        with ui.element().classes("candidate"):
+            add = ui.button("Add", on_click=partial(self.bench.begin, "add", name))
+            look = "dense" if one["found"] else "dense outline"
+            add.props(f'{look} aria-label="add {name}"').set_enabled(not self.bench.busy)
+            with ui.column().classes("gap-0"):
+                ui.label(name).classes("font-bold" if one["found"] else "")
+                ui.label(one["effect details"]).classes("text-sm")
+                resembles = one["confused with"] and f"resembles {one['confused with']}"
+                remarks = filter(None, (resembles, one["confused with details"]))
+                ui.label("; ".join(remarks)).classes("text-xs quiet")
+            with ui.column().classes("gap-0 items-end whitespace-nowrap"):
+                ui.label(one["fall"] if one["fall details"] else "not refitted")
+                ui.label(f"accounts for {one['explains']}").classes("text-xs").tooltip(
+                    one["fall details"]
+                )
+                ui.label(f"p {one['p']}").classes("text-xs")
+            if one["pattern"]:
+                with ui.element().classes("wide"):
+                    self._unfolded("Show pattern", name, partial(self._pattern, one))
 
     def _pattern(self, one: dict[str, Any]) -> None:
         FigureSlot(self.marking).show(one["pattern"]["figure"], one["pattern"]["words"])
@@ -228,8 +276,8 @@ class Window:
                 **view["samples"],
                 key="sample",
                 selection="multiple",
-                pagination={"rowsPerPage": 8, "sortBy": "sigmas", "descending": True},
-            )
+                pagination={"rowsPerPage": 12, "sortBy": "sigmas", "descending": True},
+            ).classes("one-line-rows")
             self.table.on_select(
                 lambda e: self.marking.mark({row["sample"] for row in e.selection})
             )
@@ -369,3 +417,17 @@ class Window:
         axes = {f"{k}axis": {"title": {"text": f"{k} [mm]"}} for k in "xyz"}
         layout = {"height": 380, "margin": FIGURE_MARGIN, "scene": axes}
         draw_figure({"data": traces, "layout": layout}, "planned and measured poses")
+
+
+def _columns() -> Any:
+    """Make two columns, of which a narrow window shows the second below the first."""
+    return ui.element().classes("columns paired")
+
+
+def _list_untested(untested: list[dict[str, Any]]) -> None:
+    for one in untested:
+        ui.label(f"{one['name']}: {one['why']}").classes("quiet")
+
+
+def _count(things: Sequence[Any], name: str) -> str:
+    return f"{len(things)} {name}{'' if len(things) == 1 else 's'}"

@@ -14,7 +14,7 @@ from parallel_cal.diagnosis.entries import Entry
 from parallel_cal.diagnosis.patterns import ResidualProfile
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.signature import Signature, signature
-from parallel_cal.diagnosis.thresholds import LEVELS
+from parallel_cal.diagnosis.thresholds import EFFECT_SIGNIFICANCE_LEVEL, LEVELS
 from parallel_cal.diagnosis.verdict import AMBER_VERDICTS
 from parallel_cal.identification.budget import Iso9283, iso_9283
 from parallel_cal.identification.given_model import fits_of
@@ -156,6 +156,7 @@ def _make_report_view(found: Report) -> View:
             row
             | {
                 "found": entry.name in diagnosis.effects,
+                "significant": (entry.p_adjusted or 0.0) < EFFECT_SIGNIFICANCE_LEVEL,
                 "pattern": _pattern(entry, diagnosis.model),
             }
             for row, entry in zip(candidates, tested, strict=True)
