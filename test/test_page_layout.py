@@ -180,6 +180,16 @@ def test_the_falling_error_is_the_picture_of_the_page(page):
 
 
 @pytest.mark.wide
+def test_the_curve_of_a_campaign_begins_at_the_initial_model_and_names_what_was_added(page):
+    region = page.get_by_role("region", name="Automatic calibration", exact=True)
+    picture = region.get_by_role("figure", name="error at the validation poses over the steps")
+    assert picture.get_attribute("aria-label").endswith(
+        "initial model 934 µm, 16 poses: parameters 118 µm, 24 poses: backlash added 37.0 µm; "
+        "noise floor 30.0 µm"
+    )
+
+
+@pytest.mark.wide
 def test_while_a_campaign_runs_nobody_is_asked_to_move_the_robot(browser, tmp_path):
     Session.new(tmp_path / "s", read_model(MODEL), [])
     served = Served(tmp_path / "s", tmp_path / "told", command=beside_a_played_robot)
