@@ -85,6 +85,52 @@ def test_a_logarithmic_axis_holds_its_values_and_has_round_ticks():
     assert 10**low < 30 < 606 < 10**high
 
 
+# ------------------------------------------------------------------ many samples
+
+
+@pytest.mark.wide
+def test_a_page_shows_a_limited_number_of_many_samples_with_the_worst_and_says_so(monkeypatch):
+    from parallel_cal.diagnosis.comparison import compare
+    from parallel_cal.recordings.loading import load_sessions
+    from parallel_cal.reporting.contents import compared_samples
+    from parallel_cal.workbench import views
+
+    model = read_model(MODEL)
+    found = compare(model, load_sessions([BAG]))
+    whole = views._make_comparison_view(found)
+    assert whole["shown"] == ""
+    assert len(whole["samples"]["rows"]) == 94
+
+    monkeypatch.setattr(views, "MAX_SHOWN_SAMPLES", 40)
+    monkeypatch.setattr(views, "MAX_WORST_SAMPLES", 10)
+    part = views._make_comparison_view(found)
+    numbers = [row["sample"] for row in part["samples"]["rows"]]
+    worst = {one.sample for one in compared_samples(found)[:10]}
+    assert worst < set(numbers)
+    assert part["shown"].startswith("The views and the table show 40 of 94 samples: the 10 worst")
+    assert min(numbers) < 10 < 84 < max(numbers)  # of the whole recording
+    for values in (part["residuals"]["sigmas"], part["residuals"]["place"]):
+        assert len(values) == 40
+    assert part["arrows"]["field"]["numbers"] == numbers
+    by_number = {row["sample"]: row for row in whole["samples"]["rows"]}
+    assert [by_number[row["sample"]] for row in part["samples"]["rows"]] == (
+        part["samples"]["rows"]
+    )
+
+
+@pytest.mark.wide
+def test_the_numbers_of_a_fit_of_many_samples_are_shown_before_its_residuals(folder, monkeypatch):
+    from parallel_cal.workbench import views
+
+    whole = views.glance(Session(folder))
+    assert "residuals" in whole
+    monkeypatch.setattr(views, "MAX_SHOWN_SAMPLES", 40)
+    monkeypatch.setattr(views, "compare", None)  # takes as long as the fit
+    part = views.glance(Session(folder))
+    assert "residuals" not in part
+    assert part["tiles"] == whole["tiles"]
+
+
 # ------------------------------------------------------------------ in a browser
 
 

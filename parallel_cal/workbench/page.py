@@ -114,22 +114,24 @@ class Window:
         view = self.bench.view or {}
         self._show_empty()
         self.verdict.card.set_visibility(bool(view))
-        self.right.set_visibility(bool(view))
+        complete = "residuals" in view  # a preliminary view of many samples has only numbers
+        self.right.set_visibility(complete)
         self.missing.clear()
         self.rest.clear()
-        self.work.classes(**{"add" if view else "remove": "paired"})
+        self.work.classes(**{"add" if complete else "remove": "paired"})
         if view:
             self.verdict.show(view)
             with self.missing:
                 self._missing(view)
+        if complete:
             self.failing.show(view)
         with self.rest:
-            if view:
+            if complete:
                 self._samples(view)
                 self._parameters(view)
             if self.bench.view is not None:
                 self._history()
-            if view:
+            if complete:
                 self._next(view)
 
     # ------------------------------------------------------------------ what is missing
@@ -138,7 +140,8 @@ class Window:
         with card("What is missing"):
             candidates = view["candidates"]
             if not candidates:
-                ui.label("No effect has been tested. Press Fit.")
+                running = "The effects are being tested."
+                ui.label(running if self.bench.busy else "No effect has been tested. Press Fit.")
             if both := view["together"]:
                 add = ui.button(
                     f"Add {both['names']}", on_click=partial(self.bench.begin, "add", both["text"])

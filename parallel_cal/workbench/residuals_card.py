@@ -27,6 +27,7 @@ class ResidualsCard:
         self.view: dict[str, Any] = {}
         with card("Where it fails"):
             ui.label(HINT).classes("text-sm quiet")
+            self.shown = ui.label().props("id=shown").classes("text-sm")
             with ui.row().classes("w-full no-wrap gap-2 max-md:flex-wrap"):
                 self.arrows = FigureSlot()
                 self.map = FigureSlot(marking)
@@ -42,6 +43,8 @@ class ResidualsCard:
     def show(self, view: dict[str, Any]) -> None:
         self.view = view
         arrows, residuals = view["arrows"], view["residuals"]
+        self.shown.set_text(view["shown"])
+        self.shown.set_visibility(bool(view["shown"]))
         if arrows is None:
             self.arrows.show(None)
         else:
