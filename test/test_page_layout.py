@@ -236,6 +236,34 @@ def test_the_curve_of_a_campaign_begins_at_the_initial_model_and_names_what_was_
 
 
 @pytest.mark.wide
+def test_buttons_for_marked_rows_wait_for_marks_and_excluding_for_a_reason(page):
+    def button(name):
+        return page.get_by_role("button", name=name, exact=True)
+
+    page.locator("#marked").get_by_text("mark samples in a view or in the table").wait_for()
+    page.locator("#marked-parameters").get_by_text("no parameter marked").wait_for()
+    for name in ("Exclude", "Open", "Fix marked", "Free marked"):
+        assert button(name).is_disabled(), name
+    parameters = page.get_by_role("region", name="Parameters", exact=True)
+    parameters.get_by_role("checkbox").nth(1).click()
+    page.locator("#marked-parameters").get_by_text("1 parameter marked").wait_for()
+    assert button("Fix marked").is_enabled()
+    samples = page.get_by_role("region", name="Samples", exact=True)
+    for row in (1, 2):
+        samples.get_by_role("checkbox").nth(row).click()
+        page.locator("#marked").get_by_text(f"{row} sample").wait_for()
+    assert button("Open").is_enabled()
+    assert button("Exclude").is_disabled()
+    page.get_by_label("reason").fill("bumped")
+    button("Exclude").click()
+    page.get_by_text("2 samples are excluded").wait_for()
+    # Both come back in one step, which one Undo reverses.
+    button("Include all").click()
+    page.get_by_text("2 samples are excluded").wait_for(state="hidden")
+    page.get_by_role("cell", name="include sample").wait_for()
+
+
+@pytest.mark.wide
 def test_while_a_campaign_runs_nobody_is_asked_to_move_the_robot(browser, tmp_path):
     Session.new(tmp_path / "s", read_model(MODEL), [])
     served = Served(tmp_path / "s", tmp_path / "told", command=beside_a_played_robot)

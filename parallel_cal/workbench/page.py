@@ -285,36 +285,54 @@ class Window:
                 lambda e: self.marking.mark({row["sample"] for row in e.selection})
             )
             with ui.row().classes("items-center"):
-                self.count = ui.label("no sample marked").props("id=marked aria-live=polite")
-                why = ui.input("reason").classes("w-64")
-                ui.button("Exclude", on_click=lambda: self._exclude(why.value)).props("dense")
-                ui.button("Open", on_click=self._open).props("dense outline").tooltip(
-                    "show the readings that the first marked sample averages"
-                )
-            for number, reason in bench.session.state.excluded.items():
+                self.count = ui.label().props("id=marked aria-live=polite")
+                self.reason = ui.input("reason", on_change=self._allow_excluding).classes("w-64")
+                self.exclude = ui.button("Exclude", on_click=self._exclude).props("dense")
+                self.open = ui.button("Open", on_click=self._open).props("dense outline")
+                self.open.tooltip("show the readings that the first marked sample averages")
+            self._show_count(set())
+            excluded = bench.session.state.excluded
+            if len(excluded) > 1:
+                with ui.row().classes("items-center"):
+                    ui.label(f"{len(excluded)} samples are excluded")
+                    self._include("Include all", list(excluded))
+            for number, reason in excluded.items():
                 with ui.row().classes("items-center"):
                     ui.label(f"sample {number} is excluded: {reason or 'no reason given'}")
-                    ui.button("Include", on_click=partial(bench.begin, "include", [number])).props(
-                        "dense flat"
-                    )
+                    self._include("Include", [number])
+
+    def _include(self, words: str, numbers: list[int]) -> None:
+        """Make a button that includes excluded samples again, in one step."""
+        button = ui.button(words, on_click=partial(self.bench.begin, "include", numbers))
+        button.props("dense flat").set_enabled(not self.bench.busy)
 
     def _show_marked(self, numbers: set[int]) -> None:
         self.table.selected = [row for row in self.table.rows if row["sample"] in numbers]
         self.table.update()
-        count = "1 sample" if len(numbers) == 1 else f"{len(numbers)} samples"
-        self.count.set_text(f"{count} marked" if numbers else "no sample marked")
+        self._show_count(numbers)
 
-    def _exclude(self, why: str | None) -> None:
-        if not self.marking.numbers:
-            self.count.set_text("no sample marked: mark samples in a view or in the table first")
-            return
-        self.bench.begin("exclude", dict.fromkeys(sorted(self.marking.numbers), why or ""))
+    def _show_count(self, numbers: set[int]) -> None:
+        """Show how many samples are marked, and what the buttons need."""
+        if numbers:
+            self.count.set_text(f"{_count(list(numbers), 'sample')} marked; to exclude, say why")
+        else:
+            self.count.set_text("no sample marked: mark samples in a view or in the table")
+        self.open.set_enabled(bool(numbers))
+        self._allow_excluding()
+
+    def _allow_excluding(self) -> None:
+        """Let marked samples be excluded for a reason, which the history and the report show."""
+        reason = (self.reason.value or "").strip()
+        self.exclude.set_enabled(bool(self.marking.numbers and reason) and not self.bench.busy)
+
+    def _exclude(self) -> None:
+        reason = self.reason.value.strip()
+        self.bench.begin("exclude", dict.fromkeys(sorted(self.marking.numbers), reason))
 
     async def _open(self) -> None:
         """Show the readings that a sample averages."""
         if not self.marking.numbers:
-            self.count.set_text("no sample marked: mark one in a view or in the table first")
-            return
+            return  # the marks were removed after the click
         # This module imports NumPy, which nothing else here needs.
         from parallel_cal.workbench.readings import signals
 
@@ -334,9 +352,21 @@ class Window:
         with card("Parameters"):
             rows = table(**view["parameters"], key="name", selection="multiple", pagination=12)
             with ui.row().classes("items-center"):
-                for words, fix in (("Fix marked", True), ("Free marked", False)):
-                    chosen = partial(self._choose, rows, fix)
-                    ui.button(words, on_click=chosen).props("dense").set_enabled(not bench.busy)
+                count = ui.label().props("id=marked-parameters aria-live=polite")
+                buttons = [
+                    ui.button(words, on_click=partial(self._choose, rows, fix)).props("dense")
+                    for words, fix in (("Fix marked", True), ("Free marked", False))
+                ]
+
+                def show_count() -> None:
+                    marked = rows.selected
+                    none = "no parameter marked: mark parameters in the table"
+                    count.set_text(f"{_count(marked, 'parameter')} marked" if marked else none)
+                    for button in buttons:
+                        button.set_enabled(bool(marked) and not bench.busy)
+
+                rows.on_select(show_count)
+                show_count()
                 ui.select(
                     PRIORS,
                     value=bench.session.options.prior,
@@ -355,8 +385,6 @@ class Window:
     def _choose(self, rows: Any, fix: bool) -> None:
         """Fix the marked parameters at their values, or free them, for all later steps."""
         names = [row["name"] for row in rows.selected]
-        if not names:
-            return ui.notify("no parameter marked: mark parameters in the table first")
         asked = self.bench.session.options
         kept = {
             key: [n for n in patterns if n not in names]
