@@ -27,7 +27,15 @@ class PlayedRobot:
             "reason": REASON,
             "poses": 26,
             "error_unseen": 3.7e-5,
-            "curve": [(0, 6e-4), (16, 1.1e-4), (24, 3.7e-5)],
+            "curve": {
+                "kind": "position",
+                "noise": 3.0e-5,
+                "points": [
+                    {"poses": 0, "error": 9.34e-4, "effects": []},
+                    {"poses": 16, "error": 1.18e-4, "effects": []},
+                    {"poses": 24, "error": 3.7e-5, "effects": ["backlash"]},
+                ],
+            },
             "answer": "ended as asked",
         }
         model = {"ok": True, "hash": "0" * 64, "effects": ["backlash"], "since": 0.0, "reason": ""}

@@ -15,6 +15,8 @@ from parallel_cal.campaign.campaign import (
     FILE,
     Campaign,
     CampaignError,
+    Curve,
+    CurvePoint,
     Goal,
     Outcome,
     find_unfinished,
@@ -101,6 +103,25 @@ def test_samples_without_usable_weights_are_reported_after_the_first(tmp_path):
     outcome = Campaign(tmp_path, dump_model(DELTA), Goal(), cell, work=work).run()
     assert "the recorded pose covariance is not symmetric" in outcome.message
     assert len(cell.sent) == 1
+
+
+def test_every_status_has_the_errors_from_the_initial_model_on(tmp_path):
+    heard = []
+
+    def judge(function, *given):
+        if function.__name__ != "judge_samples":
+            return work(function, *given)
+        judgement = quick(*given)
+        added = ("backlash",) if judgement.samples > 16 else ()
+        return replace(judgement, effects=added, additions=added, floor={"position": 3e-4})
+
+    campaign(tmp_path, SimulatedCell(), Goal(poses=20), heard.append, judge).run()
+    assert heard[0].curve == Curve()
+    last = heard[-1].curve
+    assert (last.kind, last.noise) == ("position", 3e-4)
+    assert last.points[0] == CurvePoint(0, 2e-3)
+    assert last.points[-1] == CurvePoint(20, 1e-3, ("backlash",))
+    assert [one.poses for one in last.points] == sorted({one.poses for one in last.points})
 
 
 # ------------------------------------------------------------------ where it goes

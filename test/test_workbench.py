@@ -6,6 +6,7 @@ import re
 import resource
 import shutil
 import signal
+import socket
 import time
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from workbench_page import LONG, Served, beside_a_played_robot, opened, until
 
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.session.history import SessionError
 from parallel_cal.session.session import Session
 
 MODEL, BAG = "config/delta_mockup_nominal.yaml", "bags/delta_backlash"
@@ -128,6 +130,33 @@ def test_the_command_says_what_it_lacks(tmp_path, capsys):
             main(arguments)
         assert ended.value.code == 1
         assert words in capsys.readouterr().err
+
+
+def test_a_port_in_use_is_refused_before_a_session_is_made(tmp_path, capsys):
+    from parallel_cal.cli.main import main
+
+    folder = tmp_path / "s"
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        with pytest.raises(SystemExit) as ended:
+            main(["workbench", MODEL, BAG, "--session", str(folder), "--port", str(port)])
+    assert ended.value.code == 1
+    words = capsys.readouterr().err
+    assert f"--port {port}: the server cannot listen there (Address already in use)" in words
+    assert "choose another port by --port" in words
+    assert not folder.exists()
+
+
+def test_a_session_that_cannot_be_written_says_so(folder):
+    session = Session(folder)
+    (folder / ".lock").unlink(missing_ok=True)
+    (folder / ".lock").mkdir()  # as on a read-only disk, where tests by root could write
+    with pytest.raises(
+        SessionError, match=r"cannot be changed \(Is a directory\); make its folder"
+    ):
+        session.start_branch("other")
 
 
 # ------------------------------------------------------------------ in a browser

@@ -89,12 +89,33 @@ class Goal:
 
 
 @dataclass(frozen=True)
+class CurvePoint:
+    """The rms error at the validation poses (m or rad) after `poses` samples, of the model with
+    these effects; after 0 samples it is the initial model's."""
+
+    poses: int
+    error: float
+    effects: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Curve:
+    """How the error at the validation poses fell, from the initial model on.
+
+    `kind` is position or orientation, `noise` the noise floor in m or rad (None: unknown)."""
+
+    points: tuple[CurvePoint, ...] = ()
+    kind: str = "position"
+    noise: float | None = None
+
+
+@dataclass(frozen=True)
 class Status:
     """The state of a campaign (one of STATES), the reason for it, and the progress so far.
 
     `unseen` is the rms error of the best model at the validation poses (m or rad, NaN while
     unknown). `purpose` says why the present pose is measured (moving, sampling). `questions` are
-    the conditions that a person is asked to change (asking)."""
+    the conditions that a person is asked to change (asking). `curve` is the error so far."""
 
     state: str
     reason: str
@@ -103,6 +124,7 @@ class Status:
     verdict: str
     purpose: str = ""
     questions: tuple[Question, ...] = ()
+    curve: Curve = Curve()
 
 
 STATES = "planning moving sampling judging asking paused stopped done".split()
@@ -254,6 +276,19 @@ class Campaign:
         """Mask (N,) of the samples at validation poses, which no fit may use."""
         return np.array([self.targets[k].unseen for k in self.samples], dtype=bool)
 
+    @property
+    def curve(self) -> Curve:
+        """The error at the validation poses: of the initial model, and after each judgement."""
+        if not self.judgements:
+            return Curve()
+        last = self.judgements[-1]
+        kind = next(iter(last.unseen), "position")
+        points = [CurvePoint(0, select_primary_error(last.before))]
+        points += [
+            CurvePoint(one.samples, one.validation_error, one.effects) for one in self.judgements
+        ]
+        return Curve(tuple(points), kind, last.floor.get(kind))
+
     # ------------------------------------------------------------------ the loop
 
     def run(self) -> Outcome:
@@ -321,6 +356,7 @@ class Campaign:
             last.verdict if last else "",
             purpose,
             questions,
+            self.curve,
         )
         self._tell(self._status)
 
@@ -494,8 +530,7 @@ class Campaign:
 
     def _outcome(self, success: bool, message: str) -> Outcome:
         judgement = self.judgements[-1]
-        curve = [(0, select_primary_error(judgement.before))]
-        curve += [(one.samples, one.validation_error) for one in self.judgements]
+        curve = [(one.poses, one.error) for one in self.curve.points]
         document = {
             "success": success,
             "message": message,

@@ -23,7 +23,7 @@ from parallel_cal.diagnosis.search import Chosen
 from parallel_cal.diagnosis.separate import explain_separation
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
-from parallel_cal.identification.prediction_errors import errors
+from parallel_cal.identification.prediction_errors import Summary, errors
 from parallel_cal.identification.registration import register_device
 from parallel_cal.model.file.modelfile import parse_model, readable_text
 from parallel_cal.model.mechanism import Box
@@ -51,8 +51,8 @@ class Judgement:
     decide. `text` is the model file with the effects found.
 
     Errors are rms by kind (m, rad): `unseen` of that model at the validation poses, `before` of the
-    campaign's initial model there, `usual` of that model at all samples. `targets` are the poses to
-    measure next."""
+    campaign's initial model there, `usual` of that model at all samples. `floor` is the noise floor
+    of that model. `targets` are the poses to measure next."""
 
     samples: int
     verdict: str
@@ -69,6 +69,7 @@ class Judgement:
     usual: Mapping[str, float]
     targets: tuple[Target, ...] = ()
     diagnosis: Mapping[str, Any] = field(default_factory=dict)
+    floor: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> Judgement:
@@ -163,6 +164,7 @@ def judge_samples(
         rms(best, dataset, question.options),
         tuple(targets),
         found.document(),
+        by_kind(found.best.fitted.noise_floor),
     )
 
 
@@ -234,7 +236,11 @@ def rms(model: Any, dataset: Dataset, options: FitOptions) -> dict[str, float]:
     """Return the rms errors of a model at samples, by kind if measured (m, rad)."""
     if not len(dataset):
         return {}
-    summary = errors(model, observe(model, dataset, options.joint_sigma)).summary
+    return by_kind(errors(model, observe(model, dataset, options.joint_sigma)).summary)
+
+
+def by_kind(summary: Summary) -> dict[str, float]:
+    """Return the rms errors of a summary by kind, if measured (m, rad)."""
     found = {kind: summary.rms(kind) for kind in KINDS}
     return {kind: float(value) for kind, value in found.items() if value is not None}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -61,6 +62,7 @@ def workbench(
         raise ParallelCalError(
             f"--host {host}: other computers can connect; give a --token that they must know"
         )
+    _check_port(host, port)
     watch = _watch(namespace) if ros else None
     try:
         served = Path(watch.model_file()) if watch and watch.model_file() else None
@@ -79,6 +81,21 @@ def workbench(
     finally:
         if watch:
             watch.close()
+
+
+def _check_port(host: str, port: int) -> None:
+    """Refuse a port that is in use before a session is made, and before a browser opens the page
+    of another program."""
+    try:
+        family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind) as trial:
+            trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            trial.bind(address)
+    except OSError as error:
+        raise ParallelCalError(
+            f"--host {host} --port {port}: the server cannot listen there ({error.strerror}); "
+            "another workbench may be running: choose another port by --port"
+        ) from None
 
 
 def _watch(namespace: str) -> Watch:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import json
 from typing import Any
 
 from action_msgs.srv import CancelGoal
@@ -11,6 +11,7 @@ from parallel_cal_msgs.msg import CalibrationStatus
 from rclpy.action import ActionClient
 from rclpy.node import Node
 from rclpy.task import Future
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from parallel_cal.nodes.client import CALIBRATION, NodeError
@@ -22,14 +23,15 @@ WORDS = ("pause", "resume", "continue")
 class CampaignClient:
     """Begins, pauses and stops a campaign of calibration_node, whoever began it.
 
-    `told` is its last status as plain data.
+    `told` is its last status as plain data; `curve` in it is a `campaign.Curve`.
     """
 
     def __init__(self, node: Node):
-        self.told: dict[str, Any] = {"state": "", "curve": [], "answer": ""}
+        self.told: dict[str, Any] = {"state": "", "curve": {"points": []}, "answer": ""}
         node.create_subscription(
             CalibrationStatus, f"{CALIBRATION}/session_status", self._on_status, LATCHED
         )
+        node.create_subscription(String, f"{CALIBRATION}/campaign_curve", self._on_curve, LATCHED)
         self._goal = ActionClient(node, Calibrate, f"{CALIBRATION}/calibrate")
         # Cancels all goals: another program, or an earlier run of this one, may have sent them.
         self._stop = node.create_client(CancelGoal, f"{CALIBRATION}/calibrate/_action/cancel_goal")
@@ -39,7 +41,7 @@ class CampaignClient:
         """Send a goal with these fields; `told` shows its progress. NodeError if the node does not
         answer."""
         self._require(self._goal.server_is_ready())
-        self.told = {**self.told, "curve": [], "answer": ""}
+        self.told = {**self.told, "answer": ""}
         self._goal.send_goal_async(Calibrate.Goal(**goal)).add_done_callback(self._on_accepted)
 
     def send_command(self, word: str) -> None:
@@ -73,8 +75,8 @@ class CampaignClient:
         self.told = {**self.told, "answer": words}
 
     def _on_status(self, status: CalibrationStatus) -> None:
-        curve, point = self.told["curve"], (status.poses, status.error_unseen)
-        if not math.isnan(status.error_unseen) and point[1:] != (curve or [()])[-1][1:]:
-            curve = [*curve, point]
         fields = ("state", "reason", "poses", "error_unseen", "verdict", "folder")
-        self.told = {**self.told, "curve": curve, **{f: getattr(status, f) for f in fields}}
+        self.told = {**self.told, **{f: getattr(status, f) for f in fields}}
+
+    def _on_curve(self, message: String) -> None:
+        self.told = {**self.told, "curve": json.loads(message.data)}

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ import numpy as np
 from parallel_cal_msgs.action import Calibrate
 from parallel_cal_msgs.msg import CalibrationStatus, Question
 from rclpy.callback_groups import CallbackGroup
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
@@ -22,6 +23,7 @@ from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.worker import WorkCancelled, Worker
 from parallel_cal.campaign.campaign import (
     Campaign,
+    Curve,
     Goal,
     Outcome,
     Status,
@@ -32,7 +34,7 @@ from parallel_cal.campaign.cell import Control, Sample
 from parallel_cal.model.file.modelfile import model_text, parse_model
 from parallel_cal.model.mechanism import Box
 from parallel_cal.model.model import Model
-from parallel_cal.nodes.calibration_messages import json_text
+from parallel_cal.nodes.calibration_messages import json_message, json_text
 from parallel_cal.nodes.inflow import Inflow
 from parallel_cal.nodes.jobs import Job, JobServer, Say, ThreadWork, WorkSlot
 from parallel_cal.nodes.managed_node import ManagedNode
@@ -65,7 +67,8 @@ class NodeAccess:
 
 
 class CampaignServer:
-    """Provides `~/calibrate`, `~/pause`, `~/resume`, `~/continue`; publishes `~/session_status`."""
+    """Provides `~/calibrate`, `~/pause`, `~/resume`, `~/continue`; publishes `~/session_status`
+    and `~/campaign_curve`."""
 
     def __init__(
         self,
@@ -85,6 +88,9 @@ class CampaignServer:
             CalibrationStatus, "~/session_status", LATCHED
         )
         self._status_publisher.publish(self._status)
+        self._curve_publisher = node.create_publisher(String, "~/campaign_curve", LATCHED)
+        self._curve = Curve()
+        self._curve_publisher.publish(json_message(asdict(self._curve)))
         self._command = node.create_publisher(JointTrajectory, "joint_trajectory", 10)
         job = Job(
             "calibrate",
@@ -196,6 +202,9 @@ class CampaignServer:
                 questions=questions,
             )
             self._status_publisher.publish(self._status)
+            if status.curve != self._curve:
+                self._curve = status.curve
+                self._curve_publisher.publish(json_message(asdict(self._curve)))
             tell(
                 status.state,
                 status.reason,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -129,6 +129,21 @@ class Residuals:
             noise_units_found=None if found is None else found.noise_units[:, used],
             regressors=dict(regressors(scene)),
             units={name: unit_along(scene.model.mechanism, name) for name, _ in regressors(scene)},
+        )
+
+    def select(self, kept: np.ndarray) -> Residuals:
+        """Return the residuals of some samples: indices or a mask."""
+        return replace(
+            self,
+            sample=self.sample[kept],
+            place=self.place[kept],
+            now=self.now[kept],
+            found=None if self.found is None else self.found[kept],
+            noise_units=self.noise_units[kept],
+            noise_units_found=(
+                None if self.noise_units_found is None else self.noise_units_found[kept]
+            ),
+            regressors={name: values[kept] for name, values in self.regressors.items()},
         )
 
     def select_informative(self, along: Sequence[ResidualProfile]) -> Iterator[ResidualProfile]:

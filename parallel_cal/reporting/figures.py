@@ -11,6 +11,7 @@ import numpy as np
 
 from parallel_cal.discovery.shape import Shape
 from parallel_cal.identification.prediction_errors import Summary
+from parallel_cal.reporting.axes import log_axis
 from parallel_cal.reporting.colours import ACCENT, BAND, MEASURED, PATTERN, QUIET, WARNING
 from parallel_cal.reporting.contents import DescribedParameter
 from parallel_cal.reporting.readable import error_unit, number, value_unit
@@ -166,7 +167,7 @@ def history(rows: Sequence[Mapping[str, Any]], floor: Summary, kind: str, si: st
         "layout": {
             "height": 300,
             "xaxis": {**ticks, "range": ends, "showgrid": False, "zeroline": False},
-            "yaxis": _log_axis([noise, *shown], f"{kind}, rms [{unit}]"),
+            "yaxis": log_axis([noise, *shown], f"{kind}, rms [{unit}]"),
             "annotations": annotations,
             "margin": {"t": 16, "r": 16},
         },
@@ -188,21 +189,6 @@ def _steps(rows: Sequence[Mapping[str, Any]], values: Sequence[float | None]) ->
         "line": {"color": ACCENT, "width": 3},
         "marker": {"size": 9},
         "cliponaxis": False,
-    }
-
-
-def _log_axis(values: Sequence[float | None], title: str) -> Spec:
-    """Make a logarithmic axis with ticks at 1, 2, 5 times powers of ten."""
-    known = [v for v in values if v]
-    low, high = np.log10(min(known) * 0.6), np.log10(max(known) * 1.6)
-    powers = 10.0 ** np.arange(np.floor(low), np.ceil(high) + 1)
-    ticks = [t for t in (np.array([[1], [2], [5]]) * powers).T.ravel() if low < np.log10(t) < high]
-    return {
-        "type": "log",
-        "range": [low, high],
-        "title": {"text": title},
-        "tickvals": ticks,
-        "ticktext": [f"{t:g}" for t in ticks],
     }
 
 

@@ -208,8 +208,15 @@ class History:
 
     @contextmanager
     def _lock_record(self) -> Iterator[Record]:
-        """Lock and read the record on disk."""
-        with (self.folder / LOCK).open("w") as lock:
+        """Lock and read the record on disk; SessionError if the folder cannot be written."""
+        try:
+            file = (self.folder / LOCK).open("w")
+        except OSError as error:
+            raise SessionError(
+                f"{self.folder}: this session cannot be changed ({error.strerror}); make its "
+                "folder writable, or copy it to one that is"
+            ) from None
+        with file as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             self.record = self._read()
             yield self.record

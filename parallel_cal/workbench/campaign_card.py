@@ -10,9 +10,10 @@ from typing import Any
 from nicegui import ui
 
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.reporting.colours import MEASURED
 from parallel_cal.workbench.bench import Live
-from parallel_cal.workbench.widgets import COLOURS, card, draw_figure, make_chart
+from parallel_cal.workbench.error_steps import FallingError, Step, describe_steps, draw_steps
+from parallel_cal.workbench.marking import FigureSlot
+from parallel_cal.workbench.widgets import COLOURS, card
 
 INACTIVE_STATES = ("", "stopped", "done")
 
@@ -25,10 +26,13 @@ class CampaignBar:
 
     def __init__(self, live: Live):
         self.live = live
+        self.runs = False
         with ui.row().classes("w-full no-wrap items-center gap-2"):
             with ui.column().classes("grow min-w-0 gap-0"):
-                self.words = ui.label().classes("w-full campaign-words")
+                self.words = ui.label().classes("w-full truncate")
                 self.words.props("id=campaign aria-live=polite")
+                with self.words:
+                    self.whole = ui.tooltip()
                 self.asked = ui.label().classes("w-full").props("id=asked role=alert")
                 self.asked.style(f"color: {COLOURS['amber']}")
             self.steers = {
@@ -47,7 +51,7 @@ class CampaignBar:
     def show(self, told: dict[str, Any]) -> None:
         """Show the campaign's status, as `nodes.steering` reports it."""
         state = told["state"]
-        running = state not in INACTIVE_STATES
+        self.runs = running = state not in INACTIVE_STATES
         for word, seen in (
             ("resume", state == "paused"),
             ("pause", state != "paused"),
@@ -57,7 +61,9 @@ class CampaignBar:
         self.steers["pause"].set_enabled(running and state != "asking")
         # A campaign may run although its status was not received yet.
         self.steers["stop"].set_enabled(running or not state)
-        self.words.set_text(_describe_status(told))
+        words = _describe_status(told)
+        self.words.set_text(words)
+        self.whole.set_text(words)
         self.asked.set_text(told["reason"] if state == "asking" else "")
         self.asked.set_visibility(state == "asking")
 
@@ -70,7 +76,7 @@ class CampaignCard:
     """Starts a campaign and shows its validation error over the poses."""
 
     def __init__(self, live: Live):
-        self.live, self._curve = live, list[Any]()
+        self.live, self._curve = live, dict[str, Any]()
         with card("Automatic calibration"):
             with ui.row().classes("items-center"):
                 self.poses, self.minutes, self.payload = (
@@ -82,34 +88,45 @@ class CampaignCard:
                     )
                 )
                 self.begin = ui.button("Calibrate", on_click=self._begin).props("dense")
-            self.running = ui.label(
-                "The campaign is running. Pause and STOP are at the top of the page."
-            )
-            figure = make_chart(
-                {"title": {"text": "measured poses"}, "rangemode": "tozero"},
-                "validation error [µm]",
-                mode="lines+markers",
-                marker={"color": MEASURED, "size": 6},
-            )
-            self.chart = draw_figure(figure, "validation error over the measured poses")
+            self.status = ui.label().props("id=campaign-status")
+            self.chart = FigureSlot()
 
     def show(self, told: dict[str, Any]) -> None:
         """Show the campaign's status, as `nodes.steering` reports it."""
         inactive = told["state"] in INACTIVE_STATES
         self.begin.set_visibility(inactive)
-        self.running.set_visibility(not inactive)
-        self.chart.set_visibility(bool(told["curve"]))
+        self.status.set_visibility(not inactive)  # in full; the header has one line for it
+        self.status.set_text(_describe_status(told))
         if told["curve"] != self._curve:
             self._curve = told["curve"]
-            trace = self.chart.figure["data"][0]
-            trace["x"] = [poses for poses, _ in self._curve]
-            trace["y"] = [1e6 * error for _, error in self._curve]
-            self.chart.update()
+            found = _find_steps(self._curve)
+            self.chart.show(*((draw_steps(found), describe_steps(found)) if found else (None,)))
 
     def _begin(self) -> None:
         numbers = (self.poses, self.minutes, self.payload)
         poses, minutes, payload = (float(one.value or 0) for one in numbers)
         _try(partial(self.live.calibrate, poses=int(poses), minutes=minutes, payload=payload))
+
+
+def _find_steps(curve: dict[str, Any]) -> FallingError | None:
+    """Return the initial model and each judgement as steps, named by the effects added there."""
+    steps, known = list[Step](), set[str]()
+    for point in curve["points"]:
+        added = [name for name in point["effects"] if name not in known]
+        known |= set(added)
+        words = " and ".join(added) + " added" if added else "parameters"
+        name = f"{point['poses']} poses: {words}" if point["poses"] else "initial model"
+        if point["error"]:
+            steps.append(Step(name, point["error"], len(steps) - 1 if steps else None))
+    if not steps:
+        return None
+    return FallingError(
+        curve["kind"],
+        steps,
+        noise=curve["noise"],
+        now=len(steps) - 1,
+        words="error at the validation poses",
+    )
 
 
 def _try(ask: Callable[[], None]) -> None:

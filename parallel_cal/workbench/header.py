@@ -1,7 +1,8 @@
-"""The header, always in view: the verdict, the errors, their budget, and the steps."""
+"""What is always in view, and the verdict: the header, the notice below, the card Verdict."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -11,67 +12,68 @@ from parallel_cal.reporting.colours import QUIET
 from parallel_cal.reporting.readable import write_micro
 from parallel_cal.workbench.bench import Bench
 from parallel_cal.workbench.campaign_card import CampaignBar
-from parallel_cal.workbench.widgets import COLOURS
+from parallel_cal.workbench.error_steps import describe_steps, draw_steps, find_steps
+from parallel_cal.workbench.marking import FigureSlot
+from parallel_cal.workbench.widgets import COLOURS, card
 
 NOTHING = {"colour": "grey", "words": "no samples in this session yet"}
+CAMPAIGN_RUNS = {
+    "colour": "grey",
+    "words": "The campaign is measuring. Press Take samples to see its samples here.",
+}
 
 
 class Header:
-    """The header; drawn once, because a button that is redrawn under the mouse loses the click."""
+    """The header; drawn once, because a button that is redrawn under the mouse loses the click.
+
+    It has one line, and one more at a robot. A low window, or one that is zoomed, has no room for
+    more.
+    """
 
     def __init__(self, bench: Bench):
         self.bench = bench
-        self._key = ""  # key of the question that is shown
         self.campaign: CampaignBar | None = None
         header = ui.header().classes("shadow")
         with header, ui.column().classes("w-full no-wrap gap-1"):
+            ui.link("Skip to the content", "#content").classes("skip-link")
             if bench.live is not None:
                 header.classes("at-robot")
                 header.on("vue:mounted", js_handler="() => followHeaderHeight()")
                 self.campaign = CampaignBar(bench.live)
-            # In a small window these details scroll, and STOP stays in view above them.
-            with ui.column().classes("w-full no-wrap gap-1 header-details"):
-                self._draw_details()
+            with ui.row().classes("w-full no-wrap items-center gap-3"):
+                self._draw_line()
 
-    def _draw_details(self) -> None:
+    def _draw_line(self) -> None:
         bench = self.bench
-        with ui.column().classes("w-full gap-1") as self.asked:
-            self.question = ui.label().props("id=question role=alert")
-            self.question.style(f"color: {COLOURS['amber']}")
-            with ui.row().classes("gap-2"):
-                self._button("Keep the model in use", bench.keep_model_in_use)
-                self._button("Write anyway", self._confirm)
-        with ui.row().classes("w-full no-wrap items-start"):
-            self.verdict = ui.label().classes("grow text-base leading-tight font-bold")
-            self.verdict.props("id=verdict role=status aria-live=polite")
-            with ui.row().classes("no-wrap gap-2"):
-                self.undo = self._button("Undo", partial(bench.run_now, "undo"))
-                self.redo = self._button("Redo", partial(bench.run_now, "redo"))
-                self.fit = ui.button("Fit", on_click=partial(bench.begin, "fit")).props("dense")
-                self.save = self._button("Save", lambda: bench.save())
-                self.save.tooltip(
-                    f"write this model to {bench.output}, unless the model there is better"
-                )
-        with ui.row().classes("items-center w-full") as self.work:
-            self.stage = ui.label().props("id=stage")
-            self.fraction = ui.linear_progress(0.0, show_value=False).classes("w-64")
+        self.verdict = ui.label().classes("grow shrink basis-0 min-w-0 truncate font-bold")
+        self.verdict.props("id=verdict role=status aria-live=polite")
+        with self.verdict:
+            self.whole = ui.tooltip()
+        with ui.row().classes("headline items-center no-wrap gap-2 shrink-0") as self.headline:
+            self.about = ui.label().classes("headline-about quiet text-xs")
+            self.errors = ui.label().props("id=headline")
+        with ui.row().classes("items-center no-wrap gap-2 min-w-0") as self.work:
+            self.stage = ui.label().classes("truncate").props("id=stage")
+            self.fraction = ui.linear_progress(0.0, show_value=False).classes("w-24")
             self.fraction.props('aria-label="progress"')
-            self._button("Cancel", bench.cancel)
-        self.message = ui.label().props("id=message role=alert")
-        self.numbers = ui.row().classes("items-center gap-x-6 gap-y-0")
-
-    def _button(self, name: str, step: Any) -> Any:
-        return ui.button(name, on_click=step).props("dense outline")
-
-    def _confirm(self) -> None:
-        """Confirm the question that this window shows, even if a newer one exists."""
-        self.bench.save(self._key)
+            _button("Cancel", bench.cancel)
+        with ui.row().classes("no-wrap gap-2 shrink-0"):
+            self.undo = _button("Undo", partial(bench.run_now, "undo"))
+            self.redo = _button("Redo", partial(bench.run_now, "redo"))
+            self.fit = ui.button("Fit", on_click=partial(bench.begin, "fit")).props("dense")
+            self.save = _button("Save", lambda: bench.save())
+            self.save.tooltip(
+                f"write this model to {bench.output}, unless the model there is better"
+            )
 
     def show(self, afresh: bool) -> None:
-        """Show the state; redraw the numbers only if the view changed."""
+        """Show the state; change the numbers only if the view changed."""
         bench, record = self.bench, self.bench.session.record
         if afresh:
-            self._numbers(bench.view or {})
+            self.show_verdict()
+            about, errors = _headline((bench.view or {}).get("tiles", []))
+            self.about.set_text(about)
+            self.errors.set_text(errors)
         for button, usable in (
             (self.undo, record.state.parent is not None),
             (self.redo, bool(record.forward.get(record.branch))),
@@ -80,22 +82,84 @@ class Header:
         ):
             button.set_enabled(usable and not bench.busy)
         self.work.set_visibility(bench.busy)
+        self.headline.set_visibility(not bench.busy)
         self.stage.set_text(bench.stage)
         self.fraction.set_value(bench.fraction)
+
+    def show_verdict(self) -> None:
+        """Show the verdict; without samples, what the campaign at the robot does about it."""
+        runs = self.campaign is not None and self.campaign.runs
+        verdict = (self.bench.view or {}).get("verdict", CAMPAIGN_RUNS if runs else NOTHING)
+        words = write_micro(verdict["words"])
+        self.verdict.set_text(words)
+        self.whole.set_text(words)
+        colour = COLOURS[verdict["colour"]]
+        self.verdict.style(f"border-left: 6px solid {colour}; padding-left: 8px")
+
+
+class Notice:
+    """The line at the bottom of the window: the answer to the last step, or a question about it."""
+
+    def __init__(self, bench: Bench):
+        self.bench = bench
+        self._key = ""  # key of the question that is shown
+        self._dismissed = ""
+        with ui.footer(value=False).classes("shadow-up") as self.footer:
+            with ui.row().classes("w-full items-center gap-2") as self.asked:
+                self.question = ui.label().props("id=question role=alert").classes("grow basis-64")
+                self.question.style(f"color: {COLOURS['amber']}")
+                _button("Keep the model in use", bench.keep_model_in_use)
+                _button("Write anyway", self._confirm)
+            with ui.row().classes("w-full no-wrap items-center gap-2") as self.answer:
+                self.message = ui.label().props("id=message role=alert").classes("grow")
+                _button("Dismiss", self._dismiss)
+
+    def _confirm(self) -> None:
+        """Confirm the question that this window shows, even if a newer one exists."""
+        self.bench.save(self._key)
+
+    def _dismiss(self) -> None:
+        self._dismissed = self.bench.message
+        self.show()
+
+    def show(self) -> None:
+        bench = self.bench
         question = bench.question
         self.asked.set_visibility(question is not None)
         if question is not None:
             self._key = question.key
             self.question.set_text(write_micro(question.words))
-        self.message.set_visibility(bool(bench.message) and not bench.busy)
+        if bench.busy:
+            self._dismissed = ""  # the next message may have the same words
+        answered = bool(bench.message) and not bench.busy and bench.message != self._dismissed
+        self.answer.set_visibility(answered)
         self.message.set_text(write_micro(bench.message))
         self.message.style(f"color: {COLOURS['amber'] if bench.failed else QUIET}")
+        self.footer.set_value(answered or question is not None)
+
+
+class VerdictCard:
+    """The card Verdict: the sentence, the errors, and how the error fell."""
+
+    def __init__(self, bench: Bench):
+        self.bench = bench
+        with card("Verdict") as self.card:
+            self.words = ui.label().classes("font-bold").props("id=verdict-words")
+            self.numbers = ui.row().classes("items-start gap-x-6 gap-y-1")
+            self.steps = FigureSlot()
+            self.dotted = ui.label("A dotted line joins the errors of different samples.")
+            self.dotted.classes("text-xs quiet")
+
+    def show(self, view: dict[str, Any]) -> None:
+        self.words.set_text(write_micro(view["verdict"]["words"]))
+        self._numbers(view)
+        found = find_steps(self.bench.session)
+        self.dotted.set_visibility(
+            found is not None and not all(step.is_comparable for step in found.steps)
+        )
+        self.steps.show(*((draw_steps(found), describe_steps(found)) if found else (None,)))
 
     def _numbers(self, view: dict[str, Any]) -> None:
-        verdict = view.get("verdict", NOTHING)
-        self.verdict.set_text(write_micro(verdict["words"]))
-        colour = COLOURS[verdict["colour"]]
-        self.verdict.style(f"border-left: 6px solid {colour}; padding-left: 8px")
         self.numbers.clear()
         with self.numbers:
             for tile in view.get("tiles", []):
@@ -108,8 +172,8 @@ class Header:
             if words:
                 with ui.column().classes("gap-0"):
                     ui.label("error budget: rms of each part, and its share").classes(
-                        "text-xs"
-                    ).style("opacity: 0.75")
+                        "text-xs quiet"
+                    )
                     ui.label(" · ".join(words)).props("id=budget")
             if iso := view.get("iso"):
                 ui.label(" · ".join(iso)).props("id=iso").classes("text-xs").tooltip(
@@ -119,8 +183,24 @@ class Header:
 
 def _tile(tile: dict[str, Any]) -> None:
     with ui.column().classes("gap-0"):
-        ui.label(tile["name"]).classes("text-xs").style("opacity: 0.75")
+        ui.label(tile["name"]).classes("text-xs quiet")
         for value, unit, kind in tile["values"]:
             ui.label(f"{value} {unit}").classes("text-lg leading-tight").tooltip(
                 f"{kind}: {tile['about']}, rms"
             )
+
+
+def _headline(tiles: Sequence[dict[str, Any]]) -> tuple[str, str]:
+    """What the error now is, and its first kind: before and now if comparable, the noise floor."""
+    by_name = {tile["name"]: tile for tile in tiles if tile["values"]}
+    if (now := by_name.get("now")) is None:
+        return "", ""
+    comparable = {k: tile for k, tile in by_name.items() if tile["about"] == now["about"]}
+    texts = {k: " ".join(tile["values"][0][:2]) for k, tile in comparable.items()}
+    fall = " → ".join(texts[k] for k in ("before calibration", "now") if k in texts)
+    noise = texts.get("noise floor")
+    return now["about"], f"{fall} · noise {noise}" if noise else fall
+
+
+def _button(name: str, step: Any) -> Any:
+    return ui.button(name, on_click=step).props("dense outline")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import datetime
 from typing import Any
 
@@ -9,7 +10,7 @@ from nicegui import run, ui
 
 from parallel_cal.reporting.colours import MEASURED, QUIET
 from parallel_cal.workbench.bench import Bench, Live
-from parallel_cal.workbench.campaign_card import CampaignBar, CampaignCard
+from parallel_cal.workbench.campaign_card import CampaignCard
 from parallel_cal.workbench.widgets import COLOURS, card, draw_figure, make_chart, table
 
 POLL_INTERVAL_S = 1.0  # s between two polls of the nodes
@@ -30,9 +31,10 @@ COLUMNS = {
 class LiveCard:
     """The card Live; drawn once and then updated in place."""
 
-    def __init__(self, bench: Bench, live: Live, bar: CampaignBar | None):
-        """`bar` is the campaign's part of the header."""
-        self.bench, self.live, self.bar = bench, live, bar
+    def __init__(self, bench: Bench, live: Live, follow: Callable[[dict[str, Any]], None]):
+        """Call `follow` with the status of the campaign whenever the nodes are polled."""
+        self.bench, self.live, self._follow = bench, live, follow
+        self.campaign = CampaignCard(live)
         with card("Live"):
             self.trouble = (
                 ui.label().props("id=trouble role=alert").style(f"color: {COLOURS['amber']}")
@@ -54,7 +56,6 @@ class LiveCard:
             self.error = ui.label().classes("text-sm").props("id=live-error")
             self.chart = draw_figure(figure, "error of the measured poses over time")
             self.dropped = ui.expansion("no dropped messages").classes("w-full")
-        self.campaign = CampaignCard(live)
         self._said: list[Any] = []
         ui.timer(POLL_INTERVAL_S, self._update)
         self._update()
@@ -83,8 +84,7 @@ class LiveCard:
         self._draw_errors(told["errors"])
         self._list_dropped(told["dropped"])
         self.campaign.show(told["campaign"])
-        if self.bar is not None:
-            self.bar.show(told["campaign"])
+        self._follow(told["campaign"])
 
     def _describe_served_model(self, model: dict[str, Any]) -> str:
         if not model.get("hash"):

@@ -87,9 +87,13 @@ class FigureSlot:
     def __init__(self, marking: Marking | None = None):
         """`marking` belongs to flat views, whose samples can be marked."""
         self._marking, self._view = marking, None
-        self._column = ui.column().classes("flex-1 min-w-0 w-full gap-0")
+        with ui.column().classes("flex-1 min-w-0 w-full gap-0") as self._column:
+            self._title = ui.label().classes("text-sm")
 
-    def show(self, figure: dict[str, Any] | None, words: str = "") -> None:
+    def show(self, figure: dict[str, Any] | None, words: str = "", title: str = "") -> None:
+        """Show a figure with `words` for screen readers, and a `title` above it."""
+        self._title.set_text(title)
+        self._title.set_visibility(bool(title))
         self._column.set_visibility(figure is not None)
         if figure is None:
             return

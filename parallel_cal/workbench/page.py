@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -14,7 +14,7 @@ from parallel_cal.reporting.colours import MEASURED, PATTERN, QUIET
 from parallel_cal.reporting.readable import write_micro
 from parallel_cal.session.history import format_first_error
 from parallel_cal.workbench.bench import Bench, Live
-from parallel_cal.workbench.header import Header
+from parallel_cal.workbench.header import Header, Notice, VerdictCard
 from parallel_cal.workbench.live import LiveCard
 from parallel_cal.workbench.marking import SCRIPT, FigureSlot, Marking
 from parallel_cal.workbench.residuals_card import ResidualsCard
@@ -32,6 +32,9 @@ EMPTY = (
     "Reading the measurements. This takes a few seconds.",
     "No samples yet. Move the robot from pose to pose and hold it still at each for a second. "
     "Press Take samples when there are twenty or more.",
+)
+CAMPAIGN_RUNS = (
+    "No samples here yet: the campaign is measuring them. Press Take samples to see them."
 )
 PRIORS = {None: "of weakly determined parameters", True: "of all parameters", False: "none"}
 PLACE, TURN = ("x", "y", "z"), ("qx", "qy", "qz", "qw")  # columns of planned poses
@@ -59,14 +62,23 @@ class Window:
         ui.colors(primary=MEASURED)
         ui.add_head_html(HEAD + HEADER_HEIGHT + SCRIPT)
         ui.add_css(CSS)
-        self.header = Header(bench)
-        with ui.column().classes("w-full max-w-screen-xl mx-auto gap-4"):
-            if bench.live is not None:
-                LiveCard(bench, bench.live, self.header.campaign)
-            with ui.column().classes("w-full") as self.top:
-                self.failing = ResidualsCard(self.marking)
-            self.body = ui.column().classes("w-full gap-4")
-        self.layer = ui.element()  # dialogs stay while the body is redrawn
+        self.header, self.notice = Header(bench), Notice(bench)
+        with ui.column().classes("w-full max-w-[2200px] mx-auto gap-3") as content:
+            content.props("id=content tabindex=-1")
+            ui.label(f"Session {bench.session.folder.name}").classes("text-sm font-bold").props(
+                "role=heading aria-level=1"
+            )
+            self.empty = ui.label().props("id=empty")
+            with _columns() as self.work:
+                with ui.column().classes("w-full gap-3"):
+                    self.verdict = VerdictCard(bench)
+                    self.missing = ui.column().classes("w-full gap-3")
+                    if bench.live is not None:
+                        LiveCard(bench, bench.live, self._follow_campaign)
+                with ui.column().classes("w-full gap-3") as self.right:
+                    self.failing = ResidualsCard(self.marking)
+            self.rest = _columns()
+        self.layer = ui.element()  # dialogs stay while the page is redrawn
         self._draw()
         ui.timer(POLL_INTERVAL_S, self._poll)
         ui.timer(REFRESH_INTERVAL_S, bench.follow)
@@ -75,65 +87,104 @@ class Window:
         if self.version != self.bench.version:
             self._draw()
 
+    def _follow_campaign(self, told: dict[str, Any]) -> None:
+        """Show the campaign in the header, and that it measures where there are no samples."""
+        if (bar := self.header.campaign) is not None:
+            ran = bar.runs
+            bar.show(told)
+            if bar.runs != ran:
+                self.header.show_verdict()
+                self._show_empty()
+
+    def _show_empty(self) -> None:
+        """Say what to do if there are no samples, or that they are being read."""
+        view, bar = self.bench.view, self.header.campaign
+        runs = bar is not None and bar.runs
+        self.empty.set_text(CAMPAIGN_RUNS if runs and view is not None else EMPTY[view is not None])
+        self.empty.set_visibility(not view)
+
     def _draw(self) -> None:
         afresh = self.seen != self.bench.seen
         self.version, self.seen = self.bench.version, self.bench.seen
         self.header.show(afresh)
+        self.notice.show()
         if not afresh:
             return  # while a step runs, only its progress changes
         self.marking.numbers = set()
-        self.body.clear()
         view = self.bench.view or {}
-        self.top.set_visibility(bool(view))
-        with self.body:
-            if not view:
-                ui.label(EMPTY[self.bench.view is not None]).classes("p-4")
-                if self.bench.view is not None:
-                    self._history()
-                return
+        self._show_empty()
+        self.verdict.card.set_visibility(bool(view))
+        complete = "residuals" in view  # a preliminary view of many samples has only numbers
+        self.right.set_visibility(complete)
+        self.missing.clear()
+        self.rest.clear()
+        self.work.classes(**{"add" if complete else "remove": "paired"})
+        if view:
+            self.verdict.show(view)
+            with self.missing:
+                self._missing(view)
+        if complete:
             self.failing.show(view)
-            self._missing(view)
-            self._history()
-            self._samples(view)
-            self._parameters(view)
-            self._next(view)
+        with self.rest:
+            if complete:
+                self._samples(view)
+                self._parameters(view)
+            if self.bench.view is not None:
+                self._history()
+            if complete:
+                self._next(view)
 
     # ------------------------------------------------------------------ what is missing
 
     def _missing(self, view: dict[str, Any]) -> None:
         with card("What is missing"):
-            if not view["candidates"]:
-                ui.label("No effect has been tested. Press Fit.")
+            candidates = view["candidates"]
+            if not candidates:
+                running = "The effects are being tested."
+                ui.label(running if self.bench.busy else "No effect has been tested. Press Fit.")
             if both := view["together"]:
                 add = ui.button(
                     f"Add {both['names']}", on_click=partial(self.bench.begin, "add", both["text"])
                 )
                 add.props("dense").set_enabled(not self.bench.busy)
-            for one in view["candidates"][:8]:
-                with ui.row().classes("w-full items-center no-wrap max-lg:flex-wrap"):
-                    name = one["effect"]
-                    add = ui.button("Add", on_click=partial(self.bench.begin, "add", name))
-                    look = "dense" if one["found"] else "dense outline"
-                    add.props(f'{look} aria-label="add {name}"')
-                    add.set_enabled(not self.bench.busy)
-                    with ui.column().classes("gap-0 grow"):
-                        ui.label(name).classes("font-bold" if one["found"] else "")
-                        ui.label(one["effect details"]).classes("text-sm")
-                        resembles = one["confused with"] and f"resembles {one['confused with']}"
-                        remarks = filter(None, (resembles, one["confused with details"]))
-                        ui.label("; ".join(remarks)).classes("text-xs").style("opacity: 0.75")
-                        if one["pattern"]:
-                            self._unfolded("Show pattern", name, partial(self._pattern, one))
-                    with ui.column().classes("gap-0 items-end min-w-40"):
-                        ui.label(one["fall"] if one["fall details"] else "not refitted")
-                        ui.label(f"accounts for {one['explains']} · p {one['p']}").classes(
-                            "text-xs"
-                        ).tooltip(one["fall details"])
-            if view["untested"]:
-                n = len(view["untested"])
-                with ui.expansion(f"{n} effect{'' if n == 1 else 's'} not tested"):
-                    for one in view["untested"]:
-                        ui.label(f"{one['name']}: {one['why']}").style("opacity: 0.7")
+            for one in candidates:
+                if one["significant"]:
+                    self._candidate(one)
+            others = [one for one in candidates if not one["significant"]]
+            if candidates and len(others) == len(candidates):
+                ui.label("No tested effect is significant.")
+            if others:
+                title = f"{_count(others, 'tested effect')} not significant"
+                self._unfolded(title, "not significant", partial(self._candidates, others))
+            if untested := view["untested"]:
+                title = f"{_count(untested, 'effect')} not tested"
+                self._unfolded(title, "not tested", partial(_list_untested, untested))
+
+    def _candidates(self, candidates: list[dict[str, Any]]) -> None:
+        for one in candidates:
+            self._candidate(one)
+
+    def _candidate(self, one: dict[str, Any]) -> None:
+        name = one["effect"]
+        with ui.element().classes("candidate"):
+            add = ui.button("Add", on_click=partial(self.bench.begin, "add", name))
+            look = "dense" if one["found"] else "dense outline"
+            add.props(f'{look} aria-label="add {name}"').set_enabled(not self.bench.busy)
+            with ui.column().classes("gap-0"):
+                ui.label(name).classes("font-bold" if one["found"] else "")
+                ui.label(one["effect details"]).classes("text-sm")
+                resembles = one["confused with"] and f"resembles {one['confused with']}"
+                remarks = filter(None, (resembles, one["confused with details"]))
+                ui.label("; ".join(remarks)).classes("text-xs quiet")
+            with ui.column().classes("gap-0 items-end whitespace-nowrap"):
+                ui.label(one["fall"] if one["fall details"] else "not refitted")
+                ui.label(f"accounts for {one['explains']}").classes("text-xs").tooltip(
+                    one["fall details"]
+                )
+                ui.label(f"p {one['p']}").classes("text-xs")
+            if one["pattern"]:
+                with ui.element().classes("wide"):
+                    self._unfolded("Show pattern", name, partial(self._pattern, one))
 
     def _pattern(self, one: dict[str, Any]) -> None:
         FigureSlot(self.marking).show(one["pattern"]["figure"], one["pattern"]["words"])
@@ -228,42 +279,60 @@ class Window:
                 **view["samples"],
                 key="sample",
                 selection="multiple",
-                pagination={"rowsPerPage": 8, "sortBy": "sigmas", "descending": True},
-            )
+                pagination={"rowsPerPage": 12, "sortBy": "sigmas", "descending": True},
+            ).classes("one-line-rows")
             self.table.on_select(
                 lambda e: self.marking.mark({row["sample"] for row in e.selection})
             )
             with ui.row().classes("items-center"):
-                self.count = ui.label("no sample marked").props("id=marked aria-live=polite")
-                why = ui.input("reason").classes("w-64")
-                ui.button("Exclude", on_click=lambda: self._exclude(why.value)).props("dense")
-                ui.button("Open", on_click=self._open).props("dense outline").tooltip(
-                    "show the readings that the first marked sample averages"
-                )
-            for number, reason in bench.session.state.excluded.items():
+                self.count = ui.label().props("id=marked aria-live=polite")
+                self.reason = ui.input("reason", on_change=self._allow_excluding).classes("w-64")
+                self.exclude = ui.button("Exclude", on_click=self._exclude).props("dense")
+                self.open = ui.button("Open", on_click=self._open).props("dense outline")
+                self.open.tooltip("show the readings that the first marked sample averages")
+            self._show_count(set())
+            excluded = bench.session.state.excluded
+            if len(excluded) > 1:
+                with ui.row().classes("items-center"):
+                    ui.label(f"{len(excluded)} samples are excluded")
+                    self._include("Include all", list(excluded))
+            for number, reason in excluded.items():
                 with ui.row().classes("items-center"):
                     ui.label(f"sample {number} is excluded: {reason or 'no reason given'}")
-                    ui.button("Include", on_click=partial(bench.begin, "include", [number])).props(
-                        "dense flat"
-                    )
+                    self._include("Include", [number])
+
+    def _include(self, words: str, numbers: list[int]) -> None:
+        """Make a button that includes excluded samples again, in one step."""
+        button = ui.button(words, on_click=partial(self.bench.begin, "include", numbers))
+        button.props("dense flat").set_enabled(not self.bench.busy)
 
     def _show_marked(self, numbers: set[int]) -> None:
         self.table.selected = [row for row in self.table.rows if row["sample"] in numbers]
         self.table.update()
-        count = "1 sample" if len(numbers) == 1 else f"{len(numbers)} samples"
-        self.count.set_text(f"{count} marked" if numbers else "no sample marked")
+        self._show_count(numbers)
 
-    def _exclude(self, why: str | None) -> None:
-        if not self.marking.numbers:
-            self.count.set_text("no sample marked: mark samples in a view or in the table first")
-            return
-        self.bench.begin("exclude", dict.fromkeys(sorted(self.marking.numbers), why or ""))
+    def _show_count(self, numbers: set[int]) -> None:
+        """Show how many samples are marked, and what the buttons need."""
+        if numbers:
+            self.count.set_text(f"{_count(list(numbers), 'sample')} marked; to exclude, say why")
+        else:
+            self.count.set_text("no sample marked: mark samples in a view or in the table")
+        self.open.set_enabled(bool(numbers))
+        self._allow_excluding()
+
+    def _allow_excluding(self) -> None:
+        """Let marked samples be excluded for a reason, which the history and the report show."""
+        reason = (self.reason.value or "").strip()
+        self.exclude.set_enabled(bool(self.marking.numbers and reason) and not self.bench.busy)
+
+    def _exclude(self) -> None:
+        reason = self.reason.value.strip()
+        self.bench.begin("exclude", dict.fromkeys(sorted(self.marking.numbers), reason))
 
     async def _open(self) -> None:
         """Show the readings that a sample averages."""
         if not self.marking.numbers:
-            self.count.set_text("no sample marked: mark one in a view or in the table first")
-            return
+            return  # the marks were removed after the click
         # This module imports NumPy, which nothing else here needs.
         from parallel_cal.workbench.readings import signals
 
@@ -283,9 +352,21 @@ class Window:
         with card("Parameters"):
             rows = table(**view["parameters"], key="name", selection="multiple", pagination=12)
             with ui.row().classes("items-center"):
-                for words, fix in (("Fix marked", True), ("Free marked", False)):
-                    chosen = partial(self._choose, rows, fix)
-                    ui.button(words, on_click=chosen).props("dense").set_enabled(not bench.busy)
+                count = ui.label().props("id=marked-parameters aria-live=polite")
+                buttons = [
+                    ui.button(words, on_click=partial(self._choose, rows, fix)).props("dense")
+                    for words, fix in (("Fix marked", True), ("Free marked", False))
+                ]
+
+                def show_count() -> None:
+                    marked = rows.selected
+                    none = "no parameter marked: mark parameters in the table"
+                    count.set_text(f"{_count(marked, 'parameter')} marked" if marked else none)
+                    for button in buttons:
+                        button.set_enabled(bool(marked) and not bench.busy)
+
+                rows.on_select(show_count)
+                show_count()
                 ui.select(
                     PRIORS,
                     value=bench.session.options.prior,
@@ -304,8 +385,6 @@ class Window:
     def _choose(self, rows: Any, fix: bool) -> None:
         """Fix the marked parameters at their values, or free them, for all later steps."""
         names = [row["name"] for row in rows.selected]
-        if not names:
-            return ui.notify("no parameter marked: mark parameters in the table first")
         asked = self.bench.session.options
         kept = {
             key: [n for n in patterns if n not in names]
@@ -369,3 +448,17 @@ class Window:
         axes = {f"{k}axis": {"title": {"text": f"{k} [mm]"}} for k in "xyz"}
         layout = {"height": 380, "margin": FIGURE_MARGIN, "scene": axes}
         draw_figure({"data": traces, "layout": layout}, "planned and measured poses")
+
+
+def _columns() -> Any:
+    """Make two columns, of which a narrow window shows the second below the first."""
+    return ui.element().classes("columns paired")
+
+
+def _list_untested(untested: list[dict[str, Any]]) -> None:
+    for one in untested:
+        ui.label(f"{one['name']}: {one['why']}").classes("quiet")
+
+
+def _count(things: Sequence[Any], name: str) -> str:
+    return f"{len(things)} {name}{'' if len(things) == 1 else 's'}"

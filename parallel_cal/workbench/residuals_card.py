@@ -16,6 +16,7 @@ HINT = (
     "The colour of an arrow shows its direction."
 )
 LIKELY = "99 % band of the mean without dependence"
+HEIGHT = 320  # of a figure
 RMS = "rms residual [sigmas] over the workspace"
 
 
@@ -25,14 +26,12 @@ class ResidualsCard:
     def __init__(self, marking: Marking):
         self.view: dict[str, Any] = {}
         with card("Where it fails"):
-            ui.label(HINT).classes("text-sm").style("opacity: 0.75")
-            with ui.row().classes("w-full no-wrap max-lg:flex-wrap"):
-                with ui.column().classes("flex-1 min-w-0 gap-0") as self.space:
-                    self.scale = ui.label().classes("text-sm")
-                    self.arrows = FigureSlot()
+            ui.label(HINT).classes("text-sm quiet")
+            self.shown = ui.label().props("id=shown").classes("text-sm")
+            with ui.row().classes("w-full no-wrap gap-2 max-md:flex-wrap"):
+                self.arrows = FigureSlot()
                 self.map = FigureSlot(marking)
-            self.tabs = ui.tabs(on_change=self._turn)
-            self.words = ui.label().classes("text-sm")
+            self.tabs = ui.tabs(on_change=self._turn).props("dense inline-label no-caps")
             self.picture = FigureSlot(marking)
             with ui.row().classes("items-center") as self.asked:
                 self.component = ui.select([], label="residual of", on_change=self._draw_profile)
@@ -44,10 +43,14 @@ class ResidualsCard:
     def show(self, view: dict[str, Any]) -> None:
         self.view = view
         arrows, residuals = view["arrows"], view["residuals"]
-        self.space.set_visibility(arrows is not None)
-        if arrows is not None:
-            self.scale.set_text(f"Residuals, magnified {arrows['scale']:g} times")
-            self.arrows.show(arrows["figure"], "residual arrows in space")
+        self.shown.set_text(view["shown"])
+        self.shown.set_visibility(bool(view["shown"]))
+        if arrows is None:
+            self.arrows.show(None)
+        else:
+            figure, title = arrows["figure"], f"residuals, magnified {arrows['scale']:g} times"
+            low = figure | {"layout": figure["layout"] | {"height": HEIGHT}}
+            self.arrows.show(low, "residual arrows in space", title)
         self._map(residuals)
         self._pictures()
         _offer(self.component, residuals["components"])
@@ -59,7 +62,10 @@ class ResidualsCard:
         marker = {"color": sizes, "colorscale": "Cividis", "showscale": True, "size": 9}
         x, y = ([p[k] for p in residuals["place"]] for k in (0, 1))
         across, up = (residuals["where"].format(axis) for axis in "xy")
-        self.map.show(_make_flat_figure([self._samples(x, y, marker)], across, up, RMS), RMS)
+        figure = _make_flat_figure([self._samples(x, y, marker)], across, up)
+        figure["layout"]["yaxis"] |= {"scaleanchor": "x", "constrain": "domain"}
+        figure["layout"]["xaxis"]["constrain"] = "domain"
+        self.map.show(figure, RMS, RMS)
 
     def _pictures(self) -> None:
         """Make the tabs; the selected one stays selected."""
@@ -75,8 +81,9 @@ class ResidualsCard:
 
     def _turn(self) -> None:
         chosen = [one for one in self.view["pictures"] if one["name"] == self.tabs.value]
-        self.words.set_text(chosen[0]["words"] if chosen else "")
-        self.picture.show(*((chosen[0]["figure"], chosen[0]["words"]) if chosen else (None,)))
+        if not chosen:
+            return self.picture.show(None)
+        self.picture.show(chosen[0]["figure"], chosen[0]["words"], chosen[0]["words"])
 
     def _draw_profile(self) -> None:
         """Draw the chosen component of the residuals against the chosen quantity."""
@@ -91,8 +98,8 @@ class ResidualsCard:
         samples = self._samples(along["values"], [row[k] for row in residuals["sigmas"]], marker)
         across = f"{self.along.value} [{along['unit']}]" if along["unit"] else self.along.value
         title = f"residual of {name} against {self.along.value}"
-        figure = _make_flat_figure([samples, *_means(along, k)], across, f"{name} [sigmas]", title)
-        self.course.show(figure, title)
+        figure = _make_flat_figure([samples, *_means(along, k)], across, f"{name} [sigmas]")
+        self.course.show(figure, title, title)
 
     def _samples(self, x: Any, y: Any, marker: dict[str, Any]) -> dict[str, Any]:
         """Make a trace with one point per sample, in the order of the samples."""
@@ -115,14 +122,12 @@ def _offer(select: Any, names: list[str]) -> None:
     select.set_options(names, value=chosen)
 
 
-def _make_flat_figure(
-    data: Sequence[dict[str, Any]], across: str, up: str, title: str
-) -> dict[str, Any]:
+def _make_flat_figure(data: Sequence[dict[str, Any]], across: str, up: str) -> dict[str, Any]:
     axes = {"xaxis": {"title": {"text": across}}, "yaxis": {"title": {"text": up}}}
-    words = {"text": title, "font": {"size": 13}}
+    legend = {"legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 0}}
     return {
         "data": [*data],
-        "layout": {"height": 360, "margin": FIGURE_MARGIN, "title": words, **axes},
+        "layout": {"height": HEIGHT, "margin": FIGURE_MARGIN} | axes | legend,
     }
 
 

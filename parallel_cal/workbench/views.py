@@ -14,7 +14,7 @@ from parallel_cal.diagnosis.entries import Entry
 from parallel_cal.diagnosis.patterns import ResidualProfile
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.signature import Signature, signature
-from parallel_cal.diagnosis.thresholds import LEVELS
+from parallel_cal.diagnosis.thresholds import EFFECT_SIGNIFICANCE_LEVEL, LEVELS
 from parallel_cal.diagnosis.verdict import AMBER_VERDICTS
 from parallel_cal.identification.budget import Iso9283, iso_9283
 from parallel_cal.identification.given_model import fits_of
@@ -31,23 +31,30 @@ from parallel_cal.reporting import (
     spaces,
 )
 from parallel_cal.reporting.blocks import as_rows
-from parallel_cal.reporting.figures import Spec
+from parallel_cal.reporting.figures import Spec, select_evenly
 from parallel_cal.reporting.readable import value_unit, write_micro
 from parallel_cal.reporting.report import Report, report
 from parallel_cal.session.session import Session
 
 View = dict[str, Any]
+# Samples on a page. A browser needs seconds to draw more, and more hide each other.
+MAX_SHOWN_SAMPLES, MAX_WORST_SAMPLES = 2000, 500
+NUMBERS_ONLY: View = {"candidates": [], "together": None, "untested": []}
 AMBER, GREEN, GREY = "amber", "green", "grey"
 
 
 def glance(session: Session) -> View | None:
-    """Make the preliminary view of a fitted model, before its diagnosis."""
+    """Make the preliminary view of a fitted model, before its diagnosis.
+
+    With many samples it has the numbers of the fit only: its residuals take as long as the fit.
+    """
     state = session.state
     if not (session.recordings and state.errors):
         return None
-    shown = _make_comparison_view(
-        compare(session.model, session.dataset, session.options.joint_sigma)
-    )
+    dataset = session.dataset
+    shown = NUMBERS_ONLY
+    if len(dataset) <= MAX_SHOWN_SAMPLES:
+        shown = _make_comparison_view(compare(session.model, dataset, session.options.joint_sigma))
     tiles = (
         ("before calibration", state.before),
         ("now", state.errors),
@@ -98,8 +105,10 @@ def _make_comparison_view(found: Comparison) -> View:
         tiles.append(results.make_tile("noise floor", found.noise, kinds, {}, where))
     mechanism = found.model.mechanism
     units = dict(zip(mechanism.joints, mechanism.joint_units, strict=True))
-    residuals = contents.Residuals.of(found.scene, found.field)
+    samples = contents.compared_samples(found)
+    residuals, shown = _select_shown(contents.Residuals.of(found.scene, found.field), samples)
     return {
+        "shown": shown,
         "verdict": {"colour": GREY, "words": _compared_words(found)},
         "tiles": to_json_value(tiles),
         "budget": [],
@@ -107,7 +116,7 @@ def _make_comparison_view(found: Comparison) -> View:
         "arrows": _arrows(residuals),
         "residuals": _residuals(residuals, found.residual_profiles),
         "pictures": list(_pictures(residuals, found.scene, None)),
-        "samples": _samples(contents.compared_samples(found), residuals, kinds or ["joint"], units),
+        "samples": _samples(samples, residuals, kinds or ["joint"], units),
         "candidates": [],
         "together": None,
         "untested": [],
@@ -141,21 +150,24 @@ def _make_report_view(found: Report) -> View:
         names = " and ".join(diagnosis.effects)
         together = {"names": names, "text": "+".join(diagnosis.additions)}
     candidates = as_rows(results.candidate_table(diagnosis, tested))["rows"]
+    residuals, shown = _select_shown(found.residuals, found.samples)
     return {
+        "shown": shown,
         "verdict": _verdict(found),
         "tiles": to_json_value([*results.error_tiles(found.errors, diagnosis.effects, units)]),
         "budget": [
             row for one in now.budgets[:1] for row in as_rows(results.budget_table(one))["rows"]
         ],
         "iso": _iso(now.iso_9283),
-        "arrows": _arrows(found.residuals),
-        "residuals": _residuals(found.residuals, found.along),
-        "pictures": list(_pictures(found.residuals, diagnosis.base.scene, first_pattern)),
-        "samples": _samples(found.samples, found.residuals, found.errors.kinds, units),
+        "arrows": _arrows(residuals),
+        "residuals": _residuals(residuals, found.along),
+        "pictures": list(_pictures(residuals, diagnosis.base.scene, first_pattern)),
+        "samples": _samples(found.samples, residuals, found.errors.kinds, units),
         "candidates": [
             row
             | {
                 "found": entry.name in diagnosis.effects,
+                "significant": (entry.p_adjusted or 0.0) < EFFECT_SIGNIFICANCE_LEVEL,
                 "pattern": _pattern(entry, diagnosis.model),
             }
             for row, entry in zip(candidates, tested, strict=True)
@@ -169,6 +181,24 @@ def _make_report_view(found: Report) -> View:
         "advice": list(diagnosis.measure_next.advice),
         "cannot_tell": [one["text"] for one in contents.combinations(now)["unidentifiable"]],
     }
+
+
+def _select_shown(
+    residuals: contents.Residuals, samples: Sequence[contents.JudgedSample]
+) -> tuple[contents.Residuals, str]:
+    """Select the samples that the page shows, and say which; `samples` has the worst first."""
+    n = len(residuals.sample)
+    if n <= MAX_SHOWN_SAMPLES:
+        return residuals, ""
+    worst = [one.sample for one in samples[:MAX_WORST_SAMPLES]]
+    kept = np.isin(residuals.sample, worst)
+    others = np.flatnonzero(~kept)
+    kept[others[select_evenly(len(others), MAX_SHOWN_SAMPLES - len(worst))]] = True
+    words = (
+        f"The views and the table show {np.count_nonzero(kept)} of {n} samples: the {len(worst)} "
+        "worst, and others evenly spread over the recording. Only these can be marked."
+    )
+    return residuals.select(kept), words
 
 
 def _verdict(found: Report) -> View:

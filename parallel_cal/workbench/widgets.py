@@ -17,17 +17,42 @@ FIGURE_LAYOUT = {
         "layout": {axis: {"gridcolor": BAND, "zerolinecolor": QUIET} for axis in ("xaxis", "yaxis")}
     },
 }
-CSS = """
-.q-header { background: #fff; color: #1f2328 }
-.header-details { max-height: 50vh; overflow-y: auto }
-.campaign-words { overflow: hidden; display: -webkit-box; -webkit-box-orient: vertical;
-  -webkit-line-clamp: 2 }
-.q-header.at-robot { z-index: 7000 }
-body:has(.q-header.at-robot) :is(.q-dialog__inner, .q-dialog__backdrop) {
-  top: var(--header-height, 0px) }
-body:has(.q-header.at-robot) .q-dialog__inner > div { max-height: 100% }
-.body--dark .q-header { background: #1d1d1d; color: #e6edf3 }
-.body--dark .q-btn--outline, .body--dark .q-btn--flat { --q-primary: #7fc0f0 }
+# Width [px] from which the page has two columns, and width below which the header omits numbers.
+TWO_COLUMNS_PX, NARROW_PX = 1600, 760
+CSS = f"""
+:root {{ --nicegui-default-gap: 0.75rem }}
+.q-header, .q-footer {{ background: #fff; color: #1f2328 }}
+.q-header {{ padding: 4px 16px }}
+.q-footer {{ padding: 6px 16px; border-top: 1px solid #d0d7de }}
+.quiet {{ opacity: 0.75 }}
+.nicegui-content {{ padding: 12px 16px }}
+.columns {{ display: grid; grid-template-columns: minmax(0, 1fr); gap: 12px; width: 100%;
+  align-items: start }}
+@media (min-width: {TWO_COLUMNS_PX}px) {{
+  .columns.paired {{ grid-template-columns: repeat(2, minmax(0, 1fr)) }} }}
+@media (max-width: {TWO_COLUMNS_PX - 1}px) {{ .headline-about {{ display: none }} }}
+@media (max-width: {NARROW_PX}px) {{ .headline {{ display: none }} }}
+.candidate {{ display: grid; grid-template-columns: auto minmax(0, 1fr) auto; gap: 0 12px;
+  align-items: start; width: 100% }}
+.candidate > .wide {{ grid-column: 1 / -1 }}
+.one-line-rows td {{ white-space: nowrap }}
+.q-table--dense :is(th, td) {{ padding: 4px 6px }}
+.js-plotly-plot :is([class$=tick], .textpoint, .infolayer, .legend) text {{
+  fill: currentColor !important }}
+.skip-link {{ position: absolute; left: -999rem; top: 4px; z-index: 1; padding: 4px 12px;
+  background: inherit }}
+.skip-link:focus {{ left: 16px }}
+:is(a, button, input, [tabindex], [role=tab], .q-btn, .q-checkbox, .q-item):focus-visible {{
+  outline: 3px solid #3b7dd8 !important; outline-offset: 2px }}
+#content:focus {{ outline: none }}
+.q-header.at-robot {{ z-index: 7000 }}
+body:has(.q-header.at-robot) :is(.q-dialog__inner, .q-dialog__backdrop) {{
+  top: var(--header-height, 0px) }}
+body:has(.q-header.at-robot) .q-dialog__inner > div {{ max-height: 100% }}
+.body--dark :is(.q-header, .q-footer) {{ background: #1d1d1d; color: #e6edf3 }}
+.body--dark .q-footer {{ border-color: #444c56 }}
+.body--dark .q-btn--outline, .body--dark .q-btn--flat, .body--dark .skip-link {{
+  --q-primary: #7fc0f0 }}
 """
 # At a robot a dialog begins below the header, so that STOP stays within reach.
 HEADER_HEIGHT = """<script>
@@ -42,14 +67,14 @@ function followHeaderHeight() {
 HEAD = """<script>document.documentElement.lang = "en"</script>
 <script type="module">import("nicegui-plotly").catch(() => undefined)</script>"""
 CHECKBOX = '<q-checkbox dense v-model="props.selected" :aria-label="{words}" />'
-FIGURE_MARGIN = {"t": 24, "r": 12, "l": 52, "b": 44}
+FIGURE_MARGIN = {"t": 28, "r": 12, "l": 52, "b": 44}  # the toolbar fits into the top one
 
 
 def card(title: str) -> Any:
     """Make a region of the page with its heading."""
-    made = ui.card().classes("w-full").props(f'role=region aria-label="{title}"')
+    made = ui.card().classes("w-full gap-2").props(f'role=region aria-label="{title}"')
     with made:
-        ui.label(title).classes("text-lg font-bold").props("role=heading aria-level=2")
+        ui.label(title).classes("text-base font-bold").props("role=heading aria-level=2")
     return made
 
 

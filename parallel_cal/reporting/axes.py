@@ -1,0 +1,29 @@
+"""Axes of the figures, without NumPy, so that the workbench's page can draw them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+
+def log_axis(values: Sequence[float | None], title: str) -> dict[str, Any]:
+    """Make a logarithmic axis with ticks at 1, 2, 5 times powers of ten.
+
+    Only positive values can be drawn; the axis holds all of them.
+    """
+    known = [v for v in values if v]
+    low, high = math.log10(min(known) * 0.6), math.log10(max(known) * 1.6)
+    ticks = [
+        digit * 10.0**power
+        for power in range(math.floor(low), math.ceil(high) + 1)
+        for digit in (1, 2, 5)
+        if low < math.log10(digit * 10.0**power) < high
+    ]
+    return {
+        "type": "log",
+        "range": [low, high],
+        "title": {"text": title},
+        "tickvals": ticks,
+        "ticktext": [f"{t:g}" for t in ticks],
+    }

@@ -1,0 +1,279 @@
+"""The layout of the workbench's page, by the boxes of its parts in a real browser."""
+
+import pytest
+from workbench_page import LONG, Served, beside_a_played_robot, opened
+
+from parallel_cal.identification.options import FitOptions
+from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.reporting.axes import log_axis
+from parallel_cal.session.history import Record, State
+from parallel_cal.session.session import Session
+from parallel_cal.workbench.error_steps import describe_steps, draw_steps, find_steps
+
+MODEL, BAG = "config/delta_mockup_nominal.yaml", "bags/delta_backlash"
+# A window of 1280 x 800 at a zoom of 150 % has 853 x 533 pixels of CSS.
+SIZES = {"800": (800, 900), "1280": (1280, 800), "1920": (1920, 1080), "150 %": (853, 533)}
+
+
+# ------------------------------------------------------------------ the falling error
+
+
+def history(*states, branches, branch="main"):
+    """A session's history, of which only the record is needed."""
+    from parallel_cal.session.history import History
+
+    found = History.__new__(History)
+    found.record = Record(recordings=[], states=states, branches=branches, branch=branch)
+    return found
+
+
+def state(number, parent, step, error=None, **more):
+    errors = {"position_rms": error} if error else {}
+    return State(number=number, parent=parent, step=step, model="", errors=errors, **more)
+
+
+def test_the_falling_error_begins_before_the_calibration_and_shows_every_branch():
+    before, noise = {"position_rms": 606e-6}, {"position_rms": 30e-6}
+    found = find_steps(
+        history(
+            state(0, None, "begin"),
+            state(1, 0, "fit", 37e-6, before=before, noise=noise),
+            state(2, 1, "save to model.yaml", 37e-6),
+            state(3, 2, "add backlash", 32e-6),
+            state(4, 1, "add hysteresis", 33e-6),
+            branches={"main": 3, "other": 4},
+        )
+    )
+    assert [(s.name, s.before, found.branches[s.branch]) for s in found.steps] == [
+        ("before calibration", None, "main"),
+        ("fit", 0, "main"),
+        ("add backlash", 1, "main"),
+        ("add hysteresis", 1, "other"),
+    ]
+    assert found.now == 2
+    words = describe_steps(found)
+    assert "before calibration 606 µm, fit 37.0 µm, add backlash 32.0 µm" in words
+    assert words.endswith("noise floor 30.0 µm")
+    figure = draw_steps(found)
+    assert "noise floor 30.0 µm" in str(figure["layout"]["annotations"])
+    assert "<b>other</b>" in str(figure["data"])
+
+
+def test_a_step_on_other_samples_is_joined_by_a_dotted_line():
+    found = find_steps(
+        history(
+            state(0, None, "begin"),
+            state(1, 0, "fit", 37e-6),
+            state(2, 1, "exclude sample 3", 35e-6, excluded={3: "bumped"}),
+            branches={"main": 2},
+        )
+    )
+    assert [s.is_comparable for s in found.steps] == [True, False]
+    lines = [t for t in draw_steps(found)["data"] if t["mode"] == "lines"]
+    assert [line["line"]["dash"] for line in lines] == ["dot"]
+    assert found.steps[1].details == "1 excluded sample"
+
+
+def test_without_a_fit_there_is_no_falling_error():
+    assert find_steps(history(state(0, None, "begin"), branches={"main": 0})) is None
+
+
+def test_a_logarithmic_axis_holds_its_values_and_has_round_ticks():
+    axis = log_axis([606.0, 37.0, None, 30.0], "error")
+    assert axis["ticktext"] == ["20", "50", "100", "200", "500"]
+    low, high = axis["range"]
+    assert 10**low < 30 < 606 < 10**high
+
+
+# ------------------------------------------------------------------ many samples
+
+
+@pytest.mark.wide
+def test_a_page_shows_a_limited_number_of_many_samples_with_the_worst_and_says_so(monkeypatch):
+    from parallel_cal.diagnosis.comparison import compare
+    from parallel_cal.recordings.loading import load_sessions
+    from parallel_cal.reporting.contents import compared_samples
+    from parallel_cal.workbench import views
+
+    model = read_model(MODEL)
+    found = compare(model, load_sessions([BAG]))
+    whole = views._make_comparison_view(found)
+    assert whole["shown"] == ""
+    assert len(whole["samples"]["rows"]) == 94
+
+    monkeypatch.setattr(views, "MAX_SHOWN_SAMPLES", 40)
+    monkeypatch.setattr(views, "MAX_WORST_SAMPLES", 10)
+    part = views._make_comparison_view(found)
+    numbers = [row["sample"] for row in part["samples"]["rows"]]
+    worst = {one.sample for one in compared_samples(found)[:10]}
+    assert worst < set(numbers)
+    assert part["shown"].startswith("The views and the table show 40 of 94 samples: the 10 worst")
+    assert min(numbers) < 10 < 84 < max(numbers)  # of the whole recording
+    for values in (part["residuals"]["sigmas"], part["residuals"]["place"]):
+        assert len(values) == 40
+    assert part["arrows"]["field"]["numbers"] == numbers
+    by_number = {row["sample"]: row for row in whole["samples"]["rows"]}
+    assert [by_number[row["sample"]] for row in part["samples"]["rows"]] == (
+        part["samples"]["rows"]
+    )
+
+
+@pytest.mark.wide
+def test_the_numbers_of_a_fit_of_many_samples_are_shown_before_its_residuals(folder, monkeypatch):
+    from parallel_cal.workbench import views
+
+    whole = views.glance(Session(folder))
+    assert "residuals" in whole
+    monkeypatch.setattr(views, "MAX_SHOWN_SAMPLES", 40)
+    monkeypatch.setattr(views, "compare", None)  # takes as long as the fit
+    part = views.glance(Session(folder))
+    assert "residuals" not in part
+    assert part["tiles"] == whole["tiles"]
+
+
+# ------------------------------------------------------------------ in a browser
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("page") / "s"
+    session = Session.new(folder, read_model(MODEL), [BAG], fitting=FitOptions(hold_out=0.5))
+    session.fit()
+    session.start_branch("with backlash")
+    session.add("backlash")
+    session.switch("main")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with opened() as one:
+        yield one
+
+
+@pytest.fixture(scope="module")
+def page(browser, folder, tmp_path_factory):
+    """A page on a fitted session beside a played robot that runs a campaign."""
+    told = tmp_path_factory.mktemp("told") / "words"
+    served = Served(folder, told, command=beside_a_played_robot)
+    page = open_page(browser, served.url)
+    page.locator("#verdict").get_by_text("one effect missing").wait_for()
+    page.get_by_role("figure", name="residual of x against").wait_for()
+    page.locator("#campaign").get_by_text("moving: pose 27").wait_for()
+    yield page
+    served.end()
+
+
+def open_page(browser, url):
+    page = browser.new_page(viewport={"width": 1280, "height": 800})
+    page.set_default_timeout(1000 * LONG)
+    page.goto(url)
+    return page
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("size", SIZES)
+def test_the_verdict_comes_first_then_what_is_missing_then_where_it_fails(page, size):
+    width, height = SIZES[size]
+    page.set_viewport_size({"width": width, "height": height})
+    page.wait_for_timeout(500)  # the page is laid out anew
+    assert page.locator("header").bounding_box()["height"] <= 0.15 * height
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    verdict, missing, fails = (
+        page.get_by_role("region", name=name, exact=True).bounding_box()
+        for name in ("Verdict", "What is missing", "Where it fails")
+    )
+    assert verdict["y"] < 0.25 * height
+    assert verdict["y"] + verdict["height"] <= missing["y"]
+    if width < 1600:
+        assert missing["y"] + missing["height"] <= fails["y"]
+        assert fails["x"] == missing["x"]
+    else:
+        assert missing["x"] + missing["width"] <= fails["x"]
+        assert fails["y"] == verdict["y"]
+        assert fails["x"] + fails["width"] > 0.95 * width  # no third of the window is empty
+    for name in ("STOP", "Pause", "Fit", "Save"):
+        button = page.get_by_role("button", name=name, exact=True).bounding_box()
+        assert button["x"] + button["width"] <= width
+        assert button["y"] + button["height"] <= 0.15 * height
+
+
+@pytest.mark.wide
+def test_effects_that_are_not_significant_are_folded(page):
+    missing = page.get_by_role("region", name="What is missing", exact=True)
+    shown = missing.get_by_role("button", name="add ")
+    assert [one.get_attribute("aria-label") for one in shown.all()] == [
+        "add backlash",
+        "add hysteresis",
+    ]
+    missing.get_by_text("tested effects not significant").click()
+    missing.get_by_role("button", name="add encoder_gain").wait_for()
+
+
+@pytest.mark.wide
+def test_the_falling_error_is_the_picture_of_the_page(page):
+    page.set_viewport_size({"width": 1280, "height": 800})
+    page.wait_for_timeout(500)  # the page is laid out anew
+    verdict = page.get_by_role("region", name="Verdict", exact=True)
+    picture = verdict.get_by_role("figure", name="validation error over the steps")
+    words = picture.get_attribute("aria-label")
+    assert "before calibration 606 µm" in words
+    assert "add backlash 32" in words
+    assert "noise floor 30" in words
+    shown = picture.bounding_box()
+    assert shown["y"] + shown["height"] < 800  # in the first screen
+    assert "606 µm → 37.0 µm · noise 30.0 µm" in page.locator("header").inner_text()
+
+
+@pytest.mark.wide
+def test_the_curve_of_a_campaign_begins_at_the_initial_model_and_names_what_was_added(page):
+    region = page.get_by_role("region", name="Automatic calibration", exact=True)
+    picture = region.get_by_role("figure", name="error at the validation poses over the steps")
+    assert picture.get_attribute("aria-label").endswith(
+        "initial model 934 µm, 16 poses: parameters 118 µm, 24 poses: backlash added 37.0 µm; "
+        "noise floor 30.0 µm"
+    )
+
+
+@pytest.mark.wide
+def test_buttons_for_marked_rows_wait_for_marks_and_excluding_for_a_reason(page):
+    def button(name):
+        return page.get_by_role("button", name=name, exact=True)
+
+    page.locator("#marked").get_by_text("mark samples in a view or in the table").wait_for()
+    page.locator("#marked-parameters").get_by_text("no parameter marked").wait_for()
+    for name in ("Exclude", "Open", "Fix marked", "Free marked"):
+        assert button(name).is_disabled(), name
+    parameters = page.get_by_role("region", name="Parameters", exact=True)
+    parameters.get_by_role("checkbox").nth(1).click()
+    page.locator("#marked-parameters").get_by_text("1 parameter marked").wait_for()
+    assert button("Fix marked").is_enabled()
+    samples = page.get_by_role("region", name="Samples", exact=True)
+    for row in (1, 2):
+        samples.get_by_role("checkbox").nth(row).click()
+        page.locator("#marked").get_by_text(f"{row} sample").wait_for()
+    assert button("Open").is_enabled()
+    assert button("Exclude").is_disabled()
+    page.get_by_label("reason").fill("bumped")
+    button("Exclude").click()
+    page.get_by_text("2 samples are excluded").wait_for()
+    # Both come back in one step, which one Undo reverses.
+    button("Include all").click()
+    page.get_by_text("2 samples are excluded").wait_for(state="hidden")
+    page.get_by_role("cell", name="include sample").wait_for()
+
+
+@pytest.mark.wide
+def test_while_a_campaign_runs_nobody_is_asked_to_move_the_robot(browser, tmp_path):
+    Session.new(tmp_path / "s", read_model(MODEL), [])
+    served = Served(tmp_path / "s", tmp_path / "told", command=beside_a_played_robot)
+    try:
+        page = open_page(browser, served.url)
+        page.locator("#campaign").get_by_text("moving: pose 27").wait_for()
+        page.locator("#verdict").get_by_text("The campaign is measuring").wait_for()
+        page.locator("#empty").get_by_text("the campaign is measuring").wait_for()
+        assert "Move the robot" not in page.locator("body").inner_text()
+        page.get_by_role("button", name="STOP", exact=True).click()
+        page.locator("#empty").get_by_text("Move the robot from pose to pose").wait_for()
+    finally:
+        served.end()
