@@ -19,7 +19,7 @@ from parallel_cal.model.shelf import load_sensor
 from parallel_cal.reporting.arrows import arrows, colour, scale_of
 from parallel_cal.reporting.figures import select_evenly
 from parallel_cal.reporting.page import page
-from parallel_cal.reporting.readable import number, probability, vector, with_unit
+from parallel_cal.reporting.readable import number, probability, vector, with_sigma, with_unit
 from parallel_cal.reporting.report import report
 from parallel_cal.session.steps import fitted
 from parallel_cal.virtual import robot as vr
@@ -155,9 +155,13 @@ def test_every_figure_is_one_that_plotly_knows(text):
 def test_the_big_numbers_are_errors_at_poses_left_out_with_their_units(document, text):
     said = section(text, "numbers")
     for key in ("before", "now", "found", "noise"):
-        e = document["errors"][key]
-        assert f"<dd>{number(e['position_rms'], 1e6)}<span>µm</span>" in said
-        assert f"<dd>{number(e['orientation_rms'], 3437.747)}<span>arcmin</span>" in said
+        e, sigma = document["errors"][key], document["errors"]["sigmas"][key]
+        for kind, factor, unit in (("position", 1e6, "µm"), ("orientation", 3437.747, "arcmin")):
+            shown = with_sigma(e[f"{kind}_rms"], sigma[kind], factor)
+            assert " ± " in shown
+            assert f"<dd>{shown}<span>{unit}</span>" in said
+    counts = document["errors"]
+    assert f"{counts['samples']} samples of {counts['poses']} held-out poses" in said
 
 
 def test_the_history_falls_from_the_nominal_model_to_the_noise(document):

@@ -33,7 +33,7 @@ from parallel_cal.session.steps import Step, add, fitted, remove
 
 CHANGED = "the session changed in the meantime: look at it and try again"
 # The fields of a state that judge its model.
-JUDGED = ("before", "errors", "noise", "against", "verdict", "summary")
+JUDGED = ("before", "errors", "noise", "against", "verdict", "summary", "samples")
 
 
 class Session(History):
@@ -184,8 +184,10 @@ class Session(History):
         step = fitted(self.model, data, True, options=options, progress=progress, effects=effects)
         if (start := self.state).errors:
             # The previous model was fitted to these samples, so its error at them proves nothing.
-            # Other samples or parameters are no reason to doubt the new one either.
-            changes |= {"before": start.errors, "against": start.against}
+            # Other samples or parameters are no reason to doubt the new one either. Its validation
+            # error was one at other samples if some were excluded or included since.
+            before = {} if "excluded" in changes else start.errors
+            changes |= {"before": before, "against": start.against}
         return self._commit(words, step, **changes)
 
     def take(self, write: Callable[[Path], None]) -> State:
@@ -300,6 +302,7 @@ class Session(History):
             "errors": to_json_value(step.result.held_out.summary.document()),
             "noise": to_json_value(step.result.noise_floor.document()),
             "against": step.acceptance.against,
+            "samples": step.result.samples,
         }
         return self._append_state(words, step.model, **{**judged, **changes})
 

@@ -159,6 +159,7 @@ class Window:
             rows = [
                 {
                     "step": state.step,
+                    "samples": state.samples,
                     "before": write_micro(format_first_error(state.before)),
                     "after": write_micro(format_first_error(state.errors)),
                     "out": len(state.excluded),
@@ -169,6 +170,7 @@ class Window:
             table(
                 [
                     ("step", "step"),
+                    ("samples", "samples"),
                     ("before", "validation error before"),
                     ("after", "validation error after"),
                     ("out", "excluded samples"),
