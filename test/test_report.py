@@ -16,6 +16,7 @@ from parallel_cal.cli import main as cli
 from parallel_cal.model.file.modelfile import model_hash, write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
+from parallel_cal.reporting import contents, results
 from parallel_cal.reporting.arrows import arrows, colour, scale_of
 from parallel_cal.reporting.figures import select_evenly
 from parallel_cal.reporting.page import page
@@ -237,6 +238,24 @@ def test_samples_come_worst_first_and_a_planted_outlier_is_marked(data):
     assert "17 (outlier)" in section(text, "samples")
     sigmas = [row["now"]["sigmas"] for row in document["samples"]]
     assert sigmas == sorted(sigmas, reverse=True)
+
+
+@pytest.mark.parametrize("recorded", [True, False])
+def test_times_that_were_not_recorded_are_not_shown(recorded):
+    robot, rng, n = vs.random_delta(4), np.random.default_rng(2), 40
+    r = rng.uniform((-0.05, -0.05, 0.16), (0.05, 0.05, 0.24), (n, 3))
+    q, R = robot.inverse(r)
+    model = new_model("delta24")
+    times = {"time": np.arange(n) * 7.0} if recorded else {}
+    data = pc.Dataset.from_arrays(
+        model.joints, q, r, R, pose_cov=np.diag([1e-10] * 6), joint_sigma=1e-5, conditions=times
+    )
+    found = pc.compare(model, data)
+    assert ("time [s]" in pc.show(found)) == recorded
+    samples = contents.compared_samples(found)
+    units = dict.fromkeys(model.joints, "rad")
+    columns = [one.name for one in results.sample_table(samples, ["position"], units).headings()]
+    assert ("time [s]" in columns) == recorded
 
 
 def test_two_models_stand_side_by_side_on_the_same_samples(document, text):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -254,7 +255,7 @@ def _list_samples(
     return [
         JudgedSample(
             sample=int(data.numbers[i]),
-            time=data.time[i],
+            time=data.time[i] if data.has_time else math.nan,
             joints=scene.observations.x[i, : len(scene.model.joints)],
             position=position[i],
             now=now[i],

@@ -28,6 +28,7 @@ from parallel_cal.reporting.readable import (
     error_unit,
     format_fixed,
     format_fixed_vector,
+    is_known,
     number,
     percent,
     unit_of,
@@ -237,10 +238,15 @@ def parameter_table(parameters: Mapping[str, DescribedParameter]) -> Table:
                 sigma,
                 unit,
                 Number(p.nominal, factor, 4, 6),
-                f"{p.words}, fixed" if p.fixed else p.words,
+                f"{p.words}, {_describe_fixing(p)}" if p.fixed else p.words,
             )
         )
     return Table(columns, rows, "sortable")
+
+
+def _describe_fixing(parameter: DescribedParameter) -> str:
+    is_nominal = parameter.value == parameter.nominal
+    return f"fixed at {'its nominal value' if is_nominal else 'this value'}"
 
 
 @describe.register
@@ -285,9 +291,10 @@ def _worst_samples(comparison: Comparison) -> Table:
     worst = comparison.worst_first[:MAX_SAMPLES]
     shown: dict[str, list[Number | str]] = {
         "sample": [str(number) for number in data.numbers[worst]],
-        "time [s]": [Number(t, 1, 1) for t in data.time[worst]],
-        "at [mm]": [format_fixed_vector(place, 1e3, 1) for place in comparison.place[worst]],
     }
+    if data.has_time:
+        shown["time [s]"] = [Number(t, 1, 1) for t in data.time[worst]]
+    shown["at [mm]"] = [format_fixed_vector(place, 1e3, 1) for place in comparison.place[worst]]
     if np.isfinite(norms["position"]).any():
         shown["error [um]"] = [format_fixed_vector(e, 1e6, 0) for e in errors.position[worst]]
         shown["|error| [um]"] = [Number(e, 1e6, 0) for e in norms["position"][worst]]
@@ -318,9 +325,10 @@ def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
         if entry.candidate.missing or (entry.reason and was_scored):
             yield f"{entry.name}: {entry.reason}"
     for one in diagnosis.odd_samples[:MAX_CANDIDATES]:
+        when = "" if math.isnan(one.time) else f"{one.time:.1f} s, "
         yield (
             f"{one.label}: sample {one.sample} at {format_fixed_vector(one.place, 1e3, 1)} mm, "
-            f"{one.time:.1f} s, {one.sigmas:.1f} sigmas, Cook's "
+            f"{when}{one.sigmas:.1f} sigmas, Cook's "
             f"distance {one.cooks_distance:.2f} (--data exclude={one.sample} excludes it)"
         )
     for advice in diagnosis.measure_next.advice:
@@ -418,12 +426,13 @@ def sample_table(
     units = {kind: error_unit(unit_of(kind, joint_units)) for kind in kinds}
     both = bool(samples) and samples[0].found is not None
     sides = ("", ", with effect") if both else ("",)
+    timed = any(is_known(one.time) for one in samples)
     columns = (
         "sample",
         *(f"sigmas{side}" for side in sides),
         "odd",
         *(f"{kind} [{unit}]{side}" for side in sides for kind, (unit, _) in units.items()),
-        "time [s]",
+        *(["time [s]"] if timed else []),
         "joints",
         "position [mm]",
     )
@@ -437,7 +446,7 @@ def sample_table(
                 *(Number(side["sigmas"], significant=2) for side in errors),
                 one.odd,
                 *(Number(side[k], factor) for side in errors for k, (_, factor) in units.items()),
-                Number(one.time, significant=4),
+                *([Number(one.time, significant=4)] if timed else []),
                 " ".join(joints),
                 vector(one.position, "m"),
             )
