@@ -16,10 +16,11 @@ from parallel_cal.cli import main as cli
 from parallel_cal.model.file.modelfile import model_hash, write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
+from parallel_cal.reporting import contents, results
 from parallel_cal.reporting.arrows import arrows, colour, scale_of
 from parallel_cal.reporting.figures import select_evenly
 from parallel_cal.reporting.page import page
-from parallel_cal.reporting.readable import number, probability, vector, with_unit
+from parallel_cal.reporting.readable import number, probability, vector, with_sigma, with_unit
 from parallel_cal.reporting.report import report
 from parallel_cal.session.steps import fitted
 from parallel_cal.virtual import robot as vr
@@ -155,9 +156,13 @@ def test_every_figure_is_one_that_plotly_knows(text):
 def test_the_headline_numbers_are_held_out_errors_with_their_units(document, text):
     said = section(text, "numbers")
     for key in ("before", "now", "found", "noise"):
-        e = document["errors"][key]
-        assert f"<dd>{number(e['position_rms'], 1e6)}<span>µm</span>" in said
-        assert f"<dd>{number(e['orientation_rms'], 3437.747)}<span>arcmin</span>" in said
+        e, sigma = document["errors"][key], document["errors"]["sigmas"][key]
+        for kind, factor, unit in (("position", 1e6, "µm"), ("orientation", 3437.747, "arcmin")):
+            shown = with_sigma(e[f"{kind}_rms"], sigma[kind], factor)
+            assert " ± " in shown
+            assert f"<dd>{shown}<span>{unit}</span>" in said
+    counts = document["errors"]
+    assert f"{counts['samples']} samples of {counts['poses']} held-out poses" in said
 
 
 def test_the_history_falls_from_the_nominal_model_to_the_noise(document):
@@ -233,6 +238,24 @@ def test_samples_come_worst_first_and_a_planted_outlier_is_marked(data):
     assert "17 (outlier)" in section(text, "samples")
     sigmas = [row["now"]["sigmas"] for row in document["samples"]]
     assert sigmas == sorted(sigmas, reverse=True)
+
+
+@pytest.mark.parametrize("recorded", [True, False])
+def test_times_that_were_not_recorded_are_not_shown(recorded):
+    robot, rng, n = vs.random_delta(4), np.random.default_rng(2), 40
+    r = rng.uniform((-0.05, -0.05, 0.16), (0.05, 0.05, 0.24), (n, 3))
+    q, R = robot.inverse(r)
+    model = new_model("delta24")
+    times = {"time": np.arange(n) * 7.0} if recorded else {}
+    data = pc.Dataset.from_arrays(
+        model.joints, q, r, R, pose_cov=np.diag([1e-10] * 6), joint_sigma=1e-5, conditions=times
+    )
+    found = pc.compare(model, data)
+    assert ("time [s]" in pc.show(found)) == recorded
+    samples = contents.compared_samples(found)
+    units = dict.fromkeys(model.joints, "rad")
+    columns = [one.name for one in results.sample_table(samples, ["position"], units).headings()]
+    assert ("time [s]" in columns) == recorded
 
 
 def test_two_models_stand_side_by_side_on_the_same_samples(document, text):

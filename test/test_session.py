@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from parallel_cal.base.errors import BagError, DatasetError, FitError
+from parallel_cal.base.errors import BagError, DatasetError, FitError, ModelError
 from parallel_cal.cli.main import main
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import model_hash, read_model
@@ -112,7 +112,8 @@ def test_branches_stand_side_by_side(session):
 def test_an_excluded_sample_keeps_the_others_numbers_and_can_be_taken_back(session):
     fit = session.state
     out = session.exclude({5: "slipped"})
-    assert out.before == fit.errors  # not those of a model that knew the samples
+    assert out.before == {}  # the validation error of the fit was one at other samples
+    assert (fit.samples, out.samples) == (94, 93)
     assert not out.against
     assert 5 not in session.dataset.numbers
     assert len(session.samples) == len(session.dataset) + 1
@@ -237,6 +238,19 @@ def test_what_is_identified_can_be_chosen_anew_and_that_is_undone_too(session):
     assert again.exclude({3: ""}).fitting == fixed.fitting
     assert again.undo() == fixed
     assert again.undo().fitting == {}
+
+
+def test_parameters_are_fixed_at_their_present_or_at_their_nominal_values(session):
+    table, fitted = session.model.table, session.model
+    at = table.index_of("chain1.D_x")
+    assert fitted.values[at] != table.nominal[at]
+    session.choose(fix=["chain1.D_x"])
+    assert session.model.values[at] == fitted.values[at]
+    session.choose(fix=["chain1.D_x"], nominal=["chain1.D_x"])
+    assert session.model.values[at] == table.nominal[at]
+    assert session.state.step == "fix chain1.D_x, nominal chain1.D_x"
+    with pytest.raises(ModelError, match=r"no parameter matches 'chain1\.none'"):
+        session.choose(nominal=["chain1.none"])
 
 
 @pytest.mark.wide

@@ -182,7 +182,7 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
         page.get_by_role("button", name="Fit", exact=True).click()
         page.locator("#verdict").get_by_text("one effect missing: backlash").wait_for()
         fitted = page.locator("header").inner_text()
-        assert "606 µm" in fitted
+        assert "606 ± 11 µm" in fitted
 
         # Brush half of the map: as many samples are marked in the table.
         plot = page.get_by_role("figure", name="rms residual").locator(".nsewdrag").first
@@ -292,8 +292,12 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
         row = page.get_by_role("row").filter(has_text="chain1.Lb")
         row.get_by_role("checkbox").click()
         page.get_by_role("button", name="Fix marked", exact=True).click()
+        page.locator("#consequence").get_by_text("counts as exactly known").wait_for()
+        page.get_by_role("radio", name="the nominal values").click()
+        page.get_by_role("button", name="Fix and fit again", exact=True).click()
         until(lambda: Session(folder).state != before, "the parameter held")
         assert "chain1.Lb" in Session(folder).options.fix
+        assert "nominal chain1.Lb" in Session(folder).state.step
         number = Session(folder).state.number
         until((folder / "views" / f"{number}.json").exists, "a look at what is left")
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -24,9 +25,9 @@ from parallel_cal.diagnosis.patterns import (
     regions,
 )
 from parallel_cal.diagnosis.scene import Scene
-from parallel_cal.identification.budget import iso_9283
+from parallel_cal.identification.budget import Iso9283, iso_9283, list_sides
 from parallel_cal.identification.given_model import GivenModel
-from parallel_cal.identification.noise_floor import noise_floor
+from parallel_cal.identification.noise_floor import simulate_noise_floor
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import ERRORS, Errors, Summary
@@ -45,6 +46,7 @@ from parallel_cal.recordings.residuals import Residuals
 class Comparison(ShownInNotebook):
     """A model compared with measurements: the errors of each sample, and the noise floor.
 
+    `noise_sigmas` is by kind how much the rms of the noise floor varies between repetitions.
     `model` and `errors` are those of the given model, registered only, as in the result of a fit.
     """
 
@@ -55,6 +57,7 @@ class Comparison(ShownInNotebook):
     noise: Summary
     given: GivenModel
     registration: Registration | None = None
+    noise_sigmas: Mapping[str, float] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"Comparison({self.model.mechanism.name}, {len(self.dataset)} samples)"
@@ -98,6 +101,11 @@ class Comparison(ShownInNotebook):
     @single_threaded()
     def odd_samples(self) -> tuple[OddSample, ...]:
         return odd_samples(self.scene, self.field)
+
+    @cached_property
+    def iso_9283(self) -> tuple[Iso9283, ...]:
+        """Pose accuracy and repeatability with the unchanged model."""
+        return iso_9283(self.errors, self.observations.group, list_sides(self.dataset))
 
     @property
     def position(self) -> np.ndarray:
@@ -186,7 +194,7 @@ class Comparison(ShownInNotebook):
             "registered_only": self.given.is_registered,
             "noise_floor": self.noise,
             "registration": self.registration,
-            "iso_9283": iso_9283(self.errors, self.observations),
+            "iso_9283": self.iso_9283,
             "samples": len(self.observations),
             "channels": self.model.structure.channels,
             "rows": [{key: c[i] for key, c in columns.items()} for i in self.worst_first],
@@ -254,12 +262,14 @@ def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) ->
     if observations.unknown:  # in units of the errors, not of a guess
         none = np.zeros(len(given.model.values), dtype=bool)
         observations = estimate_noise(given.model, observations, none).observations
+    noise = simulate_noise_floor(given.model, observations)
     return Comparison(
         given.model,
         dataset,
         observations,
         given.errors,
-        noise_floor(given.model, observations),
+        noise.summary,
         given,
         given.registration,
+        noise.sigmas,
     )

@@ -14,6 +14,11 @@ from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.base.threads import single_threaded
+from parallel_cal.diagnosis.ambiguity import (
+    Ambiguity,
+    describe_ambiguities,
+    find_ambiguous_effects,
+)
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_to_test
 from parallel_cal.diagnosis.device import find_doubtful_effects
 from parallel_cal.diagnosis.entries import (
@@ -48,6 +53,7 @@ from parallel_cal.diagnosis.thresholds import (
 )
 from parallel_cal.diagnosis.unusual import UnusualEffect, find_unusual_effects
 from parallel_cal.diagnosis.verdict import Findings, Verdict, judge
+from parallel_cal.identification.added_effects import limit_patterns
 from parallel_cal.identification.fit import FitResult, fit, fit_registered
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.observations import Observations
@@ -90,6 +96,8 @@ class Diagnosis(ShownInNotebook):
         gains at held-out poses.
     suspected : tuple of str
         Effects that are significant but not yet proven at held-out poses.
+    ambiguous : tuple of Ambiguity
+        Effects of the model that other effects would replace without loss.
     """
 
     model: Model
@@ -112,6 +120,7 @@ class Diagnosis(ShownInNotebook):
     suspected: tuple[str, ...]
     registration: Registration | None
     measure_next: NextMeasurement
+    ambiguous: tuple[Ambiguity, ...] = ()
 
     def __repr__(self) -> str:
         found = ", ".join(self.effects) or "no effect"
@@ -171,6 +180,7 @@ class Diagnosis(ShownInNotebook):
             "robot_or_device": self.robot_or_device,
             "unusual": self.unusual,
             "suspected": self.suspected,
+            "ambiguous": {one.effect: one.names for one in self.ambiguous},
             "structure": self.structure,
             "depends_on": self.remaining,
             "odd_samples": self.odd_samples,
@@ -294,6 +304,7 @@ def _diagnose_trusted(
     def refit(extended: Model, insist: bool) -> FitResult:
         nonlocal noise_of_base
         asked = replace(least_squares, insist=insist or least_squares.insist)
+        asked = limit_patterns(asked, extended, model)
         result = fit_registered(extended, dataset, asked, given=given, noise=noise_of_base)
         # Only with equal weights can the residuals of two models be compared.
         if noise_of_base is None:
@@ -319,6 +330,22 @@ def _diagnose_trusted(
     robot_or_device = _find_robot_or_device(base, best, ranked, swaps)
     significant = catalogue.select_significant(best)
     tried = [search.fit(*best.chosen, Chosen.of(c)) for c in significant]
+    ambiguous = find_ambiguous_effects(
+        model,
+        best,
+        lambda smaller: Search(smaller, refit, report, usual_only),
+        lambda effect: _Catalogue([effect, *names], report).rank,
+    )
+    report("computing the weights of the observations", 0.8)
+    rivals = {c.name: swaps.get(c.name, []) for c in best.chosen}
+    rivals |= {one.effect: one.names for one in ambiguous}
+    replacements = {c.name: c for one in ambiguous for c in one.rivals}
+    measure_next = next_measurement(best, rivals, [*ranked, *replacements.values()])
+    plan = measure_next.plan
+    planned = {plan.separates: len(plan.poses)} if plan else {}
+    for one in ambiguous:
+        looks_like = f"the samples do not distinguish it from {one.effect} of the model"
+        against |= dict.fromkeys(one.names, looks_like)
     findings = Findings(
         base=base,
         best=best,
@@ -334,10 +361,8 @@ def _diagnose_trusted(
         robot_or_device=robot_or_device,
         outdone=find_better_lookalikes(best, search, catalogue),
         unusual=find_unusual_effects(search, best),
+        ambiguous=describe_ambiguities(ambiguous, planned),
     )
-
-    report("computing the weights of the observations", 0.8)
-    rivals = {c.name: swaps.get(c.name, []) for c in best.chosen}
     return Diagnosis(
         model=model,
         dataset=dataset,
@@ -358,7 +383,8 @@ def _diagnose_trusted(
         unusual=findings.unusual,
         suspected=tuple(c.name for c in significant if search.is_suspected(best, c)),
         registration=registration,
-        measure_next=next_measurement(best, rivals, ranked),
+        measure_next=measure_next,
+        ambiguous=ambiguous,
     )
 
 

@@ -125,7 +125,7 @@ def entries(
             alike[other.name] += (one.name,)
     rows = []
     for rank, one in enumerate(ranked, 1):
-        reason, alone = one.reason or against.get(one.name, ""), None
+        reason, alone = against.get(one.name) or one.reason, None
         if (
             one.testable
             and rank <= MAX_REFITTED_CANDIDATES

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,7 +108,8 @@ class OddSample:
 
     `sigmas` is its rms residual, the typical one taken for the noise, `p_value` the chance of one
     as large in a whole data set; `leverage` the share of the geometry's freedoms that it alone
-    decides; position_error (3,) in m; `place` (3,) m where the model puts the platform.
+    decides; position_error (3,) in m; `place` (3,) m where the model puts the platform. `time` is
+    NaN if it was not recorded.
     """
 
     sample: int
@@ -143,7 +145,7 @@ def odd_samples(scene: Scene, field: Field) -> tuple[OddSample, ...]:
     odd = [
         OddSample(
             sample=int(scene.dataset.numbers[i]),
-            time=float(scene.dataset.time[i]),
+            time=float(scene.dataset.time[i]) if scene.dataset.has_time else math.nan,
             sigmas=float(np.sqrt(squared[i] / max(k * scale, 1e-300))),
             p_value=float(min(p[i], 1.0)),
             outlier=bool(p[i] < OUTLIER_SIGNIFICANCE_LEVEL),

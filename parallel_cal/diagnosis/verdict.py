@@ -56,7 +56,8 @@ class Findings:
     the residuals of the best depend on. `outdone` lists refused effects that
     would explain the error better than a chosen one, with the reason. `wrong_signs` says which
     significant effects fit only with a sign that physics forbids. `unusual` lists effects that are
-    larger than usual.
+    larger than usual. `ambiguous` are sentences about effects of the model that another effect
+    would replace without loss.
     """
 
     base: Trial
@@ -72,6 +73,7 @@ class Findings:
     outdone: Sequence[str] = ()
     wrong_signs: Sequence[str] = ()
     unusual: tuple[UnusualEffect, ...] = ()
+    ambiguous: tuple[str, ...] = ()
     remaining: RemainingCondition | None = None
 
     @property
@@ -129,14 +131,14 @@ def share_explained(before: float, after: float, noise: float | None) -> float |
 def judge(found: Findings) -> Verdict:
     """Judge the findings.
 
-    Whatever the verdict is, its summary names the effects that are larger than usual, and those
-    that the measuring device may cause.
+    Whatever the verdict is, its summary names the effects that are larger than usual, those that
+    the measuring device may cause, and those of the model that another effect would replace.
     """
     verdict = _judge(found)
     doubts = [words for words in _describe_doubts(found) if words not in verdict.against]
-    if not doubts:
+    if not (doubts or found.ambiguous):
         return verdict
-    summary = "; ".join([verdict.summary, *doubts])
+    summary = "; ".join([verdict.summary.removesuffix("."), *doubts, *found.ambiguous])
     return replace(verdict, summary=summary, against=(*verdict.against, *doubts))
 
 

@@ -10,14 +10,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from parallel_cal.base.documents import to_json_value
-from parallel_cal.base.errors import FitError
+from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.base.threads import single_threaded
-from parallel_cal.identification.added_effects import add_effects
+from parallel_cal.identification.added_effects import add_effects, limit_patterns
 from parallel_cal.identification.base_motion import BaseMotion, compute_base_motion
-from parallel_cal.identification.budget import Budget, Iso9283, budgets, iso_9283
+from parallel_cal.identification.budget import (
+    GEOMETRY,
+    Budget,
+    Iso9283,
+    budgets,
+    iso_9283,
+    list_parts,
+    list_sides,
+)
 from parallel_cal.identification.checks import (
     check_joint_errors,
     check_plausible,
@@ -38,11 +46,21 @@ from parallel_cal.identification.fit_warnings import (
 )
 from parallel_cal.identification.given_model import Folds, GivenModel
 from parallel_cal.identification.methods.implicit import Estimate
-from parallel_cal.identification.noise_floor import noise_floor
+from parallel_cal.identification.noise_floor import (
+    NoiseFloor,
+    noise_floor,
+    simulate_noise_floor,
+)
 from parallel_cal.identification.observability import directions_in_words
-from parallel_cal.identification.observations import Observations, list_noise, observe
+from parallel_cal.identification.observations import Observations, blocks, list_noise, observe
 from parallel_cal.identification.options import FitKeywords, FitOptions
-from parallel_cal.identification.prediction_errors import Errors, Summary, errors, improvement
+from parallel_cal.identification.prediction_errors import (
+    Errors,
+    Summary,
+    compute_rms_sigmas,
+    errors,
+    improvement,
+)
 from parallel_cal.identification.predictions import predict_positions
 from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.refit import add_consider_covariance
@@ -50,6 +68,7 @@ from parallel_cal.identification.registration import (
     Registration,
     add_registration_warning,
     prepared_for_fit,
+    registered_by,
 )
 from parallel_cal.identification.thresholds import (
     CONTRADICTED_SIGMAS,
@@ -154,9 +173,18 @@ class FitResult(ShownInNotebook):
         return IdentifiedRegion.of_samples(self.model, joints, predict_positions(self.model, seen))
 
     @cached_property
+    def simulated_noise(self) -> NoiseFloor:
+        """The noise floor, and how much it varies between repetitions of the measurements."""
+        return simulate_noise_floor(self.model, self.observations)
+
+    @property
     def noise_floor(self) -> Summary:
         """Errors that a perfect model of this robot would show with the same measurement noise."""
-        return noise_floor(self.model, self.observations)
+        return self.simulated_noise.summary
+
+    def rms_sigmas(self, found: Errors) -> dict[str, float]:
+        """Standard deviation of the rms of errors at the samples of this fit, by kind."""
+        return compute_rms_sigmas(found, blocks(self.dataset))
 
     @cached_property
     def held_out_before(self) -> Errors:
@@ -199,20 +227,94 @@ class FitResult(ShownInNotebook):
         except FitError:
             return self.before.blank()
 
+    @property
+    def judged_errors(self) -> Errors:
+        """Errors at held-out poses; those at all samples if no pose was held out."""
+        return self.held_out if self.held_out.judged.any() else self.after
+
+    @cached_property
+    def nominal_errors(self) -> Errors:
+        """Errors of the nominal model, registered only, at the samples of `judged_errors`."""
+        return self._errors_of_nominal(np.any([*list_parts(self.model).values()], axis=0))
+
+    @cached_property
+    def errors_without(self) -> dict[str, Errors | None]:
+        """Errors of the model without its identified geometry and without each of its effects, at
+        the samples of `judged_errors`; None where the rest cannot be identified.
+
+        Without an effect, all other parameters are identified again. Without its geometry, the
+        model keeps its effects.
+        """
+        found: dict[str, Errors | None] = {}
+        for name, own in list_parts(self.model).items():
+            if name == GEOMETRY:
+                found[name] = self._errors_of_nominal(own)
+                continue
+            try:
+                smaller = self.start.without_effect(name)
+                narrowed = limit_patterns(self.options, smaller, self.start)
+                other = fit_registered(
+                    smaller, self.dataset, narrowed, given=self.given, noise=self.observations
+                )
+                found[name] = other.judged_errors
+            except (FitError, ModelError):
+                found[name] = None
+        return found
+
+    def _errors_of_nominal(self, part: np.ndarray) -> Errors:
+        """Errors of the model with nominal values of some parameters (mask), registered only."""
+        values = np.where(part, self.model.table.nominal, self.model.values)
+        model = self.model.with_values(values)
+        held_out = self.held_out.judged.any()
+        placed = registered_by(model, self.observations) if self.given.is_registered else None
+        given = GivenModel(
+            model, placed or model, self.dataset, self.options.joint_sigma, self.options.insist
+        )
+        if not held_out:
+            return given.errors
+        folds = _folds(self.dataset, self.options)
+        return given.errors_at_held_out(folds).only_at(self.held_out.judged)
+
     @cached_property
     def budgets(self) -> tuple[Budget, ...]:
-        """How much geometry, each effect and noise contribute to the error of the nominal model."""
-        return budgets(self.model, self.observations, self.noise_floor, self.given.is_registered)
+        """How much of the nominal model's error geometry and each effect remove."""
+        return budgets(
+            self.model,
+            self.dataset,
+            self.observations,
+            self.judged_errors,
+            self.nominal_errors,
+            self.errors_without,
+            self.simulated_noise,
+            bool(self.held_out.judged.any()),
+        )
 
     @cached_property
     def iso_9283(self) -> tuple[Iso9283, ...]:
         """Pose accuracy and repeatability with the identified model."""
-        return iso_9283(self.after, self.observations)
+        held_out = bool(self.held_out.judged.any())
+        return iso_9283(
+            self.judged_errors, self.observations.group, list_sides(self.dataset), held_out
+        )
 
     @property
     def down_weighted(self) -> tuple[DownWeightedSample, ...]:
         """Samples that a robust loss gave less than half their weight."""
         return find_down_weighted_samples(self.estimate, self.dataset)
+
+    def history_entry(self) -> dict[str, Any]:
+        """What the history of a model keeps of its fit; SI, None for unknown values."""
+        held_before, held_after = self.held_out_before.summary, self.held_out.summary
+        return {
+            "method": self.options.method,
+            "samples": self.samples,
+            "dataset": {"source": self.dataset.source, "sha256": self.dataset.sha256},
+            "region": self.region.document(),
+            "before": self.before.summary.document(),
+            "after": self.after.summary.document(),
+            "held_out": {"before": held_before.document(), "after": held_after.document()},
+            "chi2_per_dof": finite_or_none(self.estimate.chi2_per_dof),
+        }
 
     def document(self) -> dict[str, Any]:
         """The JSON document of `parallel-cal fit`; SI, None for unknown values."""
@@ -220,16 +322,11 @@ class FitResult(ShownInNotebook):
         held_before, held_after = self.held_out_before.summary, self.held_out.summary
         assumed = self.observations.noise_assumed  # then no band of chi2 is known
         weak_or_none = "weak" if self.estimate.spectrum.held else "none"
-        return {
-            "samples": self.samples,
+        return self.history_entry() | {
             "parameters": to_json_value(self.parameters()),
-            "before": before.document(),
             "as_given": self.given.errors_as_given.summary.document(),
-            "after": after.document(),
-            "held_out": {"before": held_before.document(), "after": held_after.document()},
             "improvement": improvement(before, after),
             "improvement_held_out": improvement(held_before, held_after),
-            "chi2_per_dof": finite_or_none(self.estimate.chi2_per_dof),
             "chi2_band": [None, None] if assumed else list(chi2_band(self.estimate.dof)),
             "dof": self.estimate.dof,
             "rank": self.estimate.spectrum.rank,
@@ -244,17 +341,14 @@ class FitResult(ShownInNotebook):
             "noise_floor": self.noise_floor.document(),
             "noise_from": self.observations.noise_from,
             "noise": to_json_value(list_noise(self.model, self.observations)),
-            "method": self.options.method,
             "loss": self.options.loss,
             "refit": list(self.refitted_parameters),
-            "region": self.region.document(),
             "down_weighted": to_json_value(self.down_weighted),
             "iterations": self.estimate.iterations,
             "registration": to_json_value(self.registration),
             "base_motion": to_json_value(self.base_motion),
             "unusual": to_json_value(list(self.unusual.values())),
             "warnings": list(self.warnings),
-            "dataset": {"source": self.dataset.source, "sha256": self.dataset.sha256},
         }
 
     def parameters(self) -> dict[str, ParameterEstimate]:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
 import numpy as np
 
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.linearisation import Linearisation, compute_joint_jacobians
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prediction_errors import (
+    ERRORS,
     Errors,
     Summary,
     find_fully_measured_samples,
@@ -17,16 +21,33 @@ from parallel_cal.identification.prediction_errors import (
 from parallel_cal.model.model import Model
 
 
-@single_threaded()
+@dataclass(frozen=True)
+class NoiseFloor:
+    """Errors that a perfect model would show; nothing is known if the noise is only assumed.
+
+    `sigmas` is by kind the standard deviation of its rms between repetitions of all measurements.
+    """
+
+    summary: Summary = field(default_factory=Summary)
+    sigmas: Mapping[str, float] = field(default_factory=dict)
+
+
 def noise_floor(model: Model, observations: Observations, seed: int = 0) -> Summary:
-    """Errors that a perfect model of this robot would show with the same measurement noise.
+    """Errors that a perfect model of this robot would show with the same measurement noise; None if
+    the noise is only assumed."""
+    return simulate_noise_floor(model, observations, seed).summary
+
+
+@single_threaded()
+def simulate_noise_floor(model: Model, observations: Observations, seed: int = 0) -> NoiseFloor:
+    """Simulate what a perfect model of this robot would show with the same measurement noise.
 
     Joint noise propagates to the pose and the sensors through forward kinematics, pose noise to the
     joints through inverse kinematics. Means of norms come from 64 draws for each sample with a
-    fixed seed. None if the noise is only assumed.
+    fixed seed.
     """
     if observations.noise_assumed:
-        return Summary()
+        return NoiseFloor()
     n, m = len(model.joints), model.mechanism
     closure = model.structure.phi.shape[0]
     none = np.zeros(len(model.values), dtype=bool)
@@ -63,4 +84,11 @@ def noise_floor(model: Model, observations: Observations, seed: int = 0) -> Summ
             find_fully_measured_samples(model, observations), np.einsum("nij,dnj->dni", C, noise)
         ),
     )
-    return Errors(*[np.concatenate(draw) for draw in each]).summary
+    found = Errors(*[np.concatenate(draw) for draw in each])
+    sigmas = {}
+    for kind in ERRORS:
+        squares = found.norms(kind).reshape(len(draws), -1) ** 2
+        known = np.isfinite(squares).all(axis=0)
+        if known.any():
+            sigmas[kind] = float(np.sqrt(squares[:, known].mean(axis=1)).std(ddof=1))
+    return NoiseFloor(found.summary, sigmas)

@@ -121,6 +121,35 @@ def _rms(values: np.ndarray) -> float | None:
     return float(np.sqrt((values**2).mean())) if len(values) else None
 
 
+def compute_mean_and_sigma(values: np.ndarray, groups: np.ndarray) -> tuple[float, float]:
+    """Mean of the values (N,), and its standard deviation from the scatter between groups.
+
+    Visits of one pose are one group: together they are one proof. The standard deviation is NaN for
+    fewer than two groups.
+    """
+    _, at, sizes = np.unique(groups, return_inverse=True, return_counts=True)
+    mean, count = float(values.mean()), len(sizes)
+    if count < 2:
+        return mean, math.nan
+    totals = np.bincount(at, values) - sizes * mean
+    return mean, math.sqrt(count / (count - 1) * float(totals @ totals)) / len(values)
+
+
+def compute_rms_sigmas(found: Errors, groups: np.ndarray) -> dict[str, float]:
+    """Standard deviation of the rms of each known kind of error, from the scatter between groups
+    (N,) of samples; without the kinds for which it is not known."""
+    sigmas = {}
+    for kind in ERRORS:
+        norms = found.norms(kind)
+        known = np.isfinite(norms)
+        if not known.any():
+            continue
+        mean, sigma = compute_mean_and_sigma(norms[known] ** 2, groups[known])
+        if mean > 0 and math.isfinite(sigma):
+            sigmas[kind] = sigma / (2 * math.sqrt(mean))
+    return sigmas
+
+
 def errors(model: Model, observations: Observations) -> Errors:
     """Compare measured and predicted values at every sample: the pose and the readings predicted
     from the joints, and the joints from the pose."""

@@ -203,6 +203,11 @@ class Dataset:
     def __len__(self) -> int:
         return len(self.q)
 
+    @property
+    def has_time(self) -> bool:
+        """Whether the times of the samples were recorded; otherwise `time` is only their order."""
+        return "time" in self.conditions
+
     def select(self, which: ArrayLike) -> Dataset:
         """Return the samples of a boolean mask (N,), or of indices in their order.
 

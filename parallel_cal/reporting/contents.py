@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -29,23 +30,45 @@ MIN_STRONG_CORRELATION = 0.98  # correlation from which two parameters are hardl
 
 @dataclass(frozen=True)
 class HeldOutErrors:
-    """Validation errors before any calibration, now and with the effects found; noise floor."""
+    """Validation errors at the same samples: of the uncalibrated model, now and with the effects
+    found; and the noise floor.
+
+    `before_name` is the name of the uncalibrated model: the given one, or the nominal one if the
+    given model was fitted before. `sigmas` is by error ("before", "now", "found", "noise") and
+    kind the standard deviation of the rms. `samples` of `poses` were held out.
+    """
 
     before: Summary
     now: Summary
     found: Summary | None
     noise: Summary
+    before_name: str
+    sigmas: Mapping[str, Mapping[str, float]]
+    samples: int
+    poses: int
 
     @classmethod
     def of(cls, diagnosis: Diagnosis) -> HeldOutErrors:
         base, best = diagnosis.base.fitted, diagnosis.best.fitted
-        steps = _list_judged_steps(diagnosis)
-        before = Summary(**steps[0]["held_out"]["before"]) if steps else None
+        # Errors in the model's history may be those of other samples.
+        fitted_before = bool(_list_judged_steps(diagnosis))
+        before = base.nominal_errors if fitted_before else base.held_out_before
+        judged = base.held_out.judged
+        before = before.only_at(judged)
         return cls(
-            before=before or base.held_out_before.summary,
+            before=before.summary,
             now=base.held_out.summary,
             found=best.held_out.summary if diagnosis.effects else None,
             noise=best.noise_floor,
+            before_name="nominal model" if fitted_before else "before calibration",
+            sigmas={
+                "before": base.rms_sigmas(before),
+                "now": base.rms_sigmas(base.held_out),
+                "found": best.rms_sigmas(best.held_out),
+                "noise": best.simulated_noise.sigmas,
+            },
+            samples=int(judged.sum()),
+            poses=len(np.unique(diagnosis.dataset.pose_id[judged])),
         )
 
     @property
@@ -68,7 +91,9 @@ def history(diagnosis: Diagnosis, errors: HeldOutErrors) -> list[dict[str, Any]]
     data = diagnosis.dataset
     here = {"samples": len(data), "sha256": data.sha256}
     steps = [_step(entry) for entry in _list_judged_steps(diagnosis)]
-    rows = [(steps[0] if steps else here) | {"name": "before", "error": errors.before}, *steps]
+    first = _list_judged_steps(diagnosis)[:1]
+    before = Summary(**first[0]["held_out"]["before"]) if first else errors.before
+    rows = [(steps[0] if steps else here) | {"name": "before", "error": before}, *steps]
     if not (steps and _are_equal(steps[-1]["error"], errors.now)):  # else the last step is now
         rows.append({"name": "now", "error": errors.now, **here})
     if errors.found:
@@ -245,7 +270,7 @@ def _list_samples(
     return [
         JudgedSample(
             sample=int(data.numbers[i]),
-            time=data.time[i],
+            time=data.time[i] if data.has_time else math.nan,
             joints=scene.observations.x[i, : len(scene.model.joints)],
             position=position[i],
             now=now[i],

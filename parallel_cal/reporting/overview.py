@@ -6,10 +6,17 @@ from html import escape
 
 from parallel_cal.reporting import figures
 from parallel_cal.reporting.blocks import Block
-from parallel_cal.reporting.markup import Plot, as_html, micro, paragraph
+from parallel_cal.reporting.markup import Plot, as_html, micro, paragraph, sentence
 from parallel_cal.reporting.readable import unit_of
 from parallel_cal.reporting.report import Report
-from parallel_cal.reporting.results import Tile, budget_table, error_tiles, iso_sentence
+from parallel_cal.reporting.results import (
+    Tile,
+    budget_sentence,
+    budget_table,
+    describe_counts,
+    error_tiles,
+    iso_sentence,
+)
 
 LABELS = {
     "at_noise": "at the noise floor",
@@ -31,7 +38,13 @@ def verdict(report: Report) -> str:
 def numbers(report: Report) -> str:
     """Render the errors before, now and with the effects found, and the noise floor, as tiles."""
     tiles = error_tiles(report.errors, report.diagnosis.effects, report.provenance.joint_units)
-    note = paragraph("Validation error: rms of the error's norm at held-out poses.", "note")
+    errors = report.errors
+    counts = describe_counts(errors.samples, errors.poses, True)
+    note = paragraph(
+        f"Validation error: rms of the error's norm at {counts}, with its standard deviation. "
+        "Noise floor: what a perfect model would show at these samples.",
+        "note",
+    )
     shown = "".join(map(_tile, tiles))
     return f'<section id="numbers"><div class="tiles">{shown}</div>{note}</section>'
 
@@ -45,16 +58,12 @@ def _tile(tile: Tile) -> str:
 
 
 def budget(report: Report) -> str:
-    """Render the error budget of the nominal model, and the figures of ISO 9283."""
+    """Render the error budget of the nominal model, and the figures after ISO 9283."""
     if not report.budget:
         return paragraph("There is no error budget: no pose was measured.", "none")
-    note = (
-        "The shares add up to the rms error of the nominal model. The share of a part is its "
-        "component along the total error. By itself: the rms of the part alone, which other parts "
-        "may compensate."
-    )
+    note = paragraph(sentence(budget_sentence(report.budget[0])), "note")
     blocks: list[Block] = [*map(budget_table, report.budget), *map(iso_sentence, report.iso_9283)]
-    return paragraph(note, "note") + as_html(blocks)
+    return note + as_html(blocks)
 
 
 def history(report: Report, plot: Plot) -> str:

@@ -53,12 +53,22 @@ def round_to_sigma(value: float, sigma: float | None, factor: float = 1.0) -> tu
     if not is_known(sigma) or sigma <= 0:
         return number(value, factor, 6), MISSING
     decimals = max(1 - math.floor(math.log10(sigma * factor)), 0)
-    return f"{value * factor:.{decimals}f}", f"{sigma * factor:.{decimals}f}"
+    rounded = round(value * factor, decimals) + 0.0  # never -0
+    return f"{rounded:.{decimals}f}", f"{sigma * factor:.{decimals}f}"
+
+
+def with_sigma(value: float | None, sigma: float | None, factor: float = 1.0) -> str:
+    """Format `32.2 ± 1.5`, with the decimals of the sigma's second digit; without a known sigma
+    only the value."""
+    shown, uncertainty = round_to_sigma(value, sigma, factor) if is_known(value) else (MISSING, "")
+    if not is_known(value) or uncertainty == MISSING:
+        return number(value, factor)
+    return f"{shown} ± {uncertainty}"
 
 
 def write_micro(text: str) -> str:
-    """Write um as µm: messages and texts of blocks are ASCII, a page is not."""
-    return re.sub(r"((?<=\d )|(?<=\[)|^)um\b", "µm", text)
+    """Write um as µm and +- as ±: messages and texts of blocks are ASCII, a page is not."""
+    return re.sub(r"((?<=\d )|(?<=\[)|^)um\b", "µm", text.replace(" +- ", " ± "))
 
 
 def day(stamp: str) -> str:

@@ -15,7 +15,7 @@ from parallel_cal.diagnosis.comparison import Comparison
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.entries import Entry
 from parallel_cal.discovery.discovery import Discovery
-from parallel_cal.identification.budget import Budget, Iso9283, iso_9283
+from parallel_cal.identification.budget import Budget, Iso9283
 from parallel_cal.identification.fit import FitResult, ParameterEstimate
 from parallel_cal.identification.prediction_errors import ERRORS, Summary
 from parallel_cal.model.model import Model
@@ -28,11 +28,13 @@ from parallel_cal.reporting.readable import (
     error_unit,
     format_fixed,
     format_fixed_vector,
+    is_known,
     number,
     percent,
     unit_of,
     value_unit,
     vector,
+    with_sigma,
 )
 from parallel_cal.session.steps import Step
 
@@ -76,7 +78,7 @@ def describe_step(step: Step) -> Iterator[Block]:
 def describe_fit(result: FitResult, without: FitResult | None = None) -> Iterator[Block]:
     """Describe a fit; `without` is the fit of the same samples without the added effect.
 
-    The budget and the figures of ISO 9283 are for positions if positions were measured.
+    The budget and the figures after ISO 9283 are for positions if positions were measured.
     """
     rival = result.held_out_before if without is None else without.held_out
     judged = {
@@ -93,46 +95,70 @@ def describe_fit(result: FitResult, without: FitResult | None = None) -> Iterato
         f"parameters identified, chi2/dof {format_fixed(estimate.chi2_per_dof)}"
     )
     yield errors_table(judged, result.noise_floor, result.model)
-    yield from map(budget_table, result.budgets[:1])
+    for budget in result.budgets[:1]:
+        yield budget_table(budget)
+        yield budget_sentence(budget)
     yield from map(iso_sentence, result.iso_9283[:1])
     yield parameter_table(select_shown_parameters(result.model, describe_parameters(result)))
 
 
 def budget_table(budget: Budget) -> Table:
-    """Describe the error budget of the drawing's robot."""
+    """Describe the error budget of the nominal model."""
     unit, factor = ascii_unit(budget.kind)
-    total = f"{budget.kind} error of {format_fixed(budget.total, factor)} {unit}: parts"
-    columns = (
-        Column(total, "part"),
-        "share",
-        "by itself",
-        "unit",
-        Column("of the total", on_terminal=False),
+    sigma = "" if budget.sigma is None else f" +- {format_fixed(budget.sigma, factor)}"
+    total = (
+        f"{budget.kind} error of the nominal model: "
+        f"{format_fixed(budget.total, factor)}{sigma} {unit}"
     )
+    columns = (Column(total, "part"), "removes", "sigma", "moves the platform by", "unit")
     rows = [
         (
             part.name,
-            Number(part.contribution, factor),
-            Number(part.alone, factor),
+            Number(part.removed, factor, sigma=part.sigma),
+            Number(part.sigma, factor, significant=2),
+            Number(part.alone, factor, sigma=part.sigma),
             unit,
-            percent(part.contribution / budget.total if budget.total else None),
         )
         for part in budget.parts
     ]
     return Table(columns, rows)
 
 
+def budget_sentence(budget: Budget) -> str:
+    """Describe at which samples a budget was made, and what its numbers mean."""
+    return (
+        f"{describe_counts(budget.samples, budget.poses, budget.held_out)}; a part removes the "
+        "error by which the model without it is worse (added last, as the root of the difference "
+        "of the squares); noise and rest remain"
+    )
+
+
+def describe_counts(samples: int, poses: int, held_out: bool) -> str:
+    """Say at which samples an error was taken: `94 samples of 74 held-out poses`."""
+    return (
+        f"{samples} samples of {poses} {'held-out poses' if held_out else 'poses (not held out)'}"
+    )
+
+
 def iso_sentence(figures: Iso9283) -> str:
-    """Describe the figures of ISO 9283."""
+    """Describe the figures after ISO 9283, with their counts and the sides of approach."""
     unit, factor = ascii_unit(figures.kind)
-    again = "repeatability RP not known: no pose was visited twice"
+    side = "from the same side" if figures.sides_known else "(sides of approach not recorded)"
+    again = f"repeatability RP not known: no pose was visited twice {side}"
     if figures.repeatability is not None:
+        shown = with_sigma(figures.repeatability, figures.repeatability_sigma, factor)
         again = (
-            f"repeatability RP {format_fixed(figures.repeatability, factor)} {unit} "
-            f"({figures.poses} poses, {figures.visits} visits)"
+            f"repeatability RP {shown} {unit} of {figures.visits} visits to "
+            f"{figures.repeated_poses} poses {side}"
         )
-    mean, worst = (format_fixed(a, factor) for a in (figures.accuracy_mean, figures.accuracy_max))
-    return f"ISO 9283 {figures.kind}: accuracy AP {mean} {unit}, worst {worst}; {again}"
+    mean = with_sigma(figures.accuracy_mean, figures.accuracy_sigma, factor)
+    worst = number(figures.accuracy_max, factor)
+    counts = describe_counts(figures.samples, figures.poses, figures.held_out)
+    text = (
+        f"after ISO 9283, {figures.kind}: accuracy AP {mean} {unit}, worst {worst}, at {counts}; "
+        f"{again}; both include the noise of the device"
+    )
+    return text.replace("±", "+-")
 
 
 def ascii_unit(kind: str) -> tuple[str, float]:
@@ -212,10 +238,15 @@ def parameter_table(parameters: Mapping[str, DescribedParameter]) -> Table:
                 sigma,
                 unit,
                 Number(p.nominal, factor, 4, 6),
-                f"{p.words}, fixed" if p.fixed else p.words,
+                f"{p.words}, {_describe_fixing(p)}" if p.fixed else p.words,
             )
         )
     return Table(columns, rows, "sortable")
+
+
+def _describe_fixing(parameter: DescribedParameter) -> str:
+    is_nominal = parameter.value == parameter.nominal
+    return f"fixed at {'its nominal value' if is_nominal else 'this value'}"
 
 
 @describe.register
@@ -230,7 +261,7 @@ def describe_comparison(comparison: Comparison) -> Iterator[Block]:
             f"held-out, {comparison.given.label}": comparison.held_out.summary,
         }
     yield errors_table(errors, comparison.noise, comparison.model)
-    yield from map(iso_sentence, iso_9283(comparison.errors, comparison.observations)[:1])
+    yield from map(iso_sentence, comparison.iso_9283[:1])
     yield "worst samples:"
     yield _worst_samples(comparison)
     rows = [
@@ -260,9 +291,10 @@ def _worst_samples(comparison: Comparison) -> Table:
     worst = comparison.worst_first[:MAX_SAMPLES]
     shown: dict[str, list[Number | str]] = {
         "sample": [str(number) for number in data.numbers[worst]],
-        "time [s]": [Number(t, 1, 1) for t in data.time[worst]],
-        "at [mm]": [format_fixed_vector(place, 1e3, 1) for place in comparison.place[worst]],
     }
+    if data.has_time:
+        shown["time [s]"] = [Number(t, 1, 1) for t in data.time[worst]]
+    shown["at [mm]"] = [format_fixed_vector(place, 1e3, 1) for place in comparison.place[worst]]
     if np.isfinite(norms["position"]).any():
         shown["error [um]"] = [format_fixed_vector(e, 1e6, 0) for e in errors.position[worst]]
         shown["|error| [um]"] = [Number(e, 1e6, 0) for e in norms["position"][worst]]
@@ -293,9 +325,10 @@ def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
         if entry.candidate.missing or (entry.reason and was_scored):
             yield f"{entry.name}: {entry.reason}"
     for one in diagnosis.odd_samples[:MAX_CANDIDATES]:
+        when = "" if math.isnan(one.time) else f"{one.time:.1f} s, "
         yield (
             f"{one.label}: sample {one.sample} at {format_fixed_vector(one.place, 1e3, 1)} mm, "
-            f"{one.time:.1f} s, {one.sigmas:.1f} sigmas, Cook's "
+            f"{when}{one.sigmas:.1f} sigmas, Cook's "
             f"distance {one.cooks_distance:.2f} (--data exclude={one.sample} excludes it)"
         )
     for advice in diagnosis.measure_next.advice:
@@ -393,12 +426,13 @@ def sample_table(
     units = {kind: error_unit(unit_of(kind, joint_units)) for kind in kinds}
     both = bool(samples) and samples[0].found is not None
     sides = ("", ", with effect") if both else ("",)
+    timed = any(is_known(one.time) for one in samples)
     columns = (
         "sample",
         *(f"sigmas{side}" for side in sides),
         "odd",
         *(f"{kind} [{unit}]{side}" for side in sides for kind, (unit, _) in units.items()),
-        "time [s]",
+        *(["time [s]"] if timed else []),
         "joints",
         "position [mm]",
     )
@@ -412,7 +446,7 @@ def sample_table(
                 *(Number(side["sigmas"], significant=2) for side in errors),
                 one.odd,
                 *(Number(side[k], factor) for side in errors for k, (_, factor) in units.items()),
-                Number(one.time, significant=4),
+                *([Number(one.time, significant=4)] if timed else []),
                 " ".join(joints),
                 vector(one.position, "m"),
             )
@@ -437,12 +471,15 @@ def make_tile(
     joint_units: Mapping[str, str],
     about: str = "validation error",
     mark: str = "",
+    sigmas: Mapping[str, float] | None = None,
 ) -> Tile:
-    """Make a tile in the units in which errors of each kind are shown."""
+    """Make a tile in the units in which errors of each kind are shown; `sigmas` by kind is the
+    standard deviation of its rms."""
     values = []
     for kind in kinds:
         unit, factor = error_unit(unit_of(kind, joint_units))
-        values.append((number(errors.rms(kind), factor), unit, kind))
+        shown = with_sigma(errors.rms(kind), (sigmas or {}).get(kind), factor)
+        values.append((shown, unit, kind))
     return Tile(name, values, about, mark)
 
 
@@ -450,11 +487,14 @@ def error_tiles(
     errors: HeldOutErrors, effects: Sequence[str], joint_units: Mapping[str, str]
 ) -> Iterator[Tile]:
     """Describe the errors before, now and with the effects found, and the noise floor."""
-    kinds = errors.kinds
-    yield make_tile("before calibration", errors.before, kinds, joint_units)
-    yield make_tile("now", errors.now, kinds, joint_units)
+
+    def tile(name: str, shown: Summary, sigmas: Mapping[str, float], mark: str = "") -> Tile:
+        return make_tile(name, shown, errors.kinds, joint_units, mark=mark, sigmas=sigmas)
+
+    yield tile(errors.before_name, errors.before, errors.sigmas["before"])
+    yield tile("now", errors.now, errors.sigmas["now"])
     if errors.found:
-        name = f"with {' and '.join(effects)} added"
-        yield make_tile(name, errors.found, kinds, joint_units, mark="found")
+        added = f"with {' and '.join(effects)} added"
+        yield tile(added, errors.found, errors.sigmas["found"], "found")
     if errors.noise.is_known:
-        yield make_tile("noise floor", errors.noise, kinds, joint_units)
+        yield tile("noise floor", errors.noise, errors.sigmas["noise"])

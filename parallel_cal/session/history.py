@@ -35,11 +35,11 @@ class _Part(BaseModel):
 class State(_Part):
     """A model and the samples that judge it.
 
-    `errors` are the errors at held-out poses, `before` those of the step's start, `noise` the noise
-    floor: summaries, empty if unknown. `taken` is a file of samples recorded since the session
-    began, `fitting` the options that differ from those of the session; both persist until changed,
-    as `excluded` does. `verdict` is the word of the diagnosis (empty: not diagnosed), `summary` its
-    sentence.
+    `errors` are the errors at held-out poses of the `samples` that the step used, `before` those of
+    the step's start at the same samples, `noise` the noise floor: summaries, empty if unknown.
+    `taken` is a file of samples recorded since the session began, `fitting` the options that differ
+    from those of the session; both persist until changed, as `excluded` does. `verdict` is the word
+    of the diagnosis (empty: not diagnosed), `summary` its sentence.
     """
 
     number: int
@@ -55,6 +55,7 @@ class State(_Part):
     against: str = ""
     verdict: str = ""
     summary: str = ""
+    samples: int | None = None
 
     @property
     def verdict_text(self) -> str:

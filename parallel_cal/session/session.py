@@ -33,7 +33,7 @@ from parallel_cal.session.steps import Step, add, fitted, remove
 
 CHANGED = "the session changed in the meantime: look at it and try again"
 # The fields of a state that judge its model.
-JUDGED = ("before", "errors", "noise", "against", "verdict", "summary")
+JUDGED = ("before", "errors", "noise", "against", "verdict", "summary", "samples")
 
 
 class Session(History):
@@ -162,30 +162,48 @@ class Session(History):
         return self._refit(f"include {_format_numbers(samples)}", progress, excluded=kept)
 
     def choose(
-        self, progress: Progress | None = None, effects: Sequence[str] = (), **options: Any
+        self,
+        progress: Progress | None = None,
+        effects: Sequence[str] = (),
+        nominal: Sequence[str] = (),
+        **options: Any,
     ) -> State:
         """Fit again with other options (free, fix, prior, loss, ...), which later steps keep, and
-        with more effects."""
+        with more effects. The parameters that match a pattern of `nominal` first get their nominal
+        values."""
         fitting = {**self.state.fitting, **{key: to_json_value(v) for key, v in options.items()}}
         words = [
             f"{key} {', '.join(v) or 'none' if isinstance(v, (list, tuple)) else v}"
             for key, v in options.items()
         ]
+        words += [f"nominal {', '.join(nominal)}"] if nominal else []
         words += [f"with {' and '.join(effects)}"] if effects else []
-        return self._refit(", ".join(words), progress, effects, fitting=fitting)
+        start = self.model
+        if nominal:
+            reset = start.table.matching(nominal)
+            start = start.with_values(np.where(reset, start.table.nominal, start.values))
+        return self._refit(", ".join(words), progress, effects, start, fitting=fitting)
 
     def _refit(
-        self, words: str, progress: Progress | None, effects: Sequence[str] = (), **changes: Any
+        self,
+        words: str,
+        progress: Progress | None,
+        effects: Sequence[str] = (),
+        model: Model | None = None,
+        **changes: Any,
     ) -> State:
         data = self._select_counted(changes.get("excluded", self.state.excluded))
         options = FitOptions(
             **{**self.record.fitting, **changes.get("fitting", self.state.fitting)}
         )
-        step = fitted(self.model, data, True, options=options, progress=progress, effects=effects)
+        given = self.model if model is None else model
+        step = fitted(given, data, True, options=options, progress=progress, effects=effects)
         if (start := self.state).errors:
             # The previous model was fitted to these samples, so its error at them proves nothing.
-            # Other samples or parameters are no reason to doubt the new one either.
-            changes |= {"before": start.errors, "against": start.against}
+            # Other samples or parameters are no reason to doubt the new one either. Its validation
+            # error was one at other samples if some were excluded or included since.
+            before = {} if "excluded" in changes else start.errors
+            changes |= {"before": before, "against": start.against}
         return self._commit(words, step, **changes)
 
     def take(self, write: Callable[[Path], None]) -> State:
@@ -300,6 +318,7 @@ class Session(History):
             "errors": to_json_value(step.result.held_out.summary.document()),
             "noise": to_json_value(step.result.noise_floor.document()),
             "against": step.acceptance.against,
+            "samples": step.result.samples,
         }
         return self._append_state(words, step.model, **{**judged, **changes})
 

@@ -344,8 +344,8 @@ def _step(
         entry["effect"] = effect
         if any(load_effect(one).found_in_data for one in effect.split("+")):
             entry["cause"] = "unknown: found in data"
-    document = result.document()
-    entry |= {key: document[key] for key in ("method", "samples", "dataset", "region")}
+    judged = result.history_entry()
+    entry |= {key: judged[key] for key in ("method", "samples", "dataset", "region")}
     # What differs from least squares of all free parameters on all samples.
     unusual = {
         "loss": result.options.loss if result.options.loss != "linear" else None,
@@ -356,7 +356,7 @@ def _step(
     entry |= {key: value for key, value in unusual.items() if value}
     if found.against:
         entry["forced"] = found.against
-    entry |= {key: document[key] for key in ("before", "after", "held_out", "chi2_per_dof")}
+    entry |= {key: judged[key] for key in ("before", "after", "held_out", "chi2_per_dof")}
     # Stations belong to these recordings, not to the robot.
     robot = without_stations(result.model)
     model = replace(robot, history=(*robot.history, entry))

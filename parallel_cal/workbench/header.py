@@ -164,21 +164,22 @@ class VerdictCard:
         with self.numbers:
             for tile in view.get("tiles", []):
                 _tile(tile)
-            words = [
-                f"{part['part']} {part['by itself']:g} {part['unit']} ({part['of the total']})"
-                for part in view.get("budget", [])
-                if part["by itself"] is not None
-            ]
-            if words:
+            if budget := view.get("budget"):
                 with ui.column().classes("gap-0"):
-                    ui.label("error budget: rms of each part, and its share").classes(
-                        "text-xs quiet"
+                    ui.label(budget["title"]).classes("text-xs quiet")
+                    ui.label(" · ".join(budget["parts"])).props("id=budget").tooltip(
+                        budget["about"]
                     )
-                    ui.label(" · ".join(words)).props("id=budget")
-            if iso := view.get("iso"):
-                ui.label(" · ".join(iso)).props("id=iso").classes("text-xs").tooltip(
-                    "pose accuracy AP and repeatability RP, including the noise of the device"
-                )
+            shown = (("counts", view.get("counts")), ("chi2", view.get("chi2")))
+            words = [(name, text) for name, text in shown if text]
+            words += [("iso", " · ".join(view["iso"]))] if view.get("iso") else []
+            for name, text in words:
+                ui.label(text).props(f"id={name}").classes("text-xs")
+            if warnings := view.get("warnings"):
+                count = "1 warning" if len(warnings) == 1 else f"{len(warnings)} warnings"
+                with ui.expansion(count).props("dense id=warnings").classes("text-xs"):
+                    for text in warnings:
+                        ui.label(text)
 
 
 def _tile(tile: dict[str, Any]) -> None:

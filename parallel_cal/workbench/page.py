@@ -14,6 +14,7 @@ from parallel_cal.reporting.colours import MEASURED, PATTERN, QUIET
 from parallel_cal.reporting.readable import write_micro
 from parallel_cal.session.history import format_first_error
 from parallel_cal.workbench.bench import Bench, Live
+from parallel_cal.workbench.fixing import ask_where_to_fix
 from parallel_cal.workbench.header import Header, Notice, VerdictCard
 from parallel_cal.workbench.live import LiveCard
 from parallel_cal.workbench.marking import SCRIPT, FigureSlot, Marking
@@ -210,6 +211,7 @@ class Window:
             rows = [
                 {
                     "step": state.step,
+                    "samples": state.samples,
                     "before": write_micro(format_first_error(state.before)),
                     "after": write_micro(format_first_error(state.errors)),
                     "out": len(state.excluded),
@@ -220,6 +222,7 @@ class Window:
             table(
                 [
                     ("step", "step"),
+                    ("samples", "samples"),
                     ("before", "validation error before"),
                     ("after", "validation error after"),
                     ("out", "excluded samples"),
@@ -383,15 +386,22 @@ class Window:
                 ui.label(f"The data do not determine {line}.").classes("text-sm")
 
     def _choose(self, rows: Any, fix: bool) -> None:
-        """Fix the marked parameters at their values, or free them, for all later steps."""
+        """Fix the marked parameters, after asking at which values, or free them."""
         names = [row["name"] for row in rows.selected]
+        if not fix:
+            return self._refit_with(names, fix=False)
+        with self.layer:
+            ask_where_to_fix(rows.selected, partial(self._refit_with, names, True))
+
+    def _refit_with(self, names: list[str], fix: bool, at_nominal: bool = False) -> None:
+        """Fix or free parameters for all later steps, and fit again."""
         asked = self.bench.session.options
         kept = {
             key: [n for n in patterns if n not in names]
             for key, patterns in (("fix", asked.fix), ("free", asked.free))
         }
         kept["fix" if fix else "free"] += names
-        self.bench.begin("choose", **kept)
+        self.bench.begin("choose", nominal=names if at_nominal else [], **kept)
 
     def _next(self, view: dict[str, Any]) -> None:
         bench = self.bench

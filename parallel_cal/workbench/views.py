@@ -16,9 +16,12 @@ from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.signature import Signature, signature
 from parallel_cal.diagnosis.thresholds import EFFECT_SIGNIFICANCE_LEVEL, LEVELS
 from parallel_cal.diagnosis.verdict import AMBER_VERDICTS
-from parallel_cal.identification.budget import Iso9283, iso_9283
+from parallel_cal.identification.budget import NOISE, REST, Budget, Iso9283
+from parallel_cal.identification.fit import FitResult
+from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.given_model import fits_of
-from parallel_cal.identification.prediction_errors import Summary
+from parallel_cal.identification.observations import blocks
+from parallel_cal.identification.prediction_errors import Summary, compute_rms_sigmas
 from parallel_cal.model.model import Model
 from parallel_cal.reporting import (
     contents,
@@ -32,7 +35,7 @@ from parallel_cal.reporting import (
 )
 from parallel_cal.reporting.blocks import as_rows
 from parallel_cal.reporting.figures import Spec, select_evenly
-from parallel_cal.reporting.readable import value_unit, write_micro
+from parallel_cal.reporting.readable import value_unit, with_sigma, write_micro
 from parallel_cal.reporting.report import Report, report
 from parallel_cal.session.session import Session
 
@@ -56,7 +59,7 @@ def glance(session: Session) -> View | None:
     if len(dataset) <= MAX_SHOWN_SAMPLES:
         shown = _make_comparison_view(compare(session.model, dataset, session.options.joint_sigma))
     tiles = (
-        ("before calibration", state.before),
+        ("before this step", state.before),
         ("now", state.errors),
         ("noise floor", state.noise),
     )
@@ -96,13 +99,19 @@ def _make_comparison_view(found: Comparison) -> View:
     kinds = [k for k in ("position", "orientation", "reading") if found.errors.summary.rms(k)]
     in_sample = any(fits_of(found.model, found.dataset))
     where = "in-sample error" if in_sample else "error at all samples"
-    tiles = [results.make_tile("now", found.errors.summary, kinds, {}, where)]
+    name, groups = "now, in-sample" if in_sample else "now", blocks(found.dataset)
+    sigmas = compute_rms_sigmas(found.errors, groups)
+    tiles = [results.make_tile(name, found.errors.summary, kinds, {}, where, sigmas=sigmas)]
     if found.given.is_registered:
         # The error that a fit has to lower: "now" contains the registration to the same poses.
-        held_out = found.held_out.summary
-        tiles.append(results.make_tile(found.given.label, held_out, kinds, {}))
+        held_out, sigmas = found.held_out.summary, compute_rms_sigmas(found.held_out, groups)
+        tiles.append(results.make_tile(found.given.label, held_out, kinds, {}, sigmas=sigmas))
     if found.noise.is_known:
-        tiles.append(results.make_tile("noise floor", found.noise, kinds, {}, where))
+        floor = results.make_tile(
+            "noise floor", found.noise, kinds, {}, where, sigmas=found.noise_sigmas
+        )
+        tiles.append(floor)
+    count, poses = len(found.dataset), len(np.unique(found.dataset.pose_id))
     mechanism = found.model.mechanism
     units = dict(zip(mechanism.joints, mechanism.joint_units, strict=True))
     samples = contents.compared_samples(found)
@@ -111,8 +120,11 @@ def _make_comparison_view(found: Comparison) -> View:
         "shown": shown,
         "verdict": {"colour": GREY, "words": _compared_words(found)},
         "tiles": to_json_value(tiles),
-        "budget": [],
-        "iso": _iso(iso_9283(found.errors, found.observations)),
+        "counts": f"{count} samples of {poses} poses; ± 1 sigma",
+        "budget": None,
+        "iso": _iso(found.iso_9283),
+        "chi2": "",
+        "warnings": [write_micro(words) for words in found.dataset.warnings],
         "arrows": _arrows(residuals),
         "residuals": _residuals(residuals, found.residual_profiles),
         "pictures": list(_pictures(residuals, found.scene, None)),
@@ -155,10 +167,11 @@ def _make_report_view(found: Report) -> View:
         "shown": shown,
         "verdict": _verdict(found),
         "tiles": to_json_value([*results.error_tiles(found.errors, diagnosis.effects, units)]),
-        "budget": [
-            row for one in now.budgets[:1] for row in as_rows(results.budget_table(one))["rows"]
-        ],
+        "counts": _counts(found.errors),
+        "budget": _budget(now.budgets[0]) if now.budgets else None,
         "iso": _iso(now.iso_9283),
+        "chi2": _chi2(now),
+        "warnings": [write_micro(words) for words in dict.fromkeys(now.warnings)],
         "arrows": _arrows(residuals),
         "residuals": _residuals(residuals, found.along),
         "pictures": list(_pictures(residuals, diagnosis.base.scene, first_pattern)),
@@ -225,6 +238,43 @@ def _samples(
     by_number = {one.sample: one for one in samples}
     in_order = [by_number[int(number)] for number in residuals.sample]
     return as_rows(results.sample_table(in_order, kinds, joint_units))
+
+
+def _counts(errors: contents.HeldOutErrors) -> str:
+    if not errors.samples:
+        return "no pose was held out: there is no validation error"
+    counts = results.describe_counts(errors.samples, errors.poses, True)
+    return f"all errors: rms at {counts}; ± 1 sigma"
+
+
+def _budget(budget: Budget) -> View:
+    """Describe the parts of a budget as `geometry 603 ± 25 µm`, the largest first."""
+    unit, factor = results.ascii_unit(budget.kind)
+    parts = [
+        f"{'remaining ' * (part.name in (NOISE, REST))}{part.name} "
+        f"{with_sigma(part.removed, part.sigma, factor)} {unit}"
+        for part in budget.parts
+        if part.removed is not None
+    ]
+    total = f"{with_sigma(budget.total, budget.sigma, factor)} {unit}"
+    counts = results.describe_counts(budget.samples, budget.poses, budget.held_out)
+    return {
+        "title": write_micro(f"error of the nominal model {total}, at {counts}; removed by"),
+        "parts": [write_micro(part) for part in parts],
+        "about": write_micro(results.budget_sentence(budget)),
+    }
+
+
+def _chi2(result: FitResult) -> str:
+    """Describe chi2/dof and its band, which is not known if the noise is only estimated."""
+    estimate = result.estimate
+    if estimate.dof <= 0:
+        return "chi2/dof not known: as many parameters as measurements"
+    text = f"chi2/dof {estimate.chi2_per_dof:.2f}"
+    if result.observations.noise_assumed:
+        return f"{text}, by noise that was estimated from the residuals"
+    low, high = chi2_band(estimate.dof)
+    return f"{text}, {low:.2f} to {high:.2f} for a complete model with the stated noise"
 
 
 def _iso(figures: Sequence[Iso9283]) -> list[str]:

@@ -1,0 +1,84 @@
+"""Ask which effects of a model another effect would replace without loss.
+
+The residuals of a model that contains an effect cannot show its lookalikes. So each effect is
+removed, and the catalogue is tested as if the effect had still to be found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from parallel_cal.base.errors import ModelError
+from parallel_cal.diagnosis.catalogue import Candidate
+from parallel_cal.diagnosis.entries import rivals_of
+from parallel_cal.diagnosis.search import Chosen, Rank, Search, Trial, is_superfluous
+from parallel_cal.model.model import Model
+
+
+@dataclass(frozen=True)
+class Ambiguity:
+    """An effect of the model, and the candidates that explain the samples as well in its place."""
+
+    effect: str
+    rivals: tuple[Candidate, ...]
+
+    @property
+    def names(self) -> list[str]:
+        return [one.name for one in self.rivals]
+
+
+def find_ambiguous_effects(
+    model: Model,
+    best: Trial,
+    search_of: Callable[[Model], Search],
+    rank_with: Callable[[str], Rank],
+) -> tuple[Ambiguity, ...]:
+    """Find the effects of a model that other effects would replace without loss.
+
+    Parameters
+    ----------
+    model : Model
+    best : Trial
+        The fit of the model with the effects that were found.
+    search_of : callable
+        Makes the search that refits a smaller model.
+    rank_with : callable
+        Makes the ranking of the catalogue together with an effect of the model.
+    """
+    fitted, found = best.fitted, []
+    for effect in model.effects:
+        own = fitted.model.table.matching([f"{effect.name}.*"])
+        if not (own & fitted.free).any():
+            continue  # its parameters were given, not identified
+        try:
+            search = search_of(model.without_effect(effect.name))
+        except ModelError:  # another effect needs it
+            continue
+        without = search.fit(*best.chosen)
+        if without.result is None or is_superfluous(without.result.estimate, fitted.estimate):
+            continue
+        unusual = any(size.effect == effect.name for size in fitted.unusual.values())
+        present = Trial((*best.chosen, Chosen(effect.name, unusual=unusual)), fitted)
+        ranked = rank_with(effect.name)(without)
+        rivals = {effect.name: rivals_of(present, ranked).get(effect.name, [])}
+        names = search.swaps(present, rivals).get(effect.name, [])
+        if names:
+            found.append(Ambiguity(effect.name, tuple(c for c in ranked if c.name in names)))
+    return tuple(found)
+
+
+def describe_ambiguities(
+    found: tuple[Ambiguity, ...], poses: Mapping[tuple[str, str], int]
+) -> tuple[str, ...]:
+    """Describe each ambiguity; `poses` is the number of planned poses that separate a pair."""
+    sentences = []
+    for one in found:
+        names = " or ".join([one.effect, *one.names])
+        planned = [poses[pair] for name in one.names if (pair := (one.effect, name)) in poses]
+        cure = f"; {planned[0]} planned poses would tell" if planned else ""
+        sentences.append(
+            f"{names}: the samples do not tell which of them the robot has, the model contains "
+            f"{one.effect}{cure}"
+        )
+    return tuple(sentences)

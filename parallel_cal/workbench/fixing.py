@@ -1,0 +1,40 @@
+"""The dialog that asks at which values parameters are fixed, and says what fixing does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from nicegui import ui
+
+from parallel_cal.workbench.widgets import table
+
+CONSEQUENCE = (
+    "A fixed parameter counts as exactly known. It has no sigma, and the sigmas of parameters that "
+    "are correlated with it become smaller, because they no longer contain its uncertainty. Fix a "
+    "parameter only if you know its value better than these samples do."
+)
+PRESENT = "the present values (identified from these samples, not measured separately)"
+NOMINAL = "the nominal values"
+
+
+def ask_where_to_fix(rows: Sequence[dict[str, Any]], fix: Callable[[bool], None]) -> None:
+    """Show the marked parameters (rows of the page's table); the answer calls `fix` with whether
+    they get their nominal values."""
+    with ui.dialog(value=True) as dialog, ui.card().classes("max-w-2xl"):
+        ui.label("Fix parameters").classes("text-lg font-bold")
+        columns = ("name", "value", "sigma", "nominal", "unit")
+        names = {"name": "parameter", "value": "present value"}
+        shown = [{key: row.get(key) for key in columns} for row in rows]
+        table([(key, names.get(key, key)) for key in columns], shown, "name")
+        at = ui.radio({False: PRESENT, True: NOMINAL}, value=False)
+        at.props('aria-label="values at which the parameters are fixed"')
+        ui.label(CONSEQUENCE).classes("text-sm").props("id=consequence")
+
+        def answer() -> None:
+            dialog.close()
+            fix(bool(at.value))
+
+        with ui.row():
+            ui.button("Fix and fit again", on_click=answer).props("dense")
+            ui.button("Cancel", on_click=dialog.close).props("dense outline")

@@ -1,0 +1,36 @@
+"""An effect of the model that another effect would replace without loss stays ambiguous."""
+
+import pytest
+
+import parallel_cal as pc
+from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.session.steps import add
+
+MODEL = "config/delta_mockup_nominal.yaml"
+
+
+def diagnose_with(effect, bag):
+    model = pc.read_model(MODEL)
+    data = pc.load_dataset(bag, joints=model.joints)
+    return diagnose(add(model, effect, data).model, data)
+
+
+@pytest.mark.wide
+def test_backlash_stays_ambiguous_after_it_was_added():
+    found = diagnose_with("backlash", "bags/delta_backlash")
+    assert found.verdict.word == "at_noise"
+    assert {one.effect: one.names for one in found.ambiguous} == {"backlash": ["hysteresis"]}
+    assert "backlash or hysteresis: the samples do not tell" in found.verdict.summary
+    plan = found.measure_next.plan
+    assert plan.separates == ("backlash", "hysteresis")
+    assert f"{len(plan.poses)} planned poses would tell" in found.verdict.summary
+    hysteresis = next(e for e in found.entries if e.name == "hysteresis")
+    assert "do not distinguish it from backlash of the model" in hysteresis.reason
+    assert found.document()["ambiguous"] == {"backlash": ["hysteresis"]}
+
+
+@pytest.mark.wide
+def test_an_effect_without_a_lookalike_is_not_ambiguous():
+    found = diagnose_with("thermal_expansion", "bags/delta_thermal")
+    assert found.ambiguous == ()
+    assert "do not tell which" not in found.verdict.summary
