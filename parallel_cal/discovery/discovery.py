@@ -20,7 +20,15 @@ from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.verdict import share_explained
-from parallel_cal.discovery.drivers import PLACES, WORDS, Driver, list_drivers
+from parallel_cal.discovery.drivers import (
+    LAGGED,
+    PLACES,
+    WORDS,
+    Driver,
+    list_drivers,
+    name_lags,
+    select_for_screening,
+)
 from parallel_cal.discovery.effect_file import (
     Coefficient,
     list_coefficients,
@@ -42,6 +50,7 @@ from parallel_cal.discovery.places import (
 from parallel_cal.discovery.screening import Hypothesis, Screening, Targets
 from parallel_cal.discovery.shape import Shape, find_shape
 from parallel_cal.discovery.thresholds import (
+    LAGS_PER_OCTAVE,
     MAX_EQUAL_EVIDENCE,
     MAX_FORMULA_LAG,
     MAX_FORMULAS,
@@ -56,6 +65,7 @@ from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset, check_inputs
+from parallel_cal.recordings.lagged import add_lagged_conditions
 from parallel_cal.session.steps import Step, add
 
 if TYPE_CHECKING:
@@ -283,6 +293,7 @@ def discover(
     report = progress or ignore_progress
     options = with_changes(options or FitOptions(), changes, FitError)
     report("identifying the geometry", 0.0)
+    dataset = add_lagged_conditions(name_lags(dataset), dataset)
     base = fit(model, dataset, options)
     if options.loss != "linear":
         dataset = dataset.excluding(find_mistrusted_samples(base), f"by --loss {options.loss}")
@@ -290,8 +301,8 @@ def discover(
         base = fit(model, dataset, options)
     scene = _make_scene(base)
     drivers = list_drivers(scene)
-    screening = Screening(scene, list_sites(list_places(scene)), drivers)
-    winners = _find_winners(scene, screening, report)
+    screening = Screening(scene, list_sites(list_places(scene)), select_for_screening(drivers))
+    winners = _find_winners(scene, screening, drivers, report)
     thresholds = _find_thresholds(scene, screening, winners, report)
     real = [(one, t) for one, t in zip(winners, thresholds, strict=True) if one.evidence > t]
     found, current = list[Law](), base.model
@@ -314,7 +325,9 @@ def _make_scene(base: FitResult) -> Scene:
     )
 
 
-def _find_winners(scene: Scene, screening: Screening, report: Progress) -> list[_Winner]:
+def _find_winners(
+    scene: Scene, screening: Screening, drivers: Sequence[Driver], report: Progress
+) -> list[_Winner]:
     """The best law, and further ones in what it leaves, before any test of chance."""
     columns = np.zeros((len(scene.residual), 0))
     winners: list[_Winner] = []
@@ -333,6 +346,9 @@ def _find_winners(scene: Scene, screening: Screening, report: Progress) -> list[
         if scored[0][0] < np.log(len(scored)):
             break
         winner = _find_winner(scene, targets, scored)
+        if winner is not None:
+            refined = _refine_lag(scene, targets, winner.formula, drivers)
+            winner = replace(winner, formula=refined)
         if winner is None:
             break
         winners.append(winner)
@@ -367,6 +383,25 @@ def _find_winner(
     return _Winner(best, tuple(equal[1:]), max(scored[0][0], best.evidence), next(robots, None))
 
 
+def _refine_lag(
+    scene: Scene, targets: Targets, formula: Formula, drivers: Sequence[Driver]
+) -> Formula:
+    """The formula with the time constant that describes the data best."""
+    own = formula.hypothesis.drivers[0]
+    if own[0].family != LAGGED:
+        return formula
+    lags = [one for one in drivers if one.family == LAGGED]
+    at = [one.name for one in lags].index(own[0].name)
+    near = lags[max(at - LAGS_PER_OCTAVE + 1, 0) : at + LAGS_PER_OCTAVE]
+    hypotheses = [
+        replace(formula.hypothesis, drivers=((one,) * len(own),))
+        for one in near
+        if one is not own[0]
+    ]
+    found = [find_formula(scene, targets, one) for one in hypotheses]
+    return max([formula, *filter(None, found)], key=lambda one: one.evidence)
+
+
 def _select_for_formulas(scored: Sequence[tuple[float, Hypothesis]]) -> list[Hypothesis]:
     """The best hypotheses, but none of two drivers that gains little over one of them, and waves of
     one place and driver only once."""
@@ -380,13 +415,12 @@ def _select_for_formulas(scored: Sequence[tuple[float, Hypothesis]]) -> list[Hyp
     for e, one in scored:
         if e < best - MAX_FORMULA_LAG or len(chosen) >= MAX_FORMULAS:
             break
-        key = (*one.site.key, one.families)
-        if key in seen:
+        if one.key in seen:
             continue
         alone = max(single.get((*one.site.key, (own,)), -np.inf) for own in one.families)
         if len(one.drivers) == 2 and e < alone + MAX_EQUAL_EVIDENCE:
             continue
-        seen.add(key)
+        seen.add(one.key)
         chosen.append(one)
     return chosen
 

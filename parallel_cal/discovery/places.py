@@ -75,7 +75,7 @@ def list_places(scene: Scene) -> list[Place]:
             Place(f"{kind}.{POSE[i]}", kind, unit, i, None, pose[:, :, i])
             for kind in (PLATFORM, DEVICE)
         ]
-    owners = _find_owners(mechanism.parameters.names, n)
+    owners = find_owners(mechanism.parameters.names, n)
     found += [
         Place(p.name, PARAMETER, p.unit, k, owners.get(p.name), J[:, :, n + 12 + k])
         for k, p in enumerate(mechanism.parameters)
@@ -114,7 +114,7 @@ def _pose_columns(scene: Scene) -> np.ndarray:
     return -np.concatenate([J[:, :, n : n + 3], J[:, :, n + 3 : n + 12] @ by_turn], axis=2)
 
 
-def _find_owners(names: tuple[str, ...], n_joints: int) -> dict[str, int]:
+def find_owners(names: tuple[str, ...], n_joints: int) -> dict[str, int]:
     """The joint of each parameter that belongs to one chain, if there is a chain for each joint."""
     chains = list(dict.fromkeys(m[1] for name in names if (m := MEMBER.fullmatch(name))))
     if len(chains) != n_joints:

@@ -17,6 +17,7 @@ from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
 from parallel_cal.discovery import basis
 from parallel_cal.discovery.drivers import (
+    LAGGED,
     NEXT,
     PLACES,
     PREVIOUS,
@@ -33,7 +34,13 @@ from parallel_cal.discovery.thresholds import (
 
 # One driver for every member of a site: `load` of its own joint, or `payload` for all.
 DriverSet = tuple[Driver, ...]
-OF_DEVICE = {*PLACES, "time", "temperature", "session"}  # families that an error of a device knows
+OF_DEVICE = {
+    *PLACES,
+    "time",
+    "temperature",
+    LAGGED,
+    "session",
+}  # families that an error of a device knows
 
 
 @dataclass(frozen=True)
@@ -59,7 +66,14 @@ class Hypothesis:
 
     @property
     def key(self) -> tuple[str, bool, frozenset[str]]:
-        return *self.site.key, frozenset(self.families)
+        """Equal for hypotheses that are one answer: time constants of a lag are not told apart."""
+        lags = {own[0].name: own[0].family for own in self.drivers if own[0].family == LAGGED}
+        return *self.site.key, frozenset(lags.get(name, name) for name in self.families)
+
+    @property
+    def scanned(self) -> int:
+        """The number of time constants that were searched for."""
+        return sum(own[0].family == LAGGED for own in self.drivers)
 
 
 @dataclass(frozen=True)
@@ -126,9 +140,10 @@ class Screening:
             if site.kind != PLATFORM or own[0].family not in OF_DEVICE
         )
         if len(site.members) == 1 or not site.each:
+            told = [own for own in sets if own[0].family != LAGGED]
             pairs = (
                 (one, other)
-                for one, other in combinations(sets, 2)
+                for one, other in combinations(told, 2)
                 if self._is_plausible_pair(site, one, other)
             )
             yield from _chunks(([Hypothesis(site, pair)], basis.products(*pair)) for pair in pairs)

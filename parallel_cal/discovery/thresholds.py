@@ -10,6 +10,8 @@ MIN_VARIATION = 1e-9  # in SI: a driver that varies less is constant
 MAX_SCREENED_SAMPLES = 3000  # evenly chosen of more; the proof uses all
 MAX_CHUNK_NUMBERS = 1 << 23  # numbers in the largest array: 64 MB
 WAVES = 240  # periods scanned of each joint's reading
+MIN_SAMPLES_PER_LAG = 4  # steps between samples: a shorter time constant is not determined
+LAGS_PER_OCTAVE = 4  # time constants that a law is refined with; one of them is screened
 MIN_SAMPLES_PER_PERIOD = 2.5  # a shorter period is not determined by the samples
 
 # Chance: sessions with the same noise and no law

@@ -63,6 +63,7 @@ from parallel_cal.model.model import Model
 from parallel_cal.model.region import IdentifiedRegion
 from parallel_cal.recordings.dataset import Dataset, check_inputs
 from parallel_cal.recordings.joining import fingerprint
+from parallel_cal.recordings.lagged import add_lagged_conditions
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -378,6 +379,7 @@ def fit(
     given = GivenModel.of(model, dataset, options.joint_sigma, options.insist)
     dataset = given.dataset
     start = add_effects(given.start, effects, dataset)
+    dataset = add_lagged_conditions(start.conditions, dataset)
     start, registration = prepared_for_fit(start, given.registration, dataset, options)
     result = fit_registered(
         start, add_registration_warning(dataset, registration), options, progress, given
