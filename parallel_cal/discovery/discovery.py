@@ -44,6 +44,7 @@ from parallel_cal.discovery.places import (
     JOINT,
     PARAMETER,
     PLATFORM,
+    ROD,
     list_places,
     list_sites,
 )
@@ -56,6 +57,7 @@ from parallel_cal.discovery.thresholds import (
     MAX_FORMULAS,
     MAX_LAWS,
     MAX_SCREENED_SAMPLES,
+    MAX_SPLITS,
     MIN_RIVAL_EVIDENCE_SHARE,
     NULL_SESSIONS,
 )
@@ -347,6 +349,8 @@ def _find_winners(
             break
         winner = _find_winner(scene, targets, scored)
         if winner is not None:
+            split = _split(scene, columns, screening, scored, winner.formula)
+            winner = replace(winner, formula=split, equal=()) if split else winner
             refined = _refine_lag(scene, targets, winner.formula, drivers)
             winner = replace(winner, formula=refined)
         if winner is None:
@@ -381,6 +385,51 @@ def _find_winner(
     limit = MIN_RIVAL_EVIDENCE_SHARE * scored[0][0]
     robots = (one for e, one in scored if e >= limit and one.site.kind != DEVICE)
     return _Winner(best, tuple(equal[1:]), max(scored[0][0], best.evidence), next(robots, None))
+
+
+def _split(
+    scene: Scene,
+    columns: np.ndarray,
+    screening: Screening,
+    scored: Sequence[tuple[float, Hypothesis]],
+    formula: Formula,
+) -> Formula | None:
+    """The first of several laws of one driver, in different places, that describe the data as well
+    as a law of two drivers; None if there are none.
+
+    Where several parts err with the temperature, one of them alone describes less than a law with
+    a second quantity that no part depends on.
+    """
+    if len(formula.hypothesis.drivers) < 2:
+        return None
+    best, first = formula.evidence - MAX_EQUAL_EVIDENCE, None
+    for own in formula.hypothesis.drivers:
+        single = screening.of_driver(own[0])
+        begin = [one for _, one in scored if len(one.drivers) == 1 and one.uses(own[0])]
+        for one in begin[:MAX_SPLITS]:
+            gained, chain, found = 0.0, list[Formula](), columns
+            while len(chain) < MAX_LAWS:
+                targets = Targets.of(scene, scene.residual[:, None], found)
+                hypothesis = one if not chain else _find_best(single, targets)
+                law = hypothesis and find_formula(scene, targets, hypothesis)
+                if law is None:
+                    break
+                chain.append(law)
+                gained, found = gained + law.evidence, np.hstack([found, law.columns])
+            if len(chain) > 1 and gained > best:
+                best, first = gained, chain[0]
+    return first
+
+
+def _find_best(screening: Screening, targets: Targets) -> Hypothesis | None:
+    """The best of the hypotheses; None if it may be chance."""
+    scored = [
+        (float(e), one)
+        for part in screening.score(targets)
+        for e, one in zip(part.evidence[:, 0], part.hypotheses, strict=True)
+    ]
+    best = max(scored, key=lambda item: item[0], default=(0.0, None))
+    return best[1] if best[0] > np.log(max(len(scored), 1)) else None
 
 
 def _refine_lag(
@@ -445,12 +494,29 @@ def _find_thresholds(
     exceeds; drivers that change slowly are compared among themselves.
 
     The noise is what the winners leave, except those that change slowly: these could describe
-    correlated noise, and must exceed what such noise imitates.
+    correlated noise, and must exceed what such noise imitates. Once one does, it is no noise for
+    the others.
     """
-    if not winners:
-        return []
-    nothing = np.zeros((len(scene.residual), 0))
     removed = [one for one in winners if not one.formula.hypothesis.slow]
+    thresholds: dict[int, float] = {}
+    while len(thresholds) < len(winners):
+        limit = _compute_limits(scene, screening, removed, report)
+        found = {k: limit[one.formula.hypothesis.slow] for k, one in enumerate(winners)}
+        real = {k: t for k, t in found.items() if k not in thresholds and winners[k].evidence > t}
+        thresholds |= real
+        slow = [winners[k] for k in real if winners[k].formula.hypothesis.slow]
+        if not slow:
+            thresholds = {**found, **thresholds}
+        removed += slow
+    return [thresholds[k] for k in range(len(winners))]
+
+
+def _compute_limits(
+    scene: Scene, screening: Screening, removed: Sequence[_Winner], report: Progress
+) -> dict[bool, float]:
+    """The evidence that the best hypothesis of a session without any law rarely exceeds, of drivers
+    that change slowly (True) and of the others, with the noise that `removed` laws leave."""
+    nothing = np.zeros((len(scene.residual), 0))
     columns = np.hstack([nothing, *(one.formula.columns for one in removed)])
     rest = Targets.of(scene, scene.residual[:, None], columns).residuals[:, 0]
     noise = characterise_noise(scene, rest)
@@ -463,7 +529,7 @@ def _find_thresholds(
                 own = part.evidence[is_slow == kind].max(axis=0)
                 maxima[kind] = np.maximum(maxima[kind], own)
         report("searching sessions without a law", 0.4 + 0.4 * (1 - 0.99**done))
-    return [compute_threshold(maxima[one.formula.hypothesis.slow]) for one in winners]
+    return {kind: compute_threshold(own) for kind, own in maxima.items() if np.isfinite(own).all()}
 
 
 def _prove(
@@ -564,6 +630,7 @@ def describe_law(hypothesis: Hypothesis) -> str:
     what = {
         JOINT: f"The reading of {_join(names)}",
         PARAMETER: f"The parameter {_join(names)}",
+        ROD: f"The length of {_join(names)}",
         PLATFORM: f"The platform's {last}",
         DEVICE: f"The {last} that the device shows",
     }[site.kind]

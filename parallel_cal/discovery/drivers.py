@@ -13,7 +13,6 @@ import numpy as np
 from parallel_cal.base.compiled import Batch, dense
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_SLOW_CORRELATION
-from parallel_cal.discovery.places import find_owners
 from parallel_cal.discovery.thresholds import (
     LAGS_PER_OCTAVE,
     MAX_LEVELS,
@@ -27,10 +26,8 @@ from parallel_cal.effects._statics import (
     needs_rods,
     needs_weight,
     rod_forces,
-    rods,
 )
 from parallel_cal.model.effect import CONDITIONS, Seen, parse_lag
-from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named
 from parallel_cal.recordings.dataset import Dataset
 
@@ -48,7 +45,7 @@ PLACES = {
     "tilt_x": ("rad", "seen.R[2, 1]"),
     "tilt_y": ("rad", "-seen.R[2, 0]"),
 }
-WORDS = {  # of drivers of the whole robot, and of those of a member's own joint
+WORDS = {  # of drivers of the whole robot, and of those of a member's own joint or rod
     "payload": "the payload",
     "temperature": "the temperature",
     "time": "time",
@@ -58,7 +55,7 @@ WORDS = {  # of drivers of the whole robot, and of those of a member's own joint
     "tilt_y": "the platform's tilt about y",
     **{axis: f"the platform's {axis}" for axis in "xyz"},
     LOAD: "the load on its own joint",
-    TENSION: "the tension of its own rods",
+    TENSION: "the tension of its own rod",
     READING: "the reading of its own joint",
     NEXT: "the reading of the next joint",
     PREVIOUS: "the reading of the previous joint",
@@ -66,9 +63,9 @@ WORDS = {  # of drivers of the whole robot, and of those of a member's own joint
     "travel": "the travel of its own joint since the reversal",
     "velocity": "the velocity of its own joint",
 }
-JOINT_WORDS = {  # of drivers of one named joint
+JOINT_WORDS = {  # of drivers of one named joint or rod
     LOAD: "the load on {}",
-    TENSION: "the tension of the rods of {}",
+    TENSION: "the tension of {}",
     READING: "the reading of {}",
     "direction": "the approach direction of {}",
     "travel": "the travel of {} since the reversal",
@@ -121,7 +118,7 @@ class Driver:
 
     `name` is as in reports (`load.joint2`), `family` its name without the joint, `code` what an
     effect computes it from, `needs` the condition that this requires. `slow` is whether it changes
-    as slowly as noise may.
+    as slowly as noise may. `joint` or `rod` is the index of the one that it belongs to.
     """
 
     name: str
@@ -133,6 +130,7 @@ class Driver:
     zero: float = 0.0
     needs: str = ""
     slow: bool = False
+    rod: int | None = None
 
     @property
     def few_values(self) -> bool:
@@ -148,7 +146,7 @@ class Driver:
         """The driver in words: `the load on joint2`."""
         if lag := parse_lag(self.name):
             return f"the {lag[0]}, delayed by a time constant of {lag[1]:g} s"
-        if self.joint is None or self.family not in JOINT_WORDS:
+        if self.family not in JOINT_WORDS:
             return WORDS[self.family]
         return JOINT_WORDS[self.family].format(self.name.rpartition(".")[2])
 
@@ -192,13 +190,10 @@ def _iterate_drivers(scene: Scene) -> Iterator[Driver]:
     for i, values in enumerate(compute_loads(scene).T):
         unit = "N m" if units[i] == "rad" else "N"
         yield Driver(f"load.{joints[i]}", LOAD, unit, f"load[{i}]", values, i, needs=PAYLOAD)
-    chains = find_rods_of_chains(mechanism)
-    tensions = compute_tensions(scene) if chains else np.zeros((len(seen), 0))
-    for i, (chain, own) in enumerate(chains.items()):
-        if tensions.shape[1]:
-            code = f"({' + '.join(f'tension[{k}]' for k in own)}) / {len(own)}"
-            values = tensions[:, own].mean(axis=1)
-            yield Driver(f"tension.{chain}", TENSION, "N", code, values, i, needs=PAYLOAD)
+    for k, values in enumerate(compute_tensions(scene).T):
+        yield Driver(
+            f"{TENSION}.rod{k + 1}", TENSION, "N", f"tension[{k}]", values, rod=k, needs=PAYLOAD
+        )
     known = scene.dataset.conditions
     for kind in JOINT_CONDITIONS:
         for i, name in enumerate(joints):
@@ -240,22 +235,6 @@ def _round_middle(values: np.ndarray) -> float:
         return 0.0
     step = 10.0 ** np.floor(np.log10(spread) - 0.5)
     return float(round(middle / step) * step)
-
-
-def find_rods_of_chains(mechanism: Mechanism) -> dict[str, list[int]]:
-    """The numbers of the rods of each chain, in the order of the joints; empty if the mechanism has
-    no rods, or if they do not belong to one chain for each joint."""
-    owners = find_owners(mechanism.parameters.names, len(mechanism.joints))
-    found: dict[str, list[int]] = {
-        name.partition(".")[0]: [] for name in sorted(owners, key=owners.__getitem__)
-    }
-    names, by_length = rods(mechanism)
-    for k, lengths in enumerate(by_length):
-        chains = {names[i].partition(".")[0] for i in np.flatnonzero(lengths)}
-        if len(chains) != 1 or not chains <= set(found):
-            return {}
-        found[chains.pop()].append(k)
-    return found if all(found.values()) else {}
 
 
 def compute_loads(scene: Scene) -> np.ndarray:

@@ -16,7 +16,7 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import write_atomically
 from parallel_cal.discovery.drivers import LOAD, TENSION, Driver
 from parallel_cal.discovery.formula import Formula, Term
-from parallel_cal.discovery.places import DEVICE, JOINT, PARAMETER, PLATFORM, Place
+from parallel_cal.discovery.places import DEVICE, JOINT, PARAMETER, PLATFORM, ROD, Place
 
 WIDTH = 96  # characters of a line of the docstring
 FORCES = {  # family of a driver -> the function of `_statics` that computes it, and its requirement
@@ -61,7 +61,7 @@ def list_coefficients(formula: Formula) -> list[Coefficient]:
 
 def member_name(place: Place) -> str:
     """A member of a site in the name of a parameter: `joint1`, `chain1`, `x`."""
-    if place.kind == JOINT:
+    if place.kind in (JOINT, ROD):
         return _identifier(place.name)
     if place.kind == PARAMETER:
         return _identifier(place.name.partition(".")[0])
@@ -177,9 +177,11 @@ def write_effect(
     ]
     if site.kind in (PLATFORM, DEVICE):
         lines.append("from parallel_cal.base.rotation import cayley")
-    if forces:
-        functions = ", ".join(sorted({"masses", *(name for f in forces for name in FORCES[f])}))
-        lines.append(f"from parallel_cal.effects._statics import {functions}")
+    functions = {name for family in forces for name in ("masses", *FORCES[family])}
+    if site.kind == ROD:
+        functions |= {"lengthen_rods", "needs_rods"}
+    if functions:
+        lines.append(f"from parallel_cal.effects._statics import {', '.join(sorted(functions))}")
     lines += ["", "", "class FoundLaw(Effect):"]
     lines += indent(f'"""{fill(sentence + ".", WIDTH - 8)}"""', " " * 4).splitlines()
     lines.append("")
@@ -230,7 +232,8 @@ def _tolerance(value: float, sigma: float | None) -> float:
 
 def _equation(formula: Formula) -> str:
     site = formula.hypothesis.site
-    name = {JOINT: "q", PARAMETER: "length", PLATFORM: "pose", DEVICE: "shown pose"}[site.kind]
+    words = {JOINT: "q", PLATFORM: "pose", DEVICE: "shown pose"}
+    name = words.get(site.kind, "length")
     sign = "-" if site.kind in (PLATFORM, DEVICE) else "+"
     members = ", ".join(place.name for place in site.members)
     law = write_formula(formula)
@@ -255,6 +258,8 @@ def _applies(formula: Formula) -> Iterator[str]:
         yield "        if missing:"
         yield "            return f\"it has no {', '.join(sorted(missing))}\""
     needs = [f"{FORCES[family][1]}(mechanism)" for family in _list_forces(formula)]
+    if site.kind == ROD:
+        needs = list(dict.fromkeys([*needs, "needs_rods(mechanism)"]))
     yield f"        return {' or '.join(needs) or json.dumps('')}"
 
 
@@ -265,6 +270,7 @@ def _ideal(formula: Formula) -> Iterator[str]:
     start = {
         JOINT: "q = ca.vertsplit(seen.q)",
         PARAMETER: "changed = {}",
+        ROD: "longer = [0.0] * len(mechanism.rod_lengths(seen.p))",
         PLATFORM: "shift, turn = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]",
         DEVICE: "shift, turn = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]",
     }
@@ -287,6 +293,7 @@ def _ideal(formula: Formula) -> Iterator[str]:
     end = {
         JOINT: "return seen.with_q(ca.vertcat(*q))",
         PARAMETER: "return seen.with_p(changed)",
+        ROD: "return lengthen_rods(seen, mechanism, ca.vertcat(*longer))",
         PLATFORM: "return seen.with_pose(seen.r - ca.vertcat(*shift), "
         "cayley(ca.vertcat(*turn)).T @ seen.R)",
     }
@@ -302,6 +309,7 @@ def _assign(place: Place, error: str) -> Iterator[str]:
     target = {
         JOINT: f"q[{place.index}] += ",
         PARAMETER: f"changed[{json.dumps(place.name)}] = seen.p[{json.dumps(place.name)}] + ",
+        ROD: f"longer[{place.index}] = ",
     }.get(place.kind)
     if target is None:
         part, index = ("shift", place.index) if place.index < 3 else ("turn", place.index - 3)

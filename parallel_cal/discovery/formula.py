@@ -12,7 +12,7 @@ from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
 from parallel_cal.discovery.basis import frequencies
 from parallel_cal.discovery.drivers import NEXT, PREVIOUS, READING, TIME, Driver
-from parallel_cal.discovery.places import DEVICE, JOINT, PARAMETER, PLATFORM
+from parallel_cal.discovery.places import DEVICE, JOINT, PARAMETER, PLATFORM, ROD
 from parallel_cal.discovery.screening import Hypothesis, Targets, evidence
 from parallel_cal.discovery.thresholds import (
     MAX_TERMS,
@@ -22,7 +22,7 @@ from parallel_cal.discovery.thresholds import (
 )
 from parallel_cal.identification.observations import blocks
 
-PLACE_KINDS = (JOINT, PLATFORM, PARAMETER, DEVICE)  # the more usual place of an error first
+PLACE_KINDS = (JOINT, PLATFORM, ROD, PARAMETER, DEVICE)  # the more usual place of an error first
 POWERS = {1: "linear", 2: "quadratic", 3: "cubic"}
 CENTRES = 24  # of a bump or a step, over the range of its driver
 WIDTHS = (0.02, 0.04, 0.08, 0.15, 0.3)  # of a bump or a step, as shares of the range

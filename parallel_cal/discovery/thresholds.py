@@ -27,6 +27,7 @@ MAX_EQUAL_EVIDENCE = 5.0  # log of how much likelier one of two equally good law
 MIN_RIVAL_EVIDENCE_SHARE = 0.8
 MAX_FORMULAS = 20  # winners of the screening for which a formula is searched ...
 MAX_FORMULA_LAG = 40.0  # ... if their evidence is at most so much smaller: a formula needs fewer
+MAX_SPLITS = 4  # places from which a law of two drivers is split into laws of one driver
 MAX_TERMS = 4  # of one formula
 MIN_TERM_EVIDENCE = 4.0  # log of how much likelier a further term makes the data
 REDRAWS = 40  # of the poses: a term that changes its sign in too many is removed
