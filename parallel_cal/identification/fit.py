@@ -148,7 +148,8 @@ class FitResult(ShownInNotebook):
         if len(seen) > MAX_REGION_SAMPLES:
             seen = seen.select(np.linspace(0, len(seen) - 1, MAX_REGION_SAMPLES).astype(int))
         joints = self.observations.x[:, : len(self.model.joints)]
-        return IdentifiedRegion.of_samples(self.model, joints, predict_positions(self.model, seen))
+        position = predict_positions(self.model, seen)
+        return IdentifiedRegion.of_samples(self.model, joints, position, self.observations.a)
 
     @cached_property
     def noise_floor(self) -> Summary:
