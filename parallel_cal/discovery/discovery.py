@@ -411,7 +411,7 @@ def _split(
             while len(chain) < MAX_LAWS:
                 targets = Targets.of(scene, scene.residual[:, None], found)
                 hypothesis = one if not chain else _find_best(single, targets)
-                law = hypothesis and find_formula(scene, targets, hypothesis)
+                law = find_formula(scene, targets, hypothesis) if hypothesis else None
                 if law is None:
                     break
                 chain.append(law)

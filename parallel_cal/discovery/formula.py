@@ -26,7 +26,9 @@ PLACE_KINDS = (JOINT, PLATFORM, ROD, PARAMETER, DEVICE)  # the more usual place 
 POWERS = {1: "linear", 2: "quadratic", 3: "cubic"}
 CENTRES = 24  # of a bump or a step, over the range of its driver
 WIDTHS = (0.02, 0.04, 0.08, 0.15, 0.3)  # of a bump or a step, as shares of the range
-SCALES = (0.05, 0.1, 0.2, 0.4, 0.8)  # in which a law saturates, as shares of the largest value
+# In which a law saturates or settles, as shares of the largest value: so close that a refinement
+# does not change which of the two describes the data better.
+SCALES = (0.05, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4, 0.56, 0.8)
 
 
 @dataclass(frozen=True)
