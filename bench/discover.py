@@ -4,6 +4,7 @@ Robots, sessions, laws and noise come from the independent virtual robots. The l
 physics, not from the terms that the search knows (test/virtual_laws.py). The families are:
 
 - `laws`: each kind of law on a Delta, a hexapod and an arm,
+- `catalogue`: each effect of the catalogue, with the effect and its lookalikes taken out of it,
 - `null`: white noise,
 - `noise`: correlated noise, noise that grows outwards, noise twice as large as stated,
 - `outliers`, and `payload`, which is recorded one change late,
@@ -31,6 +32,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
 
 import blind
+import catalogue_sessions as cs
 import law_sessions as ls
 import virtual_blind as vb
 
@@ -39,11 +41,14 @@ from parallel_cal.discovery.discovery import discover
 from parallel_cal.fleet.cluster import cluster, run_each
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import new_model
+from parallel_cal.session.steps import add
 
+MAX_ERROR_RATIO = 1.25  # of the true error with a found law to that with the true effect
 CLEARLY = 1.1  # of the true error before: its own uncertainty at 60 poses
 SIGMAS = (1.0, 2.0)  # of the residual that the geometry leaves of a law
 GOALS = {  # family -> what is counted, and the share that it must (not) reach
     "laws": (("place", ">=", 0.85), ("driver", ">=", 0.85), ("worse", "<=", 0.0)),
+    "catalogue": (("place", ">=", 0.95), ("driver", ">=", 0.9), ("as good", ">=", 0.9)),
     "null": (("law", "<=", 0.01),),
     "noise": (("law", "<=", 0.02),),
     "outliers": (("law", "<=", 0.02),),
@@ -65,8 +70,8 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What was found, and the true error (m, rms) of the robot without and with it; NaN where no
-    law was hidden."""
+    """What was found, and the true error (m, rms) of the robot without it, with it, and with the
+    hidden effect of the catalogue; NaN where nothing was hidden."""
 
     case: Case
     verdict: str
@@ -78,6 +83,12 @@ class Outcome:
     after: float = math.nan
     error: str = ""
     seconds: float = 0.0  # of the processor
+    with_effect: float = math.nan
+
+    @property
+    def as_good(self) -> bool:
+        """Whether the found law is nearly as good for the robot as the true effect."""
+        return self.after <= MAX_ERROR_RATIO * self.with_effect
 
     @property
     def worse(self) -> bool:
@@ -93,6 +104,11 @@ def families(draws: int, first: int) -> dict[str, Callable[[], Iterator[Case]]]:
             for kind in robot.kinds:
                 for s in seeds(draws):
                     yield Case("laws", s, kind.__name__, name, SIGMAS[s % len(SIGMAS)])
+
+    def catalogue() -> Iterator[Case]:
+        for name, kind in cs.EFFECTS.items():
+            for s in seeds(draws):
+                yield Case("catalogue", s, name, kind.machine, SIGMAS[s % len(SIGMAS)])
 
     def null() -> Iterator[Case]:
         yield from (Case("null", s) for s in seeds(10 * draws))
@@ -111,7 +127,7 @@ def families(draws: int, first: int) -> dict[str, Callable[[], Iterator[Case]]]:
         for kind in vb.DEVICE:
             yield from (Case("device", s, kind, sigmas=1.5) for s in seeds(3 * draws))
 
-    return {f.__name__: f for f in (laws, null, noise, outliers, payload, device)}
+    return {f.__name__: f for f in (laws, catalogue, null, noise, outliers, payload, device)}
 
 
 def without_law(case: Case) -> Any:
@@ -143,7 +159,38 @@ def run(case: Case) -> Outcome:
     return replace(found, seconds=round(time.process_time() - begin, 2))
 
 
+def find_hidden_effect(case: Case) -> Outcome:
+    """The outcome of a session that hides an effect of the catalogue."""
+    machine = cs.MACHINES[case.robot]
+    effect = cs.draw_effect(case.kind, case.seed, case.sigmas)
+    data = cs.measure(machine, effect, case.seed)
+    with cs.without_effects(cs.list_lookalikes(case.kind)):
+        found = discover(machine.model(), data)
+    models = (
+        fit(machine.model(), data, hold_out=0).model,
+        found.described,
+        add(machine.model(), case.kind, data, force=True).model,
+    )
+    before, after, with_effect = (
+        cs.compute_true_error(case.kind, model, effect, case.seed) for model in models
+    )
+    place, driver = cs.is_named(found.laws, case.kind, machine.model().joints)
+    return Outcome(
+        case,
+        found.verdict,
+        tuple(law.name for law in found.laws),
+        tuple(law.name for law in found.laws if not law.of_device),
+        place,
+        driver,
+        before,
+        after,
+        with_effect=with_effect,
+    )
+
+
 def outcome(case: Case) -> Outcome:
+    if case.family == "catalogue":
+        return find_hidden_effect(case)
     if case.family != "laws":
         found = discover(new_model("delta54"), without_law(case))
         robots = tuple(law.name for law in found.laws if not law.of_device)
@@ -179,7 +226,8 @@ def report(outcomes: list[Outcome]) -> None:
             f"error {before:.1f} -> {after:.1f} um"
         )
         for o in some:
-            if o.error or (o.case.family == "laws") != (o.place and o.driver and bool(o.laws)):
+            hidden = o.case.family in ("laws", "catalogue")
+            if o.error or hidden != (o.place and o.driver and bool(o.laws)):
                 print(f"    seed {o.case.seed}: {o.verdict}; {', '.join(o.laws)} {o.error[:120]}")
     for family in dict.fromkeys(o.case.family for o in outcomes):
         some = [o for o in outcomes if o.case.family == family]
@@ -189,6 +237,7 @@ def report(outcomes: list[Outcome]) -> None:
             "law": sum(bool(o.laws) for o in some),
             "learned": sum(bool(o.of_robot) for o in some),
             "worse": sum(o.worse for o in some),
+            "as good": sum(o.as_good for o in some),
             "error": sum(bool(o.error) for o in some),
         }
         told = [f"{name} {k} ({blind.interval(k, len(some))})" for name, k in counts.items()]

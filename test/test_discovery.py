@@ -2,8 +2,9 @@
 
 import json
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
+import catalogue_sessions as cs
 import findings
 import law_sessions as ls
 import numpy as np
@@ -11,10 +12,13 @@ import pytest
 import virtual_blind as vb
 import virtual_findings as vf
 import virtual_laws as laws
+import virtual_sessions as days
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.cli import main as cli
+from parallel_cal.diagnosis.catalogue import find_new_parameters
 from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.diagnosis.scene import columns as compute_effect_columns
 from parallel_cal.discovery.discovery import discover
 from parallel_cal.discovery.drivers import list_drivers
 from parallel_cal.discovery.effect_file import load_text, write_effect, write_effect_file
@@ -99,6 +103,54 @@ def test_a_law_states_its_range_its_share_and_its_errors_at_held_out_poses(sprin
     low, high = law.tested["load.joint2"]
     assert -1.5 < low < high < 0
     assert repr(found) == f"Discovery(delta54, {len(data)} samples, described: {law.name})"
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize(
+    ("name", "sigmas"),
+    [("rod_compliance", 1.0), ("thermal_expansion", 2.0), ("spool_buildup", 1.0)],
+)
+def test_an_effect_is_found_again_without_itself_and_its_lookalikes_in_the_catalogue(name, sigmas):
+    machine = cs.MACHINES[cs.EFFECTS[name].machine]
+    effect = cs.draw_effect(name, 0, sigmas)
+    data = cs.measure(machine, effect, 0)
+    with cs.without_effects(cs.list_lookalikes(name)):
+        found = discover(machine.model(), data)
+    assert cs.is_named(found.laws, name, machine.model().joints) == (True, True), found.summary
+    true = add(machine.model(), name, data, force=True).model
+    after, best = (cs.compute_true_error(name, m, effect, 0) for m in (found.described, true))
+    assert after < 1.25 * best
+
+
+@dataclass(frozen=True)
+class WarmsUpLate(vr.Effect):
+    """A joint whose gear follows the temperature of the hall with a time constant (s)."""
+
+    size: float  # rad per 5 K
+    time_constant: float
+
+    def arm(self, reading, robot, at):
+        time = np.linspace(0.0, float(at.time.max()), 20_000)
+        air = days.wandering(time)
+        gear, share = air.copy(), (time[1] - time[0]) / self.time_constant
+        for k in range(1, len(time)):
+            gear[k] = gear[k - 1] + share * (air[k - 1] - gear[k - 1])
+        late = np.interp(at.time, time, gear) - 20
+        return reading + self.size * late[:, None] / 5 * [0, 1, 0]
+
+
+@pytest.mark.wide
+def test_a_part_that_warms_up_after_the_sensor_errs_with_the_delayed_temperature():
+    robot = ls.ROBOTS["delta"]
+    day = robot.day(0)
+    effect = ls.sized(robot, lambda size: WarmsUpLate(size, 420.0), day, 1.5)
+    found = discover(robot.model(), ls.measured(robot, day, [effect], robot.noise, 0))
+    (law,) = found.laws
+    (driver,) = law.drivers
+    assert law.place == "joint2"
+    assert 300 < float(driver.removeprefix("temperature.lag")) < 600
+    assert [p.name for p in law.parameters] == ["linear"]
+    assert "delayed by a time constant of" in found.summary
 
 
 # ------------------------------------------------------------------------- nothing false is found
@@ -284,6 +336,61 @@ def test_a_formula_takes_the_term_that_made_the_error_and_its_coefficient(scene)
     assert [term.word for term in found.terms] == ["cubic"]
     value, sigma = found.coefficients[0, 0], found.sigma[0, 0]
     assert abs(value - 2e-3) < 4 * sigma < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("driver", "word", "law"),
+    [
+        ("time", "settling", lambda t: 1 - np.exp(-t / 400)),
+        ("radius", "saturating", lambda r: np.tanh(r / 0.03)),
+        ("travel.joint1", "saturating", lambda way: np.tanh(way / 0.2)),
+        ("velocity.joint1", "linear", lambda speed: speed),
+        ("session", "linear", lambda number: number),
+    ],
+)
+def test_a_formula_has_a_term_for_lags_saturation_speed_and_sessions(scene, driver, word, law):
+    n = len(scene.dataset)
+    speed = np.random.default_rng(0).uniform(-0.5, 0.5, n)
+    known = scene.dataset.conditions | {
+        "velocity.joint1": speed,
+        "session": (np.arange(n) > n / 2).astype(float),
+    }
+    scene = replace(scene, dataset=replace(scene.dataset, conditions=known))
+    place = next(one for one in list_places(scene) if one.name == "joint1")
+    own = next(one for one in list_drivers(scene) if one.name == driver)
+    error = 2e-3 * law(own.values)
+    residual = scene.project_off_geometry(scene.residual - (place.columns * error[:, None]).ravel())
+    targets = Targets.of(scene, residual[:, None], np.zeros((len(residual), 0)))
+    found = find_formula(scene, targets, Hypothesis(Site("joint1", (place,)), ((own,),)))
+    assert word in [term.word for term in found.terms]
+
+
+def test_rods_err_with_their_own_tension_and_the_effect_moves_each_rod(scene):
+    site = next(one for one in list_sites(list_places(scene)) if one.name == "rods")
+    own = [one for one in list_drivers(scene) if one.family == "tension"]
+    assert [one.name for one in own] == [f"tension.rod{k}" for k in range(1, 7)]
+    residual = scene.residual - sum(
+        (place.columns * 3e-6 * one.values[:, None]).ravel()
+        for place, one in zip(site.members, own, strict=True)
+    )
+    targets = Targets.of(
+        scene, scene.project_off_geometry(residual)[:, None], np.zeros((len(residual), 0))
+    )
+    found = find_formula(scene, targets, Hypothesis(site, (tuple(own),)))
+    assert [term.word for term in found.terms] == ["linear"]
+    assert found.coefficients[0, 0] == pytest.approx(3e-6, rel=0.1)
+    effect = load_effect(load_text(write_effect(found, "rods err", "a test")))
+    assert not effect.applies(scene.model.mechanism)
+    assert "no rods" in effect.applies(new_model("stewart42").mechanism)
+    known = load_effect("rod_compliance")
+    extended = [scene.model.with_effect(one.name) for one in (effect, known)]
+    columns = [
+        compute_effect_columns(one, scene, find_new_parameters(scene.model, one))
+        / one.table.tolerance[find_new_parameters(scene.model, one)]
+        for one in extended
+    ]
+    law, physics = (one[:, 0] for one in columns)
+    np.testing.assert_allclose(law, physics, atol=1e-6 * np.abs(physics).max())
 
 
 def test_no_name_of_a_joint_or_a_file_becomes_code_of_the_effect(scene):

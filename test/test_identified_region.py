@@ -1,6 +1,7 @@
 """A model is proven in the region of its samples; one warning says how far a use is beyond it."""
 
 import json
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,11 @@ from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import dump_model, parse_model, write_model
 from parallel_cal.model.mechanism import Workspace
 from parallel_cal.model.model import Noise, new_model
-from parallel_cal.model.region import IdentifiedRegion, describe_workspace_excess
+from parallel_cal.model.region import (
+    IdentifiedRegion,
+    describe_untested_conditions,
+    describe_workspace_excess,
+)
 from parallel_cal.planning.plan import plan
 from parallel_cal.reporting import text
 from parallel_cal.session.steps import add, fitted
@@ -135,3 +140,70 @@ def test_a_history_that_cannot_be_read_states_no_region():
     model = replace(new_model("delta54"), history=history)
     region = IdentifiedRegion.of_model(model)
     assert not region.compute_excess(np.ones((1, 3)), np.ones((1, 3))).any()
+
+
+WARM = """from parallel_cal import Effect, Parameter
+
+
+class Warm(Effect):
+    needs = ("temperature",)
+    found_in_data = True
+    physics = source = "a law of a test"
+
+    def parameters(self, mechanism):
+        return [Parameter("gain", "rad/K", 0.0, 1e-4)]
+
+    def ideal(self, seen, e, at, mechanism):
+        return seen.with_q(seen.q + e.gain * (at.temperature - 20))
+"""
+
+
+@pytest.fixture(scope="module")
+def law(inside, tmp_path_factory):
+    """A model with a law that was found in data, tested between 24 and 30 degC."""
+    folder = tmp_path_factory.mktemp("law")
+    (folder / "warm_of_a_test.py").write_text(WARM)
+    sys.path.insert(0, str(folder))
+    warm = np.linspace(24.0, 30.0, len(inside))
+    data = replace(
+        inside,
+        conditions={**inside.conditions, "temperature": warm},
+        q=inside.q - 2e-4 * (warm - 20)[:, None],
+    )
+    model = add(new_model("delta54"), "warm_of_a_test", data, force=True).model
+    yield replace(model, noise=Noise(vr.THESIS_NOISE.joint, 1e-5, 1e-4)), data
+    sys.path.remove(str(folder))
+    sys.modules.pop("warm_of_a_test", None)
+
+
+@pytest.mark.wide
+def test_a_law_that_was_found_in_data_is_not_used_in_silence_beyond_what_it_was_tested_in(
+    law, tmp_path, capsys
+):
+    model, data = law
+    region = IdentifiedRegion.of_model(parse_model(dump_model(model)))
+    assert region.conditions == {"temperature": (24.0, 30.0)}
+    words = "beyond the conditions in which warm_of_a_test was found in data"
+    tested = "(tested 24..30 degC)"
+    assert not any(words in warning for warning in compare(model, data).dataset.warnings)
+    hot = replace(data, conditions={**data.conditions, "temperature": np.full(len(data), 41.0)})
+    [warning] = [w for w in compare(model, hot).dataset.warnings if words in w]
+    assert f"temperature 41 {tested}" in warning
+    [remark] = [w for w in export(model, "c", tmp_path / "c").remarks if words in w]
+    assert f"temperature 20 {tested}" in remark
+    [warning] = [w for w in plan(model, 30, pool=200).warnings if words in w]
+    assert tested in warning
+    write_model(model, tmp_path / "law.yaml")
+    ask = ("direct", tmp_path / "law.yaml", "--joints", "0.5 0.5 0.5", "--at")
+    assert run(*ask, "temperature=27") == 0
+    assert words not in capsys.readouterr().err
+    assert run(*ask, "temperature=35") == 0
+    shown = capsys.readouterr().err
+    assert shown.count(words) == 1
+    assert "temperature 35" in shown
+
+
+def test_conditions_of_an_effect_whose_physics_is_known_have_no_tested_range(step):
+    assert IdentifiedRegion.of_model(step.model).conditions == {}
+    rows = np.full((1, len(step.model.conditions)), 99.0)
+    assert describe_untested_conditions(step.model, rows) == ""

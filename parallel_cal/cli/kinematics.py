@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -80,8 +80,8 @@ def direct(
 
     robot, conditions = _read_robot_and_conditions(model, at)
     if table is not None:
-        text, found = direct_table(robot, table, conditions, solver)
-        _warn_outside_region(found, robot)
+        text, found, own = direct_table(robot, table, conditions, solver)
+        _warn_outside_region(found, robot, own)
         return _output_table(text, found, output, as_json)
     if q is not None and len(q) != len(robot.joints):
         raise ParallelCalError(
@@ -90,7 +90,7 @@ def direct(
         )
     found = solving.direct(robot, np.array(q), conditions, every, solver)
     known = answers.direct_covariances(robot, found, conditions) if covariance else None
-    _print_solutions(found, robot, known, _pose_sigma, as_json)
+    _print_solutions(found, robot, conditions, known, _pose_sigma, as_json)
 
 
 def inverse(
@@ -119,8 +119,8 @@ def inverse(
 
     robot, conditions = _read_robot_and_conditions(model, at)
     if table is not None:
-        text, found = inverse_table(robot, table, conditions, solver)
-        _warn_outside_region(found, robot)
+        text, found, own = inverse_table(robot, table, conditions, solver)
+        _warn_outside_region(found, robot, own)
         return _output_table(text, found, output, as_json)
     r = np.array(robot.mechanism.home.position if place is None else place)
     R = None if quaternion is None else answers.parse_rotation(quaternion)
@@ -133,7 +133,7 @@ def inverse(
     )
     found = solving.inverse(robot, r, R, conditions, every, solver)
     known = answers.inverse_covariances(robot, found, conditions) if covariance else None
-    _print_solutions(found, robot, known, partial(_joint_sigma, robot), as_json)
+    _print_solutions(found, robot, conditions, known, partial(_joint_sigma, robot), as_json)
 
 
 def _numbers(text: str | None, option: str, n: int | None = None) -> list[float] | None:
@@ -172,10 +172,13 @@ def _read_robot_and_conditions(path: Path, at: list[str] | None) -> tuple[Model,
     return model, conditions
 
 
-def _warn_outside_region(solutions: Solutions, model: Model) -> None:
-    """Warn about poses outside the region in which the model was identified."""
-    from parallel_cal.model.region import IdentifiedRegion
+def _warn_outside_region(solutions: Solutions, model: Model, conditions: Mapping[str, Any]) -> None:
+    """Warn about poses outside the region in which the model was identified, and about conditions
+    beyond those in which its laws were tested."""
+    from parallel_cal.model.region import IdentifiedRegion, describe_untested_conditions
 
+    rows = model.condition_rows(conditions, len(solutions.status))
+    console.warn(filter(None, [describe_untested_conditions(model, rows)]))
     if region := IdentifiedRegion.of_model(model):
         excess = region.compute_excess(solutions.joints, solutions.position)
         console.warn(filter(None, [region.describe_excess(excess, "solutions")]))
@@ -184,13 +187,14 @@ def _warn_outside_region(solutions: Solutions, model: Model) -> None:
 def _print_solutions(
     solutions: Solutions,
     model: Model,
+    conditions: Mapping[str, Any],
     covariances: list[np.ndarray] | None,
     words: Callable[[np.ndarray], str],
     as_json: bool,
 ) -> None:
     from parallel_cal.kinematics.answers import to_rows
 
-    _warn_outside_region(solutions, model)
+    _warn_outside_region(solutions, model, conditions)
     rows = to_rows(solutions)
     if covariances is not None:
         for row, covariance in zip(rows, covariances, strict=True):

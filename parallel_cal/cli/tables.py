@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,8 +44,16 @@ def _columns(table: Table, names: Sequence[str]) -> np.ndarray:
     return np.column_stack([table.column(name) for name in names])
 
 
-def direct_table(model: Model, path: Path, at: Conditions, solver: str) -> tuple[str, Solutions]:
-    """Solve a table of joint readings; return the CSV text and the solutions."""
+class Answer(NamedTuple):
+    """The solutions of a table: as CSV, as numbers, and the conditions of its rows."""
+
+    text: str
+    found: Solutions
+    conditions: Conditions
+
+
+def direct_table(model: Model, path: Path, at: Conditions, solver: str) -> Answer:
+    """Solve a table of joint readings."""
     table = _check_columns(read_table(path), model.joints, model.conditions)
     q = _columns(table, model.joints)
     conditions = _conditions(model, table, at)
@@ -54,11 +63,12 @@ def direct_table(model: Model, path: Path, at: Conditions, solver: str) -> tuple
         some = direct(model, q[good], _select_rows(conditions, good), solver=solver)
         found = _insert_solutions(found, some, good)
     names = (*POSITION, *QUATERNION)
-    return _text(table, names, np.hstack([found.position, found.quaternion]), found), found
+    text = _text(table, names, np.hstack([found.position, found.quaternion]), found)
+    return Answer(text, found, conditions)
 
 
-def inverse_table(model: Model, path: Path, at: Conditions, solver: str) -> tuple[str, Solutions]:
-    """Solve a table of poses; return the CSV text and the solutions."""
+def inverse_table(model: Model, path: Path, at: Conditions, solver: str) -> Answer:
+    """Solve a table of poses."""
     table = _pose_table(model, path)
     n = len(table.rows)
     r = np.tile(model.mechanism.home.position, (n, 1))
@@ -76,7 +86,7 @@ def inverse_table(model: Model, path: Path, at: Conditions, solver: str) -> tupl
         turned = None if R is None else R[good]
         some = inverse(model, r[good], turned, _select_rows(conditions, good), solver=solver)
         found = _insert_solutions(found, some, good)
-    return _text(table, model.joints, found.joints, found), found
+    return Answer(_text(table, model.joints, found.joints, found), found, conditions)
 
 
 def _pose_table(model: Model, path: Path) -> Table:

@@ -36,7 +36,7 @@ from parallel_cal.identification.registration import Registration, add_registrat
 from parallel_cal.identification.variance_components import estimate_noise
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
-from parallel_cal.model.region import IdentifiedRegion
+from parallel_cal.model.region import IdentifiedRegion, describe_untested_conditions
 from parallel_cal.recordings.configuration import explain_other_configuration
 from parallel_cal.recordings.dataset import Dataset, check_inputs
 from parallel_cal.recordings.residuals import Residuals
@@ -258,6 +258,8 @@ def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) ->
         place = predict_positions(given.model, given.observations)
         if words := region.describe_excess(region.compute_excess(joints, place), "samples"):
             dataset = replace(dataset, warnings=(*dataset.warnings, words))
+    if untested := describe_untested_conditions(model, given.observations.a):
+        dataset = replace(dataset, warnings=(*dataset.warnings, untested))
     observations = given.observations
     if observations.unknown:  # in units of the errors, not of a guess
         none = np.zeros(len(given.model.values), dtype=bool)

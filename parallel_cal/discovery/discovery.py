@@ -20,7 +20,15 @@ from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.verdict import share_explained
-from parallel_cal.discovery.drivers import PLACES, WORDS, Driver, list_drivers
+from parallel_cal.discovery.drivers import (
+    LAGGED,
+    PLACES,
+    WORDS,
+    Driver,
+    list_drivers,
+    name_lags,
+    select_for_screening,
+)
 from parallel_cal.discovery.effect_file import (
     Coefficient,
     list_coefficients,
@@ -36,17 +44,20 @@ from parallel_cal.discovery.places import (
     JOINT,
     PARAMETER,
     PLATFORM,
+    ROD,
     list_places,
     list_sites,
 )
 from parallel_cal.discovery.screening import Hypothesis, Screening, Targets
 from parallel_cal.discovery.shape import Shape, find_shape
 from parallel_cal.discovery.thresholds import (
+    LAGS_PER_OCTAVE,
     MAX_EQUAL_EVIDENCE,
     MAX_FORMULA_LAG,
     MAX_FORMULAS,
     MAX_LAWS,
     MAX_SCREENED_SAMPLES,
+    MAX_SPLITS,
     MIN_RIVAL_EVIDENCE_SHARE,
     NULL_SESSIONS,
 )
@@ -56,6 +67,7 @@ from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset, check_inputs
+from parallel_cal.recordings.lagged import add_lagged_conditions
 from parallel_cal.session.steps import Step, add
 
 if TYPE_CHECKING:
@@ -283,6 +295,7 @@ def discover(
     report = progress or ignore_progress
     options = with_changes(options or FitOptions(), changes, FitError)
     report("identifying the geometry", 0.0)
+    dataset = add_lagged_conditions(name_lags(dataset), dataset)
     base = fit(model, dataset, options)
     if options.loss != "linear":
         dataset = dataset.excluding(find_mistrusted_samples(base), f"by --loss {options.loss}")
@@ -290,8 +303,8 @@ def discover(
         base = fit(model, dataset, options)
     scene = _make_scene(base)
     drivers = list_drivers(scene)
-    screening = Screening(scene, list_sites(list_places(scene)), drivers)
-    winners = _find_winners(scene, screening, report)
+    screening = Screening(scene, list_sites(list_places(scene)), select_for_screening(drivers))
+    winners = _find_winners(scene, screening, drivers, report)
     thresholds = _find_thresholds(scene, screening, winners, report)
     real = [(one, t) for one, t in zip(winners, thresholds, strict=True) if one.evidence > t]
     found, current = list[Law](), base.model
@@ -314,7 +327,9 @@ def _make_scene(base: FitResult) -> Scene:
     )
 
 
-def _find_winners(scene: Scene, screening: Screening, report: Progress) -> list[_Winner]:
+def _find_winners(
+    scene: Scene, screening: Screening, drivers: Sequence[Driver], report: Progress
+) -> list[_Winner]:
     """The best law, and further ones in what it leaves, before any test of chance."""
     columns = np.zeros((len(scene.residual), 0))
     winners: list[_Winner] = []
@@ -333,6 +348,11 @@ def _find_winners(scene: Scene, screening: Screening, report: Progress) -> list[
         if scored[0][0] < np.log(len(scored)):
             break
         winner = _find_winner(scene, targets, scored)
+        if winner is not None:
+            split = _split(scene, columns, screening, scored, winner.formula)
+            winner = replace(winner, formula=split, equal=()) if split else winner
+            refined = _refine_lag(scene, targets, winner.formula, drivers)
+            winner = replace(winner, formula=refined)
         if winner is None:
             break
         winners.append(winner)
@@ -367,6 +387,70 @@ def _find_winner(
     return _Winner(best, tuple(equal[1:]), max(scored[0][0], best.evidence), next(robots, None))
 
 
+def _split(
+    scene: Scene,
+    columns: np.ndarray,
+    screening: Screening,
+    scored: Sequence[tuple[float, Hypothesis]],
+    formula: Formula,
+) -> Formula | None:
+    """The first of several laws of one driver, in different places, that describe the data as well
+    as a law of two drivers; None if there are none.
+
+    Where several parts err with the temperature, one of them alone describes less than a law with
+    a second quantity that no part depends on.
+    """
+    if len(formula.hypothesis.drivers) < 2:
+        return None
+    best, first = formula.evidence - MAX_EQUAL_EVIDENCE, None
+    for own in formula.hypothesis.drivers:
+        single = screening.of_driver(own[0])
+        begin = [one for _, one in scored if len(one.drivers) == 1 and one.uses(own[0])]
+        for one in begin[:MAX_SPLITS]:
+            gained, chain, found = 0.0, list[Formula](), columns
+            while len(chain) < MAX_LAWS:
+                targets = Targets.of(scene, scene.residual[:, None], found)
+                hypothesis = one if not chain else _find_best(single, targets)
+                law = find_formula(scene, targets, hypothesis) if hypothesis else None
+                if law is None:
+                    break
+                chain.append(law)
+                gained, found = gained + law.evidence, np.hstack([found, law.columns])
+            if len(chain) > 1 and gained > best:
+                best, first = gained, chain[0]
+    return first
+
+
+def _find_best(screening: Screening, targets: Targets) -> Hypothesis | None:
+    """The best of the hypotheses; None if it may be chance."""
+    scored = [
+        (float(e), one)
+        for part in screening.score(targets)
+        for e, one in zip(part.evidence[:, 0], part.hypotheses, strict=True)
+    ]
+    best = max(scored, key=lambda item: item[0], default=(0.0, None))
+    return best[1] if best[0] > np.log(max(len(scored), 1)) else None
+
+
+def _refine_lag(
+    scene: Scene, targets: Targets, formula: Formula, drivers: Sequence[Driver]
+) -> Formula:
+    """The formula with the time constant that describes the data best."""
+    own = formula.hypothesis.drivers[0]
+    if own[0].family != LAGGED:
+        return formula
+    lags = [one for one in drivers if one.family == LAGGED]
+    at = [one.name for one in lags].index(own[0].name)
+    near = lags[max(at - LAGS_PER_OCTAVE + 1, 0) : at + LAGS_PER_OCTAVE]
+    hypotheses = [
+        replace(formula.hypothesis, drivers=((one,) * len(own),))
+        for one in near
+        if one is not own[0]
+    ]
+    found = [find_formula(scene, targets, one) for one in hypotheses]
+    return max([formula, *filter(None, found)], key=lambda one: one.evidence)
+
+
 def _select_for_formulas(scored: Sequence[tuple[float, Hypothesis]]) -> list[Hypothesis]:
     """The best hypotheses, but none of two drivers that gains little over one of them, and waves of
     one place and driver only once."""
@@ -380,13 +464,12 @@ def _select_for_formulas(scored: Sequence[tuple[float, Hypothesis]]) -> list[Hyp
     for e, one in scored:
         if e < best - MAX_FORMULA_LAG or len(chosen) >= MAX_FORMULAS:
             break
-        key = (*one.site.key, one.families)
-        if key in seen:
+        if one.key in seen:
             continue
         alone = max(single.get((*one.site.key, (own,)), -np.inf) for own in one.families)
         if len(one.drivers) == 2 and e < alone + MAX_EQUAL_EVIDENCE:
             continue
-        seen.add(key)
+        seen.add(one.key)
         chosen.append(one)
     return chosen
 
@@ -411,12 +494,29 @@ def _find_thresholds(
     exceeds; drivers that change slowly are compared among themselves.
 
     The noise is what the winners leave, except those that change slowly: these could describe
-    correlated noise, and must exceed what such noise imitates.
+    correlated noise, and must exceed what such noise imitates. Once one does, it is no noise for
+    the others.
     """
-    if not winners:
-        return []
-    nothing = np.zeros((len(scene.residual), 0))
     removed = [one for one in winners if not one.formula.hypothesis.slow]
+    thresholds: dict[int, float] = {}
+    while len(thresholds) < len(winners):
+        limit = _compute_limits(scene, screening, removed, report)
+        found = {k: limit[one.formula.hypothesis.slow] for k, one in enumerate(winners)}
+        real = {k: t for k, t in found.items() if k not in thresholds and winners[k].evidence > t}
+        thresholds |= real
+        slow = [winners[k] for k in real if winners[k].formula.hypothesis.slow]
+        if not slow:
+            thresholds = {**found, **thresholds}
+        removed += slow
+    return [thresholds[k] for k in range(len(winners))]
+
+
+def _compute_limits(
+    scene: Scene, screening: Screening, removed: Sequence[_Winner], report: Progress
+) -> dict[bool, float]:
+    """The evidence that the best hypothesis of a session without any law rarely exceeds, of drivers
+    that change slowly (True) and of the others, with the noise that `removed` laws leave."""
+    nothing = np.zeros((len(scene.residual), 0))
     columns = np.hstack([nothing, *(one.formula.columns for one in removed)])
     rest = Targets.of(scene, scene.residual[:, None], columns).residuals[:, 0]
     noise = characterise_noise(scene, rest)
@@ -429,7 +529,7 @@ def _find_thresholds(
                 own = part.evidence[is_slow == kind].max(axis=0)
                 maxima[kind] = np.maximum(maxima[kind], own)
         report("searching sessions without a law", 0.4 + 0.4 * (1 - 0.99**done))
-    return [compute_threshold(maxima[one.formula.hypothesis.slow]) for one in winners]
+    return {kind: compute_threshold(own) for kind, own in maxima.items() if np.isfinite(own).all()}
 
 
 def _prove(
@@ -530,6 +630,7 @@ def describe_law(hypothesis: Hypothesis) -> str:
     what = {
         JOINT: f"The reading of {_join(names)}",
         PARAMETER: f"The parameter {_join(names)}",
+        ROD: f"The length of {_join(names)}",
         PLATFORM: f"The platform's {last}",
         DEVICE: f"The {last} that the device shows",
     }[site.kind]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -12,12 +13,26 @@ import numpy as np
 from parallel_cal.base.compiled import Batch, dense
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_SLOW_CORRELATION
-from parallel_cal.discovery.thresholds import MAX_LEVELS, MIN_VARIATION
-from parallel_cal.effects._statics import PAYLOAD, joint_forces, masses, needs_weight
-from parallel_cal.model.effect import CONDITIONS, Seen
+from parallel_cal.discovery.thresholds import (
+    LAGS_PER_OCTAVE,
+    MAX_LEVELS,
+    MIN_SAMPLES_PER_LAG,
+    MIN_VARIATION,
+)
+from parallel_cal.effects._statics import (
+    PAYLOAD,
+    joint_forces,
+    masses,
+    needs_rods,
+    needs_weight,
+    rod_forces,
+)
+from parallel_cal.model.effect import CONDITIONS, Seen, parse_lag
 from parallel_cal.model.parameters import Named
+from parallel_cal.recordings.dataset import Dataset
 
-READING, LOAD = "reading", "load"
+READING, LOAD, TENSION, TIME = "reading", "load", "tension", "time"
+LAGGED = "lagged temperature"  # of parts that warm up later than the sensor
 NEXT, PREVIOUS = "next_joint", "previous_joint"  # readings of neighbours, for laws of all joints
 JOINT_CONDITIONS = tuple(name for name, (_, _, per_joint) in CONDITIONS.items() if per_joint)
 COMMON_CONDITIONS = tuple(name for name, (_, _, per_joint) in CONDITIONS.items() if not per_joint)
@@ -30,7 +45,7 @@ PLACES = {
     "tilt_x": ("rad", "seen.R[2, 1]"),
     "tilt_y": ("rad", "-seen.R[2, 0]"),
 }
-WORDS = {  # of drivers of the whole robot, and of those of a member's own joint
+WORDS = {  # of drivers of the whole robot, and of those of a member's own joint or rod
     "payload": "the payload",
     "temperature": "the temperature",
     "time": "time",
@@ -40,6 +55,7 @@ WORDS = {  # of drivers of the whole robot, and of those of a member's own joint
     "tilt_y": "the platform's tilt about y",
     **{axis: f"the platform's {axis}" for axis in "xyz"},
     LOAD: "the load on its own joint",
+    TENSION: "the tension of its own rod",
     READING: "the reading of its own joint",
     NEXT: "the reading of the next joint",
     PREVIOUS: "the reading of the previous joint",
@@ -47,8 +63,9 @@ WORDS = {  # of drivers of the whole robot, and of those of a member's own joint
     "travel": "the travel of its own joint since the reversal",
     "velocity": "the velocity of its own joint",
 }
-JOINT_WORDS = {  # of drivers of one named joint
+JOINT_WORDS = {  # of drivers of one named joint or rod
     LOAD: "the load on {}",
+    TENSION: "the tension of {}",
     READING: "the reading of {}",
     "direction": "the approach direction of {}",
     "travel": "the travel of {} since the reversal",
@@ -57,11 +74,13 @@ JOINT_WORDS = {  # of drivers of one named joint
 # Physics rarely depends on the last ones: they order only laws that explain the data equally well.
 PLAUSIBILITY = (
     LOAD,
+    TENSION,
     "payload",
     READING,
     "direction",
     "travel",
     "temperature",
+    LAGGED,
     NEXT,
     PREVIOUS,
     "radius",
@@ -76,13 +95,30 @@ PLAUSIBILITY = (
 )
 
 
+def name_lags(dataset: Dataset) -> list[str]:
+    """Name the temperature with time constants (s) between a few samples and the recording's
+    length, evenly in their logarithm; none if the temperature hardly changes."""
+    known = dataset.conditions
+    if not {"temperature", "time"} <= set(known) or np.ptp(known["temperature"]) <= MIN_VARIATION:
+        return []
+    steps = np.diff(np.sort(known["time"]))
+    steps, span = steps[steps > 0], float(np.ptp(known["time"]))
+    if not len(steps):
+        return []
+    first = MIN_SAMPLES_PER_LAG * float(np.median(steps))
+    octaves = np.floor(np.log2(max(span / first, 1.0)))
+    lags = first * 2.0 ** (np.arange(LAGS_PER_OCTAVE * octaves + 1) / LAGS_PER_OCTAVE)
+    names = dict.fromkeys(f"temperature.lag{lag:.0f}" for lag in lags)
+    return [name for name in names if parse_lag(name)]
+
+
 @dataclass(frozen=True)
 class Driver:
     """A quantity at every sample, relative to `zero`.
 
     `name` is as in reports (`load.joint2`), `family` its name without the joint, `code` what an
     effect computes it from, `needs` the condition that this requires. `slow` is whether it changes
-    as slowly as noise may.
+    as slowly as noise may. `joint` or `rod` is the index of the one that it belongs to.
     """
 
     name: str
@@ -94,6 +130,7 @@ class Driver:
     zero: float = 0.0
     needs: str = ""
     slow: bool = False
+    rod: int | None = None
 
     @property
     def few_values(self) -> bool:
@@ -107,7 +144,9 @@ class Driver:
     @property
     def words(self) -> str:
         """The driver in words: `the load on joint2`."""
-        if self.joint is None or self.family not in JOINT_WORDS:
+        if lag := parse_lag(self.name):
+            return f"the {lag[0]}, delayed by a time constant of {lag[1]:g} s"
+        if self.family not in JOINT_WORDS:
             return WORDS[self.family]
         return JOINT_WORDS[self.family].format(self.name.rpartition(".")[2])
 
@@ -128,6 +167,13 @@ def list_drivers(scene: Scene) -> list[Driver]:
     return found
 
 
+def select_for_screening(drivers: Sequence[Driver]) -> list[Driver]:
+    """The drivers without the time constants between those that are screened."""
+    lags = [one for one in drivers if one.family == LAGGED]
+    left_out = {one.name for k, one in enumerate(lags) if k % LAGS_PER_OCTAVE}
+    return [one for one in drivers if one.name not in left_out]
+
+
 def _varies_slowly(series: np.ndarray) -> bool:
     away = series - series.mean()
     return bool(away[1:] @ away[:-1] > MIN_SLOW_CORRELATION * (away @ away))
@@ -144,6 +190,10 @@ def _iterate_drivers(scene: Scene) -> Iterator[Driver]:
     for i, values in enumerate(compute_loads(scene).T):
         unit = "N m" if units[i] == "rad" else "N"
         yield Driver(f"load.{joints[i]}", LOAD, unit, f"load[{i}]", values, i, needs=PAYLOAD)
+    for k, values in enumerate(compute_tensions(scene).T):
+        yield Driver(
+            f"{TENSION}.rod{k + 1}", TENSION, "N", f"tension[{k}]", values, rod=k, needs=PAYLOAD
+        )
     known = scene.dataset.conditions
     for kind in JOINT_CONDITIONS:
         for i, name in enumerate(joints):
@@ -158,6 +208,11 @@ def _iterate_drivers(scene: Scene) -> Iterator[Driver]:
             yield Driver(
                 kind, kind, unit, f"at.{kind}", known[kind] - neutral, zero=neutral, needs=kind
             )
+    for name in filter(parse_lag, known):
+        unit, neutral, _ = CONDITIONS["temperature"]
+        code = f"at[{json.dumps(name)}]"
+        values = known[name] - neutral
+        yield Driver(name, LAGGED, "K", code, values, zero=neutral, needs=name)
     r, R = seen[:, n : n + 3], seen[:, n + 3 : n + 12]
     moved = set(mechanism.moves)
     values = {a: r[:, k] for k, a in enumerate("xyz") if a in moved}
@@ -187,15 +242,25 @@ def compute_loads(scene: Scene) -> np.ndarray:
 
     The masses of the robot's own links are not known; they are zero, as in `joint_compliance`.
     """
+    return _compute_forces(scene, joint_forces, needs_weight(scene.model.mechanism))
+
+
+def compute_tensions(scene: Scene) -> np.ndarray:
+    """Tension (N, n_rods) of each rod under the payload, N; without columns if it is unknown."""
+    return _compute_forces(scene, rod_forces, needs_rods(scene.model.mechanism))
+
+
+def _compute_forces(scene: Scene, forces: Callable[..., Any], unsuitable: str) -> np.ndarray:
+    """What static forces of the payload are at each sample; without columns if `unsuitable`."""
     mechanism, payload = scene.model.mechanism, scene.dataset.conditions.get(PAYLOAD)
-    if payload is None or needs_weight(mechanism):
+    if payload is None or unsuitable:
         return np.zeros((len(scene.seen), 0))
     ideal = scene.model.structure.ideal
     kinds = masses(mechanism)
     e = Named([kind.name for kind in kinds], ca.SX.zeros(len(kinds)))
     carried = ca.SX.sym("payload")
     seen = Seen(ideal.q, ideal.r, ideal.R, ideal.geometry)
-    forces = joint_forces(seen, e, Named([PAYLOAD], carried), mechanism)
+    found = forces(seen, e, Named([PAYLOAD], carried), mechanism)
     z = ca.vertcat(ideal.configuration, ideal.v)
-    (loads,) = Batch(dense("loads", (z, carried), (forces,)))(scene.seen, payload[:, None])
-    return np.asarray(loads)
+    (values,) = Batch(dense(forces.__name__, (z, carried), (found,)))(scene.seen, payload[:, None])
+    return np.asarray(values)

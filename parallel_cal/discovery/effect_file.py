@@ -14,11 +14,15 @@ from types import ModuleType
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import write_atomically
-from parallel_cal.discovery.drivers import LOAD, Driver
+from parallel_cal.discovery.drivers import LOAD, TENSION, Driver
 from parallel_cal.discovery.formula import Formula, Term
-from parallel_cal.discovery.places import DEVICE, JOINT, PARAMETER, PLATFORM, Place
+from parallel_cal.discovery.places import DEVICE, JOINT, PARAMETER, PLATFORM, ROD, Place
 
 WIDTH = 96  # characters of a line of the docstring
+FORCES = {  # family of a driver -> the function of `_statics` that computes it, and its requirement
+    LOAD: ("joint_forces", "needs_weight"),
+    TENSION: ("rod_forces", "needs_rods"),
+}
 RELATIVE_CONSTANT_TOLERANCE = 0.1  # of a scanned constant, if a user frees it
 
 
@@ -57,7 +61,7 @@ def list_coefficients(formula: Formula) -> list[Coefficient]:
 
 def member_name(place: Place) -> str:
     """A member of a site in the name of a parameter: `joint1`, `chain1`, `x`."""
-    if place.kind == JOINT:
+    if place.kind in (JOINT, ROD):
         return _identifier(place.name)
     if place.kind == PARAMETER:
         return _identifier(place.name.partition(".")[0])
@@ -152,11 +156,11 @@ def write_effect(
     sentence, found = _plain(sentence), _plain(found)
     site = formula.hypothesis.site
     used = [formula.hypothesis.drivers[number] for number in formula.used_drivers]
-    loads = any(own[0].family == LOAD for own in used)
+    forces = _list_forces(formula)
     needs = list(dict.fromkeys(own[0].needs for own in used if own[0].needs))
     coefficients = list_coefficients(formula)
     values = values or {}
-    fixed = [c.name for c in coefficients if c.scanned] + (["mass.*"] if loads else [])
+    fixed = [c.name for c in coefficients if c.scanned] + (["mass.*"] if forces else [])
     quoted = ", ".join(f'"{name}"' for name in fixed)
     required = ", ".join(f'"{name}"' for name in needs)
     lines = [
@@ -173,8 +177,11 @@ def write_effect(
     ]
     if site.kind in (PLATFORM, DEVICE):
         lines.append("from parallel_cal.base.rotation import cayley")
-    if loads:
-        lines.append("from parallel_cal.effects._statics import joint_forces, masses, needs_weight")
+    functions = {name for family in forces for name in ("masses", *FORCES[family])}
+    if site.kind == ROD:
+        functions |= {"lengthen_rods", "needs_rods"}
+    if functions:
+        lines.append(f"from parallel_cal.effects._statics import {', '.join(sorted(functions))}")
     lines += ["", "", "class FoundLaw(Effect):"]
     lines += indent(f'"""{fill(sentence + ".", WIDTH - 8)}"""', " " * 4).splitlines()
     lines.append("")
@@ -205,11 +212,17 @@ def write_effect(
             spread = f" +- {sigma:.2g}" if sigma else ""
             lines.append(f"            # found: {value:.4g}{spread} {c.unit}")
         lines.append(f'            Parameter("{c.name}", "{c.unit}", {nominal}, {size:.3g}),')
-    if loads:
+    if forces:
         lines.append("            *masses(mechanism),")
-    lines += ["        ]", "", "    def applies(self, mechanism):", *_applies(formula, loads)]
-    lines += ["", "    def ideal(self, seen, e, at, mechanism):", *_ideal(formula, loads)]
+    lines += ["        ]", "", "    def applies(self, mechanism):", *_applies(formula)]
+    lines += ["", "    def ideal(self, seen, e, at, mechanism):", *_ideal(formula)]
     return "\n".join(lines) + "\n"
+
+
+def _list_forces(formula: Formula) -> list[str]:
+    """The families of static forces that a formula uses."""
+    used = {formula.hypothesis.drivers[number][0].family for number in formula.used_drivers}
+    return [family for family in FORCES if family in used]
 
 
 def _tolerance(value: float, sigma: float | None) -> float:
@@ -219,7 +232,8 @@ def _tolerance(value: float, sigma: float | None) -> float:
 
 def _equation(formula: Formula) -> str:
     site = formula.hypothesis.site
-    name = {JOINT: "q", PARAMETER: "length", PLATFORM: "pose", DEVICE: "shown pose"}[site.kind]
+    words = {JOINT: "q", PLATFORM: "pose", DEVICE: "shown pose"}
+    name = words.get(site.kind, "length")
     sign = "-" if site.kind in (PLATFORM, DEVICE) else "+"
     members = ", ".join(place.name for place in site.members)
     law = write_formula(formula)
@@ -234,7 +248,7 @@ def _string(text: str, spaces: int) -> Iterator[str]:
         yield f'{" " * spaces}"{line}{space}"'
 
 
-def _applies(formula: Formula, loads: bool) -> Iterator[str]:
+def _applies(formula: Formula) -> Iterator[str]:
     site = formula.hypothesis.site
     joints = [place.name for place in site.members if place.kind == JOINT]
     lengths = [place.name for place in site.members if place.kind == PARAMETER]
@@ -243,16 +257,20 @@ def _applies(formula: Formula, loads: bool) -> Iterator[str]:
         yield f"        missing = {{{needed}}} - {{*mechanism.joints, *mechanism.parameters.names}}"
         yield "        if missing:"
         yield "            return f\"it has no {', '.join(sorted(missing))}\""
-    yield f"        return {'needs_weight(mechanism)' if loads else repr('')}".replace("''", '""')
+    needs = [f"{FORCES[family][1]}(mechanism)" for family in _list_forces(formula)]
+    if site.kind == ROD:
+        needs = list(dict.fromkeys([*needs, "needs_rods(mechanism)"]))
+    yield f"        return {' or '.join(needs) or json.dumps('')}"
 
 
-def _ideal(formula: Formula, loads: bool) -> Iterator[str]:
+def _ideal(formula: Formula) -> Iterator[str]:
     site, hypothesis = formula.hypothesis.site, formula.hypothesis
-    if loads:
-        yield "        load = joint_forces(seen, e, at, mechanism)"
+    for family in _list_forces(formula):
+        yield f"        {family} = {FORCES[family][0]}(seen, e, at, mechanism)"
     start = {
         JOINT: "q = ca.vertsplit(seen.q)",
         PARAMETER: "changed = {}",
+        ROD: "longer = [0.0] * len(mechanism.rod_lengths(seen.p))",
         PLATFORM: "shift, turn = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]",
         DEVICE: "shift, turn = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]",
     }
@@ -275,6 +293,7 @@ def _ideal(formula: Formula, loads: bool) -> Iterator[str]:
     end = {
         JOINT: "return seen.with_q(ca.vertcat(*q))",
         PARAMETER: "return seen.with_p(changed)",
+        ROD: "return lengthen_rods(seen, mechanism, ca.vertcat(*longer))",
         PLATFORM: "return seen.with_pose(seen.r - ca.vertcat(*shift), "
         "cayley(ca.vertcat(*turn)).T @ seen.R)",
     }
@@ -290,6 +309,7 @@ def _assign(place: Place, error: str) -> Iterator[str]:
     target = {
         JOINT: f"q[{place.index}] += ",
         PARAMETER: f"changed[{json.dumps(place.name)}] = seen.p[{json.dumps(place.name)}] + ",
+        ROD: f"longer[{place.index}] = ",
     }.get(place.kind)
     if target is None:
         part, index = ("shift", place.index) if place.index < 3 else ("turn", place.index - 3)

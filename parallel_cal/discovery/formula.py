@@ -11,8 +11,8 @@ import numpy as np
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
 from parallel_cal.discovery.basis import frequencies
-from parallel_cal.discovery.drivers import NEXT, PREVIOUS, READING, Driver
-from parallel_cal.discovery.places import DEVICE, JOINT, PARAMETER, PLATFORM
+from parallel_cal.discovery.drivers import NEXT, PREVIOUS, READING, TIME, Driver
+from parallel_cal.discovery.places import DEVICE, JOINT, PARAMETER, PLATFORM, ROD
 from parallel_cal.discovery.screening import Hypothesis, Targets, evidence
 from parallel_cal.discovery.thresholds import (
     MAX_TERMS,
@@ -22,17 +22,20 @@ from parallel_cal.discovery.thresholds import (
 )
 from parallel_cal.identification.observations import blocks
 
-PLACE_KINDS = (JOINT, PLATFORM, PARAMETER, DEVICE)  # the more usual place of an error first
+PLACE_KINDS = (JOINT, PLATFORM, ROD, PARAMETER, DEVICE)  # the more usual place of an error first
 POWERS = {1: "linear", 2: "quadratic", 3: "cubic"}
 CENTRES = 24  # of a bump or a step, over the range of its driver
 WIDTHS = (0.02, 0.04, 0.08, 0.15, 0.3)  # of a bump or a step, as shares of the range
-SCALES = (0.05, 0.1, 0.2, 0.4, 0.8)  # in which a law saturates, as shares of the largest value
+# In which a law saturates or settles, as shares of the largest value: so close that a refinement
+# does not change which of the two describes the data better.
+SCALES = (0.05, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4, 0.56, 0.8)
 
 
 @dataclass(frozen=True)
 class Factor:
-    """A function of one driver: `power`, `absolute`, `sign`, `sin`, `cos`, `saturating`, `bump` or
-    `step`; `constants` are the power, the angular frequency, the scale, or centre and width."""
+    """A function of one driver: `power`, `absolute`, `sign`, `sin`, `cos`, `saturating`,
+    `settling`, `bump` or `step`; `constants` are the power, the angular frequency, the scale, or
+    centre and width."""
 
     kind: str
     constants: tuple[float, ...] = ()
@@ -46,6 +49,7 @@ class Factor:
             "sin": lambda: np.sin(c[0] * x),
             "cos": lambda: np.cos(c[0] * x),
             "saturating": lambda: np.tanh(x / c[0]),
+            "settling": lambda: 1 - np.exp(-x / c[0]),
             "bump": lambda: np.exp(-(((x - c[0]) / c[1]) ** 2) / 2),
             "step": lambda: np.tanh((x - c[0]) / c[1]),
         }
@@ -65,6 +69,7 @@ class Factor:
             "sin": ("frequency",),
             "cos": ("frequency",),
             "saturating": ("scale",),
+            "settling": ("time_constant",),
             "bump": ("centre", "width"),
             "step": ("centre", "width"),
         }.get(self.kind, ())
@@ -84,6 +89,8 @@ class Factor:
             return f"{p}exp(-({square}) / 2)" if p else f"exp(-(({x} - {c[0]}) / {c[1]})^2 / 2)"
         if self.kind == "step":
             return f"{p}tanh(({x} - {c[0]}) / {c[1]})"
+        if self.kind == "settling":
+            return f"(1 - {p}exp(-{x} / {c[0]}))"
         if self.kind == "saturating":
             return f"{p}tanh({x} / {c[0]})"
         if self.kind == "sign":
@@ -203,6 +210,7 @@ class _Selection:
         visible = squares > MIN_COLUMN_REMAINDER**2
         g = (V[:, visible].T @ (B.T @ self._r)) / np.sqrt(squares[visible])
         rank = int(visible.sum()) + sum(self.groups[number].scanned for number in chosen)
+        rank += self.hypothesis.scanned
         found = evidence(
             np.array(float(g @ g)), np.array(self._total), np.array(rank), self.targets.dof
         )
@@ -393,8 +401,11 @@ def _scanned_groups(number: int, own: Sequence[Driver]) -> Iterator[Group]:
         for w in at:
             yield Group((term("sin", w), term("cos", w)), 1)
     for share in SCALES:
-        if low < 0:
+        # A reading or a place has no zero of its own from which an error could saturate.
+        if low < 0 or own[0].zero == 0:
             yield Group((term("saturating", share * largest),), 1)
+        if own[0].family == TIME:  # what warms up or creeps after the start: a first-order lag
+            yield Group((term("settling", share * largest),), 1)
     for centre in low + span * (np.arange(CENTRES) + 0.5) / CENTRES:
         for share in WIDTHS:
             for kind in ("bump", "step"):
@@ -404,7 +415,8 @@ def _scanned_groups(number: int, own: Sequence[Driver]) -> Iterator[Group]:
 def _scan_steps(own: Sequence[Driver], factor: Factor) -> np.ndarray:
     """Distances from scanned constants to their neighbours in the scan."""
     span = float(np.ptp(np.concatenate([one.values for one in own])))
-    first = {"sin": np.pi / (2 * span), "saturating": factor.constants[0] / 2}
+    half = factor.constants[0] / 2
+    first = {"sin": np.pi / (2 * span), "saturating": half, "settling": half}
     steps = [first.get(factor.kind, span / CENTRES), *(c / 2 for c in factor.constants[1:])]
     return np.array(steps)
 

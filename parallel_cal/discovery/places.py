@@ -11,9 +11,10 @@ import numpy as np
 
 from parallel_cal.base.rotation import left_generators
 from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.effects._statics import needs_rods, rods
 from parallel_cal.model.mechanism import POSE
 
-JOINT, PARAMETER, PLATFORM, DEVICE = "joint", "parameter", "pose", "device"
+JOINT, PARAMETER, ROD, PLATFORM, DEVICE = "joint", "parameter", "rod", "pose", "device"
 MEMBER = re.compile(r"(.*?\d+)\.(.+)")  # chain1.La_x: the chain, and the name of its parameter
 
 
@@ -22,8 +23,8 @@ class Place:
     """One quantity that can err.
 
     `columns` (N, rows) are the derivatives of the residual, in noise units, by an error of the
-    quantity in SI units. `joint` is the index of the joint that the quantity belongs to; None if it
-    belongs to no single joint.
+    quantity in SI units. `joint` is the index of the joint that the quantity belongs to, `rod` that
+    of the rod that it is the length of; None if there is no such one.
     """
 
     name: str
@@ -32,6 +33,7 @@ class Place:
     index: int
     joint: int | None
     columns: np.ndarray = field(repr=False)
+    rod: int | None = None
 
 
 @dataclass(frozen=True)
@@ -59,8 +61,8 @@ class Site:
 
 
 def list_places(scene: Scene) -> list[Place]:
-    """List every joint reading, every parameter of the mechanism, and the platform's pose, which
-    is also the pose that the device shows."""
+    """List every joint reading, every parameter of the mechanism, every rod, and the platform's
+    pose, which is also the pose that the device shows."""
     mechanism = scene.model.mechanism
     joints, J = scene.model.joints, scene.seen_jacobian
     n = len(joints)
@@ -80,7 +82,23 @@ def list_places(scene: Scene) -> list[Place]:
         Place(p.name, PARAMETER, p.unit, k, owners.get(p.name), J[:, :, n + 12 + k])
         for k, p in enumerate(mechanism.parameters)
     ]
+    found += _list_rods(scene, J[:, :, n + 12 :])
     return [place for place in found if np.any(place.columns)]
+
+
+def _list_rods(scene: Scene, J: np.ndarray) -> list[Place]:
+    """The length of each rod, where a parameter of the mechanism is not itself that length; `J` are
+    the derivatives by the parameters (N, rows, k). None where statics does not give tensions."""
+    mechanism = scene.model.mechanism
+    if needs_rods(mechanism):
+        return []
+    names, by_length = rods(mechanism)
+    own = [mechanism.parameters.names.index(name) for name in names]
+    columns = J[:, :, own] @ np.linalg.pinv(by_length)
+    return [
+        Place(f"rod{k + 1}", ROD, "m", k, None, columns[:, :, k], rod=k)
+        for k in range(len(by_length))
+    ]
 
 
 def list_sites(places: list[Place]) -> list[Site]:
@@ -91,6 +109,8 @@ def list_sites(places: list[Place]) -> list[Site]:
     for place in places:
         if place.kind == JOINT:
             groups["joints"].append(place)
+        elif place.kind == ROD:
+            groups["rods"].append(place)
         elif place.kind == PARAMETER and (match := MEMBER.fullmatch(place.name)):
             groups[match[2]].append(place)
         elif place.index < 3:
@@ -98,7 +118,7 @@ def list_sites(places: list[Place]) -> list[Site]:
     for name, members in groups.items():
         if len(members) < 2:
             continue
-        if members[0].kind in (JOINT, PARAMETER):
+        if members[0].kind in (JOINT, PARAMETER, ROD):
             sites.append(Site(name, tuple(members)))
         sites.append(Site(name, tuple(members), each=True))
     return sites

@@ -17,13 +17,14 @@ from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
 from parallel_cal.discovery import basis
 from parallel_cal.discovery.drivers import (
+    LAGGED,
     NEXT,
     PLACES,
     PREVIOUS,
     READING,
     Driver,
 )
-from parallel_cal.discovery.places import DEVICE, JOINT, PARAMETER, PLATFORM, Site
+from parallel_cal.discovery.places import DEVICE, JOINT, PARAMETER, PLATFORM, ROD, Site
 from parallel_cal.discovery.thresholds import (
     FINE_SPLINES,
     MAX_CHUNK_NUMBERS,
@@ -33,7 +34,13 @@ from parallel_cal.discovery.thresholds import (
 
 # One driver for every member of a site: `load` of its own joint, or `payload` for all.
 DriverSet = tuple[Driver, ...]
-OF_DEVICE = {*PLACES, "time", "temperature", "session"}  # families that an error of a device knows
+OF_DEVICE = {
+    *PLACES,
+    "time",
+    "temperature",
+    LAGGED,
+    "session",
+}  # families that an error of a device knows
 
 
 @dataclass(frozen=True)
@@ -59,7 +66,18 @@ class Hypothesis:
 
     @property
     def key(self) -> tuple[str, bool, frozenset[str]]:
-        return *self.site.key, frozenset(self.families)
+        """Equal for hypotheses that are one answer: time constants of a lag are not told apart."""
+        lags = {own[0].name: own[0].family for own in self.drivers if own[0].family == LAGGED}
+        return *self.site.key, frozenset(lags.get(name, name) for name in self.families)
+
+    def uses(self, driver: Driver) -> bool:
+        """Whether a driver, or the same one of other joints, is one of its drivers."""
+        return any(own[0].family == driver.family for own in self.drivers)
+
+    @property
+    def scanned(self) -> int:
+        """The number of time constants that were searched for."""
+        return sum(own[0].family == LAGGED for own in self.drivers)
 
 
 @dataclass(frozen=True)
@@ -104,9 +122,16 @@ def evidence(explained: np.ndarray, total: np.ndarray, rank: np.ndarray, dof: in
 class Screening:
     """All hypotheses about a robot's residuals, and their scores."""
 
-    def __init__(self, scene: Scene, sites: Sequence[Site], drivers: Sequence[Driver]):
-        self._scene, self._sites, self._drivers = scene, sites, drivers
+    def __init__(
+        self, scene: Scene, sites: Sequence[Site], drivers: Sequence[Driver], pairs: bool = True
+    ) -> None:
+        self._scene, self._sites, self._drivers, self._pairs = scene, sites, drivers, pairs
         self._n = len(scene.x)
+
+    def of_driver(self, driver: Driver) -> Screening:
+        """The hypotheses of one driver alone, which may be that of each joint or rod."""
+        own = [one for one in self._drivers if one.family == driver.family]
+        return Screening(self._scene, self._sites, own, pairs=False)
 
     def score(self, targets: Targets) -> Iterator[Scored]:
         """Score all hypotheses, site by site."""
@@ -125,10 +150,11 @@ class Screening:
             for own in sets
             if site.kind != PLATFORM or own[0].family not in OF_DEVICE
         )
-        if len(site.members) == 1 or not site.each:
+        if self._pairs and (len(site.members) == 1 or not site.each):
+            told = [own for own in sets if own[0].family != LAGGED]
             pairs = (
                 (one, other)
-                for one, other in combinations(sets, 2)
+                for one, other in combinations(told, 2)
                 if self._is_plausible_pair(site, one, other)
             )
             yield from _chunks(([Hypothesis(site, pair)], basis.products(*pair)) for pair in pairs)
@@ -154,14 +180,18 @@ class Screening:
         """Drivers that each member may depend on: those of its own joint, those of all joints for
         a single place, and those of the whole robot."""
         n = len(site.members)
-        common = [one for one in self._drivers if one.joint is None]
+        common = [one for one in self._drivers if one.joint is None and one.rod is None]
         own = [one for one in self._drivers if one.joint is not None]
+        tensions = [one for one in self._drivers if one.rod is not None]
         if site.kind == DEVICE:
             return [(one,) * n for one in common if one.family in OF_DEVICE]
         if site.kind == PLATFORM:
             return [(one,) * n for one in (*own, *common) if one.family != READING]
+        if site.kind == ROD:
+            loads = tuple(tensions[int(place.rod or 0)] for place in site.members if tensions)
+            return [*([loads] if loads else []), *((one,) * n for one in common)]
         if n == 1:
-            return [(one,) for one in self._drivers]
+            return [(one,) for one in (*own, *common)]
         by_joint: dict[tuple[str, int], Driver] = {(d.family, int(d.joint or 0)): d for d in own}
         families = dict.fromkeys(one.family for one in own)
         joints = [place.joint for place in site.members]
@@ -171,7 +201,8 @@ class Screening:
                 members = [by_joint.get((family, int(joint or 0))) for joint in joints]
                 if all(member is not None for member in members):
                     sets.append(tuple(one for one in members if one is not None))
-        if site.kind == JOINT and n == len(self._scene.model.joints) > 1:
+        all_joints = site.kind == JOINT and n == len(self._scene.model.joints) > 1
+        if all_joints and READING in families:
             readings = [by_joint[READING, int(joint or 0)] for joint in joints]
             for family, step in ((NEXT, 1), (PREVIOUS, -1)):
                 turned = [readings[(k + step) % n] for k in range(n)]
@@ -187,7 +218,7 @@ class Screening:
             return any(own[0].family not in OF_DEVICE for own in (one, other))
         if len(site.members) > 1:
             return not {one[0].family, other[0].family} & {NEXT, PREVIOUS}
-        if site.kind == PARAMETER and site.members[0].joint is not None:
+        if site.kind == ROD or (site.kind == PARAMETER and site.members[0].joint is not None):
             return False  # its group and its joint stand for it
         return all(
             d.joint in (None, site.members[0].joint) or d.family == READING

@@ -10,6 +10,8 @@ MIN_VARIATION = 1e-9  # in SI: a driver that varies less is constant
 MAX_SCREENED_SAMPLES = 3000  # evenly chosen of more; the proof uses all
 MAX_CHUNK_NUMBERS = 1 << 23  # numbers in the largest array: 64 MB
 WAVES = 240  # periods scanned of each joint's reading
+MIN_SAMPLES_PER_LAG = 4  # steps between samples: a shorter time constant is not determined
+LAGS_PER_OCTAVE = 4  # time constants that a law is refined with; one of them is screened
 MIN_SAMPLES_PER_PERIOD = 2.5  # a shorter period is not determined by the samples
 
 # Chance: sessions with the same noise and no law
@@ -25,6 +27,7 @@ MAX_EQUAL_EVIDENCE = 5.0  # log of how much likelier one of two equally good law
 MIN_RIVAL_EVIDENCE_SHARE = 0.8
 MAX_FORMULAS = 20  # winners of the screening for which a formula is searched ...
 MAX_FORMULA_LAG = 40.0  # ... if their evidence is at most so much smaller: a formula needs fewer
+MAX_SPLITS = 4  # places from which a law of two drivers is split into laws of one driver
 MAX_TERMS = 4  # of one formula
 MIN_TERM_EVIDENCE = 4.0  # log of how much likelier a further term makes the data
 REDRAWS = 40  # of the poses: a term that changes its sign in too many is removed

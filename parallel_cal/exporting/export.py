@@ -23,7 +23,7 @@ from parallel_cal.exporting.projection import Firmware, Machine, Projection, los
 from parallel_cal.importing.settings import Settings
 from parallel_cal.importing.touch_samples import Touches
 from parallel_cal.model.model import Model
-from parallel_cal.model.region import describe_workspace_excess
+from parallel_cal.model.region import describe_untested_conditions, describe_workspace_excess
 from parallel_cal.model.shelf import list_plugins, load_module, wrap_plugin_function
 
 SHELF = "exporting.targets"
@@ -115,7 +115,7 @@ def export(
     for file, text in made.items():
         write_atomically(Path(folder) / file, text)
         result.paths.append(Path(folder) / file)
-    result.remarks.extend(filter(None, [describe_workspace_excess(model)]))
+    result.remarks.extend(_describe_limits(model))
     return result
 
 
@@ -183,7 +183,7 @@ def export_into(
     for path, text in texts.items():
         write_atomically(path.with_name(path.name + BACKUP_SUFFIX), read_verbatim(path), like=path)
         write_atomically(path, text)
-    remarks = [*_remarks(robot, projection), *filter(None, [describe_workspace_excess(model)])]
+    remarks = [*_remarks(robot, projection), *_describe_limits(model)]
     for path in later:
         if winning := [field for field in module.settings([path]).texts if field in written]:
             remarks.append(
@@ -290,6 +290,12 @@ def _read(module: ModuleType, files: Sequence[Path], texts: Mapping[Path, str]) 
             copy.parent.mkdir()
             write_atomically(copy, texts[path] if path in texts else read_verbatim(path))
         return module.firmware(module.settings(copies))  # type: ignore[no-any-return]
+
+
+def _describe_limits(model: Model) -> list[str]:
+    """Where the exported numbers, which hold under neutral conditions, may be wrong."""
+    neutral = describe_untested_conditions(model, model.condition_rows(None, 1))
+    return list(filter(None, [describe_workspace_excess(model), neutral]))
 
 
 def _remarks(robot: Model, projection: Projection) -> list[str]:

@@ -83,6 +83,7 @@ from parallel_cal.model.model import Model
 from parallel_cal.model.region import IdentifiedRegion
 from parallel_cal.recordings.dataset import Dataset, check_inputs
 from parallel_cal.recordings.joining import fingerprint
+from parallel_cal.recordings.lagged import add_lagged_conditions
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -170,7 +171,8 @@ class FitResult(ShownInNotebook):
         if len(seen) > MAX_REGION_SAMPLES:
             seen = seen.select(np.linspace(0, len(seen) - 1, MAX_REGION_SAMPLES).astype(int))
         joints = self.observations.x[:, : len(self.model.joints)]
-        return IdentifiedRegion.of_samples(self.model, joints, predict_positions(self.model, seen))
+        position = predict_positions(self.model, seen)
+        return IdentifiedRegion.of_samples(self.model, joints, position, self.observations.a)
 
     @cached_property
     def simulated_noise(self) -> NoiseFloor:
@@ -477,6 +479,7 @@ def fit(
     given = GivenModel.of(model, dataset, options.joint_sigma, options.insist)
     dataset = given.dataset
     start = add_effects(given.start, effects, dataset)
+    dataset = add_lagged_conditions(start.conditions, dataset)
     start, registration = prepared_for_fit(start, given.registration, dataset, options)
     result = fit_registered(
         start, add_registration_warning(dataset, registration), options, progress, given

@@ -28,6 +28,7 @@ from parallel_cal.identification.stations import has_stations, register_recordin
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.configuration import explain_other_configuration
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.lagged import add_lagged_conditions
 
 Folds = list[tuple[np.ndarray, np.ndarray]]  # indices of the training and of the held-out samples
 
@@ -66,6 +67,7 @@ class GivenModel:
         other = explain_other_configuration(model, dataset.configuration, dataset.source)
         if other and not insist:
             raise FitError(other)
+        dataset = add_lagged_conditions(model.conditions, dataset)
         model, dataset = register_recordings(model, dataset, joint_sigma, insist)
         placed, registration = register_device(model, dataset, joint_sigma, insist)
         if registration is None:

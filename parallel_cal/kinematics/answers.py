@@ -10,7 +10,7 @@ import numpy as np
 from parallel_cal.base.errors import ModelError, SolveError
 from parallel_cal.base.rotation import quaternion_to_matrix
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
-from parallel_cal.model.effect import CONDITIONS
+from parallel_cal.model.effect import CONDITIONS, parse_lag
 from parallel_cal.model.model import Model
 
 
@@ -34,6 +34,9 @@ def named_conditions(model: Model, given: Iterable[tuple[str, float]]) -> dict[s
     conditions: dict[str, float] = {}
     for name, value in given:
         kind, _, joint = name.partition(".")
+        if parse_lag(name):
+            conditions[name] = value
+            continue
         if kind not in CONDITIONS or (joint and joint not in model.joints):
             known = [f"{c}.JOINT" if spec[2] else c for c, spec in CONDITIONS.items()]
             raise ModelError(

@@ -25,6 +25,15 @@ CONDITIONS: dict[str, tuple[str, float, bool]] = {
     "travel": ("rad", 0.0, True),
     "session": ("1", 0.0, False),
 }
+# `temperature.lag540`: what follows the temperature with a time constant of 540 s.
+LAGGED = re.compile(r"(temperature)\.lag(\d+)")
+
+
+def parse_lag(condition: str) -> tuple[str, float] | None:
+    """Return the condition that a lagged one follows, and its time constant (s); None for a
+    condition that is not lagged."""
+    match = LAGGED.fullmatch(condition)
+    return (match[1], float(match[2])) if match and int(match[2]) else None
 
 
 @dataclass(frozen=True)
@@ -56,7 +65,8 @@ class Effect(ABC):
     Attributes
     ----------
     needs : tuple of str
-        Names of the conditions (keys of `CONDITIONS`) on which it depends. Default none.
+        Names of the conditions (keys of `CONDITIONS`) on which it depends. `temperature.lag540` is
+        what follows the temperature with a time constant of 540 s. Default none.
     reads : tuple of str
         Name patterns of the sensor channels on which it acts. Default none.
     fixed : tuple of str
@@ -229,6 +239,9 @@ class Effect(ABC):
         """Return the condition columns that it needs: `direction` becomes one for each joint."""
         columns: list[str] = []
         for need in self.needs:
+            if parse_lag(need):
+                columns.append(need)
+                continue
             if need not in CONDITIONS:
                 known = ", ".join(CONDITIONS)
                 raise ModelError(

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
-from parallel_cal.model.effect import Effect
+from parallel_cal.model.effect import Effect, parse_lag
 from parallel_cal.model.machine_class import DEFAULT_CLASS, MachineClass, check_class
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, ParameterTable
@@ -327,11 +327,17 @@ class Model:
         """Arrange conditions in an array (n, n_conditions), in the order of `conditions`.
 
         `at` holds scalars or columns (n,) by name. A condition that is not given gets its neutral
-        value, at which the effect is zero (direction 0: the middle of the backlash).
+        value, at which the effect is zero (direction 0: the middle of the backlash). A lagged
+        condition that is not given is settled: it equals the condition that it follows.
         """
         rows = np.empty((n, len(self.conditions)))
-        for k, neutral in enumerate(self.structure.neutral):
-            rows[:, k] = neutral if at is None else at.get(self.conditions[k], neutral)
+        given = at or {}
+        for k, (name, neutral) in enumerate(
+            zip(self.conditions, self.structure.neutral, strict=True)
+        ):
+            lag = parse_lag(name)
+            settled = given.get(lag[0], neutral) if lag else neutral
+            rows[:, k] = given.get(name, settled)
         return rows
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from parallel_cal.base.units import MM
+from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.mechanism import POSE
 from parallel_cal.model.model import Model
 
@@ -21,21 +22,30 @@ SHOWN = {"m": ("mm", 1 / MM), "rad": ("mrad", 1e3)}
 @dataclass(frozen=True)
 class IdentifiedRegion:
     """Ranges (low, high) of the samples of a fit, by name: controlled coordinates of the position
-    (m), empty if the robot controls none, and joints (rad or m)."""
+    (m), empty if the robot controls none, joints (rad or m), and the conditions on which laws that
+    were found in data depend."""
 
     position: Mapping[str, tuple[float, float]]
     joints: Mapping[str, tuple[float, float]]
     joint_units: tuple[str, ...]
+    conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @classmethod
-    def of_samples(cls, model: Model, joints: np.ndarray, position: np.ndarray) -> IdentifiedRegion:
-        """The region of joint readings (N, nq) and positions (N, 3), NaN if unknown."""
+    def of_samples(
+        cls, model: Model, joints: np.ndarray, position: np.ndarray, conditions: np.ndarray
+    ) -> IdentifiedRegion:
+        """The region of joint readings (N, nq), positions (N, 3), NaN if unknown, and the model's
+        conditions (N, n_conditions)."""
         axes = [k for k in range(3) if POSE[k] in model.mechanism.controls]
         known = position[np.isfinite(position).all(axis=1)]
         return cls(
             {POSE[k]: _range(known[:, k]) for k in axes} if len(known) else {},
             {name: _range(joints[:, i]) for i, name in enumerate(model.joints)},
             tuple(model.mechanism.joint_units),
+            {
+                name: _range(conditions[:, model.conditions.index(name)])
+                for name in list_law_conditions(model)
+            },
         )
 
     @classmethod
@@ -66,7 +76,8 @@ class IdentifiedRegion:
             }
 
         units = tuple(model.mechanism.joint_units)
-        return cls(ranges("position", POSE[:3]), ranges("joints", model.joints), units)
+        laws = ranges("conditions", list_law_conditions(model))
+        return cls(ranges("position", POSE[:3]), ranges("joints", model.joints), units, laws)
 
     def _joined_with(self, other: IdentifiedRegion) -> IdentifiedRegion:
         def joined(
@@ -76,11 +87,14 @@ class IdentifiedRegion:
             return {name: (min(a[0], b[0]), max(a[1], b[1])) for name, a, b in both}
 
         position = joined(self.position, other.position)
-        return IdentifiedRegion(position, joined(self.joints, other.joints), self.joint_units)
+        conditions = joined(self.conditions, other.conditions)
+        return IdentifiedRegion(
+            position, joined(self.joints, other.joints), self.joint_units, conditions
+        )
 
     def document(self) -> dict[str, Any]:
         """Its entry in the history of a model, SI; six digits."""
-        parts = {"position": self.position, "joints": self.joints}
+        parts = {"position": self.position, "joints": self.joints, "conditions": self.conditions}
         return {
             key: {name: [float(f"{v:.6g}") for v in pair] for name, pair in part.items()}
             for key, part in parts.items()
@@ -136,6 +150,41 @@ class IdentifiedRegion:
             f"{outside} of {len(excess)} {what} are outside the region in which the model was "
             f"identified ({self.description}){far}: an effect that helps inside may be wrong there"
         )
+
+
+def list_law_conditions(model: Model) -> tuple[str, ...]:
+    """The conditions on which the model's laws that were found in data depend."""
+    needed = (
+        name
+        for effect in model.effects
+        if effect.found_in_data
+        for name in effect.conditions(model.mechanism)
+    )
+    return tuple(dict.fromkeys(needed))
+
+
+def describe_untested_conditions(model: Model, rows: np.ndarray) -> str:
+    """Say which conditions (N, n_conditions) are beyond those in which the model's laws that were
+    found in data were tested; empty if none is. A law is proven nowhere else."""
+    region = IdentifiedRegion.of_model(model)
+    if region is None:
+        return ""
+    words = []
+    for name, (low, high) in region.conditions.items():
+        values = rows[:, model.conditions.index(name)]
+        margin = REGION_MARGIN * (high - low)
+        beyond = values[(values < low - margin) | (values > high + margin)]
+        if len(beyond):
+            unit = CONDITIONS[name.split(".")[0]][0]
+            far = beyond[np.argmax(np.maximum(low - beyond, beyond - high))]
+            words.append(f"{name} {far:.4g} (tested {low:.4g}..{high:.4g} {unit})")
+    if not words:
+        return ""
+    laws = ", ".join(effect.name for effect in model.effects if effect.found_in_data)
+    return (
+        f"{', '.join(words)}: beyond the conditions in which {laws} was found in data; the law may "
+        "be wrong there. State the conditions of use, or measure there and identify again"
+    )
 
 
 def describe_workspace_excess(model: Model, region: IdentifiedRegion | None = None) -> str:

@@ -19,7 +19,7 @@ from parallel_cal.identification.estimate import EstimationProblem
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.kinematics.solutions import concatenate_solutions
 from parallel_cal.model.model import Model
-from parallel_cal.model.region import IdentifiedRegion
+from parallel_cal.model.region import IdentifiedRegion, describe_untested_conditions
 from parallel_cal.planning.approach import Approaches
 from parallel_cal.planning.expectation import Expectation, View
 from parallel_cal.planning.options import PlanKeywords, PlanOptions
@@ -221,6 +221,7 @@ def plan(
             *view.warnings(),
             *_list_sensor_warnings(model),
             *_list_region_warnings(model, pool.poses[rows]),
+            *filter(None, [describe_untested_conditions(model, pool.a[rows])]),
         ),
     )
 

@@ -36,6 +36,7 @@ from parallel_cal.model.effect import parse_effects
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.lagged import add_lagged_conditions
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -189,6 +190,7 @@ def add(
     asked, larger = parse_effects(effect), model
     for name, _ in asked:  # report a wrong name before a search
         larger = larger.with_effect(name)
+    dataset = add_lagged_conditions(larger.conditions, dataset)
     how, progress = _collect_options(options)
     base = fit(model, dataset, limit_patterns(how, model, larger), progress)
     scene = Scene.of(base.model, base.dataset, base.observations, base.free)

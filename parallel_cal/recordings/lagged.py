@@ -1,0 +1,52 @@
+"""Lagged conditions: what follows a recorded condition with a time constant, as warm parts do."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+
+import numpy as np
+
+from parallel_cal.model.effect import parse_lag
+from parallel_cal.recordings.dataset import Dataset
+
+
+def add_lagged_conditions(names: Iterable[str], dataset: Dataset) -> Dataset:
+    """Return the dataset with the lagged conditions among `names`, such as `temperature.lag540`,
+    that it lacks and that follow from its recorded ones.
+
+    They belong to the whole recording: samples that are chosen later keep their values.
+    """
+    known = dataset.conditions
+    added = {}
+    for name in names:
+        lag = parse_lag(name)
+        if lag is None or name in known or lag[0] not in known or "time" not in known:
+            continue
+        session = known.get("session", np.zeros(len(dataset)))
+        added[name] = compute_lagged(known[lag[0]], known["time"], lag[1], session)
+    return dataclasses.replace(dataset, conditions={**known, **added}) if added else dataset
+
+
+def compute_lagged(
+    values: np.ndarray, time: np.ndarray, time_constant: float, session: np.ndarray
+) -> np.ndarray:
+    """The values (N,) that follow a condition (N,), linear between samples, with a time constant
+    (s): y' = (x - y) / time_constant. Every session begins with y = x."""
+    out = np.array(values, dtype=float)
+    for one in np.unique(session):
+        order = np.flatnonzero(session == one)
+        order = order[np.argsort(time[order], kind="stable")]
+        x, t = out[order], np.asarray(time, dtype=float)[order]
+        y = x.copy()
+        for k in range(1, len(x)):
+            step = t[k] - t[k - 1]
+            if step <= 0:
+                y[k] = y[k - 1]
+                continue
+            # A ramp is followed at a constant distance; what is left of the start decays.
+            behind = time_constant * (x[k] - x[k - 1]) / step
+            start = y[k - 1] - x[k - 1] + behind
+            y[k] = x[k] - behind + start * np.exp(-step / time_constant)
+        out[order] = y
+    return out

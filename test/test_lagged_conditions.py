@@ -1,0 +1,114 @@
+"""Parts that warm up later than the sensor: lagged conditions of samples, models and answers."""
+
+import sys
+from dataclasses import replace
+
+import findings
+import numpy as np
+import pytest
+
+from parallel_cal.base.errors import ModelError
+from parallel_cal.discovery.drivers import name_lags
+from parallel_cal.identification.fit import fit
+from parallel_cal.kinematics.answers import named_conditions
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.effect import parse_lag
+from parallel_cal.model.model import new_model
+from parallel_cal.recordings.lagged import add_lagged_conditions, compute_lagged
+from parallel_cal.session.steps import add
+
+LATE = """from parallel_cal import Effect, Parameter
+
+
+class Late(Effect):
+    needs = ("temperature.lag300",)
+    physics = source = "a test"
+
+    def parameters(self, mechanism):
+        return [Parameter("gain", "rad/K", 0.0, 1e-4)]
+
+    def ideal(self, seen, e, at, mechanism):
+        return seen.with_q(seen.q + e.gain * (at["temperature.lag300"] - 20))
+"""
+
+
+@pytest.fixture
+def late(tmp_path, monkeypatch):
+    """An effect whose parts follow the temperature with a time constant of 300 s."""
+    (tmp_path / "late_of_a_test.py").write_text(LATE)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield "late_of_a_test"
+    sys.modules.pop("late_of_a_test", None)
+
+
+def test_a_lagged_condition_is_named_by_its_time_constant_in_seconds():
+    assert parse_lag("temperature.lag540") == ("temperature", 540.0)
+    for other in ("temperature", "temperature.lag0", "temperature.lag", "payload.lag5"):
+        assert parse_lag(other) is None
+
+
+def test_a_lagged_temperature_follows_a_ramp_and_a_step_as_the_differential_equation_says():
+    time = np.array([0.0, 10.0, 40.0, 400.0])
+    ramp = compute_lagged(0.1 * time, time, 50.0, np.zeros(4))
+    np.testing.assert_allclose(ramp, 0.1 * (time - 50 * (1 - np.exp(-time / 50))), rtol=1e-12)
+    after = np.array([0.0, 1e-9, 20.0, 300.0])
+    step = compute_lagged(np.array([0.0, 1, 1, 1]), after, 100.0, np.zeros(4))
+    np.testing.assert_allclose(step, 1 - np.exp(-after / 100), atol=1e-9)
+
+
+def test_every_session_begins_settled_and_the_order_of_the_samples_does_not_matter():
+    time, air = np.arange(6.0), np.array([20.0, 24, 24, 30, 34, 34])
+    session = np.array([0, 0, 0, 1, 1, 1])
+    whole = compute_lagged(air, time, 2.0, session)
+    assert whole[0] == 20
+    assert whole[3] == 30
+    order = np.array([4, 0, 5, 2, 3, 1])
+    mixed = compute_lagged(air[order], time[order], 2.0, session[order])
+    np.testing.assert_array_equal(mixed, whole[order])
+
+
+def test_samples_that_are_chosen_later_keep_the_lagged_temperature_of_the_whole_recording():
+    data = findings.clean(0)
+    whole = add_lagged_conditions(["temperature.lag300"], data)
+    again = add_lagged_conditions(["temperature.lag300"], whole.select(np.arange(0, 150, 7)))
+    expected = whole.conditions["temperature.lag300"][::7]
+    np.testing.assert_array_equal(again.conditions["temperature.lag300"], expected)
+    assert (
+        add_lagged_conditions(["temperature.lag300"], replace(data, conditions={})).conditions == {}
+    )
+
+
+def test_time_constants_of_a_search_lie_between_a_few_samples_and_the_recording():
+    data = findings.clean(0)
+    lags = [parse_lag(name)[1] for name in name_lags(data)]
+    assert 30 < lags[0] < 60
+    assert 700 < lags[-1] <= np.ptp(data.time)
+    np.testing.assert_allclose(np.diff(np.log2(lags)), 0.25, atol=0.02)
+    steady = {**data.conditions, "temperature": np.full(len(data), 21.0)}
+    assert name_lags(replace(data, conditions=steady)) == []
+
+
+@pytest.mark.wide
+def test_an_effect_of_a_lagged_temperature_is_added_and_identified(late):
+    data = findings.clean(1)
+    lagged = add_lagged_conditions(["temperature.lag300"], data).conditions["temperature.lag300"]
+    moved = replace(data, q=data.q - 2e-4 * (lagged - 20)[:, None])
+    step = add(new_model("delta54"), late, moved)
+    found = step.result.parameters()[f"{late}.gain"]
+    assert abs(found.value - 2e-4) < 4 * found.sigma < 2e-5
+    again = fit(step.model, moved)
+    assert again.held_out.summary.position_rms < 1.05 * again.noise_floor.position_rms
+
+
+def test_a_lagged_temperature_that_is_not_stated_is_settled_at_the_temperature(late):
+    model = new_model("delta54", {f"{late}.gain": 1e-3}, [late])
+    kinematics, q = Kinematics(model), np.zeros((1, 3)) + 0.5
+    stated, settled, neutral = (
+        kinematics.direct(q, at).position
+        for at in ({"temperature.lag300": 25.0}, {"temperature": 25.0}, {})
+    )
+    np.testing.assert_array_equal(stated, settled)
+    assert np.abs(stated - neutral).max() > 1e-4
+    assert named_conditions(model, [("temperature.lag300", 25.0)]) == {"temperature.lag300": 25.0}
+    with pytest.raises(ModelError, match=r"no condition 'temperature\.later'"):
+        named_conditions(model, [("temperature.later", 25.0)])
