@@ -15,6 +15,7 @@ from parallel_cal.reporting.readable import write_micro
 from parallel_cal.session.history import format_first_error
 from parallel_cal.workbench.bench import Bench, Live
 from parallel_cal.workbench.header import Header
+from parallel_cal.workbench.law_card import draw_law_card
 from parallel_cal.workbench.live import LiveCard
 from parallel_cal.workbench.marking import SCRIPT, FigureSlot, Marking
 from parallel_cal.workbench.residuals_card import ResidualsCard
@@ -93,6 +94,7 @@ class Window:
                 return
             self.failing.show(view)
             self._missing(view)
+            draw_law_card(self.bench, view)
             self._history()
             self._samples(view)
             self._parameters(view)
