@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from parallel_cal.base.progress import Progress
@@ -26,12 +26,17 @@ def discover_in_session(
 
 def write_laws(laws: Sequence[Law], folder: Path) -> list[Path]:
     """Write each law as an effect file to a folder; the name follows from place and text."""
-    files = [folder / f"{name_effect(law)}.py" for law in laws]
+    return write_effects({name_effect(law): law.text for law in laws}, folder)
+
+
+def write_effects(texts: Mapping[str, str], folder: Path) -> list[Path]:
+    """Write effect files to a folder: the text of each, by the name of the effect."""
+    files = {folder / f"{name}.py": text for name, text in texts.items()}
     if files:
         folder.mkdir(parents=True, exist_ok=True)
-    for law, file in zip(laws, files, strict=True):
-        write_effect_file(file, law.text)
-    return files
+    for file, text in files.items():
+        write_effect_file(file, text)
+    return list(files)
 
 
 def name_effect(law: Law) -> str:
