@@ -1,8 +1,8 @@
 """Make the screenshots of the documentation: `python docs/screenshots.py [NAME ...] [--to FOLDER]`.
 
-NAME is one or more of workbench, live, tolerance and power; all but power by default, because its
-212 sessions take half an hour on two cores. `workbench` makes two pictures, `live` needs ROS 2. The
-pictures go to docs/, or to FOLDER. Chromium and the packages of `make venv` must be installed.
+NAME is one or more of workbench, law, live, tolerance and power; all but power by default, because
+its 212 sessions take half an hour on two cores. `workbench` makes two pictures, `live` needs ROS 2.
+The pictures go to docs/, or to FOLDER. Chromium and the packages of `make venv` must be installed.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from workbench_page import Served, opened
 
 MODEL = REPOSITORY / "config" / "delta_mockup_nominal.yaml"
 BAG = REPOSITORY / "bags" / "delta_backlash"
+LAW_BAG = REPOSITORY / "bags" / "delta_crosstalk"
 TIMEOUT_MS = 240_000  # for a step on a busy computer
 # Live is pictured once 40 or more of the 94 samples are collected; a busy page may skip a number.
 ENOUGH_SAMPLES = re.compile(r"^[4-9]\d samples")
@@ -65,6 +66,22 @@ def show_workbench(browser: Any, work: Path, folder: Path) -> None:
         served.end()
 
 
+def show_law(browser: Any, work: Path, folder: Path) -> None:
+    """Take workbench_law.png: the law of an error that no effect of the catalogue describes."""
+    served = Served(MODEL, LAW_BAG, "--session", work / "law")
+    try:
+        page = open_page(browser, served.url, 1000)
+        page.get_by_role("button", name="Fit", exact=True).click()
+        page.get_by_role("button", name="Find its law", exact=True).click()
+        page.locator("#law").wait_for()
+        wait_until_drawn(page)
+        page.get_by_role("region", name="Law of the error").screenshot(
+            path=folder / "workbench_law.png"
+        )
+    finally:
+        served.end()
+
+
 def show_live(browser: Any, work: Path, folder: Path) -> None:
     """Take workbench_live.png while the nodes receive a recording at three times real time."""
     from ros_helpers import NodeProcess
@@ -102,6 +119,7 @@ def run(*arguments: object) -> None:
 
 PICTURES: dict[str, Callable[[Any, Path, Path], None]] = {
     "workbench": show_workbench,
+    "law": show_law,
     "live": show_live,
     "tolerance": lambda *places: show_study(*places, kind="tolerance", height=1000),
     "power": lambda *places: show_study(*places, kind="power", height=770),

@@ -536,6 +536,7 @@ class Campaign:
             "message": message,
             "verdict": judgement.verdict,
             "effects": judgement.effects,
+            "laws": judgement.laws,
             "poses": len(self.samples),
             "minutes": self.spent / 60,
             "curve": [{"poses": n, "error_unseen": error} for n, error in curve],

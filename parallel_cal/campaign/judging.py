@@ -16,11 +16,13 @@ import numpy as np
 from parallel_cal.base.errors import FitError, ModelFileError
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.campaign.first_effect import find_first_effect
+from parallel_cal.campaign.laws import LawSearch, search_laws
 from parallel_cal.campaign.path_guard import Guard
 from parallel_cal.campaign.targets import Target, next_targets, repeat_first_poses
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
 from parallel_cal.diagnosis.search import Chosen
 from parallel_cal.diagnosis.separate import explain_separation
+from parallel_cal.discovery.in_session import write_effects
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import Summary, errors
@@ -32,12 +34,14 @@ from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.session.session import Session
 from parallel_cal.session.steps import UnprovenStepError
 
-FINAL_VERDICTS = ("at_noise", "explained")
+DESCRIBED = "described"  # no effect of the catalogue explains the error, but a proven law does
+FINAL_VERDICTS = ("at_noise", "explained", DESCRIBED)
 KINDS = ("position", "orientation")
 # Factor by which the error at the validation poses may rise. The poses stay the same, so a larger
 # rise is not due to chance.
 MAX_ERROR_RISE = 1.5
 TUPLE_FIELDS = ("effects", "additions", "doubt", "untold", "suspected", "missing")
+ADDED_TUPLE_FIELDS = ("laws",)  # journals of earlier releases lack them
 Tell = Callable[[str, float], None]
 
 
@@ -49,6 +53,10 @@ class Judgement:
     `doubt` are effects that may be confused with others; `untold` are those that no poses can
     distinguish. `suspected` effects are significant but not proven. `missing` says what would
     decide. `text` is the model file with the effects found.
+
+    If the verdict is `described`, `laws` are the laws that were found in the data (`joint2 by
+    load.joint2`), `law_effects` their effect files by name, and `doubt` laws that describe the data
+    equally well. The model in `text` does not contain them: they are code for a person to review.
 
     Errors are rms by kind (m, rad): `unseen` of that model at the validation poses, `before` of the
     campaign's initial model there, `usual` of that model at all samples. `floor` is the noise floor
@@ -70,11 +78,14 @@ class Judgement:
     targets: tuple[Target, ...] = ()
     diagnosis: Mapping[str, Any] = field(default_factory=dict)
     floor: Mapping[str, float] = field(default_factory=dict)
+    laws: tuple[str, ...] = ()
+    law_effects: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> Judgement:
         """From JSON."""
         lists = {key: tuple(document[key]) for key in TUPLE_FIELDS}
+        lists |= {key: tuple(document.get(key, ())) for key in ADDED_TUPLE_FIELDS}
         targets = tuple(map(Target.from_document, document["targets"]))
         return cls(**{**document, **lists, "targets": targets})
 
@@ -87,8 +98,8 @@ class Judgement:
         """Whether further poses are pointless.
 
         No effect is suspected, poses can resolve no remaining doubt, no condition is still to be
-        changed, and the samples since the previous judgement changed neither verdict nor effects.
-        If an effect was found, those samples were planned to reveal effects that it masks."""
+        changed, and the samples since the previous judgement changed neither verdict, effects nor
+        laws. If an effect was found, those samples were planned to reveal effects that it masks."""
         if before is None or self.suspected or set(self.doubt) - set(self.untold):
             return False
         if any(
@@ -96,7 +107,7 @@ class Judgement:
             for target in (*self.targets, *(before.targets if self.effects else ()))
         ):
             return False
-        names, were = ({*one.effects, *one.doubt} for one in (self, before))
+        names, were = ({*one.effects, *one.laws, *one.doubt} for one in (self, before))
         return self.verdict in FINAL_VERDICTS and (self.verdict, names) == (before.verdict, were)
 
 
@@ -145,19 +156,38 @@ def judge_samples(
         targets, untold = next_targets(
             found, guard, question.more, question.left, question.changes, question.seed
         )
-    summary = found.verdict.summary
+    missing = describe_missing_evidence(found)
+    verdict, summary, suspected = found.verdict.word, found.verdict.summary, found.suspected
     if first:
         summary = f"no geometry fits the samples without {first.name}; with it: {summary}"
+    laws = LawSearch("")
+    if _needs_law(found, question, targets):
+        laws = search_laws(
+            model,
+            fitted,
+            question.options,
+            Guard.of(replace(best, covariance=None), question.keep_out, question.reach),
+            question.more,
+            question.left,
+            question.changes,
+            question.seed,
+            tell,
+        )
+        missing = laws.missing if laws.laws else (*missing, *laws.missing)
+    if laws.laws:
+        # An effect that is only suspected describes a part of what the law describes.
+        verdict, summary, suspected = DESCRIBED, laws.summary, ()
+        doubt, untold, targets = laws.rivals, laws.untold, [*laws.targets] or targets
     return Judgement(
         len(dataset),
-        found.verdict.word,
+        verdict,
         summary,
         (*([first.name] if first else ()), *found.effects),
         (*([first.text] if first else ()), *found.additions),
         doubt,
         untold,
-        found.suspected,
-        describe_missing_evidence(found),
+        suspected,
+        missing,
         text,
         rms(found.base.fitted.given.model, dataset.select(unseen), question.options),
         rms(best, dataset.select(unseen), question.options),
@@ -165,6 +195,18 @@ def judge_samples(
         tuple(targets),
         found.document(),
         by_kind(found.best.fitted.noise_floor),
+        laws.laws,
+        laws.effects,
+    )
+
+
+def _needs_law(found: Diagnosis, question: JudgementRequest, targets: Sequence[Target]) -> bool:
+    """Whether to search for a law outside the catalogue: the whole catalogue explains nothing, and
+    no untried condition is to be tried first."""
+    return (
+        found.verdict.word == "unexplained"
+        and not question.effects
+        and not any(target.conditions for target in targets)
     )
 
 
@@ -263,6 +305,22 @@ class Conclusion:
 @single_threaded()
 def conclude(folder: Path, judgements: Sequence[Judgement]) -> Conclusion:
     """Take the session's last steps: fit, and add each effect found that cross-validation proves.
+
+    Laws that were found in the data are written as effect files, for a person to review."""
+    concluded, laws = _conclude_model(folder, judgements), judgements[-1].law_effects
+    if not laws:
+        return concluded
+    files = write_effects(laws, Session(folder).effects_folder)
+    written = [
+        f"a law was found and written to {file}: review it, then run "
+        f"'parallel-cal session add {folder} {file.stem}'"
+        for file in files
+    ]
+    return replace(concluded, words="; ".join([concluded.words, *written]))
+
+
+def _conclude_model(folder: Path, judgements: Sequence[Judgement]) -> Conclusion:
+    """Fit the model, and add each effect found that cross-validation proves.
 
     If the error at the validation poses has risen since an earlier judgement, or if the geometry
     alone cannot be identified, return the model of the best judgement instead."""

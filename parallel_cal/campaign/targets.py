@@ -12,7 +12,13 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.campaign.path_guard import Guard, PathError
 from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.diagnose import Diagnosis
-from parallel_cal.diagnosis.separate import plan_refinement, plan_separation, rank_rival_pairs
+from parallel_cal.diagnosis.separate import (
+    RivalPair,
+    Separation,
+    plan_refinement,
+    plan_separation,
+    rank_rival_pairs,
+)
 from parallel_cal.diagnosis.thresholds import MIN_SEPARATION_SIGMAS
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.planning.approach import approaches, controlled_coordinates
@@ -132,44 +138,67 @@ def next_targets(
     3. Poses that reduce the uncertainty of the model, and of the effects that are suspected or the
        likeliest that the model lacks."""
     so_far = found.dataset.conditions
-    may = {
+    may = find_allowed_changes(so_far, changes)
+    if untried := _plan_untried_conditions(found, guard, n, may, seed):
+        return untried, ()
+    untold = list[str]()
+    for doubt in rank_rival_pairs(found.best, find_rivals(found), found.ranked):
+        plan = plan_distinguishing_poses(doubt, so_far, guard, n, left, may, seed)
+        if plan is not None:
+            return make_targets(plan, may, f"to distinguish {' from '.join(plan.separates)}"), ()
+        untold += [doubt.effect, doubt.rival]
+    return _plan_refinement(found, guard, n, may, seed), tuple(dict.fromkeys(untold))
+
+
+def find_allowed_changes(
+    so_far: Mapping[str, np.ndarray], changes: Mapping[str, float]
+) -> dict[str, tuple[float, float]]:
+    """Return the range of each recorded condition that a person may change; `changes` says by how
+    much."""
+    return {
         name: get_condition_range(so_far[name], by)
         for name, by in changes.items()
         if by and name in so_far
     }
+
+
+def plan_distinguishing_poses(
+    doubt: RivalPair,
+    so_far: Mapping[str, np.ndarray],
+    guard: Guard,
+    n: int,
+    left: int,
+    may: Mapping[str, tuple[float, float]],
+    seed: int = 0,
+) -> Separation | None:
+    """Plan n poses that distinguish a pair, in the workspace or, if that does not suffice, in the
+    larger space of the guard's reach; None if not even the `left` poses distinguish them."""
+    payloads = may.get("payload", tuple(so_far.get("payload", ())[-1:]))
     reaches = sorted({1.0, guard.reach})
-    if untried := _plan_untried_conditions(found, guard, n, may, seed):
-        return untried, ()
-    payloads, untold = may.get("payload", tuple(so_far.get("payload", ())[-1:])), list[str]()
-    for doubt in rank_rival_pairs(found.best, find_rivals(found), found.ranked):
-        telling, last = (
-            plan_separation(
-                doubt,
-                so_far,
-                seed,
-                (size,),
-                reaches,
-                guard.is_allowed,
-                payloads,
-                guard.min_approach,
-            )
-            for size in (n, left)
+    plan, last = (
+        plan_separation(
+            doubt, so_far, seed, (size,), reaches, guard.is_allowed, payloads, guard.min_approach
         )
-        if telling is None or last is None or last.sigmas.then < MIN_SEPARATION_SIGMAS:
-            untold += [doubt.effect, doubt.rival]
-            continue
-        purpose = f"to distinguish {' from '.join(telling.separates)}"
-        targets = [
-            Target(
-                tuple(pose.joints.tolist()),
-                tuple(tuple(stop.joints.tolist()) for stop in pose.by_way_of),
-                {k: v for k, v in pose.conditions.items() if k in may},
-                purpose,
-            )
-            for pose in telling.poses
-        ]
-        return targets, ()
-    return _plan_refinement(found, guard, n, may, seed), tuple(dict.fromkeys(untold))
+        for size in (n, left)
+    )
+    if plan is None or last is None or last.sigmas.then < MIN_SEPARATION_SIGMAS:
+        return None
+    return plan
+
+
+def make_targets(
+    plan: Separation, may: Mapping[str, tuple[float, float]], purpose: str
+) -> list[Target]:
+    """Make targets of planned poses, under the conditions that a person may change."""
+    return [
+        Target(
+            tuple(pose.joints.tolist()),
+            tuple(tuple(stop.joints.tolist()) for stop in pose.by_way_of),
+            {k: v for k, v in pose.conditions.items() if k in may},
+            purpose,
+        )
+        for pose in plan.poses
+    ]
 
 
 def repeat_first_poses(dataset: Dataset, guard: Guard, n: int) -> list[Target]:

@@ -183,6 +183,22 @@ def diagnose(folder: Folder, as_json: Json = False) -> None:
     console.say(text.show(found))
 
 
+def discover(folder: Folder, as_json: Json = False) -> None:
+    """Find the law of an error that no effect of the catalogue describes. The laws are written as
+    effect files to the session's folder; `session add` takes them by name."""
+    from parallel_cal.discovery.in_session import discover_in_session
+
+    found, files = discover_in_session(_open(folder), console.progress)
+    console.progress("", 1.0)
+    if as_json:
+        return console.emit(found.document(files))
+    from parallel_cal.reporting import text
+
+    console.say(text.show(found))
+    for file in files:
+        console.say(f"written: {file}; next: parallel-cal session add {folder} {file.stem}")
+
+
 def exclude(
     folder: Folder,
     samples: Samples,
@@ -264,8 +280,8 @@ def save(
         return console.emit(written | found.document())
     words = f"{output} contains this model already" if found.is_in_use else f"written: {output}"
     console.say(f"{words} (sha256 {sha256[:12]})")
-    if found.comparison:
-        console.say(found.comparison)
+    for words in filter(None, (found.comparison, session.effects_note)):
+        console.say(words)
 
 
 for command in (
@@ -275,6 +291,7 @@ for command in (
     add,
     remove,
     diagnose,
+    discover,
     exclude,
     include,
     plan,

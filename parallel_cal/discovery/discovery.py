@@ -113,6 +113,8 @@ class Law:
         Whether the measuring device errs.
     text : str
         The effect file.
+    rivals : dict of str
+        The effect file of each of `alternatives`, by its name.
     """
 
     place: str
@@ -134,6 +136,7 @@ class Law:
     sentence: str
     text: str = field(repr=False)
     shape: Shape | None = field(repr=False, default=None)
+    rivals: Mapping[str, str] = field(repr=False, default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -555,7 +558,10 @@ def _prove(
     own = {c.name: (c.value, c.sigma) for c in coefficients}
     assert step.rival is not None
     noise = NoiseLevel.of(scene, Field.of(scene), structured=True).variance
-    alternatives = tuple(dict.fromkeys(_name(one.hypothesis) for one in winner.equal))
+    rivals: dict[str, str] = {}
+    for one in winner.equal:
+        rival = write_effect(one, describe_law(one.hypothesis), where)
+        rivals.setdefault(_name(one.hypothesis), rival)
     of_device = hypothesis.site.kind == DEVICE
     against = step.acceptance.against.replace(f" with '{name}'", "").replace(name, "it")
     device_may_err = step.acceptance.device_may_err
@@ -575,7 +581,7 @@ def _prove(
         after=step.acceptance.after,
         noise_floor=step.result.noise_floor,
         tested=tested,
-        alternatives=alternatives,
+        alternatives=tuple(rivals),
         evidence=winner.evidence,
         threshold=threshold,
         against=against,
@@ -584,6 +590,7 @@ def _prove(
         sentence=sentence,
         text=write_effect(formula, sentence, where, values=own),
         shape=find_shape(scene, formula),
+        rivals=rivals,
     )
     return law, step
 

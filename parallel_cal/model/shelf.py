@@ -6,8 +6,10 @@ import sys
 from collections.abc import Callable
 from functools import wraps
 from importlib import import_module
-from importlib.util import find_spec
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from inspect import signature
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -23,6 +25,7 @@ from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.sensor import Sensor
 
 _own_allowed = True
+_own_folders: list[Path] = []  # with plug-ins of the user, besides those on the Python path
 
 
 def forbid_foreign() -> None:
@@ -38,6 +41,15 @@ def require_allowed(path: str, error: type[ParallelCalError] = ModelError) -> No
             f"{path}: modules from outside the package are not imported here; to "
             "allow them, set the node's parameter allow_foreign_modules"
         )
+
+
+def add_plugin_folder(folder: Path) -> None:
+    """Load plug-ins NAME.py of a folder by their name, for the rest of the process.
+
+    The folder is not on the Python path, so its files replace no other module.
+    """
+    if (folder := folder.resolve()) not in _own_folders:
+        _own_folders.append(folder)
 
 
 def load_mechanism(name: str, /, **options: Any) -> Mechanism:
@@ -94,7 +106,7 @@ def load_class(shelf: str, name: str, base: type) -> type:
 
 def load_module(shelf: str, name: str, error: type[ParallelCalError] = ModelError) -> ModuleType:
     """Load parallel_cal/<shelf>/<name>.py, the module at a Python path, or a file NAME.py on the
-    Python path; `error` for none of them."""
+    Python path or in a folder of `add_plugin_folder`; `error` for none of them."""
     path = name if "." in name else f"parallel_cal.{shelf}.{name}"
     require_allowed(path, error)
     try:
@@ -104,8 +116,8 @@ def load_module(shelf: str, name: str, error: type[ParallelCalError] = ModelErro
     except ModuleNotFoundError as missing:
         if missing.name is None or not path.startswith(missing.name):
             raise wrap_plugin_error(path, missing) from missing
-        if path != name and _is_own_file(name):
-            return _load_own_file(name, error)
+        if path != name and (spec := _find_own_file(name)) is not None:
+            return _load_own_file(spec, error)
         names = list_plugins(shelf)
         raise error(
             f"no {shelf.split('.')[-1].rstrip('s')} '{name}': expected one of "
@@ -116,20 +128,32 @@ def load_module(shelf: str, name: str, error: type[ParallelCalError] = ModelErro
         raise wrap_plugin_error(path, raised) from raised
 
 
-def _is_own_file(name: str) -> bool:
-    """Whether NAME.py is on the Python path, such as in the present folder, outside any package."""
+def _find_own_file(name: str) -> ModuleSpec | None:
+    """Find NAME.py outside any package: on the Python path, such as in the present folder, or in a
+    folder of `add_plugin_folder`."""
     if not name.isidentifier() or name.startswith("_") or name in sys.stdlib_module_names:
-        return False
+        return None
     spec = find_spec(name)
-    return spec is not None and (spec.origin or "").endswith(f"{name}.py")
+    if spec is not None:
+        return spec if (spec.origin or "").endswith(f"{name}.py") else None
+    files = [folder / f"{name}.py" for folder in _own_folders]
+    file = next((one for one in files if one.is_file()), None)
+    return None if file is None else spec_from_file_location(name, file)
 
 
-def _load_own_file(name: str, error: type[ParallelCalError]) -> ModuleType:
-    require_allowed(name, error)
+def _load_own_file(spec: ModuleSpec, error: type[ParallelCalError]) -> ModuleType:
+    require_allowed(spec.name, error)
+    if spec.name in sys.modules:
+        return sys.modules[spec.name]
+    module = module_from_spec(spec)
+    sys.modules[spec.name] = module
     try:
-        return import_module(name)
+        assert spec.loader is not None  # a file NAME.py has one
+        spec.loader.exec_module(module)
     except Exception as raised:
-        raise wrap_plugin_error(name, raised) from raised
+        del sys.modules[spec.name]
+        raise wrap_plugin_error(spec.name, raised) from raised
+    return module
 
 
 def wrap_plugin_function(name: str, function: Callable[..., Any]) -> Callable[..., Any]:

@@ -11,7 +11,10 @@ from parallel_cal.model.region import IdentifiedRegion
 def summarise_model(model: Model) -> dict[str, Any]:
     """Return a JSON document about a model: its mechanism, class, parts and steps, in SI units."""
     region = IdentifiedRegion.of_model(model)
-    steps = [" ".join(str(e[k]) for k in ("step", "effect") if k in e) for e in model.history]
+    steps = []
+    for entry in model.history:
+        words = " ".join(str(entry[k]) for k in ("step", "effect") if k in entry)
+        steps.append(f"{words} (cause {entry['cause']})" if "cause" in entry else words)
     return {
         "mechanism": model.mechanism.name,
         "class": model.machine_class,

@@ -1,4 +1,5 @@
-"""Works on the samples of the calibration node: compare, identify, diagnose, add an effect."""
+"""Works on the samples of the calibration node: compare, identify, diagnose, add an effect, find a
+law."""
 
 from __future__ import annotations
 
@@ -18,6 +19,7 @@ from parallel_cal.base.files import BACKUP_SUFFIX
 from parallel_cal.base.keyed_warning import KeyedWarning
 from parallel_cal.base.worker import Worker
 from parallel_cal.diagnosis.comparison import Comparison, compare
+from parallel_cal.discovery.goal import find_laws
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.model import Model
@@ -46,7 +48,7 @@ RESIDUAL_QUEUE_DEPTH = 1000
 
 
 class Calibrator:
-    """Provides the actions `~/identify` and `~/diagnose` and the service `~/add_effect`.
+    """Provides the actions `~/identify`, `~/diagnose`, `~/discover` and the service `~/add_effect`.
 
     It publishes `~/result`, `~/diagnosis` and `~/residuals`. `collect` returns the samples, `look`
     the transforms of TF, and `say` publishes an event.
@@ -92,6 +94,14 @@ class Calibrator:
                 "a diagnosis is running; cancel it or wait",
                 self._diagnose,
                 self._on_diagnosed,
+                messages.diagnose_result,
+            ),
+            Job(
+                "discover",
+                Diagnose,
+                "a search for laws is running; cancel it or wait",
+                self._discover,
+                self._on_discovered,
                 messages.diagnose_result,
             ),
         )
@@ -223,6 +233,19 @@ class Calibrator:
             self._written = outcome.path
         self._publish_result(kind, outcome)
         self._conclude(outcome, collection)
+
+    def _discover(self, goal: Any) -> tuple[Work, Collection]:
+        model_file = self._model_file(goal.model_file)
+        collection = self._samples(read_model(model_file))
+        options = FitOptions(hold_out=self._hold_out(goal), joint_sigma=self._settings.joint_sigma)
+        return Work(
+            find_laws, (model_file, collection.dataset, options), lambda one: one
+        ), collection
+
+    def _on_discovered(self, outcome: Outcome, collection: Collection | None) -> None:
+        if outcome.document:
+            self._publish_result("discover", outcome)
+        self._say(outcome.message)
 
     def _on_diagnosed(self, outcome: Outcome, collection: Collection | None) -> None:
         if outcome.document:

@@ -98,8 +98,12 @@ def provenance(report: Report) -> str:
     base, best = (trial.fitted.estimate.chi2_per_dof for trial in (found.base, found.best))
     noise = [f"{kind} from {source}" for kind, source in p.noise_from.items()]
     band = f"; {number(low)} to {number(high)} if the model is complete" if is_known(high) else ""
+    effects = [
+        f"{name} (found in data, cause unknown)" if name in p.found_in_data else name
+        for name in p.effects
+    ]
     rows = {
-        "Model": f"{p.mechanism}, effects: {', '.join(p.effects) or 'none'}",
+        "Model": f"{p.mechanism}, effects: {', '.join(effects) or 'none'}",
         "Model, sha256": p.model_sha256,
         "Data": f"{data.source}, {len(data)} samples, {p.dropped} dropped messages",
         "Data, sha256": data.sha256 or "none: not read from a recording",

@@ -32,7 +32,14 @@ def verdict(report: Report) -> str:
     found = report.diagnosis.verdict
     badge = f'<span class="badge {escape(found.word)}">{escape(LABELS[found.word])}</span>'
     words = f'<p class="verdict">{badge} {escape(micro(found.summary))}</p>'
-    return f'<section id="verdict">{words}</section>'
+    laws = "".join(
+        paragraph(
+            f"The effect {name} of this model was found in data; its physical cause is unknown.",
+            "note",
+        )
+        for name in report.provenance.found_in_data
+    )
+    return f'<section id="verdict">{words}{laws}</section>'
 
 
 def numbers(report: Report) -> str:

@@ -44,6 +44,7 @@ class Provenance:
     mechanism: str
     joint_units: Mapping[str, str]
     effects: list[str]
+    found_in_data: list[str]  # effects whose physical cause is unknown
     model_sha256: str
     dataset: Mapping[str, Any]
     dropped: int
@@ -59,6 +60,7 @@ class Provenance:
             mechanism=model.mechanism.name,
             joint_units=dict(zip(model.joints, model.mechanism.joint_units, strict=True)),
             effects=[effect.name for effect in model.effects],
+            found_in_data=[effect.name for effect in model.effects if effect.found_in_data],
             model_sha256=model_hash(model),
             dataset={"source": data.source, "sha256": data.sha256, "samples": len(data)},
             dropped=len(data.dropped),

@@ -15,6 +15,7 @@ from parallel_cal.diagnosis.comparison import Comparison
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.entries import Entry
 from parallel_cal.discovery.discovery import Discovery
+from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.budget import Budget, Iso9283
 from parallel_cal.identification.fit import FitResult, ParameterEstimate
 from parallel_cal.identification.prediction_errors import ERRORS, Summary
@@ -356,6 +357,26 @@ def describe_discovery(found: Discovery) -> Iterator[Block]:
         yield Table(("parameter", "value", "sigma", "unit"), rows)
     for advice in found.measure_next:
         yield f"measure next: {advice}"
+
+
+def law_table(found: Discovery) -> Table:
+    """Describe the laws of a discovery, proven ones first, with those that are equally good."""
+    columns = ("law", "or", "formula", "accounts for", "validation error", "tested at", "proven")
+    rows: list[Row] = []
+    for law in (*found.laws, *found.suspected):
+        tested = [f"{name} {low:.3g} to {high:.3g}" for name, (low, high) in law.tested.items()]
+        rows.append(
+            (
+                law.name,
+                ", ".join(law.alternatives) or "-",
+                law.formula,
+                percent(law.share, missing="-"),
+                format_errors(law.after, law.before),
+                ", ".join(tested),
+                f"no: {law.against}" if law.against else "yes",
+            )
+        )
+    return Table(columns, rows, "evidence")
 
 
 def candidate_table(diagnosis: Diagnosis, entries: Sequence[Entry]) -> Table:

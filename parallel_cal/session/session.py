@@ -15,8 +15,10 @@ from parallel_cal.base.files import write_atomically
 from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
 from parallel_cal.identification.options import FitOptions
+from parallel_cal.model.effect import parse_effects
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import Model
+from parallel_cal.model.shelf import add_plugin_folder, load_effect
 from parallel_cal.planning.plan import plan
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.loading import load_sessions
@@ -42,6 +44,7 @@ class Session(History):
     def __init__(self, folder: str | Path):
         """Open a session; SessionError if the folder has none, or an unreadable one."""
         super().__init__(folder)
+        add_plugin_folder(self.effects_folder)
         self._samples: dict[tuple[str, ...], Dataset] = {}
         # By file. A model is kept because it holds its compiled functions.
         self._models: dict[str, Model] = {}
@@ -84,8 +87,25 @@ class Session(History):
     # ------------------------------------------------------------------ contents
 
     @property
+    def effects_folder(self) -> Path:
+        """Effect files of this session: its models and `add` find an effect NAME.py here."""
+        return self.folder / "effects"
+
+    @property
     def model(self) -> Model:
         return self._model(self.state)
+
+    @property
+    def effects_note(self) -> str:
+        """Say which effect files of this session a reader of its present model needs; empty if it
+        needs none."""
+        names = [effect.name for effect in self.model.effects]
+        if not (own := [n for n in names if (self.effects_folder / f"{n}.py").exists()]):
+            return ""
+        return (
+            f"programs that read this model need {' and '.join(f'{name}.py' for name in own)} on "
+            f"their Python path: add {self.effects_folder.resolve()} to PYTHONPATH"
+        )
 
     def _model(self, state: State) -> Model:
         if state.model not in self._models:
@@ -137,7 +157,9 @@ class Session(History):
         """Add an effect and fit again; FitError if the validation error does not fall, unless
         forced."""
         step = add(self.model, effect, self.dataset, force, options=self.options, progress=progress)
-        return self._commit(f"add {effect}", step)
+        laws = [name for name, _ in parse_effects(effect) if load_effect(name).found_in_data]
+        cause = " (found in data, cause unknown)" if laws else ""
+        return self._commit(f"add {effect}{cause}", step)
 
     def remove(self, effect: str, progress: Progress | None = None, force: bool = False) -> State:
         """Remove an effect and fit again; FitError if that costs accuracy, unless forced."""

@@ -89,6 +89,10 @@ class Bench:
         """Start a step of the session and then compute its view; do nothing while a step runs."""
         self._begin(_work, step, given, options)
 
+    def find_law(self) -> None:
+        """Search for the law of what the present model leaves; the session stays unchanged."""
+        self._begin(_find_law)
+
     def save(self, confirmed: str = "") -> None:
         """Compare the present model with the one in `output`, and write it if it is better.
 
@@ -142,6 +146,11 @@ class Bench:
         """The file of the poses to measure next, if some were planned for this state."""
         file = self.session.folder / "plans" / f"{self.session.state.number}.csv"
         return file if file.exists() else None
+
+    @property
+    def law_view(self) -> dict[str, Any] | None:
+        """The view of the laws that were searched for in this state; None if none were."""
+        return _load_stored_view(law_view_path(self.session))
 
     @property
     def hash(self) -> str:
@@ -221,12 +230,27 @@ def view_path(session: History, state: int | None = None) -> Path:
     return session.folder / "views" / f"{number}.json"
 
 
+def law_view_path(session: History) -> Path:
+    """Return the file of the view of the laws found in the present state."""
+    return session.folder / "laws" / f"{session.state.number}.json"
+
+
 def load_view(session: History, state: int | None = None) -> dict[str, Any] | None:
+    return _load_stored_view(view_path(session, state))
+
+
+def _load_stored_view(file: Path) -> dict[str, Any] | None:
+    """Load a view; None if there is none, or only one of another version."""
     try:
-        found: dict[str, Any] = json.loads(read_text(view_path(session, state), most=256 << 20))
+        found: dict[str, Any] = json.loads(read_text(file, most=256 << 20))
     except (OSError, ValueError):
         return None
     return found["view"] if found.get("version") == VIEW_VERSION else None
+
+
+def _store_view(file: Path, view: dict[str, Any]) -> None:
+    file.parent.mkdir(exist_ok=True)
+    write_atomically(file, json.dumps({"version": VIEW_VERSION, "view": view}))
 
 
 def _import_views() -> None:
@@ -259,11 +283,21 @@ def _work(
         done = getattr(session, step)(*given, progress=tell, **options)
     if load_view(session) is None:
         tell("running the diagnosis", 0.0, glance(session))
-        shown = view(session, tell)
-        file = view_path(session)
-        file.parent.mkdir(exist_ok=True)
-        write_atomically(file, json.dumps({"version": VIEW_VERSION, "view": shown}))
+        _store_view(view_path(session), view(session, tell))
     return Done(f"written: {done}" if isinstance(done, Path) else session.state.against)
+
+
+def _find_law(folder: Path, tell: Callable[..., None]) -> Done:
+    """Search for laws in the present state of the session in `folder` (in the worker)."""
+    from parallel_cal.discovery.in_session import discover_in_session
+    from parallel_cal.workbench.law_view import make_law_view
+
+    session = _open_session(folder)
+    session.refresh()
+    file = law_view_path(session)
+    found, files = discover_in_session(session, tell)
+    _store_view(file, make_law_view(found, files))
+    return Done("")
 
 
 def _save(folder: Path, output: Path, confirmed: str, tell: Callable[..., None]) -> Done:
@@ -283,4 +317,5 @@ def _save(folder: Path, output: Path, confirmed: str, tell: Callable[..., None])
         shutil.copyfile(before, view_path(session))
     if found.is_in_use:
         return Done(f"{output} contains this model already")
-    return Done("; ".join(filter(None, (f"written: {output}", found.comparison))))
+    parts = (f"written: {output}", found.comparison, session.effects_note)
+    return Done("; ".join(filter(None, parts)))

@@ -16,6 +16,7 @@ from parallel_cal.session.history import format_first_error
 from parallel_cal.workbench.bench import Bench, Live
 from parallel_cal.workbench.fixing import ask_where_to_fix
 from parallel_cal.workbench.header import Header, Notice, VerdictCard
+from parallel_cal.workbench.law_card import draw_law_card
 from parallel_cal.workbench.live import LiveCard
 from parallel_cal.workbench.marking import SCRIPT, FigureSlot, Marking
 from parallel_cal.workbench.residuals_card import ResidualsCard
@@ -124,6 +125,7 @@ class Window:
             self.verdict.show(view)
             with self.missing:
                 self._missing(view)
+                draw_law_card(self.bench, view)
         if complete:
             self.failing.show(view)
         with self.rest:

@@ -43,6 +43,8 @@ View = dict[str, Any]
 # Samples on a page. A browser needs seconds to draw more, and more hide each other.
 MAX_SHOWN_SAMPLES, MAX_WORST_SAMPLES = 2000, 500
 NUMBERS_ONLY: View = {"candidates": [], "together": None, "untested": []}
+# Verdicts that leave an error which no effect of the catalogue describes.
+UNEXPLAINED_VERDICTS = ("unexplained", "partly_explained", "cannot_know")
 AMBER, GREEN, GREY = "amber", "green", "grey"
 
 
@@ -193,6 +195,7 @@ def _make_report_view(found: Report) -> View:
         "drawing": to_json_value(drawings.drawing(diagnosis.model, found=identified)),
         "advice": list(diagnosis.measure_next.advice),
         "cannot_tell": [one["text"] for one in contents.combinations(now)["unidentifiable"]],
+        "find_law": diagnosis.verdict.word in UNEXPLAINED_VERDICTS,
     }
 
 
@@ -218,7 +221,11 @@ def _verdict(found: Report) -> View:
     """Describe the verdict; it is green only if the data show no missing effect."""
     verdict, effects = found.diagnosis.verdict, found.diagnosis.effects
     if verdict.word == "at_noise":
-        return {"colour": GREEN, "words": verdict.summary}
+        laws = "".join(
+            f" {name} was found in data; its physical cause is unknown."
+            for name in found.provenance.found_in_data
+        )
+        return {"colour": GREEN, "words": f"{verdict.summary}{laws}"}
     if verdict.word == "explained":
         count = "one effect" if len(effects) == 1 else f"{len(effects)} effects"
         return {"colour": AMBER, "words": f"{count} missing: {verdict.summary}"}

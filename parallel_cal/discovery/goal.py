@@ -1,0 +1,38 @@
+"""The goal of the calibration node that finds laws: runs in its worker and writes nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.discovery.discovery import discover
+from parallel_cal.discovery.in_session import name_effect
+from parallel_cal.identification.options import FitOptions
+from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.session.goals import Outcome
+
+
+def find_laws(
+    model_file: str, dataset: Dataset, options: FitOptions, tell: Callable[[str, float], None]
+) -> Outcome:
+    """Search laws in what a model file leaves of the samples; a failure is a message.
+
+    The document is that of `parallel-cal discover --json`. Its key `effects` has the text of each
+    proven law's effect file by the name of the effect.
+    """
+    done = 0.0
+
+    def report(stage: str, fraction: float) -> None:
+        nonlocal done
+        done = max(done, fraction)  # the progress of a further law must not fall
+        tell(stage, done)
+
+    try:
+        report("reading the model file", 0.0)
+        found = discover(read_model(model_file), dataset, options=options, progress=report)
+    except ParallelCalError as error:
+        return Outcome(False, str(error))
+    effects = {name_effect(law): law.text for law in found.laws}
+    document = found.document() | {"effects": effects}
+    return Outcome(True, f"{found.verdict}: {found.summary}", document, verdict=found.verdict)

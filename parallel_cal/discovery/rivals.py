@@ -1,0 +1,45 @@
+"""Plan the poses at which a law and an equally good one differ most."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from parallel_cal.diagnosis.search import Chosen, Trial
+from parallel_cal.diagnosis.separate import RivalPair
+from parallel_cal.discovery.discovery import Discovery
+from parallel_cal.discovery.effect_file import load_text
+from parallel_cal.identification.fit import fit
+from parallel_cal.identification.options import FitOptions
+
+
+@dataclass(frozen=True)
+class LawPair:
+    """A proven law and an equally good one, by their names in words, and what a plan needs."""
+
+    law: str
+    rival: str
+    pair: RivalPair
+
+
+def pair_laws(found: Discovery, options: FitOptions) -> list[LawPair]:
+    """Pair each proven law with each law that describes the data equally well; pairs that the
+    present samples separate least come first.
+
+    The model with the proven laws is fitted once, so that a plan lets the geometry adapt to the
+    rival. Laws that contradict each other's parameters cannot be compared and are omitted.
+    """
+    if not any(law.rivals for law in found.laws):
+        return []
+    model = found.model
+    names = [load_text(law.text) for law in found.laws]
+    for name in names:
+        model = model.with_effect(name)
+    fitted = fit(model, found.dataset, replace(options, hold_out=0.0))
+    best = Trial(tuple(Chosen(name) for name in names), fitted)
+    pairs = []
+    for law, name in zip(found.laws, names, strict=True):
+        for rival, text in law.rivals.items():
+            pair = RivalPair.of(best, name, Chosen(load_text(text)))
+            if pair is not None:
+                pairs.append(LawPair(law.name, rival, pair))
+    return sorted(pairs, key=lambda one: one.pair.current_sigmas)
