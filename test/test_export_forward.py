@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 import virtual_firmware as vf
 from test_export_firmware import MM, off, simulated, told_frame
+from test_export_marlin import HEADER
 
+from bench import firmwares
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.exporting.export import export
 from parallel_cal.importing.controller_files import configured
@@ -125,6 +127,31 @@ def test_a_hangprinter_finds_its_end_point_again_from_its_motors(tmp_path):
     r, _ = poses_in_workspace(new_model("cable").mechanism, 200, np.random.default_rng(1))
     np.testing.assert_allclose(firmware.forward(firmware.motors(r / MM)), r / MM, atol=1e-4)
     np.testing.assert_allclose(firmware.home_position(), 0, atol=1e-9)
+
+
+@pytest.mark.wide
+def test_the_page_on_export_has_the_table_of_its_benchmark():
+    """One row of it, computed again; the others are the same code with another robot."""
+    name, target = "linear Delta", "marlin"
+    row = firmwares.measure(firmwares.robots()[name][0], target)
+    page = firmwares.PAGE.read_text(encoding="utf-8")
+    lines = page.split(firmwares.BEGIN)[1].split(firmwares.END)[0].strip().splitlines()
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
+    wanted = [(n, f"`{t}`") for n, (_, targets) in firmwares.robots().items() for t in targets]
+    assert [tuple(line[:2]) for line in cells] == wanted
+    (shown,) = [line for line in cells if line[:2] == [name, f"`{target}`"]]
+    assert [float(word) for word in shown[2].split(" / ")] == pytest.approx(row.stated, rel=1e-2)
+    assert [float(word) for word in shown[3].split(" / ")] == pytest.approx(row.reached, rel=1e-2)
+    assert row.reached == pytest.approx(row.stated, rel=1e-2)
+
+
+def test_configuration_files_come_back_with_nothing_lost(tmp_path):
+    file = tmp_path / "Configuration.h"
+    file.write_text(HEADER)
+    assert firmwares.configurations(tmp_path) == [[file]]
+    lost, lines = firmwares.send_round([file])
+    assert lost < 5e-4
+    assert lines == 0
 
 
 # ------------------------------------------------------------------ RepRapFirmware's arm A
