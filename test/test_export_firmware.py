@@ -47,8 +47,8 @@ def simulated(target, folder):
     text = {path.name: path.read_text() for path in folder.iterdir()}
     if target == "linuxcnc":
         return vf.LinuxCnc(text["machine.hal"], text["machine.ini"])
-    kind = {"klipper": vf.Klipper, "rrf": vf.Duet, "grblhal": vf.GrblHal}[target]
-    return kind(next(iter(text.values())))
+    kinds = {"klipper": vf.Klipper, "rrf": vf.Duet, "grblhal": vf.GrblHal}
+    return kinds.get(target, vf.Marlin)(next(iter(text.values())))
 
 
 def told_frame(remarks):
@@ -98,7 +98,9 @@ def test_the_loss_of_a_rotary_delta_is_what_rods_and_points_show(target, tmp_pat
     assert error.max() < worst[target]
 
 
-@pytest.mark.parametrize("target", first("klipper", "rrf", "linuxcnc"))
+@pytest.mark.parametrize(
+    "target", first("klipper", "rrf", "linuxcnc", "marlin", "marlin_equal_rods")
+)
 def test_the_loss_of_a_linear_delta_is_what_rods_and_points_show(target, tmp_path):
     model = off("linear_delta", 0.1)
     done = export(model, target, tmp_path)
@@ -451,7 +453,11 @@ def test_a_signal_that_leads_to_a_pin_is_set(tmp_path):
 def test_what_a_target_cannot_hold_is_refused_and_targets_that_can_are_named(tmp_path):
     for name, target, can in (
         ("stewart42", "klipper", "c, linuxcnc, table can represent it"),
-        ("linear_delta", "grblhal", "c, klipper, linuxcnc, rrf, table can represent it"),
+        (
+            "linear_delta",
+            "grblhal",
+            "c, klipper, linuxcnc, marlin, marlin_equal_rods, rrf, table can",
+        ),
         ("argos27", "rrf", "c, linuxcnc, table can represent it"),
     ):
         with pytest.raises(ModelError) as error:

@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 import virtual_firmware as vf
 from test_export_firmware import MM, off, simulated, told_frame
+from test_export_marlin import HEADER
 
+from bench import firmwares
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.exporting.export import export
 from parallel_cal.importing.controller_files import configured
@@ -27,7 +29,7 @@ MAX_FLOAT_ERROR = 5e-4  # mm, of formulas in single precision over a workspace o
 MAX_HOMED_ERROR = 1.0  # mm, outside the workspace, where the firmware has fewer numbers
 EXACT_HOMED_ERROR = 2e-3  # mm, of a robot whose numbers the firmware has: the digits of an angle
 ROTARY = ("rrf", "klipper", "grblhal", "linuxcnc")
-LINEAR = ("rrf", "klipper", "linuxcnc")
+LINEAR = ("rrf", "klipper", "linuxcnc", "marlin", "marlin_equal_rods")
 NOMINAL = ("delta_nominal", "linear_delta", "delta24")
 
 
@@ -73,9 +75,13 @@ def test_a_firmware_finds_its_point_again_from_its_motors(name, target, tmp_path
 def test_a_firmware_homes_where_the_model_is(name, target, tmp_path):
     model = robot(name)
     done = export(model, target, tmp_path)
-    origin, axes, _ = told_frame(done.remarks)
+    origin, axes, order = told_frame(done.remarks)
     ends = np.array(model.mechanism.joint_limits)
     stops = ends[:, 0] if axes[2, 2] < 0 else ends[:, 1]
+    if target.startswith("marlin"):  # which leaves its end-stops when it has found them
+        down = np.empty(3)
+        down[order] = simulated(target, tmp_path).retracts() * MM
+        stops = stops - down
     expected = (Kinematics(model).direct(stops[None]).position[0] - origin) @ axes / MM
     tolerance = EXACT_HOMED_ERROR if name in NOMINAL else MAX_HOMED_ERROR
     firmware = simulated(target, tmp_path)
@@ -121,6 +127,31 @@ def test_a_hangprinter_finds_its_end_point_again_from_its_motors(tmp_path):
     r, _ = poses_in_workspace(new_model("cable").mechanism, 200, np.random.default_rng(1))
     np.testing.assert_allclose(firmware.forward(firmware.motors(r / MM)), r / MM, atol=1e-4)
     np.testing.assert_allclose(firmware.home_position(), 0, atol=1e-9)
+
+
+@pytest.mark.wide
+def test_the_page_on_export_has_the_table_of_its_benchmark():
+    """One row of it, computed again; the others are the same code with another robot."""
+    name, target = "linear Delta", "marlin"
+    row = firmwares.measure(firmwares.robots()[name][0], target)
+    page = firmwares.PAGE.read_text(encoding="utf-8")
+    lines = page.split(firmwares.BEGIN)[1].split(firmwares.END)[0].strip().splitlines()
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
+    wanted = [(n, f"`{t}`") for n, (_, targets) in firmwares.robots().items() for t in targets]
+    assert [tuple(line[:2]) for line in cells] == wanted
+    (shown,) = [line for line in cells if line[:2] == [name, f"`{target}`"]]
+    assert [float(word) for word in shown[2].split(" / ")] == pytest.approx(row.stated, rel=1e-2)
+    assert [float(word) for word in shown[3].split(" / ")] == pytest.approx(row.reached, rel=1e-2)
+    assert row.reached == pytest.approx(row.stated, rel=1e-2)
+
+
+def test_configuration_files_come_back_with_nothing_lost(tmp_path):
+    file = tmp_path / "Configuration.h"
+    file.write_text(HEADER)
+    assert firmwares.configurations(tmp_path) == [[file]]
+    lost, lines = firmwares.send_round([file])
+    assert lost < 5e-4
+    assert lines == 0
 
 
 # ------------------------------------------------------------------ RepRapFirmware's arm A

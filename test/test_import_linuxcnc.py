@@ -7,6 +7,7 @@ import virtual_firmware as vf
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.exporting.export import export, export_into
 from parallel_cal.importing.controller_files import configured, samples
+from parallel_cal.importing.importers import linuxcnc
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import new_model
@@ -155,6 +156,21 @@ def test_a_hexapod_in_inches_has_readings_that_are_the_lengths_of_its_struts(tmp
     np.testing.assert_allclose(home.joints, lengths * INCH * 1e-3, atol=1e-12)
     assert home.position == pytest.approx((0, 0, 20 * INCH * 1e-3))
     assert model.value("leg1.C_x") == pytest.approx(-23 * INCH * 1e-3)
+
+
+def test_a_hexapod_homed_with_short_struts_has_its_switches_as_upper_limits(tmp_path):
+    pins, lengths = hexapod_pins()
+    files = machine(tmp_path, pins, "inch", lengths - 3)
+    text = files[1].read_text()
+    for i, length in enumerate(lengths):
+        text = text.replace(f"[JOINT_{i}]\n", f"[JOINT_{i}]\nHOME = {length}\n")
+    files[1].write_text(text)
+    found = configured(files)
+    assert found.remarks == (linuxcnc.BEYOND_SWITCHES,)
+    mechanism = found.model.mechanism
+    tops = [high for _, high in mechanism.joint_limits]
+    np.testing.assert_allclose(tops, (lengths - 3) * INCH * 1e-3)
+    np.testing.assert_allclose(mechanism.home.joints, lengths * INCH * 1e-3)
 
 
 @pytest.mark.parametrize("kind", ["rotary", "hexapod"])

@@ -69,7 +69,7 @@ def nozzle_between(joints: Array, rods: Array) -> Array:
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     planes = np.concatenate([sides, normal[:, None]], axis=1)
     longer = (rods[0] ** 2 - rods[1:] ** 2 + (sides**2).sum(axis=2)) / 2
-    foot = np.linalg.solve(planes, np.column_stack([longer, np.zeros(len(first))])[..., None])
+    foot = np.linalg.solve(planes, np.column_stack([longer, 0 * longer[:, 0]])[..., None])
     foot = foot[..., 0]
     with np.errstate(invalid="ignore"):
         depth = np.sqrt(rods[0] ** 2 - (foot**2).sum(axis=1))
@@ -451,3 +451,50 @@ class GrblHal:
 
     def home_position(self, number: type = np.float64) -> Array:
         return self.forward(self.homed()[None], number)[0]
+
+
+class Marlin:
+    """Its linear Delta: M665 and M666. Sources: Marlin documentation; module/delta.cpp, motion.cpp.
+
+    When homed, a carriage goes down from its end-stop by M666, if that is more than a few steps,
+    and the nozzle is then believed at the homed height.
+    """
+
+    number = np.float32
+    IGNORED = 6 / 80  # mm: steps that a move of a carriage has at least
+
+    def __init__(self, text: str) -> None:
+        self.w = {field: float(value[0]) for field, value in words(text).items()}
+
+    def three(self, code: str, letters: str) -> Array:
+        return np.array([self.w.get(f"{code} {letter}", 0.0) for letter in letters])
+
+    def towers(self) -> tuple[Array, Array, Array]:
+        around = np.radians([210, 330, 90] + self.three("M665", "XYZ"))
+        places = self.w["M665 R"] * np.column_stack([np.cos(around), np.sin(around)])
+        return places, self.w["M665 L"] + self.three("M665", "ABC"), np.zeros(2)
+
+    def motors(self, r: Array) -> Array:
+        return carriages(r, *self.towers())
+
+    def computed_motors(self, r: Array) -> Array:
+        return carriages_by_root(*(part.astype(self.number) for part in (r, *self.towers())))
+
+    def forward(self, motors: Array, number: type = np.float64) -> Array:
+        places, rods, _ = self.towers()
+        joints = np.stack(np.broadcast_arrays(*places.T[:, None], motors), axis=2)
+        return nozzle_between(joints.astype(number), rods.astype(number))
+
+    def retracts(self) -> Array:
+        """How far (3,) each carriage goes down from its end-stop."""
+        asked = -self.three("M666", "XYZ")
+        return np.where(asked > self.IGNORED, asked, 0.0)
+
+    def homed(self) -> Array:
+        """Where (3,) the carriages are at their end-stops, by what it believes after homing."""
+        believed = self.motors(np.array([[0, 0, self.w["M665 H"]]]))[0]
+        return believed + self.retracts()
+
+    def home_position(self, number: type = np.float64) -> Array:
+        """Where (3,) the nozzle is after homing, by its forward problem."""
+        return self.forward((self.homed() - self.retracts())[None], number)[0]

@@ -94,18 +94,24 @@ def chains_of(model: Model, places: Array | None) -> Chains:
 
 
 def towers(
-    model: Model, places: Array | None, tilted: bool, present: Refinement | None = None
+    model: Model,
+    places: Array | None,
+    tilted: bool,
+    present: Refinement | None = None,
+    equal_rods: bool = False,
 ) -> tuple[Towers, Chains]:
     """Fit one radius, rods, angles and end-stops, and, if `tilted`, the plate's slopes."""
     c = chains_of(model, places)
+    rods = [c.rods.mean()] if equal_rods else [*c.rods]
+    n = 7 + len(rods)
 
     def made(v: Array) -> Towers:
-        tilt = (v[10], v[11]) if tilted else (0.0, 0.0)
-        trim = _wrap_angles(v[4:7] - TOWERS)
-        return Towers(np.full(3, v[0]), v[1:4], trim, v[7:10], tilt=tilt)
+        tilt = (v[n], v[n + 1]) if tilted else (0.0, 0.0)
+        trim = _wrap_angles(v[1:4] - TOWERS)
+        return Towers(np.full(3, v[0]), v[7:n] * np.ones(3), trim, v[4:7], tilt=tilt)
 
     slopes = c.tilt if tilted else ()
-    start = np.array([c.radius.mean(), *c.rods, *c.angles, *c.homed, *slopes])
+    start = np.array([c.radius.mean(), *c.angles, *c.homed, *rods, *slopes])
     return made(fit_numbers(model, start, lambda v: c.machine(made(v)), c.bed, present)), c
 
 

@@ -64,8 +64,8 @@ def read_verbatim(path: Path) -> str:
 
 
 def _head(field: str) -> str:
-    """Return the group of a field: `M665`, `[section]`, `$`, or the pin's component."""
-    return re.match(r"\[[^\]]*\]|[GM]\d+(?= )|\$|[^.]*", field)[0]  # type: ignore[index]
+    """Return the group of a field: `M665`, `[section]`, `$`, `DELTA_` (C), or the component."""
+    return re.match(r"\[[^\]]*\]|[GM]\d+(?= )|\$|DELTA_|[^.]*", field)[0]  # type: ignore[index]
 
 
 def _key(field: str) -> str:
@@ -78,13 +78,17 @@ def _line(field: str, value: str) -> str:
         return _key(field) + value
     if field[0] == "[":
         return f"{_key(field)} = {value}"
+    if field.startswith("DELTA_"):
+        return f"#define {field} {value}"
     return f"{field}={value}" if field[0] == "$" else f"setp {field} {value}"
 
 
 def _are_same_numbers(old: str, new: str) -> bool:
-    """Return whether two texts are the same numbers, separated by colons."""
+    """Return whether two texts are the same numbers: one, `1:2:3` or `{ 1, 2, 3 }`."""
     try:
-        before, after = ([float(word) for word in text.split(":")] for text in (old, new))
+        before, after = (
+            [float(word) for word in re.split("[:,]", text.strip("{} "))] for text in (old, new)
+        )
     except ValueError:
         return False
     return before == after
@@ -97,6 +101,8 @@ def _replace_value(line: str, field: str, old: str, new: str) -> str:
     key = re.escape(signal[1] if signal else _key(field))
     pattern = rf"(?i){begins}{key}(\s*[:=]?\s*){re.escape(old)}(?![\w.])"
     comment = r"\([^)]*\)|;.*" if field[0] in "GM" else r"(?<=\s)[#;].*"
+    if field.startswith("DELTA_"):
+        comment = r"//.*"
     code = re.sub(comment, lambda found: " " * len(found[0]), line)
     places = [*re.finditer(pattern, code)]
     if not places:

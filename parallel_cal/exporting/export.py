@@ -157,12 +157,14 @@ def export_into(
     cleared = [field for field in getattr(module, "CLEARED", ()) if field in stated]
     for file, numbers in projection.settings.items():
         its = [path for path in files if path.suffix == Path(file).suffix]
+        if len(projection.settings) == 1:
+            its = list(files)
         if not its:
             raise ModelError(
                 f"{target}: some numbers belong in {file}: pass that file with --into as well"
             )
-        if hasattr(module, "convert_units"):
-            numbers = module.convert_units(stated, numbers)
+        if hasattr(module, "adapt"):
+            numbers = module.adapt(stated, numbers)
         texts |= edit_files(stated, {**numbers, **dict.fromkeys(cleared, "0")}, its)
         cleared = []
     old, new = (

@@ -79,16 +79,16 @@ class Towers:
 
     @classmethod
     def of(
-        cls, radius: float, rods: ArrayLike, trim: ArrayLike, heights: ArrayLike, **more: Any
+        cls, radius: ArrayLike, rods: ArrayLike, trim: ArrayLike, heights: ArrayLike, **more: Any
     ) -> Towers:
         """Return the Delta of a firmware's numbers in mm and degrees.
 
         `heights` (mm) are the nozzle's heights by the firmware when one tower is at its end-stop
         and the nozzle is on the axis.
         """
-        long = np.asarray(rods) * MM
-        tops = np.asarray(heights) * MM + np.sqrt(long**2 - (radius * MM) ** 2)
-        return cls(np.full(3, radius * MM), long, np.asarray(trim) * DEGREE, tops, **more)
+        out, long = np.broadcast_to(radius, 3) * MM, np.asarray(rods) * MM
+        tops = np.asarray(heights) * MM + np.sqrt(long**2 - out**2)
+        return cls(out, long, np.asarray(trim) * DEGREE, tops, **more)
 
     @property
     def heights(self) -> Array:

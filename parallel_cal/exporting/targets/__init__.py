@@ -9,4 +9,5 @@ A target is a Python module that defines one or both of these groups of names:
    - `project(model)`: the values of the firmware's parameters that fit the model best
    - `settings(paths)`: the settings in the firmware's configuration files
    - `firmware(settings)`: the kinematics that the firmware computes with these settings
+   - `adapt(settings, numbers)`, optional: the numbers in the units and by the names of these files
 """

@@ -78,7 +78,7 @@ def firmware(stated: Settings) -> Firmware:
     return linuxcnc.kinematics(stated)
 
 
-def convert_units(stated: Settings, numbers: Mapping[str, str]) -> dict[str, str]:
+def adapt(stated: Settings, numbers: Mapping[str, str]) -> dict[str, str]:
     """Return settings in mm in the unit of the machine's own files."""
     factor = MM / linuxcnc.length_unit(stated)
     if factor == 1.0:

@@ -38,6 +38,10 @@ HOMED = "[JOINT_{}] HOME_OFFSET"  # in the .ini file: the joint at its switch
 HOME = "[JOINT_{}] HOME"  # where the joint goes when it is homed
 UNIT = "[TRAJ] LINEAR_UNITS"
 LINEAR_UNITS = {"mm": "mm", "metric": "mm", "inch": "in", "in": "in", "imperial": "in"}
+BEYOND_SWITCHES = (
+    "the switches (HOME_OFFSET) are the upper joint limits in the model file, because an export "
+    "takes them from there, but the struts move beyond them to HOME: plan with other limits"
+)
 BELOW_HOMED = 30 * DEGREE  # of a rotary Delta's arms in the middle of the workspace
 NO_PROBE = np.zeros(3)
 
@@ -85,6 +89,8 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
         remarks.append(f"{HEXAPOD}.screw-lead: the correction of the struts' lengths is not used")
     unit = length_unit(stated)
     home = _joints_at(stated, HOME, 6, unit, machine.homed)
+    if (home > machine.homed).any():
+        remarks.append(BEYOND_SWITCHES)
     try:
         return ConfiguredRobot(new_model(machine.mechanism(home)), tuple(remarks))
     except ModelError as error:

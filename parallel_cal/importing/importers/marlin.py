@@ -1,5 +1,7 @@
 """Marlin: a captured log of a linear Delta, with M503 and the touches of G29, G30 or G33.
 
+Its settings may also be in a file of commands (.gcode), or in Configuration.h.
+
 Touches are the lines `Bed X: Y: Z:` (G29 V4, G30), and the report of `G33 P2 V3` or `P3`, whose
 numbers are single touches (except for a mean near the centre). With P4 and more they are means over
 the bed and are not used. A touch belongs to the settings before it. Joints count from the
@@ -27,7 +29,7 @@ from parallel_cal.importing.touch_samples import make_joint_samples, make_printe
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array
 
-CONFIGURATION = (".log", ".txt")
+CONFIGURATION = (".log", ".txt", ".gcode", ".h")
 CODES = ("M92", "M665", "M666", "M851")
 HOST_PREFIX = re.compile(
     r"^.*?(?:Recv|Send|RECV|SENDING|<<<|>>>|echo)\s*:?\s*(?:[\d:.]+:)?\s*(?:echo:)?"
@@ -35,6 +37,18 @@ HOST_PREFIX = re.compile(
 BED = re.compile(r"Bed X:\s*(\S+)\s+Y:\s*(\S+)\s+Z:\s*(\S+)")
 REPORT = re.compile(r"(?<!\w)(c|x|y|z|yz|zx|xy):\s*([-+.\w]+)")
 SETTING = re.compile(r"(Height|E[xyz]|Radius|T[xyz]):\s*([-+.\w]+)")
+# Names in Configuration.h and the commands that set the same.
+DEFINITIONS = {
+    "DELTA_DIAGONAL_ROD": ("M665 L",),
+    "DELTA_RADIUS": ("M665 R",),
+    "DELTA_HEIGHT": ("M665 H",),
+    "DELTA_TOWER_ANGLE_TRIM": ("M665 X", "M665 Y", "M665 Z"),
+    "DELTA_DIAGONAL_ROD_TRIM_TOWER": ("M665 A", "M665 B", "M665 C"),
+    "DELTA_ENDSTOP_ADJ": ("M666 X", "M666 Y", "M666 Z"),
+    "NOZZLE_TO_PROBE_OFFSET": ("M851 X", "M851 Y", "M851 Z"),
+}
+DEFINED, RADIUS_TRIM = "DELTA_RADIUS", "DELTA_RADIUS_TRIM_TOWER"  # no command sets the latter
+DEFINITION = re.compile(r"\s*#define\s+(\w+)\s+(\{[^}]*\}|[^/]*[^/\s])")
 FIELDS = {"Height": "M665 H", "Radius": "M665 R"}
 FIELDS |= {f"E{a}": f"M666 {a.upper()}" for a in "xyz"}
 FIELDS |= {f"T{a}": f"M665 {a.upper()}" for a in "xyz"}
@@ -81,24 +95,63 @@ def samples(
         why = f"; {MEANS}" if skipped else ""
         raise DatasetError(f"{', '.join(map(str, paths))}: no touches, expected {expected}{why}")
     step = [MM / stated.number(f"M92 {a}", "steps per mm", STEPS, low=1e-3) for a in "XYZ"]
-    towers = _towers(stated)
-    q, printed = np.array(found) + towers.end_stops, make_printed_ends(towers, printed_x, printed_y)
+    delta = towers(stated)
+    q, printed = np.array(found) + delta.end_stops, make_printed_ends(delta, printed_x, printed_y)
     means = [MEANS] if skipped else []
     touched = make_joint_samples(q, np.zeros(len(q)), paths, step, warnings=means, printed=printed)
-    return replace(touched, configuration=deltas.end_stops(towers))
+    return replace(touched, configuration=deltas.end_stops(delta))
 
 
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
-    """Return the printer that the last settings in a log describe."""
+    """Return the printer that the last settings in a log, or a Configuration.h, describe."""
+    stated = settings(paths)
+    return deltas.make_configured_robot(towers(stated), tip(stated))
+
+
+def settings(paths: Sequence[Path]) -> Settings:
+    """Read the last value of each word of the commands, or the definitions of Configuration.h."""
     texts: dict[str, tuple[str, SourceLine]] = {}
-    for _ in _iterate_lines(paths, texts):
+    headers = [path for path in paths if path.suffix == ".h"]
+    for _ in _iterate_lines([path for path in paths if path not in headers], texts):
         pass
-    stated = Settings(texts, paths)
-    return deltas.make_configured_robot(_towers(stated), tip(stated))
+    for path in headers:
+        for place, line in read_lines(path):
+            found = DEFINITION.match(line)
+            if not found or found[1] not in (*DEFINITIONS, RADIUS_TRIM):
+                continue
+            if found[1] in texts and found[1].startswith("DELTA_"):
+                raise place.error(
+                    found[1], found[2], "one definition of it; delete those that #if excludes"
+                )
+            texts[found[1]] = (found[2], place)
+    return Settings(texts, paths)
+
+
+def _read_defined(stated: Settings) -> Settings:
+    """Return the definitions of Configuration.h as the words of commands."""
+    texts: dict[str, tuple[str, SourceLine]] = {}
+    for name, fields in DEFINITIONS.items():
+        if name in stated:
+            _, place = stated.text(name, "")
+            words = _split(stated, name, len(fields))
+            for word in words:
+                place.number(name, word, "a number, or numbers in braces, without a formula")
+            texts |= {field: (word, place) for field, word in zip(fields, words, strict=True)}
+    return Settings(texts, stated.paths)
+
+
+def _split(stated: Settings, name: str, n: int) -> list[str]:
+    """Return the texts of n values `{ a, b, c }`, or of a single one."""
+    text, _ = stated.text(name, "")
+    words = [word.strip() for word in text.strip("{} ").split(",")]
+    if len(words) != n or (n > 1) != text.startswith("{"):
+        raise stated.error(name, f"{n} numbers in braces" if n > 1 else "a number in mm")
+    return words
 
 
 def tip(stated: Settings) -> Array:
     """Return the probe's tip in {P} (m): M851, from the nozzle to the probe."""
+    stated = _read_defined(stated) if DEFINED in stated else stated
     return np.array([stated.number(f"M851 {a}", "mm", 0.0, -200, 200) for a in "XYZ"]) * MM
 
 
@@ -117,18 +170,25 @@ def _iterate_lines(
 
 def _reading(stated: Settings, nozzle: Array) -> Array:
     """Return the carriages (3,) in m from their end-stops."""
-    towers = _towers(stated)
-    q = towers.joints(nozzle[None])[0] - towers.end_stops
+    delta = towers(stated)
+    q = delta.joints(nozzle[None])[0] - delta.end_stops
     if np.isfinite(q).all():
         return np.asarray(q)
     raise stated.error("M665 L", f"rods that reach {np.round(nozzle / MM, 2).tolist()} mm")
 
 
-def _towers(stated: Settings) -> Towers:
+def towers(stated: Settings) -> Towers:
     """Return the Delta of M665 L R H X Y Z, with A B C added to the rods, and of M666 X Y Z.
 
     M666 is the distance by which the nozzle is lowered from its end-stop to the height H.
     """
+    out = np.zeros(3)
+    if DEFINED in stated:
+        if RADIUS_TRIM in stated:
+            words = _split(stated, RADIUS_TRIM, 3)
+            place = stated.text(RADIUS_TRIM, "")[1]
+            out = np.array([place.number(RADIUS_TRIM, w, "mm", -50, 50) for w in words])
+        stated = _read_defined(stated)
     radius = stated.number("M665 R", "the delta radius in mm", low=1.0)
     more = [0.0, 0.0, 0.0]
     if "M665 A" in stated or "M665 C" in stated:  # otherwise B is a radius
@@ -137,4 +197,4 @@ def _towers(stated: Settings) -> Towers:
     stops = [stated.number(f"M666 {t}", "mm, 0 or less", 0.0, high=0.0) for t in "XYZ"]
     homed = stated.number("M665 H", "the homed height in mm", low=0.0)
     trim = [stated.number(f"M665 {t}", "degrees", 0.0, -30, 30) for t in "XYZ"]
-    return Towers.of(radius, rod + np.array(more), trim, homed - np.array(stops))
+    return Towers.of(radius + out, rod + np.array(more), trim, homed - np.array(stops))

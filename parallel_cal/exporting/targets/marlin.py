@@ -1,0 +1,80 @@
+"""Marlin: M665 and M666 of its linear Delta, or the same numbers in Configuration.h.
+
+Marlin computes no rotary Delta. Its rods are L, plus a trim for each tower (A, B, C). A carriage
+that touched its end-stop goes down by the distance of M666, and the nozzle is then H above the
+bed. It does not go down by less than a few motor steps, so that no distance may be between 0 and
+MIN_RETRACT_M. Source: Marlin documentation, "M665", "M666", and Marlin/src/module/motion.cpp.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from parallel_cal.base.units import DEGREE, MM
+from parallel_cal.exporting.deltas import LINEAR, TOWERS, towers
+from parallel_cal.exporting.projection import Firmware, Projection, Refinement
+from parallel_cal.importing.importers import marlin
+from parallel_cal.importing.settings import Settings
+from parallel_cal.model.model import Model
+
+HOLDS = LINEAR
+FILE = "marlin.gcode"
+DECIMALS = 4  # of mm and degrees
+MIN_RETRACT_M = 0.1e-3  # m; six steps, which Marlin ignores, are up to 0.1 mm
+STORE = (
+    "send M500 after these commands, or they are lost when the printer is switched off. After a "
+    "change of Configuration.h, build and flash the firmware, then send M502 and M500"
+)
+TRIMS = (
+    "A, B and C of M665 are trims of the rods, which older versions do not have: they take B for "
+    "the radius of G33. If M503 shows no A and C, use the target marlin_equal_rods"
+)
+
+
+def settings(paths: Sequence[Path]) -> Settings:
+    return marlin.settings(paths)
+
+
+def firmware(stated: Settings) -> Firmware:
+    return marlin.towers(stated)
+
+
+def project(model: Model, present: Refinement | None = None) -> Projection:
+    return make_projection(model, present, equal_rods=False)
+
+
+def make_projection(model: Model, present: Refinement | None, equal_rods: bool) -> Projection:
+    """Return the numbers of M665 and M666, with the trims A, B and C unless rods are equal."""
+    delta, c = towers(model, TOWERS, tilted=False, present=present, equal_rods=equal_rods)
+    rod, homed = delta.rods.mean(), delta.heights.min()
+    retract = delta.heights - homed
+    if ((retract > 0) & (retract < MIN_RETRACT_M)).any():
+        retract, homed = retract + MIN_RETRACT_M, homed - MIN_RETRACT_M
+    found = {"M665 L": rod / MM, "M665 R": delta.radius[0] / MM, "M665 H": homed / MM}
+    found |= {f"M665 {t}": a for t, a in zip("XYZ", delta.trim / DEGREE, strict=True)}
+    if not equal_rods:
+        found |= {f"M665 {t}": a for t, a in zip("ABC", (delta.rods - rod) / MM, strict=True)}
+    found |= {f"M666 {t}": -a for t, a in zip("XYZ", retract / MM, strict=True)}
+    written = {field: f"{np.round(v, DECIMALS) + 0.0:.{DECIMALS}f}" for field, v in found.items()}
+    return Projection({FILE: written}, c.frame, c.stops, (STORE, *(() if equal_rods else (TRIMS,))))
+
+
+def adapt(stated: Settings, numbers: Mapping[str, str]) -> dict[str, str]:
+    """Return settings by the names of the file: those of Configuration.h, or commands."""
+    if marlin.DEFINED not in stated:
+        return dict(numbers)
+    found = {}
+    for name, fields in marlin.DEFINITIONS.items():
+        values = [numbers[field] for field in fields if field in numbers]
+        if name not in stated and not any(float(value) for value in values):
+            continue  # zeros are what the firmware has without the definition
+        if len(values) == 1:
+            found[name] = values[0]
+        elif values:
+            found[name] = f"{{ {', '.join(values)} }}"
+    if marlin.RADIUS_TRIM in stated:  # the fit has one radius for all towers
+        found[marlin.RADIUS_TRIM] = "{ 0.0, 0.0, 0.0 }"
+    return found
