@@ -96,8 +96,9 @@ int main(int count, char **words)
 }
 """  # noqa: E501
 
-# Nanoseconds of CYCLES cycles (motion, direct and inverse, both capped), each of the processor, not of others:
-# median, 99.9 %, 99.999 % and the longest, and the calls of the heap in them.
+# Nanoseconds of CYCLES cycles (motion, direct and inverse, both capped) by the thread's own clock,
+# which other programs do not advance: median, the longest of 99.9 % and of 99.999 %, and the
+# longest. Then the failures and the calls of the heap before and in the cycles.
 CYCLE = r"""
 #define _POSIX_C_SOURCE 199309L
 #include "robot.h"

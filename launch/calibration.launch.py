@@ -19,7 +19,8 @@ TOPICS = {
     "temperature": "sensor_msgs/Temperature",
     "payload": "geometry_msgs/InertiaStamped, the mass m in kg",
     "target_pose": "geometry_msgs/PoseStamped, a target pose for the robot",
-    "joint_command": "trajectory_msgs/JointTrajectory, the joint command for a target pose",
+    "target_path": "nav_msgs/Path, target poses for the robot to pass one after another",
+    "joint_command": "trajectory_msgs/JointTrajectory, the joint command for a target",
     "joint_trajectory": "trajectory_msgs/JointTrajectory, the motions of a campaign",
 }
 POSE_TYPES = ["PoseWithCovarianceStamped", "PoseStamped"]

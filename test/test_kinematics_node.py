@@ -26,6 +26,7 @@ from geometry_msgs.msg import (
     PoseWithCovarianceStamped,
     Quaternion,
 )
+from nav_msgs.msg import Path as PosePath
 from parallel_cal_msgs.msg import (
     CommandStatus,
     Condition,
@@ -584,6 +585,51 @@ def test_a_jump_is_given_the_time_it_needs_and_one_out_of_the_workspace_is_refus
     assert "workspace" in told[-1].message
     assert heard
     assert all(list(command.points[0].positions) == goal.tolist() for command in heard)
+
+
+def test_a_path_becomes_one_trajectory_within_the_limits_or_a_refusal(robot):
+    paths = robot.client._node.create_publisher(PosePath, "target_path", 10)
+    heard = heard_on(robot, JointTrajectory, "joint_command")
+    told = heard_on(robot, CommandStatus, f"{NODE}/command_status")
+    start = robot.kinematics.inverse(np.array([-0.03, 0.0, 0.2])).joints
+    be_at(robot, start)
+    be_at(robot, start)  # twice: it rests
+    places = [(0.03, 0.0, 0.2), (0.03, 0.03, 0.2)]
+    message = PosePath(poses=[PoseStamped(pose=pose(place)) for place in places])
+    command = publish_until(robot, paths, message, heard, stamped=False)
+    robot.client.wait(lambda: told and told[-1].status == CommandStatus.ACCEPTED, "the status")
+    q, v = (np.array([getattr(p, k) for p in command.points]) for k in ("positions", "velocities"))
+    time = np.array(
+        [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in command.points]
+    )
+    assert command.joint_names == NAMES
+    assert time[0] == 0.0
+    assert (np.diff(time) > 0).all()
+    assert told[-1].time_from_start == pytest.approx(time[-1], abs=1e-6)
+    assert told[-1].singularity > 0.02
+    np.testing.assert_allclose(q[0], start, atol=1e-9)
+    assert not v[[0, -1]].any()
+    seen = robot.kinematics.direct(q).position
+    np.testing.assert_allclose(seen[-1], places[-1], atol=1e-9)
+    assert np.abs(seen[:, 2] - 0.2).max() < 1e-9
+    low, high = np.array(robot.kinematics.model.mechanism.joint_limits).T
+    assert (np.abs(v) <= (high - low) * (1 + 1e-9)).all()
+    for reason, poses in (
+        ("workspace before pose 1 of 1", [(0.0, 0.0, 0.27)]),
+        ("no poses", []),
+        ("not finite", [(0.0, 0.0, np.nan)]),
+    ):
+        paths.publish(PosePath(poses=[PoseStamped(pose=pose(place)) for place in poses]))
+        robot.client.wait(lambda r=reason: r in told[-1].message, f"the refusal '{reason}'")
+        assert told[-1].status == CommandStatus.REFUSED
+    moving = JointState(name=NAMES, position=start.tolist(), velocity=[0.0, 0.5, 0.0])
+    states = robot.client._node.create_publisher(JointState, "joint_states", 10)
+    poses_heard = heard_on(robot, PoseStamped, f"{NODE}/pose")
+    publish_until(robot, states, moving, poses_heard)
+    paths.publish(message)
+    robot.client.wait(lambda: "joint2 moves at 0.5" in told[-1].message, "the refusal")
+    accepted = [status for status in told if status.status == CommandStatus.ACCEPTED]
+    robot.client.wait(lambda: len(heard) == len(accepted), "one command for each accepted path")
 
 
 def all_answered(robot, channel):

@@ -33,15 +33,17 @@ class Trajectory:
         return float(self.time[-1])
 
 
-def rates(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray]:
+def rates(
+    mechanism: Mechanism, crossing: float = DEFAULT_CROSSING_TIME_S
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the maximum velocity and acceleration of the joints (nq,): those of the model file, or
-    defaults."""
+    defaults. `crossing`: the time [s] in which a joint without a velocity crosses its range."""
     given = mechanism.joint_rates or ((math.inf, math.inf),) * len(mechanism.joints)
     velocity, acceleration = np.array(given, dtype=float).T
     spans = zip(mechanism.joint_limits, mechanism.joint_units, strict=True)
     endless = {"rad": 2 * math.pi, "m": mechanism.length}
     width = [high - low if math.isfinite(high - low) else endless[u] for (low, high), u in spans]
-    velocity = np.where(np.isfinite(velocity), velocity, np.array(width) / DEFAULT_CROSSING_TIME_S)
+    velocity = np.where(np.isfinite(velocity), velocity, np.array(width) / crossing)
     return velocity, np.where(
         np.isfinite(acceleration), acceleration, velocity / DEFAULT_RISE_TIME_S
     )

@@ -16,6 +16,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import quaternion_to_matrix
+from parallel_cal.campaign.trajectory import Trajectory
 from parallel_cal.kinematics.answers import named_conditions
 from parallel_cal.kinematics.kinematics import Solutions, Status
 from parallel_cal.model.model import Model
@@ -167,6 +168,21 @@ def _solution(
         joints=array("d", q.tobytes()),
         residual=float(residual),
     )
+
+
+def trajectory_message(joints: Sequence[str], trajectory: Trajectory) -> JointTrajectory:
+    """Make the message of a trajectory that begins when it is received."""
+    points = [
+        JointTrajectoryPoint(
+            positions=q.tolist(),
+            velocities=v.tolist(),
+            time_from_start=Duration(sec=int(t), nanosec=int(1e9 * (t % 1.0))),
+        )
+        for t, q, v in zip(
+            trajectory.time, trajectory.positions, trajectory.velocities, strict=True
+        )
+    ]
+    return JointTrajectory(joint_names=list(joints), points=points)
 
 
 def stop_message(

@@ -12,6 +12,7 @@ from threading import Lock, Thread
 import numpy as np
 
 from parallel_cal.base.errors import ModelError, ModelFileError, ParallelCalError
+from parallel_cal.campaign.path_guard import Guard
 from parallel_cal.exporting.tree import Tree, tree_of
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
 from parallel_cal.model.file.modelfile import model_hash, model_text, parse_model
@@ -39,6 +40,11 @@ class ServedModel:
     def region(self) -> IdentifiedRegion | None:
         """The region in which the model was identified; None if its file states none."""
         return IdentifiedRegion.of_model(self.model)
+
+    @cached_property
+    def guard(self) -> Guard:
+        """The limits of a path of poses."""
+        return Guard.of(replace(self.model, covariance=None))
 
     @cached_property
     def tree(self) -> Tree | None:

@@ -10,15 +10,13 @@ from threading import Event
 from typing import Any
 
 import numpy as np
-from builtin_interfaces.msg import Duration
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from parallel_cal.base.errors import DatasetError, SolveError
 from parallel_cal.campaign.cell import CellError, Sample
 from parallel_cal.campaign.checking import ARRIVAL_TOLERANCE
 from parallel_cal.campaign.trajectory import Trajectory
 from parallel_cal.model.model import Model
-from parallel_cal.nodes.conversions import match_joints, stop_message
+from parallel_cal.nodes.conversions import match_joints, stop_message, trajectory_message
 from parallel_cal.nodes.inflow import Inflow
 
 POLL_INTERVAL_S = 0.01  # s between two checks; an unwanted motion ends that soon
@@ -93,7 +91,7 @@ class RobotCell:
             raise CellError(
                 f"no node subscribes to {self._command.topic_name}: is a controller running?"
             )
-        self._command.publish(self._make_message(trajectory))
+        self._command.publish(trajectory_message(self._model.joints, trajectory))
         planned_end = time.monotonic() + trajectory.seconds
         late, due = planned_end + START_TIMEOUT_S, planned_end + ARRIVAL_TIMEOUT_S
         while True:
@@ -247,16 +245,3 @@ class RobotCell:
                 f"{self._model.joints[i]} left its path by {distance.min() * self._range[i]:.3g}: "
                 "the joint does not move, moves wrongly, or an obstacle blocks it"
             )
-
-    def _make_message(self, trajectory: Trajectory) -> JointTrajectory:
-        points = [
-            JointTrajectoryPoint(
-                positions=q.tolist(),
-                velocities=v.tolist(),
-                time_from_start=Duration(sec=int(t), nanosec=int(1e9 * (t % 1.0))),
-            )
-            for t, q, v in zip(
-                trajectory.time, trajectory.positions, trajectory.velocities, strict=True
-            )
-        ]
-        return JointTrajectory(joint_names=list(self._model.joints), points=points)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -12,23 +13,30 @@ from geometry_msgs.msg import (
     PoseWithCovariance,
     PoseWithCovarianceStamped,
 )
+from nav_msgs.msg import Path
 from parallel_cal_msgs.msg import CommandStatus
 from rclpy.callback_groups import CallbackGroup
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from parallel_cal.base.errors import SolveError
+from parallel_cal.campaign.cartesian import plan_cartesian_path
+from parallel_cal.campaign.trajectory import rates
 from parallel_cal.kinematics.kinematics import Status
+from parallel_cal.kinematics.singularity import distances
 from parallel_cal.kinematics.solving import controlled_pose
+from parallel_cal.model.model import Model
 from parallel_cal.nodes.conversions import (
     check_finite,
     match_joints,
     message_class,
     pose_numbers,
     set_pose,
+    trajectory_message,
 )
 from parallel_cal.nodes.health import Stream
 from parallel_cal.nodes.managed_node import ManagedNode
@@ -44,6 +52,7 @@ from parallel_cal.recordings.channels import CHANNELS, list_channels
 # Room for the messages that arrive while the interpreter is busy: 0.1 s at 1 kHz.
 STATES = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 MAX_WAITING_JOINT_STATES = 50  # joint states answered one by one, in about 5 ms; older are skipped
+MAX_REST_SPEED = 0.01  # share of a joint's velocity limit below which it counts as at rest
 LOG_THROTTLE_S = 5.0  # s between two log lines about refused messages
 
 
@@ -78,7 +87,13 @@ class Streams:
         )
         # A target out of reach takes longer to solve than a joint state may wait.
         self._command_status = self._publisher(CommandStatus, "~/command_status")
-        self._subscribe(PoseStamped, "target_pose", RELIABLE, self._on_target, WorkerThreadGroup())
+        targets = WorkerThreadGroup()
+        for type, topic, command in (
+            (PoseStamped, "target_pose", self._command_target),
+            (Path, "target_path", self._command_path),
+        ):
+            take = partial(self._on_target, command)
+            self._subscribe(type, topic, RELIABLE, take, targets)
         for name in list_channels("condition"):
             channel, take = CHANNELS[name], partial(self._on_condition, name)
             self._subscribe(message_class(channel.types[0]), name, SENSOR, take)
@@ -212,37 +227,45 @@ class Streams:
 
     # ------------------------------------------------------------------ commands
 
-    def _on_target(self, message: PoseStamped) -> None:
+    def _on_target(
+        self, command: Callable[[Any, CommandStatus], None], message: PoseStamped | Path
+    ) -> None:
         """Publish the joint command for a target, unless it cannot be reached safely."""
         status = CommandStatus(stamp=message.header.stamp, status=CommandStatus.REFUSED)
         status.time_from_start = status.singularity = math.nan
         try:
-            self._command_path(message, status)
+            command(message, status)
         except Exception as error:
             status.message = str(error) or type(error).__name__
             raise
         finally:
             self._command_status.publish(status)
 
-    def _command_path(self, message: PoseStamped, status: CommandStatus) -> None:
-        """Publish a command with enough time for its path, and complete the status."""
-        served = self._get_served_model()
-        model, frame = served.model, message.header.frame_id
-        if frame and frame != model.frames["base"]:
+    def _check_frame(self, model: Model, header: Header) -> None:
+        if header.frame_id not in ("", model.frames["base"]):
             raise SolveError(
-                f"frame_id '{frame}', expected '{model.frames['base']}' or an empty one"
+                f"frame_id '{header.frame_id}', expected '{model.frames['base']}' or an empty one"
             )
-        r, R = controlled_pose(model, *pose_numbers(message.pose))
+
+    def _present_motion(self, model: Model) -> tuple[np.ndarray, np.ndarray]:
         motion = self._memory.motion(model)
         if motion is None:
             raise SolveError("no joint state received yet: the position of the robot is unknown")
+        return motion
+
+    def _command_target(self, message: PoseStamped, status: CommandStatus) -> None:
+        """Publish a command with enough time for its path, and complete the status."""
+        served = self._get_served_model()
+        model = served.model
+        self._check_frame(model, message.header)
+        r, R = controlled_pose(model, *pose_numbers(message.pose))
+        start, speed = self._present_motion(model)
         found = joints_for(served, self._memory, r, R)
         requested, crossing, least = (
             self._node.get_parameter(name).value
             for name in ("time_from_start", "full_travel", "singularity_margin")
         )
         at, bounds = self._memory.conditions(model), Bounds(crossing, least)
-        start, speed = motion
         path = check_path(served.kinematics, start, found, at, bounds, speed, requested)
         status.time_from_start, status.singularity = path.seconds, path.singularity
         status.status = CommandStatus.ACCEPTED
@@ -256,3 +279,38 @@ class Streams:
         self._command.publish(JointTrajectory(joint_names=list(model.joints), points=[point]))
         self._warn_outside_region(served, "target_pose", found.joints, r)
         self._tally.add("target_pose", "answered")
+
+    def _command_path(self, message: Path, status: CommandStatus) -> None:
+        """Publish the trajectory through the poses of a path, and complete the status."""
+        served = self._get_served_model()
+        model = served.model
+        for header in (message.header, *(pose.header for pose in message.poses)):
+            self._check_frame(model, header)
+        poses = [pose_numbers(pose.pose) for pose in message.poses]
+        if not poses:
+            raise SolveError("the path has no poses: expected at least one")
+        start, speed = self._present_motion(model)
+        crossing, least = (
+            self._node.get_parameter(name).value for name in ("full_travel", "singularity_margin")
+        )
+        fast = np.abs(speed) > MAX_REST_SPEED * rates(model.mechanism, crossing)[0]
+        if fast.any():
+            i = int(np.argmax(fast))
+            raise SolveError(
+                f"{model.joints[i]} moves at {speed[i]:.3g} per s: a path begins at rest; send it "
+                "when the robot rests"
+            )
+        r, R = (np.array(part) for part in zip(*poses, strict=True))
+        at, of_robot = map(self._memory.conditions, (model, served.guard.model))
+        trajectory = plan_cartesian_path(served.guard, start, r, R, of_robot, crossing)
+        found = served.kinematics.direct(trajectory.positions, at)
+        margins = distances(model, found, at)
+        status.singularity = float(np.minimum(margins.direct, margins.inverse).min())
+        if status.singularity < least:
+            raise SolveError(
+                f"the path is too near a singularity: {status.singularity:.3g}, allowed {least:g}"
+            )
+        status.status, status.time_from_start = CommandStatus.ACCEPTED, trajectory.seconds
+        self._command.publish(trajectory_message(model.joints, trajectory))
+        self._warn_outside_region(served, "target_path", trajectory.positions, found.position)
+        self._tally.add("target_path", "answered")
