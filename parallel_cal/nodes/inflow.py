@@ -31,6 +31,10 @@ class Inflow:
     def add_reader(self, reader: Reader) -> None:
         self._readers.append(reader)
 
+    def remove_reader(self, reader: Reader) -> None:
+        """Wait no more for a reader that has ended; another one reads its topic."""
+        self._readers = [one for one in self._readers if one is not reader]
+
     def receive(self, channel: str, received_ns: int) -> None:
         """Count a measurement that was read and had arrived at `received_ns` of `time.time_ns`."""
         self._received[channel] += 1

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import geometry_msgs.msg
 from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from parallel_cal.nodes.conversions import message_class
 from parallel_cal.nodes.health import Stream
@@ -24,6 +24,7 @@ from parallel_cal.recordings.channels import CHANNELS
 
 # Reliable, and deep enough for minutes of a 1 kHz stream while this process is busy.
 STREAM = QoSProfile(depth=100_000)
+BEST_EFFORT_STREAM = QoSProfile(depth=100_000, reliability=ReliabilityPolicy.BEST_EFFORT)
 MEASURED = ("poses", "readings")  # kinds of channels that a measuring device fills by itself
 STREAMED = ("joints", *MEASURED)  # kinds read in threads of their own, however busy the node is
 
@@ -92,7 +93,7 @@ class Subscriptions:
     ):
         self._node, self._queue, self._group = node, queue, group
         self._on_joint_state = on_joint_state
-        self._pumps: list[Pump] = []
+        self._pumps: dict[str, Pump] = {}
         quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
         for name, channel in CHANNELS.items():
             type = message_class(channel.types[0])
@@ -106,8 +107,34 @@ class Subscriptions:
 
     def end(self) -> None:
         """Read no more messages; call it before the node is destroyed."""
-        for pump in self._pumps:
+        for pump in self._pumps.values():
             pump.end()
+
+    def follow_publishers(self) -> list[str]:
+        """Subscribe best effort to each stream that is published so; return a sentence for each.
+
+        A reliable subscription receives nothing from a best-effort publisher, a best-effort one
+        receives from both kinds.
+        """
+        changes = []
+        for channel, pump in list(self._pumps.items()):
+            publishers = self._node.get_publishers_info_by_topic(pump.topic)
+            names = sorted(
+                f"{p.node_namespace.rstrip('/')}/{p.node_name}"
+                for p in publishers
+                if p.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+            )
+            if not (pump.is_reliable and names):
+                continue
+            type, topic = pump.type, pump.topic
+            pump.destroy()
+            self._queue.inflow.remove_reader(pump)
+            self._start_pump(channel, type, BEST_EFFORT_STREAM)
+            changes.append(
+                f"{topic} is published best effort by {', '.join(names)}, so this node receives "
+                "it best effort, too: messages may be lost, and 'lost' counts them"
+            )
+        return changes
 
     def _subscribe(self, channel: str, type: Any, qos: QoSProfile, **options: Any) -> None:
         if CHANNELS[channel].kind not in STREAMED:
@@ -116,8 +143,11 @@ class Subscriptions:
                 type, channel, on_message, qos, callback_group=self._group, **options
             )
             return
+        self._start_pump(channel, type, qos, **options)
+
+    def _start_pump(self, channel: str, type: Any, qos: QoSProfile, **options: Any) -> None:
         pump = Pump(self._node, type, channel, qos, partial(self._on_stream, channel), **options)
-        self._pumps.append(pump)
+        self._pumps[channel] = pump
         if channel != "joint_states":
             self._queue.inflow.add_reader(pump)
 
