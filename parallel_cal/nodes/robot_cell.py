@@ -15,7 +15,12 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from parallel_cal.base.errors import DatasetError, SolveError
 from parallel_cal.campaign.cell import CellError, Sample
-from parallel_cal.campaign.checking import ARRIVAL_TOLERANCE
+from parallel_cal.campaign.checking import ARRIVAL_TOLERANCE, LIMIT_SWITCH_ADVICE
+from parallel_cal.campaign.deviation import (
+    MAX_PATH_DEVIATION,
+    compute_path_deviation,
+    find_deviating_joints,
+)
 from parallel_cal.campaign.trajectory import Trajectory
 from parallel_cal.model.model import Model
 from parallel_cal.nodes.conversions import match_joints, stop_message
@@ -28,7 +33,6 @@ ARRIVAL_TIMEOUT_S = 10.0  # s after the planned end at which a motion counts as 
 START_TIMEOUT_S = 2.0  # s after the planned end in which a robot at rest may still start to move
 REST_DURATION_S = 0.15  # s for which readings must stay equal before the robot counts as at rest
 REST_TOLERANCE_SIGMAS = 10.0  # sigmas of a reading by which equal readings may differ
-PATH_TOLERANCE = 0.03  # share of its range by which a joint may deviate from its path
 SPEED_WINDOW_S = 0.05  # s of readings from which the speed is estimated
 MAX_JOINT_STATES = 2000  # joint states that are remembered
 SAMPLE_TIMEOUT_S = 20.0  # s that a sample may take to arrive
@@ -99,7 +103,7 @@ class RobotCell:
         while True:
             go_on()
             stamp, q = self._latest(begin)
-            self._check_on_path(q, path)
+            self._check_on_path(q, path[0], trajectory, stamp - begin)
             arrived = (np.abs(q - path[-1]) < ARRIVAL_TOLERANCE * self._range).all()
             if (arrived or time.monotonic() > late) and self._rests(begin + trajectory.seconds):
                 moved = np.abs(path - path[0]).max(axis=0) > self._still
@@ -232,21 +236,20 @@ class RobotCell:
         q = np.array([q for stamp, _, q in recent if stamp >= last - REST_DURATION_S])
         return bool(last - REST_DURATION_S >= since and (np.ptp(q, axis=0) < self._still).all())
 
-    def _check_on_path(self, q: np.ndarray, path: np.ndarray) -> None:
-        """Raise CellError if the joints (nq,) are not near the path (n, nq), at whatever time."""
-        scaled, here = path / self._range, q / self._range
-        starts, steps = scaled[:-1], np.diff(scaled, axis=0)
-        squares = np.maximum(np.sum(steps**2, axis=1), 1e-18)  # no division by zero at a standstill
-        # The point of each straight segment that is nearest to the joints.
-        share = np.clip(np.sum((here - starts) * steps, axis=1) / squares, 0.0, 1.0)
-        off = np.abs(here - starts - share[:, None] * steps)
-        distance = off.max(axis=1)
-        if distance.min() > max(PATH_TOLERANCE, ARRIVAL_TOLERANCE):
-            i = int(np.argmax(off[np.argmin(distance)]))
-            raise CellError(
-                f"{self._model.joints[i]} left its path by {distance.min() * self._range[i]:.3g}: "
-                "the joint does not move, moves wrongly, or an obstacle blocks it"
-            )
+    def _check_on_path(
+        self, q: np.ndarray, start: np.ndarray, trajectory: Trajectory, elapsed: float
+    ) -> None:
+        """Raise CellError if the joints (nq,) are not near the path, at whatever time."""
+        path = np.vstack([start, trajectory.positions])
+        if compute_path_deviation(q, path, self._range) <= MAX_PATH_DEVIATION:
+            return
+        m = self._model.mechanism
+        found = find_deviating_joints(q, start, trajectory, elapsed, self._range)
+        words = " and ".join(f"{m.joints[i]} (at {q[i]:.4f} {m.joint_units[i]})" for i in found)
+        raise CellError(
+            f"{words} left the path by more than {MAX_PATH_DEVIATION:.0%} of the range: the joint "
+            f"does not move, moves wrongly, or an obstacle blocks it. {LIMIT_SWITCH_ADVICE}"
+        )
 
     def _make_message(self, trajectory: Trajectory) -> JointTrajectory:
         points = [
