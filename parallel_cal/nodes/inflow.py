@@ -27,6 +27,7 @@ class Inflow:
         self._received, self._processed = Counter[str](), Counter[str]()
         self._latest: dict[str, float] = {}
         self._readers: list[Reader] = []
+        self.joint_reader: Reader | None = None  # reads the joint states
 
     def add_reader(self, reader: Reader) -> None:
         self._readers.append(reader)
@@ -58,3 +59,7 @@ class Inflow:
     def has_read_until(self, moment: float) -> bool:
         """Return whether every measurement that arrived before a time has been read."""
         return all(reader.read_until >= moment for reader in self._readers)
+
+    def joints_read_until(self) -> float:
+        """Return the time until which every joint state that arrived has been read."""
+        return time.monotonic() if self.joint_reader is None else self.joint_reader.read_until

@@ -148,7 +148,9 @@ class Subscriptions:
     def _start_pump(self, channel: str, type: Any, qos: QoSProfile, **options: Any) -> None:
         pump = Pump(self._node, type, channel, qos, partial(self._on_stream, channel), **options)
         self._pumps[channel] = pump
-        if channel != "joint_states":
+        if channel == "joint_states":
+            self._queue.inflow.joint_reader = pump
+        else:
             self._queue.inflow.add_reader(pump)
 
     def _on_stream(self, channel: str, received: Messages) -> None:
