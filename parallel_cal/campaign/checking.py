@@ -23,7 +23,8 @@ MAX_ERROR_RATIO = 8.0  # times the usual error: noise alone does not exceed it
 MAX_TOLERANCE_SIGMAS = 4.0  # sigmas of the error that the tolerances cause
 ARRIVAL_TOLERANCE = 0.01  # of a joint's range, between the joint and its target
 LIMIT_SWITCH_ADVICE = (
-    "If it stopped at a limit switch, state that limit (low, high) in the model file"
+    "If it stopped at a limit switch, state that limit (low, high) in the model file and repeat "
+    "the command: the campaign goes on within it"
 )
 LIKELY_CAUSES = "check for a collision, a slip, or a target that was lost or changed"
 
