@@ -37,6 +37,7 @@ from parallel_cal_msgs.srv import (
 )
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
+from rclpy.qos import qos_profile_sensor_data
 from rclpy.task import Future
 from ros_helpers import NodeProcess
 from sensor_msgs.msg import JointState
@@ -814,3 +815,46 @@ def test_a_constraint_session_gives_the_samples_of_its_bag_and_calibrates_the_ro
     joints, where = vs.workspace(robot)
     found = Kinematics(read_model(model_file)).direct(joints).position
     assert np.linalg.norm(found - where, axis=1).mean() < 100e-6
+
+
+@mock.patch.dict(os.environ)
+def test_best_effort_streams_are_received_and_said_to_be_so(tmp_path):
+    """Of a device with sensor data QoS, 0 of 360 poses arrived."""
+    namespace = use_private_domain() + "_best_effort"
+    node = Process("calibration_node", tmp_path, namespace, journal=False)
+    client = Client("tester", namespace, [node])
+    status = client.subscribe_latest(CollectionStatus, "calibration_node/collection_status")
+    client.wait(lambda: bool(status), "a status")
+    publishers = {}
+    for topic, kind in (("joint_states", JointState), ("measured_pose", PoseWithCovarianceStamped)):
+        publishers[topic] = client._node.create_publisher(kind, topic, qos_profile_sensor_data)
+    state, pose = JointState(name=["a"], position=[0.1]), PoseWithCovarianceStamped()
+    pose.pose.pose.orientation.w = 1.0
+    sent = 0
+
+    def arrived():
+        nonlocal sent
+        sent += 1
+        for message, topic in ((state, "joint_states"), (pose, "measured_pose")):
+            message.header.stamp.sec = 100 + sent // 50
+            message.header.stamp.nanosec = sent % 50 * 20_000_000
+            publishers[topic].publish(message)
+        return status[0].joint_states_received > 20 and status[0].poses_received > 20
+
+    client.wait(arrived, "messages that were published best effort", 120)
+    client.close()
+    assert node.end() == 0
+    said = node.log.read_text()
+    for topic in publishers:
+        assert f"{namespace}/{topic} is published best effort by {namespace}/tester" in said
+
+
+@mock.patch.dict(os.environ)
+def test_a_node_with_a_model_file_that_is_none_does_not_collect(tmp_path):
+    use_private_domain()
+    path = tmp_path / "passwd"
+    path.write_text("root:x:0:0:root:/root:/bin/bash\n")
+    node = NodeProcess("calibration_node", tmp_path, "/wrong_model", model_file=str(path))
+    assert node.ended() == 1
+    assert f"error: {path}" in node.said
+    assert "collecting" not in node.said

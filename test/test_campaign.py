@@ -599,6 +599,41 @@ def test_abort_stops_the_robot_and_asking_again_goes_on(tmp_path):
     assert again.run().samples == 20
 
 
+class LimitSwitch(SimulatedCell):
+    """Its first joint stops at 0.75 rad, which the model file does not state."""
+
+    def joints(self):
+        return np.minimum(super().joints(), [0.75, np.inf, np.inf])
+
+
+def test_a_campaign_that_a_limit_switch_stopped_goes_on_within_the_limit_that_was_stated(tmp_path):
+    cell = LimitSwitch()
+    one = campaign(tmp_path / "a", cell, Goal(poses=20))
+    outcome = one.run()
+    one.close()
+    assert "joint1 was sent to" in outcome.message
+    assert "state that limit (low, high) in the model file" in outcome.message
+    narrow = parse_model(TEXT)
+    (low, _), *others = narrow.mechanism.joint_limits
+    narrow.mechanism.joint_limits = ((low, 0.74), *others)
+    text = dump_model(narrow)
+    assert find_unfinished(tmp_path, text) == tmp_path / "a"
+    cell.sent.clear()
+    again = Campaign(tmp_path / "a", text, Goal(poses=20), cell, work=work)
+    measured = len(again.samples)
+    outcome = again.run()
+    again.close()
+    assert outcome.ended
+    assert len(again.samples) > measured
+    assert cell.sent
+    assert all(sent.positions[1:, 0].max() < 0.7401 for sent in cell.sent)
+    assert any("joint1 at 0." in why for why in again.left_out.values())
+    third = Campaign(tmp_path / "a", text, Goal(poses=20), cell, work=work)
+    for judged in third.judgements:
+        assert parse_model(judged.text).mechanism.joint_limits[0] == (low, 0.74)
+    third.close()
+
+
 @pytest.mark.wide
 @pytest.mark.parametrize("state", ["planning", "moving", "sampling", "judging", "done"])
 def test_killed_in_any_state_it_goes_on_and_measures_nothing_twice(tmp_path, state):

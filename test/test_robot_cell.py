@@ -24,6 +24,7 @@ from sensor_msgs.msg import JointState
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.campaign.cell import CellError, Sample
+from parallel_cal.campaign.trajectory import plan_trajectory
 from parallel_cal.model.file.modelfile import write_model
 from parallel_cal.nodes import robot_cell
 from parallel_cal.nodes.calibration_node import CalibrationNode
@@ -133,7 +134,7 @@ def test_poses_that_came_in_and_are_not_read_yet_are_awaited_and_not_called_lost
     begin = time.monotonic()
     assert desk.cell.sample(desk.go_on).start_ns == 10**9
     assert time.monotonic() - begin > late
-    assert desk.said[-1] == "1376 poses are not processed yet, others are not read yet"
+    assert "1376 poses are not processed yet, others are not read yet" in desk.said
     assert desk.taken == 1
 
 
@@ -151,6 +152,89 @@ def test_a_device_that_measures_once_in_a_while_is_awaited_pose_by_pose():
 
     assert desk.cell.sample(go_on).start_ns == 10**9
     assert len(measured) == desk.taken == 2
+
+
+def drive(cell, trajectory, clock_rate):
+    """Let the robot follow a trajectory on a clock of its own, which runs at a rate to this one."""
+    begun, start = time.monotonic(), np.array(HOME)
+    times = np.concatenate([[0.0], trajectory.time])
+    path = np.vstack([start, trajectory.positions])
+
+    def hear():
+        elapsed = clock_rate * (time.monotonic() - begun)
+        q = [float(np.interp(elapsed, times, column)) for column in path.T]
+        state = JointState(name=list(MODEL.joints), position=q)
+        stamp = 100 + elapsed
+        state.header.stamp = Time(sec=int(stamp), nanosec=int(1e9 * (stamp % 1)))
+        cell.on_joint_state(state)
+
+    hear()
+    cell.move(trajectory, hear)
+
+
+def a_motion():
+    return plan_trajectory([np.array(HOME), np.array(HOME) + 0.05], MODEL.mechanism)
+
+
+def test_a_motion_takes_as_long_as_on_the_robots_own_clock(monkeypatch):
+    """At a tenth of the speed, the limit of the time of this computer was exceeded."""
+    monkeypatch.setattr(robot_cell, "ARRIVAL_TIMEOUT_S", 0.4)
+    desk, motion = Desk(no_dwell), a_motion()
+    begun = time.monotonic()
+    drive(desk.cell, motion, 0.2)
+    assert time.monotonic() - begun > motion.seconds + 0.4
+
+
+def test_joint_states_that_are_not_read_yet_are_not_missing(monkeypatch):
+    monkeypatch.setattr(robot_cell, "JOINT_STATE_TIMEOUT_S", 0.05)
+    desk = Desk(no_dwell)
+    desk.inflow.joint_reader = reader = Reader()
+    desk.go_on()
+    reader.behind_since = time.monotonic()
+    time.sleep(0.1)
+    assert desk.cell.joints() == pytest.approx(HOME)
+    reader.behind_since = None  # all is read, and there was none
+    with pytest.raises(CellError, match="no joint states were received"):
+        desk.cell.joints()
+
+
+def test_joint_states_that_nobody_reads_any_more_are_missing_after_all(monkeypatch):
+    monkeypatch.setattr(robot_cell, "JOINT_STATE_TIMEOUT_S", 0.05)
+    monkeypatch.setattr(robot_cell, "MAX_STANDSTILL_S", 0.1)
+    desk = Desk(no_dwell)
+    desk.inflow.joint_reader = Reader()
+    desk.go_on()
+    desk.inflow.joint_reader.behind_since = time.monotonic()
+    time.sleep(0.2)
+    with pytest.raises(CellError, match="no joint states were received"):
+        desk.cell.joints()
+
+
+def test_stamps_that_stand_still_are_named(monkeypatch):
+    monkeypatch.setattr(robot_cell, "MAX_STANDSTILL_S", 0.2)
+    desk = Desk(no_dwell)
+    words = "joint states are received, but their stamp has been 100.000 s for"
+    with pytest.raises(CellError, match=words):
+        drive(desk.cell, a_motion(), 0.0)
+
+
+@pytest.mark.wide
+def test_a_target_is_not_lost_before_the_robot_has_rested_long_enough_on_its_own_clock():
+    """The simulated second takes four."""
+    desk = Desk(no_dwell)
+    real = desk.go_on
+
+    def slowly():
+        begun = desk.begun
+        desk.begun = begun + 0.75 * (time.monotonic() - begun)
+        real()
+        desk.begun = begun
+
+    slowly()
+    begun = time.monotonic()
+    with pytest.raises(CellError, match="no sample at this pose"):
+        desk.cell.sample(slowly)
+    assert time.monotonic() - begun > 3.0 * LONGEST
 
 
 @pytest.mark.wide

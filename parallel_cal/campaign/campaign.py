@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.documents import to_json_value
-from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.base.errors import ModelFileError, ParallelCalError
 from parallel_cal.base.files import MEGABYTE, append_lines, json_lines, open_locked
 from parallel_cal.campaign.cell import (
     AbortRequested,
@@ -44,7 +44,13 @@ from parallel_cal.campaign.targets import ADJUSTABLE_CONDITIONS, Target, first_t
 from parallel_cal.campaign.trajectory import plan_trajectory
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
-from parallel_cal.model.file.modelfile import model_hash, parse_model, replace_text
+from parallel_cal.model.file.modelfile import (
+    dump_model,
+    model_hash,
+    parse_model,
+    readable_text,
+    replace_text,
+)
 from parallel_cal.model.mechanism import Box
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.recordings.dataset import Dataset
@@ -57,6 +63,7 @@ log = logging.getLogger(__name__)
 
 FILE = "campaign.jsonl"
 MAX_JOURNAL_BYTES = 512 * MEGABYTE  # a larger journal is not read
+LIMITS = ("joint_limits", "joint_rates", "keep_out")  # of the motion, in a mechanism
 BATCH = 8  # poses between two judgements
 
 
@@ -184,12 +191,19 @@ class Campaign:
         self._status = Status("planning", "", 0, np.nan, "")
         for entry in json_lines(self.folder / FILE, MAX_JOURNAL_BYTES):
             self._restore_entry(entry)
-        if model_hash(self.model) != model_hash(model):
+        if not is_same_but_for_limits(self.model, model):
             os.close(file)
             raise CampaignError(
                 f"{self.folder}: this folder holds the campaign of another model; "
                 "choose another folder"
             )
+        if self.targets and model_hash(self.model) != model_hash(model):
+            self._write(model=model)
+        self.model = model
+        # A limit that the owner has changed holds for the models found before, too.
+        self.judgements = [
+            replace(one, text=with_limits_of(one.text, model)) for one in self.judgements
+        ]
         if not self.targets:
             self._write(begin=to_json_value(goal), model=model)
         self._skip_ignored_targets()
@@ -558,7 +572,8 @@ class Campaign:
         """Add the final model to the outcome if it is proven better, and write the last line."""
         self._report_status("judging", "preparing the final model")
         found: Conclusion = self._work(conclude, self.folder, self.judgements)
-        outcome = replace(outcome, text=found.text, message=f"{outcome.message} ({found.words})")
+        text = found.text and with_limits_of(found.text, self.model)
+        outcome = replace(outcome, text=text, message=f"{outcome.message} ({found.words})")
         self._write(end=outcome.message, success=outcome.success)
         self._report_status("done", outcome.message)
         return outcome
@@ -571,15 +586,38 @@ class Campaign:
 
 
 def find_unfinished(folder: Path, model: str) -> Path | None:
-    """Return the newest unfinished campaign of a folder that started with this model."""
-    wanted = model_hash(model)
+    """Return the newest unfinished campaign of a folder that started with this model, or with one
+    that has other limits of the motion."""
     for file in sorted(folder.glob(f"*/{FILE}"), reverse=True):
         # An iterator: a campaign of another model is read no further than its model.
         entries = json_lines(file, MAX_JOURNAL_BYTES)
         began = next((e["model"] for e in entries if "model" in e), "")
-        if model_hash(began) == wanted and not any("end" in e for e in entries):
+        if is_same_but_for_limits(began, model) and not any("end" in e for e in entries):
             return file.parent
     return None
+
+
+def is_same_but_for_limits(began: str, model: str) -> bool:
+    """Return whether two texts of model files differ at most in the limits of the motion, which the
+    owner of a robot may change during a campaign."""
+    if model_hash(began) == model_hash(model):
+        return True
+    try:
+        return model_hash(with_limits_of(began, model)) == model_hash(
+            dump_model(parse_model(model))
+        )
+    except ModelFileError:
+        return False
+
+
+def with_limits_of(text: str, other: str) -> str:
+    """Return the text of a model file with the limits of the motion (LIMITS) of another."""
+    model, limits = parse_model(text), parse_model(other).mechanism
+    if all(getattr(model.mechanism, name) == getattr(limits, name) for name in LIMITS):
+        return text
+    for name in LIMITS:
+        setattr(model.mechanism, name, getattr(limits, name))
+    return readable_text(model, "the model with the limits that were changed")
 
 
 def write_improved_model(outcome: Outcome, path: str) -> Outcome:

@@ -22,6 +22,10 @@ from parallel_cal.recordings.dataset import Dataset
 MAX_ERROR_RATIO = 8.0  # times the usual error: noise alone does not exceed it
 MAX_TOLERANCE_SIGMAS = 4.0  # sigmas of the error that the tolerances cause
 ARRIVAL_TOLERANCE = 0.01  # of a joint's range, between the joint and its target
+LIMIT_SWITCH_ADVICE = (
+    "If it stopped at a limit switch, state that limit (low, high) in the model file and repeat "
+    "the command: the campaign goes on within it"
+)
 LIKELY_CAUSES = "check for a collision, a slip, or a target that was lost or changed"
 
 
@@ -78,12 +82,15 @@ class Checker:
     def check_arrived(self, q: np.ndarray, sent: np.ndarray) -> None:
         """Raise CellError unless joints (nq,) are at their targets."""
         m, deviation = self._model.mechanism, self._compute_joint_deviation(q, sent)
-        if (deviation > ARRIVAL_TOLERANCE).any():
-            i = int(np.argmax(deviation))
-            unit = m.joint_units[i]
+        found = np.flatnonzero(deviation > ARRIVAL_TOLERANCE)
+        if len(found):
+            words = "; ".join(
+                f"{m.joints[i]} was sent to {sent[i]:.4f} {m.joint_units[i]} but is at {q[i]:.4f}"
+                for i in found[np.argsort(-deviation[found], kind="stable")]
+            )
             raise CellError(
-                f"{m.joints[i]} was sent to {sent[i]:.4f} {unit} but is at {q[i]:.4f}: the joint "
-                "does not move, its encoder is stuck, or an obstacle blocks it"
+                f"{words}: the joint does not move, its encoder is stuck, or an obstacle blocks "
+                f"it. {LIMIT_SWITCH_ADVICE}"
             )
 
     def has_arrived(self, q: np.ndarray, sent: np.ndarray) -> bool:

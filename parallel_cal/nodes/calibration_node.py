@@ -42,6 +42,7 @@ class CalibrationNode(ManagedNode):
             forbid_foreign()
         for path in filter(None, settings.get("channels").split(",")):
             register_channels(path)
+        settings.check_model_file()
         # One group and not the default one: `run` then calls everything from one thread.
         group = MutuallyExclusiveCallbackGroup()
         collector = Collector(
@@ -103,6 +104,8 @@ class CalibrationNode(ManagedNode):
         self._next_update = end + (end - begin) / MAX_BUSY_SHARE
 
     def _publish_diagnostics(self) -> None:
+        for event in self._input.follow_publishers():
+            self._report.say(event)
         name = self.get_fully_qualified_name()
         self._report.publish_diagnostics(
             self._campaigning.diagnosis(name), *self._queue.diagnoses(name)

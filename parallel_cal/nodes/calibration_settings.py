@@ -86,6 +86,7 @@ class CalibrationSettings:
         # The version of the model file that was read last, or the error, and the model's joints.
         self._version: Any = None
         self._joints: tuple[str, ...] | None = None
+        self.model_trouble = ""  # why the model file cannot be read; empty if it can
 
     def get(self, name: str) -> Any:
         """Return the value of a parameter."""
@@ -111,6 +112,15 @@ class CalibrationSettings:
         """Return the options of a fit that a goal does not give."""
         return {"hold_out": self.get("hold_out"), "joint_sigma": self.joint_sigma}
 
+    def check_model_file(self) -> None:
+        """Raise ParallelCalError if the model file exists and cannot be read.
+
+        A file that does not exist yet may be written later, for example by another node.
+        """
+        path = absolute(self.get("model_file"))
+        if path and os.path.lexists(path):
+            read_model(path)
+
     def joints(self) -> tuple[str, ...] | None:
         """Return the model's joints, read again when the file changes; None if unreadable."""
         path = absolute(self.get("model_file"))
@@ -125,10 +135,12 @@ class CalibrationSettings:
                 moves = any(sensor.name == DEVICE_FRAME_SENSOR for sensor in model.sensors)
                 self.base = "" if moves else model.frames["base"]
                 self._version, self._joints = (path, modified), model.joints
+                self.model_trouble = ""
         except ParallelCalError as error:
             if self._version != str(error):
                 self._node.get_logger().error(f"model file: {error}")
             self._version, self._joints = str(error), None
+            self.model_trouble = str(error)
         return self._joints
 
     def _check_changes(self, changes: Changes) -> SetParametersResult:

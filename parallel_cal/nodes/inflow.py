@@ -27,9 +27,14 @@ class Inflow:
         self._received, self._processed = Counter[str](), Counter[str]()
         self._latest: dict[str, float] = {}
         self._readers: list[Reader] = []
+        self.joint_reader: Reader | None = None  # reads the joint states
 
     def add_reader(self, reader: Reader) -> None:
         self._readers.append(reader)
+
+    def remove_reader(self, reader: Reader) -> None:
+        """Wait no more for a reader that has ended; another one reads its topic."""
+        self._readers = [one for one in self._readers if one is not reader]
 
     def receive(self, channel: str, received_ns: int) -> None:
         """Count a measurement that was read and had arrived at `received_ns` of `time.time_ns`."""
@@ -54,3 +59,7 @@ class Inflow:
     def has_read_until(self, moment: float) -> bool:
         """Return whether every measurement that arrived before a time has been read."""
         return all(reader.read_until >= moment for reader in self._readers)
+
+    def joints_read_until(self) -> float:
+        """Return the time until which every joint state that arrived has been read."""
+        return time.monotonic() if self.joint_reader is None else self.joint_reader.read_until

@@ -119,6 +119,9 @@ class LiveSamples:
     def warnings(self) -> list[str]:
         """Return a sentence for each doubt about the samples."""
         warnings = self.collector.warnings()
+        if trouble := self._settings.model_trouble:
+            text = f"the model file cannot be read: {trouble}; samples are collected without it"
+            warnings.append(KeyedWarning(text, "model file"))
         frame, base = self.collector.frame, self._settings.base
         if frame and base and frame != base:
             text = (

@@ -17,7 +17,7 @@ from typing import Any
 from rclpy.callback_groups import CallbackGroup
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 POLL_INTERVAL_NS = 100_000_000  # ns between two checks whether the node ends
 
@@ -63,6 +63,26 @@ class Pump:
         """Take no more messages; call this before the node is destroyed."""
         self._ended = True
         self._thread.join()
+
+    def destroy(self) -> None:
+        """End, and remove the subscription from the node."""
+        self.end()
+        self._node.destroy_subscription(self._subscription)
+
+    @property
+    def topic(self) -> str:
+        """The full name of the topic."""
+        return str(self._subscription.topic_name)
+
+    @property
+    def type(self) -> Any:
+        """The class of the messages."""
+        return self._subscription.msg_type
+
+    @property
+    def is_reliable(self) -> bool:
+        """Whether the subscription receives from reliable publishers only."""
+        return bool(self._subscription.qos_profile.reliability == ReliabilityPolicy.RELIABLE)
 
     def _run(self) -> None:
         handle, type = self._subscription.handle, self._subscription.msg_type

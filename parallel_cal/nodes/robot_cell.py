@@ -13,7 +13,12 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError, SolveError
 from parallel_cal.campaign.cell import CellError, Sample
-from parallel_cal.campaign.checking import ARRIVAL_TOLERANCE
+from parallel_cal.campaign.checking import ARRIVAL_TOLERANCE, LIMIT_SWITCH_ADVICE
+from parallel_cal.campaign.deviation import (
+    MAX_PATH_DEVIATION,
+    compute_path_deviation,
+    find_deviating_joints,
+)
 from parallel_cal.campaign.trajectory import Trajectory
 from parallel_cal.model.model import Model
 from parallel_cal.nodes.conversions import match_joints, stop_message, trajectory_message
@@ -22,14 +27,17 @@ from parallel_cal.nodes.inflow import Inflow
 POLL_INTERVAL_S = 0.01  # s between two checks; an unwanted motion ends that soon
 DISCOVERY_TIMEOUT_S = 5.0  # s in which a node that has just started must receive joint states
 JOINT_STATE_TIMEOUT_S = 1.0  # s without joint states after which the robot's position is unknown
-ARRIVAL_TIMEOUT_S = 10.0  # s after the planned end at which a motion counts as failed
-START_TIMEOUT_S = 2.0  # s after the planned end in which a robot at rest may still start to move
+# s on the robot's clock after the planned end: at which a motion counts as failed, and in which a
+# robot at rest may still start to move, because a busy computer delivers the command late.
+ARRIVAL_TIMEOUT_S = 10.0
+START_TIMEOUT_S = 5.0
+# s for which the stamps of joint states may stay the same, or none be read on a busy computer
+MAX_STANDSTILL_S = 10.0
 REST_DURATION_S = 0.15  # s for which readings must stay equal before the robot counts as at rest
 REST_TOLERANCE_SIGMAS = 10.0  # sigmas of a reading by which equal readings may differ
-PATH_TOLERANCE = 0.03  # share of its range by which a joint may deviate from its path
 SPEED_WINDOW_S = 0.05  # s of readings from which the speed is estimated
 MAX_JOINT_STATES = 2000  # joint states that are remembered
-SAMPLE_TIMEOUT_S = 20.0  # s that a sample may take to arrive
+SAMPLE_TIMEOUT_S = 20.0  # s on the robot's clock that a sample may take to arrive
 # Largest share of the time spent on taking samples: it blocks the thread that processes messages.
 MAX_TAKING = 0.25
 MAX_PAUSE = 2.0  # s until the next attempt to take a sample, however long the last one took
@@ -67,6 +75,7 @@ class RobotCell:
         )
         self._departed = self._rested = 0.0  # stamps of the last motion's start and end
         self._rested_at = 0.0  # time.monotonic() when the joint state of that end was received
+        self._advanced_at = math.inf  # time.monotonic() when the stamps last changed
         self._others: list[str] = []  # received joint names that are not the model's
 
     def on_joint_state(self, message: Any) -> None:
@@ -77,7 +86,10 @@ class RobotCell:
             self._others = list(message.name)
             return
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-        self._states.append((stamp, time.monotonic(), q))
+        now = time.monotonic()
+        if not self._states or stamp != self._states[-1][0]:
+            self._advanced_at = now
+        self._states.append((stamp, now, q))
 
     # ------------------------------------------------------------------ the Cell of a campaign
 
@@ -92,20 +104,20 @@ class RobotCell:
                 f"no node subscribes to {self._command.topic_name}: is a controller running?"
             )
         self._command.publish(trajectory_message(self._model.joints, trajectory))
-        planned_end = time.monotonic() + trajectory.seconds
-        late, due = planned_end + START_TIMEOUT_S, planned_end + ARRIVAL_TIMEOUT_S
         while True:
             go_on()
             stamp, q = self._latest(begin)
-            self._check_on_path(q, path)
+            elapsed = stamp - begin  # on the robot's clock: a simulated one may be slow
+            self._check_on_path(q, path[0], trajectory, elapsed)
             arrived = (np.abs(q - path[-1]) < ARRIVAL_TOLERANCE * self._range).all()
-            if (arrived or time.monotonic() > late) and self._rests(begin + trajectory.seconds):
+            late = elapsed > trajectory.seconds + START_TIMEOUT_S
+            if (arrived or late) and self._rests(begin + trajectory.seconds):
                 moved = np.abs(path - path[0]).max(axis=0) > self._still
                 self._departed = begin if moved.any() else 0.0
                 self._rested = stamp - REST_DURATION_S
                 self._rested_at = self._reception_time(self._rested)
                 return
-            if time.monotonic() > due:
+            if elapsed > trajectory.seconds + ARRIVAL_TIMEOUT_S:
                 raise CellError(
                     f"the robot did not stop within {ARRIVAL_TIMEOUT_S:.0f} s after the "
                     "planned end of its motion"
@@ -125,10 +137,10 @@ class RobotCell:
         """Wait for the device to measure the present dwell, then take its sample.
 
         While waiting, it checks joint states and counts only, because taking a sample takes longer
-        the more samples there are. The target counts as lost only after every received message has
-        been processed.
+        the more samples there are. The target counts as lost only when the robot has rested for
+        SAMPLE_TIMEOUT_S, on its own clock, and every message received by then has been processed.
         """
-        due = time.monotonic() + SAMPLE_TIMEOUT_S
+        limit = due = math.inf  # on the robot's clock; time.monotonic() when it got there
         why = "no pose was received while the robot rested"
         # Times of the last attempt, of the next one, and of the last measurement of an attempt.
         taken, again, used = -math.inf, -math.inf, -math.inf
@@ -140,6 +152,9 @@ class RobotCell:
             # every measurement in it has been read.
             new = latest is not None and latest >= self._rested_at and latest > used
             dwell_end, (stamp, _) = self._rested + self._dwell, self._latest(self._rested)
+            limit = min(limit, stamp + SAMPLE_TIMEOUT_S)
+            if stamp >= limit and due == math.inf:
+                due = self._reception_time(limit)
             measured = (
                 (new or self._inflow.holds)
                 and stamp >= dwell_end
@@ -182,7 +197,7 @@ class RobotCell:
         due = time.monotonic() + DISCOVERY_TIMEOUT_S
         while not self._states and time.monotonic() < due:
             time.sleep(POLL_INTERVAL_S)
-        if not self._states or time.monotonic() - self._states[-1][1] > JOINT_STATE_TIMEOUT_S:
+        if not self._states or self._silence() > JOINT_STATE_TIMEOUT_S:
             words = (
                 f"no joint states were received for {JOINT_STATE_TIMEOUT_S:.0f} s: the robot's "
                 "position is unknown"
@@ -192,12 +207,25 @@ class RobotCell:
                 words += ", ".join(self._model.joints)
             raise CellError(words)
         stamp, _, q = self._states[-1]
+        if self._states[-1][1] - self._advanced_at > MAX_STANDSTILL_S:
+            raise CellError(
+                f"joint states are received, but their stamp has been {stamp:.3f} s for "
+                f"{MAX_STANDSTILL_S:.0f} s: expected stamps that advance with the robot's clock"
+            )
         if stamp < since - JOINT_STATE_TIMEOUT_S:
             raise CellError(
                 f"the stamps of the joint states jumped back by {since - stamp:.3g} s: was the "
                 "robot's driver restarted?"
             )
         return stamp, q
+
+    def _silence(self) -> float:
+        """Return for how long (s) no joint state has arrived, as far as it is known: messages that
+        are not read yet because the computer is busy may have arrived, but only for a while."""
+        last = self._states[-1][1]
+        return max(
+            self._inflow.joints_read_until() - last, time.monotonic() - last - MAX_STANDSTILL_S
+        )
 
     def _reception_time(self, stamp: float) -> float:
         """time.monotonic() when the first joint state of this stamp or later was received."""
@@ -230,18 +258,17 @@ class RobotCell:
         q = np.array([q for stamp, _, q in recent if stamp >= last - REST_DURATION_S])
         return bool(last - REST_DURATION_S >= since and (np.ptp(q, axis=0) < self._still).all())
 
-    def _check_on_path(self, q: np.ndarray, path: np.ndarray) -> None:
-        """Raise CellError if the joints (nq,) are not near the path (n, nq), at whatever time."""
-        scaled, here = path / self._range, q / self._range
-        starts, steps = scaled[:-1], np.diff(scaled, axis=0)
-        squares = np.maximum(np.sum(steps**2, axis=1), 1e-18)  # no division by zero at a standstill
-        # The point of each straight segment that is nearest to the joints.
-        share = np.clip(np.sum((here - starts) * steps, axis=1) / squares, 0.0, 1.0)
-        off = np.abs(here - starts - share[:, None] * steps)
-        distance = off.max(axis=1)
-        if distance.min() > max(PATH_TOLERANCE, ARRIVAL_TOLERANCE):
-            i = int(np.argmax(off[np.argmin(distance)]))
-            raise CellError(
-                f"{self._model.joints[i]} left its path by {distance.min() * self._range[i]:.3g}: "
-                "the joint does not move, moves wrongly, or an obstacle blocks it"
-            )
+    def _check_on_path(
+        self, q: np.ndarray, start: np.ndarray, trajectory: Trajectory, elapsed: float
+    ) -> None:
+        """Raise CellError if the joints (nq,) are not near the path, at whatever time."""
+        path = np.vstack([start, trajectory.positions])
+        if compute_path_deviation(q, path, self._range) <= MAX_PATH_DEVIATION:
+            return
+        m = self._model.mechanism
+        found = find_deviating_joints(q, start, trajectory, elapsed, self._range)
+        words = " and ".join(f"{m.joints[i]} (at {q[i]:.4f} {m.joint_units[i]})" for i in found)
+        raise CellError(
+            f"{words} left the path by more than {MAX_PATH_DEVIATION:.0%} of the range: the joint "
+            f"does not move, moves wrongly, or an obstacle blocks it. {LIMIT_SWITCH_ADVICE}"
+        )

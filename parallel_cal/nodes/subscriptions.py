@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import geometry_msgs.msg
 from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from parallel_cal.base.errors import BagError, ParallelCalError
 from parallel_cal.nodes.conversions import find_measured_pose, message_class
@@ -26,6 +26,7 @@ from parallel_cal.recordings.pose_messages import body_names
 
 # Reliable, and deep enough for minutes of a 1 kHz stream while this process is busy.
 STREAM = QoSProfile(depth=100_000)
+BEST_EFFORT_STREAM = QoSProfile(depth=100_000, reliability=ReliabilityPolicy.BEST_EFFORT)
 MEASURED = ("poses", "readings")  # kinds of channels that a measuring device fills by itself
 LOG_THROTTLE_S = 5.0  # s between two log lines about messages without the pose
 STREAMED = ("joints", *MEASURED)  # kinds read in threads of their own, however busy the node is
@@ -101,7 +102,7 @@ class Subscriptions:
         # Before any thread is started, as it may fail.
         pose_class = _driver_class(driver_type) or getattr(geometry_msgs.msg, pose_type)
         self._body = body if driver_type else None
-        self._pumps: list[Pump] = []
+        self._pumps: dict[str, Pump] = {}
         quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
         for name, channel in CHANNELS.items():
             type = message_class(channel.types[0])
@@ -115,8 +116,34 @@ class Subscriptions:
 
     def end(self) -> None:
         """Read no more messages; call it before the node is destroyed."""
-        for pump in self._pumps:
+        for pump in self._pumps.values():
             pump.end()
+
+    def follow_publishers(self) -> list[str]:
+        """Subscribe best effort to each stream that is published so; return a sentence for each.
+
+        A reliable subscription receives nothing from a best-effort publisher, a best-effort one
+        receives from both kinds.
+        """
+        changes = []
+        for channel, pump in list(self._pumps.items()):
+            publishers = self._node.get_publishers_info_by_topic(pump.topic)
+            names = sorted(
+                f"{p.node_namespace.rstrip('/')}/{p.node_name}"
+                for p in publishers
+                if p.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+            )
+            if not (pump.is_reliable and names):
+                continue
+            type, topic = pump.type, pump.topic
+            pump.destroy()
+            self._queue.inflow.remove_reader(pump)
+            self._start_pump(channel, type, BEST_EFFORT_STREAM)
+            changes.append(
+                f"{topic} is published best effort by {', '.join(names)}, so this node receives "
+                "it best effort, too: messages may be lost, and 'lost' counts them"
+            )
+        return changes
 
     def _subscribe(self, channel: str, type: Any, qos: QoSProfile, **options: Any) -> None:
         if CHANNELS[channel].kind not in STREAMED:
@@ -125,9 +152,14 @@ class Subscriptions:
                 type, channel, on_message, qos, callback_group=self._group, **options
             )
             return
+        self._start_pump(channel, type, qos, **options)
+
+    def _start_pump(self, channel: str, type: Any, qos: QoSProfile, **options: Any) -> None:
         pump = Pump(self._node, type, channel, qos, partial(self._on_stream, channel), **options)
-        self._pumps.append(pump)
-        if channel != "joint_states":
+        self._pumps[channel] = pump
+        if channel == "joint_states":
+            self._queue.inflow.joint_reader = pump
+        else:
             self._queue.inflow.add_reader(pump)
 
     def _on_stream(self, channel: str, received: Messages) -> None:
