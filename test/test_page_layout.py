@@ -2,6 +2,7 @@
 
 import re
 
+import numpy as np
 import pytest
 from workbench_page import LONG, Served, beside_a_played_robot, opened
 
@@ -85,6 +86,27 @@ def test_a_logarithmic_axis_holds_its_values_and_has_round_ticks():
     assert axis["ticktext"] == ["20", "50", "100", "200", "500"]
     low, high = axis["range"]
     assert 10**low < 30 < 606 < 10**high
+
+
+# ------------------------------------------------------------------ branches
+
+
+@pytest.mark.wide
+def test_the_difference_of_two_predictions_is_that_of_their_positions_over_the_workspace():
+    from parallel_cal.workbench.prediction_difference import draw_difference
+
+    model = read_model(MODEL)
+    higher = model.values + 1e-4 * np.array([name.endswith("D_y") for name in model.table.names])
+    shown = draw_difference(model, model.with_values(higher), "low", "high")
+    assert "predictions of high minus those of low" in shown["words"]
+    assert "100 µm rms over the workspace, at most 100 µm" in shown["words"]
+    assert shown["words"].endswith("1 sigma of low unknown, 1 sigma of high unknown")
+    plan, front = (trace for trace in shown["figure"]["data"][:4:2])
+    starts, ends = (np.array(front["y"][k::3], dtype=float) for k in (0, 1))
+    assert np.allclose(ends - starts, (ends - starts)[0])  # all arrows point up alike
+    assert (ends - starts)[0] > 0
+    assert np.allclose(plan["x"][0::3], plan["x"][1::3], atol=1e-2)
+    assert all("customdata" not in trace for trace in shown["figure"]["data"])
 
 
 # ------------------------------------------------------------------ many samples
@@ -277,6 +299,15 @@ def test_the_keyboard_reaches_the_first_effect_in_ten_stops_and_shows_where_it_i
     page.get_by_text("Skip to the content").focus()
     page.keyboard.press("Enter")
     assert page.evaluate("document.activeElement.id") == "content"
+
+
+@pytest.mark.wide
+def test_compare_shows_how_far_the_predictions_of_the_branches_differ(page):
+    page.get_by_role("button", name="Compare", exact=True).click()
+    page.get_by_text("predictions of with backlash minus those of main").wait_for()
+    page.get_by_role("figure", name="difference of the predictions of with backlash").wait_for()
+    page.keyboard.press("Escape")
+    page.get_by_text("predictions of with backlash minus").wait_for(state="hidden")
 
 
 @pytest.mark.wide
