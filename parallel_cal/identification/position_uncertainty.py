@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.kinematics.solutions import Solutions
 from parallel_cal.model.mechanism import POSE
 from parallel_cal.model.model import Model
 
@@ -26,23 +27,33 @@ class PositionUncertainty:
     def of(cls, model: Model) -> PositionUncertainty | None:
         """Three grids through the middle of the workspace, at right angles; None if the model was
         not identified or controls fewer than two coordinates of a position."""
-        mechanism, robot = model.mechanism, model.robot()
-        axes = [k for k in range(3) if POSE[k] in mechanism.controls]
-        if model.covariance is None or len(axes) < 2:
+        if model.covariance is None or (solved := solve_middle_planes(model)) is None:
             return None
-        low, high = np.array(mechanism.workspace.low), np.array(mechanism.workspace.high)
-        grids = []
-        for one, other in ((a, b) for a in axes for b in axes if a < b):
-            i, j = mechanism.controls.index(POSE[one]), mechanism.controls.index(POSE[other])
-            grid = np.tile((low + high) / 2, (POSES_PER_AXIS**2, 1))
-            grid[:, [i, j]] = np.stack(
-                np.meshgrid(*np.linspace(low[[i, j]], high[[i, j]], POSES_PER_AXIS).T), axis=-1
-            ).reshape(-1, 2)
-            grids.append(grid)
-        kinematics = Kinematics(robot)
-        found = kinematics.inverse(*mechanism.poses(np.unique(np.vstack(grids), axis=0)))
-        solved = found[found.solved]
-        if not len(solved):
-            return None
-        spread = kinematics.direct_covariance(solved)[:, :3, :3]
-        return cls(solved.position, spread, "".join(POSE[k] for k in axes))
+        spread = Kinematics(model.robot()).direct_covariance(solved)[:, :3, :3]
+        return cls(solved.position, spread, _controlled_axes(model))
+
+
+def solve_middle_planes(model: Model) -> Solutions | None:
+    """Solve the poses of a robot on three grids through the middle of its workspace, at right
+    angles; None if it controls fewer than two coordinates of a position or reaches no pose."""
+    mechanism = model.mechanism
+    axes = [POSE.index(name) for name in _controlled_axes(model)]
+    if len(axes) < 2:
+        return None
+    low, high = np.array(mechanism.workspace.low), np.array(mechanism.workspace.high)
+    grids = []
+    for one, other in ((a, b) for a in axes for b in axes if a < b):
+        i, j = mechanism.controls.index(POSE[one]), mechanism.controls.index(POSE[other])
+        grid = np.tile((low + high) / 2, (POSES_PER_AXIS**2, 1))
+        grid[:, [i, j]] = np.stack(
+            np.meshgrid(*np.linspace(low[[i, j]], high[[i, j]], POSES_PER_AXIS).T), axis=-1
+        ).reshape(-1, 2)
+        grids.append(grid)
+    poses = mechanism.poses(np.unique(np.vstack(grids), axis=0))
+    found = Kinematics(model.robot()).inverse(*poses)
+    solved = found[found.solved]
+    return solved if len(solved) else None
+
+
+def _controlled_axes(model: Model) -> str:
+    return "".join(name for name in POSE[:3] if name in model.mechanism.controls)

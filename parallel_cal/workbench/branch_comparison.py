@@ -7,13 +7,14 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from nicegui import ui
+from nicegui import run, ui
 
 from parallel_cal.reporting.arrows import scale_of
 from parallel_cal.reporting.readable import write_micro
 from parallel_cal.reporting.spaces import side
 from parallel_cal.session.history import History, format_first_error
 from parallel_cal.workbench.bench import load_view
+from parallel_cal.workbench.prediction_difference import compare_predictions
 from parallel_cal.workbench.widgets import draw_figure, table
 
 
@@ -52,12 +53,27 @@ class BranchComparison:
             )
             with ui.row().classes("w-full no-wrap max-lg:flex-wrap"):
                 self.plots = self._plots(fields) if fields else []
+            self.differences = ui.column().classes("w-full gap-2")
             for name in sorted(set(states) - set(fields)):
                 ui.label(
                     f"{name}: no residuals to show: its last state was not diagnosed. Switch to "
                     "this branch first."
                 )
             ui.button("Close", on_click=dialog.close).props("dense outline")
+
+    async def show_differences(self, session: History) -> None:
+        """Show how far the predictions of each other branch differ from those of this one."""
+        this = session.record.branch
+        for name in session.record.branches:
+            if name == this:
+                continue
+            shown = await run.cpu_bound(compare_predictions, session.folder, this, name)
+            if shown is None or self.differences.is_deleted:
+                return  # the server or the dialog was closed meanwhile
+            with self.differences:
+                ui.label(shown["words"])
+                if figure := shown.get("figure"):
+                    draw_figure(figure, f"difference of the predictions of {name}")
 
     def _plots(self, fields: dict[str, Any]) -> list[Any]:
         """Draw the residuals of each branch with a common scale and common axes."""

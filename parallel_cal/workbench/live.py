@@ -17,7 +17,7 @@ POLL_INTERVAL_S = 1.0  # s between two polls of the nodes
 ERROR_WINDOW_S = 60  # s of errors that are shown
 MARKS = {"ok": "✓", "warn": "!", "error": "✗", "stale": "?"}  # readable without colours
 COLUMNS = {
-    "level": "",
+    "level": "state",
     "node": "node",
     "what": "stream",
     "rate": "rate [Hz]",

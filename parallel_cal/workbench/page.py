@@ -267,13 +267,14 @@ class Window:
                     "branches",
                 )
 
-    def _compare(self) -> None:
+    async def _compare(self) -> None:
         from parallel_cal.workbench.branch_comparison import (
             BranchComparison,  # imports NumPy, which nothing else here needs
         )
 
         with self.layer:
-            BranchComparison(self.bench.session)
+            comparison = BranchComparison(self.bench.session)
+        await comparison.show_differences(self.bench.session)
 
     # ------------------------------------------------------------------ samples, parameters, next
 

@@ -42,9 +42,8 @@ CSS = f"""
 .skip-link {{ position: absolute; left: -999rem; top: 4px; z-index: 1; padding: 4px 12px;
   background: inherit }}
 .skip-link:focus {{ left: 16px }}
-:is(a, button, input, [tabindex], [role=tab], .q-btn, .q-checkbox, .q-item):focus-visible {{
-  outline: 3px solid #3b7dd8 !important; outline-offset: 2px }}
-#content:focus {{ outline: none }}
+:is(a, button, input, [tabindex]):focus-visible {{ box-shadow: 0 0 0 3px #3b7dd8 !important }}
+#content:focus {{ outline: none; box-shadow: none !important }}
 .q-header.at-robot {{ z-index: 7000 }}
 body:has(.q-header.at-robot) :is(.q-dialog__inner, .q-dialog__backdrop) {{
   top: var(--header-height, 0px) }}
