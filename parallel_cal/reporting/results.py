@@ -218,7 +218,7 @@ def parameter_table(parameters: Mapping[str, DescribedParameter]) -> Table:
         "value",
         "from nominal",
         "sigma",
-        "unit",
+        Column("unit", in_html=False),
         Column("nominal", on_terminal=False),
         Column("description", on_terminal=False),
     )
@@ -227,7 +227,7 @@ def parameter_table(parameters: Mapping[str, DescribedParameter]) -> Table:
     for name, p in parameters.items():
         (unit, factor), moved = value_unit(p.unit), p.moved_tolerances
         value, change, sigma = (
-            Number(v, factor, 4, 6, p.sigma) for v in (p.value, p.value - p.nominal, p.sigma)
+            Number(v, factor, 4, 6, p.sigma, unit) for v in (p.value, p.value - p.nominal, p.sigma)
         )
         rows.append(
             (
@@ -237,7 +237,7 @@ def parameter_table(parameters: Mapping[str, DescribedParameter]) -> Table:
                 change,
                 sigma,
                 unit,
-                Number(p.nominal, factor, 4, 6),
+                Number(p.nominal, factor, 4, 6, unit=unit),
                 f"{p.words}, {_describe_fixing(p)}" if p.fixed else p.words,
             )
         )
