@@ -155,8 +155,8 @@ def iso_sentence(figures: Iso9283) -> str:
     worst = number(figures.accuracy_max, factor)
     counts = describe_counts(figures.samples, figures.poses, figures.held_out)
     text = (
-        f"after ISO 9283, {figures.kind}: accuracy AP {mean} {unit}, worst {worst}, at {counts}; "
-        f"{again}; both include the noise of the device"
+        f"after ISO 9283, {figures.kind}: accuracy AP {mean} {unit}, worst {worst}, at {counts}, "
+        f"noise of the device included; {again}"
     )
     return text.replace("±", "+-")
 

@@ -227,9 +227,8 @@ def _budget(budget: Budget) -> View:
         if part.removed is not None
     ]
     total = f"{with_sigma(budget.total, budget.sigma, factor)} {unit}"
-    counts = results.describe_counts(budget.samples, budget.poses, budget.held_out)
     return {
-        "title": write_micro(f"error of the nominal model {total}, at {counts}; removed by"),
+        "title": write_micro(f"error of the nominal model {total}, removed by"),
         "parts": [write_micro(part) for part in parts],
         "about": write_micro(results.budget_sentence(budget)),
     }
