@@ -56,12 +56,16 @@ def glance(session: Session) -> View | None:
         ("now", state.errors),
         ("noise floor", state.noise),
     )
+    sigmas = {"now": state.sigmas}
     summaries = [(name, Summary(**known)) for name, known in tiles if known]
     kinds = [k for k in ("position", "orientation", "reading") if summaries[0][1].rms(k)]
     return shown | {
         "verdict": {"colour": GREY, "words": f"{state.step}: running the diagnosis"},
         "tiles": to_json_value(
-            [results.make_tile(name, summary, kinds, {}) for name, summary in summaries]
+            [
+                results.make_tile(name, summary, kinds, {}, sigmas=sigmas.get(name))
+                for name, summary in summaries
+            ]
         ),
         "advice": [],
     }
