@@ -60,6 +60,7 @@ from .recordings.options import ReadOptions as ReadOptions
 from .recordings.simulate import Simulation as Simulation
 from .recordings.simulate import simulate as simulate
 from .recordings.writer import write_bag as write_bag
+from .reporting.certificate import CertificateFields as CertificateFields
 from .reporting.page import page as page
 from .reporting.pictures import figure as figure
 from .reporting.report import Report as Report

@@ -23,7 +23,9 @@ def test_backlash_stays_ambiguous_after_it_was_added():
     assert "backlash or hysteresis: the samples do not tell" in found.verdict.summary
     plan = found.measure_next.plan
     assert plan.separates == ("backlash", "hysteresis")
-    assert f"{len(plan.poses)} planned poses would tell" in found.verdict.summary
+    assert plan.sigmas.now < plan.sigmas.then
+    assert f"{len(plan.poses)} planned poses would" in found.verdict.summary
+    assert f"they separate the two by {plan.sigmas.then:.1f} sigmas" in found.verdict.summary
     hysteresis = next(e for e in found.entries if e.name == "hysteresis")
     assert "do not distinguish it from backlash of the model" in hysteresis.reason
     assert found.document()["ambiguous"] == {"backlash": ["hysteresis"]}

@@ -9,8 +9,10 @@ import virtual_setups as vs
 from parallel_cal.identification.budget import iso_9283
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.prediction_errors import Errors, compute_rms_sigmas
+from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.reporting.results import iso_sentence
 from parallel_cal.virtual import robot as vr
 
@@ -70,6 +72,16 @@ def test_an_effect_that_is_not_in_the_robot_removes_nothing_within_its_sigma(res
     idle = parts["encoder_eccentricity"]
     assert 0 <= idle.removed < 3 * idle.sigma
     assert idle.removed < 0.3 * parts["backlash"].removed
+
+
+def test_noise_is_no_larger_than_the_error_that_remains():
+    model = read_model("config/delta_mockup_nominal.yaml")  # it states more noise than there is
+    found = fit(model, load_dataset("bags/delta_thermal", joints=model.joints))
+    parts = {p.name: p for p in found.budgets[0].parts}
+    error = found.held_out.summary.position_rms
+    assert found.noise_floor.position_rms > error
+    assert parts["noise"].removed == pytest.approx(error)
+    assert parts["rest"].removed == 0.0
 
 
 def test_the_sigma_of_an_rms_is_the_scatter_of_repeated_measurements():

@@ -28,6 +28,7 @@ from parallel_cal.virtual import robot as vr
 SECTIONS = [
     "verdict",
     "numbers",
+    "certificate",
     "history",
     "error-budget",
     "residuals-in-space",

@@ -22,6 +22,7 @@ from parallel_cal.virtual import robot as vr
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 DRAWS = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
 PARTS = {  # those of the page that fold, in their order
+    "Certificate",
     "History",
     "Error budget",
     "Residuals in space",
@@ -108,8 +109,10 @@ def test_every_free_parameter_has_its_value_sigma_and_unit(made, text):
     assert set(rows) == set(free)
     for name, p in free.items():
         factor, unit = (1e3, "mm") if p.unit == "m" else (180 / np.pi, "deg")
-        _, value, change, sigma, shown, nominal, words = rows[name]
-        assert (shown, unescape(words)) == (unit, p.words)
+        _, *numbers, words = rows[name]
+        assert unescape(words) == p.words
+        value, change, sigma, nominal = (one.removesuffix(f" {unit}") for one in numbers)
+        assert all(one.endswith(f" {unit}") for one in numbers)
         assert float(value) == pytest.approx(p.value * factor, abs=p.sigma * factor)
         assert float(sigma) == pytest.approx(p.sigma * factor, rel=0.06)
         assert float(change) == pytest.approx((p.value - p.nominal) * factor, abs=p.sigma * factor)

@@ -114,6 +114,7 @@ def test_an_excluded_sample_keeps_the_others_numbers_and_can_be_taken_back(sessi
     out = session.exclude({5: "slipped"})
     assert out.before == {}  # the validation error of the fit was one at other samples
     assert (fit.samples, out.samples) == (94, 93)
+    assert 0.02 < out.sigmas["position"] / out.errors["position_rms"] < 0.1
     assert not out.against
     assert 5 not in session.dataset.numbers
     assert len(session.samples) == len(session.dataset) + 1

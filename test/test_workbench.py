@@ -268,6 +268,11 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
         page.goto(served.url)
         page.locator("#verdict").get_by_text("one effect missing: backlash").wait_for()
         assert "AP" in page.locator("#iso").inner_text()
+        counts = page.locator("#counts").inner_text()
+        assert "rms at 94 samples of 74 held-out poses" in counts
+        assert re.search(r"chi2/dof 1\.\d\d, 0\.\d\d to 1\.\d\d for a complete model", counts)
+        page.get_by_text("1 warning", exact=True).click()
+        page.get_by_text("the residuals are larger than the stated noise").wait_for()
         page.get_by_text("Show pattern").first.click()
         page.get_by_role("figure", name="backlash: residual of joint1 against").wait_for()
         for name, words in (("sides", "from three sides"), ("uncertainty", "1-sigma ellipses")):

@@ -69,7 +69,7 @@ def read_foreign_text(path: str | Path, most: int = 16 * MEGABYTE) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def write_atomically(path: str | Path, text: str, like: str | Path | None = None) -> None:
+def write_atomically(path: str | Path, text: str | bytes, like: str | Path | None = None) -> None:
     """Replace a file in one step: a reader sees the old or the new text, even after a power cut.
 
     The file gets the permission bits of the file `like`, by default its previous ones. A symbolic
@@ -154,11 +154,11 @@ def load_or_compute(sources: Iterable[Path], make: Callable[[], Any]) -> Any:
     return document
 
 
-def _replace(target: Path, text: str, permissions: int) -> None:
+def _replace(target: Path, text: str | bytes, permissions: int) -> None:
     handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
     try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="") as stream:
-            stream.write(text)
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(text if isinstance(text, bytes) else text.encode("utf-8"))
             stream.flush()
             os.fsync(stream.fileno())
         os.chmod(name, permissions)

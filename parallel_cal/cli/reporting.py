@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -40,20 +41,43 @@ def report(
         Path | None,
         typer.Option(metavar="OTHER.yaml", help="another model, for comparison on the same data"),
     ] = None,
+    pdf: Annotated[
+        Path | None,
+        typer.Option("--pdf", metavar="R.pdf", help="the page on A4, printed by Chromium"),
+    ] = None,
+    certificate: Annotated[
+        Path | None,
+        typer.Option(metavar="FIELDS.yaml", help="fields of the certificate: serial_number, ..."),
+    ] = None,
+    field: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="one field of the certificate; repeatable"),
+    ] = None,
     effect: Tested = None,
     also: Also = None,
     options: Fitting,
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Write the diagnosis as one offline page: errors, residuals, effects, parameters."""
-    if output is None and not as_json:
-        raise typer.BadParameter("expected -o R.html (or .json), or --json")
+    """Write the diagnosis as one offline page: errors, residuals, effects, parameters, and a
+    certificate."""
+    if output is None and pdf is None and not as_json:
+        raise typer.BadParameter("expected -o R.html (or .json), --pdf R.pdf, or --json")
+    # Report what cannot work before the diagnosis, which takes seconds.
     if output is not None:
-        _check_writable(output)  # before the diagnosis, which takes seconds
+        _check_writable(output, PAGE + DOCUMENT, ".html (page) or .json (document)")
     from parallel_cal.base.files import write_atomically
     from parallel_cal.model.file.modelfile import read_model
     from parallel_cal.reporting import report as reports
+    from parallel_cal.reporting.certificate import CertificateFields
+
+    stated = CertificateFields.read(certificate, field or ())
+    browser = ""
+    if pdf is not None:
+        from parallel_cal.reporting.pdf import find_browser
+
+        _check_writable(pdf, (".pdf",), ".pdf")
+        browser = find_browser()
 
     other = None if against is None else read_model(against)
     judged, dataset = read_model_and_data(model, bags, data)
@@ -63,26 +87,34 @@ def report(
         against=other,
         effects=effect or (),
         also=also or (),
+        certificate=stated,
         options=options,
         progress=console.progress,
     )
     if output is not None:
         console.progress("writing the report", 0.95)
         write_atomically(output, _text(made, output.suffix))
+    if pdf is not None:
+        from parallel_cal.reporting.pdf import print_to_pdf
+
+        console.progress("printing the report", 0.97)
+        print_to_pdf(_text(made, PAGE[0]), pdf, browser)
     console.progress("", 1.0)
     console.warn(made.diagnosis.best.fitted.warnings)
     if as_json:
-        extra = {} if output is None else {"output": str(output)}
+        written = {"output": output, "pdf": pdf}
+        extra = {key: str(path) for key, path in written.items() if path is not None}
         return console.emit(made.document() | extra)
     console.say(f"{made.diagnosis.verdict.word}: {made.diagnosis.verdict.summary}")
-    console.say(f"written: {output}")
+    for decision in made.conformity:
+        console.say(decision.description)
+    for file in filter(None, (output, pdf)):
+        console.say(f"written: {file}")
 
 
-def _check_writable(output: Path) -> None:
-    if output.suffix.lower() not in PAGE + DOCUMENT:
-        raise ParallelCalError(
-            f"{output}: expected a name that ends in .html (page) or .json (document)"
-        )
+def _check_writable(output: Path, suffixes: Sequence[str], expected: str) -> None:
+    if output.suffix.lower() not in suffixes:
+        raise ParallelCalError(f"{output}: expected a name that ends in {expected}")
     if not output.parent.is_dir():
         raise ParallelCalError(
             f"{output}: the folder {output.parent} does not exist; create it first"

@@ -62,7 +62,9 @@ def _line(state: State) -> str:
     if not state.errors:
         return f"{state.step}{excluded}"
     before, after, noise = map(format_first_error, (state.before, state.errors, state.noise))
-    return f"{state.step}: validation error {before} to {after}, noise floor {noise}{excluded}"
+    change = f"{before} to {after}" if state.before else after
+    count = "" if state.samples is None else f" ({state.samples} samples)"
+    return f"{state.step}: validation error {change}{count}, noise floor {noise}{excluded}"
 
 
 @with_options

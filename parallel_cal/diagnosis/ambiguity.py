@@ -6,13 +6,15 @@ removed, and the catalogue is tested as if the effect had still to be found.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.entries import rivals_of
 from parallel_cal.diagnosis.search import Chosen, Rank, Search, Trial, is_superfluous
+from parallel_cal.diagnosis.separate import Separation
+from parallel_cal.diagnosis.thresholds import MIN_SEPARATION_SIGMAS
 from parallel_cal.model.model import Model
 
 
@@ -68,15 +70,17 @@ def find_ambiguous_effects(
     return tuple(found)
 
 
-def describe_ambiguities(
-    found: tuple[Ambiguity, ...], poses: Mapping[tuple[str, str], int]
-) -> tuple[str, ...]:
-    """Describe each ambiguity; `poses` is the number of planned poses that separate a pair."""
+def describe_ambiguities(found: Sequence[Ambiguity], plan: Separation | None) -> tuple[str, ...]:
+    """Describe each ambiguity, with what the planned poses would tell about it."""
     sentences = []
     for one in found:
-        names = " or ".join([one.effect, *one.names])
-        planned = [poses[pair] for name in one.names if (pair := (one.effect, name)) in poses]
-        cure = f"; {planned[0]} planned poses would tell" if planned else ""
+        names, cure = " or ".join([one.effect, *one.names]), ""
+        if plan is not None and plan.separates in [(one.effect, name) for name in one.names]:
+            enough = plan.sigmas.then >= MIN_SEPARATION_SIGMAS
+            cure = (
+                f"; {len(plan.poses)} planned poses would {'tell' if enough else 'not yet tell'} "
+                f"(they separate the two by {plan.sigmas.then:.1f} sigmas)"
+            )
         sentences.append(
             f"{names}: the samples do not tell which of them the robot has, the model contains "
             f"{one.effect}{cure}"

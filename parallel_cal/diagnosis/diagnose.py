@@ -341,8 +341,6 @@ def _diagnose_trusted(
     rivals |= {one.effect: one.names for one in ambiguous}
     replacements = {c.name: c for one in ambiguous for c in one.rivals}
     measure_next = next_measurement(best, rivals, [*ranked, *replacements.values()])
-    plan = measure_next.plan
-    planned = {plan.separates: len(plan.poses)} if plan else {}
     for one in ambiguous:
         looks_like = f"the samples do not distinguish it from {one.effect} of the model"
         against |= dict.fromkeys(one.names, looks_like)
@@ -361,7 +359,7 @@ def _diagnose_trusted(
         robot_or_device=robot_or_device,
         outdone=find_better_lookalikes(best, search, catalogue),
         unusual=find_unusual_effects(search, best),
-        ambiguous=describe_ambiguities(ambiguous, planned),
+        ambiguous=describe_ambiguities(ambiguous, measure_next.plan),
     )
     return Diagnosis(
         model=model,

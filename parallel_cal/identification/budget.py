@@ -104,7 +104,11 @@ def budgets(
         parts.sort(key=lambda one: -(one.removed or 0.0))
         floor = noise.summary.rms(kind)
         if floor is not None:
-            parts.append(Part(NOISE, floor, noise.sigmas.get(kind), None))
+            # Stated noise may be larger than all that remains.
+            left = _root(*compute_mean_and_sigma(now, at))
+            less = floor < left[0]
+            remaining = (floor, noise.sigmas.get(kind)) if less else left
+            parts.append(Part(NOISE, *remaining, None))
         rest = _root(*compute_mean_and_sigma(now - (floor or 0.0) ** 2, at))
         parts.append(Part(REST, *rest, None))
         poses = len(np.unique(at))

@@ -33,7 +33,7 @@ class Number:
     """A value in SI units; `factor` converts it to the unit of its column or its row.
 
     A terminal shows `decimals`; a page shows the decimals of the second digit of `sigma`, or
-    `significant` digits if the sigma is not known.
+    `significant` digits if the sigma is not known. `unit` follows the number in HTML.
     """
 
     value: float | None
@@ -41,6 +41,7 @@ class Number:
     decimals: int = 2
     significant: int = 3
     sigma: float | None = None
+    unit: str = ""
 
     def fixed(self) -> str:
         """Format the number for a terminal."""
@@ -76,11 +77,13 @@ Row = Sequence[Cell | Number | str]
 
 @dataclass(frozen=True)
 class Column:
-    """A column's heading, its key in the rows of the workbench, and whether a terminal shows it."""
+    """A column's heading, its key in the rows of the workbench, and whether a terminal and HTML
+    show it."""
 
     name: str
     key: str = ""
     on_terminal: bool = True
+    in_html: bool = True
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from parallel_cal.reporting.report import Report
 from parallel_cal.reporting.results import sample_table
 
 MAX_SAMPLE_ROWS = 400  # rows of the table of samples, worst first
+MAX_PRINTED_SAMPLE_ROWS = 100  # as in page.css
 MAX_OPEN_PANELS = 8  # panels that are not folded
 PROFILE_NOTE = (
     "Residuals in sigmas of the noise. Grey: every sample. Coloured: the rolling mean. The band "
@@ -177,4 +178,7 @@ def samples(report: Report) -> str:
     odd = [f"{row.sample} ({row.odd})" for row in rows if row.odd]
     note += f" Odd samples: {', '.join(odd)}." if odd else " There are no odd samples."
     shown = sample_table(rows[:MAX_SAMPLE_ROWS], report.errors.kinds, report.provenance.joint_units)
-    return paragraph(note, "note") + as_html([shown])
+    printed = ""
+    if len(rows) > MAX_PRINTED_SAMPLE_ROWS:
+        printed = paragraph(f"On paper: the worst {MAX_PRINTED_SAMPLE_ROWS} samples.", "note more")
+    return paragraph(note, "note") + printed + as_html([shown])

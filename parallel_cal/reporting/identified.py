@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from html import escape
 
+import numpy as np
+
+from parallel_cal.identification.given_model import fits_of
 from parallel_cal.reporting import drawings, spaces
 from parallel_cal.reporting.blocks import Number, Row
 from parallel_cal.reporting.contents import Residuals
 from parallel_cal.reporting.figures import MAX_MOVED_TOLERANCES
-from parallel_cal.reporting.markup import Plot, as_html, facts, items, paragraph, table, tabs
+from parallel_cal.reporting.markup import (
+    Plot,
+    as_html,
+    facts,
+    items,
+    paragraph,
+    sentence,
+    table,
+    tabs,
+)
 from parallel_cal.reporting.readable import (
     day,
     is_known,
@@ -17,11 +30,17 @@ from parallel_cal.reporting.readable import (
 )
 from parallel_cal.reporting.report import Report
 from parallel_cal.reporting.results import (
+    describe_counts,
     errors_table,
     parameter_table,
     select_shown_parameters,
 )
 from parallel_cal.reporting.versus import Side, Versus
+
+NOT_IDENTIFIED_HERE = (
+    "The model file was not identified from these samples. The errors are those of its parameters "
+    "identified from them: fit the model to these samples first."
+)
 
 
 def parameters(report: Report, plot: Plot) -> str:
@@ -89,6 +108,48 @@ def _side(name: str, side: Side, residuals: Residuals, plot: Plot) -> str:
         about, picture = f"{about}, arrows × {scale:g}", plot(figure)
     caption = f"<figcaption><b>{escape(name)}</b> {escape(about)}</figcaption>"
     return f"<figure>{caption}{picture}</figure>"
+
+
+def certificate(report: Report) -> str:
+    """Render the certificate: what the owner stated, the identity of model and data, the decision
+    on each limit, and a line to sign. What was not stated is blank."""
+    p, data, stated = report.provenance, report.diagnosis.dataset, report.certificate
+    rows = {
+        one.metadata["words"]: getattr(stated, one.name)
+        for one in fields(stated)
+        if "words" in one.metadata
+    }
+    recorded = data.conditions.get("temperature")
+    if not stated.temperature and recorded is not None and np.isfinite(recorded).any():
+        low, high = np.nanmin(recorded), np.nanmax(recorded)
+        rows["Temperature"] = f"{low:.1f} to {high:.1f} °C (recorded with the samples)"
+    errors = report.errors
+    counts = describe_counts(errors.samples, errors.poses, True)
+    rows |= {
+        "Model": f"{p.mechanism}, effects: {', '.join(p.effects) or 'none'}; sha256 "
+        f"{p.model_sha256}",
+        "Data": f"{data.source}; {counts}; sha256 {data.sha256 or 'not known'}",
+        "Software": f"parallel_cal {p.version}",
+        "Date of this certificate": day(p.made),
+    }
+    decided = [sentence(one.description) for one in report.conformity] or [
+        "No limit of acceptance was stated: there is no decision."
+    ]
+    remarks = [] if any(fits_of(report.diagnosis.model, data)) else [NOT_IDENTIFIED_HERE]
+    signature = facts({"Calibrated by": "", "Approved by": ""})
+    note = paragraph(
+        "The errors are rms at held-out poses of the model without further effects. U is the "
+        "expanded uncertainty (k = 2). The decision follows ISO 14253-1: pass if error + U is "
+        "within the limit, fail if error - U is beyond it.",
+        "note",
+    )
+    return (
+        facts(rows)
+        + "<h3>Decision</h3>"
+        + items([*decided, *remarks])
+        + note
+        + f'<div class="signature">{signature}</div>'
+    )
 
 
 def provenance(report: Report) -> str:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
+from itertools import compress
 from typing import Any
 
 from parallel_cal.reporting.blocks import Block, Cell, Column, Number, Row, Table, as_cell
 from parallel_cal.reporting.readable import is_known, write_micro
 
+BLANK = ' class="blank"'
 SORTED = ' aria-sort="descending"'
 Plot = Callable[[Mapping[str, Any]], str]  # keeps a figure for the page, returns its place in it
 
@@ -31,13 +33,14 @@ def table(
 
 
 def _render_table(block: Table) -> str:
-    names = [write_micro(one.name) for one in block.headings()]
+    shown = [one.in_html for one in block.headings()]
+    names = [write_micro(one.name) for one in block.headings() if one.in_html]
     head = "".join(
         f'<th scope="col"{SORTED if name == block.sorted_by else ""}>{escape(name)}</th>'
         for name in names
     )
     body = "".join(
-        "<tr>" + "".join(map(_render_cell, map(as_cell, row), names)) + "</tr>"
+        "<tr>" + "".join(map(_render_cell, map(as_cell, compress(row, shown)), names)) + "</tr>"
         for row in block.rows
     )
     return (
@@ -63,6 +66,8 @@ def _render_cell(cell: Cell, label: str) -> str:
         else ""
     )
     text = escape(cell.on_page())
+    if isinstance(cell.content, Number) and cell.content.unit and is_known(cell.content.value):
+        text = f"{text} {escape(cell.content.unit)}"
     text = f'<a href="{escape(cell.link)}">{text}</a>' if cell.link else text
     return f'<td data-label="{escape(label)}"{key}{mark}>{text}{bar}{under}</td>'
 
@@ -109,7 +114,10 @@ def items(texts: Iterable[str]) -> str:
 
 
 def facts(rows: Mapping[str, str]) -> str:
-    listed = "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in rows.items())
+    """Make a list of names and values; an empty value is a line to write on."""
+    listed = "".join(
+        f"<dt>{escape(k)}</dt><dd{'' if v else BLANK}>{escape(v)}</dd>" for k, v in rows.items()
+    )
     return f'<dl class="facts">{listed}</dl>'
 
 

@@ -69,7 +69,10 @@ def budget(report: Report) -> str:
     if not report.budget:
         return paragraph("There is no error budget: no pose was measured.", "none")
     note = paragraph(sentence(budget_sentence(report.budget[0])), "note")
-    blocks: list[Block] = [*map(budget_table, report.budget), *map(iso_sentence, report.iso_9283)]
+    blocks: list[Block] = [
+        *map(budget_table, report.budget),
+        *map(sentence, map(iso_sentence, report.iso_9283)),
+    ]
     return note + as_html(blocks)
 
 

@@ -111,11 +111,23 @@ for (const title of document.querySelectorAll("section h2")) {
   contents.append(link);
 }
 
-// In print nothing is folded.
+// In print nothing is folded, and every figure is as wide as the paper.
+function fit(place) {
+  if (place.data) Plotly.relayout(place, { width: place.clientWidth, template: template() });
+  else draw(place);
+}
 window.addEventListener("beforeprint", () => {
+  document.documentElement.classList.add("printing");
   for (const part of document.querySelectorAll("details")) part.open = true;
   for (const panel of document.querySelectorAll("[role=tabpanel]")) panel.hidden = false;
-  for (const place of places) if (!place.data) draw(place);
+  for (const place of places) fit(place);
+});
+window.addEventListener("afterprint", () => {
+  document.documentElement.classList.remove("printing");
+  for (const list of document.querySelectorAll("[role=tablist]")) {
+    list.querySelector("[aria-selected=true]")?.click();
+  }
+  for (const place of places) if (place.data) Plotly.relayout(place, { width: null, autosize: true });
 });
 
 function sortBy(table, column, head) {

@@ -66,6 +66,15 @@ def with_sigma(value: float | None, sigma: float | None, factor: float = 1.0) ->
     return f"{shown} ± {uncertainty}"
 
 
+def format_judged_error(errors: Mapping[str, float | None], sigmas: Mapping[str, float]) -> str:
+    """Format the first known kind of error in a summary with its sigma: `32.2 ± 1.4 µm`."""
+    for kind, unit in ERROR_SI_UNITS.items():
+        if is_known(value := errors.get(f"{kind}_rms")):
+            name, factor = error_unit(unit)
+            return f"{with_sigma(value, sigmas.get(kind), factor)} {name}"
+    return MISSING
+
+
 def write_micro(text: str) -> str:
     """Write um as µm and +- as ±: messages and texts of blocks are ASCII, a page is not."""
     return re.sub(r"((?<=\d )|(?<=\[)|^)um\b", "µm", text.replace(" +- ", " ± "))

@@ -29,6 +29,7 @@ from parallel_cal.model.file.modelfile import model_hash
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting import contents
+from parallel_cal.reporting.certificate import CertificateFields, Conformity, decide
 from parallel_cal.reporting.versus import Versus
 
 if TYPE_CHECKING:
@@ -94,6 +95,8 @@ class Report:
     map: Mapping[str, Any]
     against: Versus | None
     provenance: Provenance
+    certificate: CertificateFields
+    conformity: tuple[Conformity, ...]
 
     def __repr__(self) -> str:
         return f"Report({self.diagnosis!r})"
@@ -111,6 +114,7 @@ def report(
     against: Model | None = None,
     effects: Iterable[str] = (),
     also: Iterable[str] = (),
+    certificate: CertificateFields | None = None,
     options: FitOptions | None = None,
     progress: Progress | None = None,
     **changes: Unpack[FitKeywords],
@@ -123,6 +127,8 @@ def report(
     dataset : Dataset
     against : Model, optional
         A second model, compared with the first on the same samples. Neither is fitted for this.
+    certificate : CertificateFields, optional
+        What the owner states on the certificate. Default: nothing.
     effects, also, options, progress, **changes
         As in `diagnose`.
 
@@ -153,13 +159,18 @@ def report(
         sigma = fitting.joint_sigma
         versus = Versus.of(compare(model, dataset, sigma), compare(against, dataset, sigma))
     stated = {**vars(fitting), "effects": tuple(effects), "also": tuple(also)}
-    return report_of(found, stated, versus)
+    return report_of(found, stated, versus, certificate)
 
 
 @single_threaded()
-def report_of(found: Diagnosis, options: Mapping[str, Any], versus: Versus | None = None) -> Report:
+def report_of(
+    found: Diagnosis,
+    options: Mapping[str, Any],
+    versus: Versus | None = None,
+    certificate: CertificateFields | None = None,
+) -> Report:
     """Make the report of a finished diagnosis."""
-    scene, best = found.base.scene, found.best.fitted
+    scene, best, stated = found.base.scene, found.best.fitted, certificate or CertificateFields()
     field, errors = Field.of(scene), contents.HeldOutErrors.of(found)
     return Report(
         diagnosis=found,
@@ -182,4 +193,6 @@ def report_of(found: Diagnosis, options: Mapping[str, Any], versus: Versus | Non
         map=contents.smooth_map(found.structure.map),
         against=versus,
         provenance=Provenance.of(found, options),
+        certificate=stated,
+        conformity=decide(stated, errors.now, errors.sigmas["now"]),
     )

@@ -156,8 +156,8 @@ def iso_sentence(figures: Iso9283) -> str:
     worst = number(figures.accuracy_max, factor)
     counts = describe_counts(figures.samples, figures.poses, figures.held_out)
     text = (
-        f"after ISO 9283, {figures.kind}: accuracy AP {mean} {unit}, worst {worst}, at {counts}; "
-        f"{again}; both include the noise of the device"
+        f"after ISO 9283, {figures.kind}: accuracy AP {mean} {unit}, worst {worst}, at {counts}, "
+        f"noise of the device included; {again}"
     )
     return text.replace("±", "+-")
 
@@ -219,7 +219,7 @@ def parameter_table(parameters: Mapping[str, DescribedParameter]) -> Table:
         "value",
         "from nominal",
         "sigma",
-        "unit",
+        Column("unit", in_html=False),
         Column("nominal", on_terminal=False),
         Column("description", on_terminal=False),
     )
@@ -228,7 +228,7 @@ def parameter_table(parameters: Mapping[str, DescribedParameter]) -> Table:
     for name, p in parameters.items():
         (unit, factor), moved = value_unit(p.unit), p.moved_tolerances
         value, change, sigma = (
-            Number(v, factor, 4, 6, p.sigma) for v in (p.value, p.value - p.nominal, p.sigma)
+            Number(v, factor, 4, 6, p.sigma, unit) for v in (p.value, p.value - p.nominal, p.sigma)
         )
         rows.append(
             (
@@ -238,7 +238,7 @@ def parameter_table(parameters: Mapping[str, DescribedParameter]) -> Table:
                 change,
                 sigma,
                 unit,
-                Number(p.nominal, factor, 4, 6),
+                Number(p.nominal, factor, 4, 6, unit=unit),
                 f"{p.words}, {_describe_fixing(p)}" if p.fixed else p.words,
             )
         )

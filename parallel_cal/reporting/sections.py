@@ -14,6 +14,7 @@ def body(report: Report, plot: Plot) -> str:
     parts = [
         overview.verdict(report),
         overview.numbers(report),
+        section("Certificate", identified.certificate(report), closed=True),
         section("History", overview.history(report, plot)),
         section("Error budget", overview.budget(report)),
         section("Residuals in space", failures.in_space(report, plot)),

@@ -39,7 +39,8 @@ class State(_Part):
     the step's start at the same samples, `noise` the noise floor: summaries, empty if unknown.
     `taken` is a file of samples recorded since the session began, `fitting` the options that differ
     from those of the session; both persist until changed, as `excluded` does. `verdict` is the word
-    of the diagnosis (empty: not diagnosed), `summary` its sentence.
+    of the diagnosis (empty: not diagnosed), `summary` its sentence. `sigmas` is by kind the
+    standard deviation of the rms in `errors`.
     """
 
     number: int
@@ -56,6 +57,7 @@ class State(_Part):
     verdict: str = ""
     summary: str = ""
     samples: int | None = None
+    sigmas: Mapping[str, float] = {}
 
     @property
     def verdict_text(self) -> str:

@@ -35,7 +35,7 @@ from parallel_cal.session.steps import Step, add, fitted, remove
 
 CHANGED = "the session changed in the meantime: look at it and try again"
 # The fields of a state that judge its model.
-JUDGED = ("before", "errors", "noise", "against", "verdict", "summary", "samples")
+JUDGED = ("before", "errors", "noise", "against", "verdict", "summary", "samples", "sigmas")
 
 
 class Session(History):
@@ -341,6 +341,7 @@ class Session(History):
             "noise": to_json_value(step.result.noise_floor.document()),
             "against": step.acceptance.against,
             "samples": step.result.samples,
+            "sigmas": step.result.rms_sigmas(step.result.held_out),
         }
         return self._append_state(words, step.model, **{**judged, **changes})
 

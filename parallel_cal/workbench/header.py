@@ -170,11 +170,12 @@ class VerdictCard:
                     ui.label(" · ".join(budget["parts"])).props("id=budget").tooltip(
                         budget["about"]
                     )
-            shown = (("counts", view.get("counts")), ("chi2", view.get("chi2")))
-            words = [(name, text) for name, text in shown if text]
-            words += [("iso", " · ".join(view["iso"]))] if view.get("iso") else []
-            for name, text in words:
-                ui.label(text).props(f"id={name}").classes("text-xs")
+            if words := " · ".join(filter(None, (view.get("counts"), view.get("chi2")))):
+                ui.label(words).props("id=counts").classes("text-xs")
+            if iso := view.get("iso"):
+                figures = ui.label(iso[0]).props("id=iso").classes("text-xs")
+                if iso[1:]:
+                    figures.tooltip(" · ".join(iso[1:]))
             if warnings := view.get("warnings"):
                 count = "1 warning" if len(warnings) == 1 else f"{len(warnings)} warnings"
                 with ui.expansion(count).props("dense id=warnings").classes("text-xs"):

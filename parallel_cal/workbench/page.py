@@ -11,7 +11,7 @@ from nicegui import run, ui
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.reporting.colours import MEASURED, PATTERN, QUIET
-from parallel_cal.reporting.readable import write_micro
+from parallel_cal.reporting.readable import format_judged_error, write_micro
 from parallel_cal.session.history import format_first_error
 from parallel_cal.workbench.bench import Bench, Live
 from parallel_cal.workbench.fixing import ask_where_to_fix
@@ -215,7 +215,7 @@ class Window:
                     "step": state.step,
                     "samples": state.samples,
                     "before": write_micro(format_first_error(state.before)),
-                    "after": write_micro(format_first_error(state.errors)),
+                    "after": format_judged_error(state.errors, state.sigmas),
                     "out": len(state.excluded),
                     "verdict": write_micro(state.verdict_text or state.against),
                 }
@@ -251,7 +251,7 @@ class Window:
                     {
                         "branch": k,
                         "step": s.step,
-                        "after": write_micro(format_first_error(s.errors)),
+                        "after": format_judged_error(s.errors, s.sigmas),
                         "out": len(s.excluded),
                     }
                     for k, s in session.compared().items()

@@ -65,12 +65,16 @@ def glance(session: Session) -> View | None:
         ("now", state.errors),
         ("noise floor", state.noise),
     )
+    sigmas = {"now": state.sigmas}
     summaries = [(name, Summary(**known)) for name, known in tiles if known]
     kinds = [k for k in ("position", "orientation", "reading") if summaries[0][1].rms(k)]
     return shown | {
         "verdict": {"colour": GREY, "words": f"{state.step}: running the diagnosis"},
         "tiles": to_json_value(
-            [results.make_tile(name, summary, kinds, {}) for name, summary in summaries]
+            [
+                results.make_tile(name, summary, kinds, {}, sigmas=sigmas.get(name))
+                for name, summary in summaries
+            ]
         ),
         "advice": [],
     }
@@ -264,9 +268,8 @@ def _budget(budget: Budget) -> View:
         if part.removed is not None
     ]
     total = f"{with_sigma(budget.total, budget.sigma, factor)} {unit}"
-    counts = results.describe_counts(budget.samples, budget.poses, budget.held_out)
     return {
-        "title": write_micro(f"error of the nominal model {total}, at {counts}; removed by"),
+        "title": write_micro(f"error of the nominal model {total}, removed by"),
         "parts": [write_micro(part) for part in parts],
         "about": write_micro(results.budget_sentence(budget)),
     }

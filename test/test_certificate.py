@@ -1,0 +1,174 @@
+"""The report as a certificate: fields, decision, and a PDF on A4."""
+
+import re
+import shutil
+
+import pytest
+
+import parallel_cal as pc
+from parallel_cal.base.errors import ModelFileError
+from parallel_cal.cli import main as cli
+from parallel_cal.identification.prediction_errors import Summary
+from parallel_cal.reporting.certificate import CertificateError, CertificateFields, decide
+from parallel_cal.reporting.page import page
+from parallel_cal.reporting.pdf import PdfError, find_browser
+from parallel_cal.reporting.report import report
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+MODEL, BAG = "config/delta_mockup_nominal.yaml", "bags/delta_backlash"
+FIELDS = """\
+serial_number: D-0042
+measured_on: 2026-11-23
+operator: B. Jones
+limit_um: 50
+"""
+
+
+@pytest.fixture
+def stated(tmp_path):
+    file = tmp_path / "fields.yaml"
+    file.write_text(FIELDS)
+    return file
+
+
+def test_fields_come_from_a_file_and_options_replace_them(stated):
+    found = CertificateFields.read(stated, ["operator=A. Smith = me", "limit_arcmin=0.5"])
+    assert found.serial_number == "D-0042"
+    assert found.measured_on == "2026-11-23"
+    assert found.operator == "A. Smith = me"
+    assert (found.limit_um, found.limit_arcmin) == (50.0, 0.5)
+    assert found.place == ""
+
+
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        ("serial_numer=1", "no field 'serial_numer'; did you mean 'serial_number'?"),
+        ("operator", "expected NAME=VALUE"),
+        ("limit_um=-3", "limit_um: expected a positive number in um, got '-3'"),
+        ("limit_um=wide", "limit_um: expected a positive number in um, got 'wide'"),
+    ],
+)
+def test_a_wrong_field_is_refused_with_its_name_and_what_was_expected(option, words):
+    with pytest.raises(CertificateError, match=re.escape(words)):
+        CertificateFields.read(None, [option])
+
+
+def test_a_file_that_is_no_list_of_fields_is_refused(tmp_path):
+    file = tmp_path / "f.yaml"
+    with pytest.raises(CertificateError, match="cannot be read: No such file"):
+        CertificateFields.read(file)
+    file.write_text("- 1")
+    with pytest.raises(CertificateError, match="expected lines 'FIELD: VALUE'"):
+        CertificateFields.read(file)
+    file.write_text("a: [")
+    with pytest.raises(ModelFileError, match="not YAML"):
+        CertificateFields.read(file)
+
+
+@pytest.mark.parametrize(
+    ("limit", "result"), [(36, "pass"), (35, "not decided"), (29, "not decided"), (28, "fail")]
+)
+def test_the_decision_needs_the_error_and_its_expanded_uncertainty(limit, result):
+    errors = Summary(position_rms=32e-6)
+    [found] = decide(CertificateFields(limit_um=limit), errors, {"position": 1.8e-6})
+    assert found.result == result
+    assert found.description.endswith(f"limit {limit} um: {result}")
+    assert "32.0 +- 3.6 um (U = 2 sigma)" in found.description
+
+
+def test_nothing_is_decided_about_an_error_that_is_not_known():
+    stated = CertificateFields(limit_um=50, limit_arcmin=1)
+    position, orientation = decide(stated, Summary(position_rms=1e-6), {})
+    assert (position.result, orientation.result) == ("not decided", "not decided")
+    assert orientation.description == "orientation error not known, limit 1 arcmin: not decided"
+
+
+@pytest.fixture(scope="module")
+def made():
+    model = pc.read_model(MODEL)
+    data = pc.load_dataset(BAG, joints=model.joints)
+    fields = CertificateFields(serial_number="<D-0042>", operator="A. Smith", limit_um=50)
+    return report(model, data, effects=["backlash"], certificate=fields)
+
+
+def part(text, name):
+    return text.split(f'<section id="{name}">')[1].split("</section>")[0]
+
+
+@pytest.mark.wide
+def test_the_certificate_shows_what_was_stated_and_leaves_the_rest_blank(made):
+    shown = part(page(made), "certificate")
+    assert "<dd>&lt;D-0042&gt;</dd>" in shown
+    assert '<dt>Place</dt><dd class="blank"></dd>' in shown
+    assert '<dt>Approved by</dt><dd class="blank"></dd>' in shown
+    assert made.provenance.model_sha256 in shown
+    assert "94 samples of 74 held-out poses" in shown
+    error, sigma = made.errors.now.position_rms, made.errors.sigmas["now"]["position"]
+    words = f"Position error {1e6 * error:.1f} ± {2e6 * sigma:.1f} µm (U = 2 sigma), limit 50 µm"
+    assert f"{words}: pass." in shown
+    assert "was not identified from these samples" in shown  # the nominal model
+    assert made.document()["conformity"][0]["result"] == "pass"
+
+
+@pytest.mark.wide
+def test_on_paper_nothing_is_folded_or_beyond_the_edge(made, tmp_path):
+    if CHROMIUM is None:
+        pytest.skip("chromium is not installed")
+    sync = pytest.importorskip("playwright.sync_api")
+    file = tmp_path / "r.html"
+    file.write_text(page(made), encoding="utf-8")
+    with sync.sync_playwright() as p:
+        drawn = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
+        browser = p.chromium.launch(executable_path=CHROMIUM, args=drawn)
+        window = browser.new_page(viewport={"width": 1280, "height": 900})
+        window.set_default_timeout(200e3)
+        window.goto(f"file://{file}")
+        window.evaluate("dispatchEvent(new Event('beforeprint'))")
+        window.emulate_media(media="print")
+        window.set_viewport_size({"width": 703, "height": 1000})  # A4 between its margins
+        assert window.evaluate("[...document.querySelectorAll('details')].every(d => d.open)")
+        assert window.evaluate("document.documentElement.scrollWidth") <= 703
+        widths = window.evaluate(
+            "[...document.querySelectorAll('.plot')].map(e => ["
+            "e.querySelector('.svg-container')?.getBoundingClientRect().width ?? 0, "
+            "e.getBoundingClientRect().width])"
+        )
+        assert len(widths) > 10
+        assert all(0 < figure <= place + 1 for figure, place in widths)
+        browser.close()
+
+
+def run(*arguments):
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["report", *map(str, arguments), "--effect", "backlash"])
+    return ended.value.code
+
+
+@pytest.mark.wide
+def test_the_command_prints_a_pdf_of_a4_pages(stated, tmp_path, capsys):
+    if CHROMIUM is None:
+        pytest.skip("chromium is not installed")
+    target = tmp_path / "r.pdf"
+    assert run(MODEL, BAG, "--pdf", target, "--certificate", stated) == 0
+    shown = capsys.readouterr().out
+    assert "limit 50 um: pass" in shown
+    assert shown.splitlines()[-1] == f"written: {target}"
+    content = target.read_bytes()
+    assert content.startswith(b"%PDF")
+    sizes = re.findall(rb"/MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", content)
+    assert 4 < len(sizes) < 40
+    assert {(round(float(w)), round(float(h))) for w, h in sizes} == {(595, 842)}
+
+
+def test_without_a_browser_no_diagnosis_begins(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(PdfError, match="Install chromium, or open the page"):
+        find_browser()
+    assert run("no.yaml", "no_bag", "--pdf", tmp_path / "r.pdf") == 1
+    assert "no browser that prints PDF" in capsys.readouterr().err
+
+
+def test_a_wrong_name_of_the_pdf_is_refused(tmp_path, capsys):
+    assert run("no.yaml", "no_bag", "--pdf", tmp_path / "r.txt") == 1
+    assert "expected a name that ends in .pdf" in capsys.readouterr().err
