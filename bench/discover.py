@@ -11,8 +11,9 @@ physics, not from the terms that the search knows (test/virtual_laws.py). The fa
 - `device`: errors of the measuring device, which the robot must not learn.
 
 With `--results` every outcome is kept as a line of a file; a case that stands there already is not
-run again. Usage: `PYTHONPATH=. python bench/discover.py [--draws N] [--first SEED] [--jobs N]
-[--scheduler ADDRESS] [--results FILE] [--minutes M] [FAMILY ...]`.
+run again. `--page` only writes the table of docs/discover.md from docs/discover_study.jsonl, to
+which such lines are added. Usage: `PYTHONPATH=. python bench/discover.py [--draws N] [--first SEED]
+[--jobs N] [--scheduler ADDRESS] [--results FILE] [--minutes M] [--page] [FAMILY ...]`.
 """
 
 from __future__ import annotations
@@ -43,6 +44,24 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import new_model
 from parallel_cal.session.steps import add
 
+ROOT = Path(__file__).resolve().parents[1]
+PAGE, STUDY = ROOT / "docs" / "discover.md", ROOT / "docs" / "discover_study.jsonl"
+START, END = "<!-- study: written by bench/discover.py --page -->", "<!-- end of study -->"
+SHOWN = {  # family -> its sessions in words, and what is counted in words
+    "catalogue": (
+        "an effect of the catalogue hidden, it and its lookalikes taken out",
+        {"place": "place right", "driver": "driver right", "as good": "true error at most 1.25 x"},
+    ),
+    "laws": (
+        "a law of no catalogue hidden",
+        {"place": "place right", "driver": "driver right", "worse": "true error above that before"},
+    ),
+    "null": ("white noise, no law", {"law": "a law found"}),
+    "noise": ("noise that is not as stated, no law", {"law": "a law found"}),
+    "outliers": ("outliers, no law", {"law": "a law found"}),
+    "payload": ("payload recorded late, no law", {"law": "a law found"}),
+    "device": ("an error of the device", {"learned": "learned by the robot"}),
+}
 MAX_ERROR_RATIO = 1.25  # of the true error with a found law to that with the true effect
 CLEARLY = 1.1  # of the true error before: its own uncertainty at 60 poses
 SIGMAS = (1.0, 2.0)  # of the residual that the geometry leaves of a law
@@ -231,15 +250,7 @@ def report(outcomes: list[Outcome]) -> None:
                 print(f"    seed {o.case.seed}: {o.verdict}; {', '.join(o.laws)} {o.error[:120]}")
     for family in dict.fromkeys(o.case.family for o in outcomes):
         some = [o for o in outcomes if o.case.family == family]
-        counts = {
-            "place": sum(o.place for o in some),
-            "driver": sum(o.driver for o in some),
-            "law": sum(bool(o.laws) for o in some),
-            "learned": sum(bool(o.of_robot) for o in some),
-            "worse": sum(o.worse for o in some),
-            "as good": sum(o.as_good for o in some),
-            "error": sum(bool(o.error) for o in some),
-        }
+        counts = count(some)
         told = [f"{name} {k} ({blind.interval(k, len(some))})" for name, k in counts.items()]
         seconds = np.mean([o.seconds for o in some])
         print(f"{family}, {len(some)}: {', '.join(told)}; {seconds:.1f} s a session")
@@ -247,6 +258,39 @@ def report(outcomes: list[Outcome]) -> None:
             share = counts[name] / len(some)
             reached = share >= goal if sign == ">=" else share <= goal
             print(f"    goal: {name} {sign} {goal:.0%}: {'reached' if reached else 'MISSED'}")
+
+
+def count(some: list[Outcome]) -> dict[str, int]:
+    return {
+        "place": sum(o.place for o in some),
+        "driver": sum(o.driver for o in some),
+        "law": sum(bool(o.laws) for o in some),
+        "learned": sum(bool(o.of_robot) for o in some),
+        "worse": sum(o.worse for o in some),
+        "as good": sum(o.as_good for o in some),
+        "error": sum(bool(o.error) for o in some),
+    }
+
+
+def make_table(outcomes: list[Outcome]) -> str:
+    """The table of the page: counts with their exact intervals, by family."""
+    rows = ["| sessions | what | count | share, 95 % interval |", "|---|---|--:|---|"]
+    for family, (sessions, counted) in SHOWN.items():
+        some = [o for o in outcomes if o.case.family == family]
+        counts = count(some)
+        for name, words in counted.items():
+            share = blind.interval(counts[name], len(some)) if some else "none yet"
+            shown = f"{counts[name]} of {len(some)}"
+            rows.append(f"| {sessions} | {words} | {shown} | {share.replace('..', ' to ')} |")
+    return "\n".join(rows)
+
+
+def write_page() -> None:
+    """Write the table into the page, from the kept outcomes."""
+    before, _, rest = PAGE.read_text().partition(START)
+    after = rest.partition(END)[2]
+    table = make_table(list(kept(STUDY).values()))
+    PAGE.write_text(f"{before}{START}\n\n{table}\n\n{END}{after}")
 
 
 def kept(file: Path | None) -> dict[Case, Outcome]:
@@ -277,7 +321,10 @@ def main() -> None:
     parser.add_argument("--results", type=Path)
     parser.add_argument("--minutes", type=float, default=math.inf)
     parser.add_argument("family", nargs="*")
+    parser.add_argument("--page", action="store_true", help="write the page from kept outcomes")
     given = parser.parse_args()
+    if given.page:
+        return write_page()
     all_of = families(given.draws, given.first)
     if unknown := [name for name in given.family if name not in all_of]:
         parser.error(f"{', '.join(unknown)}: expected some of {', '.join(all_of)}")

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -126,12 +127,27 @@ class Screening:
         self, scene: Scene, sites: Sequence[Site], drivers: Sequence[Driver], pairs: bool = True
     ) -> None:
         self._scene, self._sites, self._drivers, self._pairs = scene, sites, drivers, pairs
+        self._known: dict[tuple[Any, ...], np.ndarray] = {}  # bases, which sites share
         self._n = len(scene.x)
 
     def of_driver(self, driver: Driver) -> Screening:
         """The hypotheses of one driver alone, which may be that of each joint or rod."""
         own = [one for one in self._drivers if one.family == driver.family]
-        return Screening(self._scene, self._sites, own, pairs=False)
+        screening = Screening(self._scene, self._sites, own, pairs=False)
+        screening._known = self._known
+        return screening
+
+    def _splines(self, own: DriverSet, count: int) -> np.ndarray:
+        key = count, *(one.name for one in own)
+        if key not in self._known:
+            self._known[key] = basis.splines(own, count)
+        return self._known[key]
+
+    def _polynomials(self, own: DriverSet) -> np.ndarray:
+        key = "polynomials", *(one.name for one in own)
+        if key not in self._known:
+            self._known[key] = basis.polynomials(own)
+        return self._known[key]
 
     def score(self, targets: Targets) -> Iterator[Scored]:
         """Score all hypotheses, site by site."""
@@ -146,7 +162,7 @@ class Screening:
         """Iterate over hypotheses with their columns (members, hypotheses, N, k)."""
         sets = self._driver_sets(site)
         yield from _chunks(
-            ([Hypothesis(site, (own,))], basis.splines(own, SPLINES))
+            ([Hypothesis(site, (own,))], self._splines(own, SPLINES))
             for own in sets
             if site.kind != PLATFORM or own[0].family not in OF_DEVICE
         )
@@ -157,7 +173,10 @@ class Screening:
                 for one, other in combinations(told, 2)
                 if self._is_plausible_pair(site, one, other)
             )
-            yield from _chunks(([Hypothesis(site, pair)], basis.products(*pair)) for pair in pairs)
+            yield from _chunks(
+                ([Hypothesis(site, pair)], basis.products(*map(self._polynomials, pair)))
+                for pair in pairs
+            )
         if site.kind != JOINT:
             return
         turning = [own for own in sets if own[0].family in (READING, NEXT, PREVIOUS)]
@@ -169,7 +188,7 @@ class Screening:
                 and all(d.joint == p.joint for d, p in zip(own, site.members, strict=True))
             ]
             yield from _chunks(
-                ([Hypothesis(site, (own,))], basis.splines(own, FINE_SPLINES)) for own in own_joint
+                ([Hypothesis(site, (own,))], self._splines(own, FINE_SPLINES)) for own in own_joint
             )
         for own in turning:
             at = basis.frequencies(np.concatenate([one.values for one in own]))
