@@ -37,12 +37,13 @@ def splines(drivers: Sequence[Driver], count: int) -> np.ndarray:
     return out
 
 
-def products(one: Sequence[Driver], other: Sequence[Driver]) -> np.ndarray:
-    """Columns (members, N, k) of two drivers: products of Legendre polynomials of low order."""
-    a, b = (
-        _polynomials(np.array([driver.values for driver in own]), MAX_DEGREE)
-        for own in (one, other)
-    )
+def polynomials(drivers: Sequence[Driver]) -> np.ndarray:
+    """Legendre polynomials (members, N, MAX_DEGREE + 1) of one driver."""
+    return _polynomials(np.array([one.values for one in drivers]), MAX_DEGREE)
+
+
+def products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Columns (members, N, k) of two drivers: products of their `polynomials` of low order."""
     pairs = [
         a[:, :, i] * b[:, :, j]
         for i in range(MAX_DEGREE + 1)

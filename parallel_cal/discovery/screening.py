@@ -107,6 +107,7 @@ class Screening:
     def __init__(self, scene: Scene, sites: Sequence[Site], drivers: Sequence[Driver]):
         self._scene, self._sites, self._drivers = scene, sites, drivers
         self._n = len(scene.x)
+        self._known = _KnownBases()
 
     def score(self, targets: Targets) -> Iterator[Scored]:
         """Score all hypotheses, site by site."""
@@ -121,7 +122,7 @@ class Screening:
         """Iterate over hypotheses with their columns (members, hypotheses, N, k)."""
         sets = self._driver_sets(site)
         yield from _chunks(
-            ([Hypothesis(site, (own,))], basis.splines(own, SPLINES))
+            ([Hypothesis(site, (own,))], self._known.splines(own, SPLINES))
             for own in sets
             if site.kind != PLATFORM or own[0].family not in OF_DEVICE
         )
@@ -131,7 +132,9 @@ class Screening:
                 for one, other in combinations(sets, 2)
                 if self._is_plausible_pair(site, one, other)
             )
-            yield from _chunks(([Hypothesis(site, pair)], basis.products(*pair)) for pair in pairs)
+            yield from _chunks(
+                ([Hypothesis(site, pair)], self._known.products(*pair)) for pair in pairs
+            )
         if site.kind != JOINT:
             return
         turning = [own for own in sets if own[0].family in (READING, NEXT, PREVIOUS)]
@@ -143,7 +146,8 @@ class Screening:
                 and all(d.joint == p.joint for d, p in zip(own, site.members, strict=True))
             ]
             yield from _chunks(
-                ([Hypothesis(site, (own,))], basis.splines(own, FINE_SPLINES)) for own in own_joint
+                ([Hypothesis(site, (own,))], self._known.splines(own, FINE_SPLINES))
+                for own in own_joint
             )
         for own in turning:
             at = basis.frequencies(np.concatenate([one.values for one in own]))
@@ -194,6 +198,36 @@ class Screening:
             for own in (one, other)
             for d in own
         )
+
+
+class _KnownBases:
+    """Bases of the drivers, each computed once: many sites share a driver, and each search scores
+    all sites."""
+
+    def __init__(self) -> None:
+        self._splines = dict[tuple[int, ...], np.ndarray]()
+        self._polynomials = dict[tuple[int, ...], np.ndarray]()
+        self._values = dict[int, np.ndarray]()  # keeps alive what the keys identify
+
+    def splines(self, own: DriverSet, count: int) -> np.ndarray:
+        key = (count, *self._identify(own))
+        if key not in self._splines:
+            self._splines[key] = basis.splines(own, count)
+        return self._splines[key]
+
+    def products(self, one: DriverSet, other: DriverSet) -> np.ndarray:
+        return basis.products(self._get_polynomials(one), self._get_polynomials(other))
+
+    def _get_polynomials(self, own: DriverSet) -> np.ndarray:
+        key = self._identify(own)
+        if key not in self._polynomials:
+            self._polynomials[key] = basis.polynomials(own)
+        return self._polynomials[key]
+
+    def _identify(self, own: DriverSet) -> tuple[int, ...]:
+        """The arrays of values by identity: comparing their contents takes as long as a basis."""
+        self._values |= {id(one.values): one.values for one in own}
+        return tuple(id(one.values) for one in own)
 
 
 def _chunks(
