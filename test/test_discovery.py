@@ -300,6 +300,36 @@ def test_the_text_of_an_effect_is_loaded_without_a_file_under_a_name_of_its_own(
 # ------------------------------------------------------------------------------ parts of the search
 
 
+def test_a_basis_that_several_sites_share_is_computed_once_and_scores_are_equal_to_the_last_bit(
+    monkeypatch,
+):
+    from parallel_cal.discovery import basis
+
+    data = findings.clean(0).select(np.arange(40))
+    fitted = fit(new_model("delta54"), data, hold_out=0)
+    scene = Scene.of(fitted.model, fitted.dataset, fitted.observations, fitted.free)
+    drivers = [one for one in list_drivers(scene) if one.name in ("joint1", "joint2", "time")]
+    sites = [Site(place.name, (place,)) for place in list_places(scene)[:4]]
+    screening = Screening(scene, sites, drivers)
+    targets = Targets.of(scene, scene.residual[:, None], np.zeros((len(scene.residual), 0)))
+    computed, compute = [], basis.splines
+
+    def count(own, columns):
+        computed.append(own)
+        return compute(own, columns)
+
+    monkeypatch.setattr(basis, "splines", count)
+    first = [part.evidence for part in screening.score(targets)]
+    assert 0 < len(computed) <= 2 * len(drivers)  # coarse ones, and fine ones of a joint's reading
+    once = len(computed)
+    again = [part.evidence for part in screening.score(targets)]
+    assert len(computed) == once
+    afresh = [part.evidence for part in Screening(scene, sites, drivers).score(targets)]
+    for one, other, another in zip(first, again, afresh, strict=True):
+        assert np.array_equal(one, other)
+        assert np.array_equal(one, another)
+
+
 @pytest.fixture(scope="module")
 def scene():
     """A fitted Delta without any law."""

@@ -38,12 +38,12 @@ def splines(drivers: Sequence[Driver], count: int) -> np.ndarray:
 
 
 def polynomials(drivers: Sequence[Driver]) -> np.ndarray:
-    """Legendre polynomials of low order (members, N, k) of one driver."""
+    """Legendre polynomials (members, N, MAX_DEGREE + 1) of one driver."""
     return _polynomials(np.array([one.values for one in drivers]), MAX_DEGREE)
 
 
 def products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Columns (members, N, k) of two drivers: products of their polynomials."""
+    """Columns (members, N, k) of two drivers: products of their `polynomials` of low order."""
     pairs = [
         a[:, :, i] * b[:, :, j]
         for i in range(MAX_DEGREE + 1)

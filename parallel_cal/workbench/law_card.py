@@ -11,8 +11,9 @@ from parallel_cal.workbench.bench import Bench
 from parallel_cal.workbench.widgets import card, draw_figure, table
 
 OFFER = (
-    "No effect of the catalogue describes this error well. The search finds where the error enters "
-    "and on what it depends, without the catalogue. It takes about as long as ten diagnoses."
+    "The effects of the catalogue do not describe this error completely. The search finds where "
+    "the error enters and on what it depends, without the catalogue. It takes about as long as a "
+    "diagnosis."
 )
 
 
@@ -38,7 +39,7 @@ def draw_law_card(bench: Bench, view: dict[str, Any]) -> None:
             every = "+".join(one["name"] for one in found["effects"])
             _draw_addition(bench, "Add all laws", every, "")
         for advice in found["advice"]:
-            ui.label(f"To tell equally good laws apart: {advice}").classes("text-sm")
+            ui.label(f"Measure next: {advice}").classes("text-sm")
 
 
 def _draw_addition(bench: Bench, title: str, effects: str, remark: str) -> None:
