@@ -201,3 +201,37 @@ def test_joined_samples_in_a_file_keep_the_hash_of_each_recording(tmp_path):
     both = joined(FIRST, SECOND)
     both.to_json(tmp_path / "both.json")
     assert Dataset.from_json(tmp_path / "both.json").recordings == ("0" * 64, "1" * 64)
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize(
+    ("later", "zeros", "words"),
+    [
+        (
+            replace(FIRST, shift=SECOND.shift, turned=SECOND.turned),
+            0.0,
+            "likeliest, the device, or the base under the robot, moved (rms error 0.03",
+        ),
+        (
+            FIRST,
+            np.array([20e-3, 15e-3, -20e-3, 30e-3, 10e-3, 0.0]),
+            "likeliest, the zeros of the joints changed (rms error 0.03",
+        ),
+        (SECOND, 0.0, "likeliest, device and target moved (rms error 0.03"),
+    ],
+    ids=["device", "zeros", "both"],
+)
+def test_what_moved_between_recordings_is_ranked_by_the_error_that_each_explanation_leaves(
+    later, zeros, words
+):
+    first, second = recorded(FIRST, 0), recorded(later, 1)
+    model = fitted(nominal("ur5"), first).model
+    second = replace(second, q=second.q - zeros)
+    shown = compare(model, second)
+    assert words in shown.registration.description
+    [station] = [
+        w
+        for w in compare(model, join_datasets([first, second])).dataset.warnings
+        if "has a station of its own" in w
+    ]
+    assert words in station
