@@ -1,6 +1,7 @@
 """Identification judged by unseen poses, by chi2 and by the spread of repeated runs."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.identification.checks import WrongSignError
 from parallel_cal.identification.estimate import NormalEquations
 from parallel_cal.identification.fit import fit
-from parallel_cal.identification.fit_warnings import chi2_band
+from parallel_cal.identification.fit_warnings import chi2_band, list_parameter_warnings
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.methods.implicit import estimate
 from parallel_cal.identification.observations import observe
@@ -360,12 +361,28 @@ def test_an_effect_larger_than_usual_is_what_the_data_show():
     assert any(name.startswith("device_axes.scale_") for name in found.unusual)
 
 
+def test_a_parameter_that_moved_far_is_named_with_its_sigma():
+    """So that a reader knows whether the data or the noise moved it."""
+    model = new_model("delta54")
+    far = np.where(np.array(model.table.names) == "chain1.La_x", 6.0, 0.0)
+    moved = model.with_values(model.table.nominal + far * model.table.tolerance)
+    spectrum = SimpleNamespace(unidentifiable=())
+    for share, words in (
+        (0.5, "chain1.La_x moved +6.0 tolerances from nominal (sigma 0.5 tolerances)"),
+        (np.inf, "chain1.La_x moved +6.0 tolerances from nominal, but the data do not determine"),
+    ):
+        result = SimpleNamespace(sigma=share * model.table.tolerance, spectrum=spectrum)
+        [shown] = list_parameter_warnings(moved, result, far > 0)
+        assert shown.startswith(words)
+
+
 def test_a_sign_that_physics_forbids_is_refused():
     wrong = measured(7, effects=[vr.Backlash((-3e-3, -2e-3, -2.5e-3))])
     with pytest.raises(
         WrongSignError,
         match=r"^backlash.joint\d.width would have to be -0.00\d+ rad, but its physics allows no "
-        r"negative value: check the directions that the model file states \(gravity, joints\)$",
+        r"negative value: check the recorded direction and travel of the joints \(their sign, the "
+        r"order of the visits\), and whether the encoders sit behind the gears$",
     ):
         fit(new_model("delta54").with_effect("backlash"), wrong, hold_out=0)
 

@@ -16,6 +16,7 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.identification.stations import LATER_RECORDINGS, has_stations
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.model import new_model
+from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import join_datasets
 from parallel_cal.session.steps import add, fitted
 
@@ -163,3 +164,74 @@ def test_too_many_stations_are_refused_with_their_number():
     ]
     with pytest.raises(FitError, match="recording 5 has a station of its own; expected at most 4"):
         compare(nominal("ur5"), joined(*trackers, n=12))
+
+
+def error_of_truth(model):
+    """Rms error (m) at fresh poses, as a tracker without noise sees them."""
+    fresh = seen(va.session(va.arm("ur5", 1), 60, 9, FIRST.exact()), False, "tracker0")
+    return rms(compare(model, fresh, joint_sigma=1e-5).errors)
+
+
+@pytest.mark.wide
+def test_a_fitted_model_is_fitted_again_with_a_further_recording():
+    """The model knows the first recording: at its held-out poses, its own error is in-sample."""
+    both = joined(FIRST, SECOND)
+    first = fitted(nominal("ur5"), recorded(FIRST, 0)).model
+    again = fitted(first, both)
+    assert not again.acceptance.against
+    assert again.acceptance.before.position_rms > again.acceptance.after.position_rms
+    assert error_of_truth(again.model) < error_of_truth(first)
+    assert again.model.history[-1]["dataset"]["recordings"] == [seed * 64 for seed in "01"]
+    with pytest.raises(FitError, match="was fitted to these samples before"):
+        fitted(again.model, both)
+
+
+@pytest.mark.wide
+def test_fewer_poses_of_a_second_station_that_make_no_better_model_are_refused_with_the_cure():
+    first = fitted(nominal("ur5"), recorded(FIRST, 0)).model
+    with pytest.raises(
+        FitError,
+        match="identified from tracker0, and only its frames were fitted to these samples: keep "
+        "it, or fit all recordings together",
+    ):
+        fitted(first, recorded(SECOND, 1))
+
+
+def test_joined_samples_in_a_file_keep_the_hash_of_each_recording(tmp_path):
+    both = joined(FIRST, SECOND)
+    both.to_json(tmp_path / "both.json")
+    assert Dataset.from_json(tmp_path / "both.json").recordings == ("0" * 64, "1" * 64)
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize(
+    ("later", "zeros", "words"),
+    [
+        (
+            replace(FIRST, shift=SECOND.shift, turned=SECOND.turned),
+            0.0,
+            "likeliest, the device, or the base under the robot, moved (rms error 0.03",
+        ),
+        (
+            FIRST,
+            np.array([20e-3, 15e-3, -20e-3, 30e-3, 10e-3, 0.0]),
+            "likeliest, the zeros of the joints changed (rms error 0.03",
+        ),
+        (SECOND, 0.0, "likeliest, device and target moved (rms error 0.03"),
+    ],
+    ids=["device", "zeros", "both"],
+)
+def test_what_moved_between_recordings_is_ranked_by_the_error_that_each_explanation_leaves(
+    later, zeros, words
+):
+    first, second = recorded(FIRST, 0), recorded(later, 1)
+    model = fitted(nominal("ur5"), first).model
+    second = replace(second, q=second.q - zeros)
+    shown = compare(model, second)
+    assert words in shown.registration.description
+    [station] = [
+        w
+        for w in compare(model, join_datasets([first, second])).dataset.warnings
+        if "has a station of its own" in w
+    ]
+    assert words in station

@@ -13,6 +13,7 @@ import numpy as np
 
 from parallel_cal.base.units import ERROR_UNITS
 from parallel_cal.identification.fit import FitResult
+from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.observations import blocks
 from parallel_cal.identification.prediction_errors import Errors, Summary, held_out_ratio
 
@@ -77,13 +78,33 @@ def acceptance(
     falls = ratio is not None and ratio < 1
     verb = "falls by no more than its own uncertainty" if falls else "does not fall"
     factor = "" if ratio is None else f"; factor {ratio:.3f}"
-    known_already = f"; {IN_SAMPLE}" if old is None and new.given.fits_of_these_samples else ""
+    advice = _advise(new.given) if old is None else ""
     return Acceptance(
         then,
         now,
         True,
         f"the error at held-out poses {'rises' if rise else verb}{change} "
-        f"({format_errors(now, then)}{factor}){known_already}",
+        f"({format_errors(now, then)}{factor}){advice}",
+    )
+
+
+def _advise(given: GivenModel) -> str:
+    """Say what the earlier fits of a given model mean for a comparison with it, and what to do."""
+    if given.fits_of_these_samples:
+        return f"; {IN_SAMPLE}"
+    earlier = dict.fromkeys(str(entry["dataset"].get("source")) for entry in given.earlier_fits)
+    if not earlier:
+        return ""
+    sources = ", ".join(earlier)
+    if given.known_samples.any():
+        return (
+            f"; the given model was identified from {sources} before, and for the error at "
+            "held-out poses it was identified again from its recordings without these poses"
+        )
+    frames = ", and only its frames were fitted to these samples" if given.is_registered else ""
+    return (
+        f"; the given model was identified from {sources}{frames}: keep it, or fit all recordings "
+        "together"
     )
 
 

@@ -126,7 +126,7 @@ def check_plausible(
             side = "negative" if value < p.nominal else "positive"
             raise WrongSignError(
                 f"{p.name} would have to be {_show(p, value)}, but its physics allows no {side} "
-                "value: check the directions that the model file states (gravity, joints)"
+                f"value: {_advise_on_sign(model, p)}"
             )
         tolerances[p.name] = 1.2 * p.tolerance * (value - p.nominal) / (bound - p.nominal)
         unusual[p.name] = UnusualSize.of(p, value)
@@ -163,6 +163,18 @@ def check_joint_errors(model: Model, found: Errors) -> None:
                 "check the readings' units, the order of the joints and the mechanism; nothing was "
                 "identified"
             )
+
+
+def _advise_on_sign(model: Model, p: Parameter) -> str:
+    """Say which sign convention to check: the approach of the joints if the effect depends on it,
+    else what the model file states."""
+    needs = {name for e in model.effects if p.name.startswith(f"{e.name}.") for name in e.needs}
+    if not needs & {"direction", "travel"}:
+        return "check the directions that the model file states (gravity, joints)"
+    return (
+        "check the recorded direction and travel of the joints (their sign, the order of the "
+        "visits), and whether the encoders sit behind the gears"
+    )
 
 
 def _describe_absurd_parameter(p: Parameter, value: float, chi2_per_dof: float) -> str:

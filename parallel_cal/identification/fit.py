@@ -196,12 +196,15 @@ class FitResult(ShownInNotebook):
 
         1. The frame of a device is estimated from the other poses.
         2. If the given model was fitted to these samples before, its parameters are identified
-           again without the held-out poses.
+           again without the held-out poses. If it was fitted to some of the recordings, only these
+           are used for it.
         """
         if self.given.known_held_out is not None:
             found = self.given.known_held_out
         elif self.given.fits_of_these_samples:
             found = self._refitted_without_held_out()
+        elif self.given.known_samples.any():
+            found = self._refitted_from_known_samples()
         else:
             found = self.given.errors_at_held_out(_folds(self.dataset, self.options))
         return found.only_at(self.held_out.judged)
@@ -215,7 +218,7 @@ class FitResult(ShownInNotebook):
         """
         start, last = self.given.model, self.given.fits_of_these_samples[-1]
         own, here = _names(start, ~np.asarray(start.fixed)), _names(self.model, self.free)
-        how = {"method": last.get("method", "implicit"), "loss": last.get("loss", "linear")}
+        how = _method_of(last)
         same = all(getattr(self.options, key) == value for key, value in how.items())
         if same and here <= own and start.table.names == self.model.table.names:
             return self.held_out
@@ -276,6 +279,31 @@ class FitResult(ShownInNotebook):
             return given.errors
         folds = _folds(self.dataset, self.options)
         return given.errors_at_held_out(folds).only_at(self.held_out.judged)
+
+    def _refitted_from_known_samples(self) -> Errors:
+        """Validation errors of a given model that was fitted to some of these recordings before.
+
+        In each fold its parameters are identified again from those of their samples that are not
+        held out. Where the device stands is no property of the robot: it is estimated from all
+        samples that are not held out. NaN if they cannot be identified.
+        """
+        start, known = self.given.model, self.given.known_samples
+        last = self.given.earlier_fits[-1]
+        how = replace(
+            self.options, **_method_of(last), free=(), fix=(), refit=(), insist=True, hold_out=0
+        )
+        parts = self.before.blank().parts()
+        for train, test in _folds(self.dataset, self.options):
+            kept = self.dataset.select(train[known[train]])
+            try:
+                again = fit_registered(start, kept, how).model
+            except FitError:
+                continue
+            placed = registered_by(again, self.given.observations.select(train)) or again
+            unseen = errors(placed, self.given.observations.select(test))
+            for name, array in unseen.parts().items():
+                parts[name][test] = array
+        return Errors(**parts)
 
     @cached_property
     def budgets(self) -> tuple[Budget, ...]:
@@ -629,6 +657,11 @@ def _loosen_contradicted_tolerances(
 
 def _folds(dataset: Dataset, options: FitOptions) -> Folds:
     return dataset.folds(options.hold_out, options.seed) if options.hold_out > 0 else []
+
+
+def _method_of(step: Mapping[str, Any]) -> dict[str, Any]:
+    """The method and the loss of a step in a model's history."""
+    return {"method": step.get("method", "implicit"), "loss": step.get("loss", "linear")}
 
 
 def _names(model: Model, mask: np.ndarray) -> set[str]:

@@ -33,8 +33,9 @@ def list_parameter_warnings(model: Model, estimate: Estimate, free: np.ndarray) 
     """List parameters that moved far, and combinations that the data do not determine."""
     table = model.table
     moved = (model.values - table.nominal) / table.tolerance
+    sigma = estimate.sigma / table.tolerance
     words = [
-        f"{p.name} moved {moved[i]:+.1f} tolerances from nominal"
+        f"{p.name} moved {moved[i]:+.1f} tolerances from nominal{_describe_sigma(sigma[i])}"
         for i, p in enumerate(table)
         if free[i] and abs(moved[i]) > MAX_MOVED_TOLERANCES
     ]
@@ -52,6 +53,13 @@ def list_parameter_warnings(model: Model, estimate: Estimate, free: np.ndarray) 
             f"the data do not determine {direction_in_words(c, table)}" for c in unidentifiable
         ]
     return words
+
+
+def _describe_sigma(tolerances: float) -> str:
+    """The sigma of a parameter in its tolerances; the data may not determine it."""
+    if not np.isfinite(tolerances):
+        return ", but the data do not determine it"
+    return f" (sigma {tolerances:.2g} tolerances)"
 
 
 def on_priors(model: Model, estimate: Estimate) -> list[str]:

@@ -124,11 +124,33 @@ class GivenModel:
         """Steps of the model's history that used these samples: its error at them is in-sample."""
         return tuple(fits_of(self.unregistered, self.dataset))
 
+    @cached_property
+    def known_samples(self) -> np.ndarray:
+        """Mask (N,) of the samples of recordings that the model was fitted to before."""
+        if self.fits_of_these_samples:
+            return np.ones(len(self.dataset), dtype=bool)
+        used = {sha256 for entry in self.unregistered.history for sha256 in _recordings_of(entry)}
+        session = self.dataset.conditions.get("session", np.zeros(len(self.dataset)))
+        known = [k for k, sha256 in enumerate(self.dataset.recordings) if sha256 in used]
+        return np.isin(session, known)
+
+    @property
+    def earlier_fits(self) -> tuple[Mapping[str, Any], ...]:
+        """Steps of the model's history that used other samples too, or only other samples."""
+        mine = self.fits_of_these_samples
+        return tuple(e for e in self.unregistered.history if _recordings_of(e) and e not in mine)
+
 
 def fits_of(model: Model, dataset: Dataset) -> Iterator[Mapping[str, Any]]:
     """Steps of a model's history that used these samples, recognised by their sha256."""
     for entry in model.history:
-        data = entry.get("dataset")
-        sha256 = data.get("sha256") if isinstance(data, Mapping) else None
-        if sha256 and sha256 == dataset.sha256:
+        if dataset.sha256 and dataset.sha256 in _recordings_of(entry):
             yield entry
+
+
+def _recordings_of(entry: Mapping[str, Any]) -> tuple[str, ...]:
+    """The sha256 of the samples of a step, and of each of its recordings if they were several."""
+    data = entry.get("dataset")
+    if not isinstance(data, Mapping) or not data.get("sha256"):
+        return ()
+    return (data["sha256"], *data.get("recordings", ()))

@@ -23,6 +23,7 @@ from parallel_cal.base.rotation import (
 from parallel_cal.identification.checks import free_mask
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.methods import implicit
+from parallel_cal.identification.moves import describe_what_moved
 from parallel_cal.identification.observability import find_independent_columns
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.options import FitOptions
@@ -53,10 +54,6 @@ FRAME_PARAMETERS = ("device_frame.frame.", "device_frame.target.")
 # Of the effect that describes a station for each of several recordings
 STATION_EFFECT = "parallel_cal.identification.stations"
 TARGET_EFFECT = "target_offset"  # an effect that states where the target sits
-WHAT_MOVED = (
-    "if nobody moved the device, the base moved, or the zeros of the joints changed, which looks "
-    "alike: measure three fixed points of the base in every recording to tell these apart"
-)
 STEPS = 60
 UNKNOWN_FRAME_TOLERANCES = 1e3  # sigma of a frame's parameter of which nothing is known
 TOLERANCE_SAMPLE_SIZE = 24  # poses for the median error that tolerances explain
@@ -150,7 +147,10 @@ def register_device(
     placed = _with_fitted_frames(model, observations, there, found)
     why = "the poses are in another frame" if elsewhere else "the poses did not fit without it"
     if not elsewhere and is_identified(model):
-        why += f"; {there.now.describe_move(found)} from where the model has it; {WHAT_MOVED}"
+        why += (
+            f"; {there.now.describe_move(found)} from where the model has it; "
+            f"{describe_what_moved(model, observations, there)}"
+        )
     told = there.tilts or not (there.turns and there.placed.any())
     return placed, _registration(placed, frame, why, told)
 
@@ -284,10 +284,10 @@ class DevicePoses:
         """The frames that minimise the distance of measured and predicted poses; the last step
         ignores the worst tenth."""
         everything = np.ones(len(self.r), dtype=bool)
-        ends = [self._descend(start, everything) for start in self._starts()]
+        ends = [self.descend(start, everything) for start in self._starts()]
         best = min(ends, key=lambda end: float(np.median(self._sizes(end))))
         sizes = self._sizes(best)
-        return self._descend(best, sizes <= OUTLIER_DISTANCE_RATIO * np.median(sizes[self._used]))
+        return self.descend(best, sizes <= OUTLIER_DISTANCE_RATIO * np.median(sizes[self._used]))
 
     @property
     def determines_target(self) -> bool:
@@ -340,6 +340,34 @@ class DevicePoses:
         near = sizes <= OUTLIER_DISTANCE_RATIO * np.median(sizes[self._used])
         return np.flatnonzero(near & self._used)
 
+    def start_of_device(self) -> Frames:
+        """The frame of the device that fits the positions best, or else the orientations, if the
+        target sits where the model has it."""
+        now, near = self.now, self.now
+        if self.placed.sum() >= 3:
+            near = self._from_positions(now.t)
+        elif self.turned.any():
+            ours, seen = self.R[self.turned] @ now.T, self.seen_R[self.turned]
+            near = replace(now, F=nearest_rotation((ours @ seen.transpose(0, 2, 1)).sum(axis=0)))
+        return replace(near, t=now.t, T=now.T)
+
+    def count_free(self, frames: Frames, free: Array) -> int:
+        """How many of the coordinates that are `free` the poses determine."""
+        return int(np.linalg.matrix_rank((self._jacobian(frames) * free).reshape(-1, 12)))
+
+    def compute_errors(self, frames: Frames) -> Array:
+        """Errors of what was measured (rows,): positions (m), and orientations times length."""
+        seen = np.stack([self.placed, self.turned], axis=1)
+        return np.asarray(self._residual(frames).reshape(-1, 2, 3)[seen].ravel())
+
+    def compute_rms(self, frames: Frames) -> float:
+        """Rms error of the positions (m), or of the orientations (rad) if no position was
+        measured."""
+        errors = self._residual(frames)
+        kept = errors[self.placed, :3] if self.placed.any() else errors[self.turned, 3:]
+        scale = 1.0 if self.placed.any() else self.length
+        return float(np.sqrt(np.mean(np.sum(kept**2, axis=1)))) / scale
+
     @property
     def _target_is_free(self) -> bool:
         return self.tilts and not self.target_known
@@ -378,11 +406,13 @@ class DevicePoses:
         turn = np.where(self.turned[:, None], self.length * turn, 0.0)
         return np.nan_to_num(np.hstack([place, turn]))
 
-    def _descend(self, frames: Frames, used: Array) -> Frames:
-        """Gauss-Newton over the frames; directions that no pose determines stay unchanged."""
+    def descend(self, frames: Frames, used: Array, free: Array | None = None) -> Frames:
+        """Gauss-Newton over the frames, or over those of their 12 coordinates that are `free`;
+        directions that no pose determines stay unchanged."""
         for _ in range(STEPS):
             residual = self._residual(frames)[used].ravel()
             J = self._jacobian(frames)[used].reshape(len(residual), 12)
+            J = J if free is None else J * free
             step = -np.linalg.lstsq(J, residual, rcond=LSTSQ_RANK_TOLERANCE)[0]
             frames = frames.moved(np.clip(step, -1, 1))
             if np.abs(step).max() < NEWTON_STEP:

@@ -18,10 +18,10 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import cayley
+from parallel_cal.identification.moves import describe_what_moved
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.registration import (
     STATION_EFFECT,
-    WHAT_MOVED,
     DevicePoses,
     Frames,
     is_identified,
@@ -86,12 +86,14 @@ class Station:
     """The frames of one recording by itself, and those of the first recording.
 
     `tilts` is whether the poses determine the target, `turned` whether orientations were measured.
+    `what_moved` says what is likeliest to have moved.
     """
 
     first: Frames
     own: Frames
     tilts: bool
     turned: bool
+    what_moved: str
 
     def is_free(self, axis: str) -> bool:
         """Whether the samples determine a coordinate of the target."""
@@ -126,8 +128,8 @@ class Station:
         """`recording 2 has a station of its own: its device stands 812.3 mm and 12.30 deg ...`"""
         return (
             f"recording {k + 1} has a station of its own: {self.first.describe_move(self.own)} "
-            f"from where recording 1 has it; each recording was registered by itself, and "
-            f"{WHAT_MOVED}"
+            f"from where recording 1 has it. Each recording was registered by itself; "
+            f"{self.what_moved}"
         )
 
 
@@ -196,14 +198,16 @@ def _find_stations(
     session = dataset.conditions["session"]
     stations, first = dict[int, Station](), None
     for k in np.unique(session).astype(int):
-        there = DevicePoses.of(model, observations.select(np.flatnonzero(session == k)))
+        own_samples = observations.select(np.flatnonzero(session == k))
+        there = DevicePoses.of(model, own_samples)
         if there is None or there.poses < MIN_REGISTRATION_POSES:
             return None
         first = first or there.frames()
         relative = replace(there, now=first)
         own = relative.frames()
         if relative.is_displaced(own, is_identified(model)):
-            stations[k] = Station(first, own, there.tilts, bool(there.turned.any()))
+            words = describe_what_moved(model, own_samples, relative)
+            stations[k] = Station(first, own, there.tilts, bool(there.turned.any()), words)
     return stations
 
 

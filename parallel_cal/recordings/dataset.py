@@ -81,6 +81,8 @@ class Dataset:
     warnings : tuple of str
     source, sha256, frame : str
         The recording, the hash of its data files, and the frame of the poses.
+    recordings : tuple of str
+        The hash of each recording, in the order of the condition `session`, if there are several.
     configuration : dict of float
         Numbers with which a controller or an importer computed the joint readings, rad or m:
         parameters of the mechanism by name, and `JOINT.end_stop`. Empty if they were measured.
@@ -109,6 +111,7 @@ class Dataset:
     frame: str = ""
     joint_units: tuple[str, ...] | None = None
     configuration: dict[str, float] = dataclasses.field(default_factory=dict)
+    recordings: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         kinds = sorted({name.partition(".")[0] for name in self.conditions})

@@ -80,8 +80,13 @@ def join_datasets(
         source=", ".join(dict.fromkeys(d.source for d in parts)),
     )
     hashes = [d.sha256 for d in parts]
-    of_hashes = hashlib.sha256("".join(hashes).encode()).hexdigest()
-    return dataclasses.replace(together, sha256=of_hashes if all(hashes) else fingerprint(together))
+    if not all(hashes):
+        return dataclasses.replace(together, sha256=fingerprint(together), recordings=())
+    return dataclasses.replace(
+        together,
+        sha256=hashlib.sha256("".join(hashes).encode()).hexdigest(),
+        recordings=tuple(hashes) if starts is None else (),
+    )
 
 
 def fingerprint(dataset: Dataset) -> str:

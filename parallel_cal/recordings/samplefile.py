@@ -33,7 +33,7 @@ PER_SAMPLE = (
 )
 MAX_SAMPLE_FILE_BYTES = 512 * MEGABYTE  # a million samples
 NULLABLE_FIELDS = ("pose_cov", "scatter_q", "scatter_pose")  # null if the device does not state it
-OPTIONAL_FIELDS = ("joint_units",)
+OPTIONAL_FIELDS = ("joint_units", "recordings")
 MAX_ORTHOGONALITY_ERROR = 1e-6  # largest difference of an entry of R R^T from the identity
 
 
