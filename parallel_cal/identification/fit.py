@@ -338,7 +338,11 @@ class FitResult(ShownInNotebook):
         return {
             "method": self.options.method,
             "samples": self.samples,
-            "dataset": {"source": self.dataset.source, "sha256": self.dataset.sha256},
+            "dataset": {
+                "source": self.dataset.source,
+                "sha256": self.dataset.sha256,
+                **({"recordings": list(several)} if (several := self.dataset.recordings) else {}),
+            },
             "region": self.region.document(),
             "before": self.before.summary.document(),
             "after": self.after.summary.document(),
