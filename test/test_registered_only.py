@@ -73,7 +73,7 @@ def test_the_error_budget_begins_with_the_registered_model():
     data = seen(va.session(va.arm("ur5", 2), 60, 0, REFLECTOR), pose=False)
     result = fit(nominal("ur5"), data)
     (budget,) = result.budgets
-    assert budget.total == pytest.approx(result.before.summary.position_rms, rel=1e-6)
+    assert budget.total == pytest.approx(result.held_out_before.summary.position_rms, rel=1e-6)
 
 
 def test_a_fit_of_a_fitted_file_starts_where_the_first_fit_ended(arm_in_its_base):

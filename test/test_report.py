@@ -166,6 +166,24 @@ def test_the_headline_numbers_are_held_out_errors_with_their_units(document, tex
     assert f"{counts['samples']} samples of {counts['poses']} held-out poses" in said
 
 
+def test_every_error_is_at_the_same_samples_though_the_model_was_fitted_to_more():
+    robot, rng, n = vs.random_delta(4), np.random.default_rng(2), 60
+    r = rng.uniform((-0.05, -0.05, 0.16), (0.05, 0.05, 0.24), (n, 3))
+    q, R = robot.inverse(r)
+    model = new_model("delta24")
+    r += rng.normal(0, 1e-5, (n, 3))
+    data = pc.Dataset.from_arrays(
+        model.joints, q, r, R, pose_cov=np.diag([1e-10] * 6), joint_sigma=1e-5
+    )
+    first = fitted(model, data)
+    fewer = data.excluding([0, 1, 2, 3], "in this test")
+    found = pc.diagnose(first.model, fewer, effects=["backlash"])
+    shown = contents.HeldOutErrors.of(found)
+    assert (shown.samples, shown.poses, shown.before_name) == (56, 56, "nominal model")
+    assert shown.before.position_rms == pytest.approx(found.base.fitted.budgets[0].total)
+    assert shown.before.position_rms != first.errors_to_beat.position_rms  # of all 60 samples
+
+
 def test_the_history_falls_from_the_nominal_model_to_the_noise(document):
     rows, errors = document["history"], document["errors"]
     assert [row["name"] for row in rows] == ["before", "fit", "with backlash"]
