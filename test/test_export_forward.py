@@ -145,6 +145,7 @@ def test_the_page_on_export_has_the_table_of_its_benchmark():
     assert row.reached == pytest.approx(row.stated, rel=1e-2)
 
 
+@pytest.mark.wide
 def test_configuration_files_come_back_with_nothing_lost(tmp_path):
     file = tmp_path / "Configuration.h"
     file.write_text(HEADER)

@@ -77,6 +77,7 @@ def test_a_carriage_goes_down_by_nothing_or_by_more_than_marlin_ignores(seed, tm
     assert asked.min() == pytest.approx(0.1)
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize(("name", "text"), [("printer.log", LOG), ("Configuration.h", HEADER)])
 def test_a_users_file_gets_the_numbers_and_keeps_the_rest(name, text, tmp_path):
     file = tmp_path / name
