@@ -568,3 +568,17 @@ def test_the_lines_of_the_page_compile(tmp_path):
     kept = folder("delta54").name
     Path(kept, "page.c").write_text(text.replace("NULL", "0"))
     run([*STRICT, "page.c", "delta54.c", "-o", "page", "-lm"], kept)
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
+def test_the_lines_of_the_page_about_cpp_compile(tmp_path):
+    page = (Path(__file__).parents[1] / "docs" / "export.md").read_text()
+    lines = page.split("```cpp\n")[1].split("```")[0]
+    around = (
+        "const delta54::Joints encoders{0.5, 0.5, 0.5}, velocity{};\n"
+        "const delta54::Vector3 position{0, 0, 0.2}; const delta54::Rotation rotation{};\n"
+    )
+    text = f'#include "delta54.hpp"\nint main()\n{{\n{around}{lines}'
+    (tmp_path / "page.cpp").write_text(text + "return static_cast<int>(status);\n}\n")
+    export(robot("delta54"), "cpp:poses=2", tmp_path)
+    run(["g++", *STRICT_CPP, "-O0", "page.cpp", "-o", "page"], tmp_path)
