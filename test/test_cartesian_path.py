@@ -113,6 +113,16 @@ def test_a_hexapod_turns_about_a_fixed_axis_while_it_moves():
     np.testing.assert_allclose(seen.rotation[-1], R, atol=1e-8)
 
 
+def test_a_curve_that_turns_the_platform_half_round_is_refused():
+    """Beyond half a turn, the spline would lead back on the shorter side."""
+    model = new_model("stewart42")
+    home = model.mechanism.home
+    R = rotation_matrix(np.radians([[0.0, 0.0, z] for z in (60.0, 120.0, 180.0)]))
+    position = Kinematics(model).direct(np.array(home.joints)).position
+    with pytest.raises(PathError, match="turns by 180 degrees on one curve"):
+        plan_cartesian_path(Guard.of(model), np.array(home.joints), position + np.zeros((3, 3)), R)
+
+
 @pytest.mark.parametrize("paths", [12, pytest.param(250, marks=pytest.mark.wide)])
 def test_no_drawn_path_exceeds_a_limit(paths, monkeypatch):
     rng, planned = np.random.default_rng(7), 0

@@ -380,6 +380,46 @@ def test_cmake_builds_checks_and_installs_a_target_for_find_package(target, tmp_
     run(["./use/user"], tmp_path)
 
 
+THREADS = """
+#include "delta54.h"
+#include <pthread.h>
+#include <string.h>
+static void *work(void *found)
+{
+    delta54_configuration pose = delta54_home, back = delta54_home;
+    double q[DELTA54_JOINTS];
+    for (int i = 0; i < 500; ++i) {
+        memcpy(q, delta54_home.joints, sizeof q);
+        q[i % DELTA54_JOINTS] += 1e-4 * i;
+        delta54_direct(q, 0, &pose, &pose, 0);
+        delta54_inverse(pose.position, pose.rotation, 0, &back, &back, 0);
+    }
+    *(delta54_configuration *)found = back;
+    return 0;
+}
+int main(void)
+{
+    pthread_t threads[4];
+    delta54_configuration found[4];
+    for (int i = 0; i < 4; ++i) pthread_create(&threads[i], 0, work, &found[i]);
+    for (int i = 0; i < 4; ++i) pthread_join(threads[i], 0);
+    for (int i = 1; i < 4; ++i)
+        if (memcmp(&found[0], &found[i], sizeof found[0])) return 1;
+    return 0;
+}
+"""
+
+
+@pytest.mark.wide
+@pytest.mark.skipif(shutil.which("setarch") is None, reason="no setarch")
+def test_threads_share_nothing_and_get_equal_answers():
+    kept = folder("delta54").name
+    Path(kept, "threads.c").write_text(THREADS)
+    sanitizer = ["-O1", "-fsanitize=thread"]
+    run([*STRICT, *sanitizer, "threads.c", "delta54.c", "-o", "threads", "-lm"], kept)
+    run(["setarch", "-R", "./threads"], kept)  # the sanitizer needs a fixed layout of the memory
+
+
 # ------------------------------------------------------------------ C++
 
 CPP_LOOP = """
@@ -568,3 +608,17 @@ def test_the_lines_of_the_page_compile(tmp_path):
     kept = folder("delta54").name
     Path(kept, "page.c").write_text(text.replace("NULL", "0"))
     run([*STRICT, "page.c", "delta54.c", "-o", "page", "-lm"], kept)
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
+def test_the_lines_of_the_page_about_cpp_compile(tmp_path):
+    page = (Path(__file__).parents[1] / "docs" / "export.md").read_text()
+    lines = page.split("```cpp\n")[1].split("```")[0]
+    around = (
+        "const delta54::Joints encoders{0.5, 0.5, 0.5}, velocity{};\n"
+        "const delta54::Vector3 position{0, 0, 0.2}; const delta54::Rotation rotation{};\n"
+    )
+    text = f'#include "delta54.hpp"\nint main()\n{{\n{around}{lines}'
+    (tmp_path / "page.cpp").write_text(text + "return static_cast<int>(status);\n}\n")
+    export(robot("delta54"), "cpp:poses=2", tmp_path)
+    run(["g++", *STRICT_CPP, "-O0", "page.cpp", "-o", "page"], tmp_path)

@@ -19,6 +19,7 @@ from parallel_cal.campaign.trajectory import DEFAULT_CROSSING_TIME_S, Trajectory
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
 
 MAX_CURVE_ANGLE = np.radians(20.0)  # a sharper turn is a corner, at which the robot stops
+MAX_CURVE_TURN = np.radians(170.0)  # of a curve: unique below half a turn
 SAMPLE_STEP = 1 / 200  # largest motion of a joint between two points, as a share of its range
 MIN_SAMPLES = 40  # points of each part between two stops
 MAX_SAMPLES = 5000  # points of one part, which take about 1 s
@@ -136,6 +137,12 @@ class _Curve:
         from scipy.interpolate import CubicSpline
 
         steps = _steps(r, R, length)
+        turned = float(np.sum(np.linalg.norm(steps[:, 3:], axis=1))) / length
+        if len(r) > 2 and turned > MAX_CURVE_TURN:
+            raise PathError(
+                f"the platform turns by {np.degrees(turned):.0f} degrees on one curve; "
+                f"at most {np.degrees(MAX_CURVE_TURN):.0f} are possible: divide the path"
+            )
         self.knots = np.concatenate([[0.0], np.cumsum(np.linalg.norm(steps, axis=1))])
         turns = rotation_vector(R @ R[0].T)
         ends = "natural" if len(r) == 2 else "not-a-knot"
