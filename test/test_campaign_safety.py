@@ -39,11 +39,12 @@ KEEP_OUT = ((-0.2, -0.2, 0.22), (0.2, -0.03, 0.4))  # its lower front, m
 TOLD_BY_MODEL = ("swapped_target", "slipped")  # once it is identified: before, tolerances hide much
 BUILT_OFF = 4e-3  # m: ways are looked at by what is identified, which is not as drawn
 STILL = "joint. (left its path|was sent to).*: the joint does not move"
+STUCK = "^joint{} (left its path|was sent to).*: the joint does not move"
 FAULTS = {
     "drives_off": (True, False, STILL),
     "crossed_axes": (True, False, STILL),
-    "stuck_axis": (2, 0, STILL),
-    "stuck_encoder": (3, 0, STILL),
+    "stuck_axis": (2, 0, STUCK.format(2)),
+    "stuck_encoder": (3, 0, STUCK.format(3)),
     "obstacle": (HALF, "", "an obstacle blocks it"),
     "lost_target": (True, False, "Check that the device sees its target"),
     "swapped_target": (True, False, "a target that was lost or changed"),

@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 from campaign_cells import model_of
 
+from parallel_cal.campaign.cell import CellError
+from parallel_cal.campaign.checking import Checker
 from parallel_cal.campaign.deviation import (
     MAX_PATH_DEVIATION,
     compute_path_deviation,
+    compute_way_points,
     find_deviating_joints,
 )
 from parallel_cal.campaign.trajectory import plan_trajectory
@@ -26,7 +29,9 @@ def blamed_joints(mechanism, stops, stuck, since, lag):
             held = q[stuck] if held is None else held
             q[stuck] = held
         if compute_path_deviation(q, path, ranges) > MAX_PATH_DEVIATION:
-            return find_deviating_joints(q, stops[0], trajectory, elapsed, ranges)
+            moments = np.linspace(0.0, min(elapsed, trajectory.seconds), 400)
+            way = np.stack([np.interp(moments, times, column) for column in path.T], axis=1)
+            return find_deviating_joints(q, way, ranges)
     return None
 
 
@@ -50,10 +55,33 @@ def test_the_stuck_axis_is_blamed_in_all_of_200_motions(robot, share):
 
 
 def test_two_joints_that_take_each_others_commands_are_both_named():
-    mechanism = model_of("delta").mechanism
-    ranges, start = np.asarray(mechanism.joint_ranges), np.array([0.5, 0.5, 0.5])
-    trajectory = plan_trajectory([start, start + [0.6, -0.6, 0.3]], mechanism)
-    half = trajectory.seconds / 2
-    q = np.array([np.interp(half, trajectory.time, c) for c in trajectory.positions.T])
-    named = find_deviating_joints(q[[1, 0, 2]], start, trajectory, half, ranges)
-    assert sorted(named) == [0, 1]
+    ranges = np.asarray(model_of("delta").mechanism.joint_ranges)
+    start = np.array([0.5, 0.5, 0.5])
+    way = compute_way_points(np.array([start, start + [0.6, -0.6, 0.3]]))
+    half = len(way) // 2
+    assert sorted(find_deviating_joints(way[half][[1, 0, 2]], way, ranges)) == [0, 1]
+
+
+def test_of_joints_that_the_drives_stopped_together_the_one_that_lagged_is_blamed():
+    """The stuck joint stopped all; another one is further from its target."""
+    checker = Checker(model_of("delta"), {})
+    path = [np.array([0.6097, 0.6097, 0.75]), np.array([0.68, 0.9211, 1.15])]
+    q = path[0] + 0.17 * (path[1] - path[0])
+    q[1] = path[0][1]
+    words = r"^joint2 was sent to 0.9211 rad but is at 0.6097 \(joint1 and joint3 stopped with it\)"
+    with pytest.raises(CellError, match=words):
+        checker.check_arrived(q, path[-1], path)
+
+
+def test_joints_that_stopped_at_one_point_of_the_path_are_all_named():
+    checker = Checker(model_of("delta"), {})
+    path = [np.array([0.6, 0.6, 0.7]), np.array([0.7, 0.9, 1.1])]
+    with pytest.raises(CellError, match=r"^joint3 was sent to .*; joint2 was .*; joint1 was sent"):
+        checker.check_arrived((path[0] + path[1]) / 2, path[-1], path)
+
+
+def test_a_single_joint_that_did_not_arrive_is_named_alone():
+    checker = Checker(model_of("delta"), {})
+    path = [np.array([0.6, 0.6, 0.7]), np.array([0.7, 0.9, 1.1])]
+    with pytest.raises(CellError, match=r"^joint2 was sent to 0\.9000 rad but is at 0\.7500: the"):
+        checker.check_arrived(path[1] - [0, 0.15, 0], path[-1], path)

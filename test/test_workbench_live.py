@@ -16,6 +16,7 @@ from workbench_page import LONG, Served, opened, until
 
 from parallel_cal.nodes.client import use_private_domain
 from parallel_cal.nodes.watch import Watch
+from parallel_cal.recordings.bag import list_topics
 from parallel_cal.session.session import Session
 
 MODEL, BAG = Path("config/delta_mockup_nominal.yaml"), Path("bags/delta_backlash")
@@ -130,7 +131,14 @@ def test_messages_of_nodes_are_gathered_and_silence_is_reported(tmp_path):
         ]
         until(lambda: not watch.snapshot()["trouble"], "both are heard")
         assert watch.model_file() == str(MODEL.resolve())
-        replay = NodeProcess("replay_node", tmp_path, namespace, bag=str(BAG), rate=8.0)
+        # On a busy machine a replay may find the watch late, and a best-effort subscription has
+        # missed what was published before.
+        until(lambda: watch._measured, "the topic of the measured pose")
+        topics = [topic.name.lstrip("/") for topic in list_topics(BAG)[0]]
+        names = [watch._node.resolve_topic_name(topic) for topic in topics]
+        listeners = sum(watch._node.count_subscribers(name) for name in names)
+        awaited = {"wait_for_subscribers": listeners, "patience": 120.0}
+        replay = NodeProcess("replay_node", tmp_path, namespace, bag=str(BAG), rate=8.0, **awaited)
         nodes.append(replay)
         until(lambda: watch.snapshot()["errors"], "a measured pose beside a predicted one")
 

@@ -413,7 +413,7 @@ class Campaign:
         self._cell.move(
             plan_trajectory(path, self._guard.model.mechanism), self.control.check_interrupted
         )
-        self._checker.check_arrived(self._cell.joints(), stops[-1])
+        self._checker.check_arrived(self._cell.joints(), stops[-1], path)
         self._sent = stops[-1]
         self._report_status("sampling", why, target.purpose)
         return self._cell.sample(self.control.check_interrupted)

@@ -3,7 +3,7 @@ collision, a slip, or a target that was lost or changed."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.base.units import ERROR_UNITS
 from parallel_cal.campaign.cell import CellError
+from parallel_cal.campaign.deviation import compute_way_points, find_deviating_joints
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.kinematics.kinematics import Kinematics
@@ -79,19 +80,32 @@ class Checker:
         }
         return all(distance[kind] <= MAX_ERROR_RATIO * usual for kind, usual in self._usual.items())
 
-    def check_arrived(self, q: np.ndarray, sent: np.ndarray) -> None:
-        """Raise CellError unless joints (nq,) are at their targets."""
+    def check_arrived(
+        self, q: np.ndarray, sent: np.ndarray, path: Sequence[np.ndarray] = ()
+    ) -> None:
+        """Raise CellError unless joints (nq,) are at their targets.
+
+        If the drives stopped all joints because of one, the `path` (stops from the start on) tells
+        which one: the others are at a common point of it."""
         m, deviation = self._model.mechanism, self._compute_joint_deviation(q, sent)
-        found = np.flatnonzero(deviation > ARRIVAL_TOLERANCE)
-        if len(found):
-            words = "; ".join(
-                f"{m.joints[i]} was sent to {sent[i]:.4f} {m.joint_units[i]} but is at {q[i]:.4f}"
-                for i in found[np.argsort(-deviation[found], kind="stable")]
-            )
-            raise CellError(
-                f"{words}: the joint does not move, its encoder is stuck, or an obstacle blocks "
-                f"it. {LIMIT_SWITCH_ADVICE}"
-            )
+        away = np.flatnonzero(deviation > ARRIVAL_TOLERANCE)
+        if not len(away):
+            return
+        blamed = away[np.argsort(-deviation[away], kind="stable")].tolist()
+        if len(path) > 1 and len(away) > 1:
+            way = compute_way_points(np.array(path))
+            found = find_deviating_joints(q, way, np.asarray(m.joint_ranges))
+            blamed = [i for i in found if i in blamed] or blamed
+        words = "; ".join(
+            f"{m.joints[i]} was sent to {sent[i]:.4f} {m.joint_units[i]} but is at {q[i]:.4f}"
+            for i in blamed
+        )
+        others = " and ".join(m.joints[i] for i in away if i not in blamed)
+        stopped = f" ({others} stopped with it)" if others else ""
+        raise CellError(
+            f"{words}{stopped}: the joint does not move, its encoder is stuck, or an obstacle "
+            f"blocks it. {LIMIT_SWITCH_ADVICE}"
+        )
 
     def has_arrived(self, q: np.ndarray, sent: np.ndarray) -> bool:
         """Whether joints (nq,) are at their targets."""

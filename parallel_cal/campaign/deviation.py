@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from parallel_cal.campaign.checking import ARRIVAL_TOLERANCE
-from parallel_cal.campaign.trajectory import Trajectory
-
 MAX_PATH_DEVIATION = 0.03  # share of its range by which a joint may deviate from its path
-N_MOMENTS = 400  # moments of the motion at which the reading is compared with the path
+N_MOMENTS = 400  # points of the path with which a reading is compared
+EQUAL_DEVIATION = 2e-3  # share of its range; deviations that differ by less are equal
+MIN_OWN_DEVIATION = 4e-3  # share of its range from which one joint deviates by itself
 
 
 def compute_path_deviation(q: np.ndarray, path: np.ndarray, ranges: np.ndarray) -> float:
@@ -23,39 +22,38 @@ def compute_path_deviation(q: np.ndarray, path: np.ndarray, ranges: np.ndarray) 
     return float(off.max(axis=1).min())
 
 
-def find_deviating_joints(
-    q: np.ndarray,
-    start: np.ndarray,
-    trajectory: Trajectory,
-    elapsed: float,
-    ranges: np.ndarray,
-) -> list[int]:
-    """Return the joints (indices) that left the path; the joint furthest from it comes first.
+def compute_way_points(stops: np.ndarray) -> np.ndarray:
+    """Return N_MOMENTS points on the straight legs between stops (n, nq), the stops included."""
+    steps = np.linalg.norm(np.diff(stops, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    shares = np.union1d(np.linspace(0.0, along[-1], N_MOMENTS), along)
+    return np.stack([np.interp(shares, along, column) for column in stops.T], axis=1)
+
+
+def find_deviating_joints(q: np.ndarray, way: np.ndarray, ranges: np.ndarray) -> list[int]:
+    """Return the joints (indices) that left the path, the one furthest from it first; none if all
+    joints stopped at the same point of the path.
 
     The point of the path that is nearest to all joints does not tell: if one joint stands still,
     that point lies between it and the others, and another joint may be further from it. So the
-    reading is compared with the moment of the motion at which the most joints are where they were
-    sent. Of several such moments the latest counts: a robot lags, but not by a whole motion.
+    reading is compared with the point at which all joints but one are nearest to where they were
+    sent. Of several such points the last one counts.
 
     Parameters
     ----------
     q : ndarray (nq,)
         The reading, in rad or m.
-    start : ndarray (nq,)
-        Where the motion began.
-    trajectory : Trajectory
-        The commanded motion.
-    elapsed : float
-        Time since the start of the motion, s, on the robot's clock.
+    way : ndarray (n, nq)
+        Points of the path that the robot may have reached, in order.
     ranges : ndarray (nq,)
         The ranges of the joints.
     """
-    times = np.concatenate([[0.0], trajectory.time])
-    positions = np.vstack([start, trajectory.positions])
-    moments = np.linspace(0.0, np.clip(elapsed, 0.0, trajectory.seconds), N_MOMENTS)
-    there = np.stack([np.interp(moments, times, column) for column in positions.T], axis=1)
-    off = np.abs(there - q) / ranges
-    n_off = np.sum(off > ARRIVAL_TOLERANCE, axis=1)
-    latest = np.flatnonzero(n_off == n_off.min())[-1]
-    order = np.argsort(-off[latest], kind="stable")
-    return [int(i) for i in order if off[latest, i] > MAX_PATH_DEVIATION] or [int(order[0])]
+    off = np.abs(way - q) / ranges
+    others = np.sort(off, axis=1)[:, :-1].max(axis=1, initial=0.0)
+    last = np.flatnonzero(others <= others.min() + EQUAL_DEVIATION)[-1]
+    order = np.argsort(-off[last], kind="stable")
+    first = off[last, order[0]]
+    if first < MIN_OWN_DEVIATION:
+        return []
+    limit = max(MAX_PATH_DEVIATION, 0.5 * first)
+    return [int(order[0]), *(int(i) for i in order[1:] if off[last, i] > limit)]

@@ -16,6 +16,7 @@ from parallel_cal.campaign.cell import CellError, Sample
 from parallel_cal.campaign.checking import ARRIVAL_TOLERANCE, LIMIT_SWITCH_ADVICE
 from parallel_cal.campaign.deviation import (
     MAX_PATH_DEVIATION,
+    N_MOMENTS,
     compute_path_deviation,
     find_deviating_joints,
 )
@@ -266,9 +267,14 @@ class RobotCell:
         if compute_path_deviation(q, path, self._range) <= MAX_PATH_DEVIATION:
             return
         m = self._model.mechanism
-        found = find_deviating_joints(q, start, trajectory, elapsed, self._range)
-        words = " and ".join(f"{m.joints[i]} (at {q[i]:.4f} {m.joint_units[i]})" for i in found)
+        times = np.concatenate([[0.0], trajectory.time])
+        moments = np.linspace(0.0, np.clip(elapsed, 0.0, trajectory.seconds), N_MOMENTS)
+        way = np.stack([np.interp(moments, times, column) for column in path.T], axis=1)
+        found = find_deviating_joints(q, way, self._range) or range(len(q))
+        words = "; ".join(
+            f"{m.joints[i]} left its path (at {q[i]:.4f} {m.joint_units[i]})" for i in found
+        )
         raise CellError(
-            f"{words} left the path by more than {MAX_PATH_DEVIATION:.0%} of the range: the joint "
-            f"does not move, moves wrongly, or an obstacle blocks it. {LIMIT_SWITCH_ADVICE}"
+            f"{words}: the joint does not move, moves wrongly, or an obstacle blocks it. "
+            f"{LIMIT_SWITCH_ADVICE}"
         )
