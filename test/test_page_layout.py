@@ -9,7 +9,7 @@ from workbench_page import LONG, Served, beside_a_played_robot, opened
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.reporting.axes import log_axis
-from parallel_cal.session.history import Record, State
+from parallel_cal.session.history import Record, State, format_first_error
 from parallel_cal.session.session import Session
 from parallel_cal.workbench.error_steps import describe_steps, draw_steps, find_steps
 
@@ -79,6 +79,11 @@ def test_a_step_on_other_samples_is_joined_by_a_dotted_line():
 
 def test_without_a_fit_there_is_no_falling_error():
     assert find_steps(history(state(0, None, "begin"), branches={"main": 0})) is None
+
+
+def test_a_large_error_is_written_without_an_exponent():
+    assert format_first_error({"position_rms": 1.8193e-3}) == "1819 um"
+    assert format_first_error({"position_rms": 32.456e-6}) == "32.5 um"
 
 
 def test_a_logarithmic_axis_holds_its_values_and_has_round_ticks():
