@@ -98,7 +98,7 @@ def test_a_logarithmic_axis_holds_its_values_and_has_round_ticks():
 
 @pytest.mark.wide
 def test_the_difference_of_two_predictions_is_that_of_their_positions_over_the_workspace():
-    from parallel_cal.workbench.prediction_difference import draw_difference
+    from parallel_cal.reporting.prediction_difference import draw_difference
 
     model = read_model(MODEL)
     higher = model.values + 1e-4 * np.array([name.endswith("D_y") for name in model.table.names])
