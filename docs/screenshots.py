@@ -30,7 +30,7 @@ ENOUGH_SAMPLES = re.compile(r"^[4-9]\d samples")
 # The heading of the candidates appears at this height, below the header that is always in view.
 SCROLL_TO_CANDIDATES = """() => {
   const card = document.querySelector('[aria-label="What is missing"]');
-  window.scrollBy(0, card.getBoundingClientRect().top - 315);
+  window.scrollBy(0, card.getBoundingClientRect().top - 56);
 }"""
 
 

@@ -9,7 +9,7 @@ from workbench_page import LONG, Served, beside_a_played_robot, opened
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.reporting.axes import log_axis
-from parallel_cal.session.history import Record, State
+from parallel_cal.session.history import Record, State, format_first_error
 from parallel_cal.session.session import Session
 from parallel_cal.workbench.error_steps import describe_steps, draw_steps, find_steps
 
@@ -81,6 +81,11 @@ def test_without_a_fit_there_is_no_falling_error():
     assert find_steps(history(state(0, None, "begin"), branches={"main": 0})) is None
 
 
+def test_a_large_error_is_written_without_an_exponent():
+    assert format_first_error({"position_rms": 1.8193e-3}) == "1819 um"
+    assert format_first_error({"position_rms": 32.456e-6}) == "32.5 um"
+
+
 def test_a_logarithmic_axis_holds_its_values_and_has_round_ticks():
     axis = log_axis([606.0, 37.0, None, 30.0], "error")
     assert axis["ticktext"] == ["20", "50", "100", "200", "500"]
@@ -93,7 +98,7 @@ def test_a_logarithmic_axis_holds_its_values_and_has_round_ticks():
 
 @pytest.mark.wide
 def test_the_difference_of_two_predictions_is_that_of_their_positions_over_the_workspace():
-    from parallel_cal.workbench.prediction_difference import draw_difference
+    from parallel_cal.reporting.prediction_difference import draw_difference
 
     model = read_model(MODEL)
     higher = model.values + 1e-4 * np.array([name.endswith("D_y") for name in model.table.names])

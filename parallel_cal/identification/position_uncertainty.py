@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.solutions import Solutions
 from parallel_cal.model.mechanism import POSE
@@ -31,6 +32,41 @@ class PositionUncertainty:
             return None
         spread = Kinematics(model.robot()).direct_covariance(solved)[:, :3, :3]
         return cls(solved.position, spread, _controlled_axes(model))
+
+
+@dataclass(frozen=True)
+class PositionDifference:
+    """Where two models place the platform at the same joints, under neutral conditions.
+
+    `places` (M, 3) m in {B} are those of the first model, `difference` (M, 3) m is the second minus
+    the first; `sigmas` are the rms uncertainties of both, m (None: not identified).
+    """
+
+    places: np.ndarray
+    difference: np.ndarray
+    sigmas: tuple[float | None, float | None]
+
+    @classmethod
+    @single_threaded()
+    def of(cls, first: Model, second: Model) -> PositionDifference | None:
+        """On the planes of `solve_middle_planes`; None if the models reach no common pose there."""
+        if (grid := solve_middle_planes(first)) is None:
+            return None
+        reached = [Kinematics(model.robot()).direct(grid.joints) for model in (first, second)]
+        both = reached[0].solved & reached[1].solved
+        if not both.any():
+            return None
+        one, other = (solutions[both] for solutions in reached)
+        sigmas = (_compute_sigma(first, one), _compute_sigma(second, other))
+        return cls(one.position, other.position - one.position, sigmas)
+
+
+def _compute_sigma(model: Model, solved: Solutions) -> float | None:
+    """Compute the rms uncertainty (m) of the predicted positions."""
+    if model.covariance is None:
+        return None
+    spread = Kinematics(model.robot()).direct_covariance(solved)[:, :3, :3]
+    return float(np.sqrt(np.mean(np.trace(spread, axis1=1, axis2=2))))
 
 
 def solve_middle_planes(model: Model) -> Solutions | None:

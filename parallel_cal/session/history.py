@@ -255,8 +255,9 @@ class History:
 
 
 def format_first_error(errors: Mapping[str, float | None]) -> str:
-    """Format the first known kind of error: `30 um`, `0.43 arcmin`."""
+    """Format the first known kind of error: `30 um`, `1820 um`, `0.43 arcmin`."""
     for kind, (unit, factor) in ERROR_UNITS.items():
         if (value := errors.get(f"{kind}_rms")) is not None:
-            return f"{value * factor:.3g} {unit}"
+            shown = value * factor
+            return f"{shown:.3g} {unit}" if shown < 1000 else f"{shown:.0f} {unit}"
     return "-"

@@ -1,0 +1,38 @@
+"""How far the predictions of two models differ over the workspace."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.documents import to_json_value
+from parallel_cal.identification.position_uncertainty import PositionDifference
+from parallel_cal.model.model import Model
+from parallel_cal.reporting import maps
+from parallel_cal.reporting.readable import with_unit
+
+
+def draw_difference(first: Model, second: Model, one: str, other: str) -> dict[str, Any]:
+    """Draw where the second model places the platform minus where the first does, with the 1-sigma
+    uncertainty of each; a sentence only if there is no map."""
+    title = f"predictions of {other} minus those of {one}"
+    found = PositionDifference.of(first, second)
+    if found is None:
+        return {"words": f"{title}: no map, because the models reach no common plane of positions"}
+    figure, scale = maps.residuals(
+        found.places, [found.difference], "position", np.arange(len(found.places))
+    )
+    for trace in figure["data"]:
+        trace.pop("customdata", None)  # these are no samples that could be marked
+    sizes = np.linalg.norm(found.difference, axis=1)
+    sigmas = [
+        f"1 sigma of {name} {'unknown' if sigma is None else with_unit(sigma, 'm')}"
+        for name, sigma in zip((one, other), found.sigmas, strict=True)
+    ]
+    words = (
+        f"{title}, magnified {scale:g} times: {with_unit(float(np.sqrt(np.mean(sizes**2))), 'm')} "
+        f"rms over the workspace, at most {with_unit(float(sizes.max()), 'm')}; "
+        f"{', '.join(sigmas)}"
+    )
+    return {"words": words, "figure": to_json_value(figure)}
