@@ -295,7 +295,7 @@ def _joint_fields(scene: Scene) -> Iterator[np.ndarray]:
     wider = (places.shape[1] / 3) ** 0.5  # distances grow with the number of coordinates
     by_joint = scene.measured_jacobian[:, :, :n]
     by_joint = by_joint / np.sqrt(np.mean(np.sum(by_joint**2, axis=1), axis=0))
-    for length in FIELD_LENGTHS[JOINT_FIELD_LENGTHS]:
+    for length in JOINT_FIELD_LENGTHS:
         smooth = _smooth_functions(places, wider * length)
         F = np.einsum("nrj,nm->nrjm", by_joint, smooth)
         F = scene.project_off_geometry(F.reshape(len(scene.residual), -1)).reshape(
