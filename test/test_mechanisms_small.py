@@ -813,3 +813,17 @@ def test_a_hexapod_is_stated_by_its_drawing():
 def test_a_wrong_drawing_of_a_hexapod_is_refused(options, words):
     with pytest.raises(ModelError, match=re.escape(words)):
         load_mechanism("stewart42", **options)
+
+
+@pytest.mark.parametrize("height", [0.3, 0.6])
+def test_a_hexapod_from_a_drawing_can_move_to_both_sides_of_home(height):
+    """Its readings are relative to home, which must not be at a limit."""
+    drawn = load_mechanism(
+        "stewart42", base={"radius": 0.25, "angles": [0, 20, 120, 140, 240, 260]}, height=height
+    )
+    assert drawn.home.joints == (0.0,) * 6
+    low, high = drawn.joint_limits[0]
+    assert low == pytest.approx(-high)
+    assert high == pytest.approx(0.1 * height / 0.3)
+    measured = load_mechanism("stewart42", retracted=0.25)
+    assert measured.joint_limits[0] == (0.0, 0.2)

@@ -218,8 +218,24 @@ def test_light_that_bends_before_a_stewart_platform_is_the_devices(bend):
     assert found.effects
 
 
-def before_hexapod(device, seed=1):
-    """120 poses of a Stewart platform and 30 of them again, as a device shows them."""
+@pytest.mark.wide
+def test_what_add_refuses_because_it_would_move_the_robot_the_diagnosis_says_first():
+    """Leaning axes of the device move a hexapod much further than the errors show."""
+    form = np.zeros((3, 3, 3))
+    form[:2, 2, 2] = (-0.94e-3, -1.27e-3)
+    data = before_hexapod(more.BentSpace(tuple(form), (0, 0, 0)))
+    tested = ["device_axes", "encoder_gain"]
+    found = diagnose(new_model("stewart42"), data, effects=tested)
+    assert found.effects == ("device_axes",)
+    with pytest.raises(UnprovenStepError, match="the samples do not separate") as refused:
+        add(new_model("stewart42"), "device_axes", data)
+    assert found.verdict.word == "partly_explained"
+    assert refused.value.against in found.verdict.summary
+
+
+def before_hexapod(device=None, seed=1, leg_error=None):
+    """120 poses of a Stewart platform and 30 of them again, as a device shows them; `leg_error`
+    gives what the legs are longer than they should be (n, 6) from the platform's offset (n, 3)."""
     robot, rng = hexapod(), np.random.default_rng([seed, 9])
     noise = vr.Noise(2e-6, 5e-6, 10 * vr.ARCSEC)
     r, R = (
@@ -227,8 +243,12 @@ def before_hexapod(device, seed=1):
         vr.turn(rng.uniform(-0.2, 0.2, (120, 3))),
     )
     pose = rng.permutation(np.concatenate([np.arange(120), rng.choice(120, 30, replace=False)]))
-    reading = robot.inverse(r, R)[0][pose]
-    _, r, R = vr.truth(robot, [device], reading, vr.SampleConditions(*np.zeros((4, 150))))
+    r, R = r[pose], R[pose]
+    reading = robot.inverse(r, R)[0]
+    if leg_error is not None:
+        reading = reading - leg_error(r - robot.home)
+    if device is not None:
+        _, r, R = vr.truth(robot, [device], reading, vr.SampleConditions(*np.zeros((4, 150))))
     q_error, r_error, w_error = vd.errors(noise, 150, 6, seed)
     sigma = np.repeat([noise.position, noise.orientation], 3)
     return Dataset.from_arrays(
@@ -240,6 +260,37 @@ def before_hexapod(device, seed=1):
         joint_sigma=noise.joint,
         pose_id=pose,
     )
+
+
+@pytest.mark.wide
+def test_a_leg_that_is_softer_towards_one_side_does_not_teach_the_model_a_field_of_the_device():
+    """No effect of the catalogue describes it; a bent field follows it best."""
+
+    def yielding(offset):
+        sideways = offset @ np.array([0.6, 0.8, 0.0])
+        return np.outer(-4e-3 * np.maximum(sideways, 0.0), np.arange(6) == 1)
+
+    data = before_hexapod(leg_error=yielding)
+    words = "robot or device: the robot may cause device_field: errors of its joints explain as"
+    with pytest.raises(UnprovenStepError, match=words):
+        add(new_model("stewart42"), "device_field", data)
+    found = diagnose(new_model("stewart42"), data)
+    assert "device_field" in found.effects
+    assert "device_field" in found.robot_or_device
+    assert words in found.verdict.summary
+
+
+@pytest.mark.wide
+def test_what_two_effects_of_the_robot_take_from_each_other_is_not_blamed_on_the_device():
+    """Beside a hysteresis, backlash explains nothing more, and the reverse; a device knows no
+    direction of approach."""
+    play = vr.Backlash((0.5e-3, 0.4e-3, 0.6e-3))
+    data = dataset(vf.samples(vf.session(0), [play], vr.THESIS_NOISE, 0), vr.THESIS_NOISE)
+    result = fit(new_model("delta54"), data, hold_out=0)
+    scene = Scene.of(result.model, result.dataset, result.observations, result.free)
+    alike = [candidate(scene, name) for name in ("backlash", "hysteresis")]
+    device = [candidate(scene, name) for name in ("device_axes", "device_field")]
+    assert find_doubtful_effects(scene, alike, [*alike, *device], result.model) == []
 
 
 @pytest.mark.wide

@@ -14,8 +14,11 @@ from twins import hexapod
 from parallel_cal.base.errors import FitError
 from parallel_cal.cli import main as cli
 from parallel_cal.diagnosis import diagnose as diagnosing
+from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.diagnosis.search import Chosen, Search
 from parallel_cal.diagnosis.verdict import judge
+from parallel_cal.identification.fit import fit
 from parallel_cal.identification.unusual import UnusualSize, describe_by_effect
 from parallel_cal.model.file.modelfile import write_model
 from parallel_cal.model.model import new_model
@@ -103,6 +106,26 @@ def test_the_owner_refuses_unusual_sizes_with_one_option(worn):
     assert not found.unusual
     with pytest.raises(FitError, match=r"usual \(15.9 mrad; .*nothing was .*--usual-only"):
         add(model, "backlash", worn, usual_only=True)
+
+
+@pytest.mark.wide
+def test_a_superfluous_effect_is_not_named_to_keep_another_one_in_its_usual_range():
+    """Backlash of 7 mrad is larger than usual. Half of it as a hysteresis is not, but explains
+    nothing more, so that `add` would refuse it."""
+    play = vr.Backlash((6e-3, 5.5e-3, 6.5e-3))
+    data = dataset(vf.samples(vf.session(0), [play], vr.THESIS_NOISE, 0), vr.THESIS_NOISE)
+    search = Search(
+        new_model("delta54"),
+        lambda model, insist: fit(model, data, insist=insist),
+        lambda stage, fraction: None,
+    )
+    width = candidate(search.fit().scene, "hysteresis")
+    both = search.fit(Chosen("backlash"), Chosen.of(width))
+    assert both.result is not None, both.reason
+    assert search.fit(Chosen("backlash")).result is None
+    left = search.backward(both)
+    assert len(left.chosen) == 1
+    assert left.chosen[0].unusual
 
 
 def run(*arguments):

@@ -1,15 +1,16 @@
-"""Robot or device? Find effects of the robot that an error of the measuring device could imitate.
+"""Robot or device? Find effects of one side that an error of the other side could imitate.
 
 Residuals show what is missing, but not on which side of the measurement. The plausible size of each
 side decides: a tolerance bounds an effect of the robot, and the device's certificate (the
 tolerances of its effects) bounds an error of the device. A device that is worse than its
 certificate shows by the form of its error: a smooth field over the workspace makes the data as
-likely as the robot's effects do.
+likely as the robot's effects do. A robot with a flaw that no effect of the catalogue describes
+shows in the same way: a smooth error of one joint makes the data as likely as the device's effects.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,17 +22,19 @@ from parallel_cal.diagnosis.thresholds import (
     EFFECT_SIZES,
     FIELD_LENGTHS,
     FIELD_SIZES,
+    JOINT_FIELD_LENGTHS,
     MIN_LOG_EVIDENCE_GAIN,
     MIN_SEPARATION_SIGMAS,
 )
 from parallel_cal.identification.linearisation import Linearisation
+from parallel_cal.identification.thresholds import LSTSQ_RANK_TOLERANCE
 from parallel_cal.model.model import Model
 
 
 def find_doubtful_effects(
     scene: Scene, chosen: Sequence[Candidate], ranked: Sequence[Candidate], fitted: Model
 ) -> list[str]:
-    """Names of the robot's effects among `chosen` that the device may cause, by size or by form.
+    """Names of the effects among `chosen` that the other side may cause, by size or by form.
 
     `fitted` is the model with the chosen effects. Its tolerances allow the sizes that the data
     show, also of effects that are larger than usual.
@@ -41,6 +44,7 @@ def find_doubtful_effects(
             [
                 *find_device_lookalikes(scene, chosen, ranked, fitted),
                 *find_position_only_effects(scene, chosen, fitted),
+                *find_joint_lookalikes(scene, chosen, fitted),
             ]
         )
     )
@@ -51,29 +55,65 @@ def find_device_lookalikes(
 ) -> list[str]:
     """Names of the robot's effects among `chosen` that the device could cause as well.
 
-    Next to the device's effects, the robot's effect lowers misfit and price (see `cost`) by less
-    than five sigmas. The device's effects are on both sides of this comparison, because a further
-    error of the device says nothing against the robot's effect. Errors of the device that change
-    with time are tested elsewhere: shuffled conditions, exchange of lookalikes.
+    Next to the device's effects, the robot's effect, with its substitutes (see `_add_substitutes`),
+    lowers misfit and price (see `cost`) by less than five sigmas. The device's effects are on both
+    sides of this comparison, because a further error of the device says nothing against the robot's
+    effect. Errors of the device that change with time are tested elsewhere: shuffled conditions,
+    exchange of lookalikes.
     """
-    device = [
-        c
-        for c in ranked
-        if c.effect.of_device and not c.effect.needs and c.testable and c.scene is scene
-    ]
-    own = [c for c in chosen if not c.effect.of_device and c.scene is scene]
-    if not device or not own:
+    names = {c.name for c in chosen}
+    there = [c for c in ranked if c.effect.of_device and c.testable and c.name not in names]
+    device = _list_lasting([*chosen, *there], scene, of_device=True)
+    if not device:
         return []
-    return [one.name for one in own if not is_needed(one, [*chosen, *device], scene, fitted)]
+    among = [*chosen, *device]
+    return [
+        one.name
+        for one in _list_lasting(chosen, scene, of_device=False)
+        if not is_needed([one], among, scene, fitted)
+        and not is_needed(_add_substitutes(one, chosen, scene, fitted), among, scene, fitted)
+    ]
 
 
-def is_needed(one: Candidate, among: Sequence[Candidate], scene: Scene, fitted: Model) -> bool:
-    """Whether an effect lowers misfit and price of the others by more than five sigmas."""
-    shared = _shared_scene(scene, [one, *among])
-    known = {c.name: _columns(scene, shared, c, fitted) for c in (one, *among)}
-    own = known.pop(one.name)
+def _list_lasting(some: Sequence[Candidate], scene: Scene, of_device: bool) -> list[Candidate]:
+    """The effects of one side on the rows of the scene, without errors of the device that change
+    with time."""
+    return [
+        c
+        for c in some
+        if c.effect.of_device is of_device
+        and c.scene is scene
+        and not (of_device and c.effect.needs)
+    ]
+
+
+def _add_substitutes(
+    one: Candidate, chosen: Sequence[Candidate], scene: Scene, fitted: Model
+) -> list[Candidate]:
+    """An effect with the chosen ones of its side that could replace it: without one of them it
+    would be needed.
+
+    What two effects of the robot take from each other says nothing about the device.
+    """
+    if is_needed([one], chosen, scene, fitted):
+        return [one]
+    side = one.effect.of_device
+    own = [c for c in chosen if c.effect.of_device is side and c.scene is scene and c is not one]
+    return [
+        one,
+        *(c for c in own if is_needed([one], [d for d in chosen if d is not c], scene, fitted)),
+    ]
+
+
+def is_needed(
+    some: Sequence[Candidate], among: Sequence[Candidate], scene: Scene, fitted: Model
+) -> bool:
+    """Whether some effects lower misfit and price of the others by more than five sigmas."""
+    shared = _shared_scene(scene, [*some, *among])
+    known = {c.name: _columns(scene, shared, c, fitted) for c in (*some, *among)}
+    own = [known.pop(c.name) for c in some]
     without = np.hstack([np.zeros((len(shared.residual), 0)), *known.values()])
-    both = np.hstack([without, own])
+    both = np.hstack([without, *own])
     off_geometry = shared.project_off_geometry(both)
     numbers, _, rank, _ = np.linalg.lstsq(off_geometry, shared.residual)
     left = shared.residual - off_geometry @ numbers
@@ -123,24 +163,62 @@ def find_position_only_effects(
     The data are likelier with a smooth field of position than with the effects, and hardly likelier
     with both. An error that effects describe with fewer parameters stays with the robot.
     """
-    own = [c for c in chosen if not c.effect.of_device and c.scene is scene]
-    shared = _shared_scene(scene, chosen)
-    fields = list(_smooth_fields(shared)) if own else []
+    own = _list_lasting(chosen, scene, of_device=False)
+    fields = list(_smooth_fields(_shared_scene(scene, chosen))) if own else []
+    return _find_replaced(own, scene, chosen, fitted, fields)
+
+
+def find_joint_lookalikes(scene: Scene, chosen: Sequence[Candidate], fitted: Model) -> list[str]:
+    """Names of the device's effects among `chosen` that flaws of the joints could cause.
+
+    Next to a smooth error of one joint or of all joints, the effect makes the data hardly likelier.
+    Errors of the device that change with time are tested elsewhere.
+    """
+    own = _list_lasting(chosen, scene, of_device=True)
+    fields = list(_joint_fields(_shared_scene(scene, chosen))) if own else []
+    return _find_replaced(own, scene, chosen, fitted, fields)
+
+
+def _find_replaced(
+    own: Sequence[Candidate],
+    scene: Scene,
+    chosen: Sequence[Candidate],
+    fitted: Model,
+    fields: Sequence[np.ndarray],
+) -> list[str]:
+    """Names of the effects `own` that a field of the other side could replace, alone and together
+    with their substitutes: the data are hardly likelier with both.
+
+    An effect of the robot keeps its name if the data are likelier with the effects alone. An effect
+    of the device must be needed next to the field, because a robot that learns an error of its
+    device is worse than before.
+    """
     if not fields:
         return []
+    shared = _shared_scene(scene, chosen)
     known = {
         c.name: shared.project_off_geometry(_columns(scene, shared, c, fitted)) for c in chosen
     }
     nothing = np.zeros((len(shared.residual), 0))
 
-    def likely(names: list[str], fields: Sequence[np.ndarray]) -> float:
+    def likely(names: Iterable[str], fields: Sequence[np.ndarray]) -> float:
         B = np.hstack([nothing, *(known[name] for name in names)])
         return max(log_evidence(shared, B, field) for field in fields)
 
-    plain = likely([*known], [nothing])
-    limit = max(plain, likely([*known], fields) - MIN_LOG_EVIDENCE_GAIN)
-    without = {c.name: likely([n for n in known if n != c.name], fields) for c in own}
-    return [name for name, instead in without.items() if instead > limit]
+    both, plain = likely(known, fields), likely(known, [nothing])
+
+    def is_replaced(some: Sequence[Candidate]) -> bool:
+        replaced = {c.name for c in some}
+        limit = both - MIN_LOG_EVIDENCE_GAIN
+        if not some[0].effect.of_device:
+            limit = max(plain, limit)
+        return likely([name for name in known if name not in replaced], fields) > limit
+
+    return [
+        one.name
+        for one in own
+        if is_replaced([one]) and is_replaced(_add_substitutes(one, chosen, scene, fitted))
+    ]
 
 
 def log_evidence(scene: Scene, B: np.ndarray, F: np.ndarray) -> float:
@@ -184,6 +262,15 @@ def _smooth_fields(scene: Scene) -> Iterator[np.ndarray]:
     by_place /= np.sqrt(np.sum(by_place**2) / (3 * len(by_place)))
     places = scene.x[:, n : n + 3]
     places = places / np.maximum(places.std(axis=0), 1e-12)
+    for length in FIELD_LENGTHS:
+        smooth = _smooth_functions(places, length)
+        F = np.einsum("nri,nm->nrim", by_place, smooth)
+        yield scene.project_off_geometry(F.reshape(len(scene.residual), -1))
+
+
+def _smooth_functions(places: np.ndarray, length: float) -> np.ndarray:
+    """Functions (n, m) of the places (n, k), in standard deviations, that change over a length: a
+    Gaussian process by its values at m of the places, the furthest from each other."""
     # Begin with the place nearest to the mean; each further one is the furthest from those chosen.
     chosen = [int(np.argmin(np.sum((places - places.mean(axis=0)) ** 2, axis=1)))]
     away = np.sum((places - places[chosen[0]]) ** 2, axis=1)
@@ -191,13 +278,31 @@ def _smooth_fields(scene: Scene) -> Iterator[np.ndarray]:
         chosen.append(int(np.argmax(away)))
         away = np.minimum(away, np.sum((places - places[chosen[-1]]) ** 2, axis=1))
     centres = places[chosen]
-    for length in FIELD_LENGTHS:
-        L = np.linalg.cholesky(
-            _gaussian_kernel(centres, centres, length) + 1e-6 * np.eye(len(centres))
+    L = np.linalg.cholesky(_gaussian_kernel(centres, centres, length) + 1e-6 * np.eye(len(centres)))
+    return np.asarray(np.linalg.solve(L, _gaussian_kernel(centres, places, length)).T)
+
+
+def _joint_fields(scene: Scene) -> Iterator[np.ndarray]:
+    """Columns (n, m), off the geometry, of errors of one joint, or (n, nq m) of all, that change
+    smoothly with the robot's configuration.
+
+    A flaw of a joint, such as a leg that is softer on one side, moves the platform everywhere.
+    """
+    n = len(scene.model.joints)
+    q = scene.x[:, :n] - scene.x[:, :n].mean(axis=0)
+    left, sizes, _ = np.linalg.svd(q, full_matrices=False)
+    places = left[:, sizes > LSTSQ_RANK_TOLERANCE * sizes[0]] * len(left) ** 0.5
+    wider = (places.shape[1] / 3) ** 0.5  # distances grow with the number of coordinates
+    by_joint = scene.measured_jacobian[:, :, :n]
+    by_joint = by_joint / np.sqrt(np.mean(np.sum(by_joint**2, axis=1), axis=0))
+    for length in JOINT_FIELD_LENGTHS:
+        smooth = _smooth_functions(places, wider * length)
+        F = np.einsum("nrj,nm->nrjm", by_joint, smooth)
+        F = scene.project_off_geometry(F.reshape(len(scene.residual), -1)).reshape(
+            len(scene.residual), n, -1
         )
-        smooth = np.linalg.solve(L, _gaussian_kernel(centres, places, length)).T
-        F = np.einsum("nri,nm->nrim", by_place, smooth)
-        yield scene.project_off_geometry(F.reshape(len(scene.residual), -1))
+        yield F.reshape(len(F), -1)
+        yield from (F[:, joint] for joint in range(n))
 
 
 def _gaussian_kernel(a: np.ndarray, b: np.ndarray, length: float) -> np.ndarray:

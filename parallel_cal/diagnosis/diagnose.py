@@ -58,6 +58,7 @@ from parallel_cal.identification.fit import FitResult, fit, fit_registered
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitKeywords, FitOptions
+from parallel_cal.identification.platform_shift import explain_unseparated_device
 from parallel_cal.identification.registration import (
     Registration,
     add_registration_warning,
@@ -327,7 +328,7 @@ def _diagnose_trusted(
     shape = NoiseShape.of(best.scene, residual_field)
     noise = NoiseLevel.of(best.scene, residual_field, structure.has_structure, shape.correlated)
     remaining = find_remaining_condition(best.scene, shape)
-    robot_or_device = _find_robot_or_device(base, best, ranked, swaps)
+    robot_or_device = _find_robot_or_device(search, best, catalogue, swaps)
     significant = catalogue.select_significant(best)
     tried = [search.fit(*best.chosen, Chosen.of(c)) for c in significant]
     ambiguous = find_ambiguous_effects(
@@ -360,6 +361,7 @@ def _diagnose_trusted(
         outdone=find_better_lookalikes(best, search, catalogue),
         unusual=find_unusual_effects(search, best),
         ambiguous=describe_ambiguities(ambiguous, measure_next.plan),
+        unseparated=explain_unseparated_device(base.fitted, best.fitted) if best.chosen else "",
     )
     return Diagnosis(
         model=model,
@@ -387,19 +389,38 @@ def _diagnose_trusted(
 
 
 def _find_robot_or_device(
-    base: Trial, best: Trial, ranked: list[Candidate], swaps: Mapping[str, list[str]]
+    search: Search, best: Trial, catalogue: _Catalogue, swaps: Mapping[str, list[str]]
 ) -> tuple[str, ...]:
-    """List chosen effects that an error of the measuring device explains as well."""
-    settings = {one.name: one.settings for one in best.chosen}
-    chosen = [replace(c, settings=settings[c.name]) for c in ranked if c.name in settings]
-    of_device = {c.name for c in ranked if c.effect.of_device and not c.effect.needs}
-    doubtful = find_doubtful_effects(base.scene, chosen, ranked, best.fitted.model)
-    return tuple(
-        c.name
-        for c in chosen
-        if c.name not in of_device
-        and (c.name in doubtful or of_device & set(swaps.get(c.name, [])))
-    )
+    """List chosen effects that an error of the other side, robot or device, explains as well:
+    beside all of them, as `add` asks if it adds them in one step, and beside those before them, as
+    it asks if it adds one after the other."""
+    base = search.fit()
+    ranked = catalogue.rank(base)
+    lasting = {c.name for c in ranked if c.effect.of_device and not c.effect.needs}
+
+    def list_swapped(swaps: Mapping[str, list[str]]) -> set[str]:
+        return {name for name, rivals in swaps.items() if lasting & set(rivals)} - lasting
+
+    found = list_swapped(swaps) | set(_find_doubtful(base, best.chosen, best, ranked))
+    for k, one in enumerate(best.chosen if len(best.chosen) > 1 else ()):
+        before = search.fit_as_shown(*best.chosen[:k])
+        after = search.fit_as_shown(*best.chosen[: k + 1])
+        if before.result is None or after.result is None:
+            continue
+        ranked = catalogue.rank(before)
+        alike = rivals_of(replace(after, chosen=after.chosen[-1:]), ranked)
+        device = {one.name: [c for c in alike.get(one.name, []) if c.name in lasting]}
+        found |= list_swapped(search.swaps(after, device))
+        found |= set(_find_doubtful(before, (one,), after, ranked))
+    return tuple(name for name in best.names if name in found)
+
+
+def _find_doubtful(
+    before: Trial, chosen: tuple[Chosen, ...], after: Trial, ranked: list[Candidate]
+) -> list[str]:
+    settings = {one.name: one.settings for one in chosen}
+    added = [replace(c, settings=settings[c.name]) for c in ranked if c.name in settings]
+    return find_doubtful_effects(before.scene, added, ranked, after.fitted.model)
 
 
 def find_better_lookalikes(best: Trial, search: Search, catalogue: _Catalogue) -> list[str]:
@@ -487,17 +508,18 @@ class _Catalogue:
     def __init__(self, names: list[str], report: Progress):
         self._names, self._report = names, report
         self.wandering = True  # whether what goes with time or temperature may be named
-        self._ranked: dict[tuple[Chosen, ...], list[Candidate]] = {}
+        self._ranked: dict[frozenset[Chosen], list[Candidate]] = {}
 
     def rank(self, trial: Trial) -> list[Candidate]:
         """Candidates that the trial does not contain, best first, untestable ones last."""
-        if trial.chosen not in self._ranked:
+        key = frozenset(replace(c, unusual=False) for c in trial.chosen)
+        if key not in self._ranked:
             taken, scored = {c.name for c in trial.chosen}, []
             for k, name in enumerate(n for n in self._names if n not in taken):
                 self._report(f"testing {name}", 0.1 + 0.3 * k / len(self._names))
                 scored.append(candidate(trial.scene, name))
-            self._ranked[trial.chosen] = sorted(scored, key=lambda c: (not c.testable, c.log_p))
-        return self._ranked[trial.chosen]
+            self._ranked[key] = sorted(scored, key=lambda c: (not c.testable, c.log_p))
+        return self._ranked[key]
 
     def select_significant(self, trial: Trial) -> list[Candidate]:
         """Select the best significant candidates, corrected for the number of tests."""

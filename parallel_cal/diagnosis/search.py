@@ -3,9 +3,8 @@ poses."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -68,7 +67,8 @@ class Chosen:
 class Trial:
     """A refit of the model with some effects, or the reason why it has none; `wrong_sign` if the
     reason is a sign that physics forbids, `contradicts` if it is a contradiction that a caller may
-    insist on, `unsolved` if the refit found no solution."""
+    insist on, `unsolved` if the refit found no solution. `scenes` keeps the scene once it is made.
+    """
 
     chosen: tuple[Chosen, ...]
     result: FitResult | None
@@ -76,6 +76,7 @@ class Trial:
     wrong_sign: bool = False
     contradicts: bool = False
     unsolved: bool = False
+    scenes: list[Scene] = field(default_factory=list, repr=False, compare=False)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -88,10 +89,13 @@ class Trial:
             raise FitError(self.reason)
         return self.result
 
-    @cached_property
+    @property
     def scene(self) -> Scene:
-        r = self.fitted
-        return Scene.of(r.model, r.dataset, r.observations, r.free)
+        """The scene of the refit, made once for all trials that share it."""
+        if not self.scenes:
+            r = self.fitted
+            self.scenes.append(Scene.of(r.model, r.dataset, r.observations, r.free))
+        return self.scenes[0]
 
 
 Rank = Callable[[Trial], list[Candidate]]  # what may be added to it, the best first
@@ -104,7 +108,7 @@ class Search:
     def __init__(self, model: Model, refit: Refit, progress: Progress, usual_only: bool = False):
         self._model, self._refit, self._progress = model, refit, progress
         self._usual_only = usual_only
-        self._known: dict[tuple[tuple[Chosen, ...], bool], Trial] = {}
+        self._known: dict[tuple[Collection[Chosen], bool], Trial] = {}
 
     def fit(self, *chosen: Chosen, insist: bool = False) -> Trial:
         """Fit the baseline with these effects on all poses and judge it at held-out poses; with
@@ -118,25 +122,41 @@ class Search:
                 return Trial(chosen, None, words)
         return trial
 
+    def fit_as_shown(self, *chosen: Chosen) -> Trial:
+        """Fit with these effects, each as large as the data show, unless only usual sizes are
+        accepted: `add` would accept it with a warning."""
+        trial = self._fit_any_size(chosen, False)
+        if self._usual_only or trial.result is None:
+            return self.fit(*chosen)
+        larger = describe_by_effect(trial.result.unusual.values())
+        return replace(
+            trial,
+            chosen=tuple(replace(c, unusual=c.unusual or c.name in larger) for c in chosen),
+        )
+
     def _fit_any_size(self, chosen: tuple[Chosen, ...], insist: bool) -> Trial:
-        """Fit once for all callers, whatever size the effects turn out to have."""
-        key = tuple(replace(one, unusual=False) for one in chosen), insist
-        if key not in self._known:
-            self._progress(f"refitting with {', '.join(c.name for c in chosen) or 'nothing'}", 0.5)
-            model = self._model
-            try:
-                for one in chosen:
-                    model = model.with_effect(one.name, one.settings)
-                self._known[key] = Trial(chosen, self._refit(model, insist))
-            except (FitError, ModelError) as error:  # or an effect of the larger model, without it
-                wrong_sign = isinstance(error, WrongSignError)
-                contradicts = isinstance(error, ContradictionError)
-                unsolved = isinstance(error, NoSolutionError)
-                self._known[key] = Trial(
-                    chosen, None, str(error), wrong_sign, contradicts, unsolved
-                )
-        known = self._known[key]
-        return known if known.chosen == chosen else replace(known, chosen=chosen)
+        """Fit once for all callers, whatever size the effects turn out to have, and in whatever
+        order they were chosen."""
+        ordered = tuple(replace(one, unusual=False) for one in chosen)
+        for key in ((frozenset(ordered), insist), (ordered, insist)):
+            if key in self._known:
+                return replace(self._known[key], chosen=chosen)
+        self._progress(f"refitting with {', '.join(c.name for c in chosen) or 'nothing'}", 0.5)
+        key = frozenset(ordered), insist
+        model = self._model
+        try:
+            for one in chosen:
+                model = model.with_effect(one.name, one.settings)
+            trial = Trial(chosen, self._refit(model, insist))
+        except ModelError as error:  # an effect of the larger model, before it: the order matters
+            key, trial = (ordered, insist), Trial(chosen, None, str(error))
+        except FitError as error:
+            wrong_sign = isinstance(error, WrongSignError)
+            contradicts = isinstance(error, ContradictionError)
+            unsolved = isinstance(error, NoSolutionError)
+            trial = Trial(chosen, None, str(error), wrong_sign, contradicts, unsolved)
+        self._known[key] = trial
+        return trial
 
     def try_adding(self, before: Trial, one: Candidate) -> tuple[Trial, str]:
         """Refit with one more effect; return the trial and the objection to it (empty: none)."""
@@ -264,7 +284,8 @@ class Search:
         for one in trial.chosen:
             if len(trial.chosen) < 2:
                 break
-            without = self.fit(*(c for c in trial.chosen if c != one))
+            # A superfluous effect does not stay only to keep another one in its usual range.
+            without = self.fit_as_shown(*(c for c in trial.chosen if c.name != one.name))
             if _is_superfluous_effect(without, trial):
                 trial = without
         return trial
@@ -287,22 +308,35 @@ class Search:
         return trial
 
     def order_for_adding(self, trial: Trial) -> Trial:
-        """Order the effects so that each of them lowers the error at held-out poses when it is
-        added after those before it, as far as there is such an order.
+        """Order the effects so that `add` accepts each of them after those before it, as far as
+        there is such an order.
 
         The search may have exchanged effects that the later ones needed.
         """
-        before, left, ordered = self.fit(), list(trial.chosen), list[Chosen]()
-        while len(left) > 1:
-            steps = ((one, self.fit(*ordered, one)) for one in left)
-            step = next((s for s in steps if not _describe_objection_to_step(before, s[1])), None)
-            if step is None:
-                break
-            one, before = step
-            left.remove(one)
-            ordered.append(one)
-        chosen = (*ordered, *left)
+        chosen = self._find_longest_order((), trial.chosen, set())
+        names = [c.name for c in chosen]
+        chosen = (*chosen, *(c for c in trial.chosen if c.name not in names))
         return trial if chosen == trial.chosen else self.fit(*chosen)
+
+    def _find_longest_order(
+        self, ordered: tuple[Chosen, ...], left: tuple[Chosen, ...], ended: set[frozenset[str]]
+    ) -> tuple[Chosen, ...]:
+        """Find the longest order in which `add` accepts each of the effects `left` after those
+        `ordered`. `ended` are the sets of effects from which no complete order was found."""
+        before, longest = self.fit_as_shown(*ordered), ordered
+        for one in left:
+            more = (*ordered, one)
+            if frozenset(c.name for c in more) in ended:
+                continue
+            if _describe_objection_to_step(before, self.fit_as_shown(*more)):
+                continue
+            others = tuple(c for c in left if c is not one)
+            found = self._find_longest_order(more, others, ended)
+            longest = max(longest, found, key=len)
+            if len(found) == len(ordered) + len(left):
+                break
+            ended.add(frozenset(c.name for c in more))
+        return longest
 
     def exchange_rivals(self, trial: Trial, rivals: Rivals) -> Trial:
         """Exchange one effect for a rival that explains clearly more; the same trial if there is
@@ -331,7 +365,7 @@ class Search:
         """For each chosen effect, the rivals that explain the data as well in its place."""
         found: dict[str, list[str]] = {}
         for name, rival, other in self._iterate_swaps(trial, rivals):
-            if _is_as_good(trial, other):
+            if is_as_good(trial, other):
                 found.setdefault(name, []).append(rival)
         return found
 
@@ -411,7 +445,8 @@ def _sizes(result: FitResult) -> np.ndarray:
     return np.where(counts, np.maximum(away / table.tolerance**2, 0.0), 0.0)
 
 
-def _is_as_good(trial: Trial, other: Trial) -> bool:
+def is_as_good(trial: Trial, other: Trial) -> bool:
+    """Whether other effects explain the data as well, within the validation error and chance."""
     ratio = ratio_of(trial, other)
     if ratio is None or ratio >= MAX_SWAP_ERROR_RATIO:
         return False
@@ -470,12 +505,14 @@ def ratio_of(before: Trial, after: Trial) -> float | None:
 
 
 def _describe_objection_to_step(before: Trial, after: Trial) -> str:
-    """Objection of `add`; empty if there is none."""
+    """Objection of `add`, except that the device may err; empty if there is none."""
     if after.result is None:
         return after.reason
     if _is_superfluous_effect(before, after):
         return "the improvement may be chance"
-    return _describe_held_out_objection(before, after)
+    return _describe_held_out_objection(before, after) or explain_unseparated_device(
+        before.fitted, after.fitted
+    )
 
 
 def _is_superfluous_effect(without: Trial, trial: Trial) -> bool:

@@ -57,7 +57,8 @@ class Findings:
     would explain the error better than a chosen one, with the reason. `wrong_signs` says which
     significant effects fit only with a sign that physics forbids. `unusual` lists effects that are
     larger than usual. `ambiguous` are sentences about effects of the model that another effect
-    would replace without loss.
+    would replace without loss. `unseparated` says that effects of the device move the robot further
+    than the errors show.
     """
 
     base: Trial
@@ -75,6 +76,7 @@ class Findings:
     unusual: tuple[UnusualEffect, ...] = ()
     ambiguous: tuple[str, ...] = ()
     remaining: RemainingCondition | None = None
+    unseparated: str = ""
 
     @property
     def final_estimate(self) -> Estimate:
@@ -226,20 +228,25 @@ def _list_objections(found: Findings) -> list[str]:
 
 
 def _describe_doubts(found: Findings) -> list[str]:
-    """Describe effects that are larger than usual, and those that the device may cause."""
+    """Describe effects that are larger than usual, and why `add` may refuse others: robot and
+    device are not separated."""
     return [
         *(one.description for one in found.unusual),
         *map(robot_or_device, found.robot_or_device),
+        *([found.unseparated] if found.unseparated else []),
     ]
 
 
 def robot_or_device(name: str) -> str:
-    """Say that the device may cause an effect's error, and which measurement decides."""
+    """Say that the device may cause what an effect of the robot describes, or the robot what an
+    effect of the device describes, and which measurement decides."""
+    cause = f"the measuring device may cause {name}: its usual errors explain as much"
+    if load_effect(name).of_device:
+        cause = f"the robot may cause {name}: errors of its joints explain as much"
     return (
-        f"robot or device: the measuring device may cause {name}: its usual errors explain as much "
-        "(measure the same poses with the device turned or moved aside, measure them with a second "
-        "device, measure an artefact of known length, or state the device's certificate in the "
-        "model file)"
+        f"robot or device: {cause} (measure the same poses with the device turned or moved aside, "
+        "measure them with a second device, measure an artefact of known length, or state the "
+        "device's certificate in the model file)"
     )
 
 

@@ -17,6 +17,7 @@ from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 BASE_RADIUS, PLATFORM_RADIUS, HEIGHT, RETRACTED = 0.25, 0.15, 0.3, 0.25  # m
+TRAVEL = 0.2  # m, of each leg
 # Joints come in pairs 20 degrees apart; each leg leads to the nearer pair of the platform.
 BASE_ANGLES = (-10, 10, 110, 130, 230, 250)
 PLATFORM_ANGLES = (-50, 50, 70, 170, 190, 290)
@@ -93,8 +94,9 @@ class Stewart42(Mechanism):
     in m and six angles in degrees, such as `{radius: 0.25, angles: [-10, 10, 110, 130, 230, 250]}`;
     `height` in m of the platform above the base at home; `retracted`, the length in m of a leg at
     reading zero (default: its length at home, so that the readings at home are 0); `limits` of the
-    readings in m; `tolerance` in m of all these numbers. Without options, the nominal robot has two
-    flat hexagons.
+    readings in m (default: 0 to 0.2, or as much travel about home, in proportion to `height`, if
+    the readings at home are 0); `tolerance` in m of all these numbers. Without options, the nominal
+    robot has two flat hexagons.
     """
 
     joints = tuple(f"leg{i + 1}" for i in range(6))
@@ -109,7 +111,7 @@ class Stewart42(Mechanism):
         platform: Points | None = None,
         height: float = HEIGHT,
         retracted: float | None = None,
-        limits: Sequence[float] = (0.0, 0.2),
+        limits: Sequence[float] | None = None,
         tolerance: float = 1e-3,
     ):
         drawn = base is not None or platform is not None
@@ -117,6 +119,9 @@ class Stewart42(Mechanism):
         B = PLATFORM if platform is None else _points("platform", platform)
         try:
             height, tolerance = float(height), float(tolerance)
+            if limits is None:
+                travel = TRAVEL / 2 * height / HEIGHT
+                limits = (-travel, travel) if drawn and retracted is None else (0.0, TRAVEL)
             low, high = (float(limit) for limit in limits)
         except (TypeError, ValueError):
             raise ModelError(

@@ -8,16 +8,16 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from parallel_cal.base.documents import to_json_value
-from parallel_cal.base.errors import FitError
+from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_to_test
 from parallel_cal.diagnosis.device import find_doubtful_effects, is_needed
-from parallel_cal.diagnosis.entries import is_clearly_better
+from parallel_cal.diagnosis.entries import are_confused, is_clearly_better
 from parallel_cal.diagnosis.scene import Scene
-from parallel_cal.diagnosis.search import is_superfluous
+from parallel_cal.diagnosis.search import Trial, is_as_good, is_superfluous
 from parallel_cal.diagnosis.verdict import robot_or_device
 from parallel_cal.identification.acceptance import IN_SAMPLE, Acceptance, acceptance
 from parallel_cal.identification.added_effects import limit_patterns
@@ -207,7 +207,7 @@ def add(
         if is_superfluous(_with_noise_of(result, base).estimate, result.estimate):
             found = replace(found, against=f"the improvement by '{name}' may be chance")
         elif doubt := explain_unseparated_device(base, result) or _explain_doubt(
-            scene, more, result.model
+            scene, more, base, result
         ):
             found = replace(found, against=doubt, device_may_err=True)
     return _step("add", result, _check_proven(found, force), base, name)
@@ -228,11 +228,13 @@ def _with_given_model_of(result: FitResult, rival: FitResult) -> FitResult:
     return replace(result, given=given, registration=rival.registration)
 
 
-def _explain_doubt(scene: Scene, added: list[Candidate], fitted: Model) -> str:
+def _explain_doubt(scene: Scene, added: list[Candidate], base: FitResult, result: FitResult) -> str:
     """Explain why effects that lower the error may be wrong; empty if nothing suggests it.
 
-    The device may cause one of them, or an effect of the device explains the error clearly better.
+    The device may cause one of them, or an effect of the device explains the error clearly better,
+    or as well in place of one of them.
     """
+    fitted = result.model
     device_effects = [n for n in list_effects_to_test(scene.model) if load_effect(n).of_device]
     device = [candidate(scene, name) for name in device_effects]
     if doubtful := find_doubtful_effects(scene, added, device, fitted):
@@ -244,12 +246,39 @@ def _explain_doubt(scene: Scene, added: list[Candidate], fitted: Model) -> str:
             continue
         better = [c for c in device if c.scene is one.scene and is_clearly_better(c, one)]
         others = [c for c in added if c is not one]  # they may hide what this one explains
-        if better and not is_needed(one, [*others, *better], scene, fitted):
+        if better and not is_needed([one], [*others, *better], scene, fitted):
             outdone_by = " and ".join(c.name for c in better)
             return (
                 f"{outdone_by} explains the error clearly better than '{one.name}' (see diagnose)"
             )
+    for one in added:
+        alike = [c for c in device if not c.effect.needs and are_confused(one, c)]
+        if not one.effect.of_device and any(
+            _fits_as_well(one, rival, added, base, result) for rival in alike
+        ):
+            return robot_or_device(one.name)
     return ""
+
+
+def _fits_as_well(
+    one: Candidate, rival: Candidate, added: list[Candidate], base: FitResult, result: FitResult
+) -> bool:
+    """Whether a rival fits as well in place of one of the added effects. It may be larger than
+    usual if this effect is."""
+    swapped = base.start
+    try:
+        for each in added:
+            chosen = rival if each is one else each
+            swapped = swapped.with_effect(chosen.name, chosen.settings)
+        other = fit_registered(
+            swapped, base.dataset, result.options, given=base.given, noise=result.observations
+        )
+    except (FitError, ModelError):
+        return False
+    own, its = ({size.effect for size in r.unusual.values()} for r in (result, other))
+    if rival.name in its and one.name not in own:
+        return False
+    return is_as_good(Trial((), result), Trial((), other))
 
 
 @single_threaded()
