@@ -25,6 +25,7 @@ def draw_difference(first: Model, second: Model, one: str, other: str) -> dict[s
     )
     for trace in figure["data"]:
         trace.pop("customdata", None)  # these are no samples that could be marked
+        trace["showlegend"] = False
     sizes = np.linalg.norm(found.difference, axis=1)
     sigmas = [
         f"1 sigma of {name} {'unknown' if sigma is None else with_unit(sigma, 'm')}"

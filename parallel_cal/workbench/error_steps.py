@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from html import escape
 from textwrap import wrap
 from typing import Any
@@ -45,7 +45,7 @@ class FallingError:
     branches: Sequence[str] = ("",)
     noise: float | None = None
     now: int | None = None  # index of the step whose model is on the page
-    words: str = field(default="validation error")
+    words: str = "validation error"
 
 
 def find_steps(history: History) -> FallingError | None:

@@ -13,6 +13,7 @@ FIGURE_LAYOUT = {
     "paper_bgcolor": "rgba(0,0,0,0)",
     "plot_bgcolor": "rgba(0,0,0,0)",
     "font": {"color": QUIET},
+    "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": QUIET},
     "template": {
         "layout": {axis: {"gridcolor": BAND, "zerolinecolor": QUIET} for axis in ("xaxis", "yaxis")}
     },
@@ -110,7 +111,8 @@ def draw_figure(figure: dict[str, Any], words: str, before: Any = None) -> Any:
     Updating the figure `before` takes a tenth of the time of a new one.
     """
     kept = {"uirevision": words}  # keeps zoom and camera
-    figure = figure | {"layout": figure["layout"] | FIGURE_LAYOUT | kept}
+    config = {"displaylogo": False} | figure.get("config", {})
+    figure = figure | {"layout": figure["layout"] | FIGURE_LAYOUT | kept, "config": config}
     if before is None:
         before = ui.plotly(figure).classes("w-full")
     else:
