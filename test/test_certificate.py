@@ -13,6 +13,7 @@ from parallel_cal.reporting.certificate import CertificateError, CertificateFiel
 from parallel_cal.reporting.page import page
 from parallel_cal.reporting.pdf import PdfError, find_browser
 from parallel_cal.reporting.report import report
+from parallel_cal.session.steps import fitted
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 MODEL, BAG = "config/delta_mockup_nominal.yaml", "bags/delta_backlash"
@@ -86,8 +87,14 @@ def test_nothing_is_decided_about_an_error_that_is_not_known():
 
 @pytest.fixture(scope="module")
 def made():
+    return certify(identify=True)
+
+
+def certify(identify):
     model = pc.read_model(MODEL)
     data = pc.load_dataset(BAG, joints=model.joints)
+    if identify:
+        model = fitted(model, data).model
     fields = CertificateFields(serial_number="<D-0042>", operator="A. Smith", limit_um=50)
     return report(model, data, effects=["backlash"], certificate=fields)
 
@@ -107,8 +114,19 @@ def test_the_certificate_shows_what_was_stated_and_leaves_the_rest_blank(made):
     error, sigma = made.errors.now.position_rms, made.errors.sigmas["now"]["position"]
     words = f"Position error {1e6 * error:.1f} ± {2e6 * sigma:.1f} µm (U = 2 sigma), limit 50 µm"
     assert f"{words}: pass." in shown
-    assert "was not identified from these samples" in shown  # the nominal model
+    assert "The model was identified from these samples." in shown
     assert made.document()["conformity"][0]["result"] == "pass"
+
+
+@pytest.mark.wide
+def test_a_model_that_was_not_identified_here_is_judged_as_it_is():
+    made = certify(identify=False)
+    [found] = made.conformity
+    nominal = made.diagnosis.base.fitted.given.errors.summary.position_rms
+    assert found.error == pytest.approx(nominal)
+    assert found.error > 10 * made.errors.now.position_rms
+    assert found.result == "fail"
+    assert "The model was not identified from these samples." in part(page(made), "certificate")
 
 
 @pytest.mark.wide
@@ -152,7 +170,7 @@ def test_the_command_prints_a_pdf_of_a4_pages(stated, tmp_path, capsys):
     target = tmp_path / "r.pdf"
     assert run(MODEL, BAG, "--pdf", target, "--certificate", stated) == 0
     shown = capsys.readouterr().out
-    assert "limit 50 um: pass" in shown
+    assert "limit 50 um: fail" in shown  # the nominal model
     assert shown.splitlines()[-1] == f"written: {target}"
     content = target.read_bytes()
     assert content.startswith(b"%PDF")

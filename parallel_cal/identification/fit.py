@@ -238,6 +238,15 @@ class FitResult(ShownInNotebook):
         return self.held_out if self.held_out.judged.any() else self.after
 
     @cached_property
+    def unchanged_errors(self) -> Errors:
+        """Errors of the given model without a fit of its parameters, at the samples of `held_out`.
+
+        The frame of a device is estimated from the other poses.
+        """
+        folds = _folds(self.dataset, self.options)
+        return self.given.errors_at_held_out(folds).only_at(self.held_out.judged)
+
+    @cached_property
     def nominal_errors(self) -> Errors:
         """Errors of the nominal model, registered only, at the samples of `judged_errors`."""
         return self._errors_of_nominal(np.any([*list_parts(self.model).values()], axis=0))

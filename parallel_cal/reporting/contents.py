@@ -80,6 +80,28 @@ class HeldOutErrors:
         return []
 
 
+@dataclass(frozen=True)
+class CertifiedErrors:
+    """Errors of exactly the model that was given, with the standard deviation of each rms by kind.
+
+    If its last fit used these samples (`identified_here`), they are the validation errors of this
+    fit; otherwise those of the unchanged model.
+    """
+
+    errors: Summary
+    sigmas: Mapping[str, float]
+    identified_here: bool
+
+    @classmethod
+    def of(cls, diagnosis: Diagnosis) -> CertifiedErrors:
+        base, data = diagnosis.base.fitted, diagnosis.dataset
+        fits = [step for step in base.given.unregistered.history if "dataset" in step]
+        last = fits[-1]["dataset"] if fits else None
+        here = bool(data.sha256) and isinstance(last, Mapping) and last.get("sha256") == data.sha256
+        found = base.held_out if here else base.unchanged_errors
+        return cls(found.summary, base.rms_sigmas(found), here)
+
+
 def _list_judged_steps(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     """Return the steps of the model's history that have validation errors."""
     past = (entry for entry in diagnosis.model.history if isinstance(entry.get("held_out"), dict))

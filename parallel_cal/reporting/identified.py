@@ -7,10 +7,10 @@ from html import escape
 
 import numpy as np
 
-from parallel_cal.identification.given_model import fits_of
+from parallel_cal.base.units import ERROR_SI_UNITS
 from parallel_cal.reporting import drawings, spaces
 from parallel_cal.reporting.blocks import Number, Row
-from parallel_cal.reporting.contents import Residuals
+from parallel_cal.reporting.contents import CertifiedErrors, Residuals
 from parallel_cal.reporting.figures import MAX_MOVED_TOLERANCES
 from parallel_cal.reporting.markup import (
     Plot,
@@ -24,9 +24,11 @@ from parallel_cal.reporting.markup import (
 )
 from parallel_cal.reporting.readable import (
     day,
+    error_unit,
     is_known,
     number,
     value_unit,
+    with_sigma,
 )
 from parallel_cal.reporting.report import Report
 from parallel_cal.reporting.results import (
@@ -37,9 +39,13 @@ from parallel_cal.reporting.results import (
 )
 from parallel_cal.reporting.versus import Side, Versus
 
+IDENTIFIED_HERE = (
+    "The model was identified from these samples. Its errors are rms at held-out poses: at each "
+    "pose those of a fit that did not use it."
+)
 NOT_IDENTIFIED_HERE = (
-    "The model file was not identified from these samples. The errors are those of its parameters "
-    "identified from them: fit the model to these samples first."
+    "The model was not identified from these samples. Its errors are rms errors of the unchanged "
+    "model at these samples; only the registration of the device was estimated, if it was needed."
 )
 
 
@@ -132,13 +138,13 @@ def certificate(report: Report) -> str:
         "Software": f"parallel_cal {p.version}",
         "Date of this certificate": day(p.made),
     }
+    certified = report.certified
     decided = [sentence(one.description) for one in report.conformity] or [
-        "No limit of acceptance was stated: there is no decision."
+        f"No limit of acceptance was stated: there is no decision. {_errors_in_words(certified)}"
     ]
-    remarks = [] if any(fits_of(report.diagnosis.model, data)) else [NOT_IDENTIFIED_HERE]
     signature = facts({"Calibrated by": "", "Approved by": ""})
     note = paragraph(
-        "The errors are rms at held-out poses of the model without further effects. U is the "
+        f"{IDENTIFIED_HERE if certified.identified_here else NOT_IDENTIFIED_HERE} U is the "
         "expanded uncertainty (k = 2). The decision follows ISO 14253-1: pass if error + U is "
         "within the limit, fail if error - U is beyond it.",
         "note",
@@ -146,10 +152,21 @@ def certificate(report: Report) -> str:
     return (
         facts(rows)
         + "<h3>Decision</h3>"
-        + items([*decided, *remarks])
+        + items(decided)
         + note
         + f'<div class="signature">{signature}</div>'
     )
+
+
+def _errors_in_words(certified: CertifiedErrors) -> str:
+    """Describe the rms errors with their standard deviations."""
+    known = [kind for kind in ERROR_SI_UNITS if is_known(certified.errors.rms(kind))]
+    shown = []
+    for kind in known:
+        name, factor = error_unit(ERROR_SI_UNITS[kind])
+        value = with_sigma(certified.errors.rms(kind), certified.sigmas.get(kind), factor)
+        shown.append(f"{kind} error {value} {name} (1 sigma)")
+    return f"{sentence('; '.join(shown))}" if shown else "The errors are not known."
 
 
 def provenance(report: Report) -> str:

@@ -54,7 +54,7 @@ class Provenance:
 
     @classmethod
     def of(cls, diagnosis: Diagnosis, options: Mapping[str, Any]) -> Provenance:
-        model, data = diagnosis.model, diagnosis.dataset
+        model, data = diagnosis.base.fitted.given.unregistered, diagnosis.dataset
         return cls(
             version=__version__,
             made=datetime.now(timezone.utc).isoformat(timespec="minutes"),
@@ -96,6 +96,7 @@ class Report:
     against: Versus | None
     provenance: Provenance
     certificate: CertificateFields
+    certified: contents.CertifiedErrors
     conformity: tuple[Conformity, ...]
 
     def __repr__(self) -> str:
@@ -172,6 +173,7 @@ def report_of(
     """Make the report of a finished diagnosis."""
     scene, best, stated = found.base.scene, found.best.fitted, certificate or CertificateFields()
     field, errors = Field.of(scene), contents.HeldOutErrors.of(found)
+    certified = contents.CertifiedErrors.of(found)
     return Report(
         diagnosis=found,
         errors=errors,
@@ -194,5 +196,6 @@ def report_of(
         against=versus,
         provenance=Provenance.of(found, options),
         certificate=stated,
-        conformity=decide(stated, errors.now, errors.sigmas["now"]),
+        certified=certified,
+        conformity=decide(stated, certified.errors, certified.sigmas),
     )
