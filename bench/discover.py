@@ -50,7 +50,7 @@ START, END = "<!-- study: written by bench/discover.py --page -->", "<!-- end of
 SHOWN = {  # family -> its sessions in words, and what is counted in words
     "catalogue": (
         "an effect of the catalogue hidden, it and its lookalikes taken out",
-        {"place": "place right", "driver": "driver right", "as good": "true error at most 1.25 x"},
+        {"place": "place right", "driver": "driver right", "as good": "error at most 1.25 times"},
     ),
     "laws": (
         "a law of no catalogue hidden",

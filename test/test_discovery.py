@@ -1,8 +1,10 @@
 """Laws of nobody's catalogue, hidden in independent virtual robots, and found again."""
 
+import importlib
 import json
 import sys
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import catalogue_sessions as cs
 import findings
@@ -29,7 +31,7 @@ from parallel_cal.discovery.screening import Hypothesis, Screening, Targets
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import new_model
-from parallel_cal.model.shelf import load_effect
+from parallel_cal.model.shelf import list_plugins, load_effect
 from parallel_cal.reporting.pictures import figure
 from parallel_cal.reporting.text import show
 from parallel_cal.session.steps import add
@@ -212,6 +214,21 @@ def test_samples_that_a_robust_loss_mistrusts_are_excluded_before_the_search():
     assert len(found.dataset) <= len(data) - 3
     assert not {3, 50, 77} & {*found.dataset.numbers}
     assert found.laws[0].name == "joint2 by joint2"
+
+
+@pytest.mark.wide
+def test_the_page_shows_the_counts_of_the_kept_study(monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "bench"))
+    study = importlib.import_module("discover")
+    outcomes = list(study.kept(study.STUDY).values())
+    assert {one.case.kind for one in outcomes if one.case.family == "catalogue"} == {*cs.EFFECTS}
+    assert study.make_table(outcomes) in study.PAGE.read_text()
+
+
+def test_every_effect_of_the_robot_in_the_catalogue_can_be_hidden():
+    effects = {name: load_effect(name) for name in list_plugins("effects")}
+    of_robot = {name for name, one in effects.items() if not one.of_device and not one.reads}
+    assert of_robot == {*cs.EFFECTS}
 
 
 # ------------------------------------------------------------------------ the effect of a law

@@ -353,7 +353,9 @@ def _find_winners(
         winner = _find_winner(scene, targets, scored)
         if winner is not None:
             split = _split(scene, columns, screening, scored, winner.formula)
-            winner = replace(winner, formula=split, equal=()) if split else winner
+            if split is not None:  # what the device may cause stays an objection
+                of_device = (o for o in winner.equal if o.hypothesis.site.kind == DEVICE)
+                winner = replace(winner, formula=split, equal=tuple(of_device))
             refined = _refine_lag(scene, targets, winner.formula, drivers)
             winner = replace(winner, formula=refined)
         if winner is None:
@@ -398,17 +400,21 @@ def _split(
     formula: Formula,
 ) -> Formula | None:
     """The first of several laws of one driver, in different places, that describe the data as well
-    as a law of two drivers; None if there are none.
+    as a law of the robot with two drivers; None if there are none.
 
     Where several parts err with the temperature, one of them alone describes less than a law with
     a second quantity that no part depends on.
     """
-    if len(formula.hypothesis.drivers) < 2:
+    if len(formula.hypothesis.drivers) < 2 or formula.hypothesis.site.kind == DEVICE:
         return None
     best, first = formula.evidence - MAX_EQUAL_EVIDENCE, None
     for own in formula.hypothesis.drivers:
         single = screening.of_driver(own[0])
-        begin = [one for _, one in scored if len(one.drivers) == 1 and one.uses(own[0])]
+        begin = [
+            one
+            for _, one in scored
+            if len(one.drivers) == 1 and one.uses(own[0]) and one.site.kind != DEVICE
+        ]
         for one in begin[:MAX_SPLITS]:
             gained, chain, found = 0.0, list[Formula](), columns
             while len(chain) < MAX_LAWS:
@@ -425,11 +431,12 @@ def _split(
 
 
 def _find_best(screening: Screening, targets: Targets) -> Hypothesis | None:
-    """The best of the hypotheses; None if it may be chance."""
+    """The best of the hypotheses about the robot; None if it may be chance."""
     scored = [
         (float(e), one)
         for part in screening.score(targets)
         for e, one in zip(part.evidence[:, 0], part.hypotheses, strict=True)
+        if one.site.kind != DEVICE
     ]
     best = max(scored, key=lambda item: item[0], default=(0.0, None))
     return best[1] if best[0] > np.log(max(len(scored), 1)) else None

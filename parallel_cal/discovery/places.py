@@ -87,8 +87,8 @@ def list_places(scene: Scene) -> list[Place]:
 
 
 def _list_rods(scene: Scene, J: np.ndarray) -> list[Place]:
-    """The length of each rod, where a parameter of the mechanism is not itself that length; `J` are
-    the derivatives by the parameters (N, rows, k). None where statics does not give tensions."""
+    """The length of each rod; none where statics does not give its tension. `J` are the derivatives
+    by the parameters of the mechanism (N, rows, k)."""
     mechanism = scene.model.mechanism
     if needs_rods(mechanism):
         return []

@@ -35,13 +35,8 @@ from parallel_cal.discovery.thresholds import (
 
 # One driver for every member of a site: `load` of its own joint, or `payload` for all.
 DriverSet = tuple[Driver, ...]
-OF_DEVICE = {
-    *PLACES,
-    "time",
-    "temperature",
-    LAGGED,
-    "session",
-}  # families that an error of a device knows
+# Families of drivers that an error of a device knows.
+OF_DEVICE = {*PLACES, "time", "temperature", LAGGED, "session"}
 
 
 @dataclass(frozen=True)
@@ -167,10 +162,10 @@ class Screening:
             if site.kind != PLATFORM or own[0].family not in OF_DEVICE
         )
         if self._pairs and (len(site.members) == 1 or not site.each):
-            told = [own for own in sets if own[0].family != LAGGED]
+            instant = [own for own in sets if own[0].family != LAGGED]
             pairs = (
                 (one, other)
-                for one, other in combinations(told, 2)
+                for one, other in combinations(instant, 2)
                 if self._is_plausible_pair(site, one, other)
             )
             yield from _chunks(
