@@ -120,7 +120,8 @@ def list_sites(places: list[Place]) -> list[Site]:
             continue
         if members[0].kind in (JOINT, PARAMETER, ROD):
             sites.append(Site(name, tuple(members)))
-        sites.append(Site(name, tuple(members), each=True))
+        if members[0].kind != ROD:  # so many coefficients would imitate any slow noise
+            sites.append(Site(name, tuple(members), each=True))
     return sites
 
 
