@@ -221,7 +221,7 @@ class Bench:
         self.version += 1
 
 
-VIEW_VERSION = 10  # of the stored views; a view of another version is computed again
+VIEW_VERSION = 11  # of the stored views; a view of another version is computed again
 
 
 def view_path(session: History, state: int | None = None) -> Path:
