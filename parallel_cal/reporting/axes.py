@@ -1,10 +1,13 @@
-"""Axes of the figures, without NumPy, so that the workbench's page can draw them."""
+"""Axes and the noise floor of figures, without NumPy, so that the page can draw them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from typing import Any
+
+from parallel_cal.reporting.colours import QUIET
+from parallel_cal.reporting.readable import number
 
 
 def log_axis(values: Sequence[float | None], title: str) -> dict[str, Any]:
@@ -27,3 +30,27 @@ def log_axis(values: Sequence[float | None], title: str) -> dict[str, Any]:
         "tickvals": ticks,
         "ticktext": [f"{t:g}" for t in ticks],
     }
+
+
+def noise_floor(
+    noise: float, ends: Sequence[float], unit: str
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the dashed line of the noise floor (in `unit`) between two ends, and its label."""
+    line = {
+        "type": "scatter",
+        "mode": "lines",
+        "x": [*ends],
+        "y": [noise] * 2,
+        "line": {"dash": "dash", "color": QUIET},
+        "hoverinfo": "skip",
+    }
+    label = {
+        "xref": "paper",
+        "x": 0.005,
+        "xanchor": "left",
+        "y": math.log10(noise),
+        "yanchor": "top",
+        "text": f"noise floor {number(noise)} {unit}",
+        "showarrow": False,
+    }
+    return line, label

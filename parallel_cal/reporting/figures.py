@@ -11,7 +11,7 @@ import numpy as np
 
 from parallel_cal.discovery.shape import Shape
 from parallel_cal.identification.prediction_errors import Summary
-from parallel_cal.reporting.axes import log_axis
+from parallel_cal.reporting.axes import log_axis, noise_floor
 from parallel_cal.reporting.colours import ACCENT, BAND, MEASURED, PATTERN, QUIET, WARNING
 from parallel_cal.reporting.contents import DescribedParameter
 from parallel_cal.reporting.readable import error_unit, number, value_unit
@@ -144,23 +144,7 @@ def history(rows: Sequence[Mapping[str, Any]], floor: Summary, kind: str, si: st
     ticks = {"tickvals": list(range(len(rows))), "ticktext": [escape(r["name"]) for r in rows]}
     data, annotations = [_steps(rows, shown)], []
     if noise:
-        floor_line: Spec = {
-            "type": "scatter",
-            "mode": "lines",
-            "x": ends,
-            "y": [noise] * 2,
-            "line": {"dash": "dash", "color": QUIET},
-            "hoverinfo": "skip",
-        }
-        label: Spec = {
-            "xref": "paper",
-            "x": 0.01,
-            "xanchor": "left",
-            "y": float(np.log10(noise)),
-            "yanchor": "top",
-            "text": f"noise floor: {number(noise)}",
-            "showarrow": False,
-        }
+        floor_line, label = noise_floor(noise, ends, unit)
         data, annotations = [floor_line, *data], [label]
     return {
         "data": data,

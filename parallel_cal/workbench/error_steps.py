@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -10,8 +9,8 @@ from textwrap import wrap
 from typing import Any
 
 from parallel_cal.base.units import ERROR_SI_UNITS, ERROR_UNITS
-from parallel_cal.reporting.axes import log_axis
-from parallel_cal.reporting.colours import MEASURED, QUIET
+from parallel_cal.reporting.axes import log_axis, noise_floor
+from parallel_cal.reporting.colours import MEASURED
 from parallel_cal.reporting.readable import error_unit, number
 from parallel_cal.session.history import History, State
 
@@ -89,9 +88,10 @@ def draw_steps(found: FallingError) -> dict[str, Any]:
     values = [factor * step.error for step in found.steps]
     noise = factor * found.noise if found.noise else None
     ends = [-0.4, len(values) - 0.4]
+    floor = noise_floor(noise, ends, unit) if noise else ()
     return {
         "data": [
-            *([_draw_noise(noise, ends)] if noise else []),
+            *floor[:1],
             *_draw_lines(found.steps, values),
             *_draw_points(found, values, unit),
         ],
@@ -108,7 +108,7 @@ def draw_steps(found: FallingError) -> dict[str, Any]:
                 "automargin": True,
             },
             "yaxis": log_axis([noise, *values], f"{found.words} [{unit}]"),
-            "annotations": [_label_noise(noise, unit)] if noise else [],
+            "annotations": [*floor[1:]],
         },
         "config": {"displaylogo": False, "displayModeBar": False},
     }
@@ -120,29 +120,6 @@ def describe_steps(found: FallingError) -> str:
     steps = ", ".join(f"{step.name} {number(step.error, factor)} {unit}" for step in found.steps)
     floor = f"; noise floor {number(found.noise, factor)} {unit}" if found.noise else ""
     return f"{found.words} over the steps: {steps}{floor}"
-
-
-def _draw_noise(noise: float, ends: list[float]) -> dict[str, Any]:
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": ends,
-        "y": [noise] * 2,
-        "line": {"dash": "dash", "color": QUIET},
-        "hoverinfo": "skip",
-    }
-
-
-def _label_noise(noise: float, unit: str) -> dict[str, Any]:
-    return {
-        "xref": "paper",
-        "x": 0.005,
-        "xanchor": "left",
-        "y": math.log10(noise),
-        "yanchor": "top",
-        "text": f"noise floor {number(noise)} {unit}",
-        "showarrow": False,
-    }
 
 
 def _draw_lines(steps: Sequence[Step], values: Sequence[float]) -> Iterator[dict[str, Any]]:
