@@ -574,7 +574,8 @@ def test_the_command_writes_the_robot_alone_with_a_makefile_that_checks_it(tmp_p
     [
         (
             "d",
-            "no target 'd': expected one of c, cpp, grblhal, klipper, linuxcnc, rrf, table, urdf",
+            "no target 'd': expected one of c, cpp, grblhal, klipper, linuxcnc, marlin, "
+            "marlin_equal_rods, rrf, table, urdf",
         ),
         ("c:size=3", "option 'size=3': expected one of name="),
         ("c:poses=many", "option 'poses=many': expected one of name="),

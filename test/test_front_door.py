@@ -173,7 +173,7 @@ def test_a_notebook_shows_the_tables_of_the_command_line(results):
         assert shown.count("<table>") >= 2
         for line in pc.show(results[name]).splitlines():
             is_sentence = "  " not in line and len(line.split()) > 4
-            assert not is_sentence or line.replace(" um", " µm") in shown
+            assert not is_sentence or line.replace(" um", " µm").replace("+-", "±") in shown
 
 
 def test_the_wrong_kind_of_argument_is_named_with_the_cure(results):

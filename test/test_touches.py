@@ -47,4 +47,4 @@ def test_a_bad_touch_is_located():
     first = show(compared).split("worst samples:\n")[1].splitlines()[:2]
     assert "|error|" not in first[0]
     assert "z" not in show(compared).split("worst region: ")[1].split(",")[0]
-    assert first[1].split()[2:4] == [f"{v:.1f}" for v in 1e3 * odd.place[:2]]
+    assert first[1].split()[1:3] == [f"{v:.1f}" for v in 1e3 * odd.place[:2]]

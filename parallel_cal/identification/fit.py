@@ -189,6 +189,7 @@ class FitResult(ShownInNotebook):
         return compute_rms_sigmas(found, blocks(self.dataset))
 
     @cached_property
+    @single_threaded()
     def held_out_before(self) -> Errors:
         """Errors of the model before the fit, at the poses of `held_out`; NaN at all other samples.
 
@@ -238,6 +239,7 @@ class FitResult(ShownInNotebook):
         return self.held_out if self.held_out.judged.any() else self.after
 
     @cached_property
+    @single_threaded()
     def unchanged_errors(self) -> Errors:
         """Errors of the given model without a fit of its parameters, at the samples of `held_out`.
 
@@ -247,11 +249,13 @@ class FitResult(ShownInNotebook):
         return self.given.errors_at_held_out(folds).only_at(self.held_out.judged)
 
     @cached_property
+    @single_threaded()
     def nominal_errors(self) -> Errors:
         """Errors of the nominal model, registered only, at the samples of `judged_errors`."""
         return self._errors_of_nominal(np.any([*list_parts(self.model).values()], axis=0))
 
     @cached_property
+    @single_threaded()
     def errors_without(self) -> dict[str, Errors | None]:
         """Errors of the model without its identified geometry and without each of its effects, at
         the samples of `judged_errors`; None where the rest cannot be identified.
