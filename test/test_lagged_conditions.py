@@ -112,3 +112,19 @@ def test_a_lagged_temperature_that_is_not_stated_is_settled_at_the_temperature(l
     assert named_conditions(model, [("temperature.lag300", 25.0)]) == {"temperature.lag300": 25.0}
     with pytest.raises(ModelError, match=r"no condition 'temperature\.later'"):
         named_conditions(model, [("temperature.later", 25.0)])
+
+
+def test_a_node_follows_the_temperature_as_the_recorded_samples_do(late):
+    pytest.importorskip("parallel_cal_msgs")
+    from parallel_cal.nodes.stream_memory import Memory
+
+    model, memory = new_model("delta24", effects=[late]), Memory(1e-4)
+    time = np.array([0.0, 60.0, 90.0, 400.0, 1000.0])
+    air = np.array([20.0, 24.0, 24.0, 30.0, 22.0])
+    expected = compute_lagged(air, time, 300.0, np.zeros(5))
+    for t, value, lagged in zip(time, air, expected, strict=True):
+        memory.on_condition(model, "temperature", value, t)
+        known = memory.conditions(model)
+        assert known["temperature.lag300"] == pytest.approx(lagged, rel=1e-12)
+    assert np.ptp(expected) > 3.0
+    assert memory.unheard(model) == []

@@ -9,8 +9,10 @@ import numpy as np
 from parallel_cal.base.errors import SolveError
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
 from parallel_cal.kinematics.solvers import newton
+from parallel_cal.model.effect import parse_lag
 from parallel_cal.model.model import Model
 from parallel_cal.nodes.model_server import ServedModel, describe_status
+from parallel_cal.recordings.lagged import follow
 
 SAME_BRANCH = 1e-3  # rad or m: solutions of the same pose that differ less are the same branch
 
@@ -42,6 +44,18 @@ class Memory:
         self.heard: dict[str, float] = {}
         self._motion: dict[str, tuple[float, float]] = {}  # position and velocity of each joint
         self._time: float | None = None
+        self._condition_times: dict[str, float] = {}
+
+    def on_condition(self, model: Model | None, name: str, value: float, stamp: float) -> None:
+        """Update with a condition at a time [s], and those that follow it with a time constant."""
+        before = self.heard.get(name, value)
+        step = stamp - self._condition_times.get(name, stamp)
+        for lagged in model.conditions if model else ():
+            lag = parse_lag(lagged)
+            if lag is not None and lag[0] == name:
+                last = self.heard.get(lagged, before)
+                self.heard[lagged] = follow(last, before, value, step, lag[1])
+        self.heard[name], self._condition_times[name] = value, stamp
 
     def on_joint_state(
         self, model: Model, q: np.ndarray, stamp: float, velocity: np.ndarray | None

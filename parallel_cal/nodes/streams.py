@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -30,6 +31,7 @@ from parallel_cal.kinematics.kinematics import Status
 from parallel_cal.kinematics.singularity import distances
 from parallel_cal.kinematics.solving import controlled_pose
 from parallel_cal.model.model import Model
+from parallel_cal.model.region import describe_untested_conditions
 from parallel_cal.nodes.conversions import (
     check_finite,
     match_joints,
@@ -48,6 +50,7 @@ from parallel_cal.nodes.run import WorkerThreadGroup
 from parallel_cal.nodes.stream_memory import Memory, joints_for
 from parallel_cal.nodes.tally import Tally
 from parallel_cal.recordings.channels import CHANNELS, list_channels
+from parallel_cal.recordings.pose_messages import stamp_of
 
 # Room for the messages that arrive while the interpreter is busy: 0.1 s at 1 kHz.
 STATES = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -70,7 +73,7 @@ class Streams:
         self._node, self._server, self._group = node, server, group
         self._memory, self._tally = memory, tally
         self.health: dict[str, Stream] = {}
-        self._warned_hash = ""  # of the model whose poses outside its region were logged
+        self._warned: dict[str, str] = {}  # the hash of the model that each kind was logged for
         self._answer = PoseStamped()
         self._pose = self._publisher(PoseStamped, "~/pose")
         self._sure_pose = self._publisher(PoseWithCovarianceStamped, "~/pose_with_covariance")
@@ -169,7 +172,9 @@ class Streams:
     # ------------------------------------------------------------------ conditions
 
     def _on_condition(self, name: str, message: Any) -> None:
-        self._memory.heard[name] = check_finite(*CHANNELS[name].decode(message))
+        served, value = self._server.current, check_finite(*CHANNELS[name].decode(message))
+        stamp = 1e-9 * (stamp_of(message) or time.time_ns())
+        self._memory.on_condition(served.model if served else None, name, value, stamp)
 
     # ------------------------------------------------------------------ poses
 
@@ -213,17 +218,27 @@ class Streams:
     def _warn_outside_region(
         self, served: ServedModel, topic: str, joints: np.ndarray, position: np.ndarray
     ) -> None:
-        """Count poses outside the region in which the model was identified; log the first one."""
+        """Count poses outside the region in which the model was identified, and outside the
+        conditions in which its laws were tested; log the first one of each."""
         if served.region is None:
             return
+        if served.region.conditions:
+            rows = served.model.condition_rows(self._memory.conditions(served.model), 1)
+            if words := describe_untested_conditions(served.model, rows):
+                self._tally.add(topic, "outside the tested conditions")
+                self._log_once("conditions", served, f"{topic}: {words}")
         excess = served.region.compute_excess(joints, position)
         if not excess.any():
             return
         self._tally.add(topic, "outside the identified region")
-        if self._warned_hash != served.hash:
-            self._warned_hash = served.hash
-            words = served.region.describe_excess(excess, "poses")
-            self._node.get_logger().warning(f"{topic}: {words} (logged once for each model)")
+        words = served.region.describe_excess(excess, "poses")
+        self._log_once("region", served, f"{topic}: {words}")
+
+    def _log_once(self, kind: str, served: ServedModel, words: str) -> None:
+        """Log one warning of a kind for each model."""
+        if self._warned.get(kind) != served.hash:
+            self._warned[kind] = served.hash
+            self._node.get_logger().warning(f"{words} (logged once for each model)")
 
     # ------------------------------------------------------------------ commands
 

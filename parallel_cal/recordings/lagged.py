@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -40,13 +41,15 @@ def compute_lagged(
         x, t = out[order], np.asarray(time, dtype=float)[order]
         y = x.copy()
         for k in range(1, len(x)):
-            step = t[k] - t[k - 1]
-            if step <= 0:
-                y[k] = y[k - 1]
-                continue
-            # A ramp is followed at a constant distance; what is left of the start decays.
-            behind = time_constant * (x[k] - x[k - 1]) / step
-            start = y[k - 1] - x[k - 1] + behind
-            y[k] = x[k] - behind + start * np.exp(-step / time_constant)
+            y[k] = follow(y[k - 1], x[k - 1], x[k], t[k] - t[k - 1], time_constant)
         out[order] = y
     return out
+
+
+def follow(lagged: float, before: float, now: float, step: float, time_constant: float) -> float:
+    """Return the lagged value `step` seconds after `lagged`, while the condition that it follows
+    went from `before` to `now`. A ramp is followed at a constant distance; the rest decays."""
+    if step <= 0:
+        return lagged
+    behind = time_constant * (now - before) / step
+    return now - behind + (lagged - before + behind) * math.exp(-step / time_constant)
