@@ -75,7 +75,7 @@ def test_the_decision_needs_the_error_and_its_expanded_uncertainty(limit, result
     [found] = decide(CertificateFields(limit_um=limit), errors, {"position": 1.8e-6})
     assert found.result == result
     assert found.description.endswith(f"limit {limit} um: {result}")
-    assert "32.0 +- 3.6 um (U = 2 sigma)" in found.description
+    assert "32.0 +- 3.6 um (U = 2 sigma, without the device)" in found.description
 
 
 def test_nothing_is_decided_about_an_error_that_is_not_known():
@@ -112,7 +112,8 @@ def test_the_certificate_shows_what_was_stated_and_leaves_the_rest_blank(made):
     assert made.provenance.model_sha256 in shown
     assert "94 samples of 74 held-out poses" in shown
     error, sigma = made.errors.now.position_rms, made.errors.sigmas["now"]["position"]
-    words = f"Position error {1e6 * error:.1f} ± {2e6 * sigma:.1f} µm (U = 2 sigma), limit 50 µm"
+    words = f"Position error {1e6 * error:.1f} ± {2e6 * sigma:.1f} µm "
+    words += "(U = 2 sigma, without the device), limit 50 µm"
     assert f"{words}: pass." in shown
     assert "The model was identified from these samples." in shown
     assert made.document()["conformity"][0]["result"] == "pass"

@@ -1,6 +1,5 @@
 """A CSV table and a column map become samples that every command takes; or one clear line."""
 
-import hashlib
 import json
 
 import numpy as np
@@ -62,7 +61,20 @@ def test_columns_become_samples_in_si(files):
     assert data.pose_id[0] == data.pose_id[2] != data.pose_id[1]
     np.testing.assert_array_equal(data.joint_sigma, [1e-4, 1e-4])
     np.testing.assert_allclose(np.sqrt(np.diag(data.pose_cov[0])), [2e-5] * 3 + [3e-5] * 3)
-    assert data.sha256 == hashlib.sha256(TABLE.encode()).hexdigest()
+
+
+def test_another_column_map_makes_other_samples_of_the_same_table(files):
+    """A model that was fitted to the first ones was not fitted to the others."""
+    data, again = (import_csv(*files()) for _ in range(2))
+    assert len(data.sha256) == 64
+    assert again.sha256 == data.sha256
+    stated = (
+        ("position: 2.0e-5", "position: 4.0e-5"),
+        ("b_mm, unit: mm", "b_mm, factor: 2, unit: mm"),
+    )
+    for other in (MAP.replace(*one) for one in stated):
+        assert other != MAP
+        assert import_csv(*files(columns=other)).sha256 != data.sha256
 
 
 def test_a_motors_angle_becomes_the_travel_of_its_joint(files):

@@ -76,6 +76,16 @@ def test_the_error_budget_begins_with_the_registered_model():
     assert budget.total == pytest.approx(result.held_out_before.summary.position_rms, rel=1e-6)
 
 
+def test_the_nominal_model_of_a_later_step_gets_its_own_frames_too():
+    """Those of the fitted geometry would make its error look larger."""
+    data = seen(va.session(va.arm("ur5", 2), 60, 0, REFLECTOR), pose=False)
+    first = fit(nominal("ur5"), data)
+    later = fit(first.model, data, insist=True)
+    begin = first.nominal_errors.summary.position_rms
+    assert later.nominal_errors.summary.position_rms == pytest.approx(begin, rel=0.01)
+    assert later.budgets[0].total == pytest.approx(first.budgets[0].total, rel=0.01)
+
+
 def test_a_fit_of_a_fitted_file_starts_where_the_first_fit_ended(arm_in_its_base):
     data = replace(arm_in_its_base, sha256="a" * 64)
     first = fitted(nominal("ur5"), data)

@@ -74,6 +74,8 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 
+# Families of drivers whose values a person cannot choose for a pose at rest.
+NOT_CHOSEN = ("time", "session", "velocity", "settling")
 MAX_SHOWN_PARAMETERS = 6  # of a law in its sentence; the table has all
 
 
@@ -734,14 +736,21 @@ def _advise(scene: Scene, winner: _Winner, drivers: Sequence[Driver]) -> str:
     )
     apart = np.linalg.norm(scene.by_sample(own - other), axis=1)
     far = np.argsort(-apart)[: max(len(apart) // 10, 3)]
+    names = f"{_name(winner.formula.hypothesis)} from {_name(winner.equal[0].hypothesis)}"
+    sigmas = float(np.linalg.norm(apart))
+    if sigmas < 1.0:
+        return (
+            f"nothing tells {names}: at these samples both laws are the same function "
+            f"({sigmas:.1f} sigmas)"
+        )
     shifts = [
         (float(np.mean(one.values[far]) - np.mean(one.values)) / float(np.std(one.values)), one)
         for one in drivers
+        if one.family not in NOT_CHOSEN and np.std(one.values) > 0
     ]
     shifts.sort(key=lambda item: -abs(item[0]))
     where = [f"{'large' if shift > 0 else 'small'} {one.name}" for shift, one in shifts[:2]]
-    names = f"{_name(winner.formula.hypothesis)} from {_name(winner.equal[0].hypothesis)}"
     return (
         f"to tell {names}, measure more poses with {' and '.join(where)}, where they differ most; "
-        f"the present samples tell them by {np.linalg.norm(apart):.1f} sigmas"
+        f"the present samples tell them by {sigmas:.1f} sigmas"
     )

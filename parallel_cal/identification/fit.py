@@ -67,6 +67,7 @@ from parallel_cal.identification.refit import add_consider_covariance
 from parallel_cal.identification.registration import (
     Registration,
     add_registration_warning,
+    is_identified,
     prepared_for_fit,
     registered_by,
 )
@@ -284,7 +285,9 @@ class FitResult(ShownInNotebook):
         values = np.where(part, self.model.table.nominal, self.model.values)
         model = self.model.with_values(values)
         held_out = self.held_out.judged.any()
-        placed = registered_by(model, self.observations) if self.given.is_registered else None
+        # Frames that a fit found belong to its geometry: the nominal one gets its own.
+        registers = self.given.is_registered or is_identified(self.model)
+        placed = registered_by(model, self.observations) if registers else None
         given = GivenModel(
             model, placed or model, self.dataset, self.options.joint_sigma, self.options.insist
         )

@@ -161,6 +161,7 @@ def make_recording(
         kept = kept[np.argsort(time[kept], kind="stable")]
         return ScalarStream(f"{table.path} ({column})", time[kept], values[kept])
 
+    # Of the numbers, not of the files: another column map makes another recording of them.
     return replace(
         recording,
         start_ns=0,  # the date of the first row is not known
@@ -173,7 +174,7 @@ def make_recording(
             name: stream(one.column, found.si([one.column], one.unit, gaps=True)[:, 0])
             for name, one in wanted.readings.items()
         },
-        sha256=hashlib.sha256(b"".join(table.path.read_bytes() for table in given)).hexdigest(),
+        sha256=_hash_numbers(recording),
     )
 
 
@@ -212,3 +213,18 @@ def _complete_rows(table: Table, values: Array, what: str, time: Array) -> np.nd
     if not len(rows):
         raise DatasetError(f"{table.path}: no row has the {what}, expected numbers in them")
     return rows[np.argsort(time[rows], kind="stable")]
+
+
+def _hash_numbers(recording: Recording) -> str:
+    """Return the sha256 of the numbers of joints and poses."""
+    digest, poses = hashlib.sha256(), recording.pose
+    for values in (
+        recording.joints.time,
+        recording.joints.position,
+        poses.time,
+        poses.position,
+        poses.quaternion,
+        poses.covariance,
+    ):
+        digest.update(np.ascontiguousarray(values).tobytes())
+    return digest.hexdigest()

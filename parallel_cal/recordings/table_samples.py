@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -13,6 +12,7 @@ from parallel_cal.recordings.clocks import MIN_STEPS
 from parallel_cal.recordings.columns import ColumnMap, Join
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.dwells import approach
+from parallel_cal.recordings.joining import fingerprint
 from parallel_cal.recordings.recording import Array, Dropped
 from parallel_cal.recordings.samples import READING
 from parallel_cal.recordings.table import Table
@@ -56,7 +56,7 @@ def make_dataset(given: Sequence[Table], wanted: ColumnMap, asks: str) -> Datase
     pose_id = None
     if wanted.group is not None:
         pose_id = np.unique(found.texts(wanted.group), return_inverse=True)[1]
-    return Dataset.from_arrays(
+    dataset = Dataset.from_arrays(
         tuple(wanted.joints),
         q,
         np.zeros((n, 3)) if r is None else r,
@@ -67,11 +67,12 @@ def make_dataset(given: Sequence[Table], wanted: ColumnMap, asks: str) -> Datase
         conditions=conditions | readings,
         pose_id=pose_id,
         source=" + ".join(str(table.path) for table in given),
-        sha256=hashlib.sha256(b"".join(table.path.read_bytes() for table in given)).hexdigest(),
         dropped=tuple(dropped),
         warnings=tuple(notes),
         joint_units=tuple(found.joint_unit(joint) for joint in wanted.joints.values()),
     )
+    # Of the numbers, not of the files: another column map makes other samples of the same files.
+    return dataclasses.replace(dataset, sha256=fingerprint(dataset))
 
 
 def _orders_visits(wanted: ColumnMap) -> bool:

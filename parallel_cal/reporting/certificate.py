@@ -106,7 +106,9 @@ def _check(name: str, value: Any, source: str) -> Any:
 
 @dataclass(frozen=True)
 class Conformity:
-    """The decision on one kind of error, SI: by ISO 14253-1, with U = 2 sigma.
+    """The decision on one kind of error, SI: by the rule of ISO 14253-1, with U = 2 sigma.
+
+    U is how much the error varies between poses. It does not contain the device's own uncertainty.
 
     The robot passes if the error plus U is within the limit, and fails if the error minus U is
     beyond it. Between them nothing is decided.
@@ -128,13 +130,17 @@ class Conformity:
 
     @property
     def description(self) -> str:
-        """`position error 32.2 +- 2.8 um (U = 2 sigma), limit 50 um: pass`."""
+        """`position error 32.2 +- 2.8 um (U = 2 sigma, without the device), limit 50 um: pass`."""
         unit, factor = ERROR_UNITS[self.kind]
         shown = with_sigma(self.error, self.expanded_uncertainty, factor).replace("±", "+-")
         limit = f"limit {self.limit * factor:g} {unit}"
         if self.error is None:
             return f"{self.kind} error not known, {limit}: {self.result}"
-        known = "U = 2 sigma" if self.expanded_uncertainty is not None else "U not known"
+        known = (
+            "U = 2 sigma, without the device"
+            if self.expanded_uncertainty is not None
+            else "U not known"
+        )
         return f"{self.kind} error {shown} {unit} ({known}), {limit}: {self.result}"
 
     def document(self) -> dict[str, Any]:

@@ -145,8 +145,10 @@ def certificate(report: Report) -> str:
     signature = facts({"Calibrated by": "", "Approved by": ""})
     note = paragraph(
         f"{IDENTIFIED_HERE if certified.identified_here else NOT_IDENTIFIED_HERE} U is the "
-        "expanded uncertainty (k = 2). The decision follows ISO 14253-1: pass if error + U is "
-        "within the limit, fail if error - U is beyond it.",
+        "expanded uncertainty (k = 2) from the scatter between poses. It does not contain the "
+        "uncertainty of the measuring device: subtract that from the limit unless it is small. "
+        "The decision follows the rule of ISO 14253-1: pass if error + U is within the limit, fail "
+        "if error - U is beyond it.",
         "note",
     )
     return (
