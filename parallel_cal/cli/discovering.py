@@ -47,6 +47,8 @@ def discover(
     console.say(text.show(found))
     if output is not None and not files:
         console.say(f"nothing was written to {output}: no law was proven to be the robot's")
-    for file in files:
-        command = f"PYTHONPATH={file.parent} parallel-cal add {model} {file.stem} RECORDING"
-        console.say(f"written: {file}; next: {command}")
+    if files:
+        # Together: each law was proven beside those before it.
+        laws, folder = "+".join(file.stem for file in files), files[0].parent
+        command = f"PYTHONPATH={folder} parallel-cal add {model} {laws} RECORDING"
+        console.say(f"written: {', '.join(map(str, files))}; next: {command}")

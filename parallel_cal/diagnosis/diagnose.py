@@ -52,7 +52,7 @@ from parallel_cal.diagnosis.thresholds import (
     MAX_REFITTED_CANDIDATES,
 )
 from parallel_cal.diagnosis.unusual import UnusualEffect, find_unusual_effects
-from parallel_cal.diagnosis.verdict import Findings, Verdict, judge
+from parallel_cal.diagnosis.verdict import UNEXPLAINED_VERDICTS, Findings, Verdict, judge
 from parallel_cal.identification.added_effects import limit_patterns
 from parallel_cal.identification.fit import FitResult, fit, fit_registered
 from parallel_cal.identification.given_model import GivenModel
@@ -122,6 +122,12 @@ class Diagnosis(ShownInNotebook):
     registration: Registration | None
     measure_next: NextMeasurement
     ambiguous: tuple[Ambiguity, ...] = ()
+
+    @property
+    def leaves_an_error(self) -> bool:
+        """Whether an error is left that the catalogue does not describe, or describes only with
+        effects that are larger than usual: a law outside the catalogue may be its cause."""
+        return self.verdict.word in UNEXPLAINED_VERDICTS or bool(self.unusual)
 
     def __repr__(self) -> str:
         found = ", ".join(self.effects) or "no effect"

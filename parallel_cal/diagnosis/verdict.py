@@ -32,6 +32,8 @@ from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.model.shelf import load_effect
 
 # Verdicts that find the model incomplete.
+# Verdicts that leave an error which no effect of the catalogue describes.
+UNEXPLAINED_VERDICTS = ("unexplained", "partly_explained", "cannot_know")
 AMBER_VERDICTS = ("explained", "partly_explained", "unexplained")
 
 

@@ -43,8 +43,6 @@ View = dict[str, Any]
 # Samples on a page. A browser needs seconds to draw more, and more hide each other.
 MAX_SHOWN_SAMPLES, MAX_WORST_SAMPLES = 2000, 500
 NUMBERS_ONLY: View = {"candidates": [], "together": None, "untested": []}
-# Verdicts that leave an error which no effect of the catalogue describes.
-UNEXPLAINED_VERDICTS = ("unexplained", "partly_explained", "cannot_know")
 AMBER, GREEN, GREY = "amber", "green", "grey"
 
 
@@ -199,7 +197,7 @@ def _make_report_view(found: Report) -> View:
         "drawing": to_json_value(drawings.drawing(diagnosis.model, found=identified)),
         "advice": list(diagnosis.measure_next.advice),
         "cannot_tell": [one["text"] for one in contents.combinations(now)["unidentifiable"]],
-        "find_law": diagnosis.verdict.word in UNEXPLAINED_VERDICTS,
+        "find_law": diagnosis.leaves_an_error,
     }
 
 
