@@ -18,5 +18,5 @@ if shutil.which("make") and shutil.which("cc"):
     print("agrees with Python" if done.returncode == 0 else done.stderr)
 
 # Prints:
-# Makefile delta54.c delta54.h delta54_check.c delta54_vectors.csv
+# CMakeLists.txt Makefile delta54.c delta54.h delta54_check.c delta54_loop.c delta54_vectors.csv
 # agrees with Python

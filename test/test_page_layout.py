@@ -251,7 +251,9 @@ def test_the_falling_error_is_the_picture_of_the_page(page):
     assert "noise floor 30" in words
     shown = picture.bounding_box()
     assert shown["y"] + shown["height"] < 800  # in the first screen
-    assert "606 µm → 37.0 µm · noise 30.0 µm" in page.locator("header").inner_text()
+    assert (
+        "606 ± 11 µm → 37.0 ± 1.8 µm · noise 30.0 ± 1.2 µm" in page.locator("header").inner_text()
+    )
 
 
 @pytest.mark.wide

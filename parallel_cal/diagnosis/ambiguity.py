@@ -15,6 +15,7 @@ from parallel_cal.diagnosis.entries import rivals_of
 from parallel_cal.diagnosis.search import Chosen, Rank, Search, Trial, is_superfluous
 from parallel_cal.diagnosis.separate import Separation
 from parallel_cal.diagnosis.thresholds import MIN_SEPARATION_SIGMAS
+from parallel_cal.identification.registration import STATION_EFFECT
 from parallel_cal.model.model import Model
 
 
@@ -51,8 +52,8 @@ def find_ambiguous_effects(
     fitted, found = best.fitted, []
     for effect in model.effects:
         own = fitted.model.table.matching([f"{effect.name}.*"])
-        if not (own & fitted.free).any():
-            continue  # its parameters were given, not identified
+        if effect.name == STATION_EFFECT or not (own & fitted.free).any():
+            continue  # it describes where devices stand, or its parameters were given
         try:
             search = search_of(model.without_effect(effect.name))
         except ModelError:  # another effect needs it

@@ -87,7 +87,7 @@ def export(
     >>> from tempfile import mkdtemp
     >>> done = pc.export(pc.new_model("delta24"), "c", mkdtemp())
     >>> sorted(path.suffix for path in done.paths)
-    ['', '.c', '.c', '.csv', '.h']
+    ['', '.c', '.c', '.c', '.csv', '.h', '.txt']
     """
     name, given = split_options(target, "target", ModelError)
     module, robot = load_module(SHELF, name), model.robot()
