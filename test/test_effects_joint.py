@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.methods.implicit import estimate
 from parallel_cal.identification.observations import observe
 from parallel_cal.model.effect import Seen
+from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.parameters import Named
 from parallel_cal.model.shelf import load_effect, load_mechanism
@@ -574,3 +576,10 @@ def test_a_ratio_between_two_of_a_scan_keeps_nine_tenths_of_its_ripple():
     columns = np.column_stack([np.sin(one * q), np.cos(one * q)])
     shown = columns @ np.linalg.lstsq(columns, ripple, rcond=None)[0]
     assert np.linalg.norm(shown) > 0.89 * np.linalg.norm(ripple)
+
+
+def test_a_joint_that_runs_on_a_spool_has_no_screw():
+    root = Path(__file__).parents[1]
+    hexapod = read_model(root / "real" / "jugglebot" / "model.yaml").mechanism
+    reason = load_effect("screw_pitch_error").applies(hexapod)
+    assert reason == "no screw moves its joints: the model file states other drives"

@@ -50,7 +50,11 @@ class ScrewPitchError(Effect):
         return shift_joints(seen, mechanism, _find_prismatic_joints(mechanism), error)
 
     def applies(self, mechanism: Mechanism) -> str:
-        return "" if _find_prismatic_joints(mechanism) else "it has no prismatic joint"
+        if _find_prismatic_joints(mechanism):
+            return ""
+        if "m" in mechanism.joint_units:
+            return "no screw moves its joints: the model file states other drives"
+        return "it has no prismatic joint"
 
     def scan(
         self, mechanism: Mechanism, recorded: Mapping[str, Any]
@@ -75,5 +79,11 @@ class ScrewPitchError(Effect):
 
 
 def _find_prismatic_joints(mechanism: Mechanism) -> list[str]:
-    joints = zip(mechanism.joints, mechanism.joint_units, strict=True)
-    return [joint for joint, unit in joints if unit == "m"]
+    """Return the prismatic joints, without those whose stated drive is not a screw."""
+    drives = mechanism.drives or (None,) * len(mechanism.joints)
+    joints = zip(mechanism.joints, mechanism.joint_units, drives, strict=True)
+    return [
+        joint
+        for joint, unit, drive in joints
+        if unit == "m" and (drive is None or drive.kind == "screw")
+    ]

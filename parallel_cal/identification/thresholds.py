@@ -27,7 +27,7 @@ SAME_UNIT = 0.05  # in the logarithm: by so much a ratio may differ from a unit'
 MIN_SCALE_SAMPLES, MAX_SCALE_SAMPLES = 10, 200  # more are not needed
 MIN_SCALE_CORRELATION = 0.97  # of readings and inverse solutions; a wrong frame lowers it
 MAX_SCALE_SPREAD = 0.25  # in the logarithm, between joints with the same mismatch
-MAX_SCALE_MISMATCH = 1.7  # no gain of a drive is wrong by such a factor; a wrong pitch is, by 2
+MAX_SCALE_MISMATCH = 1.9  # no gain of a drive is wrong by such a factor; a wrong pitch may be, by 2
 MIN_POSE_SPAN = 0.05  # of a joint's range: less may be the geometry's error, not motion
 
 # What the data determine
