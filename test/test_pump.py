@@ -1,6 +1,7 @@
 """A subscription with a thread of its own: what the executor beside it notices of a stream."""
 
 import time
+from itertools import count
 from threading import Event
 
 import pytest
@@ -16,6 +17,7 @@ from sensor_msgs.msg import JointState  # noqa: E402
 from parallel_cal.nodes.client import use_private_domain  # noqa: E402
 from parallel_cal.nodes.pump import Pump  # noqa: E402
 
+NODES = count()
 QOS = QoSProfile(depth=1000)
 TOLD_BEFORE = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -32,11 +34,13 @@ class CountingExecutor(SingleThreadedExecutor):
 
 @pytest.fixture
 def node():
-    context, namespace = rclpy.Context(), use_private_domain()
+    # A namespace of its own: the middleware may still list what an earlier test subscribed to.
+    context, namespace = rclpy.Context(), f"{use_private_domain()}_{next(NODES)}"
     rclpy.init(context=context)
     node = rclpy.create_node("listener", namespace=namespace, context=context)
     node.create_timer(3600.0, lambda: None)
     yield node
+    node.destroy_node()
     rclpy.try_shutdown(context=context)
 
 
