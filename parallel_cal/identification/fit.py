@@ -265,9 +265,12 @@ class FitResult(ShownInNotebook):
         model keeps its effects.
         """
         found: dict[str, Errors | None] = {}
-        for name, own in list_parts(self.model).items():
+        parts = list_parts(self.model)
+        for name, own in parts.items():
             if name == GEOMETRY:
-                found[name] = self._errors_of_nominal(own)
+                # Without effects, this is the nominal model.
+                alone = len(parts) == 1
+                found[name] = self.nominal_errors if alone else self._errors_of_nominal(own)
                 continue
             try:
                 smaller = self.start.without_effect(name)

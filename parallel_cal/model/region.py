@@ -163,10 +163,13 @@ def list_law_conditions(model: Model) -> tuple[str, ...]:
     return tuple(dict.fromkeys(needed))
 
 
-def describe_untested_conditions(model: Model, rows: np.ndarray) -> str:
+def describe_untested_conditions(
+    model: Model, rows: np.ndarray, region: IdentifiedRegion | None = None
+) -> str:
     """Say which conditions (N, n_conditions) are beyond those in which the model's laws that were
-    found in data were tested; empty if none is. A law is proven nowhere else."""
-    region = IdentifiedRegion.of_model(model)
+    found in data were tested; empty if none is. A law is proven nowhere else. The region is by
+    default read from the model's history."""
+    region = region or IdentifiedRegion.of_model(model)
     if region is None:
         return ""
     words = []

@@ -224,21 +224,24 @@ class Streams:
             return
         if served.region.conditions:
             rows = served.model.condition_rows(self._memory.conditions(served.model), 1)
-            if words := describe_untested_conditions(served.model, rows):
+            if words := describe_untested_conditions(served.model, rows, served.region):
                 self._tally.add(topic, "outside the tested conditions")
-                self._log_once("conditions", served, f"{topic}: {words}")
+                self._log_once("conditions", served, topic, lambda: words)
         excess = served.region.compute_excess(joints, position)
         if not excess.any():
             return
         self._tally.add(topic, "outside the identified region")
-        words = served.region.describe_excess(excess, "poses")
-        self._log_once("region", served, f"{topic}: {words}")
+        describe = partial(served.region.describe_excess, excess, "poses")
+        self._log_once("region", served, topic, describe)
 
-    def _log_once(self, kind: str, served: ServedModel, words: str) -> None:
-        """Log one warning of a kind for each model."""
+    def _log_once(
+        self, kind: str, served: ServedModel, topic: str, describe: Callable[[], str]
+    ) -> None:
+        """Log one warning of a kind for each model, and make its words only then."""
         if self._warned.get(kind) != served.hash:
             self._warned[kind] = served.hash
-            self._node.get_logger().warning(f"{words} (logged once for each model)")
+            words = f"{topic}: {describe()} (logged once for each model)"
+            self._node.get_logger().warning(words)
 
     # ------------------------------------------------------------------ commands
 
