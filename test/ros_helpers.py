@@ -4,9 +4,10 @@ import json
 import signal
 import subprocess
 import sys
+from contextlib import contextmanager
 from threading import Event, Thread
 
-from parallel_cal.nodes.client import Client, NodeError
+from parallel_cal.nodes.client import Client, NodeError, Process
 
 
 class NodeProcess:
@@ -51,6 +52,20 @@ class NodeProcess:
         assert "Traceback" not in self.said, self.said
         assert "never retrieved" not in self.said, self.said
         return status
+
+
+@contextmanager
+def calibrating(folder, namespace, **parameters):
+    """A client beside a calibration node, which must end cleanly."""
+    node = Process("calibration_node", folder, namespace, **parameters)
+    client = Client("tester", namespace, [node])
+    try:
+        yield client
+    finally:
+        client.close()
+        status = node.end()
+    assert status == 0
+    assert "Traceback" not in node.log.read_text()
 
 
 class Hammer:

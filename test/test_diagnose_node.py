@@ -24,12 +24,13 @@ from both_nodes import BothNodes, select_held_out
 from parallel_cal_msgs.action import Diagnose, Identify
 from parallel_cal_msgs.msg import CollectionStatus
 from parallel_cal_msgs.srv import AddEffect, Compare, ListSamples, LoadSamples
+from ros_helpers import calibrating
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from parallel_cal.model.file.modelfile import model_hash, read_model
 from parallel_cal.model.shelf import load_effect
-from parallel_cal.nodes.client import Client, Process, use_private_domain
+from parallel_cal.nodes.client import use_private_domain
 from parallel_cal.recordings.bag import list_topics
 from parallel_cal.recordings.loading import load_dataset
 
@@ -192,15 +193,8 @@ class Bench:
 def running(folder, namespace, samples=""):
     shutil.copy(PRESET, folder / "robot.yaml")
     files = {"model_file": str(folder / "robot.yaml"), "allowed_folders": f"{folder}:{samples}"}
-    node = Process("calibration_node", folder, namespace, **files)
-    client = Client("tester", namespace, [node])
-    try:
+    with calibrating(folder, namespace, **files) as client:
         yield Bench(folder, client)
-    finally:
-        client.close()
-        status = node.end()
-    assert status == 0
-    assert "Traceback" not in node.log.read_text()
 
 
 @pytest.fixture(scope="module")

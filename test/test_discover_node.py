@@ -16,9 +16,10 @@ pytest.importorskip("parallel_cal_msgs")
 
 from parallel_cal_msgs.action import Diagnose
 from parallel_cal_msgs.srv import LoadSamples
+from ros_helpers import calibrating
 from std_msgs.msg import String
 
-from parallel_cal.nodes.client import Client, Process, use_private_domain
+from parallel_cal.nodes.client import use_private_domain
 from parallel_cal.recordings.loading import load_dataset
 
 REPOSITORY = Path(__file__).parents[1]
@@ -48,18 +49,11 @@ def finder(tmp_path_factory):
     with mock.patch.dict(os.environ):
         namespace = use_private_domain()
         files = {"model_file": str(folder / "robot.yaml"), "allowed_folders": str(folder)}
-        node = Process("calibration_node", folder, namespace, journal=False, **files)
-        client = Client("tester", namespace, [node])
-        try:
+        with calibrating(folder, namespace, journal=False, **files) as client:
             path = str(folder / "samples.json")
             loaded = client.call(LoadSamples, "calibration_node/load_samples", path=path)
             assert loaded.success, loaded.message
             yield Finder(folder, client)
-        finally:
-            client.close()
-            status = node.end()
-        assert status == 0
-        assert "Traceback" not in node.log.read_text()
 
 
 @pytest.mark.wide

@@ -14,7 +14,7 @@ from parallel_cal.campaign.targets import (
     plan_distinguishing_poses,
 )
 from parallel_cal.discovery.discovery import Discovery, discover
-from parallel_cal.discovery.in_session import name_effect
+from parallel_cal.discovery.in_session import list_effects
 from parallel_cal.discovery.rivals import pair_laws
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.model import Model
@@ -63,7 +63,7 @@ def search_laws(
     return LawSearch(
         found.summary,
         laws,
-        {name_effect(law): law.text for law in found.laws},
+        list_effects(found.laws),
         rivals,
         () if targets else (*laws, *rivals),
         found.measure_next,

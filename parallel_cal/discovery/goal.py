@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.discovery.discovery import discover
-from parallel_cal.discovery.in_session import name_effect
+from parallel_cal.discovery.in_session import list_effects
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.recordings.dataset import Dataset
@@ -33,6 +33,5 @@ def find_laws(
         found = discover(read_model(model_file), dataset, options=options, progress=report)
     except ParallelCalError as error:
         return Outcome(False, str(error))
-    effects = {name_effect(law): law.text for law in found.laws}
-    document = found.document() | {"effects": effects}
+    document = found.document() | {"effects": list_effects(found.laws)}
     return Outcome(True, f"{found.verdict}: {found.summary}", document, verdict=found.verdict)

@@ -26,7 +26,12 @@ def discover_in_session(
 
 def write_laws(laws: Sequence[Law], folder: Path) -> list[Path]:
     """Write each law as an effect file to a folder; the name follows from place and text."""
-    return write_effects({name_effect(law): law.text for law in laws}, folder)
+    return write_effects(list_effects(laws), folder)
+
+
+def list_effects(laws: Sequence[Law]) -> dict[str, str]:
+    """The text of each law's effect file, by the name of the effect."""
+    return {name_effect(law): law.text for law in laws}
 
 
 def write_effects(texts: Mapping[str, str], folder: Path) -> list[Path]:

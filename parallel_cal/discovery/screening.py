@@ -7,7 +7,7 @@ residual with and without these columns.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any
@@ -133,15 +133,17 @@ class Screening:
         return screening
 
     def _splines(self, own: DriverSet, count: int) -> np.ndarray:
-        key = count, *(one.name for one in own)
-        if key not in self._known:
-            self._known[key] = basis.splines(own, count)
-        return self._known[key]
+        return self._compute_once(own, count, lambda: basis.splines(own, count))
 
     def _polynomials(self, own: DriverSet) -> np.ndarray:
-        key = "polynomials", *(one.name for one in own)
+        return self._compute_once(own, "polynomials", lambda: basis.polynomials(own))
+
+    def _compute_once(
+        self, own: DriverSet, kind: int | str, compute: Callable[[], np.ndarray]
+    ) -> np.ndarray:
+        key = kind, *(one.name for one in own)
         if key not in self._known:
-            self._known[key] = basis.polynomials(own)
+            self._known[key] = compute()
         return self._known[key]
 
     def score(self, targets: Targets) -> Iterator[Scored]:

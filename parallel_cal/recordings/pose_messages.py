@@ -34,9 +34,8 @@ STANDARD_PACKAGES = (
     "trajectory_msgs",
     "visualization_msgs",
 )
-POSE_TYPES = (
-    "geometry_msgs/msg/PoseWithCovarianceStamped",
-    "geometry_msgs/msg/PoseStamped",
+# Standard types that hold poses, besides those of the channels.
+OTHER_POSE_TYPES = (
     "geometry_msgs/msg/TransformStamped",
     "geometry_msgs/msg/PoseArray",
     "nav_msgs/msg/Odometry",
@@ -45,8 +44,8 @@ POSE_TYPES = (
 
 
 def may_hold_poses(type: str) -> bool:
-    """Return whether messages of a type, such as `geometry_msgs/msg/Pose`, may hold poses."""
-    return type in POSE_TYPES or type.split("/")[0] not in STANDARD_PACKAGES
+    """Return whether messages of a type that no channel has may hold poses."""
+    return type in OTHER_POSE_TYPES or type.split("/")[0] not in STANDARD_PACKAGES
 
 
 def split_body(topic: str) -> tuple[str, str]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from parallel_cal.base.errors import BagError
 from parallel_cal.recordings.channels import CHANNELS, Kind, list_channels
-from parallel_cal.recordings.pose_messages import POSE_TYPES, may_hold_poses, split_body
+from parallel_cal.recordings.pose_messages import OTHER_POSE_TYPES, may_hold_poses, split_body
 from parallel_cal.recordings.recording import TopicInfo
 
 Types = tuple[str, ...]
@@ -86,7 +86,7 @@ class _Offer:
         any_pose = set(POSES) <= set(types)  # a pose may have many types if its topic is named
         fitting = [t for t in found if t.type in types or (any_pose and may_hold_poses(t.type))]
         if found and not fitting:
-            expected = (*types, *POSE_TYPES[len(POSES) :], "a driver's own") if any_pose else types
+            expected = (*types, *OTHER_POSE_TYPES, "a driver's own") if any_pose else types
             raise BagError(
                 f"topic {found[0].name} has type {found[0].type}; expected "
                 f"{' or '.join(expected)}. Name another topic. {self.listing}"
