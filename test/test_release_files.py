@@ -1,4 +1,4 @@
-"""What a release states in several files is the same in all of them."""
+"""The files of a release agree on version, licence and maintainer, and name every dependency."""
 
 import json
 import re

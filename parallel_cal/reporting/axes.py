@@ -32,7 +32,7 @@ def log_axis(values: Sequence[float | None], title: str) -> dict[str, Any]:
     }
 
 
-def noise_floor(
+def draw_noise_floor(
     noise: float, ends: Sequence[float], unit: str
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the dashed line of the noise floor (in `unit`) between two ends, and its label."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from parallel_cal.discovery.shape import Shape
 from parallel_cal.identification.prediction_errors import Summary
-from parallel_cal.reporting.axes import log_axis, noise_floor
+from parallel_cal.reporting.axes import draw_noise_floor, log_axis
 from parallel_cal.reporting.colours import ACCENT, BAND, MEASURED, PATTERN, QUIET, WARNING
 from parallel_cal.reporting.contents import DescribedParameter
 from parallel_cal.reporting.readable import error_unit, number, value_unit
@@ -144,7 +144,7 @@ def history(rows: Sequence[Mapping[str, Any]], floor: Summary, kind: str, si: st
     ticks = {"tickvals": list(range(len(rows))), "ticktext": [escape(r["name"]) for r in rows]}
     data, annotations = [_steps(rows, shown)], []
     if noise:
-        floor_line, label = noise_floor(noise, ends, unit)
+        floor_line, label = draw_noise_floor(noise, ends, unit)
         data, annotations = [floor_line, *data], [label]
     return {
         "data": data,

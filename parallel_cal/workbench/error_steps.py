@@ -9,7 +9,7 @@ from textwrap import wrap
 from typing import Any
 
 from parallel_cal.base.units import ERROR_SI_UNITS, ERROR_UNITS
-from parallel_cal.reporting.axes import log_axis, noise_floor
+from parallel_cal.reporting.axes import draw_noise_floor, log_axis
 from parallel_cal.reporting.colours import MEASURED
 from parallel_cal.reporting.readable import error_unit, number
 from parallel_cal.session.history import History, State
@@ -88,7 +88,7 @@ def draw_steps(found: FallingError) -> dict[str, Any]:
     values = [factor * step.error for step in found.steps]
     noise = factor * found.noise if found.noise else None
     ends = [-0.4, len(values) - 0.4]
-    floor = noise_floor(noise, ends, unit) if noise else ()
+    floor = draw_noise_floor(noise, ends, unit) if noise else ()
     return {
         "data": [
             *floor[:1],

@@ -78,7 +78,7 @@ def _error(model: Model, table: LookUpTable, problem: str, size: int) -> dict[st
     wanted = exact.inverse(r, R)
     half = (size + 1) // 2
 
-    def left(size: int) -> dict[str, Any]:
+    def measure_error(size: int) -> dict[str, Any]:
         if problem == "inverse":
             found = lookup_table.inverse(model, r, R, size=size, order=table.order)
             return summary(model, wanted, exact.direct(found.joints))
@@ -89,7 +89,7 @@ def _error(model: Model, table: LookUpTable, problem: str, size: int) -> dict[st
         usual = exact.direct(table.nominal.inverse(r, R).joints)
     else:
         usual = table.nominal.direct(wanted.joints)
-    document = left(size) | {"without": summary(model, wanted, usual)}
+    document = measure_error(size) | {"without": summary(model, wanted, usual)}
     if half >= lookup_table.MIN_SIZE[table.order]:
-        document["half_size"] = {"size": half} | left(half)
+        document["half_size"] = {"size": half} | measure_error(half)
     return document
