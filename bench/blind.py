@@ -48,14 +48,15 @@ SEES = {
 }
 CENTRE = np.array([0.02, -0.01, 0.05])  # of the ball-bar's fixed ball (m): under the workspace
 HEIGHT = 0.2  # of the plate that a gauge stands on (m)
+HARMLESS = (("robot worse", "<=", 0.0), ("contradicted", "<=", 0.0))
 GOALS = {  # family -> what is counted, and the share that it must (not) reach
-    "null": (("named", "<=", 0.01),),
-    "single": (("right", ">=", 0.97),),
-    "pairs": (("right", ">=", 0.97),),
-    "outside": (("explained", "<=", 0.02), ("robot worse", "<=", 0.0)),
-    "device": (("robot worse", "<=", 0.0),),
-    "noise": (("right", ">=", 0.9),),
-    "printers": (("right", ">=", 0.97), ("robot worse", "<=", 0.0)),
+    "null": (("named", "<=", 0.01), *HARMLESS),
+    "single": (("right", ">=", 0.98), *HARMLESS),
+    "pairs": (("right", ">=", 0.98), *HARMLESS),
+    "outside": (("explained", "<=", 0.02), *HARMLESS),
+    "device": HARMLESS,
+    "noise": (("right", ">=", 0.9), *HARMLESS),
+    "printers": (("right", ">=", 0.98), *HARMLESS),
 }
 
 
@@ -85,6 +86,12 @@ class Outcome:
     summary: str = ""
     seconds: float = 0.0  # of the processor
     uncertain: float = 0.0  # m, rms: what the served model says of its own positions
+    against: tuple[str, ...] = ()  # why `diagnose` itself advises against what it names
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether `add` refused what `diagnose` named without a word against it."""
+        return self.verdict != "error" and bool(self.error) and not self.against
 
     @property
     def worse(self) -> bool:
@@ -277,7 +284,10 @@ def printed(case: Case) -> Outcome:
         except RuntimeError as error:
             return Outcome(case, "error", (), np.nan, np.nan, str(error))
         named, refused = tuple(found["effects"]), added(model, data, found["effects"])
-        return Outcome(case, found["verdict"], named, before, height(), refused, found["summary"])
+        words, against = found["summary"], tuple(found["against"])
+        return Outcome(
+            case, found["verdict"], named, before, height(), refused, words, against=against
+        )
 
 
 def outcome(case: Case) -> Outcome:
@@ -298,8 +308,18 @@ def outcome(case: Case) -> Outcome:
         named = tuple(" or ".join([n, *swaps.get(n, [])]) for n in found["effects"])
         refused = added(model, data, found["effects"])
         after, own = true_error(model, effects, day, case.seed)
-    words = found["summary"]
-    return Outcome(case, found["verdict"], named, before, after, refused, words, uncertain=own)
+    words, against = found["summary"], tuple(found["against"])
+    return Outcome(
+        case,
+        found["verdict"],
+        named,
+        before,
+        after,
+        refused,
+        words,
+        uncertain=own,
+        against=against,
+    )
 
 
 def table(outcomes: list[Outcome]) -> None:
@@ -333,6 +353,7 @@ def shares(outcomes: list[Outcome]) -> None:
             "named": sum(bool(o.named) for o in some),
             "explained": sum(o.verdict == "explained" for o in some),
             "robot worse": sum(o.worse for o in some),
+            "contradicted": sum(o.contradicted for o in some),
             "error": sum(o.verdict == "error" for o in some),
         }
         told = [f"{name} {k} ({interval(k, len(some))})" for name, k in counts.items()]
@@ -361,7 +382,9 @@ def kept(file: Path | None) -> dict[Case, Outcome]:
     for line in file.read_text().splitlines():
         row = json.loads(line)
         case = Case(**(row["case"] | {"kinds": tuple(row["case"]["kinds"])}))
-        found[case] = Outcome(**(row | {"case": case, "named": tuple(row["named"])}))
+        found[case] = Outcome(
+            **(row | {"case": case, "named": tuple(row["named"]), "against": tuple(row["against"])})
+        )
     return found
 
 
