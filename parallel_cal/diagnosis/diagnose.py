@@ -47,9 +47,9 @@ from parallel_cal.diagnosis.separate import NextMeasurement, next_measurement
 from parallel_cal.diagnosis.statistics import holm
 from parallel_cal.diagnosis.thresholds import (
     DRIFT_SIGNIFICANCE_LEVEL,
-    EFFECT_SIGNIFICANCE_LEVEL,
     MAX_MISTRUSTED_SHARE,
     MAX_REFITTED_CANDIDATES,
+    NAMING_SIGNIFICANCE_LEVEL,
 )
 from parallel_cal.diagnosis.unusual import UnusualEffect, find_unusual_effects
 from parallel_cal.diagnosis.verdict import UNEXPLAINED_VERDICTS, Findings, Verdict, judge
@@ -533,6 +533,6 @@ class _Catalogue:
             c for c in self.rank(trial) if c.testable and (self.wandering or not c.varies_slowly)
         ]
         adjusted = holm(np.array([c.p_value for c in tested]))
-        return [c for c, p in zip(tested, adjusted, strict=True) if p < EFFECT_SIGNIFICANCE_LEVEL][
+        return [c for c, p in zip(tested, adjusted, strict=True) if p < NAMING_SIGNIFICANCE_LEVEL][
             :MAX_REFITTED_CANDIDATES
         ]

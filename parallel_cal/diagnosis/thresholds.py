@@ -6,8 +6,11 @@ from parallel_cal.base.confidence import SIGNIFICANCE_LEVEL
 
 # Significance
 EFFECT_SIGNIFICANCE_LEVEL = (
-    SIGNIFICANCE_LEVEL  # p-value: of an effect over the whole catalogue (Holm), of structure
+    SIGNIFICANCE_LEVEL  # p-value: of an effect that is worth a refit, of structure
 )
+# p-value, over the whole catalogue (Holm), of an effect that is named. True effects are far below;
+# of 1000 sessions without an effect, one then names some.
+NAMING_SIGNIFICANCE_LEVEL = 1e-3
 REPLICATE_CONTRADICTION_LEVEL = 1e-4  # p-value below which replicates replace the stated noise
 # p-value below which residuals depend on a recorded condition: it contradicts "this is noise"
 CONDITION_SIGNIFICANCE_LEVEL = 1e-6
