@@ -20,11 +20,12 @@ from parallel_cal.diagnosis.search import Chosen, Search
 from parallel_cal.diagnosis.verdict import judge
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.unusual import UnusualSize, describe_by_effect
-from parallel_cal.model.file.modelfile import write_model
+from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting import text
+from parallel_cal.reporting.contents import parameters
 from parallel_cal.session.steps import add
 from parallel_cal.virtual import joint_effects as ve
 from parallel_cal.virtual import robot as vr
@@ -83,6 +84,21 @@ def test_a_diagnosis_names_the_unusual_effect_its_size_and_its_gain_and_add_acce
     assert {u["parameter"] for u in step.document()["unusual"]} == {
         f"backlash.joint{i}.width" for i in (1, 2, 3)
     }
+
+
+@pytest.mark.wide
+def test_unusual_sizes_are_stated_in_usual_tolerances_also_by_later_fits(worn, tmp_path):
+    """The tolerance that a fit raises follows from the value: in units of it, every unusual size
+    would be 8.3 tolerances."""
+    first = add(new_model("delta54"), "backlash", worn).result
+    write_model(first.model, tmp_path / "worn.yaml")
+    later = fit(read_model(tmp_path / "worn.yaml"), worn)
+    for found in (first, later):
+        moved = [found.parameters()[f"backlash.joint{i}.width"].moved_tolerances for i in (1, 2, 3)]
+        assert moved == pytest.approx([16e-3 / 0.3e-3, 10e-3 / 0.3e-3, 12e-3 / 0.3e-3], rel=0.02)
+        shown = parameters(found)["backlash.joint1.width"]
+        assert shown.sigma_tolerances == pytest.approx(shown.sigma / 0.3e-3)
+        assert not [words for words in found.warnings if "width moved" in words]
 
 
 @pytest.mark.wide

@@ -112,6 +112,7 @@ def check_plausible(
         size is unusual and only usual ones are wanted.
     """
     unusual, accepted, tolerances = dict[str, UnusualSize](), list[str](), dict(model.tolerances)
+    usual_tolerances = dict(model.usual_tolerances)
     stated_sigma = np.sqrt(np.maximum(np.diag(estimate.covariance), 0.0))
     for i, p in enumerate(model.table):
         low, high = p.plausible_range(float(stated_sigma[i]))
@@ -129,6 +130,7 @@ def check_plausible(
                 f"value: {_advise_on_sign(model, p)}"
             )
         tolerances[p.name] = 1.2 * p.tolerance * (value - p.nominal) / (bound - p.nominal)
+        usual_tolerances.setdefault(p.name, p.tolerance)
         unusual[p.name] = UnusualSize.of(p, value)
     if unusual and usual_only:
         words = "; ".join(describe_by_effect(unusual.values()).values())
@@ -145,7 +147,8 @@ def check_plausible(
         if not insist:
             raise ContradictionError(why)
         accepted.append(f"{why}: accepted because of --force (in Python: insist)")
-    return replace(model, tolerances=tolerances), unusual, accepted
+    raised = replace(model, tolerances=tolerances, usual_tolerances=usual_tolerances)
+    return raised, unusual, accepted
 
 
 def check_joint_errors(model: Model, found: Errors) -> None:

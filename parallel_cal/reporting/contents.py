@@ -318,14 +318,14 @@ class DescribedParameter(ParameterEstimate):
 
 def parameters(result: FitResult) -> dict[str, DescribedParameter]:
     """Describe every parameter, by name."""
-    table = result.model.table
+    table, tolerances = result.model.table, result.model.usual_tolerance
     return {
         name: DescribedParameter(
             **vars(p),
             words=describe(name, table),
             sigma_tolerances=None if p.sigma is None else p.sigma / tolerance,
         )
-        for (name, p), tolerance in zip(result.parameters().items(), table.tolerance, strict=True)
+        for (name, p), tolerance in zip(result.parameters().items(), tolerances, strict=True)
     }
 
 
