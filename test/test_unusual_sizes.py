@@ -3,10 +3,12 @@
 import json
 from dataclasses import replace
 
+import law_sessions
 import numpy as np
 import pytest
 import virtual_day as vd
 import virtual_findings as vf
+import virtual_laws
 from datasets import measured
 from findings import dataset
 from twins import hexapod
@@ -142,6 +144,31 @@ def test_a_superfluous_effect_is_not_named_to_keep_another_one_in_its_usual_rang
     left = search.backward(both)
     assert len(left.chosen) == 1
     assert left.chosen[0].unusual
+
+
+@pytest.mark.wide
+def test_a_law_outside_the_catalogue_is_searched_before_an_unusual_effect_that_leaves_an_error():
+    """A spindle that is softer the more it is loaded: compliance, 24 times the usual, explains a
+    part."""
+    data, _, _ = law_sessions.hiding("hexapod", virtual_laws.spring, 0, 8.0)
+    tested = ["joint_compliance", "encoder_gain"]
+    found = diagnose(new_model("stewart42"), data, effects=tested)
+    assert found.effects == ("joint_compliance",)
+    assert found.verdict.suspected_of_law == ("joint_compliance",)
+    assert "joint_compliance leaves an error, so the cause may be" in found.verdict.summary
+    first, second = found.next_steps
+    assert "parallel-cal discover MODEL RECORDING" in first
+    assert "parallel-cal add MODEL joint_compliance RECORDING" in second
+    assert found.document()["next_steps"] == [first, second]
+    shown = text.show(found)
+    assert shown.index(f"next: {first}") < shown.index(f"next: {second}")
+
+
+@pytest.mark.wide
+def test_an_unusual_effect_that_explains_all_is_added_before_a_law_is_searched(worn):
+    found = diagnose(new_model("delta54"), worn, effects=["backlash"])
+    assert not found.verdict.suspected_of_law
+    assert ["add" in step for step in found.next_steps] == [True, False]
 
 
 def run(*arguments):

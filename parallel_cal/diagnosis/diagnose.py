@@ -129,6 +129,21 @@ class Diagnosis(ShownInNotebook):
         effects that are larger than usual: a law outside the catalogue may be its cause."""
         return self.verdict.word in UNEXPLAINED_VERDICTS or bool(self.unusual)
 
+    @property
+    def next_steps(self) -> tuple[str, ...]:
+        """What to do next, the most promising first: commands, with the effects found.
+
+        A law outside the catalogue comes first if the effects found may only imitate it.
+        """
+        discover = (
+            "search for a law outside the catalogue: parallel-cal discover MODEL RECORDING "
+            "-o my_law.py"
+        )
+        add = f"add what was found: parallel-cal add MODEL {'+'.join(self.additions)} RECORDING"
+        adds = [f"{add} -o BETTER.yaml"] if self.additions else []
+        discovers = [discover] if self.leaves_an_error else []
+        return tuple(discovers + adds if self.verdict.suspected_of_law else adds + discovers)
+
     def __repr__(self) -> str:
         found = ", ".join(self.effects) or "no effect"
         return (
@@ -192,6 +207,7 @@ class Diagnosis(ShownInNotebook):
             "depends_on": self.remaining,
             "odd_samples": self.odd_samples,
             "measure_next": self.measure_next,
+            "next_steps": self.next_steps,
             "registration": self.registration,
             "warnings": best.warnings,
             "dataset": {"source": self.dataset.source, "sha256": self.dataset.sha256},

@@ -332,6 +332,8 @@ def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
             f"{when}{one.sigmas:.1f} sigmas, Cook's "
             f"distance {one.cooks_distance:.2f} (--data exclude={one.sample} excludes it)"
         )
+    for step in diagnosis.next_steps:
+        yield f"next: {step}"
     for advice in diagnosis.measure_next.advice:
         yield f"measure next: {advice}"
     if plan := diagnosis.measure_next.plan:
