@@ -31,6 +31,7 @@ from parallel_cal.diagnosis.entries import (
     rivals_of,
 )
 from parallel_cal.diagnosis.field import Field
+from parallel_cal.diagnosis.first_effect import proposing_first_effect
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.noise_shape import NoiseShape
@@ -259,7 +260,8 @@ def diagnose(
     Raises
     ------
     FitError
-        If the free parameters cannot be identified.
+        If the free parameters cannot be identified. If no plausible geometry describes the samples,
+        the message names the effects with which one does.
 
     Examples
     --------
@@ -292,10 +294,11 @@ def diagnose(
     def suspects(judged: Model) -> list[int]:
         return find_mistrusted_samples(fit(judged, dataset, options, hold_out=0))
 
+    with proposing_first_effect(model, dataset, options, effects, report):
+        aside = [] if options.loss == "linear" else suspects(model)
+        found = without(aside)
     if options.loss == "linear":
-        return without([])
-    aside = suspects(model)
-    found = without(aside)
+        return found
     # A good pose may look bad only for as long as the effect is not in the model.
     try:
         again = suspects(found.best.fitted.model) if found.effects else aside

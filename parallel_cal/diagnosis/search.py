@@ -27,7 +27,11 @@ from parallel_cal.diagnosis.thresholds import (
     SHUFFLES,
 )
 from parallel_cal.identification.acceptance import acceptance
-from parallel_cal.identification.checks import ContradictionError, WrongSignError
+from parallel_cal.identification.checks import (
+    ContradictionError,
+    ImplausibleGeometryError,
+    WrongSignError,
+)
 from parallel_cal.identification.estimate import Estimate, NoSolutionError
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.platform_shift import explain_unseparated_device
@@ -67,7 +71,8 @@ class Chosen:
 class Trial:
     """A refit of the model with some effects, or the reason why it has none; `wrong_sign` if the
     reason is a sign that physics forbids, `contradicts` if it is a contradiction that a caller may
-    insist on, `unsolved` if the refit found no solution. `scenes` keeps the scene once it is made.
+    insist on, `unsolved` if the refit found no solution. `implausible` is the chi2/dof of a refit
+    whose geometry no robot has. `scenes` keeps the scene once it is made.
     """
 
     chosen: tuple[Chosen, ...]
@@ -76,6 +81,7 @@ class Trial:
     wrong_sign: bool = False
     contradicts: bool = False
     unsolved: bool = False
+    implausible: float | None = None
     scenes: list[Scene] = field(default_factory=list, repr=False, compare=False)
 
     @property
@@ -85,6 +91,8 @@ class Trial:
     @property
     def fitted(self) -> FitResult:
         """The refit; FitError if it failed."""
+        if self.result is None and self.implausible is not None:
+            raise ImplausibleGeometryError(self.reason, self.implausible)
         if self.result is None:
             raise FitError(self.reason)
         return self.result
@@ -154,7 +162,8 @@ class Search:
             wrong_sign = isinstance(error, WrongSignError)
             contradicts = isinstance(error, ContradictionError)
             unsolved = isinstance(error, NoSolutionError)
-            trial = Trial(chosen, None, str(error), wrong_sign, contradicts, unsolved)
+            absurd = error.chi2_per_dof if isinstance(error, ImplausibleGeometryError) else None
+            trial = Trial(chosen, None, str(error), wrong_sign, contradicts, unsolved, absurd)
         self._known[key] = trial
         return trial
 
