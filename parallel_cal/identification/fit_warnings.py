@@ -38,7 +38,7 @@ def list_parameter_warnings(model: Model, estimate: Estimate, free: np.ndarray) 
     moved = (model.values - table.nominal) / table.tolerance
     sigma = estimate.sigma / table.tolerance
     words = [
-        f"{p.name} moved {moved[i]:+.1f} tolerances from nominal{_describe_sigma(sigma[i])}"
+        f"{p.shown_name} moved {moved[i]:+.1f} tolerances from nominal{_describe_sigma(sigma[i])}"
         for i, p in enumerate(table)
         if free[i] and abs(moved[i]) > MAX_MOVED_TOLERANCES and p.name not in model.usual_tolerances
     ]

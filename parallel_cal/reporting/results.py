@@ -225,14 +225,14 @@ def parameter_table(parameters: Mapping[str, DescribedParameter]) -> Table:
     )
     farthest = max((abs(p.moved_tolerances) for p in parameters.values()), default=0.0)
     rows = []
-    for name, p in parameters.items():
+    for p in parameters.values():
         (unit, factor), moved = value_unit(p.unit), p.moved_tolerances
         value, change, sigma = (
             Number(v, factor, 4, 6, p.sigma, unit) for v in (p.value, p.value - p.nominal, p.sigma)
         )
         rows.append(
             (
-                Cell(name, mark="odd" if abs(moved) > MAX_MOVED_TOLERANCES else ""),
+                Cell(p.shown_name, mark="odd" if abs(moved) > MAX_MOVED_TOLERANCES else ""),
                 Cell(Number(moved, significant=2), bar=moved / farthest if farthest else None),
                 value,
                 change,
