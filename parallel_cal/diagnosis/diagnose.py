@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -327,9 +328,10 @@ def _diagnose_trusted(
     dataset = given.dataset
     noise_of_base: Observations | None = None
 
-    def refit(extended: Model, insist: bool) -> FitResult:
+    def refit(extended: Model, insist: bool, judged: bool = True) -> FitResult:
         nonlocal noise_of_base
-        asked = replace(least_squares, insist=insist or least_squares.insist)
+        hold_out = least_squares.hold_out if judged else 0.0
+        asked = replace(least_squares, insist=insist or least_squares.insist, hold_out=hold_out)
         asked = limit_patterns(asked, extended, model)
         result = fit_registered(extended, dataset, asked, given=given, noise=noise_of_base)
         # Only with equal weights can the residuals of two models be compared.
@@ -337,7 +339,7 @@ def _diagnose_trusted(
             noise_of_base = result.observations
         return result
 
-    search = Search(model, refit, report, usual_only)
+    search = Search(model, refit, report, usual_only, partial(refit, judged=False))
     report("identifying the geometry", 0.0)
     base = search.fit()
     catalogue = _Catalogue(names, report)
@@ -359,7 +361,7 @@ def _diagnose_trusted(
     ambiguous = find_ambiguous_effects(
         model,
         best,
-        lambda smaller: Search(smaller, refit, report, usual_only),
+        lambda smaller: Search(smaller, refit, report, usual_only, partial(refit, judged=False)),
         lambda effect: _Catalogue([effect, *names], report).rank,
     )
     report("computing the weights of the observations", 0.8)
