@@ -1,6 +1,7 @@
 """A CSV table and a column map become samples that every command takes; or one clear line."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from parallel_cal.cli.recordings import data_options
 from parallel_cal.model.file.modelfile import dump_model, read_model
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.csv_import import import_csv
+from parallel_cal.recordings.joining import join_datasets
 from parallel_cal.recordings.loading import load_dataset, load_sessions
 from parallel_cal.session.session import Session
 
@@ -322,6 +324,21 @@ def test_directions_and_travels_follow_the_order_of_visits_and_this_is_stated(fi
     np.testing.assert_allclose(data.conditions["travel.slide"], [0, 0, -3e-3, 7e-3], atol=1e-15)
     [note] = data.warnings
     assert "direction and travel of the joints were taken from the order of the rows" in note
+
+
+def test_what_several_recordings_share_is_stated_once_with_their_names(files, tmp_path):
+    one = import_csv(*files(VISITS, SHORT + "position: {columns: [x, y, z]}"))
+    other = replace(
+        one,
+        sha256="another",
+        source="second.csv",
+        warnings=tuple(w.replace(one.source, "second.csv") for w in one.warnings),
+    )
+    own = replace(one, sha256="third", source="third.csv", warnings=("third.csv: too short",))
+    note, third = join_datasets([one, other, own]).warnings
+    assert note.startswith(f"{one.source}, second.csv: direction and travel of the joints were")
+    assert note.count("direction and travel of the joints were taken") == 1
+    assert third == "third.csv: too short"
 
 
 def test_the_time_of_visits_counts_and_not_the_order_of_rows(files):

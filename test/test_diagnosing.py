@@ -11,6 +11,7 @@ from scipy import stats
 from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL, SIGNIFICANCE_LEVEL
 from parallel_cal.base.errors import ModelError
 from parallel_cal.diagnosis import catalogue
+from parallel_cal.diagnosis import search as searching
 from parallel_cal.diagnosis.catalogue import candidate, list_effects_to_test
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import lack_of_fit, smooth_map
@@ -18,6 +19,7 @@ from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.patterns import compute_residual_profiles, odd_samples, regions
 from parallel_cal.diagnosis.scene import Scene, columns
 from parallel_cal.diagnosis.scoring import canonical_correlation, f_test, log_p_of, score
+from parallel_cal.diagnosis.search import Chosen, Search, Trial
 from parallel_cal.diagnosis.statistics import holm, morans_i, runs_test
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.linearisation import Linearisation
@@ -248,6 +250,52 @@ def test_a_noise_that_nobody_states_is_taken_from_replicates():
     assert known.variance == pytest.approx(4, abs=1.2)
     low, high = known.band(there.dof)
     assert low < there.chi2_per_dof < high
+
+
+# ------------------------------------------------------------------------------------- refits
+
+
+def test_an_effect_is_removed_by_refits_without_validation_errors():
+    data, judged, unjudged = measured(1), [], []
+
+    def refit(model, insist):
+        judged.append([effect.name for effect in model.effects])
+        return fit(model, data, insist=insist)
+
+    def refit_unjudged(model, insist):
+        unjudged.append([effect.name for effect in model.effects])
+        return fit(model, data, insist=insist, hold_out=0)
+
+    search = Search(new_model("delta54"), refit, lambda *_: None, refit_unjudged=refit_unjudged)
+    both = search.fit(Chosen("backlash"), Chosen("encoder_eccentricity"))
+    left = search.backward(both)  # the robot has neither
+    assert len(left.chosen) == 1
+    assert left.fitted.held_out.judged.any()
+    assert unjudged == [["encoder_eccentricity"]]
+    assert judged == [["backlash", "encoder_eccentricity"], ["encoder_eccentricity"]]
+
+
+def test_effects_that_need_each_other_are_ordered_last_and_together(monkeypatch):
+    """Play and a wind-up, each with a sign that physics forbids without the other."""
+
+    asked = set()
+
+    class Refits(Search):
+        def fit_as_shown(self, *chosen, judged=True):
+            names = {one.name for one in chosen}
+            asked.add(frozenset(names))
+            refused = len(names & {"backlash", "hysteresis"}) == 1
+            return Trial(chosen, None if refused else here, "wrong sign" if refused else "")
+
+        fit = fit_as_shown
+
+    here = object()
+    monkeypatch.setattr(searching, "_describe_objection_to_step", lambda _, after: after.reason)
+    names = ["hysteresis", "a", "backlash", "b", "c"]
+    search = Refits(None, None, None)
+    ordered = search.order_for_adding(Trial(tuple(map(Chosen, names)), here))
+    assert ordered.names == ("a", "b", "c", "hysteresis", "backlash")
+    assert len(asked) < 13  # of the 31 sets of effects
 
 
 # ---------------------------------------------------------------------------------- structure

@@ -1,5 +1,7 @@
 """Noise that is not white, or not as stated, is said to be that, and named as nothing else."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import virtual_blind as vb
@@ -36,6 +38,27 @@ def test_visits_that_differ_by_more_than_the_stated_noise_may_be_noise_or_motion
     assert found.remaining is None
     assert found.noise.misstated == pytest.approx(2.0, abs=0.2)
     assert found.base.fitted.estimate.chi2_per_dof > 3
+
+
+@pytest.mark.wide
+def test_visits_that_differ_by_more_than_the_jitter_within_dwells_are_not_at_noise():
+    """Nothing is stated: the jitter within a dwell is half of what the visits of a pose show."""
+    data, noise = noisy(vb.twice, 0), vr.THESIS_NOISE
+    jitter = [*[noise.position] * 3, *[noise.orientation] * 3]
+    unstated = replace(
+        data,
+        joint_sigma=None,
+        pose_cov=np.zeros_like(data.pose_cov),
+        scatter_q=np.full_like(data.q, noise.joint),
+        scatter_pose=np.tile(jitter, (len(data), 1)),
+    )
+    found = found_in(unstated)
+    assert found.verdict.word == "cannot_know"
+    assert "differ by 2.0 times the jitter within dwells" in found.verdict.summary
+    assert "What differed between the visits?" in found.verdict.summary
+    assert "no further effect is needed" not in found.verdict.summary
+    assert found.noise.is_exceeded
+    assert not found.effects
 
 
 @pytest.mark.wide

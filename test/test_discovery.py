@@ -102,6 +102,7 @@ def test_a_law_states_its_range_its_share_and_its_errors_at_held_out_poses(sprin
     assert law.share > 0.9
     assert law.after.position_rms < 0.6 * law.before.position_rms
     assert law.after.position_rms < 1.1 * law.noise_floor.position_rms
+    assert "chosen with these poses, the coefficients without them" in found.summary
     low, high = law.tested["load.joint2"]
     assert -1.5 < low < high < 0
     assert repr(found) == f"Discovery(delta54, {len(data)} samples, described: {law.name})"

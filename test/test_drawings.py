@@ -154,6 +154,7 @@ def test_a_row_whose_parameters_moved_far_is_marked_and_explained_under_the_poin
         moved_tolerances=12.0,
         unit="m",
         fixed=False,
+        shown_name="chain1.Lb",
         words="rod length of chain 1",
         sigma_tolerances=0.04,
     )

@@ -2,12 +2,15 @@
 
 import json
 
+import law_sessions
 import numpy as np
 import pytest
 from datasets import measured
 
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.cli import main as cli
+from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.identification.checks import ImplausibleGeometryError
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import new_model
@@ -43,6 +46,37 @@ def test_geometry_that_runs_away_alone_is_identified_together_with_the_missing_e
     found = fit(model, data, effects=["encoder_gain"], hold_out=0).model
     gains = [found.value(f"encoder_gain.joint{i}.gain") for i in (1, 2, 3)]
     assert gains == pytest.approx([0.06, 0.055, 0.065], rel=0.1)
+
+
+@pytest.fixture(scope="module")
+def with_a_wrong_pitch():
+    """A hexapod of which one drive goes 6 % too far."""
+    robot = law_sessions.ROBOTS["hexapod"]
+    wrong = ve.WrongPitch((0.06, 0, 0, 0, 0, 0))
+    return law_sessions.measured(robot, robot.day(3), [wrong], robot.noise, 3)
+
+
+@pytest.mark.wide
+def test_a_fit_and_a_diagnosis_that_find_no_plausible_geometry_name_the_effect_to_begin_with(
+    with_a_wrong_pitch,
+):
+    model, tested = new_model("stewart42"), ["backlash", "encoder_gain", "encoder_crosstalk"]
+    words = r"is plausible: parallel-cal fit MODEL RECORDING --effect encoder_gain"
+    for work in (
+        lambda: fitted(model, with_a_wrong_pitch),
+        lambda: diagnose(model, with_a_wrong_pitch, effects=tested),
+    ):
+        with pytest.raises(ImplausibleGeometryError, match=words) as error:
+            work()
+        assert "With encoder_gain (chi2/dof 1." in str(error.value)
+    step = fitted(model, with_a_wrong_pitch, effects=["encoder_gain"])
+    assert step.model.value("encoder_gain.leg1.gain") == pytest.approx(0.06, rel=0.05)
+
+
+@pytest.mark.wide
+def test_where_no_effect_makes_the_geometry_plausible_the_error_says_so(with_a_wrong_pitch):
+    with pytest.raises(FitError, match="No effect of the catalogue in the first fit leads"):
+        diagnose(new_model("stewart42"), with_a_wrong_pitch, effects=["backlash"])
 
 
 def test_a_step_records_the_effects_that_its_fit_added(with_backlash):

@@ -13,11 +13,14 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.fit import fit
+from parallel_cal.identification.registration import STATION_EFFECT
 from parallel_cal.identification.stations import LATER_RECORDINGS, has_stations
+from parallel_cal.identification.unusual import UnusualSize
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import join_datasets
+from parallel_cal.reporting import text
 from parallel_cal.session.steps import add, fitted
 
 FIRST = va.FAR_AWAY
@@ -79,6 +82,17 @@ def test_each_station_is_named_with_its_size():
     target = float(words.partition("target ")[2].partition(" mm")[0])
     assert target == pytest.approx(53.0, abs=3.0)
     assert "three fixed points of the base" in words
+
+
+@pytest.mark.wide
+def test_stations_are_shown_under_names_that_a_user_knows():
+    result = fit(nominal("ur5"), joined(FIRST, SECOND), hold_out=0)
+    shown = text.show(result)
+    assert "parallel_cal.identification" not in shown
+    assert "recording 2's device frame, x" in shown
+    assert "stations of the recordings" in shown
+    size = UnusualSize.of(result.model.table[f"{STATION_EFFECT}.recording2.target.z"], 1.0)
+    assert size.description.startswith("recording 2's target, z is larger than usual")
 
 
 @pytest.mark.wide

@@ -3,10 +3,12 @@
 import json
 from dataclasses import replace
 
+import law_sessions
 import numpy as np
 import pytest
 import virtual_day as vd
 import virtual_findings as vf
+import virtual_laws
 from datasets import measured
 from findings import dataset
 from twins import hexapod
@@ -20,11 +22,12 @@ from parallel_cal.diagnosis.search import Chosen, Search
 from parallel_cal.diagnosis.verdict import judge
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.unusual import UnusualSize, describe_by_effect
-from parallel_cal.model.file.modelfile import write_model
+from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting import text
+from parallel_cal.reporting.contents import parameters
 from parallel_cal.session.steps import add
 from parallel_cal.virtual import joint_effects as ve
 from parallel_cal.virtual import robot as vr
@@ -86,6 +89,21 @@ def test_a_diagnosis_names_the_unusual_effect_its_size_and_its_gain_and_add_acce
 
 
 @pytest.mark.wide
+def test_unusual_sizes_are_stated_in_usual_tolerances_also_by_later_fits(worn, tmp_path):
+    """The tolerance that a fit raises follows from the value: in units of it, every unusual size
+    would be 8.3 tolerances."""
+    first = add(new_model("delta54"), "backlash", worn).result
+    write_model(first.model, tmp_path / "worn.yaml")
+    later = fit(read_model(tmp_path / "worn.yaml"), worn)
+    for found in (first, later):
+        moved = [found.parameters()[f"backlash.joint{i}.width"].moved_tolerances for i in (1, 2, 3)]
+        assert moved == pytest.approx([16e-3 / 0.3e-3, 10e-3 / 0.3e-3, 12e-3 / 0.3e-3], rel=0.02)
+        shown = parameters(found)["backlash.joint1.width"]
+        assert shown.sigma_tolerances == pytest.approx(shown.sigma / 0.3e-3)
+        assert not [words for words in found.warnings if "width moved" in words]
+
+
+@pytest.mark.wide
 def test_with_two_unusual_effects_each_one_is_named_with_its_own_gain():
     drives, gears = ve.WrongPitch((0.015, -0.01, 0.012)), vr.Backlash((8e-3, 6e-3, 7e-3))
     data = dataset(vf.samples(vf.session(0), [drives, gears], vr.THESIS_NOISE, 0), vr.THESIS_NOISE)
@@ -126,6 +144,31 @@ def test_a_superfluous_effect_is_not_named_to_keep_another_one_in_its_usual_rang
     left = search.backward(both)
     assert len(left.chosen) == 1
     assert left.chosen[0].unusual
+
+
+@pytest.mark.wide
+def test_a_law_outside_the_catalogue_is_searched_before_an_unusual_effect_that_leaves_an_error():
+    """A spindle that is softer the more it is loaded: compliance, 24 times the usual, explains a
+    part."""
+    data, _, _ = law_sessions.hiding("hexapod", virtual_laws.spring, 0, 8.0)
+    tested = ["joint_compliance", "encoder_gain"]
+    found = diagnose(new_model("stewart42"), data, effects=tested)
+    assert found.effects == ("joint_compliance",)
+    assert found.verdict.suspected_of_law == ("joint_compliance",)
+    assert "joint_compliance leaves an error, so the cause may be" in found.verdict.summary
+    first, second = found.next_steps
+    assert "parallel-cal discover MODEL RECORDING" in first
+    assert "parallel-cal add MODEL joint_compliance RECORDING" in second
+    assert found.document()["next_steps"] == [first, second]
+    shown = text.show(found)
+    assert shown.index(f"next: {first}") < shown.index(f"next: {second}")
+
+
+@pytest.mark.wide
+def test_an_unusual_effect_that_explains_all_is_added_before_a_law_is_searched(worn):
+    found = diagnose(new_model("delta54"), worn, effects=["backlash"])
+    assert not found.verdict.suspected_of_law
+    assert ["add" in step for step in found.next_steps] == [True, False]
 
 
 def run(*arguments):

@@ -15,11 +15,11 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError, ModelFileError
 from parallel_cal.base.threads import single_threaded
-from parallel_cal.campaign.first_effect import find_first_effect
 from parallel_cal.campaign.laws import LawSearch, search_laws
 from parallel_cal.campaign.path_guard import Guard
 from parallel_cal.campaign.targets import Target, next_targets, repeat_first_poses
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
+from parallel_cal.diagnosis.first_effect import find_first_effect
 from parallel_cal.diagnosis.search import Chosen
 from parallel_cal.diagnosis.separate import explain_separation
 from parallel_cal.discovery.in_session import write_effects

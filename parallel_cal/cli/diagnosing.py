@@ -46,8 +46,3 @@ def diagnose(
     from parallel_cal.reporting import text
 
     console.say(text.show(found))
-    if found.leaves_an_error:
-        console.say(
-            "to search for a law outside the catalogue: parallel-cal discover MODEL RECORDING "
-            "-o my_law.py"
-        )

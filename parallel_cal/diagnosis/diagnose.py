@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,6 +32,7 @@ from parallel_cal.diagnosis.entries import (
     rivals_of,
 )
 from parallel_cal.diagnosis.field import Field
+from parallel_cal.diagnosis.first_effect import proposing_first_effect
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.noise_shape import NoiseShape
@@ -129,6 +131,21 @@ class Diagnosis(ShownInNotebook):
         effects that are larger than usual: a law outside the catalogue may be its cause."""
         return self.verdict.word in UNEXPLAINED_VERDICTS or bool(self.unusual)
 
+    @property
+    def next_steps(self) -> tuple[str, ...]:
+        """What to do next, the most promising first: commands, with the effects found.
+
+        A law outside the catalogue comes first if the effects found may only imitate it.
+        """
+        discover = (
+            "search for a law outside the catalogue: parallel-cal discover MODEL RECORDING "
+            "-o my_law.py"
+        )
+        add = f"add what was found: parallel-cal add MODEL {'+'.join(self.additions)} RECORDING"
+        adds = [f"{add} -o BETTER.yaml"] if self.additions else []
+        discovers = [discover] if self.leaves_an_error else []
+        return tuple(discovers + adds if self.verdict.suspected_of_law else adds + discovers)
+
     def __repr__(self) -> str:
         found = ", ".join(self.effects) or "no effect"
         return (
@@ -192,6 +209,7 @@ class Diagnosis(ShownInNotebook):
             "depends_on": self.remaining,
             "odd_samples": self.odd_samples,
             "measure_next": self.measure_next,
+            "next_steps": self.next_steps,
             "registration": self.registration,
             "warnings": best.warnings,
             "dataset": {"source": self.dataset.source, "sha256": self.dataset.sha256},
@@ -243,7 +261,8 @@ def diagnose(
     Raises
     ------
     FitError
-        If the free parameters cannot be identified.
+        If the free parameters cannot be identified. If no plausible geometry describes the samples,
+        the message names the effects with which one does.
 
     Examples
     --------
@@ -276,10 +295,11 @@ def diagnose(
     def suspects(judged: Model) -> list[int]:
         return find_mistrusted_samples(fit(judged, dataset, options, hold_out=0))
 
+    with proposing_first_effect(model, dataset, options, effects, report):
+        aside = [] if options.loss == "linear" else suspects(model)
+        found = without(aside)
     if options.loss == "linear":
-        return without([])
-    aside = suspects(model)
-    found = without(aside)
+        return found
     # A good pose may look bad only for as long as the effect is not in the model.
     try:
         again = suspects(found.best.fitted.model) if found.effects else aside
@@ -308,9 +328,10 @@ def _diagnose_trusted(
     dataset = given.dataset
     noise_of_base: Observations | None = None
 
-    def refit(extended: Model, insist: bool) -> FitResult:
+    def refit(extended: Model, insist: bool, judged: bool = True) -> FitResult:
         nonlocal noise_of_base
-        asked = replace(least_squares, insist=insist or least_squares.insist)
+        hold_out = least_squares.hold_out if judged else 0.0
+        asked = replace(least_squares, insist=insist or least_squares.insist, hold_out=hold_out)
         asked = limit_patterns(asked, extended, model)
         result = fit_registered(extended, dataset, asked, given=given, noise=noise_of_base)
         # Only with equal weights can the residuals of two models be compared.
@@ -318,7 +339,7 @@ def _diagnose_trusted(
             noise_of_base = result.observations
         return result
 
-    search = Search(model, refit, report, usual_only)
+    search = Search(model, refit, report, usual_only, partial(refit, judged=False))
     report("identifying the geometry", 0.0)
     base = search.fit()
     catalogue = _Catalogue(names, report)
@@ -340,7 +361,7 @@ def _diagnose_trusted(
     ambiguous = find_ambiguous_effects(
         model,
         best,
-        lambda smaller: Search(smaller, refit, report, usual_only),
+        lambda smaller: Search(smaller, refit, report, usual_only, partial(refit, judged=False)),
         lambda effect: _Catalogue([effect, *names], report).rank,
     )
     report("computing the weights of the observations", 0.8)

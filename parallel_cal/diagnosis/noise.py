@@ -11,6 +11,7 @@ from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_REPLICATE_DOF, REPLICATE_CONTRADICTION_LEVEL
 from parallel_cal.identification.fit_warnings import chi2_band
+from parallel_cal.identification.observations import SCATTER
 from parallel_cal.recordings.replicates import average_groups
 
 STATED = ("option", "dataset", "model file")
@@ -74,6 +75,8 @@ class NoiseLevel:
     `variance` is in units of the observations' noise, None if unknown; `dof` are its degrees of
     freedom, None if it is stated; `source` says where it comes from; `pure_error` is the estimate
     from replicates; `misstated` is the ratio to the stated noise if replicates contradict it.
+    Without a stated noise it is the ratio to the jitter within dwells (`from_jitter`), if
+    replicates differ by more.
     """
 
     variance: float | None
@@ -81,6 +84,7 @@ class NoiseLevel:
     source: str
     pure_error: PureError
     misstated: float | None = None
+    from_jitter: bool = False
 
     @classmethod
     def of(
@@ -103,13 +107,21 @@ class NoiseLevel:
             return cls(variance, seen.dof, words, seen, variance**0.5)
         if seen.variance is not None and seen.dof >= MIN_REPLICATE_DOF:
             words = f"replicates ({seen.dof} degrees of freedom)"
-            return cls(seen.variance, seen.dof, words, seen)
+            from_jitter = SCATTER in sources and sources <= {*STATED, SCATTER}
+            exceeded = from_jitter and seen.contradicts_stated_noise and seen.variance > 1
+            ratio = seen.variance**0.5 if exceeded else None
+            return cls(seen.variance, seen.dof, words, seen, ratio, from_jitter)
         return cls(None, None, f"unknown ({', '.join(sorted(sources))})", seen)
 
     @property
-    def exceeds_stated(self) -> bool:
-        """Whether visits of one pose differ by more than the stated noise."""
+    def is_exceeded(self) -> bool:
+        """Whether visits of one pose differ by more than the noise that the fit used."""
         return self.misstated is not None and self.misstated > 1
+
+    @property
+    def used(self) -> str:
+        """The noise that the fit used, in words."""
+        return "the jitter within dwells" if self.from_jitter else "the stated noise"
 
     def band(self, dof: int) -> tuple[float, float]:
         """Band that holds chi2/dof of 99 % of complete models; infinite if the noise is unknown."""

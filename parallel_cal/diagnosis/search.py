@@ -27,7 +27,11 @@ from parallel_cal.diagnosis.thresholds import (
     SHUFFLES,
 )
 from parallel_cal.identification.acceptance import acceptance
-from parallel_cal.identification.checks import ContradictionError, WrongSignError
+from parallel_cal.identification.checks import (
+    ContradictionError,
+    ImplausibleGeometryError,
+    WrongSignError,
+)
 from parallel_cal.identification.estimate import Estimate, NoSolutionError
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.platform_shift import explain_unseparated_device
@@ -67,7 +71,8 @@ class Chosen:
 class Trial:
     """A refit of the model with some effects, or the reason why it has none; `wrong_sign` if the
     reason is a sign that physics forbids, `contradicts` if it is a contradiction that a caller may
-    insist on, `unsolved` if the refit found no solution. `scenes` keeps the scene once it is made.
+    insist on, `unsolved` if the refit found no solution. `implausible` is the chi2/dof of a refit
+    whose geometry no robot has. `scenes` keeps the scene once it is made.
     """
 
     chosen: tuple[Chosen, ...]
@@ -76,6 +81,7 @@ class Trial:
     wrong_sign: bool = False
     contradicts: bool = False
     unsolved: bool = False
+    implausible: float | None = None
     scenes: list[Scene] = field(default_factory=list, repr=False, compare=False)
 
     @property
@@ -85,6 +91,8 @@ class Trial:
     @property
     def fitted(self) -> FitResult:
         """The refit; FitError if it failed."""
+        if self.result is None and self.implausible is not None:
+            raise ImplausibleGeometryError(self.reason, self.implausible)
         if self.result is None:
             raise FitError(self.reason)
         return self.result
@@ -103,59 +111,76 @@ Rivals = Mapping[str, list[Candidate]]  # of each effect, what the data confuse 
 
 
 class Search:
-    """The refits of one diagnosis, each made once."""
+    """The refits of one diagnosis, each made once.
 
-    def __init__(self, model: Model, refit: Refit, progress: Progress, usual_only: bool = False):
-        self._model, self._refit, self._progress = model, refit, progress
+    `refit_unjudged` refits without validation errors; by default they are computed always.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        refit: Refit,
+        progress: Progress,
+        usual_only: bool = False,
+        refit_unjudged: Refit | None = None,
+    ):
+        self._model, self._progress = model, progress
+        self._refit, self._refit_unjudged = refit, refit_unjudged or refit
         self._usual_only = usual_only
         self._known: dict[tuple[Collection[Chosen], bool], Trial] = {}
+        self._unjudged: dict[tuple[Collection[Chosen], bool], Trial] = {}
 
-    def fit(self, *chosen: Chosen, insist: bool = False) -> Trial:
-        """Fit the baseline with these effects on all poses and judge it at held-out poses; with
-        `insist`, unusual sizes and contradictions are accepted."""
-        trial = self._fit_any_size(chosen, False)
+    def fit(self, *chosen: Chosen, insist: bool = False, judged: bool = True) -> Trial:
+        """Fit the baseline with these effects on all poses and, if `judged`, judge it at held-out
+        poses; with `insist`, unusual sizes and contradictions are accepted."""
+        trial = self._fit_any_size(chosen, False, judged)
         if trial.result is None:
-            return self._fit_any_size(chosen, True) if insist and trial.contradicts else trial
+            again = insist and trial.contradicts
+            return self._fit_any_size(chosen, True, judged) if again else trial
         usual = () if insist else tuple(one.name for one in chosen if not one.unusual)
         for effect, words in describe_by_effect(trial.result.unusual.values()).items():
             if effect in usual:
                 return Trial(chosen, None, words)
         return trial
 
-    def fit_as_shown(self, *chosen: Chosen) -> Trial:
+    def fit_as_shown(self, *chosen: Chosen, judged: bool = True) -> Trial:
         """Fit with these effects, each as large as the data show, unless only usual sizes are
         accepted: `add` would accept it with a warning."""
-        trial = self._fit_any_size(chosen, False)
+        trial = self._fit_any_size(chosen, False, judged)
         if self._usual_only or trial.result is None:
-            return self.fit(*chosen)
+            return self.fit(*chosen, judged=judged)
         larger = describe_by_effect(trial.result.unusual.values())
         return replace(
             trial,
             chosen=tuple(replace(c, unusual=c.unusual or c.name in larger) for c in chosen),
         )
 
-    def _fit_any_size(self, chosen: tuple[Chosen, ...], insist: bool) -> Trial:
+    def _fit_any_size(self, chosen: tuple[Chosen, ...], insist: bool, judged: bool) -> Trial:
         """Fit once for all callers, whatever size the effects turn out to have, and in whatever
         order they were chosen."""
         ordered = tuple(replace(one, unusual=False) for one in chosen)
         for key in ((frozenset(ordered), insist), (ordered, insist)):
-            if key in self._known:
-                return replace(self._known[key], chosen=chosen)
+            for known in (self._known, *(() if judged else (self._unjudged,))):
+                if key in known:
+                    return replace(known[key], chosen=chosen)
         self._progress(f"refitting with {', '.join(c.name for c in chosen) or 'nothing'}", 0.5)
         key = frozenset(ordered), insist
         model = self._model
         try:
             for one in chosen:
                 model = model.with_effect(one.name, one.settings)
-            trial = Trial(chosen, self._refit(model, insist))
+            refit = self._refit if judged else self._refit_unjudged
+            trial = Trial(chosen, refit(model, insist))
         except ModelError as error:  # an effect of the larger model, before it: the order matters
             key, trial = (ordered, insist), Trial(chosen, None, str(error))
         except FitError as error:
             wrong_sign = isinstance(error, WrongSignError)
             contradicts = isinstance(error, ContradictionError)
             unsolved = isinstance(error, NoSolutionError)
-            trial = Trial(chosen, None, str(error), wrong_sign, contradicts, unsolved)
-        self._known[key] = trial
+            absurd = error.chi2_per_dof if isinstance(error, ImplausibleGeometryError) else None
+            trial = Trial(chosen, None, str(error), wrong_sign, contradicts, unsolved, absurd)
+        # Without a fit there is nothing to judge.
+        (self._known if judged or trial.result is None else self._unjudged)[key] = trial
         return trial
 
     def try_adding(self, before: Trial, one: Candidate) -> tuple[Trial, str]:
@@ -285,9 +310,9 @@ class Search:
             if len(trial.chosen) < 2:
                 break
             # A superfluous effect does not stay only to keep another one in its usual range.
-            without = self.fit_as_shown(*(c for c in trial.chosen if c.name != one.name))
-            if _is_superfluous_effect(without, trial):
-                trial = without
+            others = [c for c in trial.chosen if c.name != one.name]
+            if _is_superfluous_effect(self.fit_as_shown(*others, judged=False), trial):
+                trial = self.fit_as_shown(*others)
         return trial
 
     def rescan_settings(self, trial: Trial, rank: Rank) -> Trial:
@@ -297,7 +322,7 @@ class Search:
             place = trial.names.index(name)
             *before, one = trial.chosen[: place + 1]
             behind = trial.chosen[place + 1 :]
-            others = self.fit(*before, *behind, insist=True) if one.fixed else None
+            others = self.fit(*before, *behind, insist=True, judged=False) if one.fixed else None
             if others is None or others.result is None:
                 continue
             again = next(c for c in rank(others) if c.name == name)
@@ -311,21 +336,38 @@ class Search:
         """Order the effects so that `add` accepts each of them after those before it, as far as
         there is such an order.
 
-        The search may have exchanged effects that the later ones needed.
+        The search may have exchanged effects that the later ones needed. Effects that can be fitted
+        neither first nor last without each other are added together.
         """
-        chosen = self._find_longest_order((), trial.chosen, set())
+        tied = self._find_tied_effects(trial)
+        units = [(c,) for c in trial.chosen if c not in tied] + ([tied] if tied else [])
+        chosen = self._find_longest_order((), tuple(units), set())
         names = [c.name for c in chosen]
         chosen = (*chosen, *(c for c in trial.chosen if c.name not in names))
         return trial if chosen == trial.chosen else self.fit(*chosen)
 
+    def _find_tied_effects(self, trial: Trial) -> tuple[Chosen, ...]:
+        """Find effects that cannot be fitted alone, and without which the others cannot; none if
+        there is only one."""
+        found = []
+        for one in trial.chosen:
+            others = (c for c in trial.chosen if c is not one)
+            if self.fit_as_shown(*others, judged=False).result is None:
+                found.append(one)
+        found = [c for c in found if self.fit_as_shown(c, judged=False).result is None]
+        return tuple(found) if len(found) > 1 else ()
+
     def _find_longest_order(
-        self, ordered: tuple[Chosen, ...], left: tuple[Chosen, ...], ended: set[frozenset[str]]
+        self,
+        ordered: tuple[Chosen, ...],
+        left: tuple[tuple[Chosen, ...], ...],
+        ended: set[frozenset[str]],
     ) -> tuple[Chosen, ...]:
-        """Find the longest order in which `add` accepts each of the effects `left` after those
+        """Find the longest order in which `add` accepts each group of effects `left` after those
         `ordered`. `ended` are the sets of effects from which no complete order was found."""
         before, longest = self.fit_as_shown(*ordered), ordered
         for one in left:
-            more = (*ordered, one)
+            more = (*ordered, *one)
             if frozenset(c.name for c in more) in ended:
                 continue
             if _describe_objection_to_step(before, self.fit_as_shown(*more)):
@@ -333,7 +375,7 @@ class Search:
             others = tuple(c for c in left if c is not one)
             found = self._find_longest_order(more, others, ended)
             longest = max(longest, found, key=len)
-            if len(found) == len(ordered) + len(left):
+            if len(found) == len(ordered) + sum(map(len, left)):
                 break
             ended.add(frozenset(c.name for c in more))
         return longest

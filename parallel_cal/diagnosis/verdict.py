@@ -31,20 +31,24 @@ from parallel_cal.identification.fit_warnings import format_distinctly
 from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.model.shelf import load_effect
 
-# Verdicts that find the model incomplete.
 # Verdicts that leave an error which no effect of the catalogue describes.
 UNEXPLAINED_VERDICTS = ("unexplained", "partly_explained", "cannot_know")
+# Verdicts that find the model incomplete.
 AMBER_VERDICTS = ("explained", "partly_explained", "unexplained")
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """`at_noise`, `explained`, `partly_explained`, `unexplained` or `cannot_know`, and why."""
+    """`at_noise`, `explained`, `partly_explained`, `unexplained` or `cannot_know`, and why.
+
+    `suspected_of_law` lists effects found that may only imitate a law outside the catalogue.
+    """
 
     word: str
     summary: str
     share: float | None = None
     against: tuple[str, ...] = ()
+    suspected_of_law: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -99,13 +103,27 @@ class Findings:
         )
 
     @property
+    def suspected_of_law(self) -> list[str]:
+        """Effects found larger than usual, if they leave an error or another effect explains as
+        much: then they may only imitate a law that is not in the catalogue."""
+        unusual = {one.name for one in self.unusual}
+        names = [c.name for c in self.best.chosen if c.name in unusual]
+        after = self.final_estimate
+        leaves = (
+            after.chi2_per_dof > self.noise.band(after.dof)[1]
+            or self.structure.has_structure
+            or self.remaining is not None
+        )
+        return names if leaves or any(self.swaps.get(name) for name in names) else []
+
+    @property
     def was_inside_band(self) -> bool:
         """Whether the base needed no effect: its chi2/dof was inside the band, and the better
         fit is either not significant or lowers the validation error only a little."""
         from scipy.special import chdtrc
 
         before, after = self.base.fitted.estimate, self.final_estimate
-        inside = self.chi2_before <= self.noise.band(before.dof)[1]
+        inside = self.chi2_before <= self.noise.band(before.dof)[1] and not self.noise.is_exceeded
         fall = self.chi2_before * before.dof - after.chi2_per_dof * after.dof
         taken = max(before.dof - after.dof, 1)
         certain = chdtrc(taken, max(fall, 0.0) / (self.noise.variance or 1.0)) < CERTAINTY_LEVEL
@@ -138,7 +156,7 @@ def judge(found: Findings) -> Verdict:
     Whatever the verdict is, its summary names the effects that are larger than usual, those that
     the measuring device may cause, and those of the model that another effect would replace.
     """
-    verdict = _judge(found)
+    verdict = replace(_judge(found), suspected_of_law=tuple(found.suspected_of_law))
     doubts = [words for words in _describe_doubts(found) if words not in verdict.against]
     if not (doubts or found.ambiguous):
         return verdict
@@ -220,7 +238,7 @@ def _list_objections(found: Findings) -> list[str]:
     against += _describe_doubts(found)
     against += found.outdone
     against += found.wrong_signs
-    if found.remaining and (found.noise.exceeds_stated or chi2 > high):
+    if found.remaining and (found.noise.is_exceeded or chi2 > high):
         against.append(found.remaining.description)
     if structure.has_structure:
         against.append(
@@ -234,8 +252,24 @@ def _describe_doubts(found: Findings) -> list[str]:
     device are not separated."""
     return [
         *(one.description for one in found.unusual),
+        *_describe_suspected_law(found),
         *map(robot_or_device, found.robot_or_device),
         *([found.unseparated] if found.unseparated else []),
+    ]
+
+
+def _describe_suspected_law(found: Findings) -> list[str]:
+    """Advise to search for a law before adding effects that may only imitate it."""
+    names = found.suspected_of_law
+    if not names:
+        return []
+    is_one = len(names) == 1
+    why = "leaves an error" if is_one else "leave an error"
+    if any(found.swaps.get(name) for name in names):
+        why = "is not the only explanation" if is_one else "are not the only explanations"
+    return [
+        f"{' and '.join(names)} {why}, so the cause may be an effect that is not in the catalogue: "
+        "search for its law first (discover), and keep what predicts held-out poses better"
     ]
 
 
@@ -255,7 +289,7 @@ def robot_or_device(name: str) -> str:
 def _nothing_found(found: Findings, errors: str) -> Verdict:
     chi2, high = found.final_estimate.chi2_per_dof, found.noise.band(found.final_estimate.dof)[1]
     noise = _noise(found)
-    if chi2 <= high and found.noise.exceeds_stated:
+    if chi2 <= high and found.noise.is_exceeded:
         return _doubt_noise(found, errors)
     if chi2 <= high:
         words = f"the model explains the measurements down to the noise ({errors})"
@@ -279,9 +313,9 @@ def _nothing_found(found: Findings, errors: str) -> Verdict:
 
 
 def _doubt_noise(found: Findings, errors: str) -> Verdict:
-    """Judge residuals that are within the scatter of revisited poses, but not within the stated
-    noise: the scatter may be noise, or motion of the robot between the visits."""
-    ratio = f"by {found.noise.misstated or 1.0:.1f} times the stated noise"
+    """Judge residuals that are within the scatter of revisited poses, but not within the noise that
+    the fit used: the scatter may be noise, or motion of the robot between the visits."""
+    ratio = f"by {found.noise.misstated or 1.0:.1f} times {found.noise.used}"
     differ = f"visits of the same pose differ {ratio} ({errors})"
     if found.remaining:
         return Verdict(
@@ -289,13 +323,21 @@ def _doubt_noise(found: Findings, errors: str) -> Verdict:
             f"{differ}, and {found.remaining.description}: an effect is missing that the catalogue "
             "does not describe",
         )
+    test = (
+        "Measure one pose ten times without moving the robot: if this scatters less, the robot "
+        "moves; if it scatters as much, state this noise in the model file"
+    )
+    if found.noise.from_jitter:
+        test = (
+            "Record what differed and diagnose again; if nothing did, because encoders and device "
+            "repeat no better, state the noise of repeated visits in the model file"
+        )
     return Verdict(
         "cannot_know",
-        f"{differ}, and the difference depends on no recorded condition. If all of it is noise, "
-        "the model is complete; if the robot moves between the visits (friction, backlash, load, "
-        "warming), an effect is missing. Measure one pose ten times without moving the robot: if "
-        "this scatters less, the robot moves; if it scatters as much, state this noise in the "
-        f"model file{''.join(f'. By the residuals, {words}' for words in found.shape.remarks)}",
+        f"{differ}, and the difference depends on no recorded condition. What differed between the "
+        "visits? If the robot moved (friction, backlash, load, warming), an effect is missing; if "
+        f"all of it is noise, the model is complete. {test}"
+        f"{''.join(f'. By the residuals, {words}' for words in found.shape.remarks)}",
     )
 
 
@@ -303,7 +345,7 @@ def _noise(found: Findings) -> str:
     """Describe the noise if it is not white, or not as stated."""
     words = list(found.shape.remarks)
     if found.noise.misstated is not None:
-        words.insert(0, f"the noise is {found.noise.misstated:.1f} times the stated noise")
+        words.insert(0, f"the noise is {found.noise.misstated:.1f} times {found.noise.used}")
     return f". By the residuals, {' and '.join(words)}" if words else ""
 
 

@@ -716,8 +716,17 @@ def _describe_proof(law: Law) -> str:
     other = f" Equally good: {', '.join(law.alternatives)}." if law.alternatives else ""
     return (
         f"{law.sentence}: {law.formula} ({terms}).{share} Error at held-out poses "
-        f"{format_errors(law.after, law.before)}{floor}. Tested at {spans}.{other}"
+        f"{format_errors(law.after, law.before)}{floor}{_describe_choices(law)}. Tested at {spans}."
+        f"{other}"
     )
+
+
+def _describe_choices(law: Law) -> str:
+    """Say what was chosen with the held-out poses: each fold identifies the coefficients again, but
+    not the form of the law and the constants in it."""
+    chosen = ["form", *(c.name for c in law.parameters if c.scanned)]
+    verb = "was" if len(chosen) == 1 else "were"
+    return f"; {_join(chosen)} {verb} chosen with these poses, the coefficients without them"
 
 
 def _format_coefficient(c: Coefficient) -> str:

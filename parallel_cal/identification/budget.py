@@ -87,6 +87,7 @@ def budgets(
     those of the model without geometry or an effect (None if they are not known).
     """
     alone, groups = _compute_motions(model, observations), blocks(dataset)
+    titles = {effect.name: effect.title for effect in model.effects}
     found = []
     for kind, part in KINDS.items():
         judged = [present, nominal, *(one for one in without.values() if one is not None)]
@@ -100,7 +101,8 @@ def budgets(
             removed: tuple[float | None, float | None] = (None, None)
             if other is not None:
                 removed = _root(*compute_mean_and_sigma(other.norms(kind)[known] ** 2 - now, at))
-            parts.append(Part(name, *removed, _rms(alone[name][known, part])))
+            moves = _rms(alone[name][known, part])
+            parts.append(Part(titles.get(name) or name, *removed, moves))
         parts.sort(key=lambda one: -(one.removed or 0.0))
         floor = noise.summary.rms(kind)
         if floor is not None:

@@ -73,6 +73,18 @@ class ContradictionError(FitError):
     """Parameters of an effect contradict each other, and the caller does not insist on them."""
 
 
+class ImplausibleGeometryError(FitError):
+    """A parameter of the geometry was identified far outside its plausible range; `chi2_per_dof` is
+    that of this fit."""
+
+    def __init__(self, words: str, chi2_per_dof: float):
+        super().__init__(words)
+        self.chi2_per_dof = chi2_per_dof
+
+    def __reduce__(self) -> tuple[type, tuple[str, float]]:
+        return type(self), (str(self), self.chi2_per_dof)
+
+
 class WrongSignError(FitError):
     """An effect fits only with a sign that its physics forbids."""
 
@@ -105,6 +117,8 @@ def check_plausible(
 
     Raises
     ------
+    ImplausibleGeometryError
+        If a parameter of the geometry is out of range.
     WrongSignError
         If an elastic or dissipative quantity is negative.
     FitError
@@ -112,6 +126,7 @@ def check_plausible(
         size is unusual and only usual ones are wanted.
     """
     unusual, accepted, tolerances = dict[str, UnusualSize](), list[str](), dict(model.tolerances)
+    usual_tolerances = dict(model.usual_tolerances)
     stated_sigma = np.sqrt(np.maximum(np.diag(estimate.covariance), 0.0))
     for i, p in enumerate(model.table):
         low, high = p.plausible_range(float(stated_sigma[i]))
@@ -121,7 +136,8 @@ def check_plausible(
         least, most = p.plausible_range()
         bound = least if value < low else most
         if p.group not in ("effect", "sensor"):
-            raise FitError(_describe_absurd_parameter(p, value, estimate.chi2_per_dof))
+            chi2 = estimate.chi2_per_dof
+            raise ImplausibleGeometryError(_describe_absurd_parameter(p, value, chi2), chi2)
         if bound == p.nominal:
             side = "negative" if value < p.nominal else "positive"
             raise WrongSignError(
@@ -129,6 +145,7 @@ def check_plausible(
                 f"value: {_advise_on_sign(model, p)}"
             )
         tolerances[p.name] = 1.2 * p.tolerance * (value - p.nominal) / (bound - p.nominal)
+        usual_tolerances.setdefault(p.name, p.tolerance)
         unusual[p.name] = UnusualSize.of(p, value)
     if unusual and usual_only:
         words = "; ".join(describe_by_effect(unusual.values()).values())
@@ -145,7 +162,8 @@ def check_plausible(
         if not insist:
             raise ContradictionError(why)
         accepted.append(f"{why}: accepted because of --force (in Python: insist)")
-    return replace(model, tolerances=tolerances), unusual, accepted
+    raised = replace(model, tolerances=tolerances, usual_tolerances=usual_tolerances)
+    return raised, unusual, accepted
 
 
 def check_joint_errors(model: Model, found: Errors) -> None:

@@ -417,7 +417,11 @@ class FitResult(ShownInNotebook):
 
 @dataclass(frozen=True)
 class ParameterEstimate:
-    """An identified parameter, SI; `sigma` is None if unknown; `moved` is in tolerances."""
+    """An identified parameter, SI; `sigma` is None if unknown.
+
+    `moved_tolerances` is the distance from nominal in usual tolerances, also if the fit raised the
+    tolerance because the size is unusual.
+    """
 
     value: float
     sigma: float | None
@@ -431,6 +435,7 @@ def summarise_parameters(
     model: Model, sigma: np.ndarray, fixed: np.ndarray
 ) -> dict[str, ParameterEstimate]:
     """Every parameter of a model by name."""
+    usual_tolerance = model.usual_tolerance
     return {
         p.name: ParameterEstimate(
             value=float(model.values[i]),
@@ -438,7 +443,7 @@ def summarise_parameters(
             nominal=p.nominal,
             unit=p.unit,
             fixed=bool(fixed[i]),
-            moved_tolerances=float((model.values[i] - p.nominal) / p.tolerance),
+            moved_tolerances=float((model.values[i] - p.nominal) / usual_tolerance[i]),
         )
         for i, p in enumerate(model.table)
     }

@@ -30,14 +30,17 @@ from parallel_cal.recordings.dataset import Dataset
 
 
 def list_parameter_warnings(model: Model, estimate: Estimate, free: np.ndarray) -> list[str]:
-    """List parameters that moved far, and combinations that the data do not determine."""
+    """List parameters that moved far, and combinations that the data do not determine.
+
+    Sizes of effects that are larger than usual have a sentence of their own when they are accepted.
+    """
     table = model.table
     moved = (model.values - table.nominal) / table.tolerance
     sigma = estimate.sigma / table.tolerance
     words = [
-        f"{p.name} moved {moved[i]:+.1f} tolerances from nominal{_describe_sigma(sigma[i])}"
+        f"{p.shown_name} moved {moved[i]:+.1f} tolerances from nominal{_describe_sigma(sigma[i])}"
         for i, p in enumerate(table)
-        if free[i] and abs(moved[i]) > MAX_MOVED_TOLERANCES
+        if free[i] and abs(moved[i]) > MAX_MOVED_TOLERANCES and p.name not in model.usual_tolerances
     ]
     unidentifiable = estimate.spectrum.unidentifiable
     if len(unidentifiable) > MAX_NAMED_DIRECTIONS:

@@ -274,8 +274,11 @@ class Linearisation:
         cannot explain, and the change of all coordinates; None if all was measured."""
         if self._complete:
             return None, lambda *_: np.empty(0)
-        unknown, own = self._unknown[part], np.eye(self._rows) * self._unread[part, None, :]
-        U = K @ np.concatenate([C * unknown[:, None, :], own], axis=2)
+        unknown, unread = self._unknown[part], self._unread[part]
+        # Only the columns of what is unknown at some sample: most of them are measured everywhere.
+        at = np.flatnonzero(unknown.any(axis=0))
+        own = np.eye(self._rows)[:, unread.any(axis=0)] * unread[:, None, unread.any(axis=0)]
+        U = K @ np.concatenate([C[:, :, at] * unknown[:, None, at], own], axis=2)
         left, sizes, right = np.linalg.svd(U, full_matrices=False)
         spanned = sizes > 1e-9 * np.maximum(sizes[:, :1], 1e-300)
         left = left * spanned[:, None, :]
@@ -288,8 +291,9 @@ class Linearisation:
             white: np.ndarray, corrections: Callable[[np.ndarray], np.ndarray]
         ) -> np.ndarray:
             u = -inverse @ white[:, :, None]
-            rest = white + (U @ u)[:, :, 0]
-            return np.where(unknown, u[:, : unknown.shape[1], 0], corrections(rest))
+            change = corrections(white + (U @ u)[:, :, 0]).copy()
+            change[:, at] = np.where(unknown[:, at], u[:, : len(at), 0], change[:, at])
+            return change
 
         return free_of, explain
 

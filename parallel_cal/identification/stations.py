@@ -38,6 +38,7 @@ from parallel_cal.recordings.transforming import transform_poses
 LATER_RECORDINGS = (1, 2, 3)  # that may have a station of their own
 TOLERANCE = {"m": 2e-3, "rad": 0.035}  # of a station after its closed-form registration
 TARGET_TOLERANCE_M = 0.05
+PARTS = {"frame": "device frame", "target": "target"}  # in plain words
 
 
 class Stations(Effect):
@@ -50,6 +51,7 @@ class Stations(Effect):
     needs = ("session",)
     fixed = ("recording*",)  # `register_recordings` frees those that the samples determine
     of_device = True
+    title = "stations of the recordings"
     physics = "Between two recordings the measuring device or its target was set up anew."
     source = "anywhere"
 
@@ -63,7 +65,9 @@ class Stations(Effect):
                     unit = "rad" if c.startswith("r") else "m"
                     at_target = part == "target" and unit == "m"
                     size = TARGET_TOLERANCE_M if at_target else TOLERANCE[unit]
-                    found.append(Parameter(f"recording{k + 1}.{part}.{c}", unit, 0.0, size))
+                    title = f"recording {k + 1}'s {PARTS[part]}, {c}"
+                    name = f"recording{k + 1}.{part}.{c}"
+                    found.append(Parameter(name, unit, 0.0, size, title=title))
         return found
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:

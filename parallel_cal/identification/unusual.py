@@ -21,11 +21,12 @@ class UnusualSize:
     low: float
     high: float
     unit: str
+    shown_name: str = ""
 
     @classmethod
     def of(cls, p: Parameter, value: float) -> UnusualSize:
         low, high = p.plausible_range()
-        return cls(p.name, value, low, high, p.unit)
+        return cls(p.name, value, low, high, p.unit, p.shown_name)
 
     @property
     def effect(self) -> str:
@@ -38,8 +39,8 @@ class UnusualSize:
         value, low, high = (f"{v * factor:.3g}" for v in (self.value, self.low, self.high))
         usual = f"{low} to {high}" if self.low not in (0.0, -self.high) else f"up to {high}"
         return (
-            f"{self.parameter} is larger than usual ({f'{value} {name}'.rstrip()}; usual {usual}): "
-            f"{CAUSE}"
+            f"{self.shown_name or self.parameter} is larger than usual "
+            f"({f'{value} {name}'.rstrip()}; usual {usual}): {CAUSE}"
         )
 
     def document(self) -> dict[str, Any]:

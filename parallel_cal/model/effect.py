@@ -84,6 +84,8 @@ class Effect(ABC):
     refines : bool
         Whether the parameter that `scan` tries is continuous. False for an integer, such as the
         order of a harmonic. Default True.
+    title : str
+        What messages and tables call it, if its name means nothing to a user. Default: its name.
     found_in_data : bool
         Whether its formula was found in data, so that its cause is not known. Default False.
     physics : str
@@ -110,6 +112,7 @@ class Effect(ABC):
     depends_on_class: ClassVar[bool] = True
     widens: ClassVar[bool] = False
     refines: ClassVar[bool] = True
+    title: ClassVar[str] = ""
     found_in_data: ClassVar[bool] = False
     physics: ClassVar[str]
     remedy: ClassVar[str] = ""

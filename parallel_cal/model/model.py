@@ -77,6 +77,9 @@ class Model:
         `precision`, `industrial` or `hobby`: how large the usual errors of such a machine are. It
         scales the tolerances of all effects of the robot, except those in `tolerances`. Default
         `industrial`.
+    usual_tolerances : dict of float
+        The tolerances of parameters that are larger than usual, by full name, as they were before
+        a fit raised them in `tolerances`. Default none.
 
     Raises
     ------
@@ -106,6 +109,7 @@ class Model:
     sensors: tuple[Sensor, ...] = ()
     tolerances: Mapping[str, float] = field(default_factory=dict)  # of effects and sensors
     machine_class: MachineClass = DEFAULT_CLASS
+    usual_tolerances: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_class(self.machine_class)
@@ -142,6 +146,13 @@ class Model:
         if not self.tolerances and self.machine_class == DEFAULT_CLASS:
             return self.structure.table
         return self.structure.table_of(self.machine_class, tuple(self.tolerances.items()))
+
+    @property
+    def usual_tolerance(self) -> np.ndarray:
+        """Tolerance (n,) of each parameter before a fit raised it. A raised tolerance follows from
+        the value: in units of it, every unusual value is equally far from nominal."""
+        pairs = zip(self.table.names, self.table.tolerance, strict=True)
+        return np.array([self.usual_tolerances.get(name, own) for name, own in pairs])
 
     @property
     def joints(self) -> tuple[str, ...]:

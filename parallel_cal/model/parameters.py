@@ -36,6 +36,9 @@ class Parameter:
         Physical bounds (a backlash is never negative). Default: unbounded.
     label : str
         The last part of the name in plain words, such as `rod length`. Default empty.
+    title : str
+        The whole name in plain words, if the parts of the name mean nothing to a user. Default
+        empty.
     """
 
     name: str
@@ -46,6 +49,12 @@ class Parameter:
     low: float = -np.inf
     high: float = np.inf
     label: str = ""
+    title: str = ""
+
+    @property
+    def shown_name(self) -> str:
+        """The name that messages and tables show."""
+        return self.title or self.name
 
     def with_tolerance(self, tolerance: float) -> Parameter:
         """Return the parameter with another tolerance; its bounds scale with the tolerance."""

@@ -10,6 +10,8 @@ from parallel_cal.model.parameters import ParameterTable
 
 def describe(name: str, table: ParameterTable) -> str:
     """Describe `chain2.Lb` as `rod length of chain 2`; without a label, the name is kept."""
+    if name in table.names and table[name].title:
+        return str(table[name].title)
     *owners, key = name.split(".")
     word = (table[name].label if name in table.names else "") or key
     readable = [re.sub(r"(?<=[a-z])(\d+)$", r" \1", o).replace("_", " ") for o in owners]

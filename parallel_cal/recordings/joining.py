@@ -65,7 +65,7 @@ def join_datasets(
         at = Configuration(columns["q"], columns["r"], columns["R"])
         columns["pose_id"] = replicate_ids(at, columns["measured"], columns["scatter_q"], tolerance)
     shared = _join_conditions(parts)
-    warnings = [w for d in parts for w in d.warnings]
+    warnings = _merge_warnings(parts)
     for d in parts:
         if lost := [name for name in d.conditions if name not in shared]:
             warnings.append(
@@ -87,6 +87,25 @@ def join_datasets(
         sha256=hashlib.sha256("".join(hashes).encode()).hexdigest(),
         recordings=tuple(hashes) if starts is None else (),
     )
+
+
+def _merge_warnings(parts: Sequence[Dataset]) -> list[str]:
+    """List the warnings of all recordings; what several of them share is one sentence that names
+    these recordings."""
+    found = dict[str, str]()
+    sources = dict[str, list[str]]()
+    for d in parts:
+        for words in d.warnings:
+            own = f"{d.source}: "
+            shared = words.removeprefix(own)
+            if shared in sources:
+                sources[shared].append(d.source)
+                found[shared] = f"{', '.join(dict.fromkeys(sources[shared]))}: {shared}"
+            else:
+                found[shared] = words
+                if words.startswith(own):
+                    sources[shared] = [d.source]
+    return list(found.values())
 
 
 def fingerprint(dataset: Dataset) -> str:

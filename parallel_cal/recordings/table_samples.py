@@ -40,14 +40,14 @@ def make_dataset(given: Sequence[Table], wanted: ColumnMap, asks: str) -> Datase
         name: found.numbers([given])[:, 0] if isinstance(given, str) else np.full(n, given)
         for name, given in wanted.conditions.items()
     }
-    order = conditions.get("time")
+    order, source = conditions.get("time"), " + ".join(str(table.path) for table in given)
     if order is None and wanted.join and wanted.join.within and len(tables) > 1:
         order = found.numbers([wanted.join.by])[:, 0]
     if _orders_visits(wanted) and n > 1:
         conditions |= _directions_of_visits(wanted, q, order)
         where = "times" if order is not None else "order"
         notes.append(
-            f"{tables[0].path}: direction and travel of the joints were taken from the {where} of "
+            f"{source}: direction and travel of the joints were taken from the {where} of "
             "the rows, as if each joint moved straight from row to row; if not, state visits: "
             "unordered in the column map"
         )
@@ -66,7 +66,7 @@ def make_dataset(given: Sequence[Table], wanted: ColumnMap, asks: str) -> Datase
         joint_sigma=wanted.noise.joint,
         conditions=conditions | readings,
         pose_id=pose_id,
-        source=" + ".join(str(table.path) for table in given),
+        source=source,
         dropped=tuple(dropped),
         warnings=tuple(notes),
         joint_units=tuple(found.joint_unit(joint) for joint in wanted.joints.values()),

@@ -310,22 +310,24 @@ def _list_sample_errors(errors: Errors, scene: Scene) -> list[dict[str, float]]:
 
 @dataclass(frozen=True)
 class DescribedParameter(ParameterEstimate):
-    """A parameter with its description and its sigma in tolerances."""
+    """A parameter with the name to show, its description and its sigma in tolerances."""
 
+    shown_name: str
     words: str
     sigma_tolerances: float | None
 
 
 def parameters(result: FitResult) -> dict[str, DescribedParameter]:
     """Describe every parameter, by name."""
-    table = result.model.table
+    table, tolerances = result.model.table, result.model.usual_tolerance
     return {
         name: DescribedParameter(
             **vars(p),
+            shown_name=table[name].shown_name,
             words=describe(name, table),
             sigma_tolerances=None if p.sigma is None else p.sigma / tolerance,
         )
-        for (name, p), tolerance in zip(result.parameters().items(), table.tolerance, strict=True)
+        for (name, p), tolerance in zip(result.parameters().items(), tolerances, strict=True)
     }
 
 

@@ -178,20 +178,20 @@ def _steps(rows: Sequence[Mapping[str, Any]], values: Sequence[float | None]) ->
 
 def parameter_bars(parameters: Mapping[str, DescribedParameter]) -> Spec:
     """Draw how far every free parameter moved from nominal, in tolerances, with 1 sigma."""
-    rows = [(name, p) for name, p in parameters.items() if not p.fixed][::-1]
-    sigma = [p.sigma_tolerances or 0.0 for _, p in rows]
+    rows = [p for p in parameters.values() if not p.fixed][::-1]
+    sigma = [p.sigma_tolerances or 0.0 for p in rows]
     colours = []
-    for _, p in rows:
+    for p in rows:
         moved_far = abs(p.moved_tolerances) > MAX_MOVED_TOLERANCES
         colours.append(QUIET if p.sigma is None else WARNING if moved_far else ACCENT)
     bars = {
         "type": "bar",
         "orientation": "h",
-        "x": [p.moved_tolerances for _, p in rows],
-        "y": [escape(name) for name, _ in rows],
+        "x": [p.moved_tolerances for p in rows],
+        "y": [escape(p.shown_name) for p in rows],
         "error_x": {"array": sigma, "thickness": 1.2, "width": 2, "color": QUIET},
         "marker": {"color": colours},
-        "hovertext": [describe_parameter(p) for _, p in rows],
+        "hovertext": [describe_parameter(p) for p in rows],
         "hoverinfo": "text",
     }
     return {

@@ -225,14 +225,14 @@ def parameter_table(parameters: Mapping[str, DescribedParameter]) -> Table:
     )
     farthest = max((abs(p.moved_tolerances) for p in parameters.values()), default=0.0)
     rows = []
-    for name, p in parameters.items():
+    for p in parameters.values():
         (unit, factor), moved = value_unit(p.unit), p.moved_tolerances
         value, change, sigma = (
             Number(v, factor, 4, 6, p.sigma, unit) for v in (p.value, p.value - p.nominal, p.sigma)
         )
         rows.append(
             (
-                Cell(name, mark="odd" if abs(moved) > MAX_MOVED_TOLERANCES else ""),
+                Cell(p.shown_name, mark="odd" if abs(moved) > MAX_MOVED_TOLERANCES else ""),
                 Cell(Number(moved, significant=2), bar=moved / farthest if farthest else None),
                 value,
                 change,
@@ -332,6 +332,8 @@ def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
             f"{when}{one.sigmas:.1f} sigmas, Cook's "
             f"distance {one.cooks_distance:.2f} (--data exclude={one.sample} excludes it)"
         )
+    for step in diagnosis.next_steps:
+        yield f"next: {step}"
     for advice in diagnosis.measure_next.advice:
         yield f"measure next: {advice}"
     if plan := diagnosis.measure_next.plan:

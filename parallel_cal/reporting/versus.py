@@ -52,11 +52,12 @@ class Difference:
     @classmethod
     def of(cls, name: str, one: Model, other: Model) -> Difference:
         values = [m.value(name) if name in m.table.names else None for m in (one, other)]
-        table = (one if values[0] is not None else other).table
-        p = table[table.index_of(name)]
-        known = None not in values
-        apart = (values[1] - values[0]) / p.tolerance if known else None  # type: ignore[operator]
-        return cls(name, p.unit, values, apart)
+        model = one if values[0] is not None else other
+        i = model.table.index_of(name)
+        apart = None
+        if values[0] is not None and values[1] is not None:
+            apart = float((values[1] - values[0]) / model.usual_tolerance[i])
+        return cls(name, model.table[i].unit, values, apart)
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_to_test
 from parallel_cal.diagnosis.device import find_doubtful_effects, is_needed
 from parallel_cal.diagnosis.entries import are_confused, is_clearly_better
+from parallel_cal.diagnosis.first_effect import proposing_first_effect
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.search import Trial, is_as_good, is_superfluous
 from parallel_cal.diagnosis.verdict import robot_or_device
@@ -127,12 +129,17 @@ def fitted(
 ) -> Step:
     """Identify the free parameters, with the options of `identification.fit`.
 
-    FitError if the validation error does not fall.
+    FitError if the validation error does not fall. If no plausible geometry describes the samples,
+    the message names the effects with which one does.
     """
-    result = fit(model, dataset, **options)
+    effects = options.pop("effects", ())
+    how, progress = _collect_options(options)
+    proposing = proposing_first_effect(model, dataset, how, progress=progress)
+    with nullcontext() if effects else proposing:
+        result = fit(model, dataset, how, progress, effects=effects)
     if result.given.fits_of_these_samples:
         result = replace(result, warnings=(*result.warnings, IN_SAMPLE))
-    added = "+".join(n for text in options.get("effects", ()) for n, _ in parse_effects(text))
+    added = "+".join(n for text in effects for n, _ in parse_effects(text))
     return _step("fit", result, _check_proven(acceptance(result), force), effect=added or None)
 
 

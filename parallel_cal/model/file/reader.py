@@ -65,6 +65,11 @@ class Reader:
                 for path, parameter, entry in entries
                 if path[0] != "parameters" and entry.tolerance is not None
             },
+            usual_tolerances={
+                parameter.name: entry.usual_tolerance
+                for path, parameter, entry in entries
+                if path[0] != "parameters" and entry.usual_tolerance is not None
+            },
         )
         try:
             model.structure.phi  # noqa: B018  (evaluate a user's closure now, not at its first use)

@@ -132,9 +132,11 @@ class NumberPart(Part):
 
 
 class OwnNumberPart(NumberPart):
-    """One parameter of an effect or a sensor; `tolerance` if it differs from the catalogue."""
+    """One parameter of an effect or a sensor; `tolerance` if it differs from the catalogue,
+    `usual_tolerance` if a fit raised it, because the value is larger than usual."""
 
     tolerance: Positive | None = None
+    usual_tolerance: Positive | None = None
 
 
 class ParameterPart(NumberPart):

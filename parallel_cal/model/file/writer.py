@@ -122,8 +122,11 @@ def _numbers(model: Model, part: Effect | Sensor) -> Iterator[str]:
     yield "  parameters:" if len(table) else "  parameters: {}"
     for parameter in table:
         name, i = parameter.name.removeprefix(f"{part.name}."), model.table.index_of(parameter.name)
-        given = model.tolerances.get(parameter.name)
-        own = {} if given is None else {"tolerance": float(given)}
+        given = {
+            "tolerance": model.tolerances.get(parameter.name),
+            "usual_tolerance": model.usual_tolerances.get(parameter.name),
+        }
+        own = {key: float(value) for key, value in given.items() if value is not None}
         yield f"    {flow(name)}: {flow(_entry(model, i, parameter, own))}"
 
 

@@ -1,0 +1,138 @@
+"""Find the effect without which the geometry cannot be identified, such as a target that slipped.
+
+Where a large effect is missing, the geometry would have to imitate it with values that no such
+robot has, and no fit of the geometry alone succeeds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from parallel_cal.base.errors import FitError, ModelError
+from parallel_cal.base.progress import Progress, ignore_progress
+from parallel_cal.diagnosis.catalogue import (
+    collect_recorded_values,
+    find_missing_conditions,
+    list_effects_to_test,
+)
+from parallel_cal.diagnosis.search import Chosen
+from parallel_cal.identification.checks import ImplausibleGeometryError
+from parallel_cal.identification.fit import fit
+from parallel_cal.identification.fit_warnings import format_distinctly
+from parallel_cal.identification.options import FitOptions
+from parallel_cal.model.model import Model
+from parallel_cal.model.shelf import load_effect
+from parallel_cal.recordings.dataset import Dataset
+
+# How much larger chi2 must be with every other effect: two effects that explain the samples nearly
+# as well leave it open which one the robot has.
+MIN_CHI2_RATIO = 2.0
+# Effects with more settings to scan are not tried: they are ripples, too small to mislead the
+# geometry, and each setting costs a fit.
+MAX_SETTINGS = 32
+
+
+@dataclass(frozen=True)
+class FirstEffect:
+    """An effect with which a plausible geometry describes the samples, and what that fit leaves."""
+
+    chosen: Chosen
+    chi2: float
+    chi2_per_dof: float
+
+
+def rank_first_effects(
+    model: Model,
+    dataset: Dataset,
+    effects: Iterable[str],
+    options: FitOptions,
+    progress: Progress | None = None,
+) -> list[FirstEffect]:
+    """Fit the samples with each of the `effects` alone (all of the catalogue if none is named), and
+    return those that permit a fit, the least chi2 first."""
+    report, found = progress or ignore_progress, list[FirstEffect]()
+    names = list_effects_to_test(model, only=effects)
+    for k, name in enumerate(names):
+        report(f"trying {name} in the first fit", k / len(names))
+        least: FirstEffect | None = None
+        for settings, extended in _variants(model, dataset, name):
+            try:
+                estimate = fit(extended, dataset, options, hold_out=0).estimate
+            except FitError:
+                continue
+            if least is None or estimate.chi2 < least.chi2:
+                chosen = Chosen(name, tuple(sorted(settings.items())))
+                least = FirstEffect(chosen, estimate.chi2, estimate.chi2_per_dof)
+        if least is not None:
+            found.append(least)
+    return sorted(found, key=lambda one: one.chi2)
+
+
+def select_equally_good(ranked: Sequence[FirstEffect]) -> list[FirstEffect]:
+    """Select the first, and those that leave less than MIN_CHI2_RATIO times as much."""
+    return [one for one in ranked if one.chi2 < MIN_CHI2_RATIO * ranked[0].chi2 or one is ranked[0]]
+
+
+def find_first_effect(
+    model: Model, dataset: Dataset, effects: Iterable[str], options: FitOptions
+) -> Chosen | None:
+    """Return the effect with which alone the samples can be fitted, if it is clear which: every
+    other one leaves MIN_CHI2_RATIO times as much or permits no fit at all; else None."""
+    best = select_equally_good(rank_first_effects(model, dataset, effects, options))
+    return best[0].chosen if len(best) == 1 else None
+
+
+@contextmanager
+def proposing_first_effect(
+    model: Model,
+    dataset: Dataset,
+    options: FitOptions,
+    effects: Iterable[str] = (),
+    progress: Progress | None = None,
+) -> Iterator[None]:
+    """If no plausible geometry describes the samples, add to the error which effect in the first
+    fit permits one: it is the likeliest cause."""
+    try:
+        yield
+    except ImplausibleGeometryError as error:
+        ranked = rank_first_effects(model, dataset, effects, options, progress)
+        words = _describe_proposal(ranked, error.chi2_per_dof)
+        raise ImplausibleGeometryError(f"{error}. {words}", error.chi2_per_dof) from None
+
+
+def _describe_proposal(ranked: Sequence[FirstEffect], chi2_per_dof: float) -> str:
+    """Say with which effects a plausible geometry explains clearly more."""
+    helpful = [one for one in ranked if MIN_CHI2_RATIO * one.chi2_per_dof < chi2_per_dof]
+    if not helpful:
+        return "No effect of the catalogue in the first fit leads to a plausible geometry"
+    likely = select_equally_good(helpful)
+    names = " or ".join(
+        f"{one.chosen.text} (chi2/dof {format_distinctly([one.chi2_per_dof, chi2_per_dof])[0]})"
+        for one in likely
+    )
+    each = "each of them alone " if len(likely) > 1 else ""
+    return (
+        f"With {names} in the first fit, {each}the geometry is plausible: parallel-cal fit MODEL "
+        f"RECORDING --effect {likely[0].chosen.text} -o FITTED.yaml"
+    )
+
+
+def _variants(
+    model: Model, dataset: Dataset, name: str
+) -> Iterator[tuple[Mapping[str, float], Model]]:
+    """Yield an effect's settings to try, each with the model that has the effect so; none if it
+    does not apply to the robot or depends on a condition that was not recorded."""
+    effect = load_effect(name)
+    if effect.applies(model.mechanism):
+        return
+    recorded = collect_recorded_values(dataset)
+    try:
+        if find_missing_conditions(model.with_effect(name), dataset):
+            return
+        scanned = [*effect.scan(model.mechanism, recorded)]
+        for settings in scanned or [{}] if len(scanned) <= MAX_SETTINGS else ():
+            yield settings, model.with_effect(name, settings)
+    except ModelError:  # a larger mechanism that this robot cannot have
+        return
