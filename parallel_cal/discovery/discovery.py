@@ -13,7 +13,7 @@ from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.options import with_changes
-from parallel_cal.base.progress import Progress, ignore_progress
+from parallel_cal.base.progress import Progress, ignore_progress, never_falling
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.diagnose import find_mistrusted_samples
 from parallel_cal.diagnosis.field import Field
@@ -39,6 +39,7 @@ from parallel_cal.discovery.effect_file import (
 )
 from parallel_cal.discovery.formula import Formula, find_formula
 from parallel_cal.discovery.nulls import characterise_noise, compute_threshold, draw_residuals
+from parallel_cal.discovery.parts import Part, Parts, find_parts
 from parallel_cal.discovery.places import (
     DEVICE,
     JOINT,
@@ -59,6 +60,7 @@ from parallel_cal.discovery.thresholds import (
     MAX_SCREENED_SAMPLES,
     MAX_SPLITS,
     MIN_RIVAL_EVIDENCE_SHARE,
+    MIN_TERM_EVIDENCE,
     NULL_SESSIONS,
 )
 from parallel_cal.identification.acceptance import format_errors
@@ -240,12 +242,25 @@ class Discovery(ShownInNotebook):
 @dataclass(frozen=True)
 class _Winner:
     """A law before its proof: the formula, equally good ones, and the screening's evidence; for a
-    law of the device, `rival` is one of the robot that explains nearly as much."""
+    law of the device, `rival` is one of the robot that explains nearly as much. `parts` are
+    further laws of the same driver."""
 
     formula: Formula
     equal: tuple[Formula, ...]
     evidence: float
-    rival: Hypothesis | None
+    rival: Hypothesis | None = None
+    parts: tuple[Part, ...] = ()
+
+    @property
+    def columns(self) -> np.ndarray:
+        """The columns (n, k) of the law and of its parts."""
+        return np.hstack([self.formula.columns, *(one.formula.columns for one in self.parts)])
+
+    def list_laws(self, threshold: float) -> list[tuple[_Winner, float]]:
+        """The law and its parts, each with the evidence that it must exceed: chance is excluded by
+        the law, so that a part is judged as a further term of a formula is."""
+        parts = [_Winner(one.formula, one.equal, one.formula.evidence) for one in self.parts]
+        return [(self, threshold), *((one, MIN_TERM_EVIDENCE) for one in parts)]
 
 
 @single_threaded()
@@ -272,8 +287,8 @@ def discover(
     options : FitOptions, optional
         Options of the identification as one object.
     progress : callable, optional
-        Called with a stage in words and the completed share (0 to 1). An exception that it raises
-        cancels the search.
+        Called with a stage in words and the completed share (0 to 1), which never falls. An
+        exception that it raises cancels the search.
     **changes
         Single options by name, as in `fit`.
 
@@ -297,7 +312,7 @@ def discover(
     ('direction',)
     """
     check_inputs(model, dataset)
-    report = progress or ignore_progress
+    report = never_falling(progress or ignore_progress)
     options = with_changes(options or FitOptions(), changes, FitError)
     report("identifying the geometry", 0.0)
     dataset = add_lagged_conditions(name_lags(dataset), dataset)
@@ -311,7 +326,12 @@ def discover(
     screening = Screening(scene, list_sites(list_places(scene)), select_for_screening(drivers))
     winners = _find_winners(scene, screening, drivers, report)
     thresholds = _find_thresholds(scene, screening, winners, report)
-    real = [(one, t) for one, t in zip(winners, thresholds, strict=True) if one.evidence > t]
+    real = [
+        law
+        for one, threshold in zip(winners, thresholds, strict=True)
+        if one.evidence > threshold
+        for law in one.list_laws(threshold)
+    ]
     found, current = list[Law](), base.model
     for k, (winner, threshold) in enumerate(real):
         report("testing a law at held-out poses", 0.8 + 0.2 * k / len(real))
@@ -352,22 +372,26 @@ def _find_winners(
         # By chance, the best of so many hypotheses is about as much likelier as their number.
         if scored[0][0] < np.log(len(scored)):
             break
-        winner = _find_winner(scene, targets, scored)
-        if winner is not None:
-            split = _split(scene, columns, screening, scored, winner.formula)
-            if split is not None:  # what the device may cause stays an objection
-                of_device = (o for o in winner.equal if o.hypothesis.site.kind == DEVICE)
-                winner = replace(winner, formula=split, equal=tuple(of_device))
-            refined = _refine_lag(scene, targets, winner.formula, drivers)
-            winner = replace(winner, formula=refined)
+        winner = find_winner(scene, targets, scored)
         if winner is None:
             break
+        refined = _refine_lag(scene, targets, winner.formula, drivers)
+        winner = replace(winner, formula=refined)
+        limit = MAX_LAWS - sum(1 + len(one.parts) for one in winners)
+        parts = _find_parts(scene, targets, screening, scored, winner.formula, limit)
+        if parts is not None:  # what the device may cause stays an objection
+            of_device = [one for one in winner.equal if one.hypothesis.site.kind == DEVICE]
+            first, *others = parts.laws
+            equal = (*of_device, *first.equal)
+            winner = replace(winner, formula=first.formula, equal=equal, parts=tuple(others))
         winners.append(winner)
-        columns = np.hstack([columns, winner.formula.columns])
+        columns = np.hstack([columns, winner.columns])
+        if sum(1 + len(one.parts) for one in winners) >= MAX_LAWS:
+            break
     return winners
 
 
-def _find_winner(
+def find_winner(
     scene: Scene, targets: Targets, scored: Sequence[tuple[float, Hypothesis]]
 ) -> _Winner | None:
     """Find formulas for the best hypotheses; of those equally good, take the simplest."""
@@ -394,54 +418,40 @@ def _find_winner(
     return _Winner(best, tuple(equal[1:]), max(scored[0][0], best.evidence), next(robots, None))
 
 
-def _split(
+def _find_parts(
     scene: Scene,
-    columns: np.ndarray,
+    targets: Targets,
     screening: Screening,
     scored: Sequence[tuple[float, Hypothesis]],
     formula: Formula,
-) -> Formula | None:
-    """The first of several laws of one driver, in different places, that describe the data as well
-    as a law of the robot with two drivers; None if there are none.
+    limit: int,
+) -> Parts | None:
+    """Several laws of one driver, in different places, that describe the data better than a law of
+    the robot with one driver, or as well as one with two; None if there are none.
 
     Where several parts err with the temperature, one of them alone describes less than a law with
     a second quantity that no part depends on.
     """
-    if len(formula.hypothesis.drivers) < 2 or formula.hypothesis.site.kind == DEVICE:
+    drivers = formula.hypothesis.drivers
+    if formula.hypothesis.site.kind == DEVICE:
         return None
-    best, first = formula.evidence - MAX_EQUAL_EVIDENCE, None
-    for own in formula.hypothesis.drivers:
-        single = screening.of_driver(own[0])
+    if len(drivers) == 1:
+        return find_parts(targets, formula, screening.list_hypotheses(drivers[0][0]), limit)
+    best, found = formula.evidence - MAX_EQUAL_EVIDENCE, None
+    for own in drivers:
         begin = [
             one
             for _, one in scored
             if len(one.drivers) == 1 and one.uses(own[0]) and one.site.kind != DEVICE
         ]
         for one in begin[:MAX_SPLITS]:
-            gained, chain, found = 0.0, list[Formula](), columns
-            while len(chain) < MAX_LAWS:
-                targets = Targets.of(scene, scene.residual[:, None], found)
-                hypothesis = one if not chain else _find_best(single, targets)
-                law = find_formula(scene, targets, hypothesis) if hypothesis else None
-                if law is None:
-                    break
-                chain.append(law)
-                gained, found = gained + law.evidence, np.hstack([found, law.columns])
-            if len(chain) > 1 and gained > best:
-                best, first = gained, chain[0]
-    return first
-
-
-def _find_best(screening: Screening, targets: Targets) -> Hypothesis | None:
-    """The best of the hypotheses about the robot; None if it may be chance."""
-    scored = [
-        (float(e), one)
-        for part in screening.score(targets)
-        for e, one in zip(part.evidence[:, 0], part.hypotheses, strict=True)
-        if one.site.kind != DEVICE
-    ]
-    best = max(scored, key=lambda item: item[0], default=(0.0, None))
-    return best[1] if best[0] > np.log(max(len(scored), 1)) else None
+            start = find_formula(scene, targets, one)
+            if start is None:
+                continue
+            parts = find_parts(targets, start, screening.list_hypotheses(own[0]), limit)
+            if parts is not None and parts.evidence > best:
+                best, found = parts.evidence, parts
+    return found
 
 
 def _refine_lag(
@@ -529,7 +539,7 @@ def _compute_limits(
     """The evidence that the best hypothesis of a session without any law rarely exceeds, of drivers
     that change slowly (True) and of the others, with the noise that `removed` laws leave."""
     nothing = np.zeros((len(scene.residual), 0))
-    columns = np.hstack([nothing, *(one.formula.columns for one in removed)])
+    columns = np.hstack([nothing, *(one.columns for one in removed)])
     rest = Targets.of(scene, scene.residual[:, None], columns).residuals[:, 0]
     noise = characterise_noise(scene, rest)
     targets = Targets.of(scene, draw_residuals(scene, noise, NULL_SESSIONS), nothing)

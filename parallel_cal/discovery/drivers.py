@@ -36,6 +36,7 @@ LAGGED = "lagged temperature"  # of parts that warm up later than the sensor
 NEXT, PREVIOUS = "next_joint", "previous_joint"  # readings of neighbours, for laws of all joints
 JOINT_CONDITIONS = tuple(name for name, (_, _, per_joint) in CONDITIONS.items() if per_joint)
 COMMON_CONDITIONS = tuple(name for name, (_, _, per_joint) in CONDITIONS.items() if not per_joint)
+MIN_LEVEL_PART = 0.1  # of the platform's x axis, across z: with less, yaw is not determined
 # How a law names a driver, and what an effect's `ideal` computes it from.
 PLACES = {
     "x": ("m", "seen.r[0]"),
@@ -44,6 +45,7 @@ PLACES = {
     "radius": ("m", "ca.sqrt(seen.r[0] ** 2 + seen.r[1] ** 2 + 1e-12)"),
     "tilt_x": ("rad", "seen.R[2, 1]"),
     "tilt_y": ("rad", "-seen.R[2, 0]"),
+    "yaw": ("rad", "ca.atan2(seen.R[1, 0], seen.R[0, 0])"),
 }
 WORDS = {  # of drivers of the whole robot, and of those of a member's own joint or rod
     "payload": "the payload",
@@ -53,6 +55,7 @@ WORDS = {  # of drivers of the whole robot, and of those of a member's own joint
     "radius": "the platform's distance from the z axis",
     "tilt_x": "the platform's tilt about x",
     "tilt_y": "the platform's tilt about y",
+    "yaw": "the platform's rotation about z",
     **{axis: f"the platform's {axis}" for axis in "xyz"},
     LOAD: "the load on its own joint",
     TENSION: "the tension of its own rod",
@@ -90,6 +93,7 @@ PLAUSIBILITY = (
     "y",
     "tilt_x",
     "tilt_y",
+    "yaw",
     "time",
     "session",
 )
@@ -222,6 +226,8 @@ def _iterate_drivers(scene: Scene) -> Iterator[Driver]:
         values["tilt_x"] = R[:, 7]
     if "ry" in moved:
         values["tilt_y"] = -R[:, 6]
+    if "rz" in moved and np.hypot(R[:, 0], R[:, 3]).min() > MIN_LEVEL_PART:
+        values["yaw"] = np.arctan2(R[:, 3], R[:, 0])
     for name, column in values.items():
         unit, code = PLACES[name]
         middle = 0.0 if name == "radius" else _round_middle(column)

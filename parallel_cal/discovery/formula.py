@@ -12,7 +12,7 @@ from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
 from parallel_cal.discovery.basis import frequencies
 from parallel_cal.discovery.drivers import NEXT, PREVIOUS, READING, TIME, Driver
-from parallel_cal.discovery.places import DEVICE, JOINT, PARAMETER, PLATFORM, ROD
+from parallel_cal.discovery.places import DEVICE, JOINT, PARAMETER, PLATFORM, ROD, Site
 from parallel_cal.discovery.screening import Hypothesis, Targets, evidence
 from parallel_cal.discovery.thresholds import (
     MAX_TERMS,
@@ -145,18 +145,38 @@ class Formula:
     columns: np.ndarray = field(repr=False)
 
     @property
-    def complexity(self) -> tuple[int, int, int, int]:
-        """What makes one of two equally good formulas preferable: fewer drivers, fewer
-        coefficients, the more usual place, more plausible drivers."""
-        used = self.used_drivers
-        plausible = sum(self.hypothesis.drivers[number][0].rank for number in used)
-        site = self.hypothesis.site
-        return len(used), self.coefficients.size, PLACE_KINDS.index(site.kind), plausible
+    def complexity(self) -> tuple[int, int, int, int, int]:
+        """What makes one of two equally good formulas preferable: fewer readings of other joints,
+        fewer drivers, fewer coefficients and scanned constants, the more usual place, more
+        plausible drivers."""
+        drivers = [self.hypothesis.drivers[number] for number in self.used_drivers]
+        site, numbers = self.hypothesis.site, self.coefficients.size + self.scanned
+        foreign = sum(_is_of_other_joint(site, own) for own in drivers)
+        plausible = sum(own[0].rank for own in drivers)
+        return foreign, len(drivers), numbers, PLACE_KINDS.index(site.kind), plausible
+
+    @property
+    def scanned(self) -> int:
+        """The number of constants that were searched for; sine and cosine share one."""
+        constants = {
+            (number, name, value)
+            for term in self.terms
+            for number, factor in term.factors
+            for name, value in zip(factor.constant_names, factor.constants, strict=False)
+        }
+        return len(constants) + self.hypothesis.scanned
 
     @property
     def used_drivers(self) -> tuple[int, ...]:
         """Numbers of the hypothesis' drivers that the formula depends on."""
         return tuple(sorted({number for term in self.terms for number, _ in term.factors}))
+
+
+def _is_of_other_joint(site: Site, own: Sequence[Driver]) -> bool:
+    """Whether joints err with the readings of other joints: rarer than with their own."""
+    if site.kind != JOINT or own[0].family not in (READING, NEXT, PREVIOUS):
+        return False
+    return any(one.joint != place.joint for one, place in zip(own, site.members, strict=True))
 
 
 def find_formula(scene: Scene, targets: Targets, hypothesis: Hypothesis) -> Formula | None:

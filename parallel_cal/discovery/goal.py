@@ -21,16 +21,9 @@ def find_laws(
     The document is that of `parallel-cal discover --json`. Its key `effects` has the text of each
     proven law's effect file by the name of the effect.
     """
-    done = 0.0
-
-    def report(stage: str, fraction: float) -> None:
-        nonlocal done
-        done = max(done, fraction)  # the progress of a further law must not fall
-        tell(stage, done)
-
     try:
-        report("reading the model file", 0.0)
-        found = discover(read_model(model_file), dataset, options=options, progress=report)
+        tell("reading the model file", 0.0)
+        found = discover(read_model(model_file), dataset, options=options, progress=tell)
     except ParallelCalError as error:
         return Outcome(False, str(error))
     document = found.document() | {"effects": list_effects(found.laws)}

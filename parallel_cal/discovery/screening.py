@@ -118,19 +118,21 @@ def evidence(explained: np.ndarray, total: np.ndarray, rank: np.ndarray, dof: in
 class Screening:
     """All hypotheses about a robot's residuals, and their scores."""
 
-    def __init__(
-        self, scene: Scene, sites: Sequence[Site], drivers: Sequence[Driver], pairs: bool = True
-    ) -> None:
-        self._scene, self._sites, self._drivers, self._pairs = scene, sites, drivers, pairs
+    def __init__(self, scene: Scene, sites: Sequence[Site], drivers: Sequence[Driver]) -> None:
+        self._scene, self._sites, self._drivers = scene, sites, drivers
         self._known: dict[tuple[Any, ...], np.ndarray] = {}  # bases, which sites share
         self._n = len(scene.x)
 
-    def of_driver(self, driver: Driver) -> Screening:
+    def list_hypotheses(self, driver: Driver) -> list[Hypothesis]:
         """The hypotheses of one driver alone, which may be that of each joint or rod."""
-        own = [one for one in self._drivers if one.family == driver.family]
-        screening = Screening(self._scene, self._sites, own, pairs=False)
-        screening._known = self._known
-        return screening
+        return [
+            Hypothesis(site, (own,))
+            for site in self._sites
+            for own in self._driver_sets(site)
+            if _is_plausible(site, own)
+            and own[0].family == driver.family
+            and (own[0].family != LAGGED or own[0].name == driver.name)
+        ]
 
     def _splines(self, own: DriverSet, count: int) -> np.ndarray:
         return self._compute_once(own, count, lambda: basis.splines(own, count))
@@ -161,9 +163,9 @@ class Screening:
         yield from _chunks(
             ([Hypothesis(site, (own,))], self._splines(own, SPLINES))
             for own in sets
-            if site.kind != PLATFORM or own[0].family not in OF_DEVICE
+            if _is_plausible(site, own)
         )
-        if self._pairs and (len(site.members) == 1 or not site.each):
+        if len(site.members) == 1 or not site.each:
             instant = [own for own in sets if own[0].family != LAGGED]
             pairs = (
                 (one, other)
@@ -241,6 +243,12 @@ class Screening:
             for own in (one, other)
             for d in own
         )
+
+
+def _is_plausible(site: Site, own: DriverSet) -> bool:
+    """Whether a site may err with one driver: what moves a platform as a device does, is the
+    device's."""
+    return site.kind != PLATFORM or own[0].family not in OF_DEVICE
 
 
 def _chunks(

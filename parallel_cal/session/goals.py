@@ -14,6 +14,7 @@ from typing import Any
 
 from parallel_cal.base.errors import ModelFileError, ParallelCalError
 from parallel_cal.base.files import BACKUP_SUFFIX
+from parallel_cal.base.progress import never_falling
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.options import FitOptions
@@ -142,13 +143,7 @@ def examine(
     tell: Callable[[str, float], None],
 ) -> Outcome:
     """Diagnose a model file on samples and write nothing; a failure is a message."""
-    done = 0.0
-
-    def report(stage: str, fraction: float) -> None:
-        nonlocal done
-        done = max(done, fraction)  # a search that starts again must not lower the progress
-        tell(stage, done)
-
+    report = never_falling(tell)  # a search that starts again must not lower the progress
     try:
         report("reading the model file", 0.0)
         found = diagnose(read_model(model_file), dataset, options=options, progress=report)
