@@ -494,3 +494,25 @@ def test_the_command_line_refuses_a_worse_model_unless_forced(session, in_use, r
     assert document["hash"] == model_hash(in_use.read_text())
     assert document["errors"]["position_rms"] > document["in_use"]["errors"]["position_rms"]
     assert "forced" in read_model(in_use).history[-1]
+
+
+def test_the_reason_for_a_forced_step_is_kept_in_both_histories_and_shown(session, run_cli):
+    reason = "its data sheet states it"
+    forced = ("--force", "--reason", reason)
+    run_cli("session", "add", session.folder, "encoder_gain", *forced)
+    session.refresh()
+    assert (session.state.step, session.state.reason) == ("add encoder_gain, forced", reason)
+    entry = session.model.history[-1]
+    assert "does not fall" in entry["forced"]
+    assert entry["reason"] == reason
+    assert f"reason: {reason}" in run_cli("session", "show", session.folder)
+
+
+def test_a_step_that_needs_no_force_has_no_reason(session, capsys):
+    session.add("backlash", force=True, reason="to be sure")
+    assert (session.state.step, session.state.reason) == ("add backlash", "")
+    assert "reason" not in session.model.history[-1]
+    with pytest.raises(SystemExit) as ended:
+        main(["session", "add", str(session.folder), "hysteresis", "--reason", "why"])
+    assert ended.value.code == 2
+    assert "--reason 'why' is the reason for --force: give both" in capsys.readouterr().err

@@ -483,7 +483,7 @@ def test_the_server_writes_over_a_better_model_only_what_the_owner_confirmed(fol
     save("yes")  # no page's click, but a request that knows of none
     assert bench.question == first
     assert output.read_text() == better
-    bench.keep_model_in_use()
+    bench.decline()
     assert bench.question is None
     assert "is unchanged" in bench.message
     output.write_text(better + "# written by a campaign meanwhile\n")
@@ -521,9 +521,52 @@ def test_the_page_asks_before_it_overwrites_a_better_model(browser, folder, tmp_
         page.locator("#message").get_by_text("not saved").wait_for()
         assert output.read_text() == better
         page.get_by_role("button", name="Save", exact=True).click()
+        page.get_by_role("button", name="Write anyway", exact=True).wait_for()
+        assert page.get_by_role("button", name="Write anyway", exact=True).is_disabled()
+        page.get_by_label("reason to do it anyway").fill("the camera was moved")
         page.get_by_role("button", name="Write anyway", exact=True).click()
         page.locator("#message").get_by_text("written").wait_for()
         assert not read_model(output).effects
         page.get_by_role("cell", name="save to robot.yaml, forced").wait_for()
+        page.get_by_role("cell", name="the camera was moved").wait_for()
+        assert read_model(output).history[-1]["reason"] == "the camera was moved"
+    finally:
+        served.end()
+
+
+# ------------------------------------------------------------------ effects against the data
+
+
+@pytest.mark.wide
+def test_a_refused_effect_is_added_with_a_reason_that_both_histories_keep(browser, folder):
+    Session(folder).fit()
+    served = Served(folder)
+    try:
+        page = browser.new_page(viewport={"width": 1280, "height": 800})
+        page.set_default_timeout(1000 * LONG)
+        page.goto(served.url)
+        page.locator("#verdict").get_by_text("one effect missing: backlash").wait_for()
+        page.get_by_text("tested effects not significant").click()
+        page.get_by_role("button", name="add encoder_gain").click()
+        page.locator("#question").get_by_text("Add encoder_gain anyway?").wait_for()
+        assert "--force" not in page.locator("#question").inner_text()
+        page.get_by_role("button", name="Keep the model", exact=True).click()
+        page.locator("#message").get_by_text("encoder_gain was not added").wait_for()
+        assert Session(folder).state.step == "fit"
+
+        page.get_by_role("button", name="add encoder_gain").click()
+        page.get_by_label("reason to do it anyway").fill("its data sheet states it")
+        page.get_by_role("button", name="Add anyway", exact=True).click()
+        page.get_by_role("cell", name="add encoder_gain, forced").wait_for()
+        page.get_by_role("cell", name="its data sheet states it").wait_for()
+        session = Session(folder)
+        assert session.state.reason == "its data sheet states it"
+        entry = session.model.history[-1]
+        assert (entry["effect"], entry["reason"]) == ("encoder_gain", "its data sheet states it")
+        assert entry["forced"]
+
+        page.get_by_role("button", name="remove encoder_gain").click()
+        page.get_by_role("cell", name="remove encoder_gain", exact=True).wait_for()
+        assert not Session(folder).model.effects
     finally:
         served.end()

@@ -40,7 +40,7 @@ class State(_Part):
     `taken` is a file of samples recorded since the session began, `fitting` the options that differ
     from those of the session; both persist until changed, as `excluded` does. `verdict` is the word
     of the diagnosis (empty: not diagnosed), `summary` its sentence. `sigmas` is by kind the
-    standard deviation of the rms in `errors`.
+    standard deviation of the rms in `errors`. `reason` is the owner's reason for a forced step.
     """
 
     number: int
@@ -58,6 +58,7 @@ class State(_Part):
     summary: str = ""
     samples: int | None = None
     sigmas: Mapping[str, float] = {}
+    reason: str = ""
 
     @property
     def verdict_text(self) -> str:

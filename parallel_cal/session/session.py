@@ -153,20 +153,41 @@ class Session(History):
         words = f"fit with {' and '.join(effects)}" if effects else "fit"
         return self._refit(words, progress, effects)
 
-    def add(self, effect: str, progress: Progress | None = None, force: bool = False) -> State:
+    def add(
+        self,
+        effect: str,
+        progress: Progress | None = None,
+        force: bool = False,
+        reason: str = "",
+    ) -> State:
         """Add an effect and fit again; FitError if the validation error does not fall, unless
-        forced."""
+        forced. The histories of the session and of the model record the `reason` of a forced
+        step."""
         step = add(self.model, effect, self.dataset, force, options=self.options, progress=progress)
         laws = [name for name, _ in parse_effects(effect) if load_effect(name).found_in_data]
         cause = " (found in data, cause unknown)" if laws else ""
-        return self._commit(f"add {effect}{cause}", step)
+        return self._commit_judged(f"add {effect}{cause}", step, reason)
 
-    def remove(self, effect: str, progress: Progress | None = None, force: bool = False) -> State:
-        """Remove an effect and fit again; FitError if that costs accuracy, unless forced."""
+    def remove(
+        self,
+        effect: str,
+        progress: Progress | None = None,
+        force: bool = False,
+        reason: str = "",
+    ) -> State:
+        """Remove an effect and fit again; FitError if that costs accuracy, unless forced. The
+        `reason` is as in `add`."""
         step = remove(
             self.model, effect, self.dataset, force, options=self.options, progress=progress
         )
-        return self._commit(f"remove {effect}", step)
+        return self._commit_judged(f"remove {effect}", step, reason)
+
+    def _commit_judged(self, words: str, step: Step, reason: str) -> State:
+        """Append a step that was accepted, or forced for a `reason`."""
+        if not step.acceptance.against:
+            return self._commit(words, step)
+        step = step.with_reason(reason) if reason else step
+        return self._commit(f"{words}, forced", step, reason=reason)
 
     def exclude(self, samples: Mapping[int, str], progress: Progress | None = None) -> State:
         """Exclude samples, each with a reason, and fit again."""
@@ -289,6 +310,7 @@ class Session(History):
         file: Path,
         insist: Callable[[Replacement], bool] = lambda replacement: False,
         progress: Progress | None = None,
+        reason: str = "",
     ) -> Replacement:
         """Write the session's present model to the model file that the robot uses.
 
@@ -305,6 +327,8 @@ class Session(History):
             session gets a new state with that model. By default it returns False.
         progress : callable, optional
             Called with a stage in words and the completed share (0 to 1).
+        reason : str, optional
+            Why the owner insists, for both histories.
 
         Returns
         -------
@@ -325,10 +349,10 @@ class Session(History):
         self.refresh()
         if self.state != at:
             raise SessionError(CHANGED)
-        written = write_for_robot(self.model, found, insist(found))
+        written = write_for_robot(self.model, found, insist(found), reason)
         if written is not self.model:
             kept = {name: getattr(at, name) for name in JUDGED}
-            self._append_state(f"save to {file.name}, forced", written, **kept)
+            self._append_state(f"save to {file.name}, forced", written, **kept, reason=reason)
         return found
 
     # ------------------------------------------------------------------ on disk

@@ -142,6 +142,7 @@ class Window:
     def _missing(self, view: dict[str, Any]) -> None:
         with card("What is missing"):
             candidates = view["candidates"]
+            self._model_effects(view["effects"])
             if not candidates:
                 running = "The effects are being tested."
                 ui.label(running if self.bench.busy else "No effect has been tested. Press Fit.")
@@ -162,6 +163,18 @@ class Window:
             if untested := view["untested"]:
                 title = f"{_count(untested, 'effect')} not tested"
                 self._unfolded(title, "not tested", partial(_list_untested, untested))
+
+    def _model_effects(self, effects: list[str]) -> None:
+        """Name the effects of the model, each with a button that removes it."""
+        if not effects:
+            return
+        with ui.row().classes("items-center gap-x-2 gap-y-0"):
+            ui.label("in the model:").classes("quiet")
+            for name in effects:
+                ui.label(name).classes("font-bold")
+                remove = ui.button("Remove", on_click=partial(self.bench.begin, "remove", name))
+                remove.props(f'dense outline aria-label="remove {name}"')
+                remove.set_enabled(not self.bench.busy)
 
     def _candidates(self, candidates: list[dict[str, Any]]) -> None:
         for one in candidates:
@@ -218,9 +231,11 @@ class Window:
                     "after": format_judged_error(state.errors, state.sigmas),
                     "out": len(state.excluded),
                     "verdict": write_micro(state.verdict_text or state.against),
+                    "reason": state.reason,
                 }
                 for state in session.history()
             ]
+            reasons = [("reason", "reason")] * any(row["reason"] for row in rows)
             table(
                 [
                     ("step", "step"),
@@ -229,6 +244,7 @@ class Window:
                     ("after", "validation error after"),
                     ("out", "excluded samples"),
                     ("verdict", "verdict"),
+                    *reasons,
                 ],
                 rows,
                 "history",

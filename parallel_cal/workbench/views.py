@@ -42,7 +42,7 @@ from parallel_cal.session.session import Session
 View = dict[str, Any]
 # Samples on a page. A browser needs seconds to draw more, and more hide each other.
 MAX_SHOWN_SAMPLES, MAX_WORST_SAMPLES = 2000, 500
-NUMBERS_ONLY: View = {"candidates": [], "together": None, "untested": []}
+NUMBERS_ONLY: View = {"effects": [], "candidates": [], "together": None, "untested": []}
 AMBER, GREEN, GREY = "amber", "green", "grey"
 
 
@@ -133,6 +133,7 @@ def _make_comparison_view(found: Comparison) -> View:
         "residuals": _residuals(residuals, found.residual_profiles),
         "pictures": list(_pictures(residuals, found.scene, None)),
         "samples": _samples(samples, residuals, kinds or ["joint"], units),
+        "effects": _list_effects(found.model),
         "candidates": [],
         "together": None,
         "untested": [],
@@ -180,6 +181,7 @@ def _make_report_view(found: Report) -> View:
         "residuals": _residuals(residuals, found.along),
         "pictures": list(_pictures(residuals, diagnosis.base.scene, first_pattern)),
         "samples": _samples(found.samples, residuals, found.errors.kinds, units),
+        "effects": _list_effects(diagnosis.model),
         "candidates": [
             row
             | {
@@ -199,6 +201,10 @@ def _make_report_view(found: Report) -> View:
         "cannot_tell": [one["text"] for one in contents.combinations(now)["unidentifiable"]],
         "find_law": diagnosis.leaves_an_error,
     }
+
+
+def _list_effects(model: Model) -> list[str]:
+    return [effect.name for effect in model.effects]
 
 
 def _select_shown(
