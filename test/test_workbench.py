@@ -289,9 +289,20 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
         page.get_by_role("spinbutton", name="poses").fill("8")
         page.get_by_role("button", name="Plan", exact=True).click()
         page.get_by_role("figure", name="planned and measured poses").wait_for()
+        page.get_by_text("After a calibration at these 8 poses alone").wait_for()
         with page.expect_download() as download:
-            page.get_by_role("button", name="Download CSV", exact=True).click()
-        assert len(Path(download.value.path()).read_text().splitlines()) == 9
+            page.get_by_role("button", name=f"download {Session(folder).state.number}.csv").click()
+        lines = Path(download.value.path()).read_text().splitlines()
+        table = [line for line in lines if not line.startswith("#")]
+        assert table[0].startswith("x [m],y [m],z [m],qx,qy,qz,qw,joint1 [rad]")
+        assert len(table) == 9
+        # The poses that the diagnosis plans distinguish two effects.
+        with page.expect_download() as download:
+            page.get_by_role("button", name="download distinguish_effects.csv").click()
+        text = Path(download.value.path()).read_text()
+        assert re.search("# These .* distinguish backlash from hysteresis by .* sigmas", text)
+        assert "past.joint1 [rad]" in text
+        assert "Drive to the joints past.* first" in text
 
         before = Session(folder).state
         row = page.get_by_role("row").filter(has_text="chain1.Lb")

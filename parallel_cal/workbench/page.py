@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
 from nicegui import run, ui
 
-from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.reporting.colours import MEASURED, PATTERN, QUIET
+from parallel_cal.reporting.colours import MEASURED
 from parallel_cal.reporting.readable import format_judged_error, write_micro
 from parallel_cal.session.history import format_first_error
-from parallel_cal.workbench.bench import Bench, Live
+from parallel_cal.workbench.bench import Bench
 from parallel_cal.workbench.fixing import ask_where_to_fix
 from parallel_cal.workbench.header import Header, Notice, VerdictCard
 from parallel_cal.workbench.law_card import draw_law_card
 from parallel_cal.workbench.live import LiveCard
 from parallel_cal.workbench.marking import SCRIPT, FigureSlot, Marking
+from parallel_cal.workbench.plan_card import draw_plan_card
 from parallel_cal.workbench.residuals_card import ResidualsCard
 from parallel_cal.workbench.widgets import (
     CSS,
-    FIGURE_MARGIN,
     HEAD,
     HEADER_HEIGHT,
     card,
@@ -39,7 +37,6 @@ CAMPAIGN_RUNS = (
     "No samples here yet: the campaign is measuring them. Press Take samples to see them."
 )
 PRIORS = {None: "of weakly determined parameters", True: "of all parameters", False: "none"}
-PLACE, TURN = ("x", "y", "z"), ("qx", "qy", "qz", "qw")  # columns of planned poses
 # Seconds between checks of the bench, and of the disk for changes by other programs.
 POLL_INTERVAL_S = 0.05
 REFRESH_INTERVAL_S = 0.3
@@ -135,7 +132,7 @@ class Window:
             if self.bench.view is not None:
                 self._history()
             if complete:
-                self._next(view)
+                draw_plan_card(self.bench, view)
 
     # ------------------------------------------------------------------ what is missing
 
@@ -421,62 +418,6 @@ class Window:
         }
         kept["fix" if fix else "free"] += names
         self.bench.begin("choose", nominal=names if at_nominal else [], **kept)
-
-    def _next(self, view: dict[str, Any]) -> None:
-        bench = self.bench
-        with card("What to measure next"):
-            for advice in view["advice"]:
-                ui.label(write_micro(advice))
-            with ui.row().classes("items-center"):
-                count = ui.number("poses", value=20, min=1, max=500, precision=0).classes("w-24")
-                ui.button(
-                    "Plan", on_click=lambda: bench.begin("plan", int(count.value or 20))
-                ).props("dense").set_enabled(not bench.busy)
-                if planned := bench.planned:
-                    ui.button("Download CSV", on_click=lambda: ui.download(planned)).props(
-                        "dense outline"
-                    )
-            if planned:
-                rows = list(csv.DictReader(planned.open()))
-                if bench.live is not None:
-                    self._send(bench.live, rows)
-                self._draw_planned(rows, view)
-
-    def _send(self, live: Live, rows: list[dict[str, str]]) -> None:
-        """Let a click send the next planned pose to the robot."""
-        with ui.row().classes("items-center"):
-            at = ui.number("pose", value=1, min=1, max=len(rows), precision=0).classes("w-24")
-            answer = ui.label().props("id=sent aria-live=polite")
-
-            async def send() -> None:
-                k = int(at.value or 1)
-                pose = [[float(rows[k - 1][key]) for key in keys] for keys in (PLACE, TURN)]
-                try:
-                    answer.set_text(f"pose {k}: {await run.io_bound(live.send, *pose)}")
-                    at.set_value(min(k + 1, len(rows)))
-                except ParallelCalError as error:
-                    answer.set_text(str(error))
-
-            ui.button("Send to the robot", on_click=send).props("dense")
-
-    def _draw_planned(self, rows: list[dict[str, str]], view: dict[str, Any]) -> None:
-        poses = [[1e3 * float(row[k]) for k in PLACE] for row in rows]
-        traces = [
-            {
-                "type": "scatter3d",
-                "mode": "markers",
-                "name": name,
-                **{k: [p[i] for p in places] for i, k in enumerate("xyz")},
-                "marker": {"size": size, "color": colour},
-            }
-            for name, places, size, colour in (
-                ("measured", view["residuals"]["place"], 2, QUIET),
-                ("planned", poses, 5, PATTERN),
-            )
-        ]
-        axes = {f"{k}axis": {"title": {"text": f"{k} [mm]"}} for k in "xyz"}
-        layout = {"height": 380, "margin": FIGURE_MARGIN, "scene": axes}
-        draw_figure({"data": traces, "layout": layout}, "planned and measured poses")
 
 
 def _columns() -> Any:

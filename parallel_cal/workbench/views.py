@@ -138,6 +138,7 @@ def _make_comparison_view(found: Comparison) -> View:
         "together": None,
         "untested": [],
         "parameters": None,
+        "separation": None,
         "advice": ["Press Fit: identify the geometry first, then look at the remaining error."],
         "cannot_tell": [],
     }
@@ -168,6 +169,7 @@ def _make_report_view(found: Report) -> View:
         together = {"names": names, "text": "+".join(diagnosis.additions)}
     candidates = as_rows(results.candidate_table(diagnosis, tested))["rows"]
     residuals, shown = _select_shown(found.residuals, found.samples)
+    separation = diagnosis.measure_next.plan
     return {
         "shown": shown,
         "verdict": _verdict(found),
@@ -197,7 +199,12 @@ def _make_report_view(found: Report) -> View:
         ],
         "parameters": as_rows(results.parameter_table(identified)),
         "drawing": to_json_value(drawings.drawing(diagnosis.model, found=identified)),
-        "advice": list(diagnosis.measure_next.advice),
+        "separation": separation.csv(diagnosis.model) if separation else None,
+        "advice": [
+            words
+            for words in diagnosis.measure_next.advice
+            if separation is None or words not in separation.how
+        ],
         "cannot_tell": [one["text"] for one in contents.combinations(now)["unidentifiable"]],
         "find_law": diagnosis.leaves_an_error,
     }
