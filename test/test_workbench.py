@@ -10,11 +10,13 @@ import socket
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from workbench_page import LONG, Served, beside_a_played_robot, opened, until
 
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.session.history import SessionError
 from parallel_cal.session.session import Session
 
@@ -124,7 +126,6 @@ def test_the_command_says_what_it_lacks(tmp_path, capsys):
     for arguments, words in (
         (["workbench", str(tmp_path)], "no session in this folder"),
         (["workbench", MODEL, BAG, "--host", "0.0.0.0"], "give a --token"),
-        (["workbench", MODEL, "--session", str(tmp_path / "n")], "at least one recording"),
     ):
         with pytest.raises(SystemExit) as ended:
             main(arguments)
@@ -581,3 +582,58 @@ def test_a_refused_effect_is_added_with_a_reason_that_both_histories_keep(browse
         assert not Session(folder).model.effects
     finally:
         served.end()
+
+
+# ------------------------------------------------------------------ tables
+
+
+def write_table(file):
+    """Write the samples of the recording as a table of other names and units."""
+    data = load_dataset(BAG)
+    header = "arm A [deg];arm B [deg];arm C [deg];X;Y;Z"
+    rows = np.column_stack([np.degrees(data.q), 1e3 * data.r])
+    file.write_text("\n".join([header, *(";".join(map(repr, row)) for row in rows.tolist())]))
+    return len(data)
+
+
+@pytest.mark.wide
+def test_a_table_is_imported_with_its_columns_named_on_the_page(browser, tmp_path):
+    table, folder = tmp_path / "tracker.csv", tmp_path / "s"
+    count = write_table(table)
+    served = Served(MODEL, "--session", folder)
+    try:
+        page = browser.new_page(viewport={"width": 1280, "height": 900})
+        page.set_default_timeout(1000 * LONG)
+        page.goto(served.url)
+        page.locator("#empty").get_by_text("Import a table of measured poses").wait_for()
+        page.get_by_role("button", name="Import a table", exact=True).first.click()
+        page.locator("input[type=file]").set_input_files(table)
+        page.get_by_text(f"{count} rows; the first ones:").wait_for()
+
+        def choose(label, words):
+            page.get_by_label(label, exact=True).click()
+            page.get_by_role("option", name=words, exact=True).click()
+
+        def press_import():
+            page.get_by_role("button", name="Import", exact=True).click()
+
+        press_import()
+        answer = page.locator("#import-answer")
+        answer.get_by_text("choose a column for joint1, joint2, joint3").wait_for()
+        for k, arm in enumerate("ABC"):
+            choose(f"column of joint{k + 1}", f"arm {arm} [deg]")
+        press_import()  # x, y and z were found by their names, but have no unit
+        answer.get_by_text("unit").wait_for()
+        assert "tracker.csv" in answer.inner_text()
+        assert Session(folder).state.step == "begin"
+        choose("unit of x, y, z", "mm")
+        press_import()
+        answer.wait_for(state="hidden")
+        page.get_by_role("cell", name=f"import {count} samples of tracker.csv").wait_for()
+        page.get_by_role("button", name="Fit", exact=True).click()
+        page.get_by_role("cell", name="fit", exact=True).wait_for()
+    finally:
+        served.end()
+    session = Session(folder)
+    np.testing.assert_allclose(session.samples.q, load_dataset(BAG).q, atol=1e-12)
+    assert session.state.position_rms < 60e-6

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from parallel_cal.session.session import Session
 
 # Methods of a session that take long.
-STEPS = ("fit", "add", "remove", "exclude", "include", "choose", "plan")
+STEPS = ("fit", "add", "remove", "exclude", "include", "choose", "plan", "import_table")
 
 
 class Live(Protocol):

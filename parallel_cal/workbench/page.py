@@ -14,6 +14,7 @@ from parallel_cal.session.history import format_first_error
 from parallel_cal.workbench.bench import Bench
 from parallel_cal.workbench.fixing import ask_where_to_fix
 from parallel_cal.workbench.header import Header, Notice, VerdictCard
+from parallel_cal.workbench.import_dialog import ImportDialog
 from parallel_cal.workbench.law_card import draw_law_card
 from parallel_cal.workbench.live import LiveCard
 from parallel_cal.workbench.marking import SCRIPT, FigureSlot, Marking
@@ -28,10 +29,11 @@ from parallel_cal.workbench.widgets import (
     table,
 )
 
-EMPTY = (
-    "Reading the measurements. This takes a few seconds.",
+READING = "Reading the measurements. This takes a few seconds."
+EMPTY = "No samples yet. Import a table of measured poses."
+EMPTY_AT_ROBOT = (
     "No samples yet. Move the robot from pose to pose and hold it still at each for a second. "
-    "Press Take samples when there are twenty or more.",
+    "Press Take samples when there are twenty or more."
 )
 CAMPAIGN_RUNS = (
     "No samples here yet: the campaign is measuring them. Press Take samples to see them."
@@ -67,7 +69,9 @@ class Window:
             ui.label(f"Session {bench.session.folder.name}").classes("text-sm font-bold").props(
                 "role=heading aria-level=1"
             )
-            self.empty = ui.label().props("id=empty")
+            with ui.row().classes("items-center") as self.empty_row:
+                self.empty = ui.label().props("id=empty")
+                self._import_button()
             with _columns() as self.work:
                 with ui.column().classes("w-full gap-3"):
                     self.verdict = VerdictCard(bench)
@@ -99,8 +103,21 @@ class Window:
         """Say what to do if there are no samples, or that they are being read."""
         view, bar = self.bench.view, self.header.campaign
         runs = bar is not None and bar.runs
-        self.empty.set_text(CAMPAIGN_RUNS if runs and view is not None else EMPTY[view is not None])
-        self.empty.set_visibility(not view)
+        if view is None:
+            words = READING
+        elif runs:
+            words = CAMPAIGN_RUNS
+        else:
+            words = EMPTY if self.bench.live is None else EMPTY_AT_ROBOT
+        self.empty.set_text(words)
+        self.empty_row.set_visibility(not view)
+
+    def _import_button(self) -> None:
+        def show() -> None:
+            with self.layer:
+                ImportDialog(self.bench)
+
+        ui.button("Import a table", on_click=show).props("dense outline")
 
     def _draw(self) -> None:
         afresh = self.seen != self.bench.seen
@@ -309,6 +326,7 @@ class Window:
                 self.exclude = ui.button("Exclude", on_click=self._exclude).props("dense")
                 self.open = ui.button("Open", on_click=self._open).props("dense outline")
                 self.open.tooltip("show the readings that the first marked sample averages")
+                self._import_button()
             self._show_count(set())
             excluded = bench.session.state.excluded
             if len(excluded) > 1:
