@@ -292,11 +292,13 @@ def _work(
 ) -> Done:
     """Run one step of the session in `folder` and write its view to a file (in the worker)."""
     from parallel_cal.session.steps import UnprovenStepError
-    from parallel_cal.workbench.views import glance, view
+    from parallel_cal.workbench.views import fit_some_samples, glance, view, view_some_samples
 
     session = _open_session(folder)
     session.refresh()
     done = None
+    if step == "fit":
+        tell("fitting", 0.0, fit_some_samples(session))
     if step in STEPS:
         try:
             done = getattr(session, step)(*given, progress=tell, **options)
@@ -304,6 +306,7 @@ def _work(
             return Done("", _ask_to_force(session, refused.against, step, *given))
     if load_view(session) is None:
         tell("running the diagnosis", 0.0, glance(session))
+        tell("running the diagnosis", 0.0, view_some_samples(session))
         _store_view(view_path(session), view(session, tell))
     return Done(f"written: {done}" if isinstance(done, Path) else session.state.against)
 
