@@ -4,8 +4,10 @@ import re
 
 import numpy as np
 import pytest
+from datasets import measured
 from workbench_page import LONG, Served, beside_a_played_robot, opened
 
+from parallel_cal.diagnosis.patterns import compute_mean_profile
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.reporting.axes import log_axis
@@ -158,6 +160,54 @@ def test_the_numbers_of_a_fit_of_many_samples_are_shown_before_its_residuals(fol
     part = views.glance(Session(folder))
     assert "residuals" not in part
     assert part["tiles"] == whole["tiles"]
+
+
+def test_a_mean_along_many_samples_is_given_at_few_points_and_shows_a_small_course():
+    rng = np.random.default_rng(1)
+    values = rng.uniform(0, 1, 100_000)
+    z = rng.normal(size=(100_000, 1)) + 0.2 * np.sin(2 * np.pi * values)[:, None]
+    found = compute_mean_profile("x", values, z)
+    assert len(found.at) == len(found.mean) == len(found.band) == 500
+    assert np.abs(found.mean[:, 0] - 0.2 * np.sin(2 * np.pi * found.at)).max() < 0.2
+    assert found.p_value < 1e-6
+    few = compute_mean_profile("x", values[:200], z[:200])
+    assert len(few.at) == 186  # every position of a window of 15 samples
+
+
+def test_a_part_of_many_samples_has_all_visits_of_its_poses_and_their_numbers():
+    whole = measured(n_poses=90, n_replicates=30)
+    whole = whole.excluding([2])
+    part = whole.thinned(40)
+    assert 30 <= len(part) <= 50
+    assert whole.thinned(500) is whole
+    for number, pose in zip(part.numbers, part.pose_id, strict=True):
+        np.testing.assert_array_equal(
+            part.q[part.numbers == number], whole.q[whole.numbers == number]
+        )
+        assert (part.pose_id == pose).sum() == (whole.pose_id == pose).sum()
+    assert part.numbers.min() < 15
+    assert part.numbers.max() > 105
+
+
+@pytest.mark.wide
+def test_a_page_shows_a_part_of_many_samples_first_and_says_so(folder, monkeypatch):
+    from parallel_cal.workbench import views
+
+    session = Session(folder)
+    assert views.view_some_samples(session) is None
+    assert views.fit_some_samples(session) is None
+    monkeypatch.setattr(views, "MAX_PRELIMINARY_SAMPLES", 60)
+    numbers = views.fit_some_samples(session)
+    assert "residuals" not in numbers
+    count = len(session.dataset.thinned(60))
+    part = f"{count} of 94 samples, evenly spread over the recording"
+    assert numbers["verdict"]["words"] == f"preliminary fit of {part}; fitting all samples"
+    assert [tile["name"] for tile in numbers["tiles"]] == list(views.FIT_TILES)
+    seen = views.view_some_samples(session)
+    assert seen["verdict"]["words"].startswith(f"preliminary, from {part}: ")
+    assert "backlash" in seen["verdict"]["words"]
+    assert len(seen["samples"]["rows"]) == count
+    assert Session(folder).state.verdict == session.state.verdict  # only the whole is recorded
 
 
 # ------------------------------------------------------------------ in a browser

@@ -9,7 +9,7 @@ import pytest
 import virtual_day as vd
 from datasets import as_dataset
 
-from parallel_cal.base.errors import FitError
+from parallel_cal.base.errors import DatasetError, FitError
 from parallel_cal.base.rotation import matrix_to_quaternion, rotation_matrix
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.cli import main as cli
@@ -22,8 +22,10 @@ from parallel_cal.model.shelf import load_sensor
 from parallel_cal.model.words import describe, direction_in_words
 from parallel_cal.planning.indices import indices, prediction_rms
 from parallel_cal.planning.plan import plan
+from parallel_cal.planning.pose_table import format_pose_table, read_columns
 from parallel_cal.planning.posepool import find_clear_poses, make_pool
 from parallel_cal.planning.selection import SelectionProblem, anneal, exchange
+from parallel_cal.recordings.table import read_table
 from parallel_cal.virtual import robot as vr
 
 FULL = Noise(vr.THESIS_NOISE.joint, vr.THESIS_NOISE.position, vr.THESIS_NOISE.orientation)
@@ -345,8 +347,13 @@ def test_plan_prints_one_document_and_writes_the_poses(capsys, tmp_path):
     assert document["criterion"] == "prediction"
     assert document["expected"]["position_rms"] < document["random"]["expected"]["position_rms"]
     assert document["indices"]["condition"] < document["random"]["condition"]
-    lines = table.read_text().splitlines()
-    assert lines[0] == "x,y,z,qx,qy,qz,qw,joint1,joint2,joint3"
+    remarks, lines = [], table.read_text().splitlines()
+    while lines[0].startswith("# "):
+        remarks.append(lines.pop(0))
+    assert remarks[0].startswith("# After a calibration at these 9 poses alone, the uncertainty")
+    assert f"position error of {1e6 * document['expected']['position_rms']:.3g} um" in remarks[0]
+    assert remarks[1].startswith("# Least certain parameters, sigma in tolerances: ")
+    assert lines[0] == ("x [m],y [m],z [m],qx,qy,qz,qw,joint1 [rad],joint2 [rad],joint3 [rad]")
     assert float(lines[1].split(",")[0]) == document["poses"][0]["position"][0]
 
 
@@ -366,3 +373,31 @@ def test_too_few_poses_are_one_clear_line(capsys):
     assert (code, out) == (1, "")
     assert err.startswith("error: 3 poses give 18 equations")
     assert err.count("\n") == 1
+
+
+def test_a_table_of_poses_states_its_units_and_explains_its_waypoints(tmp_path):
+    model = new_model("stewart42")
+    n, nq = 2, len(model.joints)
+    joints = np.arange(float(n * nq)).reshape(n, nq)
+    conditions = {name: np.ones(n) for name in ("payload", f"travel.{model.joints[0]}")}
+    places = (np.zeros((n, 3)), np.tile([0.0, 0, 0, 1], (n, 1)))
+    text = format_pose_table(model, *places, joints, conditions, (joints + 1, joints + 2), ["Why."])
+    remarks = [line for line in text.splitlines() if line.startswith("#")]
+    assert remarks[0] == "# Why."
+    assert "Drive to the joints past.* first, then to turn.*" in remarks[1]
+    assert remarks[2:] == ["# payload in kg"]
+    header = text.splitlines()[3].split(",")
+    assert f"travel.{model.joints[0]} [m]" in header
+    file = tmp_path / "poses.csv"
+    file.write_text(text)
+    table = read_table(file)
+    names = [f"turn.{joint}" for joint in model.joints]
+    np.testing.assert_array_equal(read_columns(table, names), joints + 2)
+
+
+def test_a_table_of_poses_may_state_other_units_or_none(tmp_path):
+    file = tmp_path / "poses.csv"
+    file.write_text("joint1 [deg],joint2\n180,2\n")
+    np.testing.assert_allclose(read_columns(read_table(file), ["joint1", "joint2"]), [[np.pi, 2]])
+    with pytest.raises(DatasetError, match=r"poses\.csv:1: no column joint3"):
+        read_columns(read_table(file), ["joint1", "joint3"])

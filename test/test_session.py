@@ -9,7 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from parallel_cal.base.errors import BagError, DatasetError, FitError, ModelError
+from parallel_cal.base.errors import (
+    BagError,
+    DatasetError,
+    FitError,
+    ModelError,
+    ParallelCalError,
+)
 from parallel_cal.cli.main import main
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import model_hash, read_model
@@ -494,3 +500,90 @@ def test_the_command_line_refuses_a_worse_model_unless_forced(session, in_use, r
     assert document["hash"] == model_hash(in_use.read_text())
     assert document["errors"]["position_rms"] > document["in_use"]["errors"]["position_rms"]
     assert "forced" in read_model(in_use).history[-1]
+
+
+def test_the_reason_for_a_forced_step_is_kept_in_both_histories_and_shown(session, run_cli):
+    reason = "its data sheet states it"
+    forced = ("--force", "--reason", reason)
+    run_cli("session", "add", session.folder, "encoder_gain", *forced)
+    session.refresh()
+    assert (session.state.step, session.state.reason) == ("add encoder_gain, forced", reason)
+    entry = session.model.history[-1]
+    assert "does not fall" in entry["forced"]
+    assert entry["reason"] == reason
+    assert f"reason: {reason}" in run_cli("session", "show", session.folder)
+
+
+def test_a_step_that_needs_no_force_has_no_reason(session, capsys):
+    session.add("backlash", force=True, reason="to be sure")
+    assert (session.state.step, session.state.reason) == ("add backlash", "")
+    assert "reason" not in session.model.history[-1]
+    with pytest.raises(SystemExit) as ended:
+        main(["session", "add", str(session.folder), "hysteresis", "--reason", "why"])
+    assert ended.value.code == 2
+    assert "--reason 'why' is the reason for --force: give both" in capsys.readouterr().err
+
+
+# ------------------------------------------------------------------ tables
+
+COLUMNS = {
+    "joints": {f"joint{k}": {"column": f"arm {k}", "unit": "deg"} for k in (1, 2, 3)},
+    "position": {"columns": ["X", "Y", "Z"], "unit": "mm"},
+    "noise": {"position": 2e-5},
+}
+
+
+def write_table(file, rows):
+    data = load_dataset(BAG)
+    numbers = np.column_stack([np.degrees(data.q), 1e3 * data.r])[rows]
+    lines = ["arm 1,arm 2,arm 3,X,Y,Z", *(",".join(map(repr, row)) for row in numbers.tolist())]
+    file.write_text("\n".join(lines))
+
+
+def test_a_session_imports_tables_and_keeps_its_excluded_samples(tmp_path):
+    first, second = tmp_path / "first.csv", tmp_path / "second.csv"
+    write_table(first, slice(0, 40))
+    write_table(second, slice(40, 94))
+    session = Session.new(tmp_path / "s", read_model(MODEL), [])
+    assert session.import_table(first, COLUMNS).step == "import 40 samples of first.csv"
+    session.exclude({3: "bumped"})
+    assert session.import_table(second, COLUMNS).step == "import 54 samples of second.csv"
+    assert session.state.excluded == {3: "bumped"}
+    first.unlink()  # the session has its own copy
+    again = Session(tmp_path / "s")
+    assert (len(again.samples), len(again.dataset)) == (94, 93)
+    np.testing.assert_allclose(again.samples.q, load_dataset(BAG).q, atol=1e-12)
+    assert np.allclose(again.samples.pose_cov[:, 0, 0], 4e-10)
+    again.undo()
+    assert len(again.samples) == 40
+
+
+def test_a_sample_stays_excluded_if_an_imported_table_changes_its_number(tmp_path, session):
+    other = load_dataset(BAG).select(np.arange(10))
+    other = dataclasses.replace(other, q=other.q + 1e-3, sha256="")
+    session.take(other.to_json)
+    session.exclude({95: "bumped"})
+    excluded = session.samples.q[95]
+    write_table(tmp_path / "more.csv", slice(20, 25))
+    state = session.import_table(tmp_path / "more.csv", COLUMNS)
+    assert state.excluded == {100: "bumped"}
+    np.testing.assert_array_equal(session.samples.q[100], excluded)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "words"),
+    [
+        ("t.xlsx", {}, "t.xlsx: not a table by its suffix: expected .csv, .tsv, .txt"),
+        ("t.csv", {"position": {"columns": ["X", "Y", "W"], "unit": "mm"}}, "W"),
+        ("t.csv", {"position": {"columns": ["X", "Y", "Z"]}}, "unit"),
+    ],
+)
+def test_a_wrong_import_names_the_cause_and_leaves_the_session_unchanged(
+    tmp_path, session, name, change, words
+):
+    write_table(tmp_path / name, slice(0, 9))
+    before = session.state
+    with pytest.raises(ParallelCalError, match=words):
+        session.import_table(tmp_path / name, COLUMNS | change)
+    assert Session(session.folder).state == before
+    assert not list((session.folder / "imports").glob("*"))

@@ -10,11 +10,13 @@ import socket
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from workbench_page import LONG, Served, beside_a_played_robot, opened, until
 
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.session.history import SessionError
 from parallel_cal.session.session import Session
 
@@ -124,7 +126,6 @@ def test_the_command_says_what_it_lacks(tmp_path, capsys):
     for arguments, words in (
         (["workbench", str(tmp_path)], "no session in this folder"),
         (["workbench", MODEL, BAG, "--host", "0.0.0.0"], "give a --token"),
-        (["workbench", MODEL, "--session", str(tmp_path / "n")], "at least one recording"),
     ):
         with pytest.raises(SystemExit) as ended:
             main(arguments)
@@ -289,9 +290,20 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
         page.get_by_role("spinbutton", name="poses").fill("8")
         page.get_by_role("button", name="Plan", exact=True).click()
         page.get_by_role("figure", name="planned and measured poses").wait_for()
+        page.get_by_text("After a calibration at these 8 poses alone").wait_for()
         with page.expect_download() as download:
-            page.get_by_role("button", name="Download CSV", exact=True).click()
-        assert len(Path(download.value.path()).read_text().splitlines()) == 9
+            page.get_by_role("button", name=f"download {Session(folder).state.number}.csv").click()
+        lines = Path(download.value.path()).read_text().splitlines()
+        table = [line for line in lines if not line.startswith("#")]
+        assert table[0].startswith("x [m],y [m],z [m],qx,qy,qz,qw,joint1 [rad]")
+        assert len(table) == 9
+        # The poses that the diagnosis plans distinguish two effects.
+        with page.expect_download() as download:
+            page.get_by_role("button", name="download distinguish_effects.csv").click()
+        text = Path(download.value.path()).read_text()
+        assert re.search("# These .* distinguish backlash from hysteresis by .* sigmas", text)
+        assert "past.joint1 [rad]" in text
+        assert "Drive to the joints past.* first" in text
 
         before = Session(folder).state
         row = page.get_by_role("row").filter(has_text="chain1.Lb")
@@ -483,7 +495,7 @@ def test_the_server_writes_over_a_better_model_only_what_the_owner_confirmed(fol
     save("yes")  # no page's click, but a request that knows of none
     assert bench.question == first
     assert output.read_text() == better
-    bench.keep_model_in_use()
+    bench.decline()
     assert bench.question is None
     assert "is unchanged" in bench.message
     output.write_text(better + "# written by a campaign meanwhile\n")
@@ -521,9 +533,107 @@ def test_the_page_asks_before_it_overwrites_a_better_model(browser, folder, tmp_
         page.locator("#message").get_by_text("not saved").wait_for()
         assert output.read_text() == better
         page.get_by_role("button", name="Save", exact=True).click()
+        page.get_by_role("button", name="Write anyway", exact=True).wait_for()
+        assert page.get_by_role("button", name="Write anyway", exact=True).is_disabled()
+        page.get_by_label("reason to do it anyway").fill("the camera was moved")
         page.get_by_role("button", name="Write anyway", exact=True).click()
         page.locator("#message").get_by_text("written").wait_for()
         assert not read_model(output).effects
         page.get_by_role("cell", name="save to robot.yaml, forced").wait_for()
+        page.get_by_role("cell", name="the camera was moved").wait_for()
+        assert read_model(output).history[-1]["reason"] == "the camera was moved"
     finally:
         served.end()
+
+
+# ------------------------------------------------------------------ effects against the data
+
+
+@pytest.mark.wide
+def test_a_refused_effect_is_added_with_a_reason_that_both_histories_keep(browser, folder):
+    Session(folder).fit()
+    served = Served(folder)
+    try:
+        page = browser.new_page(viewport={"width": 1280, "height": 800})
+        page.set_default_timeout(1000 * LONG)
+        page.goto(served.url)
+        page.locator("#verdict").get_by_text("one effect missing: backlash").wait_for()
+        page.get_by_text("tested effects not significant").click()
+        page.get_by_role("button", name="add encoder_gain").click()
+        page.locator("#question").get_by_text("Add encoder_gain anyway?").wait_for()
+        assert "--force" not in page.locator("#question").inner_text()
+        page.get_by_role("button", name="Keep the model", exact=True).click()
+        page.locator("#message").get_by_text("encoder_gain was not added").wait_for()
+        assert Session(folder).state.step == "fit"
+
+        page.get_by_role("button", name="add encoder_gain").click()
+        page.get_by_label("reason to do it anyway").fill("its data sheet states it")
+        page.get_by_role("button", name="Add anyway", exact=True).click()
+        page.get_by_role("cell", name="add encoder_gain, forced").wait_for()
+        page.get_by_role("cell", name="its data sheet states it").wait_for()
+        session = Session(folder)
+        assert session.state.reason == "its data sheet states it"
+        entry = session.model.history[-1]
+        assert (entry["effect"], entry["reason"]) == ("encoder_gain", "its data sheet states it")
+        assert entry["forced"]
+
+        page.get_by_role("button", name="remove encoder_gain").click()
+        page.get_by_role("cell", name="remove encoder_gain", exact=True).wait_for()
+        assert not Session(folder).model.effects
+    finally:
+        served.end()
+
+
+# ------------------------------------------------------------------ tables
+
+
+def write_table(file):
+    """Write the samples of the recording as a table of other names and units."""
+    data = load_dataset(BAG)
+    header = "arm A [deg];arm B [deg];arm C [deg];X;Y;Z"
+    rows = np.column_stack([np.degrees(data.q), 1e3 * data.r])
+    file.write_text("\n".join([header, *(";".join(map(repr, row)) for row in rows.tolist())]))
+    return len(data)
+
+
+@pytest.mark.wide
+def test_a_table_is_imported_with_its_columns_named_on_the_page(browser, tmp_path):
+    table, folder = tmp_path / "tracker.csv", tmp_path / "s"
+    count = write_table(table)
+    served = Served(MODEL, "--session", folder)
+    try:
+        page = browser.new_page(viewport={"width": 1280, "height": 900})
+        page.set_default_timeout(1000 * LONG)
+        page.goto(served.url)
+        page.locator("#empty").get_by_text("Import a table of measured poses").wait_for()
+        page.get_by_role("button", name="Import a table", exact=True).first.click()
+        page.locator("input[type=file]").set_input_files(table)
+        page.get_by_text(f"{count} rows; the first ones:").wait_for()
+
+        def choose(label, words):
+            page.get_by_label(label, exact=True).click()
+            page.get_by_role("option", name=words, exact=True).click()
+
+        def press_import():
+            page.get_by_role("button", name="Import", exact=True).click()
+
+        press_import()
+        answer = page.locator("#import-answer")
+        answer.get_by_text("choose a column for joint1, joint2, joint3").wait_for()
+        for k, arm in enumerate("ABC"):
+            choose(f"column of joint{k + 1}", f"arm {arm} [deg]")
+        press_import()  # x, y and z were found by their names, but have no unit
+        answer.get_by_text("unit").wait_for()
+        assert "tracker.csv" in answer.inner_text()
+        assert Session(folder).state.step == "begin"
+        choose("unit of x, y, z", "mm")
+        press_import()
+        answer.wait_for(state="hidden")
+        page.get_by_role("cell", name=f"import {count} samples of tracker.csv").wait_for()
+        page.get_by_role("button", name="Fit", exact=True).click()
+        page.get_by_role("cell", name="fit", exact=True).wait_for()
+    finally:
+        served.end()
+    session = Session(folder)
+    np.testing.assert_allclose(session.samples.q, load_dataset(BAG).q, atol=1e-12)
+    assert session.state.position_rms < 60e-6

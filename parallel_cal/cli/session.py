@@ -36,6 +36,9 @@ app = typer.Typer(
     "samples.",
 )
 Folder = Annotated[Path, typer.Argument(metavar="FOLDER", help="the session's folder")]
+Reason = Annotated[
+    str, typer.Option(help="why you force it; the history of session and model keeps it")
+]
 Samples = Annotated[list[int], typer.Argument(metavar="SAMPLE...", help="numbers of the samples")]
 
 
@@ -52,6 +55,11 @@ def _print_state(session: Session, state: State, as_json: bool) -> None:
     if as_json:
         return console.emit(session.document())
     console.say(_line(state))
+
+
+def _check_reason(reason: str, force: bool) -> None:
+    if reason and not force:
+        raise typer.BadParameter(f"--reason '{reason}' is the reason for --force: give both")
 
 
 def _line(state: State) -> str:
@@ -101,6 +109,8 @@ def show(folder: Folder, as_json: Json = False) -> None:
         console.say(_line(state))
         if state.verdict:
             console.say(f"  {state.verdict_text}")
+        if state.reason:
+            console.say(f"  reason: {state.reason}")
     if len(session.record.branches) > 1:
         here = session.record.branch
         rows = [
@@ -151,11 +161,13 @@ def add(
             "cause the error that the effect explains",
         ),
     ] = False,
+    reason: Reason = "",
     as_json: Json = False,
 ) -> None:
     """Add an effect and fit again. The step is refused unless the validation error falls."""
+    _check_reason(reason, force)
     session = _open(folder)
-    _print_state(session, session.add(effect, console.progress, force), as_json)
+    _print_state(session, session.add(effect, console.progress, force, reason), as_json)
 
 
 def remove(
@@ -165,12 +177,14 @@ def remove(
         bool,
         typer.Option("--force", help="remove it even if the validation error rises by 1 % or more"),
     ] = False,
+    reason: Reason = "",
     as_json: Json = False,
 ) -> None:
     """Remove an effect and fit again. The step is refused if the validation error rises by
     1 % or more."""
+    _check_reason(reason, force)
     session = _open(folder)
-    _print_state(session, session.remove(effect, console.progress, force), as_json)
+    _print_state(session, session.remove(effect, console.progress, force, reason), as_json)
 
 
 def diagnose(folder: Folder, as_json: Json = False) -> None:
@@ -261,6 +275,7 @@ def save(
             "--force", help="write even if the model in the file is better or a check fails"
         ),
     ] = False,
+    reason: Reason = "",
     as_json: Json = False,
 ) -> None:
     """Write the model of the last step to a file. This is refused if the model in the file is
@@ -269,9 +284,10 @@ def save(
     from parallel_cal.model.file.modelfile import model_hash
     from parallel_cal.session.saving import SaveRefused
 
+    _check_reason(reason, force)
     session = _open(folder)
     try:
-        found = session.save(output, lambda _: force, console.progress)
+        found = session.save(output, lambda _: force, console.progress, reason)
     except SaveRefused as refused:
         raise ParallelCalError(f"{refused}; --force writes it anyway") from None
     console.progress("", 1.0)

@@ -26,7 +26,8 @@ def workbench(
         typer.Argument(metavar="MODEL.yaml", help="model file, or the folder of a session"),
     ] = None,
     bags: Annotated[
-        list[Path] | None, typer.Argument(help="recordings for a new session of the workbench")
+        list[Path] | None,
+        typer.Argument(help="recordings for a new session; without any, import tables on the page"),
     ] = None,
     *,
     ros: Annotated[
@@ -71,7 +72,7 @@ def workbench(
                 "no model: give MODEL.yaml" + (" to start the nodes on" if ros else "")
             )
         folder = model if model.is_dir() else session or model.with_suffix(".session")
-        _prepare_session(folder, model, bags or [], options, data, ros)
+        _prepare_session(folder, model, bags or [], options, data)
         output = output or served or folder / "model.yaml"
         if watch and not served:
             _start(watch, folder, output)
@@ -124,7 +125,6 @@ def _prepare_session(
     bags: list[Path],
     options: FitOptions,
     data: list[str] | None,
-    ros: bool,
 ) -> None:
     """Check the session in the folder, or start a new one."""
     from parallel_cal.session.history import FILE, History
@@ -142,8 +142,6 @@ def _prepare_session(
         raise ParallelCalError(
             f"{model}: no session in this folder; give a model file and a recording"
         )
-    if not (bags or ros):
-        raise ParallelCalError(f"{folder}: a new session needs at least one recording, or --ros")
     from parallel_cal.model.file.modelfile import read_model
     from parallel_cal.session.session import Session
 

@@ -23,12 +23,16 @@ from parallel_cal.model.model import Model, Noise
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.planning.approach import Waypoint, fill
 from parallel_cal.planning.expectation import VAGUE_INFORMATION, white_blocks
+from parallel_cal.planning.pose_table import format_pose_table
 from parallel_cal.planning.posepool import Pool, find_inside_poses, make_pool
 from parallel_cal.planning.schedule import BLOCKS, Schedule
 from parallel_cal.planning.selection import SelectionProblem, exchange
 from parallel_cal.recordings.dataset import Dataset
 
 Allowed = Callable[[np.ndarray], np.ndarray]  # joints (n, nq) -> mask (n,)
+
+
+THROUGH_WAYPOINTS = "Reach each planned pose through its two waypoints: overshoot, then return."
 
 
 @dataclass(frozen=True)
@@ -60,6 +64,32 @@ class Separation:
     sigmas: Sigmas
     poses: tuple[PlannedPose, ...]
     how: tuple[str, ...]
+
+    def __str__(self) -> str:
+        one, other = self.separates
+        return (
+            f"These {len(self.poses)} poses, measured in addition, distinguish {one} from {other} "
+            f"by {self.sigmas.then:.2g} sigmas; the present samples distinguish them by "
+            f"{self.sigmas.now:.2g} sigmas."
+        )
+
+    def csv(self, model: Model) -> str:
+        """Return the text of a CSV file of the poses, of a model with these joints."""
+        position, quaternion, joints = (
+            np.array([getattr(pose, name) for pose in self.poses])
+            for name in ("position", "quaternion", "joints")
+        )
+        conditions = {
+            name: np.array([pose.conditions[name] for pose in self.poses])
+            for name in self.poses[0].conditions
+        }
+        stops = [
+            np.array([stop.joints for stop in stops])
+            for stops in zip(*(pose.by_way_of for pose in self.poses), strict=True)
+        ]
+        # The table itself explains the waypoints.
+        remarks = [str(self), *(words for words in self.how if words != THROUGH_WAYPOINTS)]
+        return format_pose_table(model, position, quaternion, joints, conditions, stops, remarks)
 
 
 @dataclass(frozen=True)
@@ -301,7 +331,7 @@ def _separation(
             "limits and away from singularities: check first that the robot collides with nothing"
         )
     if ordered.approach is not None:
-        how.append("Reach each planned pose through its two waypoints: overshoot, then return.")
+        how.append(THROUGH_WAYPOINTS)
     if depends_on_time(model):
         how.append(course.describe(blocks, "temperature" in model.conditions))
     pair = (doubt.effect, doubt.rival)

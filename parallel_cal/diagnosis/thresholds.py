@@ -90,7 +90,9 @@ NEIGHBOURS = 7  # of a sample, in Moran's I
 PERMUTATIONS = 999  # of the samples, for its p-value
 RESAMPLES = 200  # of the poses, for the share of first picks
 MIN_SIGNS_PER_SIDE = 5  # on either side of the median, for a runs test
-WINDOW = 15  # samples of a rolling mean
+WINDOW = 15  # samples of a rolling mean, or more if this gives more than MAX_WINDOWS of them
+MAX_WINDOWS = 200
+MAX_PROFILE_POINTS = 500  # at which a rolling mean is given
 MIN_VARIATION_RATIO = (
     20.0  # times the scatter of readings: a coordinate that varies less is not tested
 )

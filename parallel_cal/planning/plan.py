@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +12,7 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress
 from parallel_cal.base.threads import single_threaded
+from parallel_cal.base.units import ERROR_UNITS
 from parallel_cal.identification.checks import free_mask
 from parallel_cal.identification.estimate import EstimationProblem
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
@@ -23,6 +22,7 @@ from parallel_cal.model.region import IdentifiedRegion, describe_untested_condit
 from parallel_cal.planning.approach import Approaches
 from parallel_cal.planning.expectation import Expectation, View
 from parallel_cal.planning.options import PlanKeywords, PlanOptions
+from parallel_cal.planning.pose_table import format_pose_table
 from parallel_cal.planning.posepool import Pool, given_pool, make_pool
 from parallel_cal.planning.selection import SelectionProblem, anneal, exchange
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 N_VALIDATION_POSES = 200
 RANDOM_SETS = 21
-PLACE = ("x", "y", "z", "qx", "qy", "qz", "qw")  # columns of a pose in a file
+MAX_NAMED_PARAMETERS = 5  # of the least certain ones
 
 
 @dataclass(frozen=True)
@@ -87,23 +87,43 @@ class Plan:
             "warnings": list(self.warnings),
         }
 
-    def table(self) -> tuple[list[str], np.ndarray]:
-        """Names of columns, and one row for each pose: place (m, quaternion), joints (rad, m),
-        conditions, and the joints at the waypoints if the approach matters."""
-        approach = self.approach
-        stops = {} if approach is None else {"past": approach.past, "turn": approach.turn}
-        joints = self.model.joints
-        named = [f"{stop}.{joint}" for stop in stops for joint in joints]
-        columns = [self.poses.position, self.poses.quaternion, self.poses.joints, self.a]
-        columns += [stop.joints for stop in stops.values()]
-        return [*PLACE, *joints, *self.model.conditions, *named], np.hstack(columns)
-
     def csv(self) -> str:
-        """Return the table as the text of a CSV file."""
-        names, rows = self.table()
-        out = io.StringIO()
-        csv.writer(out, lineterminator="\n").writerows([names, *rows.tolist()])
-        return out.getvalue()
+        """Return the text of a CSV file with one row for each pose: position, quaternion, joints,
+        conditions, and the joints at the waypoints if the approach matters. The header states the
+        units."""
+        poses, approach = self.poses, self.approach
+        stops = () if approach is None else (approach.past.joints, approach.turn.joints)
+        conditions = dict(zip(self.model.conditions, self.a.T, strict=True))
+        return format_pose_table(
+            self.model,
+            poses.position,
+            poses.quaternion,
+            poses.joints,
+            conditions,
+            stops,
+            self.describe_expectation(),
+        )
+
+    def describe_expectation(self) -> list[str]:
+        """Say in sentences what a calibration at these poses alone tells."""
+        n, kind = len(self), "position"
+        if not np.isfinite(self.expected.position_rms):
+            kind = "orientation"
+        unit, factor = ERROR_UNITS[kind]
+        planned, random = (
+            f"{getattr(one, f'{kind}_rms') * factor:.3g} {unit}"
+            for one in (self.expected, self.random)
+        )
+        tolerances = self.model.table.tolerance[self.free]
+        order = np.argsort(-self.expected.sigma / tolerances, kind="stable")[:MAX_NAMED_PARAMETERS]
+        worst = ", ".join(
+            f"{self.names[k]} {self.expected.sigma[k] / tolerances[k]:.2g}" for k in order
+        )
+        return [
+            f"After a calibration at these {n} poses alone, the uncertainty of the parameters "
+            f"causes a {kind} error of {planned} rms; after one at {n} random poses, {random}.",
+            f"Least certain parameters, sigma in tolerances: {worst}.",
+        ]
 
     def _pose(self, i: int) -> dict[str, Any]:
         pose = self.poses[i]

@@ -242,12 +242,25 @@ class Dataset:
             )
         if not numbers:
             return self
-        named = dataclasses.replace(
-            self, conditions={**self.conditions, NUMBER: self.numbers.astype(float)}
-        )
         said = f"excluded {why}: sample {', '.join(map(str, sorted(numbers)))}"
-        kept = named.select(~np.isin(self.numbers, list(numbers)))
+        kept = self._select_numbered(~np.isin(self.numbers, list(numbers)))
         return dataclasses.replace(kept, warnings=(*self.warnings, said))
+
+    def thinned(self, most: int) -> Dataset:
+        """Return about `most` samples: every visit of poses that are evenly spread over the
+        recording. The samples keep their numbers."""
+        if len(self) <= most:
+            return self
+        poses = np.unique(self.pose_id)
+        count = max(1, most * len(poses) // len(self))
+        chosen = poses[np.linspace(0, len(poses) - 1, count).astype(int)]
+        return self._select_numbered(np.isin(self.pose_id, chosen))
+
+    def _select_numbered(self, kept: Bools) -> Dataset:
+        """Return the samples of a mask (N,), with the numbers that they have now."""
+        numbers = {NUMBER: self.numbers.astype(float)}
+        named = dataclasses.replace(self, conditions={**self.conditions, **numbers})
+        return named.select(kept)
 
     def replicate_noise(self) -> ReplicateNoise:
         """Return the scatter of revisited poses: noise that no model of the pose can explain."""

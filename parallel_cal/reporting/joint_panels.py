@@ -136,6 +136,9 @@ def _pattern(
         fine = np.linspace(x[0], x[-1], round(POINTS_PER_PERIOD * (x[-1] - x[0]) / period))
         x, y = fine, _interpolate_periodic(x, y, period, fine)
     is_line = period is not None or np.mean(np.diff(y) ** 2) < MAX_LINE_ROUGHNESS * np.var(y)
+    if period is None:
+        few = select_evenly(len(x), MAX_POINTS_PER_JOINT)
+        x, y = x[few], y[few]
     return {
         "mode": "lines" if is_line else "markers",
         "name": "pattern of the effect",

@@ -37,10 +37,11 @@ class State(_Part):
 
     `errors` are the errors at held-out poses of the `samples` that the step used, `before` those of
     the step's start at the same samples, `noise` the noise floor: summaries, empty if unknown.
-    `taken` is a file of samples recorded since the session began, `fitting` the options that differ
-    from those of the session; both persist until changed, as `excluded` does. `verdict` is the word
+    `imported` are tables that were added since the session began, `taken` is a file of samples
+    recorded since then, `fitting` the options that differ from those of the session; all persist
+    until changed, as `excluded` does. `verdict` is the word
     of the diagnosis (empty: not diagnosed), `summary` its sentence. `sigmas` is by kind the
-    standard deviation of the rms in `errors`.
+    standard deviation of the rms in `errors`. `reason` is the owner's reason for a forced step.
     """
 
     number: int
@@ -48,6 +49,7 @@ class State(_Part):
     step: str
     model: str
     excluded: Mapping[int, str] = {}
+    imported: Sequence[str] = ()
     taken: str = ""
     fitting: Mapping[str, Any] = {}
     before: Mapping[str, float | None] = {}
@@ -58,6 +60,7 @@ class State(_Part):
     summary: str = ""
     samples: int | None = None
     sigmas: Mapping[str, float] = {}
+    reason: str = ""
 
     @property
     def verdict_text(self) -> str:
@@ -114,9 +117,12 @@ class History:
 
     @property
     def recordings(self) -> list[str]:
-        """The recordings of the session, and the file of samples recorded since it began."""
-        taken = [str(self.folder / self.state.taken)] if self.state.taken else []
-        return [*self.record.recordings, *taken]
+        """The recordings of the session, and the files of samples added since it began."""
+        return self._list_recordings(self.state.imported, self.state.taken)
+
+    def _list_recordings(self, imported: Sequence[str], taken: str) -> list[str]:
+        added = [*imported, *([taken] if taken else [])]
+        return [*self.record.recordings, *(str(self.folder / file) for file in added)]
 
     @property
     def options(self) -> FitOptions:

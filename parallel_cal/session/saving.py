@@ -91,11 +91,12 @@ class Replacement:
             "in_use": {"hash": self.in_use_hash, "errors": in_use},
         }
 
-    def entry(self) -> dict[str, Any]:
-        """Return the history entry of a model that the owner insisted on."""
+    def entry(self, reason: str = "") -> dict[str, Any]:
+        """Return the history entry of a model that the owner insisted on, with his reason."""
         found = self.document()
         errors = {key: found[key] for key in ("errors", "in_use")}
-        return {"step": "save", "forced": "; ".join(self.reasons), **errors}
+        stated = {"reason": reason} if reason else {}
+        return {"step": "save", "forced": "; ".join(self.reasons), **stated, **errors}
 
 
 class SaveRefused(SessionError):
@@ -162,10 +163,13 @@ def compare_with_model_in_use(
     return Replacement(file, words, tuple(objections), own, in_use_hash, new, old)
 
 
-def write_for_robot(model: Model, replacement: Replacement, insisted: bool) -> Model:
+def write_for_robot(
+    model: Model, replacement: Replacement, insisted: bool, reason: str = ""
+) -> Model:
     """Write the model to the replacement's file atomically and back up the previous file.
 
-    Return the model as written; its history has an entry if the owner `insisted`. SaveRefused if
+    Return the model as written; its history has an entry with the `reason` if the owner
+    `insisted`. SaveRefused if
     there are objections and the owner does not insist; SessionError if the file has changed since
     the comparison.
     """
@@ -174,7 +178,7 @@ def write_for_robot(model: Model, replacement: Replacement, insisted: bool) -> M
     if replacement.objections:
         if not insisted:
             raise SaveRefused(replacement)
-        model = replace(model, history=(*model.history, replacement.entry()))
+        model = replace(model, history=(*model.history, replacement.entry(reason)))
     file = replacement.file
     if (now := _hash_of(file)) != replacement.in_use_hash:
         raise SessionError(

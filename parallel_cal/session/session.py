@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+import shutil
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,10 +23,11 @@ from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import add_plugin_folder, load_effect
 from parallel_cal.planning.plan import plan
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.recordings.loading import load_sessions
+from parallel_cal.recordings.loading import MAP_SUFFIX, load_sessions
 from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.signals import Signals, signals
 from parallel_cal.recordings.simulate import with_noise
+from parallel_cal.recordings.table import TABLE_SUFFIXES, is_table
 from parallel_cal.session.history import FILE, History, Record, SessionError, State
 from parallel_cal.session.saving import (
     Replacement,
@@ -34,6 +37,8 @@ from parallel_cal.session.saving import (
 from parallel_cal.session.steps import Step, add, fitted, remove
 
 CHANGED = "the session changed in the meantime: look at it and try again"
+# The fields of a state that the next one takes over unless it changes them.
+PERSISTENT = ("excluded", "imported", "taken", "fitting")
 # The fields of a state that judge its model.
 JUDGED = ("before", "errors", "noise", "against", "verdict", "summary", "samples", "sigmas")
 
@@ -153,20 +158,41 @@ class Session(History):
         words = f"fit with {' and '.join(effects)}" if effects else "fit"
         return self._refit(words, progress, effects)
 
-    def add(self, effect: str, progress: Progress | None = None, force: bool = False) -> State:
+    def add(
+        self,
+        effect: str,
+        progress: Progress | None = None,
+        force: bool = False,
+        reason: str = "",
+    ) -> State:
         """Add an effect and fit again; FitError if the validation error does not fall, unless
-        forced."""
+        forced. The histories of the session and of the model record the `reason` of a forced
+        step."""
         step = add(self.model, effect, self.dataset, force, options=self.options, progress=progress)
         laws = [name for name, _ in parse_effects(effect) if load_effect(name).found_in_data]
         cause = " (found in data, cause unknown)" if laws else ""
-        return self._commit(f"add {effect}{cause}", step)
+        return self._commit_judged(f"add {effect}{cause}", step, reason)
 
-    def remove(self, effect: str, progress: Progress | None = None, force: bool = False) -> State:
-        """Remove an effect and fit again; FitError if that costs accuracy, unless forced."""
+    def remove(
+        self,
+        effect: str,
+        progress: Progress | None = None,
+        force: bool = False,
+        reason: str = "",
+    ) -> State:
+        """Remove an effect and fit again; FitError if that costs accuracy, unless forced. The
+        `reason` is as in `add`."""
         step = remove(
             self.model, effect, self.dataset, force, options=self.options, progress=progress
         )
-        return self._commit(f"remove {effect}", step)
+        return self._commit_judged(f"remove {effect}", step, reason)
+
+    def _commit_judged(self, words: str, step: Step, reason: str) -> State:
+        """Append a step that was accepted, or forced for a `reason`."""
+        if not step.acceptance.against:
+            return self._commit(words, step)
+        step = step.with_reason(reason) if reason else step
+        return self._commit(f"{words}, forced", step, reason=reason)
 
     def exclude(self, samples: Mapping[int, str], progress: Progress | None = None) -> State:
         """Exclude samples, each with a reason, and fit again."""
@@ -246,18 +272,78 @@ class Session(History):
         file = self.folder / "samples" / f"{uuid4().hex}.json"
         file.parent.mkdir(exist_ok=True)
         write(file)
-        reading = ReadOptions(**self.record.reading)
-        paths = [*self.record.recordings, str(file)]
-        data = load_sessions(paths, reading, mechanism=self.model.mechanism)
-        before = self.samples if self.recordings else data
-        kept: dict[int, str] = {}
-        for n, why in self.state.excluded.items():
-            # The number means another sample if the joint readings differ.
-            q = [samples.q[samples.numbers == n] for samples in (before, data)]
-            if len(q[0]) and np.array_equal(*q):
-                kept[n] = why
-        changes = {"taken": str(file.relative_to(self.folder)), "excluded": kept}
+        taken = str(file.relative_to(self.folder))
+        data = self._load(self._list_recordings(self.state.imported, taken))
+        changes = {"taken": taken, "excluded": self._find_excluded(data)}
         return self._append_state(f"take {len(data)} samples", None, **changes)
+
+    def import_table(
+        self, table: Path, columns: Mapping[str, Any], progress: Progress | None = None
+    ) -> State:
+        """Add the samples of a table. The model stays unchanged.
+
+        The session keeps a copy of the table, with its column map beside it.
+
+        Parameters
+        ----------
+        table : Path
+            A file with the suffix .csv, .tsv or .txt.
+        columns : mapping
+            The contents of a column map (docs/import_csv.md).
+        progress : callable, optional
+            Called with a stage in words and the completed share (0 to 1).
+
+        Returns
+        -------
+        State
+            The new state of the session.
+
+        Raises
+        ------
+        SessionError, DatasetError, ModelFileError
+            If the file is no table, or if the map is wrong. The session is then unchanged.
+        """
+        if not is_table(table):
+            raise SessionError(
+                f"{table.name}: not a table by its suffix: expected {', '.join(TABLE_SUFFIXES)}"
+            )
+        if progress:
+            progress("reading the table", 0.0)
+        folder = self.folder / "imports" / uuid4().hex[:8]
+        folder.mkdir(parents=True)
+        try:
+            file = folder / table.name
+            write_atomically(file, table.read_bytes())
+            beside = file.with_suffix(MAP_SUFFIX)
+            write_atomically(beside, json.dumps(columns, indent=1) + "\n")  # JSON is YAML
+            imported = [*self.state.imported, str(file.relative_to(self.folder))]
+            data = self._load(self._list_recordings(imported, self.state.taken))
+            changes = {"imported": imported, "excluded": self._find_excluded(data)}
+            count = len(data) - (len(self.samples) if self.recordings else 0)
+            return self._append_state(f"import {count} samples of {table.name}", None, **changes)
+        except BaseException:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+
+    def _load(self, paths: Sequence[str]) -> Dataset:
+        reading = ReadOptions(**self.record.reading)
+        return load_sessions(paths, reading, mechanism=self.model.mechanism)
+
+    def _find_excluded(self, data: Dataset) -> dict[int, str]:
+        """Find the excluded samples by their joint readings in other data, in which their numbers
+        may differ."""
+        if not self.state.excluded:
+            return {}
+        found: dict[int, str] = {}
+        before = self.samples
+        for n, why in self.state.excluded.items():
+            q = before.q[before.numbers == n]
+            rows = data.numbers[(data.q == q).all(axis=1)]
+            if n in rows:
+                found[n] = why
+            elif len(rows) == 1:
+                found[int(rows[0])] = why
+        return found
 
     def diagnose(self, progress: Progress | None = None, **options: Any) -> Diagnosis:
         """Diagnose the model of this state; the verdict is stored with the state."""
@@ -289,6 +375,7 @@ class Session(History):
         file: Path,
         insist: Callable[[Replacement], bool] = lambda replacement: False,
         progress: Progress | None = None,
+        reason: str = "",
     ) -> Replacement:
         """Write the session's present model to the model file that the robot uses.
 
@@ -305,6 +392,8 @@ class Session(History):
             session gets a new state with that model. By default it returns False.
         progress : callable, optional
             Called with a stage in words and the completed share (0 to 1).
+        reason : str, optional
+            Why the owner insists, for both histories.
 
         Returns
         -------
@@ -325,10 +414,10 @@ class Session(History):
         self.refresh()
         if self.state != at:
             raise SessionError(CHANGED)
-        written = write_for_robot(self.model, found, insist(found))
+        written = write_for_robot(self.model, found, insist(found), reason)
         if written is not self.model:
             kept = {name: getattr(at, name) for name in JUDGED}
-            self._append_state(f"save to {file.name}, forced", written, **kept)
+            self._append_state(f"save to {file.name}, forced", written, **kept, reason=reason)
         return found
 
     # ------------------------------------------------------------------ on disk
@@ -353,7 +442,7 @@ class Session(History):
             if record.state != start:
                 raise SessionError(CHANGED)
             number = len(record.states)
-            kept = {"excluded": start.excluded, "taken": start.taken, "fitting": start.fitting}
+            kept = {name: getattr(start, name) for name in PERSISTENT}
             file = start.model if model is None else f"models/{number}.yaml"
             state = State(
                 number=number, parent=start.number, step=words, model=file, **{**kept, **changes}

@@ -113,6 +113,11 @@ class Step(ShownInNotebook):
             return self.result.warnings
         return (*(words for words in self.result.warnings if words not in against), against)
 
+    def with_reason(self, reason: str) -> Step:
+        """Return the step with the owner's reason for it in the last entry of its history."""
+        *past, last = self.model.history
+        return replace(self, model=replace(self.model, history=(*past, {**last, "reason": reason})))
+
     def document(self) -> dict[str, Any]:
         """Return the result as a dict for JSON, with the errors that the step had to beat."""
         document = self.result.document() | {"acceptance": self.acceptance.document()}

@@ -11,13 +11,13 @@ from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.model import Model
+from parallel_cal.planning.pose_table import WAYPOINTS, read_columns
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.simulate import DWELL, MOVE, simulate
 from parallel_cal.recordings.table import Table, read_table
 
-WAYPOINTS = ("past", "turn")  # the waypoints of a pose, as a plan names them
 PLANNABLE_CONDITIONS = ("payload", "temperature")  # that a plan may choose for each pose
 
 
@@ -25,7 +25,7 @@ def planned_joints(path: Path, model: Model) -> np.ndarray:
     """Return the joints (N, nq) of a plan or a recording; DatasetError if they are of another
     robot."""
     if path.suffix.lower() == ".csv":
-        return _joints(_table(path, model), model, "")
+        return read_columns(_table(path, model), model.joints)
     return load_dataset(path, mechanism=model.mechanism).q
 
 
@@ -44,10 +44,12 @@ def planned_session(
         return load_dataset(path, options, mechanism=model.mechanism)
     table = _table(path, model)
     waypoints = [
-        stop for stop in WAYPOINTS if any(f"{stop}.{j}" in table.header for j in model.joints)
+        names
+        for stop in WAYPOINTS
+        if any(map(table.find, names := [f"{stop}.{joint}" for joint in model.joints]))
     ]
-    target = _joints(table, model, "")
-    visited = [*(_joints(table, model, f"{stop}.") for stop in waypoints), target]
+    target = read_columns(table, model.joints)
+    visited = [*(read_columns(table, names) for names in waypoints), target]
     found = Kinematics(model).direct(target)
     for k in np.flatnonzero(~found.ok):
         raise DatasetError(
@@ -73,16 +75,9 @@ def planned_session(
 
 def _table(path: Path, model: Model) -> Table:
     table = read_table(path).drop_empty_rows()
-    if missing := [name for name in model.joints if name not in table.header]:
+    if missing := [name for name in model.joints if table.find(name) is None]:
         raise DatasetError(
             f"{path}:1: no column {', '.join(missing)}: the plan is not for this "
             f"{model.mechanism.name}, whose joints are {', '.join(model.joints)}"
         )
     return table
-
-
-def _joints(table: Table, model: Model, stop: str) -> np.ndarray:
-    names = [f"{stop}{joint}" for joint in model.joints]
-    if missing := [name for name in names if name not in table.header]:
-        raise DatasetError(f"{table.path}:1: no column {', '.join(missing)}")
-    return table.numbers(names)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from parallel_cal.session.session import Session
 
 # Methods of a session that take long.
-STEPS = ("fit", "add", "remove", "exclude", "include", "choose", "plan")
+STEPS = ("fit", "add", "remove", "exclude", "include", "choose", "plan", "import_table")
 
 
 class Live(Protocol):
@@ -41,10 +41,18 @@ class Live(Protocol):
 
 @dataclass(frozen=True)
 class Question:
-    """A question that the owner must confirm before a model is saved; `key` identifies it."""
+    """A question that the owner must confirm, with a reason; `key` identifies it.
+
+    It is about `step` (its name and arguments) of the session, or about a save if that is empty.
+    `yes` and `no` are the two answers, `declined` the message after `no`.
+    """
 
     words: str
     key: str
+    yes: str
+    no: str
+    declined: str
+    step: tuple[Any, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -93,19 +101,28 @@ class Bench:
         """Search for the law of what the present model leaves; the session stays unchanged."""
         self._begin(_find_law)
 
-    def save(self, confirmed: str = "") -> None:
+    def save(self, confirmed: str = "", reason: str = "") -> None:
         """Compare the present model with the one in `output`, and write it if it is better.
 
         Otherwise ask the `question`. Only its key as `confirmed` writes the model; the key of
         another question leads to a new question.
         """
-        self._begin(_save, self.output, confirmed)
+        self._begin(_save, self.output, confirmed, reason)
 
-    def keep_model_in_use(self) -> None:
-        """Answer the question with no: write nothing."""
+    def confirm(self, key: str, reason: str) -> None:
+        """Answer yes to the question with this key; the histories record the `reason`."""
+        asked = self.question
+        if asked is None or not asked.step:
+            self.save(key, reason)
+        elif asked.key == key:
+            step, *given = asked.step
+            self.begin(step, *given, force=True, reason=reason)
+
+    def decline(self) -> None:
+        """Answer no to the question: change nothing."""
         if self.question is not None:
+            self.message, self.failed = self.question.declined, False
             self.question = None
-            self.message, self.failed = f"not saved: {self.output} is unchanged", False
             self._mark_changed()
 
     def _begin(self, function: Callable[..., Done], *given: Any) -> None:
@@ -221,7 +238,7 @@ class Bench:
         self.version += 1
 
 
-VIEW_VERSION = 11  # of the stored views; a view of another version is computed again
+VIEW_VERSION = 12  # of the stored views; a view of another version is computed again
 
 
 def view_path(session: History, state: int | None = None) -> Path:
@@ -274,17 +291,37 @@ def _work(
     tell: Callable[..., None],
 ) -> Done:
     """Run one step of the session in `folder` and write its view to a file (in the worker)."""
-    from parallel_cal.workbench.views import glance, view
+    from parallel_cal.session.steps import UnprovenStepError
+    from parallel_cal.workbench.views import fit_some_samples, glance, view, view_some_samples
 
     session = _open_session(folder)
     session.refresh()
     done = None
+    if step == "fit":
+        tell("fitting", 0.0, fit_some_samples(session))
     if step in STEPS:
-        done = getattr(session, step)(*given, progress=tell, **options)
+        try:
+            done = getattr(session, step)(*given, progress=tell, **options)
+        except UnprovenStepError as refused:
+            return Done("", _ask_to_force(session, refused.against, step, *given))
     if load_view(session) is None:
         tell("running the diagnosis", 0.0, glance(session))
+        tell("running the diagnosis", 0.0, view_some_samples(session))
         _store_view(view_path(session), view(session, tell))
     return Done(f"written: {done}" if isinstance(done, Path) else session.state.against)
+
+
+def _ask_to_force(session: Session, against: str, step: str, effect: str) -> Question:
+    """Ask whether to add or remove an effect in spite of an objection."""
+    outcome = {"add": "added", "remove": "removed"}[step]
+    return Question(
+        f"{against}. {step.capitalize()} {effect} anyway?",
+        key=f"{session.state.number} {step} {effect}",
+        yes=f"{step.capitalize()} anyway",
+        no="Keep the model",
+        declined=f"{effect} was not {outcome}: the model is unchanged",
+        step=(step, effect),
+    )
 
 
 def _find_law(folder: Path, tell: Callable[..., None]) -> Done:
@@ -300,7 +337,9 @@ def _find_law(folder: Path, tell: Callable[..., None]) -> Done:
     return Done("")
 
 
-def _save(folder: Path, output: Path, confirmed: str, tell: Callable[..., None]) -> Done:
+def _save(
+    folder: Path, output: Path, confirmed: str, reason: str, tell: Callable[..., None]
+) -> Done:
     """Write the present model to `output`, or return the question to confirm (in the worker)."""
     from parallel_cal.session.saving import SaveRefused
 
@@ -308,11 +347,20 @@ def _save(folder: Path, output: Path, confirmed: str, tell: Callable[..., None])
     session.refresh()
     before = view_path(session)
     try:
-        found = session.save(output, lambda replacement: replacement.key == confirmed, tell)
+        found = session.save(output, lambda replacement: replacement.key == confirmed, tell, reason)
     except SaveRefused as refused:
         asked = refused.replacement
         words = f"{'; '.join(asked.reasons)}. Write this model to {output} anyway?"
-        return Done("", Question(words, asked.key))
+        return Done(
+            "",
+            Question(
+                words,
+                asked.key,
+                yes="Write anyway",
+                no="Keep the model in use",
+                declined=f"not saved: {output} is unchanged",
+            ),
+        )
     if before.exists() and view_path(session) != before:  # the same numbers under another state
         shutil.copyfile(before, view_path(session))
     if found.is_in_use:

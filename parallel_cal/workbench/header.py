@@ -108,15 +108,21 @@ class Notice:
             with ui.row().classes("w-full items-center gap-2") as self.asked:
                 self.question = ui.label().props("id=question role=alert").classes("grow basis-64")
                 self.question.style(f"color: {COLOURS['amber']}")
-                _button("Keep the model in use", bench.keep_model_in_use)
-                _button("Write anyway", self._confirm)
+                self.reason = ui.input("reason to do it anyway", on_change=self._allow_yes)
+                self.reason.classes("w-64").props("dense")
+                self.no = _button("", bench.decline)
+                self.yes = _button("", self._confirm)
             with ui.row().classes("w-full no-wrap items-center gap-2") as self.answer:
                 self.message = ui.label().props("id=message role=alert").classes("grow")
                 _button("Dismiss", self._dismiss)
 
     def _confirm(self) -> None:
         """Confirm the question that this window shows, even if a newer one exists."""
-        self.bench.save(self._key)
+        self.bench.confirm(self._key, self.reason.value.strip())
+
+    def _allow_yes(self) -> None:
+        """Let the owner insist only with a reason, which the histories record."""
+        self.yes.set_enabled(bool((self.reason.value or "").strip()))
 
     def _dismiss(self) -> None:
         self._dismissed = self.bench.message
@@ -127,8 +133,13 @@ class Notice:
         question = bench.question
         self.asked.set_visibility(question is not None)
         if question is not None:
+            if question.key != self._key:
+                self.reason.set_value("")
             self._key = question.key
             self.question.set_text(write_micro(question.words))
+            self.no.set_text(question.no)
+            self.yes.set_text(question.yes)
+            self._allow_yes()
         if bench.busy:
             self._dismissed = ""  # the next message may have the same words
         answered = bool(bench.message) and not bench.busy and bench.message != self._dismissed

@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
 from nicegui import run, ui
 
-from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.reporting.colours import MEASURED, PATTERN, QUIET
+from parallel_cal.reporting.colours import MEASURED
 from parallel_cal.reporting.readable import format_judged_error, write_micro
 from parallel_cal.session.history import format_first_error
-from parallel_cal.workbench.bench import Bench, Live
+from parallel_cal.workbench.bench import Bench
 from parallel_cal.workbench.fixing import ask_where_to_fix
 from parallel_cal.workbench.header import Header, Notice, VerdictCard
+from parallel_cal.workbench.import_dialog import ImportDialog
 from parallel_cal.workbench.law_card import draw_law_card
 from parallel_cal.workbench.live import LiveCard
 from parallel_cal.workbench.marking import SCRIPT, FigureSlot, Marking
+from parallel_cal.workbench.plan_card import draw_plan_card
 from parallel_cal.workbench.residuals_card import ResidualsCard
 from parallel_cal.workbench.widgets import (
     CSS,
-    FIGURE_MARGIN,
     HEAD,
     HEADER_HEIGHT,
     card,
@@ -30,16 +29,16 @@ from parallel_cal.workbench.widgets import (
     table,
 )
 
-EMPTY = (
-    "Reading the measurements. This takes a few seconds.",
+READING = "Reading the measurements. This takes a few seconds."
+EMPTY = "No samples yet. Import a table of measured poses."
+EMPTY_AT_ROBOT = (
     "No samples yet. Move the robot from pose to pose and hold it still at each for a second. "
-    "Press Take samples when there are twenty or more.",
+    "Press Take samples when there are twenty or more."
 )
 CAMPAIGN_RUNS = (
     "No samples here yet: the campaign is measuring them. Press Take samples to see them."
 )
 PRIORS = {None: "of weakly determined parameters", True: "of all parameters", False: "none"}
-PLACE, TURN = ("x", "y", "z"), ("qx", "qy", "qz", "qw")  # columns of planned poses
 # Seconds between checks of the bench, and of the disk for changes by other programs.
 POLL_INTERVAL_S = 0.05
 REFRESH_INTERVAL_S = 0.3
@@ -70,7 +69,9 @@ class Window:
             ui.label(f"Session {bench.session.folder.name}").classes("text-sm font-bold").props(
                 "role=heading aria-level=1"
             )
-            self.empty = ui.label().props("id=empty")
+            with ui.row().classes("items-center") as self.empty_row:
+                self.empty = ui.label().props("id=empty")
+                self._import_button()
             with _columns() as self.work:
                 with ui.column().classes("w-full gap-3"):
                     self.verdict = VerdictCard(bench)
@@ -102,8 +103,21 @@ class Window:
         """Say what to do if there are no samples, or that they are being read."""
         view, bar = self.bench.view, self.header.campaign
         runs = bar is not None and bar.runs
-        self.empty.set_text(CAMPAIGN_RUNS if runs and view is not None else EMPTY[view is not None])
-        self.empty.set_visibility(not view)
+        if view is None:
+            words = READING
+        elif runs:
+            words = CAMPAIGN_RUNS
+        else:
+            words = EMPTY if self.bench.live is None else EMPTY_AT_ROBOT
+        self.empty.set_text(words)
+        self.empty_row.set_visibility(not view)
+
+    def _import_button(self) -> None:
+        def show() -> None:
+            with self.layer:
+                ImportDialog(self.bench)
+
+        ui.button("Import a table", on_click=show).props("dense outline")
 
     def _draw(self) -> None:
         afresh = self.seen != self.bench.seen
@@ -135,13 +149,14 @@ class Window:
             if self.bench.view is not None:
                 self._history()
             if complete:
-                self._next(view)
+                draw_plan_card(self.bench, view)
 
     # ------------------------------------------------------------------ what is missing
 
     def _missing(self, view: dict[str, Any]) -> None:
         with card("What is missing"):
             candidates = view["candidates"]
+            self._model_effects(view["effects"])
             if not candidates:
                 running = "The effects are being tested."
                 ui.label(running if self.bench.busy else "No effect has been tested. Press Fit.")
@@ -162,6 +177,18 @@ class Window:
             if untested := view["untested"]:
                 title = f"{_count(untested, 'effect')} not tested"
                 self._unfolded(title, "not tested", partial(_list_untested, untested))
+
+    def _model_effects(self, effects: list[str]) -> None:
+        """Name the effects of the model, each with a button that removes it."""
+        if not effects:
+            return
+        with ui.row().classes("items-center gap-x-2 gap-y-0"):
+            ui.label("in the model:").classes("quiet")
+            for name in effects:
+                ui.label(name).classes("font-bold")
+                remove = ui.button("Remove", on_click=partial(self.bench.begin, "remove", name))
+                remove.props(f'dense outline aria-label="remove {name}"')
+                remove.set_enabled(not self.bench.busy)
 
     def _candidates(self, candidates: list[dict[str, Any]]) -> None:
         for one in candidates:
@@ -218,9 +245,11 @@ class Window:
                     "after": format_judged_error(state.errors, state.sigmas),
                     "out": len(state.excluded),
                     "verdict": write_micro(state.verdict_text or state.against),
+                    "reason": state.reason,
                 }
                 for state in session.history()
             ]
+            reasons = [("reason", "reason")] * any(row["reason"] for row in rows)
             table(
                 [
                     ("step", "step"),
@@ -229,6 +258,7 @@ class Window:
                     ("after", "validation error after"),
                     ("out", "excluded samples"),
                     ("verdict", "verdict"),
+                    *reasons,
                 ],
                 rows,
                 "history",
@@ -296,6 +326,7 @@ class Window:
                 self.exclude = ui.button("Exclude", on_click=self._exclude).props("dense")
                 self.open = ui.button("Open", on_click=self._open).props("dense outline")
                 self.open.tooltip("show the readings that the first marked sample averages")
+                self._import_button()
             self._show_count(set())
             excluded = bench.session.state.excluded
             if len(excluded) > 1:
@@ -405,62 +436,6 @@ class Window:
         }
         kept["fix" if fix else "free"] += names
         self.bench.begin("choose", nominal=names if at_nominal else [], **kept)
-
-    def _next(self, view: dict[str, Any]) -> None:
-        bench = self.bench
-        with card("What to measure next"):
-            for advice in view["advice"]:
-                ui.label(write_micro(advice))
-            with ui.row().classes("items-center"):
-                count = ui.number("poses", value=20, min=1, max=500, precision=0).classes("w-24")
-                ui.button(
-                    "Plan", on_click=lambda: bench.begin("plan", int(count.value or 20))
-                ).props("dense").set_enabled(not bench.busy)
-                if planned := bench.planned:
-                    ui.button("Download CSV", on_click=lambda: ui.download(planned)).props(
-                        "dense outline"
-                    )
-            if planned:
-                rows = list(csv.DictReader(planned.open()))
-                if bench.live is not None:
-                    self._send(bench.live, rows)
-                self._draw_planned(rows, view)
-
-    def _send(self, live: Live, rows: list[dict[str, str]]) -> None:
-        """Let a click send the next planned pose to the robot."""
-        with ui.row().classes("items-center"):
-            at = ui.number("pose", value=1, min=1, max=len(rows), precision=0).classes("w-24")
-            answer = ui.label().props("id=sent aria-live=polite")
-
-            async def send() -> None:
-                k = int(at.value or 1)
-                pose = [[float(rows[k - 1][key]) for key in keys] for keys in (PLACE, TURN)]
-                try:
-                    answer.set_text(f"pose {k}: {await run.io_bound(live.send, *pose)}")
-                    at.set_value(min(k + 1, len(rows)))
-                except ParallelCalError as error:
-                    answer.set_text(str(error))
-
-            ui.button("Send to the robot", on_click=send).props("dense")
-
-    def _draw_planned(self, rows: list[dict[str, str]], view: dict[str, Any]) -> None:
-        poses = [[1e3 * float(row[k]) for k in PLACE] for row in rows]
-        traces = [
-            {
-                "type": "scatter3d",
-                "mode": "markers",
-                "name": name,
-                **{k: [p[i] for p in places] for i, k in enumerate("xyz")},
-                "marker": {"size": size, "color": colour},
-            }
-            for name, places, size, colour in (
-                ("measured", view["residuals"]["place"], 2, QUIET),
-                ("planned", poses, 5, PATTERN),
-            )
-        ]
-        axes = {f"{k}axis": {"title": {"text": f"{k} [mm]"}} for k in "xyz"}
-        layout = {"height": 380, "margin": FIGURE_MARGIN, "scene": axes}
-        draw_figure({"data": traces, "layout": layout}, "planned and measured poses")
 
 
 def _columns() -> Any:

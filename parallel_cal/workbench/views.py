@@ -23,6 +23,7 @@ from parallel_cal.identification.given_model import fits_of
 from parallel_cal.identification.observations import blocks
 from parallel_cal.identification.prediction_errors import Summary, compute_rms_sigmas
 from parallel_cal.model.model import Model
+from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting import (
     contents,
     drawings,
@@ -38,12 +39,58 @@ from parallel_cal.reporting.figures import Spec, select_evenly
 from parallel_cal.reporting.readable import value_unit, with_sigma, write_micro
 from parallel_cal.reporting.report import Report, report
 from parallel_cal.session.session import Session
+from parallel_cal.session.steps import fitted
 
 View = dict[str, Any]
 # Samples on a page. A browser needs seconds to draw more, and more hide each other.
 MAX_SHOWN_SAMPLES, MAX_WORST_SAMPLES = 2000, 500
-NUMBERS_ONLY: View = {"candidates": [], "together": None, "untested": []}
+# Samples from which a preliminary view of many is made: their numbers come in seconds.
+MAX_PRELIMINARY_SAMPLES = 2000
+NUMBERS_ONLY: View = {"effects": [], "candidates": [], "together": None, "untested": []}
+FIT_TILES = ("before this step", "now", "noise floor")
 AMBER, GREEN, GREY = "amber", "green", "grey"
+
+
+def fit_some_samples(session: Session) -> View | None:
+    """Make a preliminary view of a fit from a part of many samples; None if there are few.
+
+    It has the numbers of the fit only. The fit of all samples takes minutes.
+    """
+    if (some := _thin(session)) is None:
+        return None
+    step = fitted(session.model, some, True, options=session.options)
+    result = step.result
+    words = f"preliminary fit of {_describe_part(some, session)}; fitting all samples"
+    known = (step.errors_to_beat, result.held_out.summary, result.noise_floor)
+    sigmas = result.rms_sigmas(result.held_out)
+    return NUMBERS_ONLY | _make_numbers(words, dict(zip(FIT_TILES, known, strict=True)), sigmas)
+
+
+def view_some_samples(session: Session) -> View | None:
+    """Make the view of the present state from a part of many samples; None if there are few."""
+    if (some := _thin(session)) is None:
+        return None
+    how = session.options
+    if session.state.errors:
+        made = _make_report_view(report(session.model, some, options=how, hold_out=how.hold_out))
+    else:
+        made = _make_comparison_view(compare(session.model, some, how.joint_sigma))
+    verdict = made["verdict"]
+    words = f"preliminary, from {_describe_part(some, session)}: {verdict['words']}"
+    return made | {"verdict": verdict | {"words": words}}
+
+
+def _thin(session: Session) -> Dataset | None:
+    """Return a part of the samples of a session; None if it has few."""
+    if not session.recordings:
+        return None
+    whole = session.dataset
+    some = whole.thinned(MAX_PRELIMINARY_SAMPLES)
+    return None if len(some) == len(whole) else some
+
+
+def _describe_part(some: Dataset, session: Session) -> str:
+    return f"{len(some)} of {len(session.dataset)} samples, evenly spread over the recording"
 
 
 def glance(session: Session) -> View | None:
@@ -58,22 +105,21 @@ def glance(session: Session) -> View | None:
     shown = NUMBERS_ONLY
     if len(dataset) <= MAX_SHOWN_SAMPLES:
         shown = _make_comparison_view(compare(session.model, dataset, session.options.joint_sigma))
-    tiles = (
-        ("before this step", state.before),
-        ("now", state.errors),
-        ("noise floor", state.noise),
-    )
-    sigmas = {"now": state.sigmas}
-    summaries = [(name, Summary(**known)) for name, known in tiles if known]
-    kinds = [k for k in ("position", "orientation", "reading") if summaries[0][1].rms(k)]
-    return shown | {
-        "verdict": {"colour": GREY, "words": f"{state.step}: running the diagnosis"},
-        "tiles": to_json_value(
-            [
-                results.make_tile(name, summary, kinds, {}, sigmas=sigmas.get(name))
-                for name, summary in summaries
-            ]
-        ),
+    known = zip(FIT_TILES, (state.before, state.errors, state.noise), strict=True)
+    summaries = {name: Summary(**errors) for name, errors in known if errors}
+    return shown | _make_numbers(f"{state.step}: running the diagnosis", summaries, state.sigmas)
+
+
+def _make_numbers(words: str, errors: Mapping[str, Summary], sigmas: Mapping[str, float]) -> View:
+    """Make the preliminary verdict and the numbers of a fit; `sigmas` are those of "now"."""
+    kinds = [k for k in ("position", "orientation", "reading") if errors["now"].rms(k)]
+    tiles = [
+        results.make_tile(name, one, kinds, {}, sigmas=sigmas if name == "now" else None)
+        for name, one in errors.items()
+    ]
+    return {
+        "verdict": {"colour": GREY, "words": words},
+        "tiles": to_json_value(tiles),
         "advice": [],
     }
 
@@ -133,10 +179,12 @@ def _make_comparison_view(found: Comparison) -> View:
         "residuals": _residuals(residuals, found.residual_profiles),
         "pictures": list(_pictures(residuals, found.scene, None)),
         "samples": _samples(samples, residuals, kinds or ["joint"], units),
+        "effects": _list_effects(found.model),
         "candidates": [],
         "together": None,
         "untested": [],
         "parameters": None,
+        "separation": None,
         "advice": ["Press Fit: identify the geometry first, then look at the remaining error."],
         "cannot_tell": [],
     }
@@ -167,6 +215,7 @@ def _make_report_view(found: Report) -> View:
         together = {"names": names, "text": "+".join(diagnosis.additions)}
     candidates = as_rows(results.candidate_table(diagnosis, tested))["rows"]
     residuals, shown = _select_shown(found.residuals, found.samples)
+    separation = diagnosis.measure_next.plan
     return {
         "shown": shown,
         "verdict": _verdict(found),
@@ -180,6 +229,7 @@ def _make_report_view(found: Report) -> View:
         "residuals": _residuals(residuals, found.along),
         "pictures": list(_pictures(residuals, diagnosis.base.scene, first_pattern)),
         "samples": _samples(found.samples, residuals, found.errors.kinds, units),
+        "effects": _list_effects(diagnosis.model),
         "candidates": [
             row
             | {
@@ -195,10 +245,19 @@ def _make_report_view(found: Report) -> View:
         ],
         "parameters": as_rows(results.parameter_table(identified)),
         "drawing": to_json_value(drawings.drawing(diagnosis.model, found=identified)),
-        "advice": list(diagnosis.measure_next.advice),
+        "separation": separation.csv(diagnosis.model) if separation else None,
+        "advice": [
+            words
+            for words in diagnosis.measure_next.advice
+            if separation is None or words not in separation.how
+        ],
         "cannot_tell": [one["text"] for one in contents.combinations(now)["unidentifiable"]],
         "find_law": diagnosis.leaves_an_error,
     }
+
+
+def _list_effects(model: Model) -> list[str]:
+    return [effect.name for effect in model.effects]
 
 
 def _select_shown(

@@ -1,0 +1,228 @@
+"""The dialog that imports a table: which column is which joint or coordinate, and in which unit."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from nicegui import events, run, ui
+
+from parallel_cal.base.units import ANGLES, LENGTHS
+from parallel_cal.workbench.bench import Bench
+
+NONE = "none"
+IN_HEADER = "as in the header"
+QUATERNION, ANGLE_KIND = "quaternion x y z w", "three angles"
+ORIENTATIONS = {NONE: (), QUATERNION: ("qx", "qy", "qz", "qw"), ANGLE_KIND: ("1", "2", "3")}
+AXES = {
+    "xyz": "about fixed x, y, z",
+    "zyx": "about fixed z, y, x",
+    "XYZ": "about moving x, y, z",
+    "ZYX": "about moving z, y, x",
+    "ZXZ": "about moving z, x, z",
+    "ZYZ": "about moving z, y, z",
+}
+NOISES = {"joint": "joints [rad or m]", "position": "position [m]", "orientation": "rotation [rad]"}
+SUFFIXES = ".csv,.tsv,.txt"
+POLL_INTERVAL_S = 0.1
+
+
+class ImportDialog:
+    """A dialog in two steps: drop a table, then name its columns."""
+
+    def __init__(self, bench: Bench):
+        self._bench = bench
+        self._folder = tempfile.TemporaryDirectory(prefix="parallel-cal-")
+        self._file: Path | None = None
+        self._awaits_result = False
+        with ui.dialog(value=True) as self._dialog, ui.card().classes("w-full max-w-4xl gap-2"):
+            ui.label("Import a table").classes("text-base font-bold").props(
+                "role=heading aria-level=2"
+            )
+            ui.label(
+                "A table has a header and one row per measured pose. Its samples are added to "
+                "those of the session; Undo reverses that."
+            ).classes("text-sm")
+            ui.upload(
+                label="Drop a table here (.csv, .tsv, .txt)",
+                auto_upload=True,
+                max_files=1,
+                on_upload=self._receive,
+            ).props(f'flat bordered accept="{SUFFIXES}"').classes("w-full")
+            self._form = ui.column().classes("w-full gap-2")
+            self._answer = ui.label().props("id=import-answer role=alert").classes("text-sm")
+            with ui.row():
+                self._import = ui.button("Import", on_click=self._begin).props("dense")
+                self._import.set_enabled(False)
+                ui.button("Close", on_click=self._dialog.close).props("dense outline")
+            timer = ui.timer(POLL_INTERVAL_S, self._follow)
+        self._dialog.on_value_change(lambda: self._end(timer))
+
+    def _end(self, timer: ui.timer) -> None:
+        timer.cancel()
+        self._folder.cleanup()
+
+    async def _receive(self, event: events.UploadEventArguments) -> None:
+        """Show the form for a table that was dropped."""
+        from parallel_cal.workbench.table_preview import preview_table  # imports NumPy
+
+        file = Path(self._folder.name) / Path(event.file.name).name
+        await event.file.save(file)
+        found = await run.cpu_bound(preview_table, file, self._bench.session.folder) or {}
+        self._form.clear()
+        self._answer.set_text(found.get("error", "the table cannot be read"))
+        self._file = None if self._answer.text else file
+        if self._file is not None:
+            with self._form:
+                self._columns = ColumnForm(found)
+
+    def _begin(self) -> None:
+        if self._file is None:
+            return
+        if missing := self._columns.list_missing():
+            return self._answer.set_text(f"choose a column for {', '.join(missing)}")
+        self._answer.set_text("")
+        self._awaits_result = True
+        self._bench.begin("import_table", self._file, self._columns.document())
+
+    def _follow(self) -> None:
+        """Show what became of the import; close after a success."""
+        bench = self._bench
+        self._import.set_enabled(self._file is not None and not bench.busy)
+        if not self._awaits_result or bench.busy:
+            return
+        self._awaits_result = False
+        if bench.failed:
+            self._answer.set_text(bench.message)
+        else:
+            self._dialog.close()
+
+
+class ColumnForm:
+    """The form of a column map; `document` is the map as in a file."""
+
+    def __init__(self, found: Mapping[str, Any]):
+        """`found` is the preview of the table."""
+        self._header = found["header"]
+        guessed: dict[str, str | None] = found["columns"]
+        self._show_rows(found)
+        self._joints = {
+            name: self._pick_joint(name, unit, guessed[name])
+            for name, unit in found["joints"].items()
+        }
+        with _row("position"):
+            self._position = [self._pick(axis, guessed[axis]) for axis in "xyz"]
+            self._position_unit = self._pick_unit("unit of x, y, z", LENGTHS)
+        with _row("orientation"):
+            names = ORIENTATIONS[QUATERNION]
+            known = all(guessed[name] for name in names)
+            self._kind = ui.select(
+                list(ORIENTATIONS), value=QUATERNION if known else NONE, label="orientation"
+            ).classes("w-48")
+            self._orientation = [self._pick(name, guessed[name]) for name in names]
+            for k, column in enumerate(self._orientation):
+                column.bind_visibility_from(
+                    self._kind, "value", lambda kind, k=k: k < len(ORIENTATIONS[kind])
+                )
+            self._axes = ui.select(AXES, value="xyz", label="rotations").classes("w-48")
+            self._angle_unit = self._pick_unit("unit of the angles", ANGLES)
+            for part in (self._axes, self._angle_unit):
+                part.bind_visibility_from(self._kind, "value", lambda kind: kind == ANGLE_KIND)
+        with _row("conditions"):
+            self._conditions = {
+                name: self._pick(f"{name} [{unit}]", guessed[name])
+                for name, unit in (("time", "s"), ("temperature", "degC"), ("payload", "kg"))
+            }
+            self._group = self._pick("rows of one pose", None)
+            self._in_order = ui.checkbox("rows in the order of the visits", value=True)
+        with _row("noise, 1 sigma"):
+            self._noise = {
+                name: ui.number(words, min=0, format="%.3g").classes("w-40")
+                for name, words in NOISES.items()
+            }
+
+    @property
+    def _chosen_orientation(self) -> list[Any]:
+        return self._orientation[: len(ORIENTATIONS[self._kind.value])]
+
+    def list_missing(self) -> list[str]:
+        """List what needs a column and has none. A position is complete, or not measured."""
+        asked = {name: column for name, (column, _, _) in self._joints.items()}
+        if any(one.value for one in self._position):
+            asked |= dict(zip("xyz", self._position, strict=True))
+        each = zip(ORIENTATIONS[self._kind.value], self._chosen_orientation, strict=True)
+        asked |= {f"{self._kind.value} ({name})": column for name, column in each}
+        return [name for name, column in asked.items() if not column.value]
+
+    def document(self) -> dict[str, Any]:
+        """Return the column map. A quantity without a column is left out."""
+        found: dict[str, Any] = {
+            "joints": {
+                name: _without_empty(
+                    {
+                        "column": column.value,
+                        "unit": _stated(unit.value),
+                        "per_rev": (travel.value or "").strip() if travel else "",
+                    }
+                )
+                for name, (column, unit, travel) in self._joints.items()
+            }
+        }
+        if any(one.value for one in self._position):
+            found["position"] = {"columns": [one.value for one in self._position]}
+            found["position"] |= _without_empty({"unit": _stated(self._position_unit.value)})
+        columns = [one.value for one in self._chosen_orientation]
+        if self._kind.value == QUATERNION:
+            found["orientation"] = columns
+        elif self._kind.value == ANGLE_KIND:
+            found["angles"] = {"columns": columns, "axes": self._axes.value}
+            found["angles"] |= _without_empty({"unit": _stated(self._angle_unit.value)})
+        found["conditions"] = {k: c.value for k, c in self._conditions.items() if c.value}
+        if self._group.value:
+            found["group"] = self._group.value
+        found["visits"] = "in order" if self._in_order.value else "unordered"
+        found["noise"] = {k: float(n.value) for k, n in self._noise.items() if n.value}
+        return found
+
+    def _show_rows(self, found: Mapping[str, Any]) -> None:
+        ui.label(f"{found['count']} rows; the first ones:").classes("text-sm")
+        columns = [
+            {"name": str(k), "label": word, "field": str(k), "align": "left"}
+            for k, word in enumerate(self._header)
+        ]
+        rows = [{str(k): cell for k, cell in enumerate(row)} for row in found["rows"]]
+        ui.table(columns=columns, rows=rows).classes("w-full one-line-rows").props("dense flat")
+
+    def _pick_joint(self, name: str, unit: str, guess: str | None) -> tuple[Any, Any, Any]:
+        """Pick the column of a joint, its unit, and the travel per turn of a joint that slides."""
+        with _row(name):
+            column = self._pick(f"column of {name}", guess)
+            chosen = self._pick_unit(f"unit of {name}", ANGLES | LENGTHS)
+            travel = None
+            if unit == "m":
+                travel = ui.input("travel per turn", placeholder="71.2 mm").classes("w-36")
+                travel.tooltip("only if the column contains the angle of a motor")
+        return column, chosen, travel
+
+    def _pick(self, label: str, guess: str | None) -> Any:
+        return ui.select(self._header, value=guess, label=label, clearable=True).classes("w-40")
+
+    def _pick_unit(self, label: str, units: Sequence[str] | Mapping[str, float]) -> Any:
+        return ui.select([IN_HEADER, *units], value=IN_HEADER, label=label).classes("w-36")
+
+
+def _row(title: str) -> Any:
+    row = ui.row().classes("items-center gap-x-3 gap-y-0 w-full")
+    with row:
+        ui.label(title).classes("w-28 text-sm font-bold")
+    return row
+
+
+def _stated(unit: str) -> str:
+    return "" if unit == IN_HEADER else unit
+
+
+def _without_empty(values: Mapping[str, str]) -> dict[str, str]:
+    return {key: value for key, value in values.items() if value}

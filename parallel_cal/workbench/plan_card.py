@@ -1,0 +1,106 @@
+"""The card What to measure next: advice, planned poses, what they tell, and their files."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from nicegui import run, ui
+
+from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.base.files import read_text
+from parallel_cal.reporting.colours import PATTERN, QUIET
+from parallel_cal.reporting.readable import write_micro
+from parallel_cal.workbench.bench import Bench, Live
+from parallel_cal.workbench.widgets import FIGURE_MARGIN, card, draw_figure
+
+PLACE, TURN = ("x", "y", "z"), ("qx", "qy", "qz", "qw")  # columns of planned poses
+
+
+@dataclass(frozen=True)
+class PlannedPoses:
+    """The text of a file of planned poses, its remarks, and its numbers by column name."""
+
+    text: str
+    remarks: list[str]
+    rows: list[dict[str, float]]
+
+    @classmethod
+    def parse(cls, text: str) -> PlannedPoses:
+        lines = text.splitlines()
+        remarks = [line.removeprefix("# ") for line in lines if line.startswith("#")]
+        header, *rows = csv.reader(line for line in lines if not line.startswith("#"))
+        names = [word.split(" [")[0] for word in header]
+        numbers = [dict(zip(names, map(float, row), strict=True)) for row in rows]
+        return cls(text, remarks, numbers)
+
+
+def draw_plan_card(bench: Bench, view: dict[str, Any]) -> None:
+    """Draw the card of a complete view."""
+    with card("What to measure next"):
+        for advice in view["advice"]:
+            ui.label(write_micro(advice))
+        if separation := view["separation"]:
+            _draw_poses(bench, view, PlannedPoses.parse(separation), "distinguish_effects.csv")
+        with ui.row().classes("items-center"):
+            count = ui.number("poses", value=20, min=1, max=500, precision=0).classes("w-24")
+            plan = ui.button("Plan", on_click=lambda: bench.begin("plan", int(count.value or 20)))
+            plan.props("dense").set_enabled(not bench.busy)
+            ui.label("poses that determine the free parameters of this step").classes("quiet")
+        if planned := bench.planned:
+            _draw_poses(bench, view, PlannedPoses.parse(read_text(planned)), planned.name)
+
+
+def _draw_poses(bench: Bench, view: dict[str, Any], planned: PlannedPoses, file: str) -> None:
+    """Draw planned poses with what they tell and how to reach them."""
+    with ui.column().classes("gap-0"):
+        for remark in planned.remarks:
+            ui.label(write_micro(remark)).classes("text-sm")
+    with ui.row().classes("items-center"):
+        ui.button(
+            "Download CSV", on_click=lambda: ui.download(planned.text.encode(), file, "text/csv")
+        ).props(f'dense outline aria-label="download {file}"')
+        ui.label("lengths in m, angles in rad; each column states its unit").classes("quiet")
+    if bench.live is not None:
+        _send(bench.live, planned.rows)
+    _draw_places(planned.rows, view)
+
+
+def _send(live: Live, rows: Sequence[dict[str, float]]) -> None:
+    """Let a click send the next planned pose to the robot."""
+    with ui.row().classes("items-center"):
+        at = ui.number("pose", value=1, min=1, max=len(rows), precision=0).classes("w-24")
+        answer = ui.label().props("id=sent aria-live=polite")
+
+        async def send() -> None:
+            k = int(at.value or 1)
+            pose = [[rows[k - 1][key] for key in keys] for keys in (PLACE, TURN)]
+            try:
+                answer.set_text(f"pose {k}: {await run.io_bound(live.send, *pose)}")
+                at.set_value(min(k + 1, len(rows)))
+            except ParallelCalError as error:
+                answer.set_text(str(error))
+
+        ui.button("Send to the robot", on_click=send).props("dense")
+
+
+def _draw_places(rows: Sequence[dict[str, float]], view: dict[str, Any]) -> None:
+    poses = [[1e3 * row[k] for k in PLACE] for row in rows]
+    traces = [
+        {
+            "type": "scatter3d",
+            "mode": "markers",
+            "name": name,
+            **{k: [p[i] for p in places] for i, k in enumerate("xyz")},
+            "marker": {"size": size, "color": colour},
+        }
+        for name, places, size, colour in (
+            ("measured", view["residuals"]["place"], 2, QUIET),
+            ("planned", poses, 5, PATTERN),
+        )
+    ]
+    axes = {f"{k}axis": {"title": {"text": f"{k} [mm]"}} for k in "xyz"}
+    layout = {"height": 380, "margin": FIGURE_MARGIN, "scene": axes}
+    draw_figure({"data": traces, "layout": layout}, "planned and measured poses")
