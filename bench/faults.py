@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import resource
 import shutil
 import signal
@@ -29,7 +30,7 @@ from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.worker import TimeBudgetExceeded, Worker, WorkError
 from parallel_cal.model.file.modelfile import model_hash, parse_model, read_model, write_model
 from parallel_cal.nodes.collector import Collector
-from parallel_cal.nodes.journal import Journal
+from parallel_cal.nodes.journal import Journal, read_journal
 from parallel_cal.recordings.loading import load_dataset
 
 ROOT = Path(__file__).parents[1]
@@ -521,6 +522,171 @@ def participants(n: int, folder: Path) -> Row:
     return Row(n, "participants come and go", hung=hung, crashed=pair.end())
 
 
+# ---------------------------------------------------------------------- a foreign cell
+
+
+class FaultyCell:
+    """The cell of bench/foreign_cell.py at 2.5 times real time, with a fault."""
+
+    def __init__(self, folder: Path, *values: str):
+        from foreign_runs import ForeignCell
+
+        folder.mkdir()
+        self.cell = ForeignCell(folder, ["speed=2.5", *values])
+
+    def __enter__(self) -> Any:
+        return self.cell
+
+    def __exit__(self, *given: object) -> None:
+        self.cell.end()
+
+
+def slipped_target(n: int, folder: Path) -> Row:
+    """A target that slips in the middle: the campaign ends with a verdict and a readable model."""
+    wrong, poses = 0, 0
+    for i in range(n):
+        with FaultyCell(folder / f"{i}", f"seed={i}", f"slip_after={35 + 5 * i}.0") as cell:
+            for limit in (26, 34):  # the second goal continues the campaign
+                run = cell.calibrate(poses=limit, effects=["backlash", "hysteresis", "device_bump"])
+                wrong += not run.verdict
+                poses += run.poses
+            if cell.better.exists():
+                read_model(cell.better)
+    return Row(n, f"target slips by 0.3 mm; {poses} poses in {2 * n} goals", lost=wrong)
+
+
+def slow_node(n: int, folder: Path) -> Row:
+    """Campaigns beside twice as many busy loops as cores: no target counts as lost."""
+    from foreign_runs import busy_loops
+
+    wrong, waits = 0, 0
+    loops = 2 * (os.cpu_count() or 1)
+    for i in range(n):
+        with busy_loops(loops), FaultyCell(folder / f"{i}", f"seed={i}") as cell:
+            run = cell.calibrate(poses=24, effects=["backlash"])
+            wrong += not run.verdict
+            waits += sum(k for why, k in run.reasons.items() if "not processed" in why)
+    return Row(n, f"{loops} busy loops; {waits} waits for unprocessed poses", lost=wrong)
+
+
+def stuck_joint(n: int, folder: Path) -> Row:
+    """A leg that sticks: the campaign stops and names this leg and no other."""
+    rng, wrong = np.random.default_rng(10), 0
+    for i in range(n):
+        leg, after = int(rng.integers(1, 7)), float(rng.uniform(25.0, 40.0))
+        fault = f"stuck_leg={leg}", f"stuck_after={after:.1f}"
+        with FaultyCell(folder / f"{i}", f"seed={i}", *fault) as cell:
+            message = cell.calibrate().message
+        wrong += re.findall(r"leg\d", message) != [f"leg{leg}"]
+    return Row(n, "a leg sticks; another one named counts as lost", lost=wrong)
+
+
+def limit_switch(n: int, folder: Path) -> Row:
+    """A leg with a limit switch in its range: named with its position, and the campaign goes on
+    once the model file states that limit."""
+    rng, wrong, more = np.random.default_rng(11), 0, 0
+    for i in range(n):
+        leg, at = int(rng.integers(1, 7)), float(rng.uniform(0.105, 0.115))
+        fault = f"switch_leg={leg}", f"switch_at={at:.4f}"
+        with FaultyCell(folder / f"{i}", f"seed={i}", *fault) as cell:
+            first = cell.calibrate(poses=24, effects=["backlash"])
+            position = f"leg{leg} left its path (at {at:.4f} m)"
+            if position not in first.message:
+                wrong += 1
+                sys.stderr.write(f"limit_switch {i}: {first.message}\n")
+                continue
+            model = read_model(cell.model_file)
+            limits = list(model.mechanism.joint_limits)
+            limits[leg - 1] = (limits[leg - 1][0], at - 0.002)
+            model.mechanism.joint_limits = tuple(limits)
+            write_model(model, cell.model_file)
+            again = cell.calibrate(poses=24, effects=["backlash"])
+            wrong += not again.verdict
+            more += again.poses - first.poses
+    return Row(n, f"{more} poses measured after the limit was stated", lost=wrong)
+
+
+def best_effort(n: int, folder: Path) -> Row:
+    """A tracker that publishes best effort: its poses become samples."""
+    from parallel_cal_msgs.msg import CollectionStatus
+
+    lost, paired = 0, 0
+    for i in range(n):
+        with FaultyCell(folder / f"{i}", f"seed={i}", "best_effort=true") as cell:
+            status = cell.client.subscribe_latest(
+                CollectionStatus, "calibration_node/collection_status"
+            )
+            try:
+                cell.client.wait(
+                    lambda status=status: bool(status) and status[0].samples > 0, "a sample"
+                )
+                paired += status[0].paired
+            except ParallelCalError as error:
+                sys.stderr.write(f"best_effort {i}: {error}\n")
+                lost += 1
+    return Row(n, f"poses sent best effort, {paired} of them paired", lost=lost)
+
+
+def journal_of_two(n: int, folder: Path) -> Row:
+    """Two nodes of one name: the second keeps a journal of its own, and after kill -9 only that
+    one is resumed while the first node runs."""
+    collector, lost = Collector(), 0
+    collector.load(BAG)
+    entries, rng = collector.entries(), np.random.default_rng(12)
+    for i in range(n):
+        place, count = folder / f"two{i}", int(rng.integers(1, len(entries)))
+        first = Journal(place, "node")
+        first.keep(entries)
+        pid = os.fork()
+        if pid == 0:
+            second = Journal(place, "node")
+            resumed = second.resume()
+            second.keep(dict(list(entries.items())[:count]))
+            os.kill(os.getpid(), signal.SIGKILL if second.busy and not resumed else signal.SIGABRT)
+        lost += os.waitpid(pid, 0)[1] != signal.SIGKILL
+        third = Journal(place, "node")
+        resumed = sum(len(part.ids) for part in third.resume())
+        kept = sum(len(part.ids) for part in read_journal(first.path))
+        lost += abs(resumed - count) + len(entries) - kept
+        first.end("in order")
+        third.end("in order")
+    return Row(n, "two nodes with one journal, one killed", lost=lost)
+
+
+def file_names(n: int, folder: Path) -> Row:
+    """Names that no file of samples may have: refused, and nothing is written."""
+    from parallel_cal_msgs.srv import LoadSamples, SaveSamples
+
+    pair, rng, hung = Pair(folder), np.random.default_rng(13), 0
+    place = folder / "journal"
+    samples = str(shutil.copytree(BAG, place / "bag"))
+    pair.client.call(LoadSamples, "calibration_node/load_samples", path=samples)
+    (place / "notes.json").write_text("{}")
+    (place / "link.json").symlink_to(folder / "away.json")
+    kept = {path: path.lstat().st_mtime_ns for path in folder.rglob("*.json")}
+    heads = ["", ".", "..", "../", ".config/", "/etc/", "/", "~/", "a/../../", "link.json/", "x/"]
+    stems = [".bash_profile", "notes", "link", "a" * 300, "a\nb", ".", "", "\u2603", "a.sh"]
+    tails = ["", ".json", ".JSON", ".json.sh", ".yaml", ".json/", ".json ", ".journal"]
+    wrong = 0
+    for _ in range(n):
+        name = "".join(str(rng.choice(part)) for part in (heads, stems, tails))
+        path = name if name.startswith(("/", "~")) else f"{place}/{name}"
+        asked = pair.client.ask(SaveSamples, "calibration_node/save_samples", path=path)
+        try:
+            answer = pair.client.await_result(asked, "an answer", PATIENCE)
+        except ParallelCalError as error:
+            sys.stderr.write(f"file_names {path!r}: {error}\n")
+            hung += 1
+            continue
+        real = Path(os.path.realpath(path))
+        fits = real.is_relative_to(place) and not any(p.startswith(".") for p in real.parts[1:])
+        wrong += answer.success and not (fits and real.suffix == ".json")
+    changed = {p for p, moment in kept.items() if p.lstat().st_mtime_ns != moment}
+    strange = [p for p in folder.rglob("*") if p.name.startswith(".") or p.suffix == ".sh"]
+    wrong += len(changed) + len(strange) + (folder / "away.json").exists()
+    return Row(n, "names of files that may not be written", lost=wrong, hung=hung)
+
+
 def answers(pair: Pair) -> bool:
     from parallel_cal_msgs.msg import JointConfiguration
     from parallel_cal_msgs.srv import ComputeFK
@@ -548,6 +714,13 @@ ROWS: dict[str, tuple[Callable[[int, Path], Row], int]] = {
     "publishers": (publishers, 10),
     "participants": (participants, 100),
     "traffic": (traffic, 3600),
+    "slipped_target": (slipped_target, 4),
+    "slow_node": (slow_node, 4),
+    "stuck_joint": (stuck_joint, 12),
+    "limit_switch": (limit_switch, 6),
+    "best_effort": (best_effort, 6),
+    "journal_of_two": (journal_of_two, 50),
+    "file_names": (file_names, 300),
 }
 
 

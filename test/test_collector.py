@@ -17,6 +17,7 @@ from parallel_cal.nodes import collector as collector_module
 from parallel_cal.nodes.collector import Collector
 from parallel_cal.recordings.joining import join_datasets
 from parallel_cal.recordings.loading import load_dataset
+from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.samplefile import PER_SAMPLE
 
 BAG = Path(__file__).parent.parent / "bags" / "delta_clean"
@@ -284,6 +285,72 @@ def test_without_auto_collect_only_what_is_taken_counts(messages):
     feed(collector, messages[len(until(messages, 1.0)) : len(until(messages, 20))])
     assert len(collector) == 1
     assert collector.collection().ids.tolist() == [number]
+
+
+def test_samples_are_made_beside_of_messages_that_go_on_to_come(messages):
+    """Another thread makes samples of a copy of the messages; they replace no newer ones."""
+    early, later = until(messages, 20), until(messages, 40)
+    collector = Collector()
+    feed(collector, early)
+    number = len(collector)
+    collector.clear()
+    for channel, log, message in early:
+        collector.receive(channel.strip("/"), message, log)
+    (snapshot,) = collector.take_snapshots()
+    assert collector.take_snapshots() == []  # nothing new
+    feed(collector, later[len(early) :])
+    known = collector.collection()
+    assert len(known) > number
+    collector.adopt([(snapshot, snapshot.make_samples())])
+    np.testing.assert_array_equal(collector.collection().ids, known.ids)
+    assert len(snapshot.make_samples().dataset) == number
+
+
+def test_a_dwell_is_taken_as_of_the_messages_that_its_samples_are_made_of(messages):
+    """The robot has rested on, or moved, when the samples are made."""
+    collector = Collector(auto=False)
+    for channel, log, message in until(messages, 1.0):
+        collector.receive(channel.strip("/"), message, log)
+    (snapshot,) = collector.take_snapshots()
+    for channel, log, message in messages[len(until(messages, 1.0)) : len(until(messages, 9.0))]:
+        collector.receive(channel.strip("/"), message, log)
+    collector.adopt([(snapshot, snapshot.make_samples())])
+    number = collector.take()
+    collector.refresh()
+    assert collector.collection().ids.tolist() == [number]
+
+
+def test_a_changed_option_counts_for_samples_that_are_being_made(messages):
+    collector = Collector()
+    for channel, log, message in until(messages, 20):
+        collector.receive(channel.strip("/"), message, log)
+    (snapshot,) = collector.take_snapshots()
+    collector.configure(None, SampleOptions(min_dwell=100.0), auto=True)
+    collector.adopt([(snapshot, snapshot.make_samples())])
+    assert len(collector) == 0
+    collector.refresh()
+    assert len(collector) == 0
+    collector.configure(None, SampleOptions(), auto=True)
+    collector.refresh()
+    assert len(collector) > 0
+
+
+def test_an_inbox_is_not_closed_before_samples_of_its_last_messages_are_made(messages):
+    """The clock jumps back while samples of the messages before are made."""
+    early, later = until(messages, 20), until(messages, 40)
+    collector = Collector()
+    for channel, log, message in early:
+        collector.receive(channel.strip("/"), message, log)
+    snapshots = collector.take_snapshots()
+    again = [(c, log + 60 * 10**9, message) for c, log, message in early]
+    for channel, log, message in [*later[len(early) :], *again]:
+        collector.receive(channel.strip("/"), message, log)
+    collector.adopt([(one, one.make_samples()) for one in snapshots])
+    first = len(collector)
+    collector.refresh()
+    whole = Collector()
+    feed(whole, later)
+    assert len(collector) == len(whole) + first
 
 
 def test_taking_a_sample_while_the_robot_moves_is_refused_with_the_reason(messages):

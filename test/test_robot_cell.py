@@ -30,6 +30,7 @@ from parallel_cal.nodes import robot_cell
 from parallel_cal.nodes.calibration_node import CalibrationNode
 from parallel_cal.nodes.client import use_private_domain
 from parallel_cal.nodes.collector import Collector
+from parallel_cal.nodes.inbox import Snapshot
 from parallel_cal.nodes.inflow import Inflow
 from parallel_cal.nodes.robot_cell import RobotCell
 from parallel_cal.nodes.run import FrontExecutor
@@ -336,8 +337,8 @@ def played(folder):
 def test_waiting_for_a_pose_does_not_process_all_samples_again(tmp_path, monkeypatch):
     """It used to be ten times a second, and took longer with every sample."""
     made = []
-    refresh = Collector.refresh
-    monkeypatch.setattr(Collector, "refresh", lambda *given: made.append(1) or refresh(*given))
+    take = Collector.take_snapshots
+    monkeypatch.setattr(Collector, "take_snapshots", lambda *given: made.append(1) or take(*given))
     with played(tmp_path) as desk:
         cell = desk.cell()
         made.clear()
@@ -367,3 +368,31 @@ def test_a_node_that_is_busy_for_longer_than_a_sample_may_take_has_not_lost_the_
     assert said
     assert all(" poses are not processed yet" in reason for reason in said)
     assert max(int(reason.split()[0]) for reason in said) > 10
+
+
+@pytest.mark.wide
+def test_the_node_answers_while_the_samples_of_a_campaign_are_made(tmp_path, monkeypatch):
+    """Making them took up to seconds, in the thread that spins."""
+    make_samples = Snapshot.make_samples
+    monkeypatch.setattr(
+        Snapshot, "make_samples", lambda one: time.sleep(3 * LONGEST) or make_samples(one)
+    )
+    waits, asked = [], []
+
+    def ask(node):
+        """Let the node call a function, and measure how long that takes."""
+        if len(asked) == len(waits):
+            begin = time.monotonic()
+            asked.append(begin)
+            node.create_task(lambda: waits.append(time.monotonic() - begin))
+
+    with played(tmp_path) as desk:
+        cell = desk.cell()
+        desk.measuring.set()
+        begin = time.monotonic()
+        sample = cell.sample(lambda: ask(desk.executor))
+        seconds = time.monotonic() - begin
+    assert len(sample.dataset) == 1
+    assert seconds > 3 * LONGEST
+    assert len(waits) > 5
+    assert max(waits) < LONGEST

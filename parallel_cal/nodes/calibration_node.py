@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from functools import partial
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
+from parallel_cal.campaign.cell import Sample
+from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import forbid_foreign
 from parallel_cal.nodes.calibration_settings import PARAMETERS, CalibrationSettings
 from parallel_cal.nodes.calibrator import Calibrator
@@ -18,7 +23,12 @@ from parallel_cal.nodes.journal import Journal
 from parallel_cal.nodes.live_samples import LiveSamples
 from parallel_cal.nodes.managed_node import ManagedNode
 from parallel_cal.nodes.message_recording import MessageRecording
-from parallel_cal.nodes.run import create_steady_timer, run
+from parallel_cal.nodes.run import (
+    WorkerThreadGroup,
+    create_steady_timer,
+    run,
+    run_in_spin_thread,
+)
 from parallel_cal.nodes.sample_services import SampleServices
 from parallel_cal.nodes.subscriptions import MessageQueue, Subscriptions
 from parallel_cal.recordings.channels import register_channels
@@ -32,7 +42,8 @@ class CalibrationNode(ManagedNode):
     """The calibration node; topics, services and actions are listed in docs/ros.md.
 
     Messages go from the subscriptions through a queue to the live samples, once every
-    `look_period`. Services and actions work on those samples.
+    `look_period`. Services and actions work on those samples. Samples are made in a thread of their
+    own, so that the thread that spins answers meanwhile.
     """
 
     def __init__(self) -> None:
@@ -62,7 +73,7 @@ class CalibrationNode(ManagedNode):
         )
         access = NodeAccess(
             calibrator.files,
-            samples.take,
+            self._take,
             settings.folder / "campaigns",
             settings.fit_options,
             settings.dwell,
@@ -81,8 +92,8 @@ class CalibrationNode(ManagedNode):
             group,
         )
         SampleServices(self, samples, settings.folders, calibrator, report, group)
-        self._next_update = 0.0
-        create_steady_timer(settings.get("look_period"), self, self._update, group)
+        self._next_update, self._ending = 0.0, False
+        create_steady_timer(settings.get("look_period"), self, self._update, WorkerThreadGroup())
         create_steady_timer(1.0, self, self._publish_diagnostics, group)
         where = f"journal in {settings.folder}" if journal else "no journal"
         model = settings.get("model_file") or "none: set the parameter model_file"
@@ -91,17 +102,32 @@ class CalibrationNode(ManagedNode):
         self.start()
 
     def _update(self) -> None:
-        """Make samples of what came in, less often the longer it takes."""
+        """Make samples of what came in, less often the longer it takes; in a worker thread."""
         begin = time.monotonic()
-        if begin < self._next_update:
+        if begin < self._next_update or self._ending:
             return
-        self._samples.refresh()
+        call = partial(run_in_spin_thread, self, meanwhile=self._check_ending)
+        self._samples.refresh_beside(call, self._check_ending)
+        call(self._follow_samples)
+        end = time.monotonic()
+        self._next_update = end + (end - begin) / MAX_BUSY_SHARE
+
+    def _check_ending(self) -> None:
+        if self._ending:
+            raise ExternalShutdownException
+
+    def _follow_samples(self) -> None:
+        """Keep, record and report after the samples were made."""
         if self._report.trouble:
             self._samples.keep()  # the disk may have space again
         self._recording.follow(self._settings.get("record"))
         self._report.update_warnings([*self._samples.warnings(), *self._calibrator.warnings()])
-        end = time.monotonic()
-        self._next_update = end + (end - begin) / MAX_BUSY_SHARE
+
+    def _take(self, model: Model, meanwhile: Callable[[], None]) -> Sample:
+        """Return the sample of the present dwell; in the thread of a campaign."""
+        call = partial(run_in_spin_thread, self, meanwhile=meanwhile)
+        self._samples.refresh_beside(call, meanwhile)
+        return call(self._samples.take, model)
 
     def _publish_diagnostics(self) -> None:
         for event in self._input.follow_publishers():
@@ -117,6 +143,7 @@ class CalibrationNode(ManagedNode):
 
     def end_work(self) -> None:
         """Keep what came in last, however the node ends, and stop the work in progress."""
+        self._ending = True
         self._input.end()
         self._samples.finish()
         self._recording.stop()

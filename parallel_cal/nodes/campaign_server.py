@@ -40,7 +40,6 @@ from parallel_cal.nodes.jobs import Job, JobServer, Say, ThreadWork, WorkSlot
 from parallel_cal.nodes.managed_node import ManagedNode
 from parallel_cal.nodes.parameters import LATCHED
 from parallel_cal.nodes.robot_cell import RobotCell
-from parallel_cal.nodes.run import run_in_spin_thread
 from parallel_cal.nodes.tally import diagnostics
 from parallel_cal.session import goals
 
@@ -53,13 +52,13 @@ class NodeAccess:
     """What a campaign needs of the node.
 
     `files` returns where a goal's model is read and the better one is written. `take` returns the
-    sample of the current dwell, in the thread that spins. `folder` contains all campaigns.
-    `options` returns those of a fit, `dwell` the time to rest in s. `inflow` counts the device's
-    messages.
+    sample of the current dwell; it is called in another thread than the one that spins, with a
+    function to call while it waits. `folder` contains all campaigns. `options` returns those of a
+    fit, `dwell` the time to rest in s. `inflow` counts the device's messages.
     """
 
     files: Callable[[str, str], tuple[str, str]]
-    take: Callable[[Model], Sample]
+    take: Callable[[Model, Callable[[], None]], Sample]
     folder: Path
     options: Callable[[], dict[str, Any]]
     dwell: Callable[[], float]
@@ -136,13 +135,10 @@ class CampaignServer:
         control = Control(lambda: cancel.asked)
         model = parse_model(text, model_file)
 
-        def take(meanwhile: Callable[[], None]) -> Sample:
-            return run_in_spin_thread(self._node, self._access.take, model, meanwhile=meanwhile)
-
         cell = RobotCell(
             self._command,
             model,
-            take,
+            partial(self._access.take, model),
             self._access.dwell(),
             self._access.inflow,
             self._publish_reason,

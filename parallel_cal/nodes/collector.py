@@ -22,7 +22,7 @@ from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.keyed_warning import KeyedWarning
 from parallel_cal.nodes.clock_alignment import ClockAlignment, JointClock
 from parallel_cal.nodes.gate import Gate, StampedMessage
-from parallel_cal.nodes.inbox import Inbox
+from parallel_cal.nodes.inbox import Inbox, Made, Snapshot
 from parallel_cal.nodes.journal import SUFFIX, Entry, Part, read_journal
 from parallel_cal.recordings.channels import CHANNELS, list_channels
 from parallel_cal.recordings.dataset import Dataset
@@ -187,9 +187,23 @@ class Collector:
 
         Pass the present time as `now_ns` while more messages may come.
         """
+        snapshots = self.take_snapshots(now_ns)
+        return self.adopt([(snapshot, snapshot.make_samples()) for snapshot in snapshots])
+
+    def take_snapshots(self, now_ns: int | None = None) -> list[Snapshot]:
+        """Copy the messages of each inbox that has new ones: the fast first part of `refresh`.
+
+        Another thread may make samples of them, which takes seconds, for `adopt`.
+        """
         for stream, gate in self._gates.items():
             self._pass_on(stream, gate.flush(now_ns))
-        changed = [s.refresh(self.joints, self.options) for s in self._inboxes]
+        taken = (inbox.take_snapshot(self.joints, self.options) for inbox in self._inboxes)
+        return [snapshot for snapshot in taken if snapshot is not None]
+
+    def adopt(self, made: Sequence[tuple[Snapshot, Made]]) -> bool:
+        """Use the samples made of snapshots; return whether there are any."""
+        for snapshot, samples in made:
+            snapshot.inbox.adopt(snapshot, samples)
         live = self._at["joint_states"]
         if len(live.raws["joint_states"].stamp) > MAX_JOINT_STATES:
             self._begin_inbox(live)
@@ -198,8 +212,9 @@ class Collector:
         in_use = [self._at[channel] for channel in ("joint_states", *measured)]
         first = min(self._inboxes.index(inbox) for inbox in in_use)
         for inbox in self._inboxes[:first]:  # no stream adds to these any more
-            inbox.close()
-        return any(changed)
+            if inbox.is_complete:
+                inbox.close()
+        return bool(made)
 
     def _begin_inbox(self, live: Inbox) -> None:
         """Begin a new inbox during a motion, so that no dwell is cut.
@@ -268,11 +283,10 @@ class Collector:
     # ------------------------------------------------------------------ requests of the user
 
     def take(self) -> int:
-        """Take the present dwell into the collection; return its number.
+        """Take the present dwell, as of the last refresh, into the collection; return its number.
 
         Raise DatasetError with the reason if there is no dwell.
         """
-        self.refresh()
         inbox = self._at["joint_states"]
         number = inbox.current(self.options)
         inbox.removed = [i for i in inbox.removed if i != number]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,7 @@ from parallel_cal.recordings.channels import CHANNELS, list_channels
 from parallel_cal.recordings.cleaning import assemble
 from parallel_cal.recordings.clocks import align_clocks
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.recordings.loading import dataset_from_recording
+from parallel_cal.recordings.loading import dataset_from_aligned
 from parallel_cal.recordings.options import ReadOptions, SampleOptions
 from parallel_cal.recordings.pairing import find_bracketed
 from parallel_cal.recordings.recording import Bools, Dropped, Raw
@@ -23,6 +25,67 @@ from parallel_cal.recordings.sieve import CLOCK_JUMP
 
 # s by which the middle of a sample moves at most when it is read again, if its duration is zero.
 SAME_SAMPLE_TOLERANCE_S = 1e-6
+
+
+@dataclass(frozen=True)
+class Made:
+    """What a snapshot's messages give: the samples, or the `trouble` that prevents them.
+
+    `paired` and `dropped` count the poses; they are None if the messages cannot be read. `misfit`
+    is set if the messages can never become samples.
+    """
+
+    paired: int | None = None
+    dropped: int | None = None
+    dataset: Dataset | None = None
+    start_ns: int = 0
+    trouble: str = ""
+    misfit: str = ""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """The messages of an inbox at one moment, which any thread can make samples of."""
+
+    inbox: Inbox
+    number: int
+    raws: Mapping[str, Raw]
+    joints: Sequence[str] | None
+    options: SampleOptions
+
+    @property
+    def messages(self) -> int:
+        return sum(len(raw.stamp) for raw in self.raws.values())
+
+    def make_samples(self) -> Made:
+        # Samples need joint states and at least one kind of measurement.
+        raws, poses = self.raws, find_poses(self.raws)
+        measured = (poses, *(raws[name] for name in list_channels("words", "readings")))
+        silent = [] if raws["joint_states"].stamp else [raws["joint_states"].topic]
+        if not any(raw.stamp for raw in measured):
+            silent.append(" or ".join(raw.topic for raw in measured))
+        if silent:
+            return Made(trouble=f"no messages received on {' and '.join(silent)} yet")
+        found = Made()
+        try:
+            received = {name: raw for name, raw in raws.items() if raw.stamp}
+            # One recording serves the counts and the samples, so that they agree.
+            recording = align_clocks(assemble(received, ReadOptions(joints=self.joints), "live"))
+            # A measurement needs a joint state before and after it; the newest may still get one.
+            states, time = recording.joints, recording.pose.time
+            near = find_bracketed(states, time, max_gap(states, self.options))
+            pending = (time > states.time[-1]) & ~near
+            paired = int(near.sum())
+            found = Made(paired, len(poses.stamp) - paired - int(pending.sum()))
+            dataset = dataset_from_aligned(recording, self.options)
+            return replace(found, dataset=dataset, start_ns=recording.start_ns)
+        except ParallelCalError as error:
+            words, misfit = str(error), ""
+            if isinstance(error, BagError | UnfitError):
+                misfit = KeyedWarning(words, "unusable messages", type(error).__name__)
+            return replace(found, trouble=words, misfit=misfit)
+        except Exception as error:  # an internal fault must not stop the collection
+            return replace(found, trouble=f"internal error: {error!r}")
 
 
 class Inbox:
@@ -42,7 +105,11 @@ class Inbox:
         self.paired = self.dropped = 0
         self.trouble = self.misfit = ""
         self.closed = False
-        self._numbers, self._seen = numbers, 0
+        self._numbers, self._snapshots = numbers, count(1)
+        self._seen = 0  # number of messages in the last snapshot
+        # Number of the last snapshot whose samples were adopted, and the messages in it.
+        self._adopted = self._read = 0
+        self._until = 0  # stamp of the last joint state in that snapshot
 
     @classmethod
     def from_dataset(cls, dataset: Dataset, numbers: Iterator[int], start_ns: int = 0) -> Inbox:
@@ -65,12 +132,6 @@ class Inbox:
             return  # a latched message arrives twice, see subscriptions
         raw.append(log, stamp, kind.decode(message))
 
-    @property
-    def poses(self) -> Raw:
-        """The messages of the measuring device: full poses if there are any, else positions."""
-        raws = [self.raws[name] for name in list_channels("poses")]
-        return next((raw for raw in raws if raw.stamp), raws[0])
-
     def inherit(self, other: Inbox, channels: Iterable[str]) -> None:
         """Copy the last message of each channel, because it may never be published again."""
         for channel in channels:
@@ -78,44 +139,43 @@ class Inbox:
                 setattr(self.raws[channel], part, getattr(other.raws[channel], part)[-1:])
 
     def forget(self) -> None:
-        """Read all messages again at the next refresh."""
-        self._seen = 0
+        """Make the samples of all messages again; those that are being made no longer count."""
+        self._seen, self._read, self._adopted = 0, -1, next(self._snapshots)
 
-    def refresh(self, joints: Sequence[str] | None, options: SampleOptions) -> bool:
-        """Make the samples of all messages if there are new ones; return whether there were."""
-        count = sum(len(raw.stamp) for raw in self.raws.values())
-        if self.closed or count == self._seen:
-            return False
-        self._seen = count
-        # Samples need joint states and at least one kind of measurement.
-        measured = (self.poses, *(self.raws[name] for name in list_channels("words", "readings")))
-        silent = [] if self.raws["joint_states"].stamp else [self.raws["joint_states"].topic]
-        if not any(raw.stamp for raw in measured):
-            silent.append(" or ".join(raw.topic for raw in measured))
-        self.trouble = f"no messages received on {' and '.join(silent)} yet" if silent else ""
-        if not silent:
-            self._make_samples(joints, options)
-        return True
+    @property
+    def is_complete(self) -> bool:
+        """Whether the samples are those of all messages."""
+        return self._read == self._count_messages()
 
-    def _make_samples(self, joints: Sequence[str] | None, options: SampleOptions) -> None:
-        self.misfit = ""  # only for messages that can never become samples
-        try:
-            received = {name: raw for name, raw in self.raws.items() if raw.stamp}
-            # One recording serves the counts and the samples, so that they agree.
-            recording = align_clocks(assemble(received, ReadOptions(joints=joints), "live"))
-            # A measurement needs a joint state before and after it; the newest may still get one.
-            states, time = recording.joints, recording.pose.time
-            found = find_bracketed(states, time, max_gap(states, options))
-            pending = (time > states.time[-1]) & ~found
-            self.paired = int(found.sum())
-            self.dropped = len(self.poses.stamp) - self.paired - int(pending.sum())
-            self._adopt(dataset_from_recording(recording, options), recording.start_ns)
-        except ParallelCalError as error:
-            self.trouble = str(error)
-            if isinstance(error, BagError | UnfitError):
-                self.misfit = KeyedWarning(self.trouble, "unusable messages", type(error).__name__)
-        except Exception as error:  # an internal fault must not stop the collection
-            self.trouble = f"internal error: {error!r}"
+    def _count_messages(self) -> int:
+        return sum(len(raw.stamp) for raw in self.raws.values())
+
+    def take_snapshot(
+        self, joints: Sequence[str] | None, options: SampleOptions
+    ) -> Snapshot | None:
+        """Copy all messages if there are new ones since the last snapshot, else return None."""
+        messages = self._count_messages()
+        if self.closed or messages == self._seen:
+            return None
+        self._seen = messages
+        # The lists grow while another thread makes samples of the snapshot.
+        raws = {
+            name: replace(raw, log=list(raw.log), stamp=list(raw.stamp), rows=list(raw.rows))
+            for name, raw in self.raws.items()
+        }
+        return Snapshot(self, next(self._snapshots), raws, joints, options)
+
+    def adopt(self, snapshot: Snapshot, made: Made) -> None:
+        """Use the samples made of a snapshot, unless those of a newer one are in use already."""
+        if self.closed or snapshot.number <= self._adopted:
+            return
+        self._adopted, self._read = snapshot.number, snapshot.messages
+        self._until = next(iter(snapshot.raws["joint_states"].stamp[-1:]), 0)
+        self.trouble, self.misfit = made.trouble, made.misfit
+        if made.paired is not None and made.dropped is not None:
+            self.paired, self.dropped = made.paired, made.dropped
+        if made.dataset is not None:
+            self._adopt(made.dataset, made.start_ns)
 
     def _adopt(self, dataset: Dataset, start_ns: int) -> None:
         """Replace the samples; a sample at the time of an old one keeps its number."""
@@ -145,10 +205,9 @@ class Inbox:
 
         Raise DatasetError with the reason if there is none.
         """
-        joints = self.raws["joint_states"].stamp
-        if self.dataset is None or not joints or not len(self.ids):
+        if self.dataset is None or not self._until or not len(self.ids):
             raise DatasetError(self.trouble or "no messages received yet")
-        now = (joints[-1] - self.start_ns) * 1e-9
+        now = (self._until - self.start_ns) * 1e-9
         end = self.dataset.time[-1] + self.dataset.duration[-1] / 2
         if now - end <= options.min_dwell + options.trim_end:
             return int(self.ids[-1])
@@ -174,6 +233,12 @@ class Inbox:
         self.closed = True
         for raw in self.raws.values():
             raw.log, raw.stamp, raw.rows = [], [], []
+
+
+def find_poses(raws: Mapping[str, Raw]) -> Raw:
+    """Return the messages of the measuring device: full poses if there are any, else positions."""
+    poses = [raws[name] for name in list_channels("poses")]
+    return next((raw for raw in poses if raw.stamp), poses[0])
 
 
 def _nearest(known: NDArray[np.float64], time: NDArray[np.float64]) -> list[int]:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
+from typing import Protocol, TypeVar
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.keyed_warning import KeyedWarning
@@ -13,14 +16,27 @@ from parallel_cal.nodes.calibration_settings import CalibrationSettings
 from parallel_cal.nodes.collection_report import CollectionReport
 from parallel_cal.nodes.collector import Collection, Collector
 from parallel_cal.nodes.frames import Look, by_tf
+from parallel_cal.nodes.inbox import Made, Snapshot
 from parallel_cal.nodes.journal import Journal
 from parallel_cal.nodes.message_recording import MessageRecording
 from parallel_cal.nodes.subscriptions import MEASURED, MessageQueue
 from parallel_cal.recordings.channels import CHANNELS
 
+POLL_INTERVAL_S = 0.02  # s between two checks whether the samples are made
+T = TypeVar("T")
+
+
+class Call(Protocol):
+    """Calls a function in the thread that spins, from another one."""
+
+    def __call__(self, function: Callable[..., T], *args: object) -> T: ...
+
 
 class LiveSamples:
-    """Brings the collection and its journal up to date with the messages of a queue."""
+    """Brings the collection and its journal up to date with the messages of a queue.
+
+    All methods belong to the thread that spins, except `refresh_beside`.
+    """
 
     def __init__(
         self,
@@ -34,6 +50,8 @@ class LiveSamples:
     ):
         self.collector, self._settings, self._journal = collector, settings, journal
         self._queue, self._recording, self._report, self._look = queue, recording, report, look
+        # One thread: two of them would take twice as long each.
+        self._maker = ThreadPoolExecutor(1, thread_name_prefix="samples")
 
     def resume(self) -> None:
         """Take over the samples of a run that crashed; name journals that are not taken over."""
@@ -64,13 +82,31 @@ class LiveSamples:
 
     def refresh(self) -> None:
         """Make samples of what came in, keep them, and publish the change."""
+        self._adopt(_make_samples(self._take_snapshots()))
+
+    def refresh_beside(self, call: Call, meanwhile: Callable[[], None]) -> None:
+        """Do what `refresh` does, but make the samples in a thread of their own: it takes seconds.
+
+        Call it in any thread except the one that spins; `call` calls a function in that one. While
+        it waits, it calls `meanwhile` repeatedly; an exception of `meanwhile` ends the wait.
+        """
+        work = self._maker.submit(_make_samples, call(self._take_snapshots))
+        while not wait([work], timeout=POLL_INTERVAL_S).done:
+            meanwhile()
+        call(self._adopt, work.result())
+
+    def _take_snapshots(self) -> list[Snapshot]:
         self._process_messages()
         settings = self._settings
         self.collector.configure(
             settings.joints(), settings.sample_options(), settings.get("auto_collect")
         )
+        return self.collector.take_snapshots(time.time_ns())
+
+    def _adopt(self, made: Sequence[tuple[Snapshot, Made]]) -> None:
+        """Use the samples made, keep them, and publish the change."""
         samples, trouble = len(self.collector), self.collector.trouble
-        if self.collector.refresh(time.time_ns()):
+        if self.collector.adopt(made):
             self._report.note_changes(samples, trouble)
             self.keep()
             self._report.publish()
@@ -96,6 +132,7 @@ class LiveSamples:
 
     def finish(self) -> None:
         """Keep what came in last, however the node ends."""
+        self._maker.shutdown(wait=False, cancel_futures=True)
         self._process_messages()
         self.collector.refresh()
         self.keep()
@@ -109,9 +146,8 @@ class LiveSamples:
         return self.collector.collection()
 
     def take(self, model: Model) -> Sample:
-        """Return the sample of the current dwell, for a campaign of a model; DatasetError says why
-        there is none."""
-        self.refresh()
+        """Return the sample of the current dwell, for a campaign of a model, as of the last
+        refresh; DatasetError says why there is none."""
         entry = self.collector.entries()[self.collector.take()]
         self.keep()
         return Sample(by_tf(entry.alone, model, self._look), entry.start_ns)
@@ -140,3 +176,7 @@ class LiveSamples:
             if CHANNELS[channel].kind in MEASURED:
                 self._queue.inflow.process(channel)
             self._recording.write(received)
+
+
+def _make_samples(snapshots: Sequence[Snapshot]) -> list[tuple[Snapshot, Made]]:
+    return [(snapshot, snapshot.make_samples()) for snapshot in snapshots]

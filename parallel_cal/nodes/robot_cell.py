@@ -39,7 +39,7 @@ REST_TOLERANCE_SIGMAS = 10.0  # sigmas of a reading by which equal readings may 
 SPEED_WINDOW_S = 0.05  # s of readings from which the speed is estimated
 MAX_JOINT_STATES = 2000  # joint states that are remembered
 SAMPLE_TIMEOUT_S = 20.0  # s on the robot's clock that a sample may take to arrive
-# Largest share of the time spent on taking samples: it blocks the thread that processes messages.
+# Largest share of the time spent on taking samples, for which all messages are read again.
 MAX_TAKING = 0.25
 MAX_PAUSE = 2.0  # s until the next attempt to take a sample, however long the last one took
 REPORT_INTERVAL_S = 1.0  # s between two reports of unprocessed messages

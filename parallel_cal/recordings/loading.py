@@ -194,7 +194,11 @@ def load_sessions(
 
 def dataset_from_recording(recording: Recording, options: SampleOptions | None = None) -> Dataset:
     """Make a Dataset; DatasetError if nothing is usable or positions look like millimetres."""
-    options, recording = options or SampleOptions(), align_clocks(recording)
+    return dataset_from_aligned(align_clocks(recording), options or SampleOptions())
+
+
+def dataset_from_aligned(recording: Recording, options: SampleOptions) -> Dataset:
+    """Make a Dataset of a recording whose streams are on one clock."""
     samples = samples_of(recording, options)
     warnings = [*recording.notes, *samples.warnings]
     _drop_millimetres(samples)
