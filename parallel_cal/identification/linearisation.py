@@ -117,9 +117,10 @@ class Linearisation:
         )
         self._rows = model.structure.rows.shape[0]
         closure = model.structure.phi.shape[0]
-        # A channel that was not read is an unknown of its own row, projected out as one.
+        # The row of a channel that was not read is zero.
         self._unread = np.zeros((len(observations), self._rows), dtype=bool)
         self._unread[:, closure:] = np.isnan(observations.reading)
+        self._all_read = not self._unread.any()
         self._read = np.nan_to_num(observations.reading)
         self._variance = np.zeros((len(observations), self._rows))
         self._variance[:, closure:] = observations.get_reading_sigma(model) ** 2
@@ -128,7 +129,7 @@ class Linearisation:
         moved[: self._n] = True
         moved[[self._n + i for i in model.mechanism.moved]] = True
         self._unknown = moved & ~observations.measured
-        self._complete = not (self._unknown.any() or self._unread.any())
+        self._complete = not self._unknown.any()
 
     def start(self) -> np.ndarray:
         """The measured configurations. Positions that were not measured, and orientations without a
@@ -206,6 +207,7 @@ class Linearisation:
         K = self._whitening(C @ SC + self._reading_covariance(part))
         r[:] = (K @ (phi[:, :, None] + C @ away[:, :, None]))[:, :, 0]
         np.matmul(K, J, out=A)
+        informative[:] = self._rows - self._unread[part].sum(axis=1)
         free_of, explain = self._projection(K, C, part)
 
         def corrections(white: np.ndarray) -> np.ndarray:
@@ -216,12 +218,12 @@ class Linearisation:
             return lambda step: here.apply_change(corrections(r + A @ step)).rows
         r_all, A_all = r.copy(), A.copy()
         r[:], A[:] = (free_of @ r[:, :, None])[:, :, 0], free_of @ A
-        informative[:] = np.rint(np.trace(free_of, axis1=1, axis2=2))
+        informative -= self._rows - np.rint(np.trace(free_of, axis1=1, axis2=2)).astype(int)
         return lambda step: here.apply_change(explain(r_all + A_all @ step, corrections)).rows
 
     def whiteners(self, values: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """T (N, rows, rows) that converts rows into noise units and projects out unmeasured
-        coordinates."""
+        """T (N, rows, rows) that converts rows into noise units, projects out unmeasured
+        coordinates and ignores channels that were not read."""
         T = np.empty((len(x), self._rows, self._rows))
         for part in _parts(x):
             T[part] = self.whiten(self.blocks(values, x[part], part)[1], part)
@@ -231,7 +233,8 @@ class Linearisation:
         """`whiteners` of rows with the derivatives C (N, rows, nq+6) by the measured quantities."""
         K = self._whitening(self.covariance_of(C, part))
         free_of = self._projection(K, C, part)[0]
-        return K if free_of is None else np.asarray(free_of @ K)
+        T = K if free_of is None else np.asarray(free_of @ K)
+        return T if self._all_read else T * ~self._unread[part, None, :]
 
     def covariance_of(self, C: np.ndarray, part: slice = slice(None)) -> np.ndarray:
         """Covariance (N, rows, rows) of rows with the derivatives C by the measured quantities."""
@@ -241,14 +244,19 @@ class Linearisation:
     def blocks(
         self, values: np.ndarray, x: np.ndarray, part: slice = slice(None)
     ) -> tuple[np.ndarray, ...]:
-        """Rows minus readings (N, rows), derivatives by (q, r, w) and by free parameters."""
+        """Rows minus readings (N, rows), derivatives by (q, r, w) and by free parameters; zero for
+        channels that were not read."""
         phi, C, J = self._batch(x, self._observations.a[part], values)
         phi[:, self._rows - self._read.shape[1] :] -= self._read[part]
         C = C.reshape(len(x), -1, self._rows).transpose(0, 2, 1)
         J = J.reshape(len(x), -1, self._rows)
         if self._free is not None:
             J = J.take(self._free, axis=1)  # indexing would put samples last: slow to multiply
-        return phi, C, J.transpose(0, 2, 1)
+        J = J.transpose(0, 2, 1)
+        if not self._all_read:
+            unread = self._unread[part]
+            phi[unread], C[unread], J[unread] = 0.0, 0.0, 0.0
+        return phi, C, J
 
     def _covariance(self, part: slice) -> np.ndarray:
         """S of some samples, zero where not measured."""
@@ -270,12 +278,12 @@ class Linearisation:
     def _projection(
         self, K: np.ndarray, C: np.ndarray, part: slice
     ) -> tuple[np.ndarray | None, Callable[..., np.ndarray]]:
-        """Projectors (N, rows, rows) onto the part that unmeasured coordinates and unread channels
-        cannot explain, and the change of all coordinates; None if all was measured."""
+        """Projectors (N, rows, rows) onto the part that unmeasured coordinates cannot explain, and
+        the change of all coordinates; None if all were measured."""
         if self._complete:
             return None, lambda *_: np.empty(0)
-        unknown, own = self._unknown[part], np.eye(self._rows) * self._unread[part, None, :]
-        U = K @ np.concatenate([C * unknown[:, None, :], own], axis=2)
+        unknown = self._unknown[part]
+        U = K @ (C * unknown[:, None, :])
         left, sizes, right = np.linalg.svd(U, full_matrices=False)
         spanned = sizes > 1e-9 * np.maximum(sizes[:, :1], 1e-300)
         left = left * spanned[:, None, :]
@@ -289,7 +297,7 @@ class Linearisation:
         ) -> np.ndarray:
             u = -inverse @ white[:, :, None]
             rest = white + (U @ u)[:, :, 0]
-            return np.where(unknown, u[:, : unknown.shape[1], 0], corrections(rest))
+            return np.where(unknown, u[:, :, 0], corrections(rest))
 
         return free_of, explain
 

@@ -208,7 +208,7 @@ class Structure:
 
     @property
     def standard_uncertainty(self) -> np.ndarray:
-        """Standard deviation of each channel (m); a guess if none is stated."""
+        """Standard deviation of each channel in its unit; a guess if none is stated."""
         return np.array([s.weighing_sigma for s in self.sensors for _ in s.channels], dtype=float)
 
     @property
@@ -227,14 +227,15 @@ class Structure:
 
     def _readings(self, sensor: Sensor, r: Any, R: Any, numbers: Named) -> Any:
         """Readings of a sensor's channels at a pose, after the effects on them."""
-        s, rows = numbers[sensor.name], ca.SX(0, 1)
+        s = numbers[sensor.name]
+        rows = ca.vertsplit(sensor.readings(r, R, s)) if sensor.channels else []
         for k, channel in enumerate(sensor.channels):
-            pose = r, R
-            for effect in self.effects:
-                if effect.acts_on(channel):
+            if acting := [effect for effect in self.effects if effect.acts_on(channel)]:
+                pose = r, R
+                for effect in acting:
                     pose = effect.at_sensor(*pose, s, numbers[effect.name])
-            rows = ca.vertcat(rows, sensor.readings(*pose, s)[k])
-        return rows
+                rows[k] = sensor.readings(*pose, s)[k]
+        return ca.vertcat(ca.SX(0, 1), *rows)
 
     @cached_property
     def rows_function(self) -> ca.Function:
