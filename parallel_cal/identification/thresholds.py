@@ -95,6 +95,8 @@ OUTLIER_DISTANCE_RATIO = 6.0  # times the usual distance: such poses are ignored
 MIN_PLACEMENT_POSES = 4  # that start a sensor which shows poses
 # Rotation (rms) of the platform from which the start determines a target's position on it
 MIN_PLACEMENT_TILT_RAD = 0.02
+IMAGE_POSE_STEPS = 2  # of Gauss-Newton from the predicted pose, which is near
+MAX_ROBOT_ERROR_STEPS = 100  # of Fisher scoring for one variance
 MIN_CLEAR_BIC_GAIN = 10.0  # of what moved: a smaller difference does not decide
 LSTSQ_RANK_TOLERANCE = (
     1e-9  # of the largest singular value: below, no pose determines the direction

@@ -212,6 +212,11 @@ class Structure:
         return np.array([s.weighing_sigma for s in self.sensors for _ in s.channels], dtype=float)
 
     @property
+    def channel_units(self) -> np.ndarray:
+        """Unit of each channel."""
+        return np.array([s.unit for s in self.sensors for _ in s.channels], dtype=str)
+
+    @property
     def channels_without_sigma(self) -> tuple[str, ...]:
         """Channels without a stated standard deviation."""
         return tuple(c for s in self.sensors if s.sigma is None for c in s.channels)
