@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import FitError
+from parallel_cal.identification.image_poses import measure_image_noise
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.placement import place_sensors
 from parallel_cal.identification.prediction_errors import Errors, errors
@@ -103,7 +104,8 @@ class GivenModel:
 
     @cached_property
     def observations(self) -> Observations:
-        return observe(self.model, self.dataset, self.joint_sigma, self.insist)
+        observations = observe(self.model, self.dataset, self.joint_sigma, self.insist)
+        return measure_image_noise(self.model, observations)
 
     @cached_property
     def errors(self) -> Errors:

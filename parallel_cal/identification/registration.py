@@ -560,6 +560,9 @@ def _with_fitted_views(model: Model, observations: Observations) -> Model:
     without such sensors, or if the search does not converge."""
     patterns = [f"{sensor.name}.*" for sensor in model.sensors if sensor.shows_pose]
     own = model.table.matching(patterns) & ~np.asarray(model.fixed)
+    # A fit fixes where parts stand as far as the robot explains it. Here the robot does not move.
+    known = model.table.matching(p for s in model.sensors for p in s.fixed_patterns())
+    own |= _placements(model) & ~_numbers(model) & ~known
     if not own.any():
         return model
     try:
