@@ -17,10 +17,10 @@ from parallel_cal.model.configuration import Configuration
 class Field:
     """Measured minus predicted at every sample.
 
-    pose (N, 6) m and rad about base axes, 0 where neither measured nor shown by an image; `noise_units` (N, k) the same
-    divided by what joint and device noise explain together; `measured` (N, 6). `held` is the rms,
-    in the device's sigmas, of measured coordinates that the model holds at one value; 0 if
-    these sigmas were not stated.
+    pose (N, 6) m and rad about base axes, 0 where neither measured nor shown by an image;
+    `noise_units` (N, k) the same divided by what joint and device noise explain together;
+    `measured` (N, 6). `held` is the rms, in the device's sigmas, of measured coordinates that the
+    model holds at one value; 0 if these sigmas were not stated.
     """
 
     pose: np.ndarray = field(repr=False)

@@ -62,8 +62,9 @@ class Observations:
     nq+6) mask; a (N, n_conditions); group (N,) equal for replicates; reading (N, n_channels) of the
     model's sensors (in their units), NaN if not read, with the standard deviations
     `reading_sigma`; None: those of the model's sensors. `noise_from` names the source of S for
-    joints and pose, and of the readings' noise if it is not stated. `unknown` lists the noise that is not stated. `doubts`
-    explains why the joint readings are implausible, if the caller insisted on them.
+    joints and pose, and of the readings' noise if it is not stated. `unknown` lists the noise that
+    is not stated. `doubts` explains why the joint readings are implausible, if the caller insisted
+    on them.
     """
 
     x: np.ndarray
