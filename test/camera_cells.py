@@ -73,16 +73,18 @@ class Cell:
         _, r, R = solve_true_pose(robot, self.effects, q, at, start)
         return Visits(q, direction, r, R)
 
-    def camera(self, at: np.ndarray) -> vc.Camera:
+    def camera(self) -> vc.Camera:
         """Place a camera 0.6 m from the board in the middle of the poses, tilted against it."""
-        middle = at.mean(axis=0)
+        poses = Cell(self.kind, self.seed).draw_poses(40, np.random.default_rng(1))
+        middle = poses.r.mean(axis=0)
+        platform = poses.R[np.argmin(np.linalg.norm(poses.r - middle, axis=1))]
         size = np.array([self.board.columns, self.board.rows, 0]) * self.board.square / 2
         board_turn = turn(np.array([0.3, 0.2, 0.4]))
         if self.on_platform:
             pose = vc.frame(np.array([0.02, -0.03, 0.04]), turn(np.array([3.0, 0.2, 0.3])))
             # The board lies where the camera looks in the middle pose.
-            centre = middle + pose[:3, 3] + 0.6 * pose[:3, 2]
-            flat = pose[:3, :3] @ board_turn
+            centre = middle + platform @ (pose[:3, 3] + 0.6 * pose[:3, 2])
+            flat = platform @ pose[:3, :3] @ board_turn
             return self._make(pose, vc.frame(centre - flat @ size, flat))
         eye = middle + [0.25, 0.1, 0.53]
         mount = vc.frame(np.array([0.0, 0.0, 0.02]) - board_turn @ size, board_turn)
@@ -106,7 +108,7 @@ class Cell:
     def seen_by_camera(self, n: int = 60, seed: int = 0) -> Dataset:
         rng = np.random.default_rng([seed, 5])
         at = self.draw_poses(n, rng)
-        camera = self.camera(self._middle_poses())
+        camera = self.camera()
         return self._dataset(at, rng, vc.as_conditions(camera.see(at.r, at.R, rng), self.name))
 
     def seen_by_tracker(self, n: int = 60, seed: int = 0) -> Dataset:
@@ -116,9 +118,6 @@ class Cell:
         r = at.r + at.R @ [0.02, -0.03, 0.05] + TRACKER * rng.standard_normal(at.r.shape)
         spin = turn(np.array([0.2, -0.4, 2.0]))
         return self._dataset(at, rng, {}, (r - [2.1, -1.3, 0.4]) @ spin)
-
-    def _middle_poses(self) -> np.ndarray:
-        return Cell(self.kind, self.seed).draw_poses(40, np.random.default_rng(1)).r
 
     def _dataset(
         self, at: Visits, rng: np.random.Generator, readings: dict, r: np.ndarray | None = None

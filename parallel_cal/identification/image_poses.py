@@ -17,6 +17,7 @@ from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.predictions import predict_configurations
 from parallel_cal.identification.thresholds import (
     IMAGE_POSE_STEPS,
+    MAX_IMAGE_POSE_SIGMA_RATIO,
     MAX_ROBOT_ERROR_STEPS,
     MIN_IMAGE_NOISE_DOF,
     MIN_IMAGE_NOISE_SHARE,
@@ -54,7 +55,18 @@ def find_shown_poses(model: Model, observations: Observations, x: np.ndarray) ->
     fitted = _fit_poses(model, observations.select(solved), x[solved], model.mechanism.moved)
     change, covariance = np.full((len(x), 6), np.nan), np.full((len(x), 6, 6), np.nan)
     change[solved], covariance[solved] = fitted.change, fitted.covariance
+    # Few corners, or corners on one line, show a pose with an error that would hide all others.
+    variance = np.diagonal(covariance, axis1=1, axis2=2).reshape(-1, 2, 3).sum(axis=2)
+    with np.errstate(invalid="ignore"):
+        vague = variance > MAX_IMAGE_POSE_SIGMA_RATIO**2 * _median(variance)
+    change[vague.any(axis=1)], covariance[vague.any(axis=1)] = np.nan, np.nan
     return ShownPoses(change, covariance)
+
+
+def _median(columns: np.ndarray) -> np.ndarray:
+    """Median of each column over its finite rows; NaN without any."""
+    known = columns[np.isfinite(columns).all(axis=1)]
+    return np.median(known, axis=0) if len(known) else np.full(columns.shape[1], np.nan)
 
 
 def measure_image_noise(model: Model, observations: Observations) -> Observations:

@@ -116,7 +116,12 @@ class Linearisation:
             s.rows_compiled if len(observations) >= MIN_SAMPLES_TO_COMPILE else s.rows_batch
         )
         self._rows = model.structure.rows.shape[0]
-        closure = model.structure.phi.shape[0]
+        closure = self._closure = s.phi.shape[0]
+        # Without a measured pose, no measured quantity moves the readings: their noise is their
+        # own, as it is in an image. An effect on a sensor may depend on the joints.
+        reads = any(effect.acts_on(c) for effect in model.effects for c in s.channels)
+        device = observations.measured[:, len(model.joints) :].any()
+        self._couples_readings = bool(reads or device)
         # The row of a channel that was not read is zero.
         self._unread = np.zeros((len(observations), self._rows), dtype=bool)
         self._unread[:, closure:] = np.isnan(observations.reading)
@@ -208,17 +213,20 @@ class Linearisation:
         r[:] = (K @ (phi[:, :, None] + C @ away[:, :, None]))[:, :, 0]
         np.matmul(K, J, out=A)
         informative[:] = self._rows - self._unread[part].sum(axis=1)
-        free_of, explain = self._projection(K, C, part)
+        explained, explain = self._projection(K, C, part)
 
         def corrections(white: np.ndarray) -> np.ndarray:
             force = SC @ (K.transpose(0, 2, 1) @ white[:, :, None])
             return away - force[:, :, 0] if self._weighted else away
 
-        if free_of is None:
+        if explained is None:
             return lambda step: here.apply_change(corrections(r + A @ step)).rows
         r_all, A_all = r.copy(), A.copy()
-        r[:], A[:] = (free_of @ r[:, :, None])[:, :, 0], free_of @ A
-        informative -= self._rows - np.rint(np.trace(free_of, axis1=1, axis2=2)).astype(int)
+        # Subtract projections, do not change to a basis of the rest: rounding can rotate a basis.
+        across = explained.transpose(0, 2, 1)
+        r -= (explained @ (across @ r[:, :, None]))[:, :, 0]
+        A -= explained @ (across @ A)
+        informative -= np.rint(np.sum(explained**2, axis=(1, 2))).astype(int)
         return lambda step: here.apply_change(explain(r_all + A_all @ step, corrections)).rows
 
     def whiteners(self, values: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -232,8 +240,9 @@ class Linearisation:
     def whiten(self, C: np.ndarray, part: slice = slice(None)) -> np.ndarray:
         """`whiteners` of rows with the derivatives C (N, rows, nq+6) by the measured quantities."""
         K = self._whitening(self.covariance_of(C, part))
-        free_of = self._projection(K, C, part)[0]
-        T = K if free_of is None else np.asarray(free_of @ K)
+        explained, T = self._projection(K, C, part)[0], K
+        if explained is not None:
+            T = K - explained @ (explained.transpose(0, 2, 1) @ K)
         return T if self._all_read else T * ~self._unread[part, None, :]
 
     def covariance_of(self, C: np.ndarray, part: slice = slice(None)) -> np.ndarray:
@@ -272,14 +281,22 @@ class Linearisation:
         """K with K W K^T = 1, for the noise that the rows inherit."""
         if not self._weighted:
             return np.broadcast_to(np.eye(self._rows), W.shape)
-        tiny = 1e-14 * np.trace(W, axis1=1, axis2=2) / self._rows
-        return np.linalg.inv(np.linalg.cholesky(W + tiny[:, None, None] * np.eye(self._rows)))
+        coupled = self._rows if self._couples_readings else self._closure
+        block = W[:, :coupled, :coupled]
+        tiny = 1e-14 * np.trace(block, axis1=1, axis2=2) / coupled
+        K = np.zeros_like(W)
+        K[:, :coupled, :coupled] = np.linalg.inv(
+            np.linalg.cholesky(block + tiny[:, None, None] * np.eye(coupled))
+        )
+        alone = np.arange(coupled, self._rows)
+        K[:, alone, alone] = 1 / np.sqrt(W[:, alone, alone])
+        return K
 
     def _projection(
         self, K: np.ndarray, C: np.ndarray, part: slice
     ) -> tuple[np.ndarray | None, Callable[..., np.ndarray]]:
-        """Projectors (N, rows, rows) onto the part that unmeasured coordinates cannot explain, and
-        the change of all coordinates; None if all were measured."""
+        """Orthonormal columns (N, rows, nq+6) of the part that unmeasured coordinates explain, zero
+        beyond its rank, and the change of all coordinates; None if all were measured."""
         if self._complete:
             return None, lambda *_: np.empty(0)
         unknown = self._unknown[part]
@@ -289,8 +306,6 @@ class Linearisation:
         left = left * spanned[:, None, :]
         inverse = right.transpose(0, 2, 1) * (spanned / np.maximum(sizes, 1e-300))[:, None, :]
         inverse = inverse @ left.transpose(0, 2, 1)
-        # Use the projector, not a basis of the remaining space: rounding can rotate a basis.
-        free_of = np.eye(self._rows) - left @ left.transpose(0, 2, 1)
 
         def explain(
             white: np.ndarray, corrections: Callable[[np.ndarray], np.ndarray]
@@ -299,7 +314,7 @@ class Linearisation:
             rest = white + (U @ u)[:, :, 0]
             return np.where(unknown, u[:, :, 0], corrections(rest))
 
-        return free_of, explain
+        return left, explain
 
     def compute_adjustments(self, x: np.ndarray, part: slice = slice(None)) -> np.ndarray:
         """Measured minus adjusted (q, r, w), (N, nq+6); zero where not measured."""

@@ -594,8 +594,8 @@ def _numbers(model: Model) -> Array:
 
 def _placements(model: Model) -> Array:
     """Mask of the parameters that state where sensors stand."""
-    patterns = [f"{s.name}.{pattern}" for s in model.sensors for pattern in s.placement]
-    return _numbers(model) | model.table.matching(patterns)
+    parts = ((s.name, part) for s in model.sensors for part in (s.base_part, s.platform_part))
+    return _numbers(model) | model.table.matching(f"{name}.{part}" for name, part in parts if part)
 
 
 def _fit_frames(model: Model, observations: Observations, options: FitOptions) -> Model:
@@ -639,7 +639,7 @@ def _robot_prior(model: Model) -> Prior:
     robot. A tolerance of this origin would tilt {B} away from the drawing.
     """
     frame = [name.startswith(f"{SENSOR}.frame.") for name in model.table.names]
-    frame |= _placements(model) & ~_numbers(model)
+    frame |= model.table.matching(f"{s.name}.{s.base_part}" for s in model.sensors if s.base_part)
     sigma = np.where(frame, UNKNOWN_FRAME_TOLERANCES, 1.0) * model.table.tolerance
     return Prior(model.table.nominal, np.diag(sigma**2))
 

@@ -96,6 +96,7 @@ MIN_PLACEMENT_POSES = 4  # that start a sensor which shows poses
 # Rotation (rms) of the platform from which the start determines a target's position on it
 MIN_PLACEMENT_TILT_RAD = 0.02
 IMAGE_POSE_STEPS = 2  # of Gauss-Newton from the predicted pose, which is near
+MAX_IMAGE_POSE_SIGMA_RATIO = 3.0  # times the median: images that show their pose less precisely
 MIN_IMAGE_NOISE_DOF = 50  # residuals of images that measure their noise to a tenth
 MIN_IMAGE_NOISE_SHARE = 1e-3  # of the guess: images without noise leave only rounding errors
 MAX_ROBOT_ERROR_STEPS = 100  # of Fisher scoring for one variance

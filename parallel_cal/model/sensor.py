@@ -58,8 +58,9 @@ class Sensor(ABC):
         Whether the readings of one sample show a pose, as those of an image do. Then a sample may
         lack some of the channels, a sensor without start values finds them in its `views`, and the
         errors of the pose are estimated from the readings. Default False.
-    placement : tuple of str
-        Name patterns of its parameters that state where its parts stand. Default none.
+    base_part, platform_part : str
+        Name patterns of the parameters that state where its part on the base and its part on the
+        platform are. Default none.
     """
 
     physics: ClassVar[str]
@@ -69,7 +70,6 @@ class Sensor(ABC):
     guessed_sigma: ClassVar[float] = 20e-6
     unit: ClassVar[str] = "m"
     shows_pose: ClassVar[bool] = False
-    placement: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
@@ -83,6 +83,14 @@ class Sensor(ABC):
     def readings(self, r: Any, R: Any, s: Named) -> Any:
         """Return the reading of each channel at the pose (r, R) of {P} in {B}, a column."""
         return ca.SX(0, 1)
+
+    @property
+    def base_part(self) -> str:
+        return ""
+
+    @property
+    def platform_part(self) -> str:
+        return ""
 
     @property
     def is_placed(self) -> bool:

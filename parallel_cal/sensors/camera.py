@@ -104,7 +104,6 @@ class Camera(Sensor):
     guessed_sigma = 0.3
     unit = "px"
     shows_pose = True
-    placement = ("pose.*", "board.*")
 
     def __post_init__(self) -> None:
         problems = (
@@ -136,6 +135,11 @@ class Camera(Sensor):
         """Inner corners (n, 3) in the board's frame, m, in the order of their numbers."""
         row, column = np.divmod(np.arange((self.columns - 1) * (self.rows - 1)), self.columns - 1)
         return self.square * np.stack([column + 1, row + 1, 0 * row], axis=1).astype(float)
+
+    @property
+    def _middle(self) -> np.ndarray:
+        """The middle (3,) of the board, m."""
+        return np.array([self.columns, self.rows, 0]) * self.square / 2
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -231,6 +235,14 @@ class Camera(Sensor):
     # ------------------------------------------------------------------ start values
 
     @property
+    def base_part(self) -> str:
+        return "pose.*" if self.mounted == "fixed" else "board.*"
+
+    @property
+    def platform_part(self) -> str:
+        return "board.*" if self.mounted == "fixed" else "pose.*"
+
+    @property
     def is_placed(self) -> bool:
         stated = (self.focal_length, self.position, self.quaternion)
         return None not in (*stated, self.board_position, self.board_quaternion)
@@ -245,13 +257,18 @@ class Camera(Sensor):
                 focal_length=(float(focal_length[0]), float(focal_length[1])),
                 principal_point=self._nominal_principal_point,
             )
-            seen, r, R = compute_board_poses(self.corners, lens.rays(pixels))
+            # Of the middle of the board: where a platform does not turn, it stands for {P}.
+            seen, r, R = compute_board_poses(self.corners - self._middle, lens.rays(pixels))
             if self.mounted == "platform":  # the camera in the board's frame
                 R = R.transpose(0, 2, 1)
                 r = -(R @ r[:, :, None])[:, :, 0]
             yield View(lens, r, R, seen)
 
     def placed(self, f: np.ndarray, F: np.ndarray, t: np.ndarray, T: np.ndarray) -> Camera:
+        if self.mounted == "platform":
+            f = f - F @ self._middle
+        else:
+            t = t - T @ self._middle
         base = tuple(f.tolist()), tuple(matrix_to_quaternion(F).tolist())
         carried = tuple(t.tolist()), tuple(matrix_to_quaternion(T).tolist())
         camera, board = (carried, base) if self.mounted == "platform" else (base, carried)
