@@ -1,6 +1,6 @@
 """A Delta, a hexapod and an arm as a camera or a tracker measures them, with true unseen poses."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -38,8 +38,8 @@ class Cell:
     seed: int = 0
     effects: tuple[Any, ...] = ()  # of the virtual robots
     on_platform: bool = False
-    lens: vc.Lens = vc.Lens()
-    board: vc.Board = vc.Board()
+    lens: vc.Lens = field(default_factory=vc.Lens)
+    board: vc.Board = field(default_factory=vc.Board)
     sigma: float = 0.3
     name: str = "camera"
 

@@ -46,7 +46,7 @@ class Field:
         pose = np.where(measured, pose, 0.0)
         S, readings = observations.S, scene.reading_residuals
         if shown := find_shown_poses(scene.model, observations, scene.x):
-            images = shown.known[:, None] & moved
+            images: np.ndarray = shown.known[:, None] & moved
             pose = np.where(images, shown.change, pose)
             S, measured = S.copy(), measured | images
             S[shown.known, n:, n:] = shown.covariance[shown.known]

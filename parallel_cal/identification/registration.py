@@ -638,7 +638,7 @@ def _robot_prior(model: Model) -> Prior:
     The origin of a device that stands a metre away moves by millimetres if {B} tilts about the
     robot. A tolerance of this origin would tilt {B} away from the drawing.
     """
-    frame = [name.startswith(f"{SENSOR}.frame.") for name in model.table.names]
+    frame = np.array([name.startswith(f"{SENSOR}.frame.") for name in model.table.names])
     frame |= model.table.matching(f"{s.name}.{s.base_part}" for s in model.sensors if s.base_part)
     sigma = np.where(frame, UNKNOWN_FRAME_TOLERANCES, 1.0) * model.table.tolerance
     return Prior(model.table.nominal, np.diag(sigma**2))

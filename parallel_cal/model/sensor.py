@@ -84,6 +84,15 @@ class Sensor(ABC):
         """Return the reading of each channel at the pose (r, R) of {P} in {B}, a column."""
         return ca.SX(0, 1)
 
+    def points(self, r: Any, R: Any, s: Named) -> Any:
+        """Return the coordinates, as a column, from which `show` computes the readings; None if
+        `readings` does it alone. The derivatives of many readings are fewer operations with it."""
+        return None
+
+    def show(self, points: Any, s: Named) -> Any:
+        """Return the readings of `points`."""
+        raise NotImplementedError
+
     @property
     def base_part(self) -> str:
         return ""

@@ -25,6 +25,7 @@ from parallel_cal.reporting.blocks import Block, Cell, Column, Number, Row, Tabl
 from parallel_cal.reporting.contents import DescribedParameter, HeldOutErrors, JudgedSample
 from parallel_cal.reporting.contents import parameters as describe_parameters
 from parallel_cal.reporting.figures import MAX_MOVED_TOLERANCES
+from parallel_cal.reporting.images import describe_images
 from parallel_cal.reporting.readable import (
     error_unit,
     format_fixed,
@@ -96,6 +97,7 @@ def describe_fit(result: FitResult, without: FitResult | None = None) -> Iterato
         f"parameters identified, chi2/dof {format_fixed(estimate.chi2_per_dof)}"
     )
     yield errors_table(judged, result.noise_floor, result.model)
+    yield from describe_images(result)
     for budget in result.budgets[:1]:
         yield budget_table(budget)
         yield budget_sentence(budget)

@@ -147,6 +147,11 @@ class Camera(Sensor):
         return tuple(f"{self.name}.{k}.{axis}" for k in range(count) for axis in "uv")
 
     @property
+    def lens_parameters(self) -> tuple[str, ...]:
+        """Short names of the parameters of the lens."""
+        return ("fx", "fy", "cx", "cy", *self._coefficients)
+
+    @property
     def _coefficients(self) -> tuple[str, ...]:
         return COEFFICIENTS[self.model]
 
@@ -192,6 +197,10 @@ class Camera(Sensor):
 
     def readings(self, r: Any, R: Any, s: Named) -> Any:
         """Return u and v of every corner (px)."""
+        return self.show(self.points(r, R, s), s)
+
+    def points(self, r: Any, R: Any, s: Named) -> Any:
+        """Return x, y and z of every corner in the camera's frame (m)."""
         camera = _pose(s, "pose", self.position, self.quaternion)
         board = _pose(s, "board", self.board_position, self.board_quaternion)
         # From {P} to {B} for the part on the platform
@@ -201,11 +210,15 @@ class Camera(Sensor):
             board = (r + R @ board[0], R @ board[1])
         turn = camera[1].T @ board[1]
         shift = camera[1].T @ (board[0] - camera[0])
-        pixels: list[Any] = []
-        for x, y, z in self._bent_corners(s):
-            point = shift + s.scale * (turn[:, 0] * x + turn[:, 1] * y) + turn[:, 2] * z
-            pixels += self._project(point, s)
-        return ca.vertcat(*pixels)
+        corners = [
+            shift + s.scale * (turn[:, 0] * x + turn[:, 1] * y) + turn[:, 2] * z
+            for x, y, z in self._bent_corners(s)
+        ]
+        return ca.vertcat(*corners)
+
+    def show(self, points: Any, s: Named) -> Any:
+        corners = (points[i : i + 3] for i in range(0, points.shape[0], 3))
+        return ca.vertcat(*[pixel for corner in corners for pixel in self._project(corner, s)])
 
     def _bent_corners(self, s: Named) -> Iterator[tuple[float, float, Any]]:
         """Yield corners (m) of a board with a sag in the middle and a twist: low orders only."""
