@@ -45,11 +45,11 @@ class Field:
         held = float(np.sqrt(fixed.mean())) if fixed.size and not unmeasured else 0.0
         pose = np.where(measured, pose, 0.0)
         S, readings = observations.S, scene.reading_residuals
-        if shown := find_shown_poses(scene.model, observations, scene.x):
-            images: np.ndarray = shown.known[:, None] & moved
-            pose = np.where(images, shown.change, pose)
+        if poses := find_shown_poses(scene.model, observations, scene.x):
+            images: np.ndarray = poses.known[:, None] & moved
+            pose = np.where(images, poses.change, pose)
             S, measured = S.copy(), measured | images
-            S[shown.known, n:, n:] = shown.covariance[shown.known]
+            S[poses.known, n:, n:] = poses.covariance[poses.known]
         if measured.any():
             by_joint = _compute_joint_jacobians(scene)[0]
             total = S[:, n:, n:] + by_joint @ S[:, :n, :n] @ by_joint.transpose(0, 2, 1)
