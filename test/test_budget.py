@@ -91,7 +91,7 @@ def test_the_sigma_of_an_rms_is_the_scatter_of_repeated_measurements():
     for _ in range(300):
         # Two visits of each pose share the error of the pose.
         e = np.repeat(rng.normal(0, 1e-5, (n // 2, 3)), 2, axis=0)
-        errors = Errors(e, none, none, none, none)
+        errors = Errors(e, none, none, none, none, none)
         found.append(errors.summary.position_rms)
         sigmas.append(compute_rms_sigmas(errors, np.repeat(np.arange(n // 2), 2))["position"])
     assert np.mean(sigmas) == pytest.approx(np.std(found), rel=0.15)
@@ -115,7 +115,7 @@ GROUP = np.array([0, 0, 0, 1])
 
 
 def test_iso_9283_of_a_pose_visited_thrice_and_one_visited_once():
-    [found] = iso_9283(Errors(E, NONE, NONE, NONE, NONE), GROUP)
+    [found] = iso_9283(Errors(E, NONE, NONE, NONE, NONE, NONE), GROUP)
     assert found.accuracy_mean == pytest.approx(3e-5)  # 20 and 40 um
     assert found.accuracy_sigma == pytest.approx(1e-5)
     assert found.accuracy_max == pytest.approx(4e-5)
@@ -126,7 +126,7 @@ def test_iso_9283_of_a_pose_visited_thrice_and_one_visited_once():
 
 
 def test_visits_from_different_sides_are_no_repetition():
-    errors = Errors(E, NONE, NONE, NONE, NONE)
+    errors = Errors(E, NONE, NONE, NONE, NONE, NONE)
     [found] = iso_9283(errors, GROUP, np.array([0, 1, 1, 0]))
     l = np.sqrt(2) * np.array([0.5e-5, 0.5e-5])  # of the second and the third visit
     assert found.repeatability == pytest.approx(l.mean())

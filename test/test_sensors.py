@@ -462,7 +462,7 @@ def test_a_plate_described_wrongly_is_a_clear_error():
 
 
 def test_an_unknown_sensor_names_those_there_are():
-    known = "ball_bar, certificate, device"
+    known = "ball_bar, camera, certificate, device"
     with pytest.raises(ModelError, match=f"no sensor 'laser': expected one of {known}"):
         load_sensor("laser")
 

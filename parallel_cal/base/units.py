@@ -69,10 +69,14 @@ MM = LENGTHS["mm"]
 DEGREE, ARCMIN, ARCSEC = ANGLES["deg"], ANGLES["arcmin"], ANGLES["arcsec"]
 
 # SI unit -> (unit, factor from SI) in which people read errors, and values such as lengths.
-SMALL_UNITS = {"m": ("um", 1 / UNITS["um"]), "rad": ("arcmin", 1 / UNITS["arcmin"])}
+SMALL_UNITS = {
+    "m": ("um", 1 / UNITS["um"]),
+    "rad": ("arcmin", 1 / UNITS["arcmin"]),
+    "px": ("px", 1.0),
+}
 LARGE_UNITS = {"m": ("mm", 1 / UNITS["mm"]), "rad": ("deg", 1 / UNITS["deg"])}
 
-ERROR_SI_UNITS = {"position": "m", "orientation": "rad", "reading": "m"}
+ERROR_SI_UNITS = {"position": "m", "orientation": "rad", "reading": "m", "pixel": "px"}
 ERROR_UNITS = {kind: SMALL_UNITS[unit] for kind, unit in ERROR_SI_UNITS.items()}
 
 

@@ -123,7 +123,9 @@ class Comparison(ShownInNotebook):
     def worst_first(self) -> np.ndarray:
         """Indices (N,) of the samples by their pose error, or by their reading error if no pose was
         measured."""
-        kinds = [self.errors.norms(kind) for kind in ("position", "orientation", "reading")]
+        kinds = [
+            self.errors.norms(kind) for kind in ("position", "orientation", "reading", "pixel")
+        ]
         norms = next((n for n in kinds if np.isfinite(n).any()), kinds[0])
         return np.argsort(-np.nan_to_num(norms, nan=-1.0), kind="stable")
 

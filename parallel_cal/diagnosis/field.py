@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.identification.image_poses import find_shown_poses
 from parallel_cal.identification.linearisation import Linearisation, compute_joint_jacobians
 from parallel_cal.identification.observations import UNMEASURED
 from parallel_cal.model.configuration import Configuration
@@ -16,10 +17,10 @@ from parallel_cal.model.configuration import Configuration
 class Field:
     """Measured minus predicted at every sample.
 
-    pose (N, 6) m and rad about base axes, 0 where not measured; `noise_units` (N, k) the same
-    divided by what joint and device noise explain together; `measured` (N, 6). `held` is the rms,
-    in the device's sigmas, of measured coordinates that the model holds at one value; 0 if
-    these sigmas were not stated.
+    pose (N, 6) m and rad about base axes, 0 where neither measured nor shown by an image;
+    `noise_units` (N, k) the same divided by what joint and device noise explain together;
+    `measured` (N, 6). `held` is the rms, in the device's sigmas, of measured coordinates that the
+    model holds at one value; 0 if these sigmas were not stated.
     """
 
     pose: np.ndarray = field(repr=False)
@@ -44,6 +45,11 @@ class Field:
         held = float(np.sqrt(fixed.mean())) if fixed.size and not unmeasured else 0.0
         pose = np.where(measured, pose, 0.0)
         S, readings = observations.S, scene.reading_residuals
+        if poses := find_shown_poses(scene.model, observations, scene.x):
+            images: np.ndarray = poses.known[:, None] & moved
+            pose = np.where(images, poses.change, pose)
+            S, measured = S.copy(), measured | images
+            S[poses.known, n:, n:] = poses.covariance[poses.known]
         if measured.any():
             by_joint = _compute_joint_jacobians(scene)[0]
             total = S[:, n:, n:] + by_joint @ S[:, :n, :n] @ by_joint.transpose(0, 2, 1)

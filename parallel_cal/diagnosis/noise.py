@@ -11,10 +11,12 @@ from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_REPLICATE_DOF, REPLICATE_CONTRADICTION_LEVEL
 from parallel_cal.identification.fit_warnings import chi2_band
+from parallel_cal.identification.image_poses import IMAGE_SCATTER
 from parallel_cal.identification.observations import SCATTER
 from parallel_cal.recordings.replicates import average_groups
 
-STATED = ("option", "dataset", "model file")
+# The noise of images was measured without the robot's model, so it counts as stated.
+STATED = ("option", "dataset", "model file", IMAGE_SCATTER)
 
 
 @dataclass(frozen=True)

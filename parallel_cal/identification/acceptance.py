@@ -109,9 +109,12 @@ def _advise(given: GivenModel) -> str:
 
 
 def _squared(result: FitResult, found: Errors) -> np.ndarray:
-    """Squared error (N,) of the pose in units of the device's noise; if no pose was measured, of
-    the readings of sensors, or of the joints."""
+    """Squared error (N,) of the pixels of an image; else of the pose in units of the device's
+    noise; if no pose was measured, of the readings of sensors, or of the joints."""
     n = len(result.model.joints)
+    seen = np.isfinite(found.pixel).any(axis=1)
+    if seen.any():
+        return np.where(seen, np.nansum(found.pixel**2, axis=1), np.nan)
     variance = np.diagonal(result.observations.S, axis1=1, axis2=2)
     parts = [
         np.sum(e**2, axis=1) / np.mean(variance[:, at], axis=1)

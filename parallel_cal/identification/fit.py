@@ -45,6 +45,7 @@ from parallel_cal.identification.fit_warnings import (
     on_priors,
 )
 from parallel_cal.identification.given_model import Folds, GivenModel
+from parallel_cal.identification.image_poses import measure_image_noise
 from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.identification.noise_floor import (
     NoiseFloor,
@@ -588,6 +589,10 @@ def fit_registered(
     report("identifying", 0.0)
     identify = partial(_identify, estimate_with, mask, options.prior)
     usual, (model, estimate) = model, identify(model, observations, model.values)
+    measured = measure_image_noise(model.with_values(estimate.values), observations)
+    if measured is not observations:
+        observations = measured
+        model, estimate = identify(usual, observations, estimate.values)
     inseparable: tuple[tuple[str, ...], ...] = ()
     if observations.unknown and noise is None:
         guessed, last = observations, None

@@ -16,13 +16,16 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import FitError
+from parallel_cal.identification.image_poses import measure_image_noise
 from parallel_cal.identification.observations import Observations, observe
+from parallel_cal.identification.placement import place_sensors
 from parallel_cal.identification.prediction_errors import Errors, errors
 from parallel_cal.identification.registration import (
     Registration,
     is_registrable,
     register_device,
     registered_by,
+    shows_pose,
 )
 from parallel_cal.identification.stations import has_stations, register_recordings
 from parallel_cal.model.model import Model
@@ -69,6 +72,8 @@ class GivenModel:
             raise FitError(other)
         dataset = add_lagged_conditions(model.conditions, dataset)
         model, dataset = register_recordings(model, dataset, joint_sigma, insist)
+        if not all(sensor.is_placed for sensor in model.sensors):
+            model = place_sensors(model, observe(model, dataset, joint_sigma, insist))
         placed, registration = register_device(model, dataset, joint_sigma, insist)
         if registration is None:
             observations = observe(model, dataset, joint_sigma, insist)
@@ -89,7 +94,8 @@ class GivenModel:
     @property
     def start(self) -> Model:
         """The model at which a fit begins."""
-        return self.unregistered if self.registration is None else self.model
+        placed = self.registration is not None or shows_pose(self.model)
+        return self.model if placed else self.unregistered
 
     @cached_property
     def errors_as_given(self) -> Errors:
@@ -98,7 +104,8 @@ class GivenModel:
 
     @cached_property
     def observations(self) -> Observations:
-        return observe(self.model, self.dataset, self.joint_sigma, self.insist)
+        observations = observe(self.model, self.dataset, self.joint_sigma, self.insist)
+        return measure_image_noise(self.model, observations)
 
     @cached_property
     def errors(self) -> Errors:

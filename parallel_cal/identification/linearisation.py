@@ -116,10 +116,16 @@ class Linearisation:
             s.rows_compiled if len(observations) >= MIN_SAMPLES_TO_COMPILE else s.rows_batch
         )
         self._rows = model.structure.rows.shape[0]
-        closure = model.structure.phi.shape[0]
-        # A channel that was not read is an unknown of its own row, projected out as one.
+        closure = self._closure = s.phi.shape[0]
+        # Without a measured pose, no measured quantity moves the readings: their noise is their
+        # own, as it is in an image. An effect on a sensor may depend on the joints.
+        reads = any(effect.acts_on(c) for effect in model.effects for c in s.channels)
+        device = observations.measured[:, len(model.joints) :].any()
+        self._couples_readings = bool(reads or device)
+        # The row of a channel that was not read is zero.
         self._unread = np.zeros((len(observations), self._rows), dtype=bool)
         self._unread[:, closure:] = np.isnan(observations.reading)
+        self._all_read = not self._unread.any()
         self._read = np.nan_to_num(observations.reading)
         self._variance = np.zeros((len(observations), self._rows))
         self._variance[:, closure:] = observations.get_reading_sigma(model) ** 2
@@ -128,7 +134,7 @@ class Linearisation:
         moved[: self._n] = True
         moved[[self._n + i for i in model.mechanism.moved]] = True
         self._unknown = moved & ~observations.measured
-        self._complete = not (self._unknown.any() or self._unread.any())
+        self._complete = not self._unknown.any()
 
     def start(self) -> np.ndarray:
         """The measured configurations. Positions that were not measured, and orientations without a
@@ -206,22 +212,26 @@ class Linearisation:
         K = self._whitening(C @ SC + self._reading_covariance(part))
         r[:] = (K @ (phi[:, :, None] + C @ away[:, :, None]))[:, :, 0]
         np.matmul(K, J, out=A)
-        free_of, explain = self._projection(K, C, part)
+        informative[:] = self._rows - self._unread[part].sum(axis=1)
+        explained, explain = self._projection(K, C, part)
 
         def corrections(white: np.ndarray) -> np.ndarray:
             force = SC @ (K.transpose(0, 2, 1) @ white[:, :, None])
             return away - force[:, :, 0] if self._weighted else away
 
-        if free_of is None:
+        if explained is None:
             return lambda step: here.apply_change(corrections(r + A @ step)).rows
         r_all, A_all = r.copy(), A.copy()
-        r[:], A[:] = (free_of @ r[:, :, None])[:, :, 0], free_of @ A
-        informative[:] = np.rint(np.trace(free_of, axis1=1, axis2=2))
+        # Subtract projections, do not change to a basis of the rest: rounding can rotate a basis.
+        across = explained.transpose(0, 2, 1)
+        r -= (explained @ (across @ r[:, :, None]))[:, :, 0]
+        A -= explained @ (across @ A)
+        informative -= np.rint(np.sum(explained**2, axis=(1, 2))).astype(int)
         return lambda step: here.apply_change(explain(r_all + A_all @ step, corrections)).rows
 
     def whiteners(self, values: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """T (N, rows, rows) that converts rows into noise units and projects out unmeasured
-        coordinates."""
+        """T (N, rows, rows) that converts rows into noise units, projects out unmeasured
+        coordinates and ignores channels that were not read."""
         T = np.empty((len(x), self._rows, self._rows))
         for part in _parts(x):
             T[part] = self.whiten(self.blocks(values, x[part], part)[1], part)
@@ -230,8 +240,10 @@ class Linearisation:
     def whiten(self, C: np.ndarray, part: slice = slice(None)) -> np.ndarray:
         """`whiteners` of rows with the derivatives C (N, rows, nq+6) by the measured quantities."""
         K = self._whitening(self.covariance_of(C, part))
-        free_of = self._projection(K, C, part)[0]
-        return K if free_of is None else np.asarray(free_of @ K)
+        explained, T = self._projection(K, C, part)[0], K
+        if explained is not None:
+            T = K - explained @ (explained.transpose(0, 2, 1) @ K)
+        return T if self._all_read else T * ~self._unread[part, None, :]
 
     def covariance_of(self, C: np.ndarray, part: slice = slice(None)) -> np.ndarray:
         """Covariance (N, rows, rows) of rows with the derivatives C by the measured quantities."""
@@ -241,14 +253,19 @@ class Linearisation:
     def blocks(
         self, values: np.ndarray, x: np.ndarray, part: slice = slice(None)
     ) -> tuple[np.ndarray, ...]:
-        """Rows minus readings (N, rows), derivatives by (q, r, w) and by free parameters."""
+        """Rows minus readings (N, rows), derivatives by (q, r, w) and by free parameters; zero for
+        channels that were not read."""
         phi, C, J = self._batch(x, self._observations.a[part], values)
         phi[:, self._rows - self._read.shape[1] :] -= self._read[part]
         C = C.reshape(len(x), -1, self._rows).transpose(0, 2, 1)
         J = J.reshape(len(x), -1, self._rows)
         if self._free is not None:
             J = J.take(self._free, axis=1)  # indexing would put samples last: slow to multiply
-        return phi, C, J.transpose(0, 2, 1)
+        J = J.transpose(0, 2, 1)
+        if not self._all_read:
+            unread = self._unread[part]
+            phi[unread], C[unread], J[unread] = 0.0, 0.0, 0.0
+        return phi, C, J
 
     def _covariance(self, part: slice) -> np.ndarray:
         """S of some samples, zero where not measured."""
@@ -264,38 +281,43 @@ class Linearisation:
         """K with K W K^T = 1, for the noise that the rows inherit."""
         if not self._weighted:
             return np.broadcast_to(np.eye(self._rows), W.shape)
-        tiny = 1e-14 * np.trace(W, axis1=1, axis2=2) / self._rows
-        return np.linalg.inv(np.linalg.cholesky(W + tiny[:, None, None] * np.eye(self._rows)))
+        coupled = self._rows if self._couples_readings else self._closure
+        block = W[:, :coupled, :coupled]
+        tiny = 1e-14 * np.trace(block, axis1=1, axis2=2) / coupled
+        K = np.zeros_like(W)
+        K[:, :coupled, :coupled] = np.linalg.inv(
+            np.linalg.cholesky(block + tiny[:, None, None] * np.eye(coupled))
+        )
+        alone = np.arange(coupled, self._rows)
+        K[:, alone, alone] = 1 / np.sqrt(W[:, alone, alone])
+        return K
 
     def _projection(
         self, K: np.ndarray, C: np.ndarray, part: slice
     ) -> tuple[np.ndarray | None, Callable[..., np.ndarray]]:
-        """Projectors (N, rows, rows) onto the part that unmeasured coordinates and unread channels
-        cannot explain, and the change of all coordinates; None if all was measured."""
+        """Orthonormal columns (N, rows, n) of the part that unmeasured coordinates explain, zero
+        beyond its rank, and the change of all coordinates; None if all were measured."""
         if self._complete:
             return None, lambda *_: np.empty(0)
-        unknown, unread = self._unknown[part], self._unread[part]
+        unknown = self._unknown[part]
         # Only the columns of what is unknown at some sample: most of them are measured everywhere.
         at = np.flatnonzero(unknown.any(axis=0))
-        own = np.eye(self._rows)[:, unread.any(axis=0)] * unread[:, None, unread.any(axis=0)]
-        U = K @ np.concatenate([C[:, :, at] * unknown[:, None, at], own], axis=2)
+        U = K @ (C[:, :, at] * unknown[:, None, at])
         left, sizes, right = np.linalg.svd(U, full_matrices=False)
         spanned = sizes > 1e-9 * np.maximum(sizes[:, :1], 1e-300)
         left = left * spanned[:, None, :]
         inverse = right.transpose(0, 2, 1) * (spanned / np.maximum(sizes, 1e-300))[:, None, :]
         inverse = inverse @ left.transpose(0, 2, 1)
-        # Use the projector, not a basis of the remaining space: rounding can rotate a basis.
-        free_of = np.eye(self._rows) - left @ left.transpose(0, 2, 1)
 
         def explain(
             white: np.ndarray, corrections: Callable[[np.ndarray], np.ndarray]
         ) -> np.ndarray:
             u = -inverse @ white[:, :, None]
             change = corrections(white + (U @ u)[:, :, 0]).copy()
-            change[:, at] = np.where(unknown[:, at], u[:, : len(at), 0], change[:, at])
+            change[:, at] = np.where(unknown[:, at], u[:, :, 0], change[:, at])
             return change
 
-        return free_of, explain
+        return left, explain
 
     def compute_adjustments(self, x: np.ndarray, part: slice = slice(None)) -> np.ndarray:
         """Measured minus adjusted (q, r, w), (N, nq+6); zero where not measured."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from parallel_cal.base.threads import single_threaded
+from parallel_cal.identification.image_poses import find_shown_poses
 from parallel_cal.identification.linearisation import Linearisation, compute_joint_jacobians
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prediction_errors import (
@@ -53,6 +54,7 @@ def simulate_noise_floor(model: Model, observations: Observations, seed: int = 0
     none = np.zeros(len(model.values), dtype=bool)
     linearise = Linearisation(model, observations, none, weighted=True)
     rows = linearise.blocks(model.values, linearise.start())[1]  # where the platform is
+    measured = observations.measured[:, n:].copy()
     C, (to_pose, to_reading) = rows[:, :closure], compute_joint_jacobians(model, rows)
     solved_for = [*range(n), *[n + i for i in m.passive]]
     given = [n + i for i in m.controlled]
@@ -62,6 +64,12 @@ def simulate_noise_floor(model: Model, observations: Observations, seed: int = 0
         "nij,dnj->dni", np.linalg.cholesky(observations.S + 1e-30 * np.eye(n + 6)), draws
     )
     to_joint = -(np.linalg.pinv(C[:, :, solved_for]) @ C[:, :, given])[:, :n]
+    if shown := find_shown_poses(model, observations, linearise.start()):
+        # Where only an image shows the pose, its noise is that of the pose.
+        factor = np.linalg.cholesky(shown.covariance[shown.known] + 1e-30 * np.eye(6))
+        at_images = rng.standard_normal((64, len(factor), 6))
+        noise[:, shown.known, n:] = np.einsum("nij,dnj->dni", factor, at_images)
+        measured[shown.known] = [i in m.moved for i in range(6)]
     pose = noise[:, :, n:].copy()
     pose[:, :, m.moved] -= np.einsum("nij,dnj->dni", to_pose, noise[:, :, :n])
     joint = noise[:, :, :n] - np.einsum("nij,dnj->dni", to_joint, noise[:, :, given])
@@ -70,19 +78,18 @@ def simulate_noise_floor(model: Model, observations: Observations, seed: int = 0
     )
     read -= np.einsum("nij,dnj->dni", to_reading, noise[:, :, :n])
     read = np.where(np.isfinite(observations.reading), read, np.nan)
-    pose = np.where(observations.measured[:, n:], pose, 0.0)
-    placed, turned = (
-        find_judgeable_samples(m, observations.measured[:, n:], part)
-        for part in (range(3), range(3, 6))
-    )
+    in_pixels = model.structure.channel_units == "px"
+    pose = np.where(measured, pose, 0.0)
+    placed, turned = (find_judgeable_samples(m, measured, part) for part in (range(3), range(3, 6)))
     each = (
         where_known(placed, pose[:, :, :3]),
         where_known(turned, pose[:, :, 3:]),
         where_known(np.all(observations.measured[:, given], axis=1), joint),
-        read,
+        np.where(in_pixels, np.nan, read),
         where_known(
             find_fully_measured_samples(model, observations), np.einsum("nij,dnj->dni", C, noise)
         ),
+        np.where(in_pixels, read, np.nan),
     )
     found = Errors(*[np.concatenate(draw) for draw in each])
     sigmas = {}

@@ -13,6 +13,7 @@ from parallel_cal.identification.readings import doubt_readings
 from parallel_cal.identification.thresholds import BLOCKS, GUESSED_NOISE_SHARE
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
+from parallel_cal.model.sensor import Sensor
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.samples import READING
 
@@ -59,10 +60,11 @@ class Observations:
 
     x (N, nq+12) configurations (q, r, R9); S (N, nq+6, nq+6) covariance of (q, r, w); measured (N,
     nq+6) mask; a (N, n_conditions); group (N,) equal for replicates; reading (N, n_channels) of the
-    model's sensors (m), NaN if not read, with the standard deviations `reading_sigma`; None: those
-    of the model's sensors. `noise_from` names the source of S for joints and pose, and of the
-    readings' noise if it is not stated. `unknown` lists the noise that is not stated. `doubts`
-    explains why the joint readings are implausible, if the caller insisted on them.
+    model's sensors (in their units), NaN if not read, with the standard deviations
+    `reading_sigma`; None: those of the model's sensors. `noise_from` names the source of S for
+    joints and pose, and of the readings' noise if it is not stated. `unknown` lists the noise that
+    is not stated. `doubts` explains why the joint readings are implausible, if the caller insisted
+    on them.
     """
 
     x: np.ndarray
@@ -89,7 +91,7 @@ class Observations:
         return not set(UNMEASURED).isdisjoint(self.noise_from.values())
 
     def get_reading_sigma(self, model: Model) -> np.ndarray:
-        """Standard deviations (N, n_channels) of the readings, m."""
+        """Standard deviations (N, n_channels) of the readings, in their units."""
         if self.reading_sigma is not None:
             return self.reading_sigma
         return np.broadcast_to(model.structure.standard_uncertainty, self.reading.shape)
@@ -207,7 +209,7 @@ def list_noise(model: Model, observations: Observations) -> list[NoiseFigure]:
         if used.any():
             source = unknown.get(sensor.name, "model file")
             rms = float(np.sqrt(np.mean(sigma[used] ** 2)))
-            found.append(NoiseFigure(sensor.name, rms, "m", source))
+            found.append(NoiseFigure(sensor.name, rms, sensor.unit, source))
     return found
 
 
@@ -235,7 +237,7 @@ def _list_unknown_noise(
     for sensor in model.sensors:
         own = guessed_channels & np.isin(model.structure.channels, sensor.channels)
         if own.any():
-            found.append(UnknownNoise(sensor.name, "m", nowhere, own))
+            found.append(UnknownNoise(sensor.name, sensor.unit, nowhere, own))
     return tuple(found)
 
 
@@ -351,7 +353,8 @@ def conditions(model: Model, dataset: Dataset) -> np.ndarray:
 def _readings(model: Model, dataset: Dataset) -> np.ndarray:
     """(N, n_channels): the dataset's columns `reading.CHANNEL`, NaN if not read."""
     channels, read = model.structure.channels, _list_read_channels(dataset)
-    if missing := [c for c in channels if c not in read]:
+    missing = [c for s in model.sensors for c in _list_missing_channels(s, read)]
+    if missing:
         raise FitError(
             f"{dataset.source}: no measurement with {', '.join(missing)}, which the model's "
             f"sensors expect (recorded: {', '.join(read) or 'no reading'}); measure it, or "
@@ -362,8 +365,17 @@ def _readings(model: Model, dataset: Dataset) -> np.ndarray:
             f"{dataset.source}: readings of {', '.join(strange)}, but the model's sensors have "
             f"{', '.join(channels) or 'no channel'}: describe the set-up in the model file"
         )
-    columns = [dataset.conditions[READING + c] for c in channels]
+    none = np.full(len(dataset.q), np.nan)
+    columns = [dataset.conditions.get(READING + c, none) for c in channels]
     return np.stack(columns, axis=1) if columns else np.zeros((len(dataset.q), 0))
+
+
+def _list_missing_channels(sensor: Sensor, read: list[str]) -> list[str]:
+    """Channels of a sensor without a reading; if an image may lack some, only when all are."""
+    missing = [c for c in sensor.channels if c not in read]
+    if not sensor.shows_pose:
+        return missing
+    return [f"the corners of {sensor.name}"] if len(missing) == len(sensor.channels) else []
 
 
 def _list_read_channels(dataset: Dataset) -> list[str]:

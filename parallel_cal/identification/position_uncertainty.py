@@ -7,11 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.base.threads import single_threaded
+from parallel_cal.identification.observations import Observations
+from parallel_cal.identification.predictions import condition_columns
+from parallel_cal.identification.thresholds import RELATIVE_RANK
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.solutions import Solutions
 from parallel_cal.model.mechanism import POSE
 from parallel_cal.model.model import Model
 
+MIN_SHAPE_POSES = 4  # with fewer, frames absorb everything
 POSES_PER_AXIS = 7  # poses from one end of the workspace to the other
 
 
@@ -89,6 +93,35 @@ def solve_middle_planes(model: Model) -> Solutions | None:
     found = Kinematics(model.robot()).inverse(*poses)
     solved = found[found.solved]
     return solved if len(solved) else None
+
+
+def compute_shape_sigma(model: Model, observations: Observations) -> float | None:
+    """Compute the rms uncertainty (m) of the positions at the measured joints, without what the
+    frames of base and platform can absorb: it does not depend on where these frames were put. None
+    if the model was not identified, or reaches fewer than four poses."""
+    if model.covariance is None:
+        return None
+    n, moved = len(model.joints), model.mechanism.moved
+    at = condition_columns(model, observations)
+    reached = Kinematics(model).direct(observations.x[:, :n], at)
+    solved = np.flatnonzero(reached.solved)
+    if len(solved) < MIN_SHAPE_POSES:
+        return None
+    rows = reached.configuration.rows[solved]
+    C, J = model.structure.jacobians(rows, observations.a[solved], model.values)
+    by = np.zeros((len(solved), 6, J.shape[2]))
+    by[:, moved] = -np.linalg.pinv(C[:, :, [n + i for i in moved]]) @ J
+    G = by[:, :3].reshape(-1, J.shape[2])
+    x, y, z = reached.position[solved].T
+    none = np.zeros(len(solved))
+    turns = np.moveaxis(np.array([[none, z, -y], [-z, none, x], [y, -x, none]]), -1, 0)
+    ones = np.tile(np.eye(3), (len(solved), 1, 1))
+    frames = np.concatenate([ones, turns, reached.rotation[solved]], axis=2).reshape(-1, 9)
+    left, sizes, _ = np.linalg.svd(frames, full_matrices=False)
+    basis = left[:, sizes > RELATIVE_RANK * sizes[0]]
+    G = G - basis @ (basis.T @ G)
+    total = float(np.sum((G @ np.asarray(model.covariance)) * G))
+    return float(np.sqrt(max(total, 0.0) / len(solved)))
 
 
 def _controlled_axes(model: Model) -> str:

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.identification.image_poses import find_shown_poses
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.predictions import (
     apply_pose_device,
@@ -20,13 +21,13 @@ from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
 
-ERRORS = ("position", "orientation", "joint", "reading")
+ERRORS = ("position", "orientation", "joint", "reading", "pixel")
 
 
 @dataclass(frozen=True)
 class Summary:
-    """Mean and rms of the norms of each kind of error (table 5.15), SI, None if not measured; the
-    rms of the closure's rows combines all kinds if the closure is redundant."""
+    """Mean and rms of the norms of each kind of error (table 5.15), SI or px, None if not measured;
+    the rms of the closure's rows combines all kinds if the closure is redundant."""
 
     position_mean: float | None = None
     position_rms: float | None = None
@@ -36,6 +37,8 @@ class Summary:
     joint_rms: float | None = None
     reading_mean: float | None = None
     reading_rms: float | None = None
+    pixel_mean: float | None = None
+    pixel_rms: float | None = None
     closure_rms: float | None = None
 
     def mean(self, kind: str) -> float | None:
@@ -62,8 +65,10 @@ class Errors:
     """Measured minus predicted (table 5.9).
 
     position (N, 3) m and orientation (N, 3) rad about base axes from forward kinematics; joint (N,
-    nq) from inverse kinematics; reading (N, n_channels) m of the other sensors from forward
-    kinematics; closure (N, n_rows) m at the measured values; NaN if not known.
+    nq) from inverse kinematics; reading (N, n_channels) m and pixel (N, n_channels) px of the other
+    sensors from forward kinematics; closure (N, n_rows) m at the measured values; NaN if not known.
+    Where no pose was measured but pixels show one, position and orientation are those of the
+    `image_poses`.
     """
 
     position: np.ndarray
@@ -71,12 +76,16 @@ class Errors:
     joint: np.ndarray
     reading: np.ndarray
     closure: np.ndarray
+    pixel: np.ndarray
 
     def norms(self, kind: str) -> np.ndarray:
-        """Norms (N,) over the known components of a sample, NaN if none is known."""
+        """Norms (N,) over the known components of a sample, NaN if none is known; for pixels the
+        rms distance of a corner from its prediction."""
         part = getattr(self, kind)
         known = np.isfinite(part)
         norms = np.linalg.norm(np.where(known, part, 0.0), axis=1)
+        if kind == "pixel":
+            norms = norms / np.sqrt(np.maximum(known.sum(axis=1), 2) / 2)
         return np.where(known.any(axis=1), norms, np.nan)
 
     def select(self, index: np.ndarray) -> Errors:
@@ -93,7 +102,7 @@ class Errors:
     @property
     def judged(self) -> np.ndarray:
         """Mask (N,) of samples with a known error of the pose or of a reading."""
-        kinds = ("position", "orientation", "reading")
+        kinds = ("position", "orientation", "reading", "pixel")
         return np.asarray(np.any([np.isfinite(self.norms(kind)) for kind in kinds], axis=0))
 
     def parts(self) -> dict[str, np.ndarray]:
@@ -169,12 +178,21 @@ def errors(model: Model, observations: Observations) -> Errors:
     predicted = Configuration(observations.x[:, :n], pose.position, pose.rotation).rows
     phi = model.structure.residuals(observations.x, observations.a, model.values)[0]
     closure = phi[:, : model.structure.phi.shape[0]]  # without the rows of the sensors
+    position = where_known(placed & pose.solved, apart)
+    turned = where_known(orientation & pose.solved, np.where(measured[:, n + 3 :], turn, 0.0))
+    if shown := find_shown_poses(model, observations, predicted):
+        judged = [any(i in m.moved for i in part) for part in (range(3), range(3, 6))]
+        position = np.where(shown.known[:, None] & judged[0], shown.change[:, :3], position)
+        turned = np.where(shown.known[:, None] & judged[1], shown.change[:, 3:], turned)
+    residuals = where_known(pose.solved, reading_residuals(model, observations, predicted))
+    in_pixels = model.structure.channel_units == "px"
     return Errors(
-        where_known(placed & pose.solved, apart),
-        where_known(orientation & pose.solved, np.where(measured[:, n + 3 :], turn, 0.0)),
+        position,
+        turned,
         _compute_joint_errors(kinematics, observations, reached, pose),
-        where_known(pose.solved, reading_residuals(model, observations, predicted)),
+        np.where(in_pixels, np.nan, residuals),
         where_known(find_fully_measured_samples(model, observations), closure),
+        np.where(in_pixels, residuals, np.nan),
     )
 
 
@@ -234,12 +252,12 @@ def improvement(before: Summary, after: Summary) -> dict[str, float | None]:
 
 
 def held_out_ratio(before: Summary, after: Summary) -> float | None:
-    """Error after over before, the geometric mean over the measured parts of the pose; without a
-    pose, of the other sensors' readings, or of the joints."""
+    """Error after over before, of the pixels of an image; else the geometric mean over the measured
+    parts of the pose; without a pose, of the other sensors' readings, or of the joints."""
 
     def ratios(*kinds: str) -> list[float]:
         pairs = [(before.rms(kind), after.rms(kind)) for kind in kinds]
         return [b / a for a, b in pairs if a and b]
 
-    known = ratios("position", "orientation") or ratios("reading", "joint")[:1]
+    known = ratios("pixel") or ratios("position", "orientation") or ratios("reading", "joint")[:1]
     return math.exp(sum(math.log(r) for r in known) / len(known)) if known else None

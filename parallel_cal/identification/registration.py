@@ -169,9 +169,12 @@ def registered_by(model: Model, observations: Observations) -> Model | None:
     Least squares in the noise metric of a fit; no other parameter changes.
     """
     there = DevicePoses.of(model, observations)
-    return (
-        None if there is None else _with_fitted_frames(model, observations, there, there.frames())
-    )
+    placed = model
+    if there is not None:
+        placed = _with_fitted_frames(model, observations, there, there.frames())
+    elif not shows_pose(model):
+        return None
+    return _with_fitted_views(placed, observations)
 
 
 def is_registrable(model: Model, observations: Observations) -> bool:
@@ -182,6 +185,8 @@ def is_registrable(model: Model, observations: Observations) -> bool:
     """
     if _device(model) is not None or model.covariance is not None:
         return False
+    if shows_pose(model):
+        return True
     there = DevicePoses.of(model, observations)
     return there is not None and there.determines_target
 
@@ -192,13 +197,15 @@ def prepared_for_fit(
     """A registered model as the start of a fit: the frames are fitted together with the robot, and
     those of their parameters are free that are independent of the robot's.
 
-    A model that was not registered is unchanged.
+    A model that was not registered, and has no sensor that shows poses, is unchanged.
     """
-    if registration is None:
+    if registration is None and not shows_pose(model):
         return model, None
     settled = _fit_frames(
         model, observe(model, dataset, options.joint_sigma, options.insist), options
     )
+    if registration is None:
+        return settled, None
     frame, why, told = registration.frame, registration.why, registration.told
     return settled, _registration(settled, frame, why, told)
 
@@ -403,6 +410,14 @@ class DevicePoses:
         away = self._residual(frames)[self.placed, :3]
         return float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
 
+    def closed_form_frames(self) -> Frames:
+        """The best of the frames from which `frames` descends."""
+        return min(self._starts(), key=self.compute_median_error)
+
+    def compute_median_error(self, frames: Frames) -> float:
+        """Median distance of the poses (m), with orientations times length."""
+        return float(np.median(self._sizes(frames)[self._used]))
+
     def _sizes(self, frames: Frames) -> Array:
         return np.asarray(np.linalg.norm(self._residual(frames), axis=1))
 
@@ -535,6 +550,28 @@ def _with_fitted_frames(
     return _with_frames(fitted, frames_of(fitted))
 
 
+def shows_pose(model: Model) -> bool:
+    """Whether a sensor of the model shows poses, as a camera does."""
+    return any(sensor.shows_pose for sensor in model.sensors)
+
+
+def _with_fitted_views(model: Model, observations: Observations) -> Model:
+    """The model with the parameters of sensors that show poses for which chi2 is least; unchanged
+    without such sensors, or if the search does not converge."""
+    patterns = [f"{sensor.name}.*" for sensor in model.sensors if sensor.shows_pose]
+    own = model.table.matching(patterns) & ~np.asarray(model.fixed)
+    # A fit fixes where parts stand as far as the robot explains it. Here the robot does not move.
+    known = model.table.matching(p for s in model.sensors for p in s.fixed_patterns())
+    own |= _placements(model) & ~_numbers(model) & ~known
+    if not own.any():
+        return model
+    try:
+        values = implicit.estimate(model, observations, own, prior=None).values
+    except FitError:
+        return model
+    return model.with_values(values, model.covariance)
+
+
 def is_identified(model: Model) -> bool:
     """Whether the model is the result of a fit that also identified where the device stands."""
     return model.covariance is not None and _device(model) is not None
@@ -555,10 +592,16 @@ def _numbers(model: Model) -> Array:
     return np.array([name.startswith(f"{SENSOR}.") for name in model.table.names])
 
 
+def _placements(model: Model) -> Array:
+    """Mask of the parameters that state where sensors stand."""
+    parts = ((s.name, part) for s in model.sensors for part in (s.base_part, s.platform_part))
+    return _numbers(model) | model.table.matching(f"{name}.{part}" for name, part in parts if part)
+
+
 def _fit_frames(model: Model, observations: Observations, options: FitOptions) -> Model:
     """Fit the frames with the robot nearest to nominal; fix those of their parameters that depend
     on the free parameters of the robot."""
-    own = _numbers(model)
+    own = _placements(model)
     if options.refit:
         free = model.table.matching(options.refit) | own
     else:
@@ -568,8 +611,11 @@ def _fit_frames(model: Model, observations: Observations, options: FitOptions) -
     # Frames and robot are redundant. With every tolerance as a prior the solution is unique; with
     # priors on the weak directions only, the choice of these may change from step to step for ever.
     found = implicit.estimate(model, observations, free, prior=_robot_prior(model))
-    model = _with_frames(model, frames_of(model.with_values(found.values)))
-    robot = np.where(own, 0.0, found.values)
+    views = model.table.matching(f"{s.name}.*" for s in model.sensors if s.shows_pose)
+    if _device(model) is not None:
+        model = _with_frames(model, frames_of(model.with_values(found.values)))
+    model = model.with_values(np.where(views, found.values, model.values), model.covariance)
+    robot = np.where(_numbers(model), 0.0, found.values)
     linearise = Linearisation(model, observations, free, weighted=True)
     # Linearise at poses that satisfy the closure: at others, the columns of equal motions differ.
     system = linearise(robot, predict_configurations(model.with_values(robot), observations))
@@ -592,7 +638,8 @@ def _robot_prior(model: Model) -> Prior:
     The origin of a device that stands a metre away moves by millimetres if {B} tilts about the
     robot. A tolerance of this origin would tilt {B} away from the drawing.
     """
-    frame = [name.startswith(f"{SENSOR}.frame.") for name in model.table.names]
+    frame = np.array([name.startswith(f"{SENSOR}.frame.") for name in model.table.names])
+    frame |= model.table.matching(f"{s.name}.{s.base_part}" for s in model.sensors if s.base_part)
     sigma = np.where(frame, UNKNOWN_FRAME_TOLERANCES, 1.0) * model.table.tolerance
     return Prior(model.table.nominal, np.diag(sigma**2))
 

@@ -92,6 +92,14 @@ MAX_DISPLACEMENT_RAD = 0.07
 MAX_REMAINING_SHARE = 0.5
 MAX_REMAINING_SHARE_IDENTIFIED = 0.25
 OUTLIER_DISTANCE_RATIO = 6.0  # times the usual distance: such poses are ignored
+MIN_PLACEMENT_POSES = 4  # that start a sensor which shows poses
+# Rotation (rms) of the platform from which the start determines a target's position on it
+MIN_PLACEMENT_TILT_RAD = 0.02
+IMAGE_POSE_STEPS = 2  # of Gauss-Newton from the predicted pose, which is near
+MAX_IMAGE_POSE_SIGMA_RATIO = 3.0  # times the median: images that show their pose less precisely
+MIN_IMAGE_NOISE_DOF = 50  # residuals of images that measure their noise to a tenth
+MIN_IMAGE_NOISE_SHARE = 1e-3  # of the guess: images without noise leave only rounding errors
+MAX_ROBOT_ERROR_STEPS = 100  # of Fisher scoring for one variance
 MIN_CLEAR_BIC_GAIN = 10.0  # of what moved: a smaller difference does not decide
 LSTSQ_RANK_TOLERANCE = (
     1e-9  # of the largest singular value: below, no pose determines the direction

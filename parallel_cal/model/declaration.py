@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from parallel_cal.model.mechanism import Mechanism
 
 PARTS = ("joints", "parameters", "home", "workspace", "joint_limits")
-SI = ("m", "rad", "s", "kg", "N", "K", "degC")
+SI = ("m", "rad", "s", "kg", "N", "K", "degC", "px")
 
 
 def check(m: Mechanism) -> None:

@@ -3,14 +3,29 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, cast
 
 import casadi as ca
+import numpy as np
 
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
+
+
+@dataclass(frozen=True)
+class View:
+    """Poses that a sensor's readings would show if its options were those of `sensor`.
+
+    As with a pose device: `r` (N, 3) m and `R` (N, 3, 3) are those of the part on the platform in
+    the frame of the part on the base; `seen` (N,) marks the samples with a pose.
+    """
+
+    sensor: Sensor
+    r: np.ndarray
+    R: np.ndarray
+    seen: np.ndarray
 
 
 class Sensor(ABC):
@@ -32,10 +47,20 @@ class Sensor(ABC):
         Name patterns of its parameters that are known constants. A fit does not identify them.
         Default none.
     sigma : float, optional
-        Standard deviation of one reading, m. If None, it is not stated: `guessed_sigma` is then the
-        weight of the readings, and a fit scales it with the rms of the residuals. Default 0.
+        Standard deviation of one reading, in its unit. If None, it is not stated: `guessed_sigma`
+        is then the weight of the readings, and a fit scales it with the rms of the residuals.
+        Default 0.
     guessed_sigma : float
-        Standard deviation of one reading that is assumed if `sigma` is None, m.
+        Standard deviation of one reading that is assumed if `sigma` is None, in its unit.
+    unit : str
+        Unit of the readings, `m` or `px`. Default `m`.
+    shows_pose : bool
+        Whether the readings of one sample show a pose, as those of an image do. Then a sample may
+        lack some of the channels, a sensor without start values finds them in its `views`, and the
+        errors of the pose are estimated from the readings. Default False.
+    base_part, platform_part : str
+        Name patterns of the parameters that state where its part on the base and its part on the
+        platform are. Default none.
     """
 
     physics: ClassVar[str]
@@ -43,6 +68,8 @@ class Sensor(ABC):
     fixed: tuple[str, ...] = ()
     sigma: float | None = 0.0
     guessed_sigma: ClassVar[float] = 20e-6
+    unit: ClassVar[str] = "m"
+    shows_pose: ClassVar[bool] = False
 
     @abstractmethod
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
@@ -54,8 +81,42 @@ class Sensor(ABC):
         return ()
 
     def readings(self, r: Any, R: Any, s: Named) -> Any:
-        """Return the reading of each channel at the pose (r, R) of {P} in {B}, a column (m)."""
+        """Return the reading of each channel at the pose (r, R) of {P} in {B}, a column."""
         return ca.SX(0, 1)
+
+    def points(self, r: Any, R: Any, s: Named) -> Any:
+        """Return the coordinates, as a column, from which `show` computes the readings; None if
+        `readings` does it alone. The derivatives of many readings are fewer operations with it."""
+        return None
+
+    def show(self, points: Any, s: Named) -> Any:
+        """Return the readings of `points`."""
+        raise NotImplementedError
+
+    @property
+    def base_part(self) -> str:
+        return ""
+
+    @property
+    def platform_part(self) -> str:
+        return ""
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether its options contain all start values; if not, `views` and `placed` find them."""
+        return True
+
+    def views(self, reading: np.ndarray) -> Iterator[View]:
+        """Yield the poses that readings (N, n_channels) show, for each possible set of options.
+
+        The set whose poses fit the robot's best is the start of a fit.
+        """
+        return iter(())
+
+    def placed(self, f: np.ndarray, F: np.ndarray, t: np.ndarray, T: np.ndarray) -> Sensor:
+        """Return the sensor with the pose (f, F) of its part on the base in {B}, and the pose
+        (t, T) of its part on the platform in {P}."""
+        return self
 
     def pose(self, r: Any, R: Any, s: Named) -> tuple[Any, Any]:
         """Return the pose of {P} in {B} if the pose device shows (r, R)."""
@@ -78,8 +139,15 @@ class Sensor(ABC):
         return self.guessed_sigma if self.sigma is None else self.sigma
 
     @property
-    def name(self) -> str:
+    def kind(self) -> str:
+        """Name of its class in a model file."""
         return type(self).__module__.removeprefix("parallel_cal.sensors.")
+
+    @property
+    def name(self) -> str:
+        """Name of its parameters. Default: its kind. An option `name` distinguishes several sensors
+        of one kind."""
+        return self.kind
 
     @property
     def options(self) -> dict[str, Any]:

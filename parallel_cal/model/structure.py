@@ -208,8 +208,13 @@ class Structure:
 
     @property
     def standard_uncertainty(self) -> np.ndarray:
-        """Standard deviation of each channel (m); a guess if none is stated."""
+        """Standard deviation of each channel in its unit; a guess if none is stated."""
         return np.array([s.weighing_sigma for s in self.sensors for _ in s.channels], dtype=float)
+
+    @property
+    def channel_units(self) -> np.ndarray:
+        """Unit of each channel."""
+        return np.array([s.unit for s in self.sensors for _ in s.channels], dtype=str)
 
     @property
     def channels_without_sigma(self) -> tuple[str, ...]:
@@ -227,14 +232,15 @@ class Structure:
 
     def _readings(self, sensor: Sensor, r: Any, R: Any, numbers: Named) -> Any:
         """Readings of a sensor's channels at a pose, after the effects on them."""
-        s, rows = numbers[sensor.name], ca.SX(0, 1)
+        s = numbers[sensor.name]
+        rows = ca.vertsplit(sensor.readings(r, R, s)) if sensor.channels else []
         for k, channel in enumerate(sensor.channels):
-            pose = r, R
-            for effect in self.effects:
-                if effect.acts_on(channel):
+            if acting := [effect for effect in self.effects if effect.acts_on(channel)]:
+                pose = r, R
+                for effect in acting:
                     pose = effect.at_sensor(*pose, s, numbers[effect.name])
-            rows = ca.vertcat(rows, sensor.readings(*pose, s)[k])
-        return rows
+                rows[k] = sensor.readings(*pose, s)[k]
+        return ca.vertcat(ca.SX(0, 1), *rows)
 
     @cached_property
     def rows_function(self) -> ca.Function:
@@ -242,7 +248,33 @@ class Structure:
         if not self.sensors:
             return self.closure
         inputs = (self.configuration, self.a, self.v)
-        return dense("rows", inputs, (self.rows, *self._slopes(self.rows)))
+        return dense("rows", inputs, (self.rows, *self._row_slopes()))
+
+    def _row_slopes(self) -> tuple[Any, Any]:
+        """`_slopes` of the rows. Where readings follow from points, the derivatives of the points
+        are computed once, not for each reading: this halves the operations of an image."""
+        r, R = self.platform_pose
+        numbers, phi = Named(self.table.names, self.v), self.phi.shape[0]
+        parts, begin = [self._slopes(self.rows[:phi])], phi
+        for sensor in self._with_numbers:
+            end = begin + len(sensor.channels)
+            points = None if self._is_changed(sensor) else sensor.points(r, R, numbers[sensor.name])
+            if points is None:
+                parts.append(self._slopes(self.rows[begin:end]))
+            else:
+                z = ca.SX.sym("z", points.shape[0])
+                readings = sensor.show(z, numbers[sensor.name])
+                by = ca.jacobian(readings, z), ca.jacobian(readings, self.v)
+                by_points, by_numbers = ca.Function("by", [z, self.v], by)(points, self.v)
+                by_x, by_v = self._slopes(points)
+                parts.append((by_points @ by_x, by_points @ by_v + by_numbers))
+            begin = end
+        by_x, by_v = zip(*parts, strict=True)
+        return ca.vertcat(*by_x), ca.vertcat(*by_v)
+
+    def _is_changed(self, sensor: Sensor) -> bool:
+        """Whether an effect acts on a sensor."""
+        return any(effect.acts_on(c) for effect in self.effects for c in sensor.channels)
 
     @cached_property
     def rows_batch(self) -> Batch:

@@ -25,6 +25,7 @@ from parallel_cal.reporting.blocks import Block, Cell, Column, Number, Row, Tabl
 from parallel_cal.reporting.contents import DescribedParameter, HeldOutErrors, JudgedSample
 from parallel_cal.reporting.contents import parameters as describe_parameters
 from parallel_cal.reporting.figures import MAX_MOVED_TOLERANCES
+from parallel_cal.reporting.images import describe_images
 from parallel_cal.reporting.readable import (
     error_unit,
     format_fixed,
@@ -96,6 +97,7 @@ def describe_fit(result: FitResult, without: FitResult | None = None) -> Iterato
         f"parameters identified, chi2/dof {format_fixed(estimate.chi2_per_dof)}"
     )
     yield errors_table(judged, result.noise_floor, result.model)
+    yield from describe_images(result)
     for budget in result.budgets[:1]:
         yield budget_table(budget)
         yield budget_sentence(budget)
@@ -196,7 +198,7 @@ def errors_table(judged: Mapping[str, Summary], noise: Summary, model: Model) ->
     judged = {**judged, "noise floor": noise} if noise.is_known else dict(judged)
     joint_units = dict(zip(model.joints, model.mechanism.joint_units, strict=True))
     rows: list[Row] = []
-    for kind in ("position", "orientation", "reading", "joint"):
+    for kind in ("position", "orientation", "reading", "pixel", "joint"):
         winds = kind == "joint" and not model.mechanism.periodic  # winches turn many times
         name, factor = (value_unit if winds and "rad" in joint_units.values() else error_unit)(
             unit_of(kind, joint_units)
@@ -301,7 +303,11 @@ def _worst_samples(comparison: Comparison) -> Table:
         shown["|error| [um]"] = [Number(e, 1e6, 0) for e in norms["position"][worst]]
     if np.isfinite(norms["orientation"]).any():
         shown["turned [arcmin]"] = [Number(e, 1 / ARCMIN) for e in norms["orientation"][worst]]
-    for channel, read in zip(comparison.model.structure.channels, errors.reading.T, strict=True):
+    if np.isfinite(norms["pixel"]).any():
+        shown["corners [px]"] = [Number(e, 1.0, 2) for e in norms["pixel"][worst]]
+    structure = comparison.model.structure
+    for k in np.flatnonzero(structure.channel_units == "m"):
+        channel, read = structure.channels[k], errors.reading[:, k]
         shown[f"{channel} [um]"] = [Number(e, 1e6, 0) for e in read[worst]]
     return Table(tuple(shown), list(zip(*shown.values(), strict=True)))
 

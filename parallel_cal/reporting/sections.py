@@ -7,6 +7,12 @@ from parallel_cal.reporting.markup import Plot, section
 from parallel_cal.reporting.report import Report
 
 
+def _images(report: Report, plot: Plot) -> list[str]:
+    """Render what cameras saw; nothing without a camera."""
+    content = failures.over_images(report, plot)
+    return [section("Residuals over the image", content)] if content else []
+
+
 def body(report: Report, plot: Plot) -> str:
     """Render all sections; a section without data says so."""
     free = sum(not p.fixed for p in report.parameters.values())
@@ -18,6 +24,7 @@ def body(report: Report, plot: Plot) -> str:
         section("History", overview.history(report, plot)),
         section("Error budget", overview.budget(report)),
         section("Residuals in space", failures.in_space(report, plot)),
+        *_images(report, plot),
         section("Residuals against quantities", failures.along_everything(report, plot)),
         section("Which effect is missing", evidence.candidates(report, plot)),
         section("What to measure next", evidence.measure_next(report)),

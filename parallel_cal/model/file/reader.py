@@ -117,12 +117,13 @@ class Reader:
             name = entry.get("name") if isinstance(entry, dict) else None
             if not isinstance(name, str):  # the schema reports it
                 continue
-            if any(part.name == name for part in loaded):
-                raise self._error((key, i, "name"), f"the {key[:-1]} '{name}' occurs twice")
             try:
-                loaded.append(load((key, i), name, entry))
+                part = load((key, i), name, entry)
             except ModelError as error:
                 raise self._error((key, i, "name"), str(error)) from None
+            if any(other.name == part.name for other in loaded):
+                raise self._error((key, i, "name"), f"the {key[:-1]} '{part.name}' occurs twice")
+            loaded.append(part)
         return loaded
 
     # ------------------------------------------------------------------ this robot's mechanism

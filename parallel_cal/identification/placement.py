@@ -1,0 +1,88 @@
+"""Start values of sensors that show poses, such as cameras: where they stand and what they are.
+
+The readings show poses for each possible set of a sensor's options, such as focal lengths. As with
+a pose device, a closed form finds the frames for which these poses are nearest to those that the
+robot predicts. The set of options for which they are nearest is the start.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from parallel_cal.base.errors import FitError
+from parallel_cal.base.rotation import nearest_rotation, rotation_vector
+from parallel_cal.identification.observations import Observations
+from parallel_cal.identification.predictions import condition_columns
+from parallel_cal.identification.registration import IDENTITY_FRAMES, DevicePoses
+from parallel_cal.identification.thresholds import MIN_PLACEMENT_POSES, MIN_PLACEMENT_TILT_RAD
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.kinematics.solutions import Solutions
+from parallel_cal.model.model import Model
+from parallel_cal.model.sensor import Sensor, View
+
+
+def place_sensors(model: Model, observations: Observations) -> Model:
+    """Return the model with start values for those of its sensors that have none.
+
+    FitError if too few samples show a pose.
+    """
+    if all(sensor.is_placed for sensor in model.sensors):
+        return model
+    joints = observations.x[:, : len(model.joints)]
+    reached = Kinematics(model).direct(joints, condition_columns(model, observations))
+    channels = np.array(model.structure.channels)
+    sensors = []
+    for sensor in model.sensors:
+        own = np.isin(channels, sensor.channels)
+        placed = sensor.is_placed
+        sensors.append(
+            sensor if placed else _place(model, sensor, observations.reading[:, own], reached)
+        )
+    fresh = model.with_sensors(tuple(sensors))
+    placed_now = [s.name for s in model.sensors if not s.is_placed]
+    started = [name.partition(".")[0] in placed_now for name in fresh.table.names]
+    return fresh.with_values(np.where(started, fresh.table.nominal, fresh.values), fresh.covariance)
+
+
+def _place(model: Model, sensor: Sensor, reading: np.ndarray, reached: Solutions) -> Sensor:
+    """Return the sensor with the options and frames for which its poses fit the robot's best."""
+    shown, found = 0, list[tuple[float, Sensor, DevicePoses]]()
+    for view in sensor.views(reading):
+        shown = max(shown, int(view.seen.sum()))
+        if (there := _compare(model, view, reached)) is not None:
+            error = there.compute_median_error(there.closed_form_frames())
+            found.append((error, view.sensor, there))
+    if not found:
+        raise FitError(
+            f"{sensor.name}: {shown} of {len(reading)} samples show enough of the board for a "
+            f"pose, expected at least {MIN_PLACEMENT_POSES} that the robot can reach: take more "
+            "images of the whole board, or state where camera and board are in the model file"
+        )
+    _, best, there = min(found, key=lambda one: one[0])
+    frames = there.frames()
+    return best.placed(frames.f, frames.F, frames.t, frames.T)
+
+
+def _compare(model: Model, view: View, reached: Solutions) -> DevicePoses | None:
+    """Poses of a sensor beside those that the robot predicts; None for too few of them."""
+    used = view.seen & reached.solved & np.isfinite(view.r).all(axis=1)
+    if used.sum() < MIN_PLACEMENT_POSES:
+        return None
+    R = reached.rotation[used]
+    away = rotation_vector(R @ nearest_rotation(R.sum(axis=0)).T)
+    turned = float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
+    return DevicePoses(
+        reached.position,
+        reached.rotation,
+        view.r,
+        view.R,
+        placed=used,
+        turned=used,
+        length=model.mechanism.length,
+        turns=True,
+        tilts=turned > MIN_PLACEMENT_TILT_RAD,
+        target_known=False,
+        poses=int(used.sum()),
+        now=IDENTITY_FRAMES,
+        expected=np.zeros(2),
+    )

@@ -1,0 +1,202 @@
+"""What a camera measured: corners and their residuals over the image, the lens, and the robot's
+error without the noise of the images."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from parallel_cal.identification.fit import FitResult
+from parallel_cal.identification.image_poses import estimate_robot_error, find_shown_poses
+from parallel_cal.identification.position_uncertainty import compute_shape_sigma
+from parallel_cal.identification.prediction_errors import Errors
+from parallel_cal.identification.predictions import predict_configurations
+from parallel_cal.reporting.arrows import colour, round_below
+from parallel_cal.reporting.blocks import Block, Number, Table
+from parallel_cal.reporting.figures import Spec, round_with_gaps, select_evenly
+from parallel_cal.reporting.readable import format_fixed
+from parallel_cal.sensors.camera import Camera
+
+GRID = (8, 6)  # cells of the image that count for its coverage
+MAX_TOLD_SHARE = 0.5  # of its tolerance: an estimate with a larger sigma comes from the tolerance
+MAX_ARROWS = 4000
+TYPICAL_ARROW = 0.03  # of the image's width: length of a large arrow
+
+
+@dataclass(frozen=True)
+class CameraImages:
+    """Corners (n, 2) px that one camera saw, their residuals (n, 2) px, measured minus predicted at
+    poses that were held out if there are any, and the sample (n,) of each."""
+
+    camera: Camera
+    corners: np.ndarray
+    residuals: np.ndarray
+    sample: np.ndarray
+    images: int
+    held_out: bool
+
+    @property
+    def rms(self) -> float:
+        """Rms distance (px) of a corner from its prediction."""
+        return float(np.sqrt(np.nanmean(np.sum(self.residuals**2, axis=1))))
+
+    @property
+    def coverage(self) -> float:
+        """Share of the cells of the image with at least one corner."""
+        cells = np.floor(self.corners / np.array(self.camera.image_size) * GRID).astype(int)
+        inside = np.clip(cells, 0, np.array(GRID) - 1)
+        return len(np.unique(inside, axis=0)) / (GRID[0] * GRID[1])
+
+
+def list_images(result: FitResult) -> list[CameraImages]:
+    """List the cameras of a fit with what they saw."""
+    found: list[CameraImages] = []
+    errors: Errors = result.judged_errors
+    channels, reading = np.array(result.model.structure.channels), result.observations.reading
+    for camera in result.model.sensors:
+        if not isinstance(camera, Camera):
+            continue
+        own = np.isin(channels, camera.channels)
+        pixels, left = (a[:, own].reshape(len(a), -1, 2) for a in (reading, errors.pixel))
+        seen = np.isfinite(pixels).all(axis=2)
+        sample = np.nonzero(seen)[0]
+        found.append(
+            CameraImages(
+                camera,
+                pixels[seen],
+                left[seen],
+                result.dataset.numbers[sample],
+                int(seen.any(axis=1).sum()),
+                bool(result.held_out.judged.any()),
+            )
+        )
+    return found
+
+
+def describe_images(result: FitResult) -> Iterator[Block]:
+    """Describe the cameras of a fit, their lenses, and the robot's error without their noise."""
+    cameras = list_images(result)
+    for one in cameras:
+        name = one.camera.name
+        where = "held-out poses" if one.held_out else "all poses"
+        yield (
+            f"{name}: {one.images} images with {len(one.corners)} corners, "
+            f"{format_fixed(one.rms)} px rms of a corner at {where}; corners in "
+            f"{100 * one.coverage:.0f} % of the image"
+        )
+        yield lens_table(result, one.camera)
+    if not cameras:
+        return
+    shown = find_shown_poses(
+        result.model,
+        result.observations,
+        predict_configurations(result.model, result.observations),
+    )
+    if shown is None:
+        return
+    errors = result.judged_errors
+    change = np.hstack([errors.position, errors.orientation])
+    change = np.where(np.isfinite(change), change, np.where(shown.known[:, None], 0.0, np.nan))
+    judged = np.isfinite(errors.position).all(axis=1)
+    own = estimate_robot_error(replace(shown, change=np.where(judged[:, None], change, np.nan)))
+    if own is not None:
+        yield (
+            "position error of the robot without the noise of the images: "
+            f"{format_fixed(own[0], 1e6, 0)} +- {format_fixed(own[1], 1e6, 0)} um rms at "
+            f"{'held-out' if result.held_out.judged.any() else 'all'} poses. The images do not "
+            "show an error that camera and robot share"
+        )
+    if (sigma := compute_shape_sigma(result.model, result.observations)) is not None:
+        yield (
+            f"uncertainty of the identified positions, with that of the lens: "
+            f"{format_fixed(sigma, 1e6, 0)} um rms, whatever the frames of base and platform"
+        )
+
+
+def lens_table(result: FitResult, camera: Camera) -> Table:
+    """List the parameters of a lens, and whether the data or their tolerances determine them."""
+    rows: list[tuple[str | Number, ...]] = []
+    table, estimates = result.model.table, result.parameters()
+    for name in camera.lens_parameters:
+        full = f"{camera.name}.{name}"
+        one, tolerance = estimates[full], table[full].tolerance
+        told = one.sigma is not None and one.sigma < MAX_TOLD_SHARE * tolerance
+        by = "fixed" if one.fixed else "the data" if told else "its tolerance"
+        decimals = 2 if one.unit == "px" else 5
+        rows.append(
+            (
+                full,
+                Number(one.value, 1.0, decimals, 6, one.sigma),
+                Number(None if one.fixed else one.sigma, 1.0, decimals, 2),
+                one.unit.replace("1", ""),
+                by,
+            )
+        )
+    return Table((f"lens of {camera.name}", "value", "sigma", "unit", "determined by"), rows)
+
+
+def residual_arrows(one: CameraImages) -> tuple[Spec, float]:
+    """Draw the residuals as arrows over the image; return the figure and the magnification."""
+    kept = select_evenly(len(one.corners), MAX_ARROWS)
+    starts, moves = one.corners[kept], one.residuals[kept]
+    width, height = one.camera.image_size
+    size = float(np.nanquantile(np.linalg.norm(moves, axis=1), 0.9))
+    scale = round_below(TYPICAL_ARROW * width / size) if size > 0 else 1.0
+    ends = starts + scale * moves
+    colours = np.array([colour(np.append(np.nan_to_num(v), 0.0)) for v in moves])
+    hues = np.round(np.arctan2(*np.nan_to_num(moves).T[::-1]) / (2 * np.pi) * 12) % 12
+    data: list[Spec] = []
+    for hue in np.unique(hues):  # one trace for each of twelve directions keeps the page small
+        own = np.flatnonzero(hues == hue)
+        gap = np.full((len(own), 1), np.nan)
+        x, y = (
+            np.hstack([starts[own, k : k + 1], ends[own, k : k + 1], gap]).ravel() for k in (0, 1)
+        )
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "x": round_with_gaps(x),
+                "y": round_with_gaps(y),
+                "line": {"color": str(colours[own[0]]), "width": 1},
+                "hoverinfo": "skip",
+                "showlegend": False,
+            }
+        )
+    data.append(
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "x": round_with_gaps(starts[:, 0]),
+            "y": round_with_gaps(starts[:, 1]),
+            "marker": {"size": 2.5, "color": colours.tolist()},
+            "text": [
+                f"sample {n}: {v[0]:.2f} {v[1]:.2f} px"
+                for n, v in zip(one.sample[kept].tolist(), moves, strict=True)
+            ],
+            "customdata": one.sample[kept].tolist(),
+            "hoverinfo": "text",
+            "showlegend": False,
+        }
+    )
+    tall = 60 + round(820 * height / width)
+    layout: Spec = {
+        "height": tall,
+        "margin": {"t": 12, "r": 8, "l": 56, "b": 44},
+        "xaxis": {
+            "range": [-0.5, width - 0.5],
+            "title": {"text": "u [px]", "standoff": 4},
+            "constrain": "domain",
+            "zeroline": False,
+        },
+        "yaxis": {
+            "range": [height - 0.5, -0.5],
+            "title": {"text": "v [px]", "standoff": 4},
+            "scaleanchor": "x",
+            "constrain": "domain",
+            "zeroline": False,
+        },
+    }
+    return {"data": data, "layout": layout}, scale
