@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from virtual_images import LENS, SQUARE, printed, shots
+from board_images import LENS, SQUARE, printed, shots
 
 from parallel_cal.imaging.board import Board
 from parallel_cal.virtual.camera import Camera, FlatBoard

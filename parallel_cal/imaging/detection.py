@@ -103,21 +103,21 @@ class Detector:
             return unusable(other)
         count = 0 if numbers is None else len(numbers)
         if count < MIN_CORNERS:
-            return unusable(f"{count} corners of the board in it, expected at least {MIN_CORNERS}")
+            return unusable(f"too few corners: {count} found, expected at least {MIN_CORNERS}")
         order = np.argsort(numbers.ravel())
         numbers = numbers.ravel()[order].astype(np.int64)
         pixels = pixels.reshape(-1, 2)[order].astype(float)
         plane = _Plane.through(self._cv2, self.board.corners[numbers], pixels)
         if plane is None:
-            return unusable(f"{count} corners of the board in it, all on one line")
+            return unusable(f"too few corners: {count} found, all on one line")
         pixels = self._refine(image, numbers, pixels, plane)
         residuals = _fit_residuals(self.board.corners[numbers], pixels, plane, size)
         sigma = MAD_TO_SIGMA * float(np.median(residuals)) if len(residuals) else 0.0
         wrong = residuals > max(MIN_OUTLIER_PX, MIN_OUTLIER_SIGMAS * sigma)
         if (~wrong).sum() < MIN_CORNERS:
             return unusable(
-                f"{int((~wrong).sum())} of {count} corners agree with each other, expected at "
-                f"least {MIN_CORNERS}"
+                f"too few corners: {int((~wrong).sum())} of {count} agree with each other, "
+                f"expected at least {MIN_CORNERS}"
             )
         excluded = {int(n): float(e) for n, e in zip(numbers[wrong], residuals[wrong], strict=True)}
         numbers, pixels = numbers[~wrong], pixels[~wrong]
