@@ -20,7 +20,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
 venv: $(STAMP)
 
-LIBRARIES := -e '.[ros,dev,workbench,fleet]'
+LIBRARIES := -e '.[ros,dev,workbench,fleet,camera]'
 
 # $(call install,WHAT): by uv, or, where it cannot reach the index, by pip.
 define install

@@ -17,23 +17,32 @@ def import_(
     kind: Annotated[
         str,
         typer.Argument(
-            help="rrf, klipper, marlin, linuxcnc or table; or the Python path of your own importer"
+            help="rrf, klipper, marlin, linuxcnc, table or images; or the Python path of your own "
+            "importer"
         ),
     ],
     files: Annotated[
-        list[Path], typer.Argument(help="files of the controller, and its configuration")
+        list[Path],
+        typer.Argument(help="files of the controller, and its configuration; or folders of images"),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="samples to write (.json)")],
     option: Annotated[
         list[str] | None, typer.Option(metavar="KEY=VALUE", help="option of the importer")
     ] = None,
+    joints: Annotated[
+        Path | None, typer.Option(help="table of the joint readings at each image (CSV)")
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Convert a controller's files, or a tracker's table and a joint log, to a samples file."""
+    """Convert a controller's files, a tracker's table and a joint log, or images of a printed board
+    and their joint readings, to a samples file."""
     from parallel_cal.importing.controller_files import samples
     from parallel_cal.recordings.info import info_of
 
-    dataset = samples(kind, files, **parse_options(option))
+    options = parse_options(option)
+    if joints is not None:
+        options["joints"] = str(joints)
+    dataset = samples(kind, files, **options)
     dataset.to_json(output)
     document = info_of(dataset)
     show_info(document | {"output": str(output)} if as_json else document, as_json)

@@ -24,6 +24,7 @@ COMMANDS = {
     "info": "recordings",
     "import": "importing:import_",
     "import-csv": "recordings",
+    "board": "board:app",
     "simulate": "recordings",
     "replay": "recordings",
     "fit": "calibration",

@@ -188,8 +188,11 @@ def map_by_names(table: Table, joints: Sequence[str], beside: Path) -> ColumnMap
     )
 
 
-def read_column_map(path: Path) -> ColumnMap:
-    """Read a column map; ModelFileError names line and key of an error."""
+def read_column_map(path: Path, measured_elsewhere: bool = False) -> ColumnMap:
+    """Read a column map; ModelFileError names line and key of an error.
+
+    With `measured_elsewhere`, such as in images, the tables need not hold measurements.
+    """
     try:
         document = parse_yaml(read_foreign_text(path), str(path))
     except UnicodeDecodeError:
@@ -207,7 +210,8 @@ def read_column_map(path: Path) -> ColumnMap:
         raise document.error(place, text) from None
     if found.orientation and found.angles:
         raise document.error(("angles",), "orientation is given as well: remove one of the two")
-    if not (found.position or found.orientation or found.angles or found.readings):
+    measured = found.position or found.orientation or found.angles or found.readings
+    if not (measured or measured_elsewhere):
         raise document.error(
             (), "neither position nor orientation nor readings: state what was measured"
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -69,12 +70,27 @@ def _sample_sentence(document: dict[str, Any]) -> str:
     again = document["replicates"]
     frame = f"frame {document['frame']}" if document["frame"] else "a frame without a name"
     pose = f"{' '.join(document['measured'])} in {frame}" if document["measured"] else ""
-    read = ", ".join(f"{name} ({count})" for name, count in document["readings"].items())
+    read = ", ".join(_reading_words(document["readings"]))
     return (
         f"{document['samples']} samples ({document['mode'] or 'none'}) of {document['poses']} "
         f"poses; replicates: {again['samples']} samples of {again['poses']} poses; "
         f"measured: {'; '.join(filter(None, (pose, read))) or 'nothing'}"
     )
+
+
+def _reading_words(readings: dict[str, int]) -> list[str]:
+    """Name the channels with their number of readings; the corners of a board are one entry."""
+    corners: dict[str, list[int]] = {}
+    words = []
+    for name, count in readings.items():
+        if found := re.fullmatch(r"(\w+)\.\d+\.([uv])", name):
+            corners.setdefault(found[1], []).extend([count] if found[2] == "u" else [])
+        else:
+            words.append(f"{name} ({count})")
+    return words + [
+        f"{camera} ({sum(counts)} readings of {len(counts)} corners)"
+        for camera, counts in corners.items()
+    ]
 
 
 def _print_noise(document: dict[str, Any], console: Console) -> None:

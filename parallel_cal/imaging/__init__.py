@@ -1,0 +1,1 @@
+"""Printed boards, and the corners of a board in an image."""
