@@ -1,4 +1,4 @@
-# make demo | test | check | wide | slow | bags | bench | faults | tables | gallery | real | clean      (PYTHON=python3.12 make ... for another)
+# make demo | test | check | wide | slow | bags | bench | faults | tables | gallery | real | docs | clean      (PYTHON=python3.12 make ... for another)
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -16,11 +16,11 @@ endif
 # Nodes under test talk to this machine only.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
-.PHONY: venv demo test wide check lint types slow bags bench faults tables gallery real clean
+.PHONY: venv demo test wide check lint types slow bags bench faults tables gallery real docs clean
 
 venv: $(STAMP)
 
-LIBRARIES := -e '.[ros,dev,workbench,fleet,camera]'
+LIBRARIES := -e '.[ros,dev,workbench,fleet,camera,docs]'
 
 # $(call install,WHAT): by uv, or, where it cannot reach the index, by pip.
 define install
@@ -94,6 +94,10 @@ tables: $(STAMP)
 gallery: $(STAMP)
 	@$(BIN)/python docs/mechanisms.py
 	@$(BIN)/python docs/gallery.py
+
+# The documentation site: build/site/index.html. A warning is an error.
+docs: $(STAMP)
+	@$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/site
 
 # The real machines in real/ calibrated beside independent fits (docs/real_machines.md).
 real: $(STAMP)

@@ -19,5 +19,5 @@ A name is imported when it is first used; `__init__.pyi` lists all names. `pc.ef
 
 import lazy_loader
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -3,9 +3,11 @@
 import json
 import re
 from configparser import ConfigParser
+from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree
 
+import pytest
 import yaml
 
 ROOT = Path(__file__).parents[1]
@@ -29,6 +31,8 @@ def test_version_licence_and_maintainer_are_the_same_in_every_file():
         root = package.getroot()
         maintainer = root.find("maintainer")
         stated.append((root.findtext("version"), root.findtext("license"), maintainer.get("email")))
+    code = (ROOT / "parallel_cal" / "__init__.py").read_text(encoding="utf-8")
+    assert f'__version__ = "{setup()["version"]}"' in code
     assert len(stated) == 4
     assert len(set(stated)) == 1, stated
 
@@ -45,6 +49,26 @@ def test_the_ros_packages_that_the_code_imports_are_declared():
             imported |= {n for n in names if n.startswith(("rclpy", "tf2_ros", "launch"))}
     assert ours < imported
     assert imported - declared == set()
+
+
+def test_the_changelog_begins_with_the_present_version_in_the_form_of_rep_132():
+    lines = (ROOT / "CHANGELOG.rst").read_text(encoding="utf-8").splitlines()
+    assert lines[0] == lines[2] == "^" * len(lines[1])
+    assert lines[1] == "Changelog for package parallel_cal"
+    versions = [
+        re.fullmatch(r"(\d+\.\d+\.\d+) \(\d{4}-\d\d-\d\d\)", title)[1]
+        for title, line in pairwise(lines)
+        if line and set(line) == {"-"}
+    ]
+    assert versions[0] == setup()["version"]
+    assert versions == sorted(versions, reverse=True)
+    assert len(versions) > 1
+
+
+def test_the_changelog_is_valid_restructured_text():
+    core = pytest.importorskip("docutils.core")
+    text = (ROOT / "CHANGELOG.rst").read_text(encoding="utf-8")
+    core.publish_doctree(text, settings_overrides={"halt_level": 2, "report_level": 5})
 
 
 def test_files_for_continuous_integration_and_containers_can_be_read():
