@@ -702,7 +702,7 @@ PLANES = {
 @pytest.mark.parametrize("name", PLANES)
 def test_a_planar_cable_robot_moves_in_the_plane_of_its_anchors(name):
     anchors, plane = PLANES[name]
-    model = new_model(load_mechanism("cable", anchors=anchors, advantages=[1] * len(anchors)))
+    model = new_model(load_mechanism("cable", anchors=anchors))
     assert "".join(model.mechanism.moves) == "".join(model.mechanism.controls) == plane
     assert sum(".A_" in n for n in model.table.names) == 2 * len(anchors)
     kinematics, used = Kinematics(model), ["xyz".index(axis) for axis in plane]
@@ -730,7 +730,7 @@ def test_heights_measured_at_a_planar_cable_robot_do_not_change_the_fit(lines):
     r = np.column_stack([rng.uniform(-0.8, 0.8, (80, 2)), np.zeros(80)])
     way = np.linalg.norm(r[:, None, :2] - anchors, axis=2) - np.linalg.norm(anchors, axis=1)
     off = np.round(anchors + rng.normal(0, 5e-3, anchors.shape), 3)
-    mechanism = load_mechanism("cable", anchors=off.tolist(), advantages=[1.0] * lines)
+    mechanism = load_mechanism("cable", anchors=off.tolist())
     q = way * 12.75 / 0.0752 + 0.02 * rng.normal(size=way.shape)
     data = Dataset.from_arrays(
         mechanism.joints,

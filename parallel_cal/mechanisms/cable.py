@@ -55,12 +55,13 @@ class Cable(Mechanism):
         spools: Sequence[int] | None = None,
     ):
         n = len(anchors)
-        hp4 = n == len(HP4_ANCHORS)
-        advantages = advantages or (HP4_ADVANTAGES if hp4 else (1.0,) * n)
-        self.spools = tuple(spools or (HP4_SPOOLS if hp4 else range(1, n + 1)))
-        points = _check(anchors, advantages, self.spools)
+        points = _check_anchors(anchors)
         used = np.flatnonzero(points.any(axis=0))
         self.moves = self.controls = tuple("xyz"[axis] for axis in used)
+        hp4 = n == len(HP4_ANCHORS) and len(used) == 3
+        advantages = advantages or (HP4_ADVANTAGES if hp4 else (1.0,) * n)
+        self.spools = tuple(spools or (HP4_SPOOLS if hp4 else range(1, n + 1)))
+        _check_lines(n, advantages, self.spools)
         box = np.array([Cable.workspace.low, Cable.workspace.high])[:, used].tolist()
         self.workspace = Workspace(low=tuple(box[0]), high=tuple(box[1]))
         self.joints = tuple(f"motor{i + 1}" for i in range(n))
@@ -149,9 +150,15 @@ class Cable(Mechanism):
         return bool(sizes[-1] > 0.05 * sizes[0])
 
 
-def _check(
-    anchors: Sequence[Any], advantages: Sequence[float], spools: Sequence[int]
-) -> np.ndarray:
+def _check_lines(n: int, advantages: Sequence[float], spools: Sequence[int]) -> None:
+    for name, values in (("advantages", advantages), ("spools", spools)):
+        if len(values) != n:
+            raise ModelError(f"{len(values)} {name} for {n} anchors, expected one for each")
+    if not all(value > 0 for value in advantages):
+        raise ModelError(f"advantages {list(advantages)}, expected numbers above 0")
+
+
+def _check_anchors(anchors: Sequence[Any]) -> np.ndarray:
     """Return the anchors (n, 3) m of a robot in space or in a coordinate plane, or ModelError."""
     n = len(anchors)
     if {len(point) for point in anchors} not in ({2}, {3}):
@@ -169,17 +176,12 @@ def _check(
             f"{n} anchors given, expected at least 3 points [x, y, z] in m, or at least 2 points "
             "[x, y] of a planar robot"
         )
-    for name, values in (("advantages", advantages), ("spools", spools)):
-        if len(values) != n:
-            raise ModelError(f"{len(values)} {name} for {n} anchors, expected one for each")
-    if not all(value > 0 for value in advantages):
-        raise ModelError(f"advantages {list(advantages)}, expected numbers above 0")
-    if least == 3 and np.linalg.norm(np.cross(*(points[1:3] - points[0]))) < 1e-6:
-        raise ModelError(f"the first 3 anchors {points[:3].tolist()} are collinear")
     if not points.any(axis=1).all():
         raise ModelError(
             "an anchor is at the origin, where readings are zero: its line has no length"
         )
+    if least == 3 and np.linalg.norm(np.cross(*(points[1:3] - points[0]))) < 1e-6:
+        raise ModelError(f"the first 3 anchors {points[:3].tolist()} are collinear")
     if least == 2 and np.linalg.norm(points[1] - points[0]) < 1e-6:
         raise ModelError(f"the first 2 anchors {points[:2].tolist()} are the same point")
     if least == 2 and np.linalg.matrix_rank(points, tol=1e-6) < 2:
