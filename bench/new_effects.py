@@ -24,6 +24,7 @@ import virtual_effects_more as more
 import virtual_findings as vf
 import virtual_setups as vs
 from twins import hexapod
+from virtual_struts import UniversalJoints
 
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
 from parallel_cal.identification.fit import fit
@@ -186,7 +187,15 @@ def refraction(size: float, rng: np.random.Generator, n: int) -> Any:
 
 
 def leaning(size: float, rng: np.random.Generator, n: int) -> Any:
-    return more.LeaningBase(tuple(np.abs(some(size, rng, 2))))  # type: ignore[arg-type]
+    return more.LeaningBase(some(size, rng, 2))  # type: ignore[arg-type]
+
+
+def twisted(size: float, rng: np.random.Generator, n: int) -> Any:
+    return UniversalJoints(lead=some(size, rng, 1)[0])
+
+
+def apart(size: float, rng: np.random.Generator, n: int) -> Any:
+    return UniversalJoints(foot=some(size, rng, n), head=some(size, rng, n))
 
 
 def bed(size: float, rng: np.random.Generator, n: int) -> Any:
@@ -217,6 +226,8 @@ KINDS = {
     "bent space": Kind(("device_field",), ("fine delta", "stewart"), bent, 1e-3),
     "refraction": Kind(("device_field",), ("fine delta", "stewart"), refraction, 2e-3),
     "leaning base": Kind(("base_compliance",), ("fine delta", "stewart"), leaning, 0.2e-3),
+    "twisted struts": Kind(("strut_rotation",), ("stewart",), twisted, 1e-3),
+    "offset joints": Kind(("universal_joint_offset",), ("stewart",), apart, 1e-3),
     "bed": Kind(("bed_shape",), ("gauged stewart",), bed, 1e-3),
     "probe beside": Kind(("probe_offset",), ("gauged stewart",), beside, 0.1e-3),
     "probe slanted": Kind(("probe_tilt",), ("gauged stewart",), slanted, 5e-3),

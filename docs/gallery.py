@@ -136,7 +136,8 @@ def hidden(effect: Effect, times: float) -> Scene:
         tolerances = 0.1 * away * way * larger.table.tolerance
         robot, model = larger.with_values(larger.values + tolerances), new_model("delta24")
     else:
-        able = (m for m in map(bare, ROBOTS) if not effect.applies(m.mechanism))
+        robots = (bare(name, probing=bool(effect.reads)) for name in ROBOTS)
+        able = (m for m in robots if not effect.applies(m.mechanism))
         model = next(m for m in able if bool(m.sensors) == bool(effect.reads))
         if effect.name in PLATFORM_KNOWN:
             model = new_model("stewart42")
@@ -149,8 +150,9 @@ def hidden(effect: Effect, times: float) -> Scene:
     return Scene.of(result.model, result.dataset, result.observations, result.free)
 
 
-def bare(name: str) -> Model:
-    sensors = [load_sensor("probe", height=0.2, mounted=True)] if name == "stewart42" else []
+def bare(name: str, probing: bool) -> Model:
+    probes = probing and name == "stewart42"
+    sensors = [load_sensor("probe", height=0.2, mounted=True)] if probes else []
     return new_model(name, sensors=sensors)
 
 

@@ -255,6 +255,13 @@ def test_new_takes_options_of_a_mechanism(document, tmp_path):
     assert len(read_model(tmp_path / "m.yaml").joints) == 2
 
 
+def test_the_options_of_a_mechanism_are_listed(run):
+    listed = run("mechanisms", "cable")[1]
+    assert "Options: `anchors` (n, 3), m; `advantages` (n,)" in listed
+    assert "If one coordinate of every anchor is 0, the robot is planar" in listed
+    assert "Options" not in run("mechanisms", "delta24")[1]
+
+
 def test_mechanisms_and_effects_are_listed_with_what_they_need(document, run):
     listed = {m["name"]: m for m in document("mechanisms")["mechanisms"]}
     assert listed["delta54"]["parameters"] == 54

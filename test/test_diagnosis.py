@@ -146,6 +146,16 @@ def test_an_effect_outside_the_catalogue_never_gets_the_verdict_explained(name):
 
 
 @pytest.mark.wide
+def test_a_dissipative_effect_of_the_wrong_sign_teaches_the_robot_nothing():
+    """Directions recorded with the wrong sign: other effects would only imitate the backlash."""
+    found = diagnose(MODEL, measured(0, effects=[vr.Backlash((-3e-3, -2e-3, -2.5e-3))]))
+    assert found.verdict.word == "unexplained"
+    assert not found.effects
+    assert "width would have to be -0.00" in found.verdict.summary
+    assert "check the recorded direction and travel of the joints" in found.verdict.summary
+
+
+@pytest.mark.wide
 def test_an_unknown_gear_ratio_is_found_and_add_finds_it_too():
     ripple = hidden.GearRipple((4e-4, 3e-4, 3.5e-4), (0.3, 1.2, 2.0), 37.3)
     data = measured(4, effects=[ripple], n_poses=110)

@@ -9,6 +9,7 @@ from virtual_cable import FALL, Line, WoundCable
 from parallel_cal.base.errors import ModelError
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.fit_warnings import chi2_band
+from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.effect import Seen
 from parallel_cal.model.model import new_model
 from parallel_cal.model.parameters import Named
@@ -78,6 +79,21 @@ def test_four_strands_of_two_metres_give_half_as_much_as_the_sum_of_weight_over_
     far = {"line4.A_x": 1e9, "line4.A_y": 0.0, "line4.A_z": 0.0, "line3.advantage": 4.0}
     _, r = sees("line_stretch", {"compliance": 1e-4, "mass": 1.0}, **anchors, **far)
     np.testing.assert_allclose(r, [0, 0, 3 * 9.81 / 2 * 1e-4], atol=1e-12)
+
+
+def test_a_plotter_on_a_wall_sags_in_its_plane():
+    """Two lines of 5 m, 4 m up and 3 m aside: 29.43 N on the stiffness 2 EA (4/5)^2 / 5 m."""
+    wall = load_mechanism("cable", anchors=[[-3, 0, 4], [3, 0, 4]])
+    numbers = {"line_stretch.compliance": 1e-7, "line_stretch.mass": 3.0}
+    model = new_model(wall, numbers, ["line_stretch"])
+    r = Kinematics(model).direct(np.zeros(2), {"payload": 0.0}).position
+    np.testing.assert_allclose(r, [0, 0, -3 * 9.81 * 1e-7 / 0.256], atol=1e-9)
+
+
+def test_a_plotter_on_a_table_does_not_sag():
+    table = load_mechanism("cable", anchors=[[-3, 4], [3, 4]])
+    with pytest.raises(ModelError, match="the platform does not move along gravity"):
+        new_model(table).with_effect("line_stretch")
 
 
 @pytest.mark.parametrize("name", ["spool_buildup", "line_stretch"])

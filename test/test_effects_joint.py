@@ -228,6 +228,14 @@ def test_a_base_sinks_on_the_side_that_the_weight_hangs_on():
     np.testing.assert_allclose(r, [0.0, 0.1 - 3e-5, 0.3 + 1e-5], atol=2e-8)
 
 
+def test_a_base_may_lean_away_from_the_weight():
+    """The device's stand may lean further than the base: the tilt between them has either sign."""
+    _, r, _ = sees("base_compliance", "stewart42", {"lean_y": -1e-3}, {}, r=(0.1, 0.0, 0.3))
+    np.testing.assert_allclose(r, [0.1 + 3e-5, 0.0, 0.3 - 1e-5], atol=2e-8)
+    for parameter in load_effect("base_compliance").parameters(load_mechanism("stewart42")):
+        assert parameter.low == -parameter.high
+
+
 # --------------------------------------------------------------------------- where they apply
 
 
@@ -467,10 +475,10 @@ CASES = [
         Case(
             robot,
             "base_compliance",
-            more.LeaningBase((1e-3, 1.5e-3)),
-            {"lean_x": 1e-3, "lean_y": 1.5e-3},
+            more.LeaningBase((1e-3, lean_y)),
+            {"lean_x": 1e-3, "lean_y": lean_y},
         )
-        for robot in (DELTA, HEXAPOD)
+        for robot, lean_y in ((DELTA, 1.5e-3), (HEXAPOD, -1.5e-3))
     ],
     Case(HEXAPOD, "device_axes", CROOKED, AXES),
     Case(

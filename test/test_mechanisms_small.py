@@ -10,11 +10,15 @@ import virtual_small
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
+from parallel_cal.identification.fit import fit
+from parallel_cal.identification.fit_warnings import chi2_band
+from parallel_cal.identification.prediction_errors import keep_moved_coordinates
 from parallel_cal.kinematics.all_solutions import direct_all, inverse_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import new_model
-from parallel_cal.model.shelf import load_mechanism
+from parallel_cal.model.shelf import load_mechanism, load_sensor
+from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.virtual import argos, linear_delta, stewart
 
 ALL = (
@@ -687,13 +691,89 @@ def test_cable_robots_of_other_shapes_are_solved(lines):
     assert [n for n in model.table.names if "spool" in n] == ["spool1.R"]
 
 
+PLANES = {
+    "two lines": ([[-3, 4], [3, 4]], "xy"),
+    "four lines": ([[-3, 4], [3, 4], [3, -4], [-3, -4]], "xy"),
+    "collinear anchors": ([[-3, 4], [0, 4], [3, 4]], "xy"),
+    "a wall": ([[-3, 0, 4], [3, 0, 4], [0, 0, -5]], "xz"),
+}
+
+
+@pytest.mark.parametrize("name", PLANES)
+def test_a_planar_cable_robot_moves_in_the_plane_of_its_anchors(name):
+    anchors, plane = PLANES[name]
+    model = new_model(load_mechanism("cable", anchors=anchors))
+    assert "".join(model.mechanism.moves) == "".join(model.mechanism.controls) == plane
+    assert sum(".A_" in n for n in model.table.names) == 2 * len(anchors)
+    kinematics, used = Kinematics(model), ["xyz".index(axis) for axis in plane]
+    target = np.zeros((100, 3))
+    target[:, used] = np.random.default_rng(0).uniform(-0.4, 0.4, (100, 2))
+    back = kinematics.direct(kinematics.inverse(target).joints)
+    assert np.abs(back.position - target).max() < 1e-12
+
+
+def test_a_planar_line_is_what_paper_and_pencil_say():
+    """From (0, 0) to (3, 4) the line from the anchor (-3, -4) grows from 5 m to 10 m, that from
+    (3, -4) from 5 m to 8 m. The height of the point does not matter."""
+    anchors = [[-3, -4], [3, -4]]
+    model = new_model(load_mechanism("cable", anchors=anchors), {"spool1.R": 1, "spool2.R": 1})
+    motors = 12.75 * np.array([5, 3])
+    for height in (0, 0.7):
+        assert phi(model, motors, [3, 4, height], EYE) == pytest.approx([0, 0], abs=1e-12)
+
+
+@pytest.mark.parametrize("lines", [2, 4])
+def test_heights_measured_at_a_planar_cable_robot_do_not_change_the_fit(lines):
+    """0.1 mm of noise in the plane, 25 mm across it: the errors are those in the plane."""
+    anchors = np.array([[-1.5, 1.2], [1.5, 1.1], [1.4, -1.2], [-1.6, -1.0]])[:lines]
+    rng = np.random.default_rng(5)
+    r = np.column_stack([rng.uniform(-0.8, 0.8, (80, 2)), np.zeros(80)])
+    way = np.linalg.norm(r[:, None, :2] - anchors, axis=2) - np.linalg.norm(anchors, axis=1)
+    off = np.round(anchors + rng.normal(0, 5e-3, anchors.shape), 3)
+    mechanism = load_mechanism("cable", anchors=off.tolist())
+    q = way * 12.75 / 0.0752 + 0.02 * rng.normal(size=way.shape)
+    data = Dataset.from_arrays(
+        mechanism.joints,
+        q,
+        r + rng.normal(size=r.shape) * [1e-4, 1e-4, 25e-3],
+        pose_cov=np.diag(np.square([1e-4, 1e-4, 1e-4, np.nan, np.nan, np.nan])),
+        joint_sigma=0.02,
+    )
+    found = fit(new_model(mechanism), data)
+    low, high = chi2_band(found.estimate.dof)
+    assert low < found.estimate.chi2_per_dof < high
+    assert found.document()["held_out"]["after"]["position_rms"] < 0.3e-3
+    assert found.model.value("spool1.R") == pytest.approx(0.0752, abs=3e-5)
+
+
+def test_errors_across_the_plane_are_left_out_in_the_axes_of_the_device():
+    """The device stands on its side: its y-axis is the base's z-axis, its z-axis the base's -y."""
+    on_side = load_sensor("device_frame", quaternion=(np.sqrt(0.5), 0, 0, np.sqrt(0.5)))
+    table = load_mechanism("cable", anchors=[[-3, 4], [3, 4]])
+    apart = np.array([[1e-3, 25e-3, 2e-3]])
+    kept = keep_moved_coordinates(new_model(table, sensors=[on_side]), apart, range(3))
+    np.testing.assert_allclose(kept, [[1e-3, 0, 2e-3]], atol=1e-15)
+    kept = keep_moved_coordinates(new_model(table), apart, range(3))
+    np.testing.assert_allclose(kept, [[1e-3, 25e-3, 0]], atol=1e-15)
+    kept = keep_moved_coordinates(new_model("cable"), apart, range(3))
+    np.testing.assert_array_equal(kept, apart)
+
+
 def test_wrong_cable_options_say_what_is_expected():
     with pytest.raises(ModelError, match="3 spools for 4 anchors, expected one for each"):
         load_mechanism("cable", spools=[1, 1, 2])
     with pytest.raises(ModelError, match="2 anchors given, expected at least 3 points"):
-        load_mechanism("cable", anchors=[[0, 0, 1], [0, 1, 0]])
+        load_mechanism("cable", anchors=[[0, 1, 1], [1, 1, 0]])
+    with pytest.raises(ModelError, match=r"expected points \[x, y, z\], or all \[x, y\], in m"):
+        load_mechanism("cable", anchors=[[0, 1, 1], [1, 1]])
+    with pytest.raises(ModelError, match="are collinear with the origin: expected anchors that"):
+        load_mechanism("cable", anchors=[[1, 0], [2, 0], [-1, 0]])
+    with pytest.raises(ModelError, match="and the origin are collinear: the lines cannot hold"):
+        load_mechanism("cable", anchors=[[1, 1], [-1, -1]])
+    with pytest.raises(ModelError, match=r"first 2 anchors .* are the same point"):
+        load_mechanism("cable", anchors=[[1, 1], [1, 1], [-1, 1]])
     with pytest.raises(ModelError, match=r"first 3 anchors .* are collinear"):
-        load_mechanism("cable", anchors=[[0, 0, 1], [1, 0, 1], [2, 0, 1]])
+        load_mechanism("cable", anchors=[[0, 1, 1], [1, 1, 1], [2, 1, 1]])
     with pytest.raises(ModelError, match="an anchor is at the origin"):
         load_mechanism("cable", anchors=[[0, 0, 0], [1, 0, 1], [0, 1, 1]])
     with pytest.raises(ModelError, match=r"advantages \[2, 2, 0, 4\], expected numbers above 0"):

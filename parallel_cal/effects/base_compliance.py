@@ -18,6 +18,10 @@ class BaseCompliance(Effect):
     r x g / |g| (m) is the lever arm of the moving weight on {B}. `lean` (rad/m) is that weight
     times the rotational compliance of the base about axis i. If the weight changes, the tilt
     changes: that is `payload_sag`. Relative to its own base, the robot's poses are correct.
+
+    The device shows the tilt of the base relative to its own stand. `lean` is negative if the base
+    tilts away from the weight: the device stands on the same floor or table and tilts further, or
+    an active isolation overcompensates.
     """
 
     of_device = True
@@ -29,7 +33,7 @@ class BaseCompliance(Effect):
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         axes = _find_leaning_axes(mechanism)
-        return [Parameter(f"lean_{a}", "rad/m", 0.0, 0.5e-3, low=0.0, high=5e-3) for a in axes]
+        return [Parameter(f"lean_{a}", "rad/m", 0.0, 0.5e-3, low=-5e-3, high=5e-3) for a in axes]
 
     def applies(self, mechanism: Mechanism) -> str:
         return "" if _find_leaning_axes(mechanism) else "the platform does not move across gravity"

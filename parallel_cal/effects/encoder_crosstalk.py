@@ -33,7 +33,12 @@ class EncoderCrosstalk(Effect):
     )
     remedy = "separate cables, belts and shafts, or keep the correction in the model"
     source = "toothed belts hold their length to 1.6e-3 at 10 inches, 1.0e-3 at 20 (ANSI/RMA IP-24)"
-    lookalikes = ("encoder_gain", "encoder_eccentricity", "encoder_second_harmonic")
+    lookalikes = (
+        "encoder_gain",
+        "encoder_eccentricity",
+        "encoder_second_harmonic",
+        "universal_joint_offset",
+    )
     separated_by = "poses in which one joint moves over its range while its neighbours stand still"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:

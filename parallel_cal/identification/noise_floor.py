@@ -17,6 +17,7 @@ from parallel_cal.identification.prediction_errors import (
     Summary,
     find_fully_measured_samples,
     find_judgeable_samples,
+    keep_moved_coordinates,
     where_known,
 )
 from parallel_cal.model.model import Model
@@ -82,8 +83,8 @@ def simulate_noise_floor(model: Model, observations: Observations, seed: int = 0
     pose = np.where(measured, pose, 0.0)
     placed, turned = (find_judgeable_samples(m, measured, part) for part in (range(3), range(3, 6)))
     each = (
-        where_known(placed, pose[:, :, :3]),
-        where_known(turned, pose[:, :, 3:]),
+        where_known(placed, keep_moved_coordinates(model, pose[:, :, :3], range(3))),
+        where_known(turned, keep_moved_coordinates(model, pose[:, :, 3:], range(3, 6))),
         where_known(np.all(observations.measured[:, given], axis=1), joint),
         np.where(in_pixels, np.nan, read),
         where_known(

@@ -175,11 +175,14 @@ def errors(model: Model, observations: Observations) -> Errors:
         find_judgeable_samples(m, measured[:, n:], part) for part in (range(3), range(3, 6))
     )
     apart = np.where(measured[:, n : n + 3], seen.r - pose.position, 0.0)
+    apart = keep_moved_coordinates(model, apart, range(3))
+    turn = np.where(measured[:, n + 3 :], turn, 0.0)
+    turn = keep_moved_coordinates(model, turn, range(3, 6))
     predicted = Configuration(observations.x[:, :n], pose.position, pose.rotation).rows
     phi = model.structure.residuals(observations.x, observations.a, model.values)[0]
     closure = phi[:, : model.structure.phi.shape[0]]  # without the rows of the sensors
     position = where_known(placed & pose.solved, apart)
-    turned = where_known(orientation & pose.solved, np.where(measured[:, n + 3 :], turn, 0.0))
+    turned = where_known(orientation & pose.solved, turn)
     if shown := find_shown_poses(model, observations, predicted):
         judged = [any(i in m.moved for i in part) for part in (range(3), range(3, 6))]
         position = np.where(shown.known[:, None] & judged[0], shown.change[:, :3], position)
@@ -236,6 +239,19 @@ def find_judgeable_samples(mechanism: Mechanism, measured: np.ndarray, part: ran
     mechanism moves was measured; if it moves none, all three were."""
     moved = [i for i in part if i in mechanism.moved]
     return np.asarray(measured[:, moved or list(part)].all(axis=1))
+
+
+def keep_moved_coordinates(model: Model, difference: np.ndarray, part: range) -> np.ndarray:
+    """Return errors (..., 3) of the position or the orientation, in axes of the device, without the
+    coordinates of {B} that the mechanism holds while it moves others: a planar robot has no error
+    across its plane. If it moves none of the three, the errors are unchanged."""
+    moved = np.array([i in model.mechanism.moved for i in part])
+    if moved.all() or not moved.any():
+        return difference
+    rows = np.hstack([np.vstack([np.zeros(3), np.eye(3)]), np.tile(np.eye(3).ravel(), (4, 1))])
+    places = np.asarray(model.structure.to_base(rows, model.values)[0])
+    to_base = (places[1:] - places[0]).T  # columns: the axes of the device in {B}
+    return np.asarray(difference @ (to_base.T @ (moved[:, None] * to_base)))
 
 
 def where_known(known: np.ndarray, difference: np.ndarray) -> np.ndarray:

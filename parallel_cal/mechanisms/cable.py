@@ -1,8 +1,9 @@
-"""Cable robot: a point held by n lines wound on spools, more lines than freedoms if wanted."""
+"""Cable robot: a point in space or in a plane, held by n lines wound on spools, more than it has
+freedoms if wanted."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -10,7 +11,7 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.units import MM
-from parallel_cal.model.closed_form import three_spheres
+from parallel_cal.model.closed_form import three_spheres, two_circles
 from parallel_cal.model.drawing import Line
 from parallel_cal.model.drive import Spool
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
@@ -31,13 +32,15 @@ class Cable(Mechanism):
     The joint readings are zero if P is at the origin.
 
     Options: `anchors` (n, 3), m; `advantages` (n,), the mechanical advantages of the pulleys;
-    `spools` (n,), where lines with equal numbers share one spool radius. The first three anchors
-    must not be collinear. Gear ratio and advantage have the same influence as the radius. They are
-    known exactly and therefore fixed by default.
+    `spools` (n,), where lines with equal numbers share one spool radius. Gear ratio and advantage
+    have the same influence as the radius. They are known exactly and therefore fixed by default.
+
+    If one coordinate of every anchor is 0, the robot is planar: P moves in this plane, and a
+    measured third coordinate is ignored. `anchors` (n, 2) are x and y. A planar robot has at least
+    two lines. A robot in space has at least three, and its first three anchors must not be
+    collinear.
     """
 
-    moves = ("x", "y", "z")
-    controls = ("x", "y", "z")
     fixed = ("*.gear", "*.advantage")
     periodic = False
     closed_forms = ("direct", "inverse")
@@ -52,14 +55,20 @@ class Cable(Mechanism):
         spools: Sequence[int] | None = None,
     ):
         n = len(anchors)
-        hp4 = n == len(HP4_ANCHORS)
+        points = _check_anchors(anchors)
+        used = np.flatnonzero(points.any(axis=0))
+        self.moves = self.controls = tuple("xyz"[axis] for axis in used)
+        hp4 = n == len(HP4_ANCHORS) and len(used) == 3
         advantages = advantages or (HP4_ADVANTAGES if hp4 else (1.0,) * n)
         self.spools = tuple(spools or (HP4_SPOOLS if hp4 else range(1, n + 1)))
-        _check(anchors, advantages, self.spools)
+        _check_lines(n, advantages, self.spools)
+        box = np.array([Cable.workspace.low, Cable.workspace.high])[:, used].tolist()
+        self.workspace = Workspace(low=tuple(box[0]), high=tuple(box[1]))
         self.joints = tuple(f"motor{i + 1}" for i in range(n))
         self.joint_limits = ((-np.inf, np.inf),) * n
         self.home = Home(joints=(0.0,) * n)
-        lines = [_line(i + 1, *row) for i, row in enumerate(zip(anchors, advantages, strict=True))]
+        places = [dict(zip(self.moves, point, strict=True)) for point in points[:, used]]
+        lines = [_line(i + 1, *row) for i, row in enumerate(zip(places, advantages, strict=True))]
         radii = [
             Parameter(f"spool{k}.R", "m", RADIUS, 1 * MM, "spool", low=0, label="radius")
             for k in sorted({*self.spools})
@@ -77,12 +86,27 @@ class Cable(Mechanism):
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """Compute |P - A| - |A| - (line let out + offset): length error of each line, in metres."""
-        lines = [p[f"line{i + 1}"] for i in range(len(self.joints))]
-        A = [c.vector("A_x", "A_y", "A_z") for c in lines]
-        let_out = [q[i] * self.per_radian(p, i) + c.offset for i, c in enumerate(lines)]
+        A, P = self.anchors(p), self.place(r)
+        let_out = [
+            q[i] * self.per_radian(p, i) + p[f"line{i + 1}"].offset for i in range(len(self.joints))
+        ]
         return ca.vertcat(
-            *[ca.norm_2(r - a) - ca.norm_2(a) - l for a, l in zip(A, let_out, strict=True)]
+            *[ca.norm_2(P - a) - ca.norm_2(a) - l for a, l in zip(A, let_out, strict=True)]
         )
+
+    def anchors(self, p: Named) -> list[Any]:
+        """Return the anchors in the coordinates that move, (3, 1) or (2, 1) m."""
+        names = [f"A_{axis}" for axis in self.moves]
+        return [p[f"line{i + 1}"].vector(*names) for i in range(len(self.joints))]
+
+    def place(self, r: Any) -> Any:
+        """Return the coordinates of a point in {B} that move, (3, 1) or (2, 1) m."""
+        return ca.vertcat(*[r[i] for i in self.moved])
+
+    def in_base(self, place: Any) -> Any:
+        """Return a point (3, 1) m in {B}, given the coordinates that move."""
+        rows = [place[self.moved.index(i)] if i in self.moved else 0 for i in range(3)]
+        return ca.vertcat(*rows)
 
     def per_radian(self, p: Named, i: int) -> Any:
         """Line (m) that motor i lets out per rad."""
@@ -95,64 +119,87 @@ class Cable(Mechanism):
 
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
         """Draw the lines from the end point to their anchors."""
-        lines = [(f"line{i + 1}", p[f"line{i + 1}"]) for i in range(len(self.joints))]
         return [
-            Line("rod", (r, c.vector("A_x", "A_y", "A_z")), (f"{name}.A_?", f"{name}.offset"))
-            for name, c in lines
+            Line("rod", (r, self.in_base(a)), (f"line{i}.A_?", f"line{i}.offset"))
+            for i, a in enumerate(self.anchors(p), start=1)
         ]
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
-        """Intersect the spheres about the anchors: one point of four lines, two of three lines."""
+        """Intersect the spheres or circles about the anchors: two points of as many lines as there
+        are freedoms, one point of one line more."""
         lengths = -self.closure(q, ca.DM.zeros(3), ca.DM.eye(3), p)
-        lines = [p[f"line{i + 1}"] for i in range(len(self.joints))]
-        A = [c.vector("A_x", "A_y", "A_z") for c in lines]
+        A, n = self.anchors(p), len(self.moves)
         squares = [(ca.norm_2(a) + lengths[i]) ** 2 for i, a in enumerate(A)]
-        points = (
-            [_four_spheres(A, squares)] if self._spatial() else three_spheres(A[:3], squares[:3])
-        )
-        return [(point, ca.DM.eye(3)) for point in points]
+        two_points = three_spheres if n == 3 else two_circles
+        points = [_one_point(A, squares)] if self._spans() else two_points(A[:n], squares[:n])
+        return [(self.in_base(point), ca.DM.eye(3)) for point in points]
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
         """Find the only solution: each line's length gives its motor's angle."""
         missing = self.closure(ca.DM.zeros(len(self.joints)), r, R, p)
         return [(missing[i] / self.per_radian(p, i),) for i in range(len(self.joints))]
 
-    def _spatial(self) -> bool:
-        """Whether the first four anchors span space and are far from coplanar."""
-        if len(self.joints) < 4:
+    def _spans(self) -> bool:
+        """Whether the first anchors, one more than freedoms, span space or the plane clearly."""
+        n = len(self.moves)
+        if len(self.joints) <= n:
             return False
-        names = [f"line{i + 1}.A_{axis}" for i in range(4) for axis in "xyz"]
-        points = np.array([self.parameters[name].nominal for name in names]).reshape(4, 3)
+        names = [f"line{i + 1}.A_{axis}" for i in range(n + 1) for axis in self.moves]
+        points = np.array([self.parameters[name].nominal for name in names]).reshape(n + 1, n)
         sizes = np.linalg.svd(points[1:] - points[0], compute_uv=False)
         return bool(sizes[-1] > 0.05 * sizes[0])
 
 
-def _check(anchors: Sequence[Any], advantages: Sequence[float], spools: Sequence[int]) -> None:
-    n = len(anchors)
-    if n < 3 or any(len(point) != 3 for point in anchors):
-        raise ModelError(f"{n} anchors given, expected at least 3 points [x, y, z] in m")
+def _check_lines(n: int, advantages: Sequence[float], spools: Sequence[int]) -> None:
     for name, values in (("advantages", advantages), ("spools", spools)):
         if len(values) != n:
             raise ModelError(f"{len(values)} {name} for {n} anchors, expected one for each")
     if not all(value > 0 for value in advantages):
         raise ModelError(f"advantages {list(advantages)}, expected numbers above 0")
-    points = np.array(anchors, dtype=float)
-    if np.linalg.norm(np.cross(*(points[1:3] - points[0]))) < 1e-6:
-        raise ModelError(f"the first 3 anchors {points[:3].tolist()} are collinear")
+
+
+def _check_anchors(anchors: Sequence[Any]) -> np.ndarray:
+    """Return the anchors (n, 3) m of a robot in space or in a coordinate plane, or ModelError."""
+    n = len(anchors)
+    if {len(point) for point in anchors} not in ({2}, {3}):
+        raise ModelError(f"anchors {list(anchors)}: expected points [x, y, z], or all [x, y], in m")
+    points = np.zeros((n, 3))
+    points[:, : len(anchors[0])] = np.array(anchors, dtype=float)
+    least = np.count_nonzero(points.any(axis=0))
+    if least < 2:
+        raise ModelError(
+            f"the {n} anchors {points.tolist()} are collinear with the origin: expected anchors "
+            "that span a plane or space"
+        )
+    if n < least:
+        raise ModelError(
+            f"{n} anchors given, expected at least 3 points [x, y, z] in m, or at least 2 points "
+            "[x, y] of a planar robot"
+        )
     if not points.any(axis=1).all():
         raise ModelError(
             "an anchor is at the origin, where readings are zero: its line has no length"
         )
+    if least == 3 and np.linalg.norm(np.cross(*(points[1:3] - points[0]))) < 1e-6:
+        raise ModelError(f"the first 3 anchors {points[:3].tolist()} are collinear")
+    if least == 2 and np.linalg.norm(points[1] - points[0]) < 1e-6:
+        raise ModelError(f"the first 2 anchors {points[:2].tolist()} are the same point")
+    if least == 2 and np.linalg.matrix_rank(points, tol=1e-6) < 2:
+        raise ModelError(
+            f"the anchors {points.tolist()} and the origin are collinear: the lines cannot hold "
+            "the point there"
+        )
+    return points
 
 
-def _line(number: int, anchor: Sequence[float], advantage: float) -> list[Parameter]:
+def _line(number: int, anchor: Mapping[str, float], advantage: float) -> list[Parameter]:
     name = f"line{number}."
     return [
         *[
             Parameter(
                 f"{name}A_{axis}", "m", float(value), 20 * MM, "anchor", label=f"anchor's {axis}"
             )
-            for axis, value in zip("xyz", anchor, strict=True)
+            for axis, value in anchor.items()
         ],
         Parameter(
             f"{name}offset", "m", 0.0, 5 * MM, "offset", label="line's length at reading zero"
@@ -170,11 +217,13 @@ def _line(number: int, anchor: Sequence[float], advantage: float) -> list[Parame
     ]
 
 
-def _four_spheres(centres: Sequence[Any], squares: Sequence[Any]) -> Any:
-    """Intersect four spheres in one point: their differences are planes."""
-    planes = ca.vertcat(*[(centres[0] - c).T for c in centres[1:4]])
+def _one_point(centres: Sequence[Any], squares: Sequence[Any]) -> Any:
+    """Intersect four spheres in space, or three circles in a plane, in one point: the differences
+    of their equations are linear."""
+    n = centres[0].shape[0]
+    slopes = ca.vertcat(*[(centres[0] - c).T for c in centres[1 : n + 1]])
     heights = [
         (squares[i] - squares[0] - ca.dot(c, c) + ca.dot(centres[0], centres[0])) / 2
-        for i, c in enumerate(centres[1:4], start=1)
+        for i, c in enumerate(centres[1 : n + 1], start=1)
     ]
-    return ca.solve(planes, ca.vertcat(*heights))
+    return ca.solve(slopes, ca.vertcat(*heights))

@@ -10,7 +10,7 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.units import DEGREE, MM
-from parallel_cal.model.closed_form import joint_angles
+from parallel_cal.model.closed_form import joint_angles, two_circles
 from parallel_cal.model.drawing import Line
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
@@ -83,13 +83,8 @@ class FiveBar(Mechanism):
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
         """Intersect the rods' circles about both elbows, above their line and below it."""
-        left, right = (self.elbow(q[i], p[side]) for i, side in enumerate(SIDES))
-        away = right - left
-        square = ca.sumsqr(away)
-        along = (square + p.left.rod**2 - p.right.rod**2) / (2 * square)
-        up = ca.sqrt(p.left.rod**2 / square - along**2)
-        aside = ca.vertcat(-away[1], away[0])
-        points = [left + along * away + sign * up * aside for sign in (1, -1)]
+        elbows = [self.elbow(q[i], p[side]) for i, side in enumerate(SIDES)]
+        points = two_circles(elbows, [p.left.rod**2, p.right.rod**2])
         return [(ca.vertcat(point, 0), ca.DM.eye(3)) for point in points]
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:

@@ -172,6 +172,13 @@ class Stewart42(Mechanism):
         B = [c.vector("B_x", "B_y", "B_z") for c in legs]
         return C, B, [q[i] + c.L0 for i, c in enumerate(legs)]
 
+    def struts(self, r: Any, R: Any, p: Named) -> list[tuple[Any, Any]]:
+        """Return the six legs' ends C and B in {B}, (3, 1) m each."""
+        legs = [p[f"leg{i + 1}"] for i in range(6)]
+        return [
+            (c.vector("C_x", "C_y", "C_z"), r + R @ c.vector("B_x", "B_y", "B_z")) for c in legs
+        ]
+
     def centres(self, q: Any, r: Any, R: Any, p: Named) -> Mapping[str, list[Any]]:
         """Return the middles of the legs."""
         C, B, _ = self.rods(q, p)

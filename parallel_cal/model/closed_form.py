@@ -34,6 +34,18 @@ def positions(mechanism: Mechanism, q: Any, p: Named, R: Any = None) -> tuple[An
     return three_spheres(centres, squares)
 
 
+def two_circles(centres: Sequence[Any], squares: Sequence[Any]) -> tuple[Any, Any]:
+    """Intersect two circles of given centres (2, 1) and squared radii in two points, the one to the
+    left of the way from the first centre to the second first."""
+    away = centres[1] - centres[0]
+    square = ca.sumsqr(away)
+    along = (square + squares[0] - squares[1]) / (2 * square)
+    up = ca.sqrt(squares[0] / square - along**2)
+    aside = ca.vertcat(-away[1], away[0])
+    foot = centres[0] + along * away
+    return foot + up * aside, foot - up * aside
+
+
 def three_spheres(centres: Sequence[Any], squares: Sequence[Any]) -> tuple[Any, Any]:
     """Intersect three spheres of given centres and squared radii in two points.
 

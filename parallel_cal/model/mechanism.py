@@ -212,6 +212,11 @@ class Mechanism(ABC):
         """Return the length (m) of every passive rod; a length that a pair shares occurs twice."""
         return []
 
+    def struts(self, r: Any, R: Any, p: Named) -> list[tuple[Any, Any]]:
+        """Return foot and head in {B}, (3, 1) m each, of the strut whose length is the reading of
+        each joint; empty if the joints are no struts between base and platform."""
+        return []
+
     def centres(self, q: Any, r: Any, R: Any, p: Named) -> Mapping[str, list[Any]]:
         """Return centres of mass in {B}, (3, 1) m each, of the links of each kind in `parts`."""
         return {}

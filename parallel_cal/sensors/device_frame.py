@@ -39,7 +39,7 @@ class DeviceFrame(Sensor):
         moves = [c for c in POSE if c in mechanism.moves]
         turns = any(c.startswith("r") for c in moves)
         # The frame rotates even if the platform does not; a platform at rest needs no shift.
-        frame = POSE if "x" in moves else POSE[3:]
+        frame = POSE if {"x", "y", "z"} & {*moves} else POSE[3:]
         target = moves if turns else []
         names = [*(f"frame.{c}" for c in frame), *(f"target.{c}" for c in target)]
         names += [f"zero.{c}" for c in POSE[3:]] if self.gimbal else []
