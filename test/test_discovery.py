@@ -527,6 +527,7 @@ def test_a_scanned_constant_makes_a_formula_less_simple_than_a_line(scene):
     assert line.complexity < step.complexity
 
 
+@pytest.mark.wide
 def test_a_leg_errs_with_the_platforms_rotation_about_z_and_the_effect_computes_it():
     machine = cs.MACHINES["hexapod"]
     data = cs.measure(machine, None, 0)

@@ -26,6 +26,7 @@ from parallel_cal.discovery.drivers import (
     WORDS,
     Driver,
     list_drivers,
+    list_shown_positions,
     name_lags,
     select_for_screening,
 )
@@ -49,8 +50,9 @@ from parallel_cal.discovery.places import (
     list_places,
     list_sites,
 )
-from parallel_cal.discovery.screening import Hypothesis, Screening, Targets
+from parallel_cal.discovery.screening import DeviceField, Hypothesis, Screening, Targets
 from parallel_cal.discovery.shape import Shape, find_shape
+from parallel_cal.discovery.stations import find_stations
 from parallel_cal.discovery.thresholds import (
     LAGS_PER_OCTAVE,
     MAX_EQUAL_EVIDENCE,
@@ -60,6 +62,7 @@ from parallel_cal.discovery.thresholds import (
     MAX_SCREENED_SAMPLES,
     MAX_SPLITS,
     MIN_RIVAL_EVIDENCE_SHARE,
+    MIN_SHARE_BEYOND_DEVICE,
     MIN_TERM_EVIDENCE,
     NULL_SESSIONS,
 )
@@ -78,6 +81,10 @@ if TYPE_CHECKING:
 
 # Families of drivers whose values a person cannot choose for a pose at rest.
 NOT_CHOSEN = ("time", "session", "velocity", "settling")
+A_STATION = (
+    "a second station: measure the same poses with the device moved and turned, about an axis that "
+    "the error does not surround, and give all recordings; an error of the device goes with it"
+)
 MAX_SHOWN_PARAMETERS = 6  # of a law in its sentence; the table has all
 
 
@@ -243,23 +250,39 @@ class Discovery(ShownInNotebook):
 class _Winner:
     """A law before its proof: the formula, equally good ones, and the screening's evidence; for a
     law of the device, `rival` is one of the robot that explains nearly as much. `parts` are
-    further laws of the same driver."""
+    further laws of the same driver. `excludes_device` is whether samples of several stations show
+    that no smooth error of the device is such a law."""
 
     formula: Formula
     equal: tuple[Formula, ...]
     evidence: float
     rival: Hypothesis | None = None
     parts: tuple[Part, ...] = ()
+    excludes_device: bool = False
 
     @property
     def columns(self) -> np.ndarray:
         """The columns (n, k) of the law and of its parts."""
         return np.hstack([self.formula.columns, *(one.formula.columns for one in self.parts)])
 
+    @property
+    def signal(self) -> np.ndarray:
+        """What the law and its parts change in the residuals (n,)."""
+        formulas = [self.formula, *(one.formula for one in self.parts)]
+        return np.asarray(sum(one.columns @ one.coefficients.ravel() for one in formulas))
+
     def list_laws(self, threshold: float) -> list[tuple[_Winner, float]]:
         """The law and its parts, each with the evidence that it must exceed: chance is excluded by
         the law, so that a part is judged as a further term of a formula is."""
-        parts = [_Winner(one.formula, one.equal, one.formula.evidence) for one in self.parts]
+        parts = [
+            _Winner(
+                one.formula,
+                one.equal,
+                one.formula.evidence,
+                excludes_device=self.excludes_device,
+            )
+            for one in self.parts
+        ]
         return [(self, threshold), *((one, MIN_TERM_EVIDENCE) for one in parts)]
 
 
@@ -321,10 +344,19 @@ def discover(
         dataset = dataset.excluding(find_mistrusted_samples(base), f"by --loss {options.loss}")
         options = replace(options, loss="linear")
         base = fit(model, dataset, options)
-    scene = _make_scene(base)
+    scene, given = _make_scene(base, dataset)
     drivers = list_drivers(scene)
-    screening = Screening(scene, list_sites(list_places(scene)), select_for_screening(drivers))
-    winners = _find_winners(scene, screening, drivers, report)
+    stations = find_stations(scene, given)
+    places = list_places(scene, stations)
+    device, shown = None, list[Driver]()
+    if stations is not None:
+        seen = stations.show(scene.seen[:, len(model.joints) :][:, :3])
+        own = [place for place in places if place.kind == DEVICE and place.index < 3]
+        device = DeviceField([place.columns for place in own], seen)
+        shown = list_shown_positions(seen)
+        drivers = [one for one in drivers if one.family != "session"]  # stations change with it
+    screening = Screening(scene, list_sites(places), [*select_for_screening(drivers), *shown])
+    winners = _find_winners(scene, screening, drivers, report, device)
     thresholds = _find_thresholds(scene, screening, winners, report)
     real = [
         law
@@ -343,19 +375,26 @@ def discover(
     return _conclude(model, dataset, found, [words for words in advice if words], current)
 
 
-def _make_scene(base: FitResult) -> Scene:
-    """The residuals to screen: of all samples, or evenly chosen ones of very many."""
+def _make_scene(base: FitResult, given: Dataset) -> tuple[Scene, Dataset]:
+    """The residuals to screen, of all samples or of evenly chosen ones of very many, and these
+    samples as they were given: before a fit moved them into one frame of the device."""
     n = len(base.dataset)
     some = np.unique(np.linspace(0, n - 1, min(n, MAX_SCREENED_SAMPLES)).astype(int))
-    return Scene.of(
+    scene = Scene.of(
         base.model, base.dataset.select(some), base.observations.select(some), base.free
     )
+    return scene, given.select(some)
 
 
 def _find_winners(
-    scene: Scene, screening: Screening, drivers: Sequence[Driver], report: Progress
+    scene: Scene,
+    screening: Screening,
+    drivers: Sequence[Driver],
+    report: Progress,
+    device: DeviceField | None,
 ) -> list[_Winner]:
-    """The best law, and further ones in what it leaves, before any test of chance."""
+    """The best law, and further ones in what it leaves, before any test of chance. `device` are
+    errors of a device that stood at several stations."""
     columns = np.zeros((len(scene.residual), 0))
     winners: list[_Winner] = []
     for k in range(MAX_LAWS):
@@ -384,6 +423,9 @@ def _find_winners(
             first, *others = parts.laws
             equal = (*of_device, *first.equal)
             winner = replace(winner, formula=first.formula, equal=equal, parts=tuple(others))
+        if device is not None and not winner.formula.hypothesis.slow:
+            excluded = device.leave(targets, winner.signal) > MIN_SHARE_BEYOND_DEVICE
+            winner = replace(winner, excludes_device=excluded)
         winners.append(winner)
         columns = np.hstack([columns, winner.columns])
         if sum(1 + len(one.parts) for one in winners) >= MAX_LAWS:
@@ -584,6 +626,8 @@ def _prove(
     of_device = hypothesis.site.kind == DEVICE
     against = step.acceptance.against.replace(f" with '{name}'", "").replace(name, "it")
     device_may_err = step.acceptance.device_may_err
+    if device_may_err and winner.excludes_device:
+        against, device_may_err = "", False
     if not against:
         against = _explain_device(winner)
         device_may_err = bool(against)
@@ -630,7 +674,7 @@ def _explain_device(winner: _Winner) -> str:
     if others:
         return f"the measuring device may cause it: {_name(others[0])} describes it as well"
     drivers = winner.formula.hypothesis.families
-    if set(drivers) <= set(PLACES):
+    if set(drivers) <= set(PLACES) and not winner.excludes_device:
         return (
             f"the measuring device may cause it: it depends on {' and '.join(drivers)} alone, as "
             "an error of a device does"
@@ -710,6 +754,8 @@ def _conclude(
             "a law"
         ]
     summary = " ".join(words)
+    if any(law.device_may_err for law in suspected):
+        advice = [*advice, A_STATION]
     return Discovery(model, dataset, laws, suspected, verdict, summary, tuple(advice), described)
 
 

@@ -122,7 +122,8 @@ class Driver:
 
     `name` is as in reports (`load.joint2`), `family` its name without the joint, `code` what an
     effect computes it from, `needs` the condition that this requires. `slow` is whether it changes
-    as slowly as noise may. `joint` or `rod` is the index of the one that it belongs to.
+    as slowly as noise may. `joint` or `rod` is the index of the one that it belongs to. `shown` is
+    whether it is a position in the frame of the device, which stood elsewhere in each recording.
     """
 
     name: str
@@ -135,6 +136,7 @@ class Driver:
     needs: str = ""
     slow: bool = False
     rod: int | None = None
+    shown: bool = False
 
     @property
     def few_values(self) -> bool:
@@ -150,6 +152,8 @@ class Driver:
         """The driver in words: `the load on joint2`."""
         if lag := parse_lag(self.name):
             return f"the {lag[0]}, delayed by a time constant of {lag[1]:g} s"
+        if self.shown:
+            return f"the {self.family} that the device shows"
         if self.family not in JOINT_WORDS:
             return WORDS[self.family]
         return JOINT_WORDS[self.family].format(self.name.rpartition(".")[2])
@@ -168,6 +172,20 @@ def list_drivers(scene: Scene) -> list[Driver]:
         if np.isfinite(one.values).all() and np.ptp(one.values) > MIN_VARIATION:
             slow = known_order and _varies_slowly(one.values[order])
             found.append(Driver(**{**vars(one), "slow": slow}))
+    return found
+
+
+def list_shown_positions(shown: np.ndarray) -> list[Driver]:
+    """The positions (N, 3) that the device shows as drivers of its errors."""
+    columns = {axis: (f"shown[{k}]", shown[:, k]) for k, axis in enumerate("xyz")}
+    distance = "ca.sqrt(shown[0] ** 2 + shown[1] ** 2 + 1e-12)"
+    columns["radius"] = distance, np.hypot(shown[:, 0], shown[:, 1])
+    found = []
+    for name, (code, values) in columns.items():
+        if np.ptp(values) > MIN_VARIATION:
+            middle = 0.0 if name == "radius" else _round_middle(values)
+            own = f"device.{name}"
+            found.append(Driver(own, name, "m", code, values - middle, zero=middle, shown=True))
     return found
 
 

@@ -12,11 +12,14 @@ from pathlib import Path
 from textwrap import fill, indent
 from types import ModuleType
 
+import numpy as np
+
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import write_atomically
 from parallel_cal.discovery.drivers import LOAD, TENSION, Driver
 from parallel_cal.discovery.formula import Formula, Term
 from parallel_cal.discovery.places import DEVICE, JOINT, PARAMETER, PLATFORM, ROD, Place
+from parallel_cal.discovery.stations import Stations
 
 WIDTH = 96  # characters of a line of the docstring
 FORCES = {  # family of a driver -> the function of `_statics` that computes it, and its requirement
@@ -157,7 +160,10 @@ def write_effect(
     site = formula.hypothesis.site
     used = [formula.hypothesis.drivers[number] for number in formula.used_drivers]
     forces = _list_forces(formula)
+    stations = site.members[0].stations
     needs = list(dict.fromkeys(own[0].needs for own in used if own[0].needs))
+    if stations is not None:
+        needs = list(dict.fromkeys([*needs, "session"]))
     coefficients = list_coefficients(formula)
     values = values or {}
     fixed = [c.name for c in coefficients if c.scanned] + (["mass.*"] if forces else [])
@@ -177,11 +183,15 @@ def write_effect(
     ]
     if site.kind in (PLATFORM, DEVICE):
         lines.append("from parallel_cal.base.rotation import cayley")
+    if stations is not None:
+        lines.append("from parallel_cal.effects._frames import select_station")
     functions = {name for family in forces for name in ("masses", *FORCES[family])}
     if site.kind == ROD:
         functions |= {"lengthen_rods", "needs_rods"}
     if functions:
         lines.append(f"from parallel_cal.effects._statics import {', '.join(sorted(functions))}")
+    if stations is not None:
+        lines += ["", *_write_stations(stations)]
     lines += ["", "", "class FoundLaw(Effect):"]
     lines += indent(f'"""{fill(sentence + ".", WIDTH - 8)}"""', " " * 4).splitlines()
     lines.append("")
@@ -217,6 +227,17 @@ def write_effect(
     lines += ["        ]", "", "    def applies(self, mechanism):", *_applies(formula)]
     lines += ["", "    def ideal(self, seen, e, at, mechanism):", *_ideal(formula)]
     return "\n".join(lines) + "\n"
+
+
+def _write_stations(stations: Stations) -> Iterator[str]:
+    yield "# recording: rotation and shift (m) from {B} to the frame of the device"
+    yield "STATIONS = {"
+    for k, (turn, shift) in stations.by_recording.items():
+        yield f"    {k}: ("
+        yield from (f"        {np.round(row, 9).tolist()}," for row in turn)
+        yield f"        {np.round(shift, 9).tolist()},"
+        yield "    ),"
+    yield "}"
 
 
 def _list_forces(formula: Formula) -> list[str]:
@@ -275,6 +296,9 @@ def _ideal(formula: Formula) -> Iterator[str]:
         DEVICE: "shift, turn = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]",
     }
     yield f"        {start[site.kind]}"
+    if site.members[0].stations is not None:
+        yield "        to_device, origin = select_station(STATIONS, at.session)"
+        yield "        shown = to_device @ seen.r + origin"
     known: set[str] = set()
     for m, place in enumerate(site.members):
         variables = []
@@ -297,7 +321,12 @@ def _ideal(formula: Formula) -> Iterator[str]:
         PLATFORM: "return seen.with_pose(seen.r - ca.vertcat(*shift), "
         "cayley(ca.vertcat(*turn)).T @ seen.R)",
     }
-    yield f"        {end[PLATFORM if site.kind == DEVICE else site.kind]}"
+    if site.members[0].stations is not None:  # from the axes of the device to those of {B}
+        end[DEVICE] = (
+            "return seen.with_pose(seen.r - to_device.T @ ca.vertcat(*shift), "
+            "\n            cayley(to_device.T @ ca.vertcat(*turn)).T @ seen.R)"
+        )
+    yield f"        {end[PLATFORM if site.kind == DEVICE and DEVICE not in end else site.kind]}"
 
 
 def _variable(driver: Driver) -> str:

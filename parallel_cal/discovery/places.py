@@ -11,6 +11,7 @@ import numpy as np
 
 from parallel_cal.base.rotation import left_generators
 from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.discovery.stations import Stations
 from parallel_cal.effects._statics import needs_rods, rods
 from parallel_cal.model.mechanism import POSE
 
@@ -24,7 +25,8 @@ class Place:
 
     `columns` (N, rows) are the derivatives of the residual, in noise units, by an error of the
     quantity in SI units. `joint` is the index of the joint that the quantity belongs to, `rod` that
-    of the rod that it is the length of; None if there is no such one.
+    of the rod that it is the length of; None if there is no such one. `stations` are those of a
+    device that stood elsewhere in each recording: its quantities are then along its own axes.
     """
 
     name: str
@@ -34,6 +36,7 @@ class Place:
     joint: int | None
     columns: np.ndarray = field(repr=False)
     rod: int | None = None
+    stations: Stations | None = field(repr=False, default=None)
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,7 @@ class Site:
         return self.name, self.each
 
 
-def list_places(scene: Scene) -> list[Place]:
+def list_places(scene: Scene, stations: Stations | None = None) -> list[Place]:
     """List every joint reading, every parameter of the mechanism, every rod, and the platform's
     pose, which is also the pose that the device shows."""
     mechanism = scene.model.mechanism
@@ -71,11 +74,12 @@ def list_places(scene: Scene) -> list[Place]:
         for i, (name, unit) in enumerate(zip(joints, mechanism.joint_units, strict=True))
     ]
     pose = _pose_columns(scene)
+    shown = pose if stations is None else _turn_columns(pose, stations.turns)
     for i in mechanism.moved:
-        unit = "m" if i < 3 else "rad"
+        unit, name = "m" if i < 3 else "rad", POSE[i]
         found += [
-            Place(f"{kind}.{POSE[i]}", kind, unit, i, None, pose[:, :, i])
-            for kind in (PLATFORM, DEVICE)
+            Place(f"{PLATFORM}.{name}", PLATFORM, unit, i, None, pose[:, :, i]),
+            Place(f"{DEVICE}.{name}", DEVICE, unit, i, None, shown[:, :, i], stations=stations),
         ]
     owners = _find_owners(mechanism.parameters.names, n)
     found += [
@@ -133,6 +137,13 @@ def _pose_columns(scene: Scene) -> np.ndarray:
     turned = ca.Function("turned", [R9], [left_generators(ca.reshape(R9, 3, 3).T)])
     by_turn = np.array([np.array(turned(R)) for R in scene.seen[:, n + 3 : n + 12]])
     return -np.concatenate([J[:, :, n : n + 3], J[:, :, n + 3 : n + 12] @ by_turn], axis=2)
+
+
+def _turn_columns(pose: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    """The columns (N, rows, 6) of a shift and a turn along the axes of the device; turns (N, 3, 3)
+    from {B} to its frame."""
+    parts = [pose[:, :, i : i + 3] @ turns.transpose(0, 2, 1) for i in (0, 3)]
+    return np.concatenate(parts, axis=2)
 
 
 def _find_owners(names: tuple[str, ...], n_joints: int) -> dict[str, int]:

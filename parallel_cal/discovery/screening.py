@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations
+from itertools import combinations, product
+from math import comb
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,8 @@ from parallel_cal.discovery.places import DEVICE, JOINT, PARAMETER, PLATFORM, RO
 from parallel_cal.discovery.thresholds import (
     FINE_SPLINES,
     MAX_CHUNK_NUMBERS,
+    MAX_FIELD_DEGREE,
+    MIN_ROWS_PER_FIELD_COLUMN,
     MIN_SAMPLES_PER_FINE_SPLINE,
     SPLINES,
 )
@@ -115,11 +118,43 @@ def evidence(explained: np.ndarray, total: np.ndarray, rank: np.ndarray, dof: in
     return np.asarray(dof / 2 * np.log(total / rest) - rank / 2 * np.log(dof))
 
 
+class DeviceField:
+    """Smooth errors of a device: each coordinate errs with a polynomial in the position that it
+    shows, of the highest degree that the samples determine well.
+
+    `along` are the columns (N, rows) of each coordinate, `shown` (N, 3) the positions.
+    """
+
+    def __init__(self, along: Sequence[np.ndarray], shown: np.ndarray):
+        low, high = shown.min(axis=0), shown.max(axis=0)
+        x = (2 * shown - low - high) / np.maximum(high - low, 1e-12)
+        degree = max(
+            d
+            for d in range(1, MAX_FIELD_DEGREE + 1)
+            if d == 1 or len(along) * comb(d + 3, 3) * MIN_ROWS_PER_FIELD_COLUMN <= along[0].size
+        )
+        powers = [p for p in product(range(degree + 1), repeat=3) if sum(p) <= degree]
+        terms = [np.prod(x**p, axis=1) for p in powers]
+        B = np.stack([(own * term[:, None]).ravel() for own in along for term in terms], axis=1)
+        self._columns = B / np.maximum(np.linalg.norm(B, axis=0), 1e-12)
+
+    def leave(self, targets: Targets, signal: np.ndarray) -> float:
+        """The share of a signal (n,) that neither such an error nor the model can imitate."""
+        Q = targets.directions
+        s = signal - Q @ (Q.T @ signal)
+        left = self._columns - Q @ (Q.T @ self._columns)
+        U, sizes, _ = np.linalg.svd(left, full_matrices=False)
+        U = U[:, sizes > MIN_COLUMN_REMAINDER]
+        return float(np.sum((s - U @ (U.T @ s)) ** 2) / max(float(np.sum(s**2)), 1e-300))
+
+
 class Screening:
     """All hypotheses about a robot's residuals, and their scores."""
 
     def __init__(self, scene: Scene, sites: Sequence[Site], drivers: Sequence[Driver]) -> None:
         self._scene, self._sites, self._drivers = scene, sites, drivers
+        # Where the device stood elsewhere, too, what moves the platform may be the robot's.
+        self._has_stations = any(one.shown for one in drivers)
         self._known: dict[tuple[Any, ...], np.ndarray] = {}  # bases, which sites share
         self._n = len(scene.x)
 
@@ -129,7 +164,7 @@ class Screening:
             Hypothesis(site, (own,))
             for site in self._sites
             for own in self._driver_sets(site)
-            if _is_plausible(site, own)
+            if self._is_plausible(site, own)
             and own[0].family == driver.family
             and (own[0].family != LAGGED or own[0].name == driver.name)
         ]
@@ -163,7 +198,7 @@ class Screening:
         yield from _chunks(
             ([Hypothesis(site, (own,))], self._splines(own, SPLINES))
             for own in sets
-            if _is_plausible(site, own)
+            if self._is_plausible(site, own)
         )
         if len(site.members) == 1 or not site.each:
             instant = [own for own in sets if own[0].family != LAGGED]
@@ -198,11 +233,14 @@ class Screening:
         """Drivers that each member may depend on: those of its own joint, those of all joints for
         a single place, and those of the whole robot."""
         n = len(site.members)
-        common = [one for one in self._drivers if one.joint is None and one.rod is None]
+        whole = [one for one in self._drivers if one.joint is None and one.rod is None]
+        common = [one for one in whole if not one.shown]
         own = [one for one in self._drivers if one.joint is not None]
         tensions = [one for one in self._drivers if one.rod is not None]
         if site.kind == DEVICE:
-            return [(one,) * n for one in common if one.family in OF_DEVICE]
+            shown = [one for one in whole if one.shown]
+            known = [one for one in common if one.family not in PLACES] if shown else common
+            return [(one,) * n for one in (*shown, *known) if one.family in OF_DEVICE]
         if site.kind == PLATFORM:
             return [(one,) * n for one in (*own, *common) if one.family != READING]
         if site.kind == ROD:
@@ -227,13 +265,18 @@ class Screening:
                 sets.append(tuple(replace(one, family=family) for one in turned))
         return [*sets, *((one,) * n for one in common)]
 
+    def _is_plausible(self, site: Site, own: DriverSet) -> bool:
+        """Whether a site may err with one driver: from one station, what moves the platform as a
+        device does cannot be told from an error of the device."""
+        return site.kind != PLATFORM or self._has_stations or own[0].family not in OF_DEVICE
+
     def _is_plausible_pair(self, site: Site, one: DriverSet, other: DriverSet) -> bool:
         """Whether two drivers may act together on a site: for a joint, its own quantities, other
         readings and those of the whole robot; for a single length, its own joint's as well."""
         if site.kind == DEVICE:
             return all(own[0].family in {*PLACES, "time"} for own in (one, other))
         if site.kind == PLATFORM:  # a field of position alone is the device's
-            return any(own[0].family not in OF_DEVICE for own in (one, other))
+            return any(self._is_plausible(site, own) for own in (one, other))
         if len(site.members) > 1:
             return not {one[0].family, other[0].family} & {NEXT, PREVIOUS}
         if site.kind == ROD or (site.kind == PARAMETER and site.members[0].joint is not None):
@@ -243,12 +286,6 @@ class Screening:
             for own in (one, other)
             for d in own
         )
-
-
-def _is_plausible(site: Site, own: DriverSet) -> bool:
-    """Whether a site may err with one driver: what moves a platform as a device does, is the
-    device's."""
-    return site.kind != PLATFORM or own[0].family not in OF_DEVICE
 
 
 def _chunks(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -50,3 +51,17 @@ def _components(
     name: str, axes: list[str], unit: str, tolerance: float, most: float
 ) -> list[Parameter]:
     return [Parameter(f"{name}_{a}", unit, 0.0, tolerance, low=-most, high=most) for a in axes]
+
+
+def select_station(
+    stations: Mapping[int, Sequence[Sequence[float]]], session: Any
+) -> tuple[Any, Any]:
+    """Return the rotation (3, 3) and the shift (3, 1) from {B} to the frame of the device in a
+    recording; `stations` has the rows of the rotation and the shift, by the number of the
+    recording. A recording that it lacks has those of the first."""
+    found = [(k, ca.DM(rows[:3]), ca.DM(rows[3])) for k, rows in stations.items()]
+    _, turn, shift = found[0]
+    for k, other, moved in found[1:]:
+        turn = ca.if_else(session == k, other, turn)
+        shift = ca.if_else(session == k, moved, shift)
+    return turn, shift

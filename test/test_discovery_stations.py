@@ -1,0 +1,81 @@
+"""Two stations of the device tell an error of the device from an error of the robot."""
+
+from dataclasses import dataclass
+
+import findings
+import numpy as np
+import pytest
+import virtual_blind as vb
+import virtual_findings as vf
+
+from parallel_cal.base.rotation import rotation_matrix
+from parallel_cal.discovery.discovery import discover
+from parallel_cal.model.model import new_model
+from parallel_cal.recordings.joining import join_datasets
+from parallel_cal.virtual import robot as vr
+
+SIZE = 4e-5  # m at 60 mm from the middle
+
+
+@dataclass(frozen=True)
+class Bent(vr.Effect):
+    """A rail along x that is bent to y and z: of the robot's stand, or of the device."""
+
+    def device(self, r, R, at):
+        return r + SIZE * (r[:, :1] / 0.06) ** 2 * np.array([0.0, 1.0, 0.4]), R
+
+
+@dataclass(frozen=True)
+class Turned(vr.Effect):
+    """A device that was turned between two recordings."""
+
+    def device(self, r, R, at):
+        turn = rotation_matrix(np.array([0.1, 0.0, -np.pi / 2]))
+        return r @ turn.T, turn @ R
+
+
+def record(first, second):
+    """Two recordings, the second one from another station."""
+    days = [vf.samples(vf.session(k), own, vf.FINE, k) for k, own in ((2, first), (3, second))]
+    return join_datasets([findings.dataset(day, vf.FINE) for day in days])
+
+
+def discover_on_delta(data):
+    return discover(new_model("delta54"), data)
+
+
+@pytest.mark.wide
+def test_an_error_that_stays_in_the_base_is_the_robots():
+    found = discover_on_delta(record([Bent()], [Bent(), Turned()]))
+    (law,) = found.laws
+    assert (law.name, law.of_device) == ("pose.xyz, each its own by x", False)
+    values = {c.name: (c.value, c.sigma) for c in law.parameters}
+    for axis, share in (("x", 0.0), ("y", 1.0), ("z", 0.4)):
+        value, sigma = values[f"{axis}_quadratic"]
+        assert abs(value - share * SIZE / 0.06**2) < 4 * sigma
+
+
+@pytest.mark.wide
+def test_an_error_that_goes_with_the_device_is_the_devices():
+    found = discover_on_delta(record([Bent()], [Turned(), Bent()]))
+    (law,) = found.laws
+    assert law.of_device
+    assert law.drivers == ("device.x",)
+    assert found.verdict == "described"
+
+
+@pytest.mark.wide
+def test_from_one_station_the_robot_or_the_device_may_err_and_a_second_one_is_advised():
+    data = findings.dataset(vf.samples(vf.session(2), [Bent()], vf.FINE, 2), vf.FINE)
+    found = discover_on_delta(data)
+    assert found.verdict == "robot_or_device"
+    assert not found.laws
+    assert found.measure_next[-1].startswith("a second station: measure the same poses with")
+
+
+@pytest.mark.wide
+def test_the_robot_does_not_learn_what_stays_the_same_as_the_device_turns():
+    """A lean away from the z axis looks the same from a device turned about this axis."""
+    stand = vb.YieldingStand(SIZE)
+    found = discover_on_delta(record([stand], [Turned(), stand]))
+    assert all(law.of_device for law in found.laws), found.summary
