@@ -133,6 +133,15 @@ class Session(History):
         """The samples that are not excluded."""
         return self._select_counted(self.state.excluded)
 
+    def dataset_of_some(self, most: int) -> Dataset | None:
+        """About `most` of the samples that are not excluded, evenly spread over the recording; None
+        if there are no more than that."""
+        if not self.recordings:
+            return None
+        whole = self.dataset
+        some = whole.thinned(most)
+        return None if some is whole else some
+
     def _select_counted(self, excluded: Mapping[int, str]) -> Dataset:
         return self.samples.excluding(excluded, "in this session")
 

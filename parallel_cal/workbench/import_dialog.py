@@ -66,7 +66,7 @@ class ImportDialog:
 
     async def _receive(self, event: events.UploadEventArguments) -> None:
         """Show the form for a table that was dropped."""
-        from parallel_cal.workbench.table_preview import preview_table  # imports NumPy
+        from parallel_cal.session.table_preview import preview_table  # imports NumPy
 
         file = Path(self._folder.name) / Path(event.file.name).name
         await event.file.save(file)
@@ -82,7 +82,8 @@ class ImportDialog:
         if self._file is None:
             return
         if missing := self._columns.list_missing():
-            return self._answer.set_text(f"choose a column for {', '.join(missing)}")
+            self._answer.set_text(f"choose a column for {', '.join(missing)}")
+            return
         self._answer.set_text("")
         self._awaits_result = True
         self._bench.begin("import_table", self._file, self._columns.document())

@@ -276,6 +276,15 @@ class Window:
                 ).props("dense outline")
                 if len(session.record.branches) > 1:
                     ui.button("Compare", on_click=self._compare).props("dense outline")
+            with ui.row().classes("items-center"):
+                for words, as_pdf in (("Report", False), ("Report as PDF", True)):
+                    make = ui.button(words, on_click=partial(bench.make_report, as_pdf))
+                    make.props("dense outline").set_enabled(bool(bench.view) and not bench.busy)
+                for file in bench.reports:
+                    download = ui.button(
+                        f"Download {file.name}", on_click=partial(ui.download.file, file)
+                    )
+                    download.props("dense no-caps")
             if len(session.record.branches) > 1:
                 branches = [
                     {
