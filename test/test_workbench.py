@@ -337,6 +337,7 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
         narrow.set_default_timeout(1000 * LONG)
         narrow.goto(served.url)
         narrow.get_by_text("Where it fails").wait_for()
+        narrow.locator(".q-loading-bar").wait_for(state="hidden")  # a part of the browser's load
         wide = narrow.evaluate("document.documentElement.scrollWidth")
         assert wide <= 800
         assert faults(narrow) == []
