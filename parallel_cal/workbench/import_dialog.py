@@ -136,7 +136,7 @@ class ColumnForm:
                 name: self._pick(f"{name} [{unit}]", guessed[name])
                 for name, unit in (("time", "s"), ("temperature", "degC"), ("payload", "kg"))
             }
-            self._group = self._pick("rows of one pose", None)
+            self._group = self._pick("number of the pose", None)
             self._in_order = ui.checkbox("rows in the order of the visits", value=True)
         with _row("noise, 1 sigma"):
             self._noise = {
@@ -208,7 +208,7 @@ class ColumnForm:
         return column, chosen, travel
 
     def _pick(self, label: str, guess: str | None) -> Any:
-        return ui.select(self._header, value=guess, label=label, clearable=True).classes("w-40")
+        return ui.select(self._header, value=guess, label=label, clearable=True).classes("w-48")
 
     def _pick_unit(self, label: str, units: Sequence[str] | Mapping[str, float]) -> Any:
         return ui.select([IN_HEADER, *units], value=IN_HEADER, label=label).classes("w-36")
