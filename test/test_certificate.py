@@ -1,5 +1,6 @@
 """The report as a certificate: fields, decision, and a PDF on A4."""
 
+import json
 import re
 import shutil
 
@@ -13,6 +14,7 @@ from parallel_cal.reporting.certificate import CertificateError, CertificateFiel
 from parallel_cal.reporting.page import page
 from parallel_cal.reporting.pdf import PdfError, find_browser
 from parallel_cal.reporting.report import report
+from parallel_cal.session.session import Session
 from parallel_cal.session.steps import fitted
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -191,3 +193,27 @@ def test_without_a_browser_no_diagnosis_begins(tmp_path, monkeypatch, capsys):
 def test_a_wrong_name_of_the_pdf_is_refused(tmp_path, capsys):
     assert run("no.yaml", "no_bag", "--pdf", tmp_path / "r.txt") == 1
     assert "expected a name that ends in .pdf" in capsys.readouterr().err
+
+
+@pytest.mark.wide
+def test_the_certificate_of_a_session_states_excluded_samples_with_reasons_and_counts(
+    tmp_path, run_cli
+):
+    session = Session.new(tmp_path / "s", pc.read_model(MODEL), [BAG])
+    session.exclude({3: "the table was bumped", 7: "the table was bumped", 9: ""})
+    output = tmp_path / "report.html"
+    shown = ("--field", "serial_number=D-0042")
+    document = json.loads(
+        run_cli("session", "report", session.folder, "-o", output, *shown, "--json")
+    )
+    certificate = part(output.read_text(), "certificate")
+    words = "3 of 94: the table was bumped (2: samples 3, 7); no reason given (1: sample 9)"
+    assert f"<dt>Excluded samples</dt><dd>{words}</dd>" in certificate
+    assert "<dd>D-0042</dd>" in certificate
+    assert "91 samples" in certificate
+    assert document["provenance"]["dataset"]["excluded"]["3"] == "the table was bumped"
+
+
+@pytest.mark.wide
+def test_a_certificate_without_excluded_samples_says_so(made):
+    assert "<dd>none; all 94 samples were used</dd>" in part(page(made), "certificate")

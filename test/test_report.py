@@ -277,6 +277,24 @@ def test_times_that_were_not_recorded_are_not_shown(recorded):
     assert ("time [s]" in columns) == recorded
 
 
+@pytest.mark.parametrize("odd", ["", "outlier"])
+def test_the_table_of_samples_states_the_unit_of_joints_and_has_no_empty_column(odd):
+    one = contents.JudgedSample(
+        sample=1,
+        time=np.nan,
+        joints=np.array([0.1, 0.2]),
+        position=np.zeros(3),
+        now={"position": 1e-5, "sigmas": 1.0},
+        found=None,
+        odd=odd,
+    )
+    table = results.sample_table([one], ["position"], {"a": "rad", "b": "m"})
+    columns = [heading.name for heading in table.headings()]
+    assert columns[-2:] == ["joints [deg, mm]", "position [mm]"]
+    assert ("odd" in columns) == bool(odd)
+    assert len(table.rows[0]) == len(columns)
+
+
 def test_two_models_stand_side_by_side_on_the_same_samples(document, text):
     this, other = document["against"]["sides"]
     assert this["errors"]["position_rms"] < 0.1 * other["errors"]["position_rms"]

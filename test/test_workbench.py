@@ -305,6 +305,13 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
         assert "past.joint1 [rad]" in text
         assert "Drive to the joints past.* first" in text
 
+        number = Session(folder).state.number
+        (folder / "certificate.yaml").write_text("serial_number: D-0042\n")
+        page.get_by_role("button", name="Report", exact=True).click()
+        with page.expect_download() as download:
+            page.get_by_role("button", name=f"Download report_{number}.html").click()
+        assert "<dd>D-0042</dd>" in Path(download.value.path()).read_text()
+
         before = Session(folder).state
         row = page.get_by_role("row").filter(has_text="chain1.Lb")
         row.get_by_role("checkbox").click()
@@ -330,6 +337,7 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
         narrow.set_default_timeout(1000 * LONG)
         narrow.goto(served.url)
         narrow.get_by_text("Where it fails").wait_for()
+        narrow.locator(".q-loading-bar").wait_for(state="hidden")  # a part of the browser's load
         wide = narrow.evaluate("document.documentElement.scrollWidth")
         assert wide <= 800
         assert faults(narrow) == []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,9 +24,25 @@ from parallel_cal.cli.calibration import read_model_and_data
 from parallel_cal.reporting import console
 
 if TYPE_CHECKING:
+    from parallel_cal.reporting.certificate import CertificateFields
     from parallel_cal.reporting.report import Report
 
 PAGE, DOCUMENT = (".html", ".htm"), (".json",)
+ReportFile = Annotated[
+    Path | None, typer.Option("-o", "--output", help="page (.html) or document (.json)")
+]
+PdfFile = Annotated[
+    Path | None,
+    typer.Option("--pdf", metavar="R.pdf", help="the page on A4, printed by Chromium"),
+]
+CertificateFile = Annotated[
+    Path | None,
+    typer.Option(metavar="FIELDS.yaml", help="fields of the certificate: serial_number, ..."),
+]
+CertificateField = Annotated[
+    list[str] | None,
+    typer.Option(metavar="NAME=VALUE", help="one field of the certificate; repeatable"),
+]
 
 
 @with_options
@@ -34,25 +50,14 @@ def report(
     model: ModelFile,
     bags: Bags,
     *,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="page (.html) or document (.json)")
-    ] = None,
+    output: ReportFile = None,
     against: Annotated[
         Path | None,
         typer.Option(metavar="OTHER.yaml", help="another model, for comparison on the same data"),
     ] = None,
-    pdf: Annotated[
-        Path | None,
-        typer.Option("--pdf", metavar="R.pdf", help="the page on A4, printed by Chromium"),
-    ] = None,
-    certificate: Annotated[
-        Path | None,
-        typer.Option(metavar="FIELDS.yaml", help="fields of the certificate: serial_number, ..."),
-    ] = None,
-    field: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=VALUE", help="one field of the certificate; repeatable"),
-    ] = None,
+    pdf: PdfFile = None,
+    certificate: CertificateFile = None,
+    field: CertificateField = None,
     effect: Tested = None,
     also: Also = None,
     options: Fitting,
@@ -61,36 +66,52 @@ def report(
 ) -> None:
     """Write the diagnosis as one offline page: errors, residuals, effects, parameters, and a
     certificate."""
+    from parallel_cal.model.file.modelfile import read_model
+    from parallel_cal.reporting import report as reports
+
+    def make(stated: CertificateFields) -> Report:
+        other = None if against is None else read_model(against)
+        judged, dataset = read_model_and_data(model, bags, data)
+        return reports.report(
+            judged,
+            dataset,
+            against=other,
+            effects=effect or (),
+            also=also or (),
+            certificate=stated,
+            options=options,
+            progress=console.progress,
+        )
+
+    write_report(make, output, pdf, certificate, field or (), as_json)
+
+
+def write_report(
+    make: Callable[[CertificateFields], Report],
+    output: Path | None,
+    pdf: Path | None,
+    certificate: Path | None,
+    field: Sequence[str],
+    as_json: bool,
+) -> None:
+    """Make a report with the stated fields of the certificate, write its files, and show the
+    verdict."""
     if output is None and pdf is None and not as_json:
         raise typer.BadParameter("expected -o R.html (or .json), --pdf R.pdf, or --json")
     # Report what cannot work before the diagnosis, which takes seconds.
     if output is not None:
         _check_writable(output, PAGE + DOCUMENT, ".html (page) or .json (document)")
     from parallel_cal.base.files import write_atomically
-    from parallel_cal.model.file.modelfile import read_model
-    from parallel_cal.reporting import report as reports
     from parallel_cal.reporting.certificate import CertificateFields
 
-    stated = CertificateFields.read(certificate, field or ())
+    stated = CertificateFields.read(certificate, field)
     browser = ""
     if pdf is not None:
         from parallel_cal.reporting.pdf import find_browser
 
         _check_writable(pdf, (".pdf",), ".pdf")
         browser = find_browser()
-
-    other = None if against is None else read_model(against)
-    judged, dataset = read_model_and_data(model, bags, data)
-    made = reports.report(
-        judged,
-        dataset,
-        against=other,
-        effects=effect or (),
-        also=also or (),
-        certificate=stated,
-        options=options,
-        progress=console.progress,
-    )
+    made = make(stated)
     if output is not None:
         console.progress("writing the report", 0.95)
         write_atomically(output, _text(made, output.suffix))

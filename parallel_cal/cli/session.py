@@ -23,9 +23,18 @@ from parallel_cal.cli.arguments import (
     with_options,
 )
 from parallel_cal.cli.recordings import data_options
+from parallel_cal.cli.reporting import (
+    CertificateField,
+    CertificateFile,
+    PdfFile,
+    ReportFile,
+    write_report,
+)
 from parallel_cal.reporting import console
 
 if TYPE_CHECKING:
+    from parallel_cal.reporting.certificate import CertificateFields
+    from parallel_cal.reporting.report import Report
     from parallel_cal.session.history import State
     from parallel_cal.session.session import Session
 
@@ -234,6 +243,32 @@ def include(folder: Folder, samples: Samples, as_json: Json = False) -> None:
     _print_state(session, session.include(samples, console.progress), as_json)
 
 
+def report(
+    folder: Folder,
+    output: ReportFile = None,
+    pdf: PdfFile = None,
+    certificate: CertificateFile = None,
+    field: CertificateField = None,
+    as_json: Json = False,
+) -> None:
+    """Write the report of the last step, as `parallel-cal report` does. Its certificate states the
+    excluded samples with their reasons."""
+    from parallel_cal.reporting import report as reports
+
+    session = _open(folder)
+
+    def make(stated: CertificateFields) -> Report:
+        return reports.report(
+            session.model,
+            session.dataset,
+            certificate=stated,
+            options=session.options,
+            progress=console.progress,
+        )
+
+    write_report(make, output, pdf, certificate, field or (), as_json)
+
+
 def undo(folder: Folder, as_json: Json = False) -> None:
     """Undo the last step."""
     session = _open(folder)
@@ -313,6 +348,7 @@ for command in (
     exclude,
     include,
     plan,
+    report,
     undo,
     redo,
     branch,

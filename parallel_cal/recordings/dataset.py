@@ -86,6 +86,8 @@ class Dataset:
     configuration : dict of float
         Numbers with which a controller or an importer computed the joint readings, rad or m:
         parameters of the mechanism by name, and `JOINT.end_stop`. Empty if they were measured.
+    excluded : dict of str
+        The reason for each sample that was excluded, by its number.
     """
 
     joint_names: tuple[str, ...]
@@ -112,6 +114,7 @@ class Dataset:
     joint_units: tuple[str, ...] | None = None
     configuration: dict[str, float] = dataclasses.field(default_factory=dict)
     recordings: tuple[str, ...] = ()
+    excluded: dict[int, str] = dataclasses.field(default_factory=dict)
 
     def __repr__(self) -> str:
         kinds = sorted({name.partition(".")[0] for name in self.conditions})
@@ -230,10 +233,13 @@ class Dataset:
         own = self.conditions.get(NUMBER)
         return np.arange(len(self)) if own is None else own.astype(np.int64)
 
-    def excluding(self, numbers: Sequence[int], why: str = "on request") -> Dataset:
+    def excluding(
+        self, numbers: Sequence[int] | Mapping[int, str], why: str = "on request"
+    ) -> Dataset:
         """Return the dataset without the samples of these numbers; the others keep their numbers.
 
-        The warning about them contains the reason `why`. DatasetError for an unknown number.
+        The warning about them contains `why`. A mapping states the reason for each number; `why`
+        is the reason otherwise. DatasetError for an unknown number.
         """
         if unknown := sorted(set(numbers) - set(self.numbers.tolist())):
             raise DatasetError(
@@ -244,7 +250,12 @@ class Dataset:
             return self
         said = f"excluded {why}: sample {', '.join(map(str, sorted(numbers)))}"
         kept = self._select_numbered(~np.isin(self.numbers, list(numbers)))
-        return dataclasses.replace(kept, warnings=(*self.warnings, said))
+        reasons = numbers if isinstance(numbers, Mapping) else dict.fromkeys(numbers, why)
+        return dataclasses.replace(
+            kept,
+            warnings=(*self.warnings, said),
+            excluded={**self.excluded, **{int(n): reason for n, reason in reasons.items()}},
+        )
 
     def thinned(self, most: int) -> Dataset:
         """Return about `most` samples: every visit of poses that are evenly spread over the

@@ -8,6 +8,7 @@ from html import escape
 import numpy as np
 
 from parallel_cal.base.units import ERROR_SI_UNITS
+from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting import drawings, spaces
 from parallel_cal.reporting.blocks import Number, Row
 from parallel_cal.reporting.contents import CertifiedErrors, Residuals
@@ -39,6 +40,7 @@ from parallel_cal.reporting.results import (
 )
 from parallel_cal.reporting.versus import Side, Versus
 
+MAX_NAMED_SAMPLES = 20  # excluded for one reason
 IDENTIFIED_HERE = (
     "The model was identified from these samples. Its errors are rms at held-out poses: at each "
     "pose those of a fit that did not use it."
@@ -135,6 +137,7 @@ def certificate(report: Report) -> str:
         "Model": f"{p.mechanism}, effects: {', '.join(p.effects) or 'none'}; sha256 "
         f"{p.model_sha256}",
         "Data": f"{data.source}; {counts}; sha256 {data.sha256 or 'not known'}",
+        "Excluded samples": _describe_excluded(data),
         "Software": f"parallel_cal {p.version}",
         "Date of this certificate": day(p.made),
     }
@@ -158,6 +161,23 @@ def certificate(report: Report) -> str:
         + note
         + f'<div class="signature">{signature}</div>'
     )
+
+
+def _describe_excluded(data: Dataset) -> str:
+    """Describe the excluded samples by reason, with counts: `2 of 94: bumped (2: samples 3, 7)`."""
+    if not data.excluded:
+        return f"none; all {len(data)} samples were used"
+    by_reason: dict[str, list[int]] = {}
+    for sample, reason in sorted(data.excluded.items()):
+        by_reason.setdefault(reason or "no reason given", []).append(sample)
+    parts = []
+    for reason, numbers in by_reason.items():
+        named = ", ".join(map(str, numbers[:MAX_NAMED_SAMPLES]))
+        more = ", ..." if len(numbers) > MAX_NAMED_SAMPLES else ""
+        kind = "sample" if len(numbers) == 1 else "samples"
+        parts.append(f"{reason} ({len(numbers)}: {kind} {named}{more})")
+    count = len(data.excluded)
+    return f"{count} of {len(data) + count}: {'; '.join(parts)}"
 
 
 def _errors_in_words(certified: CertifiedErrors) -> str:

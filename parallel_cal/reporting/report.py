@@ -63,7 +63,12 @@ class Provenance:
             effects=[effect.name for effect in model.effects],
             found_in_data=[effect.name for effect in model.effects if effect.found_in_data],
             model_sha256=model_hash(model),
-            dataset={"source": data.source, "sha256": data.sha256, "samples": len(data)},
+            dataset={
+                "source": data.source,
+                "sha256": data.sha256,
+                "samples": len(data),
+                "excluded": data.excluded,
+            },
             dropped=len(data.dropped),
             noise_from=diagnosis.base.fitted.observations.noise_from,
             options=to_json_value(options),

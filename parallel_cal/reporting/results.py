@@ -456,13 +456,15 @@ def sample_table(
     both = bool(samples) and samples[0].found is not None
     sides = ("", ", with effect") if both else ("",)
     timed = any(is_known(one.time) for one in samples)
+    is_any_odd = any(one.odd for one in samples)
+    joint_unit = ", ".join(dict.fromkeys(value_unit(unit)[0] for unit in joint_units.values()))
     columns = (
         "sample",
         *(f"sigmas{side}" for side in sides),
-        "odd",
+        *(["odd"] if is_any_odd else []),
         *(f"{kind} [{unit}]{side}" for side in sides for kind, (unit, _) in units.items()),
         *(["time [s]"] if timed else []),
-        "joints",
+        f"joints [{joint_unit}]",
         "position [mm]",
     )
     rows: list[Row] = []
@@ -473,7 +475,7 @@ def sample_table(
             (
                 Cell(str(one.sample), key=one.sample, mark="odd" if one.odd else ""),
                 *(Number(side["sigmas"], significant=2) for side in errors),
-                one.odd,
+                *([one.odd] if is_any_odd else []),
                 *(Number(side[k], factor) for side in errors for k, (_, factor) in units.items()),
                 *([Number(one.time, significant=4)] if timed else []),
                 " ".join(joints),

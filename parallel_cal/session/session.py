@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import shutil
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -133,8 +133,17 @@ class Session(History):
         """The samples that are not excluded."""
         return self._select_counted(self.state.excluded)
 
-    def _select_counted(self, excluded: Collection[int]) -> Dataset:
-        return self.samples.excluding(sorted(excluded), "in this session")
+    def dataset_of_some(self, most: int) -> Dataset | None:
+        """About `most` of the samples that are not excluded, evenly spread over the recording; None
+        if there are no more than that."""
+        if not self.recordings:
+            return None
+        whole = self.dataset
+        some = whole.thinned(most)
+        return None if some is whole else some
+
+    def _select_counted(self, excluded: Mapping[int, str]) -> Dataset:
+        return self.samples.excluding(excluded, "in this session")
 
     # ------------------------------------------------------------------ steps
 

@@ -19,6 +19,7 @@ from parallel_cal.session.history import History
 if TYPE_CHECKING:
     from parallel_cal.session.session import Session
 
+CERTIFICATE_FILE = "certificate.yaml"  # fields of the certificate, in a session's folder
 # Methods of a session that take long.
 STEPS = ("fit", "add", "remove", "exclude", "include", "choose", "plan", "import_table")
 
@@ -101,6 +102,10 @@ class Bench:
         """Search for the law of what the present model leaves; the session stays unchanged."""
         self._begin(_find_law)
 
+    def make_report(self, as_pdf: bool) -> None:
+        """Write the report of the present state to a file in the session's folder."""
+        self._begin(_make_report, as_pdf)
+
     def save(self, confirmed: str = "", reason: str = "") -> None:
         """Compare the present model with the one in `output`, and write it if it is better.
 
@@ -163,6 +168,13 @@ class Bench:
         """The file of the poses to measure next, if some were planned for this state."""
         file = self.session.folder / "plans" / f"{self.session.state.number}.csv"
         return file if file.exists() else None
+
+    @property
+    def reports(self) -> list[Path]:
+        """The reports of this state that were made."""
+        return [
+            file for as_pdf in (False, True) if (file := report_path(self.session, as_pdf)).exists()
+        ]
 
     @property
     def law_view(self) -> dict[str, Any] | None:
@@ -252,6 +264,13 @@ def law_view_path(session: History) -> Path:
     return session.folder / "laws" / f"{session.state.number}.json"
 
 
+def report_path(session: History, as_pdf: bool) -> Path:
+    """Return the file of the present state's report."""
+    return (
+        session.folder / "reports" / f"report_{session.state.number}.{'pdf' if as_pdf else 'html'}"
+    )
+
+
 def load_view(session: History, state: int | None = None) -> dict[str, Any] | None:
     return _load_stored_view(view_path(session, state))
 
@@ -335,6 +354,36 @@ def _find_law(folder: Path, tell: Callable[..., None]) -> Done:
     found, files = discover_in_session(session, tell)
     _store_view(file, make_law_view(found, files))
     return Done("")
+
+
+def _make_report(folder: Path, as_pdf: bool, tell: Callable[..., None]) -> Done:
+    """Write the report of the present state, with the certificate's fields in `folder`, if any (in
+    the worker)."""
+    from parallel_cal.reporting.certificate import CertificateFields
+    from parallel_cal.reporting.page import page
+    from parallel_cal.reporting.pdf import find_browser, print_to_pdf
+    from parallel_cal.reporting.report import report
+
+    browser = find_browser() if as_pdf else ""  # report what is missing before the diagnosis
+    stated = folder / CERTIFICATE_FILE
+    fields = CertificateFields.read(stated if stated.exists() else None)
+    session = _open_session(folder)
+    session.refresh()
+    found = report(
+        session.model,
+        session.dataset,
+        certificate=fields,
+        options=session.options,
+        progress=tell,
+    )
+    file = report_path(session, as_pdf)
+    file.parent.mkdir(exist_ok=True)
+    if as_pdf:
+        tell("printing the report", 1.0)
+        print_to_pdf(page(found), file, browser)
+    else:
+        write_atomically(file, page(found))
+    return Done(f"written: {file}")
 
 
 def _save(

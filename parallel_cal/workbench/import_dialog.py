@@ -66,7 +66,7 @@ class ImportDialog:
 
     async def _receive(self, event: events.UploadEventArguments) -> None:
         """Show the form for a table that was dropped."""
-        from parallel_cal.workbench.table_preview import preview_table  # imports NumPy
+        from parallel_cal.session.table_preview import preview_table  # imports NumPy
 
         file = Path(self._folder.name) / Path(event.file.name).name
         await event.file.save(file)
@@ -82,7 +82,8 @@ class ImportDialog:
         if self._file is None:
             return
         if missing := self._columns.list_missing():
-            return self._answer.set_text(f"choose a column for {', '.join(missing)}")
+            self._answer.set_text(f"choose a column for {', '.join(missing)}")
+            return
         self._answer.set_text("")
         self._awaits_result = True
         self._bench.begin("import_table", self._file, self._columns.document())
@@ -135,7 +136,7 @@ class ColumnForm:
                 name: self._pick(f"{name} [{unit}]", guessed[name])
                 for name, unit in (("time", "s"), ("temperature", "degC"), ("payload", "kg"))
             }
-            self._group = self._pick("rows of one pose", None)
+            self._group = self._pick("number of the pose", None)
             self._in_order = ui.checkbox("rows in the order of the visits", value=True)
         with _row("noise, 1 sigma"):
             self._noise = {
@@ -207,7 +208,7 @@ class ColumnForm:
         return column, chosen, travel
 
     def _pick(self, label: str, guess: str | None) -> Any:
-        return ui.select(self._header, value=guess, label=label, clearable=True).classes("w-40")
+        return ui.select(self._header, value=guess, label=label, clearable=True).classes("w-48")
 
     def _pick_unit(self, label: str, units: Sequence[str] | Mapping[str, float]) -> Any:
         return ui.select([IN_HEADER, *units], value=IN_HEADER, label=label).classes("w-36")

@@ -9,7 +9,7 @@ from typing import Any
 from nicegui import run, ui
 
 from parallel_cal.reporting.colours import MEASURED
-from parallel_cal.reporting.readable import format_judged_error, write_micro
+from parallel_cal.reporting.readable import MISSING, format_judged_error, write_micro
 from parallel_cal.session.history import format_first_error
 from parallel_cal.workbench.bench import Bench
 from parallel_cal.workbench.fixing import ask_where_to_fix
@@ -241,7 +241,9 @@ class Window:
                 {
                     "step": state.step,
                     "samples": state.samples,
-                    "before": write_micro(format_first_error(state.before)),
+                    "before": write_micro(format_first_error(state.before))
+                    if state.before
+                    else MISSING,
                     "after": format_judged_error(state.errors, state.sigmas),
                     "out": len(state.excluded),
                     "verdict": write_micro(state.verdict_text or state.against),
@@ -276,6 +278,15 @@ class Window:
                 ).props("dense outline")
                 if len(session.record.branches) > 1:
                     ui.button("Compare", on_click=self._compare).props("dense outline")
+            with ui.row().classes("items-center"):
+                for words, as_pdf in (("Report", False), ("Report as PDF", True)):
+                    make = ui.button(words, on_click=partial(bench.make_report, as_pdf))
+                    make.props("dense outline").set_enabled(bool(bench.view) and not bench.busy)
+                for file in bench.reports:
+                    download = ui.button(
+                        f"Download {file.name}", on_click=partial(ui.download.file, file)
+                    )
+                    download.props("dense no-caps")
             if len(session.record.branches) > 1:
                 branches = [
                     {

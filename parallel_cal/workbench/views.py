@@ -23,7 +23,6 @@ from parallel_cal.identification.given_model import fits_of
 from parallel_cal.identification.observations import blocks
 from parallel_cal.identification.prediction_errors import Summary, compute_rms_sigmas
 from parallel_cal.model.model import Model
-from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting import (
     contents,
     drawings,
@@ -56,11 +55,11 @@ def fit_some_samples(session: Session) -> View | None:
 
     It has the numbers of the fit only. The fit of all samples takes minutes.
     """
-    if (some := _thin(session)) is None:
+    if (some := session.dataset_of_some(MAX_PRELIMINARY_SAMPLES)) is None:
         return None
     step = fitted(session.model, some, True, options=session.options)
     result = step.result
-    words = f"preliminary fit of {_describe_part(some, session)}; fitting all samples"
+    words = f"preliminary fit of {_describe_part(len(some), session)}; fitting all samples"
     known = (step.errors_to_beat, result.held_out.summary, result.noise_floor)
     sigmas = result.rms_sigmas(result.held_out)
     return NUMBERS_ONLY | _make_numbers(words, dict(zip(FIT_TILES, known, strict=True)), sigmas)
@@ -68,7 +67,7 @@ def fit_some_samples(session: Session) -> View | None:
 
 def view_some_samples(session: Session) -> View | None:
     """Make the view of the present state from a part of many samples; None if there are few."""
-    if (some := _thin(session)) is None:
+    if (some := session.dataset_of_some(MAX_PRELIMINARY_SAMPLES)) is None:
         return None
     how = session.options
     if session.state.errors:
@@ -76,21 +75,12 @@ def view_some_samples(session: Session) -> View | None:
     else:
         made = _make_comparison_view(compare(session.model, some, how.joint_sigma))
     verdict = made["verdict"]
-    words = f"preliminary, from {_describe_part(some, session)}: {verdict['words']}"
+    words = f"preliminary, from {_describe_part(len(some), session)}: {verdict['words']}"
     return made | {"verdict": verdict | {"words": words}}
 
 
-def _thin(session: Session) -> Dataset | None:
-    """Return a part of the samples of a session; None if it has few."""
-    if not session.recordings:
-        return None
-    whole = session.dataset
-    some = whole.thinned(MAX_PRELIMINARY_SAMPLES)
-    return None if len(some) == len(whole) else some
-
-
-def _describe_part(some: Dataset, session: Session) -> str:
-    return f"{len(some)} of {len(session.dataset)} samples, evenly spread over the recording"
+def _describe_part(count: int, session: Session) -> str:
+    return f"{count} of {len(session.dataset)} samples, evenly spread over the recording"
 
 
 def glance(session: Session) -> View | None:

@@ -1,4 +1,5 @@
-"""The header and the first rows of a table, and what its column names suggest."""
+"""The header and the first rows of a table that a session may import, and which columns its joints
+and coordinates seem to have."""
 
 from __future__ import annotations
 
