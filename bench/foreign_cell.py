@@ -8,7 +8,6 @@ its poses late. Faults are parameters, and so is the file to which the truth is 
 """
 
 import json
-import signal
 import threading
 import time
 from contextlib import suppress
@@ -155,7 +154,7 @@ class ForeignCell(Node):
         self.robot = Hexapod(self.rng)
         self.drives = Drives(self.robot.home)
         self.frame = (self.rng.uniform(-2.0, 2.0, 3), turned(self.rng.uniform(-0.8, 0.8, 3)))
-        self.outside = self.fastest = 0.0
+        self.outside = self.fastest = self.silence = 0.0
         self.trajectories = self.poses = 0
         self.now, self.begin = 0.0, time.time()
         deep = QoSProfile(depth=1000)
@@ -188,6 +187,7 @@ class ForeignCell(Node):
         while rclpy.ok():
             time.sleep(JOINT_PERIOD / self.set["speed"] / 2)
             moment = time.monotonic()
+            self.silence = max(self.silence, moment - last)
             until = self.now + min(self.set["speed"] * (moment - last), MAX_STEP)
             last = moment
             while read + JOINT_PERIOD <= until:
@@ -245,6 +245,7 @@ class ForeignCell(Node):
             "trajectories": self.trajectories,
             "outside_limits": self.outside,
             "fastest": self.fastest,
+            "silence": self.silence,
         }
         Path(self.set["truth"]).write_text(json.dumps(told))
 
@@ -252,7 +253,6 @@ class ForeignCell(Node):
 def main():
     rclpy.init()
     cell = ForeignCell()
-    signal.signal(signal.SIGTERM, lambda *given: rclpy.try_shutdown())
     spinning = threading.Thread(target=cell.run, daemon=True)
     spinning.start()
     with suppress(KeyboardInterrupt, ExternalShutdownException):

@@ -42,6 +42,7 @@ CELL = Path(__file__).with_name("foreign_cell.py")
 RIGHT = {"backlash"}  # the effects that this robot has
 LIMITS = (0.1, 1.0)  # m/s and m/s^2 of each leg
 MAX_MINUTES = 30.0  # of one campaign
+START_TIMEOUT_S = 120.0  # of the cell, beside busy loops
 N_TRUE_POSES = 100  # poses at which the true error is computed
 
 Array = np.ndarray
@@ -108,7 +109,15 @@ class ForeignCell:
         self._status = self.client.subscribe_latest(
             CalibrationStatus, "calibration_node/session_status"
         )
-        self.client.wait(lambda: self.client.count_publishers("joint_states") > 0, "the cell")
+        try:
+            self.client.wait(
+                lambda: self.client.count_publishers("joint_states") > 0,
+                "the cell",
+                START_TIMEOUT_S,
+            )
+        except BaseException:
+            self.end()
+            raise
 
     def calibrate(self, **goal: Any) -> Run:
         """Run a campaign, or continue one that stopped early, and tell how it ended."""
@@ -195,12 +204,13 @@ def describe(run: Run) -> str:
     """Return the line of a run; lengths in um."""
     widths = " ".join(f"{1e6 * width:.1f}" for width in run.widths) or "none"
     false = ", ".join(run.false_effects) or "none"
-    out = 1e6 * run.truth.get("outside_limits", np.nan)
+    out, silence = 1e6 * run.truth["outside_limits"], run.truth["silence"]
     waits = sum(n for reason, n in run.reasons.items() if "not processed" in reason)
     return (
         f"{run.verdict or 'no verdict'}; false {false}; widths {widths}; "
         f"error {1e6 * run.before:.0f} to {1e6 * run.after:.2f}; {run.poses} poses in "
-        f"{run.seconds:.0f} s; outside limits {out:.0f}; {waits} waits for unprocessed poses; "
+        f"{run.seconds:.0f} s; outside limits {out:.0f}; "
+        f"the cell was silent for up to {silence:.1f} s; {waits} waits for unprocessed poses; "
         f"{run.message}"
     )
 
