@@ -8,6 +8,7 @@ import numpy as np
 
 from parallel_cal.base.units import ARCMIN
 from parallel_cal.recordings.channels import CHANNELS, list_channels
+from parallel_cal.recordings.samples import list_channel_groups
 from parallel_cal.reporting.readable import format_fixed_vector
 
 if TYPE_CHECKING:
@@ -69,7 +70,11 @@ def _sample_sentence(document: dict[str, Any]) -> str:
     again = document["replicates"]
     frame = f"frame {document['frame']}" if document["frame"] else "a frame without a name"
     pose = f"{' '.join(document['measured'])} in {frame}" if document["measured"] else ""
-    read = ", ".join(f"{name} ({count})" for name, count in document["readings"].items())
+    counts: dict[str, int] = {}
+    for channel, count in document["readings"].items():
+        (group,) = list_channel_groups([channel])
+        counts[group] = counts.get(group, 0) + count
+    read = ", ".join(f"{name} ({count})" for name, count in counts.items())
     return (
         f"{document['samples']} samples ({document['mode'] or 'none'}) of {document['poses']} "
         f"poses; replicates: {again['samples']} samples of {again['poses']} poses; "
