@@ -1,61 +1,235 @@
 """The sensor `camera`: pixels of a board's corners identify lens, hand-eye and robot in one fit."""
 
+import dataclasses
+import re
+
 import numpy as np
 import pytest
 import virtual_camera as vc
+from camera_cells import Cell
 
 import parallel_cal as pc
-from parallel_cal.base.errors import ModelError, ModelFileError
+from parallel_cal.base.errors import FitError, ModelError, ModelFileError
+from parallel_cal.base.rotation import matrix_to_quaternion, quaternion_to_matrix, rotation_vector
+from parallel_cal.identification.observations import observe
+from parallel_cal.identification.placement import place_sensors
+from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.file.modelfile import dump_model, parse_model
-from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.model.parameters import Named
+from parallel_cal.reporting.images import list_images, residual_arrows
+from parallel_cal.reporting.text import show
 from parallel_cal.sensors.camera import Camera
-from parallel_cal.virtual.machines import MACHINES
-from parallel_cal.virtual.robot import turn
+from parallel_cal.virtual.robot import Backlash
 
-JOINTS = ("joint1", "joint2", "joint3")
 SENSOR = Camera(8, 6, 0.03, (1280, 1024))
-ABOVE = vc.look_at([0.25, 0.1, 0.75], [0, 0, 0.2], 0.1)
-ON_PLATFORM = vc.frame(np.array([-0.12, -0.09, 0.01]), turn(np.array([0.3, 0.2, 0.4])))
+LENS = {"fx": 1210.0, "fy": 1206.0, "cx": 648.0, "cy": 503.0, "k1": -0.11, "p1": 8e-4}
+FISHEYE = vc.Lens(620.0, 618.0, 645.0, 507.0, (-0.02, 0.01, -0.004, 0.001), fisheye=True)
 
 
-def delta_seen_by(camera, images=60, seed=1):
-    """A built Delta, its true poses, and what a camera and its encoders show there."""
-    rng = np.random.default_rng(seed)
-    robot = MACHINES["delta"].make_built(3)
-    r = rng.uniform([-0.06, -0.06, 0.14], [0.06, 0.06, 0.26], (images, 3))
-    q, R = robot.inverse(r)
-    pixels = camera.see(r, R, rng)
-    data = Dataset.from_arrays(
-        JOINTS,
-        q + 1e-5 * rng.standard_normal(q.shape),
-        np.zeros((images, 3)),
-        measured=np.zeros(6, bool),
-        joint_sigma=[1e-5] * 3,
-        conditions=vc.as_conditions(pixels),
-        source="virtual camera",
-    )
-    return data
+def with_camera(cell, **options):
+    return cell.drawn.with_sensors((cell.sensor(**options),))
 
 
 @pytest.fixture(scope="module")
-def delta_images():
-    return delta_seen_by(vc.Camera(ABOVE, ON_PLATFORM))
+def hexapod_fit():
+    """A hexapod, of which a camera in an unknown place with an unknown lens took 60 images."""
+    cell = Cell("stewart", 1)
+    return cell, pc.fit(with_camera(cell), cell.seen_by_camera(), hold_out=0.5)
 
 
 @pytest.mark.wide
-def test_pixels_alone_identify_lens_hand_eye_and_delta_from_nothing(delta_images):
-    found = pc.fit(pc.new_model("delta54", sensors=[SENSOR]), delta_images)
+def test_pixels_alone_identify_lens_hand_eye_and_robot_from_nothing(hexapod_fit):
+    cell, found = hexapod_fit
     numbers = found.parameters()
-    lens = vc.Lens()
-    for name, true in (("fx", lens.fx), ("fy", lens.fy), ("cx", lens.cx), ("cy", lens.cy)):
+    for name, true in LENS.items():
         one = numbers[f"camera.{name}"]
-        assert one.sigma < 5.0  # px
         assert abs(one.value - true) < 4 * one.sigma
-    corners = found.held_out.reading.reshape(60, -1, 2)
-    assert np.sqrt(np.mean(corners**2)) == pytest.approx(0.3, rel=0.05)  # px
-    noise = next(kind for kind in found.document()["noise"] if kind["name"] == "camera")
+    assert numbers["camera.fx"].sigma < 5.0  # px
+    assert cell.error_at_unseen_poses(found.model) < 45e-6 < cell.error_at_unseen_poses(cell.drawn)
+    assert found.held_out.summary.pixel_rms == pytest.approx(0.3 * 2**0.5, rel=0.1)
+
+
+@pytest.mark.wide
+def test_the_noise_of_images_is_measured_without_the_robot(hexapod_fit):
+    """So the fit states a noise floor, although nobody stated the noise of a corner."""
+    _, found = hexapod_fit
+    [noise] = [kind for kind in found.document()["noise"] if kind["name"] == "camera"]
     assert noise["unit"] == "px"
     assert noise["value"] == pytest.approx(0.3, rel=0.05)
+    assert found.observations.noise_from["reading"] == "scatter within images"
+    assert found.noise_floor.pixel_rms == pytest.approx(0.3 * 2**0.5, rel=0.05)
+
+
+@pytest.mark.wide
+def test_the_text_says_the_error_without_the_noise_of_images_and_what_determines_the_lens(
+    hexapod_fit,
+):
+    cell, found = hexapod_fit
+    text = show(found)
+    assert "camera: 60 images with 2100 corners, 0.4" in text
+    assert re.search(r"camera.fx +1[12]\d\d\.\d\d .* px +the data", text)
+    assert re.search(r"camera.k3 .* fixed", text)
+    own, sigma = map(float, re.search(r"noise of the images: (\d+) \+- (\d+) um", text).groups())
+    assert own < 45 + 3 * sigma
+    wide = float(re.search(r"with that of the lens: (\d+) um", text)[1])
+    assert 0.5 < cell.error_at_unseen_poses(found.model) / (1e-6 * wide) < 2
+
+
+@pytest.mark.wide
+def test_the_report_draws_residuals_as_arrows_over_the_image(hexapod_fit):
+    _, found = hexapod_fit
+    [one] = list_images(found)
+    assert one.coverage > 0.2
+    figure, scale = residual_arrows(one)
+    assert scale >= 10
+    points = figure["data"][-1]
+    assert len(points["x"]) == 2100
+    assert figure["layout"]["yaxis"]["range"] == [1023.5, -0.5]  # v points down
+    ends = np.array([v for line in figure["data"][:-1] for v in line["x"] if v is not None])
+    assert len(ends) == 2 * 2100
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize(
+    ("cell", "limit"),
+    [
+        (Cell("delta", 1), 90e-6),
+        (Cell("ur5", 1), 90e-6),
+        (Cell("delta", 1, on_platform=True), 140e-6),
+        (Cell("stewart", 1, lens=FISHEYE), 60e-6),
+        (Cell("ur5", 0, on_platform=True, lens=FISHEYE, board=vc.Board(sag=(2e-3, -1e-3))), 1.5e-4),
+    ],
+    ids=["delta", "arm", "camera on the platform", "fisheye", "fisheye on an arm, bent board"],
+)
+def test_other_robots_lenses_and_places_are_identified_from_nothing(cell, limit):
+    found = pc.fit(with_camera(cell), cell.seen_by_camera(), hold_out=0)
+    assert found.after.summary.pixel_rms == pytest.approx(0.3 * 2**0.5, rel=0.03)
+    assert cell.error_at_unseen_poses(found.model) < limit
+    numbers = found.parameters()
+    for name in ("fx", "fy", "cx", "cy"):
+        one = numbers[f"camera.{name}"]
+        assert abs(one.value - getattr(cell.lens, name)) < 4 * one.sigma
+    for axis, sag in zip("xy", cell.board.sag, strict=True):
+        one = numbers[f"camera.bend.{axis}"]
+        assert abs(one.value - sag) < 4 * one.sigma
+
+
+@pytest.mark.wide
+def test_a_stated_lens_replaces_the_search_and_its_sigma_is_the_tolerance():
+    cell = Cell("stewart", 1)
+    model = with_camera(
+        cell, focal_length=(1215.0, 1215.0), principal_point=(640.0, 510.0), intrinsics_sigma=4.0
+    )
+    assert model.table["camera.cx"].tolerance == 4.0
+    found = pc.fit(model, cell.seen_by_camera(20), hold_out=0)
+    assert found.model.sensors[0].focal_length == (1215.0, 1215.0)
+    free = pc.fit(with_camera(cell), cell.seen_by_camera(20), hold_out=0)
+    own, other = (one.parameters()["camera.cy"].sigma for one in (found, free))
+    assert own < other
+
+
+@pytest.mark.wide
+def test_diagnose_names_a_hidden_backlash_from_pixels_alone():
+    cell = Cell("delta", effects=(Backlash((2e-3, 1.5e-3, 2.5e-3)),))
+    found = pc.diagnose(with_camera(cell), cell.seen_by_camera(), effects=("backlash",))
+    assert found.effects == ("backlash",)
+    assert found.verdict.word == "explained"
+
+
+def test_the_start_finds_the_focal_length_and_frames_of_a_robot_as_drawn():
+    cell = Cell("stewart", 1)
+    data = cell.seen_by_camera(20)
+    model = with_camera(cell)
+    [camera] = place_sensors(model, observe(model, data)).sensors
+    assert camera.is_placed
+    assert camera.focal_length[0] == pytest.approx(1208.0, rel=0.06)
+    true = cell.camera().pose
+    # 6 % of the focal length are 6 % of the distance.
+    assert np.linalg.norm(np.array(camera.position) - true[:3, 3]) < 0.06
+    turn = quaternion_to_matrix(camera.quaternion).T @ true[:3, :3]
+    assert np.degrees(np.linalg.norm(rotation_vector(turn))) < 3
+
+
+def test_images_of_too_little_of_the_board_are_refused_with_numbers():
+    cell = Cell("stewart", 1)
+    data = cell.seen_by_camera(20)
+    hidden = {
+        name: values
+        if name.startswith(("reading.camera.0.", "reading.camera.1."))
+        else values + np.nan
+        for name, values in data.conditions.items()
+    }
+    data = dataclasses.replace(data, conditions=hidden)
+    model = with_camera(cell)
+    with pytest.raises(FitError, match="camera: 0 of 20 samples show enough of the board"):
+        place_sensors(model, observe(model, data))
+
+
+def test_a_camera_without_any_corner_is_refused():
+    cell = Cell("stewart", 1)
+    data = cell.seen_by_tracker(20)
+    with pytest.raises(FitError, match="no measurement with the corners of camera"):
+        observe(with_camera(cell), data)
+
+
+def test_readings_of_another_board_are_refused_in_one_line():
+    cell = Cell("stewart", 1)
+    model = cell.drawn.with_sensors((Camera(5, 4, 0.03, (1280, 1024)),))
+    expected = (
+        "readings of the corners of camera, but the model's sensors have camera.0.u to camera.11.v"
+    )
+    with pytest.raises(FitError, match=expected):
+        observe(model, cell.seen_by_camera(20))
+
+
+def test_the_sensor_projects_like_an_independent_camera():
+    """Pixels of the sensor at the true numbers, for both lenses, beside the virtual camera."""
+    import casadi as ca
+
+    for cell in (Cell("stewart", 1), Cell("ur5", 1, on_platform=True, lens=FISHEYE)):
+        true, lens = cell.camera(), cell.lens
+        placed = {
+            f"{prefix}{kind}": value
+            for prefix, matrix in (("", true.pose), ("board_", true.mount))
+            for kind, value in (
+                ("position", tuple(matrix[:3, 3].tolist())),
+                ("quaternion", tuple(matrix_to_quaternion(matrix[:3, :3]).tolist())),
+            )
+        }
+        sensor = cell.sensor(
+            focal_length=(lens.fx, lens.fy),
+            principal_point=(lens.cx, lens.cy),
+            distortion=lens.k,
+            **placed,
+        )
+        table = sensor.table(cell.drawn.mechanism)
+        at = cell.draw_poses(5, np.random.default_rng(0))
+        numbers = Named(table.names, ca.DM(table.nominal))[sensor.name]
+        for r, R, pixels in zip(at.r, at.R, true.see(at.r, at.R), strict=True):
+            shown = ca.evalf(sensor.readings(ca.DM(r), ca.DM(R), numbers)).full().reshape(-1, 2)
+            seen = np.isfinite(pixels)
+            assert seen.sum() > 20
+            assert shown[seen] == pytest.approx(pixels[seen], abs=1e-6)
+
+
+def test_the_derivatives_of_pixels_are_those_of_finite_differences():
+    cell = Cell("stewart", 1)
+    model = with_camera(cell, focal_length=(1200.0, 1200.0), position=(0.3, 0.1, 0.9))
+    model = model.with_values(model.table.nominal + 0.1 * model.table.tolerance)
+    at = cell.draw_poses(2, np.random.default_rng(0))
+    x = Configuration(at.q, at.r, at.R).rows
+    a = np.zeros((2, 0))
+    rows, _, J = model.structure.rows_batch(x, a, model.values)
+    J = J.reshape(2, -1, rows.shape[1]).transpose(0, 2, 1)
+    for i in np.flatnonzero([n.startswith("camera.") for n in model.table.names]):
+        step = 1e-5 * model.table.tolerance[i]
+        ends = [
+            model.structure.residuals(
+                x, a, model.values + sign * step * (np.arange(len(model.values)) == i)
+            )[0]
+            for sign in (1, -1)
+        ]
+        assert (ends[0] - ends[1]) / (2 * step) == pytest.approx(J[:, :, i], rel=1e-4, abs=1e-4)
 
 
 def test_a_model_file_keeps_two_cameras_apart():

@@ -117,8 +117,8 @@ def find_varying_coordinates(scene: Scene) -> np.ndarray:
     """Mask (nq + 3,) of the joints and x, y, z that vary by more than the residuals. Touches on a
     plate are all at one height, and the predicted height there is the residual again."""
     n, varied = len(scene.model.joints), np.ptp(scene.x[:, : len(scene.model.joints) + 3], axis=0)
-    if np.isfinite(scene.reading_residuals).any():
-        scatter = np.nanstd(scene.reading_residuals)
+    if np.isfinite(scene.length_residuals).any():
+        scatter = np.nanstd(scene.length_residuals)
         varied[n:][scene.x[:, n : n + 3].std(axis=0) < MIN_VARIATION_RATIO * scatter] = 0.0
     return np.asarray(varied > 1e-9)
 

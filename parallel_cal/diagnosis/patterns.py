@@ -97,7 +97,7 @@ def regions(scene: Scene, field: Field) -> tuple[Region, ...]:
     places, apart = scene.x[:, n : n + 3], find_varying_coordinates(scene)[n:]
     middle = np.median(places, axis=0)
     octant = ((places > middle) & apart) @ np.array([1, 2, 4])
-    kinds = (field.pose[:, :3], field.pose[:, 3:], _list_lengths(scene))
+    kinds = (field.pose[:, :3], field.pose[:, 3:], np.nan_to_num(scene.length_residuals))
     found = []
     for o in np.unique(octant):
         here = octant == o
@@ -106,12 +106,6 @@ def regions(scene: Scene, field: Field) -> tuple[Region, ...]:
         bias, n = field.pose[here, :3].mean(axis=0), int(here.sum())
         found.append(Region(" ".join(sides), middle, n, place, turn, read, bias))
     return tuple(sorted(found, key=lambda r: -(r.position_rms + r.orientation_rms + r.reading_rms)))
-
-
-def _list_lengths(scene: Scene) -> np.ndarray:
-    """Residuals (N, n_channels) of the readings in m; 0 for others and where nothing was read."""
-    in_metres = scene.model.structure.channel_units == "m"
-    return np.where(in_metres, np.nan_to_num(scene.reading_residuals), 0.0)
 
 
 @dataclass(frozen=True)

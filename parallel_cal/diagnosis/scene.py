@@ -64,8 +64,15 @@ class Scene:
 
     @cached_property
     def reading_residuals(self) -> np.ndarray:
-        """What sensors read minus what was predicted (N, n_channels) m, NaN where nothing was."""
+        """What sensors read minus what was predicted (N, n_channels), NaN where nothing was."""
         return reading_residuals(self.model, self.observations, self.x)
+
+    @property
+    def length_residuals(self) -> np.ndarray:
+        """The `reading_residuals` of sensors that read lengths, m; NaN for others, such as the
+        pixels of an image."""
+        in_metres = self.model.structure.channel_units == "m"
+        return np.where(in_metres, self.reading_residuals, np.nan)
 
     @cached_property
     def group(self) -> np.ndarray:

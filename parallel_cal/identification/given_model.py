@@ -43,7 +43,8 @@ class GivenModel:
     `unregistered` is the model as it was given. `model` is the one whose errors count: registered
     only, if the samples determine where the device stands. A fit begins at `start`: it identifies
     frames only if the `registration` is needed. `known_held_out` are the errors at held-out poses
-    if another fit of the same samples has computed them.
+    if another fit of the same samples has computed them. If a sensor `lacked_start` values, the
+    given model had no errors, and `unregistered` contains values that the samples gave.
     """
 
     unregistered: Model
@@ -53,6 +54,7 @@ class GivenModel:
     insist: bool = False
     registration: Registration | None = None
     known_held_out: Errors | None = None
+    lacked_start: bool = False
 
     @classmethod
     def of(
@@ -72,14 +74,15 @@ class GivenModel:
             raise FitError(other)
         dataset = add_lagged_conditions(model.conditions, dataset)
         model, dataset = register_recordings(model, dataset, joint_sigma, insist)
-        if not all(sensor.is_placed for sensor in model.sensors):
+        started = not all(sensor.is_placed for sensor in model.sensors)
+        if started:
             model = place_sensors(model, observe(model, dataset, joint_sigma, insist))
         placed, registration = register_device(model, dataset, joint_sigma, insist)
         if registration is None:
             observations = observe(model, dataset, joint_sigma, insist)
             if has_stations(model) or is_registrable(model, observations):
                 placed = registered_by(model, observations) or model
-        return cls(model, placed, dataset, joint_sigma, insist, registration)
+        return cls(model, placed, dataset, joint_sigma, insist, registration, lacked_start=started)
 
     @property
     def is_registered(self) -> bool:

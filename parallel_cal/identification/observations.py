@@ -15,7 +15,7 @@ from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.model.sensor import Sensor
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.recordings.samples import READING
+from parallel_cal.recordings.samples import READING, list_channel_groups
 
 ASSUMED = "assumed"  # source of a noise that was not measured
 UNSTATED = "not stated"  # source of a noise that nothing is known about
@@ -357,17 +357,27 @@ def _readings(model: Model, dataset: Dataset) -> np.ndarray:
     if missing:
         raise FitError(
             f"{dataset.source}: no measurement with {', '.join(missing)}, which the model's "
-            f"sensors expect (recorded: {', '.join(read) or 'no reading'}); measure it, or "
-            "remove the sensor from the model"
+            f"sensors expect (recorded: {', '.join(list_channel_groups(read)) or 'no reading'}); "
+            "measure it, or remove the sensor from the model"
         )
     if strange := [c for c in read if c not in channels]:
         raise FitError(
-            f"{dataset.source}: readings of {', '.join(strange)}, but the model's sensors have "
-            f"{', '.join(channels) or 'no channel'}: describe the set-up in the model file"
+            f"{dataset.source}: readings of {', '.join(list_channel_groups(strange))}, but the "
+            f"model's sensors have {_list_expected_channels(model) or 'no channel'}: describe the "
+            "set-up in the model file"
         )
     none = np.full(len(dataset.q), np.nan)
     columns = [dataset.conditions.get(READING + c, none) for c in channels]
     return np.stack(columns, axis=1) if columns else np.zeros((len(dataset.q), 0))
+
+
+def _list_expected_channels(model: Model) -> str:
+    """List the channels of the sensors; those of an image by their range."""
+    return ", ".join(
+        f"{s.channels[0]} to {s.channels[-1]}" if s.shows_pose else ", ".join(s.channels)
+        for s in model.sensors
+        if s.channels
+    )
 
 
 def _list_missing_channels(sensor: Sensor, read: list[str]) -> list[str]:

@@ -615,12 +615,17 @@ def _fit_frames(model: Model, observations: Observations, options: FitOptions) -
     if _device(model) is not None:
         model = _with_frames(model, frames_of(model.with_values(found.values)))
     model = model.with_values(np.where(views, found.values, model.values), model.covariance)
-    robot = np.where(_numbers(model), 0.0, found.values)
+    device = _numbers(model)
+    if not (free & device).any():
+        # Where a camera stands is a matter of the lens, too. Fixed there, the robot's tolerances
+        # would determine the principal point.
+        return model
+    robot = np.where(device, 0.0, found.values)
     linearise = Linearisation(model, observations, free, weighted=True)
     # Linearise at poses that satisfy the closure: at others, the columns of equal motions differ.
     system = linearise(robot, predict_configurations(model.with_values(robot), observations))
     columns = system.columns * model.table.tolerance[free]
-    order = np.argsort(own[free], kind="stable")  # the robot's first
+    order = np.argsort(device[free], kind="stable")  # the robot's first
     sizes = np.linalg.norm(columns, axis=0)
     unit = columns / np.where(sizes > LSTSQ_RANK_TOLERANCE * sizes.max(), sizes, np.inf)
     adds = np.zeros(int(free.sum()), dtype=bool)
@@ -628,7 +633,7 @@ def _fit_frames(model: Model, observations: Observations, options: FitOptions) -
         np.asarray(np.linalg.qr(unit[:, order], mode="r")), MIN_FRAME_COLUMN_REMAINDER
     )
     fixed = model.fixed.copy()
-    fixed[np.flatnonzero(free)[own[free] & ~adds]] = True
+    fixed[np.flatnonzero(free)[device[free] & ~adds]] = True
     return replace(model, fixed=fixed)
 
 

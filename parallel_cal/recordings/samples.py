@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,7 +12,17 @@ from parallel_cal.base.rotation import nearest_rotation
 from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.recording import Array, Bools, Dropped, JointStream
 
-READING = "reading."  # prefix of a dataset's columns of other sensors than the pose device, in m
+# Prefix of a dataset's columns of other sensors than the pose device, in m or px
+READING = "reading."
+
+
+def list_channel_groups(channels: Iterable[str]) -> list[str]:
+    """List channels for a message: the many corners of a camera (`camera.12.u`) as one group."""
+    groups: dict[str, None] = {}
+    for channel in channels:
+        sensor, *rest = channel.split(".")
+        groups.setdefault(f"the corners of {sensor}" if len(rest) == 2 else channel)
+    return list(groups)
 
 
 @dataclass

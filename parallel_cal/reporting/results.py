@@ -258,8 +258,12 @@ def describe_comparison(comparison: Comparison) -> Iterator[Block]:
     yield f"{len(comparison.observations)} samples"
     errors = {"error": comparison.errors.summary}
     if comparison.given.is_registered:
+        # Without start values, a camera predicts nothing as given.
+        as_given = {"as given": comparison.given.errors_as_given.summary}
+        if comparison.given.lacked_start:
+            as_given = {}
         errors = {
-            "as given": comparison.given.errors_as_given.summary,
+            **as_given,
             comparison.given.label: comparison.errors.summary,
             f"held-out, {comparison.given.label}": comparison.held_out.summary,
         }
