@@ -139,6 +139,18 @@ def test_an_image_without_the_board_states_what_is_wrong_with_it(detector):
         assert found.size == (640, 480)
 
 
+def test_a_mirrored_image_is_recognised(detector):
+    (shot,) = shots(1, SMALL, near=0.35, far=0.36, tilt=0.2)
+    assert "it is mirrored: switch off" in detector.detect(shot.image[:, ::-1].copy()).problem
+
+
+def test_the_back_of_a_board_is_blank(detector):
+    R = np.diag([-1.0, 1.0, -1.0])  # turned by half a turn
+    image = SMALL.render(printed(), np.array([0.12, -0.09, 0.42]), R)
+    assert image[256, 320] == 200
+    assert "no marker" in detector.detect(image).problem
+
+
 def test_the_camera_projects_a_point_worked_out_by_hand():
     camera = Camera((200, 100), (100.0, 200.0), (99.5, 49.5), (0.1, 0.0, 0.01, 0.02, 0.0))
     # x = 0.1, y = 0.2, s = 0.05: radial 1.005, tangential 0.0004 + 0.0014 and 0.0013 + 0.0008
