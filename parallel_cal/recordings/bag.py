@@ -221,7 +221,7 @@ def _add_images(
         dropped += unusable
         notes += said
         if lens:
-            notes.append(f"{camera}: {beside} states the lens; model file: {camera}: {{{lens}}}")
+            notes.append(f"{camera}: {beside} states the lens; sensor: camera: {{{lens}}}")
     return replace(recording, distances=streams, dropped=tuple(dropped), notes=tuple(notes))
 
 
