@@ -100,9 +100,12 @@ def test_the_lens_of_camera_info_becomes_the_entry_of_the_model_file(tmp_path, s
         header(0.1), 512, 640, "plumb_bob", np.array(board_images.LENS), k,
         np.eye(3).ravel(), np.zeros(12), 0, 0, roi,
     )  # fmt: skip
-    messages = joint_states(Session(STOPS)) + recorded_images(shots)
+    topic = "/cam/image_raw/compressed"
+    messages = joint_states(Session(STOPS)) + recorded_images(
+        shots, compressed_message, "CompressedImage", topic
+    )
     messages.append(("/cam/camera_info", "sensor_msgs/msg/CameraInfo", ns(0.1), lens))
-    dataset = load_dataset(write_bag(tmp_path / "bag", messages), images="/cam/image_raw")
+    dataset = load_dataset(write_bag(tmp_path / "bag", messages), images=topic)
     (note,) = (w for w in dataset.warnings if "states the lens" in w)
     assert "focal_length: [600, 601], principal_point: [319.5, 255.5]" in note
     assert "model: pinhole" in note

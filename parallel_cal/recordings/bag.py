@@ -200,20 +200,24 @@ def _add_images(
                 f"no images on topic '{topic}' (images): expected {IMAGE} or {COMPRESSED}. "
                 f"In the bag: {'; '.join(there)}"
             )
-        beside = chosen[0].topic.rpartition("/")[0] + "/camera_info"
+        folder = chosen[0].topic.removesuffix("/compressed").rpartition("/")[0]
+        beside = f"{folder}/camera_info"
         lenses = [
-            c
-            for c in bag.reader.connections
-            if c.msgtype == CAMERA_INFO and beside in (c.topic, c.topic.replace("/compressed", ""))
+            c for c in bag.reader.connections if c.msgtype == CAMERA_INFO and c.topic == beside
         ]
         reader = ImageReader(camera, chosen[0].topic, recording, options)
         store, lens = _type_store([*chosen, *lenses]), ""
         total = sum(c.msgcount for c in chosen)
         for connection, log, data in bag.messages([*chosen, *lenses]):
-            if connection.msgtype == CAMERA_INFO:
-                lens = lens or describe_lens(store.deserialize_cdr(data, CAMERA_INFO))
+            try:
+                message = store.deserialize_cdr(data, connection.msgtype)
+            except Exception:  # bytes that are not a message fail in any manner; they are counted
+                reader.add_problem("message cannot be decoded", log)
                 continue
-            reader.take(log, store.deserialize_cdr(data, connection.msgtype))
+            if connection.msgtype == CAMERA_INFO:
+                lens = lens or describe_lens(message)
+            else:
+                reader.take(log, message)
             if progress and reader.count % 50 == 0:
                 progress(f"reading images of {bag.path.name}", reader.count / total)
         found, unusable, said = reader.finish()

@@ -86,6 +86,10 @@ class ImageReader:
         else:
             heapq.heappushpop(self._sharpest, entry)
 
+    def add_problem(self, reason: str, log: int) -> None:
+        """Count a message that cannot be used, by its log time (ns)."""
+        self.problems[reason].append((log - self.recording.start_ns) * 1e-9)
+
     def finish(self) -> tuple[dict[str, ScalarStream], list[Dropped], list[str]]:
         """Return the pixels of each corner over time, unusable images, and notes.
 
