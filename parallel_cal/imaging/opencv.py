@@ -23,6 +23,6 @@ def load_opencv() -> Any:
         raise ImageError(f"boards and images need OpenCV, which is not installed: {CURE}") from None
     except AttributeError:
         raise ImageError(
-            f"OpenCV {cv2.__version__} cannot draw all ChArUco boards, expected 4.8 or newer: {CURE}"
+            f"OpenCV {cv2.__version__} is too old for ChArUco boards, expected 4.8 or newer: {CURE}"
         ) from None
     return cv2
