@@ -138,6 +138,8 @@ def test_the_text_of_a_board_names_it():
     for board in (Board(), Board(5, 7, "6X6_250"), Board(10, 8, legacy=True)):
         assert read_board(board.text) == board
     assert read_board("8x6:legacy") == Board(legacy=True)
+    assert read_board("8x6:0.7") == Board(marker=0.7)
+    assert read_board(Board(marker=0.6, legacy=True).text) == Board(marker=0.6, legacy=True)
     with pytest.raises(ImageError, match="board=eight: expected COLUMNSxROWS"):
         read_board("eight")
 

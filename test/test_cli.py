@@ -172,6 +172,7 @@ def test_help_names_the_commands_that_exist_and_no_other():
         "fleet",
         "demo",
         "bench",
+        "board",
         "session",
         "study",
     ]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from board_images import LENS, SQUARE, printed, shots
 
-from parallel_cal.imaging.board import Board
+from parallel_cal.imaging.board import Board, read_board
 from parallel_cal.virtual.camera import Camera, FlatBoard
 
 pytest.importorskip("cv2", reason="OpenCV is not installed (extra camera)")
@@ -137,6 +137,28 @@ def test_an_image_without_the_board_states_what_is_wrong_with_it(detector):
         found = detector.detect(np.full((480, 640), grey, np.uint8))
         assert f"no marker of the dictionary 5X5_100 in it{words}" in found.problem
         assert found.size == (640, 480)
+
+
+def test_small_markers_are_stated_in_the_text_of_the_board():
+    board = Board(marker=0.6)
+    flat = FlatBoard(board.raster(70), SQUARE / 70)
+    r = np.array([-0.12, -0.09, 0.42])
+    found = Detector(read_board(board.text)).detect(SMALL.render(flat, r, np.eye(3)))
+    true = SMALL.project(np.c_[SQUARE * board.corners, np.zeros(35)] + r)
+    assert len(found.numbers) == 35
+    assert np.abs(found.pixels - true[found.numbers]).max() < 0.2
+
+
+def test_a_mirrored_image_is_recognised(detector):
+    (shot,) = shots(1, SMALL, near=0.35, far=0.36, tilt=0.2)
+    assert "it is mirrored: switch off" in detector.detect(shot.image[:, ::-1].copy()).problem
+
+
+def test_the_back_of_a_board_is_blank(detector):
+    R = np.diag([-1.0, 1.0, -1.0])  # turned by half a turn
+    image = SMALL.render(printed(), np.array([0.12, -0.09, 0.42]), R)
+    assert image[256, 320] == 200
+    assert "no marker" in detector.detect(image).problem
 
 
 def test_the_camera_projects_a_point_worked_out_by_hand():

@@ -26,7 +26,7 @@ def charuco(
     ],
     columns: Annotated[int, typer.Option(help="number of squares from left to right")] = 8,
     rows: Annotated[int, typer.Option(help="number of squares from top to bottom")] = 6,
-    square: Annotated[float, typer.Option(help="size of a square, mm")] = 30.0,
+    square: Annotated[float, typer.Option(min=1.0, help="size of a square, mm")] = 30.0,
     marker: Annotated[
         float | None, typer.Option(help="size of a marker, mm; by default 3/4 of a square")
     ] = None,

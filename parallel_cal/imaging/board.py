@@ -24,7 +24,6 @@ MIN_SQUARES = 3
 MAX_SQUARES = 200
 MIN_MARKER_SHARE, MAX_MARKER_SHARE = 0.3, 0.95  # of a square
 BORDER_MODULES = 1  # black modules around the bits of a marker
-PATTERN = re.compile(r"(\d+)x(\d+)(?::([^:]+?))?(:legacy)?")
 
 
 @dataclass(frozen=True)
@@ -65,7 +64,10 @@ class Board:
     @property
     def text(self) -> str:
         """The board as `read_board` accepts it, for example `8x6:5X5_100`."""
-        return f"{self.columns}x{self.rows}:{self.dictionary}" + (":legacy" if self.legacy else "")
+        words = [f"{self.columns}x{self.rows}", self.dictionary]
+        words += [f"{self.marker:.4g}"] if self.marker != Board.marker else []
+        words += ["legacy"] if self.legacy else []
+        return ":".join(words)
 
     @property
     def markers(self) -> int:
@@ -163,23 +165,28 @@ def list_dictionaries() -> list[str]:
     return sorted({name for name in names if name == name.upper()})
 
 
-def read_board(text: str, **changes: Any) -> Board:
-    """Return the board of a text such as `8x6`, `8x6:5X5_100` or `8x6:5X5_100:legacy`.
+def read_board(text: str) -> Board:
+    """Return the board of a text such as `8x6`, `8x6:5X5_100`, `8x6:0.7` or `8x6:5X5_100:legacy`.
 
-    ImageError for a text of another form.
+    A number is the size of a marker as a share of the square. ImageError for a text of another
+    form.
     """
-    found = PATTERN.fullmatch(text.strip())
+    size, *words = text.strip().split(":")
+    found = re.fullmatch(r"(\d+)x(\d+)", size)
     if found is None:
         raise ImageError(
             f"board={text}: expected COLUMNSxROWS, then the dictionary if it is not "
             f"{Board.dictionary}, as in 8x6 or 8x6:{Board.dictionary}"
         )
-    columns, rows, dictionary, legacy = found.groups()
-    if dictionary == "legacy":
-        dictionary, legacy = None, ":legacy"
-    return Board(
-        int(columns), int(rows), dictionary or Board.dictionary, legacy=bool(legacy), **changes
-    )
+    options: dict[str, Any] = {}
+    for word in words:
+        if word == "legacy":
+            options["legacy"] = True
+        elif re.fullmatch(r"0?\.\d+", word):
+            options["marker"] = float(word)
+        else:
+            options["dictionary"] = word
+    return Board(int(found[1]), int(found[2]), **options)
 
 
 def marker_squares(columns: int, rows: int, first_is_white: bool = False) -> NDArray[np.int64]:

@@ -95,9 +95,8 @@ class Detector:
             return Corners(np.zeros(0, np.int64), np.zeros((0, 2)), size, problem=problem)
 
         if markers is None or not len(markers):
-            return unusable(
-                f"no marker of the dictionary {self.board.dictionary} in it{_light(image)}"
-            )
+            remark = _light(image) or self._explain_mirror(image)
+            return unusable(f"no marker of the dictionary {self.board.dictionary} in it{remark}")
         centres = np.array([np.reshape(m, (4, 2)).mean(axis=0) for m in marker_pixels], float)
         if other := explain_other_board(self.board, markers.ravel().astype(np.int64), centres):
             return unusable(other)
@@ -123,6 +122,13 @@ class Detector:
         numbers, pixels = numbers[~wrong], pixels[~wrong]
         width = self._edge_width(image, numbers, pixels, plane)
         return Corners(numbers, pixels, size, excluded, width)
+
+    def _explain_mirror(self, image: Grey) -> str:
+        """Return a remark if the mirrored image shows markers; else empty."""
+        markers = self._charuco.detectBoard(self._cv2.flip(image, 1))[3]
+        if markers is None or not len(markers):
+            return ""
+        return "; it is mirrored: switch off the mirroring of the camera or its driver"
 
     def _refine(self, image: Grey, numbers: Numbers, pixels: Array, plane: _Plane) -> Array:
         """Return the corners (n, 2) refined, each in a window that the nearest marker limits."""

@@ -18,12 +18,11 @@ def load_opencv() -> Any:
     try:
         import cv2
 
-        cv2.aruco.CharucoDetector  # noqa: B018  # OpenCV 4.6 and older lack it
+        cv2.aruco.CharucoBoard.setLegacyPattern  # noqa: B018  # OpenCV 4.7 and older lack it
     except ImportError:
         raise ImageError(f"boards and images need OpenCV, which is not installed: {CURE}") from None
     except AttributeError:
         raise ImageError(
-            f"OpenCV {cv2.__version__} has no detector of ChArUco boards, expected 4.7 or newer: "
-            f"{CURE}"
+            f"OpenCV {cv2.__version__} is too old for ChArUco boards, expected 4.8 or newer: {CURE}"
         ) from None
     return cv2

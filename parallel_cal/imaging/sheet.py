@@ -186,11 +186,11 @@ def _describe(board: Board, square: float, width: float, height: float) -> list[
     lines = [
         f"ChArUco {board.columns} x {board.rows}, square {square:g} mm, marker "
         f"{board.marker * square:g} mm, dictionary {board.dictionary}. "
-        f"import images: board={board.text}. Model file: camera: {{columns: {board.columns}, "
+        f"import images: board={board.text}. Sensor: camera: {{columns: {board.columns}, "
         f"rows: {board.rows}, square: {size:g}}}.",
         f"Print at 100 % (actual size). The rulers are {width:g} mm and {height:g} mm long. If "
         f"they measure L and H mm instead, state square: {size:g} * (L / {width:g} + "
-        f"H / {height:g}) / 2 in the model file.",
+        f"H / {height:g}) / 2 (m) there.",
     ]
     room = 1.15 * width / LETTER_MM
     return [part for line in lines for part in _wrap(line, int(room))]

@@ -30,9 +30,11 @@ def read_bag(
     options, path = options or ReadOptions(), Path(path)
     try:
         with _Bag(path) as bag:
-            chosen = choose_topics(bag.topics, options.topics, bag.notes)
+            chosen = choose_topics(bag.topics, options.topics, bag.notes, bool(options.images))
             raws = _read_messages(bag, chosen, options.topics, progress)
-        recording = assemble(raws, options, str(path), bag.notes)
+            recording = assemble(raws, options, str(path), bag.notes)
+            if options.images:
+                recording = _add_images(bag, recording, options, progress)
         return replace(recording, sha256=data_hash(path), topics=bag.topics)
     except BagError as error:
         if str(path) in str(error):
@@ -172,6 +174,59 @@ def _read_messages(
     if progress:
         progress(f"read {bag.path.name}", 1.0)
     return raws
+
+
+def _add_images(
+    bag: _Bag, recording: Recording, options: ReadOptions, progress: Progress | None
+) -> Recording:
+    """Add the corners of a board in the images of each camera, and the lens that it states.
+
+    The joints were read before: they tell which images were taken at rest.
+    """
+    from parallel_cal.imaging.messages import CAMERA_INFO, COMPRESSED, IMAGE, describe_lens
+    from parallel_cal.recordings.images import ImageReader, camera_topics
+
+    streams, dropped = dict(recording.distances), [*recording.dropped]
+    notes = [*recording.notes]
+    for camera, topic in camera_topics(options.images).items():
+        chosen = [
+            c
+            for c in bag.reader.connections
+            if c.topic.strip("/") == topic.strip("/") and c.msgtype in (IMAGE, COMPRESSED)
+        ]
+        if not sum(c.msgcount for c in chosen):
+            there = [f"{t.name} [{t.type}] {t.count}" for t in bag.topics]
+            raise BagError(
+                f"no images on topic '{topic}' (images): expected {IMAGE} or {COMPRESSED}. "
+                f"In the bag: {'; '.join(there)}"
+            )
+        folder = chosen[0].topic.removesuffix("/compressed").rpartition("/")[0]
+        beside = f"{folder}/camera_info"
+        lenses = [
+            c for c in bag.reader.connections if c.msgtype == CAMERA_INFO and c.topic == beside
+        ]
+        reader = ImageReader(camera, chosen[0].topic, recording, options)
+        store, lens = _type_store([*chosen, *lenses]), ""
+        total = sum(c.msgcount for c in chosen)
+        for connection, log, data in bag.messages([*chosen, *lenses]):
+            try:
+                message = store.deserialize_cdr(data, connection.msgtype)
+            except Exception:  # bytes that are not a message fail in any manner; they are counted
+                reader.add_problem("message cannot be decoded", log)
+                continue
+            if connection.msgtype == CAMERA_INFO:
+                lens = lens or describe_lens(message)
+            else:
+                reader.take(log, message)
+            if progress and reader.count % 50 == 0:
+                progress(f"reading images of {bag.path.name}", reader.count / total)
+        found, unusable, said = reader.finish()
+        streams |= found
+        dropped += unusable
+        notes += said
+        if lens:
+            notes.append(f"{camera}: {beside} states the lens; sensor: camera: {{{lens}}}")
+    return replace(recording, distances=streams, dropped=tuple(dropped), notes=tuple(notes))
 
 
 class _Decoder:

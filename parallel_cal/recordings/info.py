@@ -103,7 +103,7 @@ def _recording_part(recording: Recording, duration: float) -> dict[str, Any]:
         "pose": recording.pose,
         **{name: recording.conditions.get(name) for name in list_channels("condition")},
         "constraint": recording.constraint,
-        **{f"distance {name}": gauge for name, gauge in recording.distances.items()},
+        **{_channel_name(name): gauge for name, gauge in recording.distances.items()},
     }
     return {
         "source": recording.source,
@@ -118,6 +118,12 @@ def _recording_part(recording: Recording, duration: float) -> dict[str, Any]:
         "joints": _joint_ranges(recording.joints.names, recording.joints.position),
         "measured": _coordinates(recording.pose.measured),
     }
+
+
+def _channel_name(name: str) -> str:
+    """Name a channel of readings; the corners of a board are one channel, their camera."""
+    camera, _, corner = name.partition(".")
+    return camera if corner.endswith((".u", ".v")) else f"distance {name}"
 
 
 def _coordinates(measured: np.ndarray) -> list[str]:

@@ -105,6 +105,10 @@ class ReadOptions(SampleOptions):
     columns : str, optional
         Column map of a table (YAML). Default: the file `TABLE.columns.yaml` beside `TABLE.csv`, or
         else the names in the header.
+    images : str or sequence of str
+        Topic of the images of a printed board, or one per camera. Default none.
+    board : str
+        The board in the images, as `COLUMNSxROWS` or `COLUMNSxROWS:DICTIONARY`. Default `8x6`.
     mechanism : Mechanism, optional
         The robot: it states names and order of the joints, and converts angles of motors to lengths
         by the drives that its model file states.
@@ -121,6 +125,8 @@ class ReadOptions(SampleOptions):
     stamps: str = "header"
     exclude: Sequence[int] = ()
     columns: str | None = None
+    images: str | Sequence[str] = ()
+    board: str = "8x6"
     mechanism: Mechanism | None = None
 
     def __post_init__(self) -> None:
@@ -166,4 +172,6 @@ class ReadKeywords(TypedDict, total=False):
     stamps: str
     exclude: Sequence[int]
     columns: str | None
+    images: str | Sequence[str]
+    board: str
     mechanism: Mechanism | None

@@ -12,19 +12,23 @@ from parallel_cal.recordings.dwells import approach, still_tolerance
 from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.pairing import paired_samples
 from parallel_cal.recordings.readings import reading_columns
-from parallel_cal.recordings.recording import Recording
+from parallel_cal.recordings.recording import Array, JointStream, Recording
 from parallel_cal.recordings.samples import Samples, broadcast_to_joints
 from parallel_cal.recordings.standstill import standstill_samples
 from parallel_cal.recordings.travel import travel
 
 
+def find_tolerance(joints: JointStream, options: SampleOptions) -> Array:
+    """Return how far each joint (nq,) may deviate while it stands still."""
+    if options.still_tolerance is None:
+        return still_tolerance(joints.time, joints.position, options.min_dwell)
+    return broadcast_to_joints(options.still_tolerance, joints.names, "still_tolerance")
+
+
 def samples_of(recording: Recording, options: SampleOptions) -> Samples:
     """Make the samples of a recording; DatasetError if there are none."""
     joints = recording.joints
-    if options.still_tolerance is None:
-        tolerance = still_tolerance(joints.time, joints.position, options.min_dwell)
-    else:
-        tolerance = broadcast_to_joints(options.still_tolerance, joints.names, "still_tolerance")
+    tolerance = find_tolerance(joints, options)
     if options.mode == "continuous":
         return paired_samples(recording, options, tolerance)
     samples = standstill_samples(recording, options, tolerance)

@@ -20,11 +20,14 @@ NOT_MEASUREMENTS = ("target", "command", "goal", "desired", "setpoint", "kinemat
 
 
 def choose_topics(
-    available: Sequence[TopicInfo], topics: Mapping[str, str], notes: list[str]
+    available: Sequence[TopicInfo],
+    topics: Mapping[str, str],
+    notes: list[str],
+    has_images: bool = False,
 ) -> dict[str, TopicInfo]:
     """Return the topic of each channel that has one, and at most one topic of poses.
 
-    BagError if there are no joints, or nothing measured.
+    BagError if there are no joints, or nothing measured besides images.
     """
     names = {channel: split_body(topics.get(channel, channel))[0] for channel in CHANNELS}
     offer = _Offer(available, notes)
@@ -40,7 +43,7 @@ def choose_topics(
 
     choose("words")
     choose("readings")
-    if pose := _pose(offer, names, needed=len(chosen) == 1):
+    if pose := _pose(offer, names, needed=len(chosen) == 1 and not has_images):
         chosen["measured_position" if pose.type in POINTS else "measured_pose"] = pose
     choose("condition")
     return chosen

@@ -34,7 +34,8 @@ class FlatBoard:
     """A flat target: brightness `ink` (h, w) from 0 (black) to 1 (white) of cells of `cell` m.
 
     The corner of the first cell is the origin of {board}; x is along the rows, y along the columns.
-    `paper` (m) is the width of the white margin, beyond which the background begins.
+    z points into the board: only the side away from z is printed. `paper` (m) is the width of the
+    white margin, beyond which the background begins.
     """
 
     ink: Array
@@ -57,11 +58,13 @@ class FlatBoard:
         edges = [(x, first), (x, bottom), (first, y), (right, y)]
         return np.concatenate([np.stack([a, b, 0.0 * a], -1) for a, b in edges])
 
-    def brightness(self, x: Array, y: Array, background: float) -> Array:
-        """Return the brightness (...) at points x, y (...) of the board's plane, m."""
+    def brightness(self, x: Array, y: Array, background: float, printed_side: bool) -> Array:
+        """Return the brightness (...) at points x, y (...) of one side of the board, m."""
         (width, height), (rows, columns) = self.size, self.ink.shape
         on_paper = (x > -self.paper) & (x < width + self.paper)
         on_paper &= (y > -self.paper) & (y < height + self.paper)
+        if not printed_side:
+            return np.where(on_paper, 1.0, background)
         i, j = np.floor(y / self.cell).astype(np.int64), np.floor(x / self.cell).astype(np.int64)
         printed = (i >= 0) & (i < rows) & (j >= 0) & (j < columns)
         ink = self.ink[i.clip(0, rows - 1), j.clip(0, columns - 1)]
@@ -139,11 +142,12 @@ class Camera:
         part = slice(low[1], high[1]), slice(low[0], high[0])
         ray, along_u, along_v = (grid[part] for grid in self._rays)
         to_board = np.linalg.inv(np.column_stack([R[:, 0], R[:, 1], r]))
+        printed_side = bool(R[:, 2] @ r > 0.0)
         total = np.zeros(ray.shape[:2])
         for du, dv in RAYS - 0.5:
             a, b = np.moveaxis(ray + du * along_u + dv * along_v, -1, 0)
             x, y, scale = (row[0] * a + row[1] * b + row[2] for row in to_board)
-            total += board.brightness(x / scale, y / scale, self.background)
+            total += board.brightness(x / scale, y / scale, self.background, printed_side)
         light[part] = total / len(RAYS)
         return light
 

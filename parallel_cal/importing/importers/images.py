@@ -279,8 +279,8 @@ def _describe(
     edge = float(np.nanmedian([one.corners.edge_width for one in used]))
     notes = [
         f"{camera}: {len(used)} of {len(images)} images are used, with {np.mean(counts):.1f} "
-        f"corners each; edges are {edge:.1f} px wide. Model file: sensors: {{{camera}: {{columns: "
-        f"{columns}, rows: {squares}, square: SIZE_IN_M, image_size: [{width}, {height}]}}}}"
+        f"corners each; edges are {edge:.1f} px wide. Sensor: camera: {{columns: {columns}, rows: "
+        f"{squares}, square: SIZE_IN_M, image_size: [{width}, {height}]}}"
     ]
     wrong = [
         f"{one.name} corner {number} ({residual:.1f} px)"
