@@ -80,3 +80,11 @@ def test_files_for_continuous_integration_and_containers_can_be_read():
         in json.loads((ROOT / ".devcontainer/devcontainer.json").read_text())["postCreateCommand"]
     )
     assert yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"]
+
+
+def test_the_page_on_stability_names_every_extra_for_users():
+    parser = ConfigParser()
+    parser.read(ROOT / "setup.cfg", encoding="utf-8")
+    page = (ROOT / "docs" / "stability.md").read_text(encoding="utf-8")
+    shown = set(re.findall(r"parallel_cal\[(\w+)\]", page))
+    assert shown == set(parser["options.extras_require"]) - {"peers", "colcon"}

@@ -12,6 +12,7 @@ from parallel_cal.base.errors import BagError, ParallelCalError
 from parallel_cal.base.progress import Progress
 from parallel_cal.recordings.channels import CHANNELS, Channel
 from parallel_cal.recordings.cleaning import assemble
+from parallel_cal.recordings.joint_state_bytes import JointStateReader
 from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.pose_messages import body_names, read_pose, split_body, stamp_of
 from parallel_cal.recordings.recording import Raw, Recording, TopicInfo
@@ -235,11 +236,19 @@ class _Decoder:
     def __init__(self, channel: Channel, raw: Raw, body: str):
         self.channel, self.raw, self.body = channel, raw, body
         self.others: set[str] = set()  # bodies in messages that lack the named one
+        self.joint_states = JointStateReader()
 
     def take(self, store: Any, log: int, data: bytes) -> None:
         try:
+            if (known := self.joint_states.read(data)) is not None:
+                self.raw.append(log, *known)
+                return
             message = store.deserialize_cdr(data, self.raw.type)
-            if self.channel.kind != "poses":
+            if self.channel.kind == "joints":
+                row = self.channel.decode(message)
+                self.raw.append(log, stamp_of(message), row)
+                self.joint_states.learn(data, row[0])
+            elif self.channel.kind != "poses":
                 self.raw.append(log, stamp_of(message), self.channel.decode(message))
             elif (found := read_pose(message, self.body)) is not None:
                 self.raw.append(log, *found)
