@@ -112,6 +112,22 @@ class LeaningBase(Effect):
 
 
 @dataclass(frozen=True)
+class PartsWarmth(Effect):
+    """Named dimensions that grow by `growth` (1/K) with the temperature (degC) of their own part:
+    {"Lb": (1e-6, temperatures)}, with one temperature for each sample."""
+
+    growth: dict[str, tuple[float, Array]]
+
+    def geometry(self, parameters: Any, at: SampleConditions) -> Any:
+        cold: tuple[float, Any] = (0.0, 20.0)
+        larger = {}
+        for name, value in parameters.items():
+            rate, temperature = self.growth.get(name.split(".")[1].split("_")[0], cold)
+            larger[name] = value * (1 + rate * (temperature - 20.0))
+        return larger
+
+
+@dataclass(frozen=True)
 class MisplacedTarget(Effect):
     """A reflector at `at_platform` (m, in {P}) instead of the platform's origin."""
 
