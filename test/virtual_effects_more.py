@@ -38,6 +38,24 @@ class LateStamp(Effect):
 
 
 @dataclass(frozen=True)
+class LateDrives(Effect):
+    """Position loops of the gains K_v (1/s): y' = K_v (x - y) behind a command x that has long
+    moved at the velocity of the sample. The reading is the command."""
+
+    gain: tuple[float, ...]
+
+    def arm(self, reading: Array, robot: Any, at: Visit) -> Array:  # type: ignore[override]
+        step, steps = 0.01, 2500  # in units of 1 / K_v
+        command = reading - steps * step * at.velocity / np.array(self.gain)
+        angle = command
+        for _ in range(steps):
+            ahead = command + step / 2 * at.velocity / np.array(self.gain)  # in mid-step
+            angle = (angle * (1 - step / 2) + step * ahead) / (1 + step / 2)
+            command = command + step * at.velocity / np.array(self.gain)
+        return angle
+
+
+@dataclass(frozen=True)
 class HomedAnew(Effect):
     """Joints homed again before the second recording: their zeros are off by `by` (rad or m)."""
 
