@@ -65,8 +65,8 @@ of this effect. The next panels show how well the lookalikes fit these residuals
 
 The robots are simulated. Each has {POSES} poses. Every parameter of the effect has the size of one
 tolerance, or of three or ten if one tolerance would hardly be visible. The noise is a fifth of the
-usual noise. All conditions are recorded: direction, travel, velocity, temperature, payload, time
-and session.
+usual noise. All conditions are recorded: direction, travel, velocity, temperature (also that of
+each part), payload, time and session.
 
 `parallel-cal report` draws these patterns over your own data. `make gallery` writes this page.
 """
@@ -84,6 +84,9 @@ def session(robot: Model, seed: int = 0) -> Dataset:
         "temperature": 21.0 + 4.0 * np.sin(7 * np.pi * time / time[-1]),
         "payload": rng.choice([0.0, 0.5, 1.0], n),
     }
+    for k, body in enumerate(m.bodies):
+        course = np.sin((7 + 2 * k) * np.pi * time / time[-1] + k)
+        at[f"temperature.{body}"] = at["temperature"] + 6.0 * course
     for j, joint in enumerate(robot.joints):
         at[f"direction.{joint}"] = way[:, j]
         at[f"travel.{joint}"] = way[:, j] * rng.exponential(0.01, n)

@@ -25,7 +25,8 @@ from bag_writing import (
     write_bag,
 )
 
-from parallel_cal.base.errors import BagError
+from parallel_cal.base.errors import BagError, ParallelCalError
+from parallel_cal.cli.recordings import data_options
 from parallel_cal.recordings.bag import read_bag
 from parallel_cal.recordings.options import ReadOptions
 
@@ -414,6 +415,25 @@ def test_poses_in_another_frame_are_dropped(tmp_path):
     odd = pose(0.5051, [0, 0, 0], frame="world")
     recording = read_bag(write_bag(tmp_path / "b", [*joint_states(MOVES), *poses(MOVES), odd]))
     assert reasons(recording) == {"frame_id is not 'base' like the others'": 1}
+
+
+def test_temperatures_of_parts_are_read_from_their_own_topics(tmp_path):
+    """`temperature` is guessed from what is left: here the only topic that no part has."""
+    warm = [
+        temperature(t, degrees, topic)
+        for topic, degrees in (("t1", 31.0), ("t2", 26.0), ("hall", 21.0))
+        for t in (0.5, 1.5)
+    ]
+    bag = write_bag(tmp_path / "bag", [*joint_states(MOVES), *poses(MOVES), *warm])
+    topics = {"temperature.arms": "t1", "temperature.rods": "t2"}
+    found = read_bag(bag, ReadOptions(topics=topics)).conditions
+    means = {name: stream.value.mean() for name, stream in found.items()}
+    assert means == {"temperature.arms": 31.0, "temperature.rods": 26.0, "temperature": 21.0}
+    assert set(data_options(["temperature.arms=t1"]).topics) == {"temperature.arms"}
+    with pytest.raises(ParallelCalError, match=r"payload\.arms=t1: expected KEY=VALUE"):
+        data_options(["payload.arms=t1"])
+    with pytest.raises(BagError, match=r"no messages on topic 't3' \(temperature\.arms\)"):
+        read_bag(bag, ReadOptions(topics={"temperature.arms": "t3"}))
 
 
 def test_a_temperature_from_another_day_is_ignored_with_a_note(tmp_path):

@@ -93,6 +93,13 @@ def test_a_pose_stamped_2_ms_late_belongs_to_joints_2_ms_back():
     np.testing.assert_allclose(q, [0.499, 0.5005, 0.5], atol=1e-15)
 
 
+def test_a_drive_of_200_per_second_is_5_ms_behind_its_command():
+    velocity = {"velocity.joint1": 0.5, "velocity.joint2": -0.25, "velocity.joint3": 0.0}
+    lags = {"joint1.lag": 1 / 200, "joint2.lag": 1 / 125, "joint3.lag": 1.0}
+    q, _, _ = sees("servo_lag", "delta24", lags, velocity, [0.5, 0.5, 0.5])
+    np.testing.assert_allclose(q, [0.4975, 0.502, 0.5], atol=1e-15)
+
+
 @pytest.mark.parametrize(
     ("session", "shift"), [(0, 0), (1, 1e-3), (2, 3e-3), (3, -1e-3), (4, -1e-3)]
 )
@@ -425,6 +432,18 @@ CASES = [
     ),
     Case(DELTA, "latency", more.LateStamp(3e-3), {"delay": 3e-3}),
     Case(HEXAPOD, "latency", more.LateStamp(-2e-3), {"delay": -2e-3}),
+    Case(
+        DELTA,
+        "servo_lag",
+        more.LateDrives((200.0, 500.0, 125.0)),
+        a_joint(DELTA, "lag", (5e-3, 2e-3, 8e-3)),
+    ),
+    Case(
+        HEXAPOD,
+        "servo_lag",
+        more.LateDrives((200.0, 500.0, 125.0, 250.0, 1000.0, 100.0)),
+        a_joint(HEXAPOD, "lag", (5e-3, 2e-3, 8e-3, 4e-3, 1e-3, 10e-3)),
+    ),
     Case(
         DELTA,
         "zero_shift",

@@ -12,7 +12,7 @@ from parallel_cal.discovery.drivers import name_lags
 from parallel_cal.identification.fit import fit
 from parallel_cal.kinematics.answers import named_conditions
 from parallel_cal.kinematics.kinematics import Kinematics
-from parallel_cal.model.effect import parse_lag
+from parallel_cal.model.effect import list_substitutes, parse_lag, parse_part
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.lagged import add_lagged_conditions, compute_lagged
 from parallel_cal.session.steps import add
@@ -45,6 +45,30 @@ def test_a_lagged_condition_is_named_by_its_time_constant_in_seconds():
     assert parse_lag("temperature.lag540") == ("temperature", 540.0)
     for other in ("temperature", "temperature.lag0", "temperature.lag", "payload.lag5"):
         assert parse_lag(other) is None
+
+
+def test_a_part_may_have_a_temperature_of_its_own_and_a_lag():
+    assert parse_part("temperature.arms") == ("temperature", "arms")
+    assert parse_lag("temperature.arms.lag480") == ("temperature.arms", 480.0)
+    for other in ("temperature", "temperature.lag480", "temperature.arms.lag480", "payload.arms"):
+        assert parse_part(other) is None
+    assert list_substitutes("temperature.arms.lag480") == ["temperature.arms", "temperature"]
+    assert list_substitutes("temperature.lag480") == ["temperature"]
+    assert list_substitutes("direction.joint1") == []
+
+
+def test_a_part_without_a_sensor_has_the_general_temperature_where_others_have_sensors():
+    names = ["temperature.arms", "temperature.rods", "temperature.rods.lag300"]
+    plain = findings.clean(0)
+    assert "temperature.arms" not in add_lagged_conditions(names, plain).conditions
+    warm = replace(
+        plain, conditions={**plain.conditions, "temperature.arms": np.full(len(plain), 35.0)}
+    )
+    found = add_lagged_conditions(names, warm).conditions
+    np.testing.assert_array_equal(found["temperature.arms"], 35.0)
+    np.testing.assert_array_equal(found["temperature.rods"], plain.conditions["temperature"])
+    lagged = add_lagged_conditions(["temperature.lag300"], plain).conditions["temperature.lag300"]
+    np.testing.assert_array_equal(found["temperature.rods.lag300"], lagged)
 
 
 def test_a_lagged_temperature_follows_a_ramp_and_a_step_as_the_differential_equation_says():

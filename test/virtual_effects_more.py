@@ -38,6 +38,24 @@ class LateStamp(Effect):
 
 
 @dataclass(frozen=True)
+class LateDrives(Effect):
+    """Position loops of the gains K_v (1/s): y' = K_v (x - y) behind a command x that has long
+    moved at the velocity of the sample. The reading is the command."""
+
+    gain: tuple[float, ...]
+
+    def arm(self, reading: Array, robot: Any, at: Visit) -> Array:  # type: ignore[override]
+        step, steps = 0.01, 2500  # in units of 1 / K_v
+        command = reading - steps * step * at.velocity / np.array(self.gain)
+        angle = command
+        for _ in range(steps):
+            ahead = command + step / 2 * at.velocity / np.array(self.gain)  # in mid-step
+            angle = (angle * (1 - step / 2) + step * ahead) / (1 + step / 2)
+            command = command + step * at.velocity / np.array(self.gain)
+        return angle
+
+
+@dataclass(frozen=True)
 class HomedAnew(Effect):
     """Joints homed again before the second recording: their zeros are off by `by` (rad or m)."""
 
@@ -109,6 +127,22 @@ class LeaningBase(Effect):
         about_x, about_y = self.lean
         tipped = np.stack([-about_x * r[..., 1], about_y * r[..., 0], 0 * r[..., 0]], -1)
         return apply(turn(tipped), r), turn(tipped) @ R
+
+
+@dataclass(frozen=True)
+class PartsWarmth(Effect):
+    """Named dimensions that grow by `growth` (1/K) with the temperature (degC) of their own part:
+    {"Lb": (1e-6, temperatures)}, with one temperature for each sample."""
+
+    growth: dict[str, tuple[float, Array]]
+
+    def geometry(self, parameters: Any, at: SampleConditions) -> Any:
+        cold: tuple[float, Any] = (0.0, 20.0)
+        larger = {}
+        for name, value in parameters.items():
+            rate, temperature = self.growth.get(name.split(".")[1].split("_")[0], cold)
+            larger[name] = value * (1 + rate * (temperature - 20.0))
+        return larger
 
 
 @dataclass(frozen=True)

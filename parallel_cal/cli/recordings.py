@@ -168,7 +168,7 @@ def data_options(items: list[str] | None) -> ReadOptions:
     `channels=PATH,...` registers your own channels by their Python paths. It comes before the
     options that name their topics.
     """
-    from parallel_cal.recordings.channels import CHANNELS, register_channels
+    from parallel_cal.recordings.channels import CHANNELS, find_channel, register_channels
     from parallel_cal.recordings.options import ReadOptions
 
     others = [f.name for f in fields(ReadOptions) if f.name not in NOT_TYPED]
@@ -177,14 +177,14 @@ def data_options(items: list[str] | None) -> ReadOptions:
     for item in items or []:
         key, equals, value = item.partition("=")
         known = ("channels", *CHANNELS, *others)
-        if not equals or key not in known:
+        if not equals or not (key in known or find_channel(key)):
             raise ParallelCalError(
                 f"--data {item}: expected KEY=VALUE, KEY one of {', '.join(known)}"
             )
         if key == "channels":
             for path in value.split(","):
                 register_channels(path)
-        elif key in CHANNELS:
+        elif find_channel(key):
             topics[key] = value
         elif key == "columns":
             options[key] = str(Path(value).resolve())

@@ -23,7 +23,7 @@ from parallel_cal.diagnosis.thresholds import (
     STRETCHES,
 )
 from parallel_cal.identification.observations import conditions
-from parallel_cal.model.effect import Effect
+from parallel_cal.model.effect import Effect, parse_part
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import list_plugins, load_effect
 from parallel_cal.recordings.dataset import Dataset
@@ -238,7 +238,7 @@ def find_new_parameters(before: Model, after: Model) -> np.ndarray:
 def find_missing_conditions(model: Model, dataset: Dataset) -> tuple[str, ...]:
     """Conditions, without their joints, that a model needs and the data lack."""
     lacking = (c for c in model.conditions if c not in dataset.conditions)
-    return tuple(dict.fromkeys(c.split(".")[0] for c in lacking))
+    return tuple(dict.fromkeys(c if parse_part(c) else c.split(".")[0] for c in lacking))
 
 
 def collect_recorded_values(dataset: Dataset) -> dict[str, np.ndarray]:

@@ -16,6 +16,7 @@ from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.scoring import deflate, score
 from parallel_cal.diagnosis.thresholds import CONDITION_SIGNIFICANCE_LEVEL
+from parallel_cal.model.effect import parse_part
 
 CONDITIONS = ("payload", "temperature", "direction", "travel", "time")
 SLOW_CONDITIONS = ("temperature", "time")
@@ -49,7 +50,7 @@ def find_remaining_condition(scene: Scene, shape: NoiseShape) -> RemainingCondit
     for name, features in _iterate_features(scene):
         columns = joints[:, :, :, None] * features[:, None]
         found = score(scene, columns.reshape(len(scene.residual), -1))
-        inflation = shape.inflation if name in SLOW_CONDITIONS else 1.0
+        inflation = shape.inflation if name.split(".")[0] in SLOW_CONDITIONS else 1.0
         log_p[name] = deflate(found, scene.dof, inflation)
     if not log_p:
         return None
@@ -72,7 +73,7 @@ def _iterate_features(scene: Scene) -> Iterator[tuple[str, np.ndarray]]:
         return found if np.isfinite(found).all() and np.ptp(found, axis=0).any() else None
 
     direction = values("direction")
-    for name in CONDITIONS:
+    for name in (*CONDITIONS, *filter(parse_part, known)):
         if (c := values(name)) is None:
             continue
         c = _standardise(c)

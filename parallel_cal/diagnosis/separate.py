@@ -295,7 +295,7 @@ def plan_refinement(
     pool = pool.rows(np.flatnonzero(allowed(pool.poses.joints))).lengthen_approach(model, least)
     latest = int(np.argmax(fitted.dataset.time))
     for k, name in enumerate(model.conditions):
-        if name in ("time", "temperature", "payload", "session"):
+        if name.split(".")[0] in ("time", "temperature", "payload", "session"):
             pool.a[:, k] = under.get(name, fitted.dataset.conditions[name][latest])
     blocks = white_blocks(model, free, measured, pool.poses, pool.a) * scale
     problem = SelectionProblem(blocks, information, np.eye(len(scale)), "D", len(scale))
@@ -333,14 +333,19 @@ def _separation(
     if ordered.approach is not None:
         how.append(THROUGH_WAYPOINTS)
     if depends_on_time(model):
-        how.append(course.describe(blocks, "temperature" in model.conditions))
+        how.append(course.describe(blocks, "temperature" in _find_kinds(model)))
     pair = (doubt.effect, doubt.rival)
     return Separation(pair, Sigmas(doubt.current_sigmas, then), tuple(planned), tuple(how))
 
 
 def depends_on_time(model: Model) -> bool:
     """Whether the predictions of a model depend on when a pose is measured."""
-    return bool({"time", "temperature"} & set(model.conditions))
+    return bool({"time", "temperature"} & _find_kinds(model))
+
+
+def _find_kinds(model: Model) -> set[str]:
+    """Return the conditions of a model without their joints, parts and lags."""
+    return {name.split(".")[0] for name in model.conditions}
 
 
 def plan_conditions(
@@ -375,7 +380,7 @@ def schedule_conditions(
     for k, name in enumerate(model.conditions):
         if name == "time":
             a[:, k] = course.begin[block] + course.step * place
-        elif name == "temperature":
+        elif name.split(".")[0] == "temperature":  # parts and lagged ones: all follow in time
             a[:, k] = course.temperature[block]
     return a
 

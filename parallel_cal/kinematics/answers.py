@@ -10,7 +10,7 @@ import numpy as np
 from parallel_cal.base.errors import ModelError, SolveError
 from parallel_cal.base.rotation import quaternion_to_matrix
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
-from parallel_cal.model.effect import CONDITIONS, parse_lag
+from parallel_cal.model.effect import CONDITIONS, parse_lag, parse_part
 from parallel_cal.model.model import Model
 
 
@@ -32,13 +32,16 @@ def named_conditions(model: Model, given: Iterable[tuple[str, float]]) -> dict[s
     A condition of joints without a joint's name, like `direction`, applies to all joints.
     """
     conditions: dict[str, float] = {}
+    parts = {c for c in model.conditions if parse_part(c)}
+    parts |= {f"temperature.{body}" for body in model.mechanism.bodies}
     for name, value in given:
         kind, _, joint = name.partition(".")
-        if parse_lag(name):
+        if parse_lag(name) or name in parts:
             conditions[name] = value
             continue
         if kind not in CONDITIONS or (joint and joint not in model.joints):
             known = [f"{c}.JOINT" if spec[2] else c for c, spec in CONDITIONS.items()]
+            known += sorted(parts)
             raise ModelError(
                 f"no condition '{name}'; there are {', '.join(known)}, where JOINT is "
                 f"one of {', '.join(model.joints)}"

@@ -25,8 +25,10 @@ CONDITIONS: dict[str, tuple[str, float, bool]] = {
     "travel": ("rad", 0.0, True),
     "session": ("1", 0.0, False),
 }
-# `temperature.lag540`: what follows the temperature with a time constant of 540 s.
-LAGGED = re.compile(r"(temperature)\.lag(\d+)")
+# `temperature.arms`: the temperature of a part. `temperature.lag540`, `temperature.arms.lag540`:
+# what follows the one or the other with a time constant of 540 s.
+PART = re.compile(r"(temperature)\.(?!lag\d+$)([A-Za-z]\w*)")
+LAGGED = re.compile(r"(temperature(?:\.(?!lag\d)[A-Za-z]\w*)?)\.lag(\d+)")
 
 
 def parse_lag(condition: str) -> tuple[str, float] | None:
@@ -34,6 +36,24 @@ def parse_lag(condition: str) -> tuple[str, float] | None:
     condition that is not lagged."""
     match = LAGGED.fullmatch(condition)
     return (match[1], float(match[2])) if match and int(match[2]) else None
+
+
+def parse_part(condition: str) -> tuple[str, str] | None:
+    """Return the condition that a part has of its own, and the part; None for other conditions."""
+    match = PART.fullmatch(condition)
+    return (match[1], match[2]) if match else None
+
+
+def list_substitutes(condition: str) -> list[str]:
+    """Return what takes the place of a condition that is not known, the nearest first: what a
+    lagged one follows, and then the general condition in place of that of a part."""
+    found = []
+    if lag := parse_lag(condition):
+        condition = lag[0]
+        found.append(condition)
+    if part := parse_part(condition):
+        found.append(part[0])
+    return found
 
 
 @dataclass(frozen=True)
@@ -66,7 +86,8 @@ class Effect(ABC):
     ----------
     needs : tuple of str
         Names of the conditions (keys of `CONDITIONS`) on which it depends. `temperature.lag540` is
-        what follows the temperature with a time constant of 540 s. Default none.
+        what follows the temperature with a time constant of 540 s, `temperature.arms` is that of a
+        part. Default none.
     reads : tuple of str
         Name patterns of the sensor channels on which it acts. Default none.
     fixed : tuple of str
@@ -242,7 +263,7 @@ class Effect(ABC):
         """Return the condition columns that it needs: `direction` becomes one for each joint."""
         columns: list[str] = []
         for need in self.needs:
-            if parse_lag(need):
+            if parse_lag(need) or parse_part(need):
                 columns.append(need)
                 continue
             if need not in CONDITIONS:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
-from parallel_cal.model.effect import Effect, parse_lag
+from parallel_cal.model.effect import Effect, list_substitutes
 from parallel_cal.model.machine_class import DEFAULT_CLASS, MachineClass, check_class
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, ParameterTable
@@ -339,16 +339,16 @@ class Model:
 
         `at` holds scalars or columns (n,) by name. A condition that is not given gets its neutral
         value, at which the effect is zero (direction 0: the middle of the backlash). A lagged
-        condition that is not given is settled: it equals the condition that it follows.
+        condition that is not given is settled: it equals the condition that it follows. A part
+        whose temperature is not given has the general temperature.
         """
         rows = np.empty((n, len(self.conditions)))
         given = at or {}
         for k, (name, neutral) in enumerate(
             zip(self.conditions, self.structure.neutral, strict=True)
         ):
-            lag = parse_lag(name)
-            settled = given.get(lag[0], neutral) if lag else neutral
-            rows[:, k] = given.get(name, settled)
+            known = (given[one] for one in (name, *list_substitutes(name)) if one in given)
+            rows[:, k] = next(known, neutral)
         return rows
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from parallel_cal.base.errors import SolveError
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
 from parallel_cal.kinematics.solvers import newton
-from parallel_cal.model.effect import parse_lag
+from parallel_cal.model.effect import list_substitutes, parse_lag
 from parallel_cal.model.model import Model
 from parallel_cal.nodes.model_server import ServedModel, describe_status
 from parallel_cal.recordings.lagged import follow
@@ -102,7 +102,12 @@ class Memory:
             return None
         directions = self.tracker.direction.copy()  # another thread may add to it
         known = self.heard | {f"direction.{joint}": sign for joint, sign in directions.items()}
-        return {name: known[name] for name in model.conditions if name in known}
+        named = {name: (name, *list_substitutes(name)) for name in model.conditions}
+        return {
+            name: next(known[one] for one in names if one in known)
+            for name, names in named.items()
+            if any(one in known for one in names)
+        }
 
     def unheard(self, model: Model) -> list[str]:
         """List the unknown conditions that the model needs; their neutral values are used."""

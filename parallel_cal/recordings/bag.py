@@ -10,7 +10,7 @@ from typing import Any
 
 from parallel_cal.base.errors import BagError, ParallelCalError
 from parallel_cal.base.progress import Progress
-from parallel_cal.recordings.channels import CHANNELS, Channel
+from parallel_cal.recordings.channels import Channel, find_channel
 from parallel_cal.recordings.cleaning import assemble
 from parallel_cal.recordings.joint_state_bytes import JointStateReader
 from parallel_cal.recordings.options import ReadOptions
@@ -160,8 +160,9 @@ def _read_messages(
     """Decode the chosen topics' messages in one pass."""
     raws = {channel: Raw(topic.name, topic.type) for channel, topic in chosen.items()}
     decoders = {
-        (raw.topic, raw.type): _Decoder(CHANNELS[c], raw, split_body(topics.get(c, ""))[1])
-        for c, raw in raws.items()
+        (raw.topic, raw.type): _Decoder(channel, raw, split_body(topics.get(name, ""))[1])
+        for name, raw in raws.items()
+        if (channel := find_channel(name))
     }
     connections = [c for c in bag.reader.connections if (c.topic, c.msgtype) in decoders]
     store = _type_store(connections)

@@ -7,14 +7,15 @@ command line and the report of a recording use this table.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any, Literal
 
 import numpy as np
 
 from parallel_cal.base.errors import BagError, wrap_plugin_error
+from parallel_cal.model.effect import parse_part
 from parallel_cal.model.shelf import require_allowed
 from parallel_cal.recordings.pose_messages import pose_row
 
@@ -98,9 +99,20 @@ CHANNELS = {
 }
 
 
-def list_channels(*kinds: Kind) -> list[str]:
-    """Return the names of the channels of some kinds."""
-    return [name for name, channel in CHANNELS.items() if channel.kind in kinds]
+def list_channels(*kinds: Kind, among: Iterable[str] = ()) -> list[str]:
+    """Return the names of the channels of some kinds, first those of `among` that belong to parts,
+    such as `temperature.arms`."""
+    parts = [name for name in among if parse_part(name)]
+    names = dict.fromkeys([*parts, *CHANNELS])
+    return [name for name in names if (one := find_channel(name)) and one.kind in kinds]
+
+
+def find_channel(name: str) -> Channel | None:
+    """Return the channel of a name; that of a part's own sensor has no usual topic."""
+    if name in CHANNELS:
+        return CHANNELS[name]
+    part = parse_part(name)
+    return replace(CHANNELS[part[0]], by_name=True) if part else None
 
 
 def register_channels(path: str) -> None:

@@ -48,7 +48,7 @@ def assemble(
     ]
 
     def of(kind: Kind) -> dict[str, Raw]:
-        return {name: raws[name] for name in list_channels(kind) if name in raws}
+        return {name: raws[name] for name in list_channels(kind, among=raws) if name in raws}
 
     streams = [*of("joints").values(), *of("poses").values()][:2]
     times = [resolve_stamps(raw, options.stamps, said) for raw in streams]

@@ -229,7 +229,7 @@ def read_column_map(path: Path, measured_elsewhere: bool = False) -> ColumnMap:
                 ("conditions", name), f"unknown condition; expected one of {expected}"
             )
         in_log = found.log is not None and isinstance(found.conditions[name], str)
-        if in_log and name not in list_channels("condition"):
+        if in_log and name not in list_channels("condition", among=[name]):
             raise document.error(
                 ("conditions", name),
                 "a log cannot state it in a column, because it follows from the motion: remove it",

@@ -101,7 +101,10 @@ def _recording_part(recording: Recording, duration: float) -> dict[str, Any]:
     channels: dict[str, Any] = {
         "joints": recording.joints,
         "pose": recording.pose,
-        **{name: recording.conditions.get(name) for name in list_channels("condition")},
+        **{
+            name: recording.conditions.get(name)
+            for name in list_channels("condition", among=recording.conditions)
+        },
         "constraint": recording.constraint,
         **{_channel_name(name): gauge for name, gauge in recording.distances.items()},
     }

@@ -1,4 +1,5 @@
-"""Lagged conditions: what follows a recorded condition with a time constant, as warm parts do."""
+"""Conditions that follow from recorded ones: lagged by a time constant, as warm parts are, or of a
+part without a sensor of its own."""
 
 from __future__ import annotations
 
@@ -8,7 +9,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from parallel_cal.model.effect import parse_lag
+from parallel_cal.model.effect import parse_lag, parse_part
 from parallel_cal.recordings.dataset import Dataset
 
 
@@ -16,17 +17,25 @@ def add_lagged_conditions(names: Iterable[str], dataset: Dataset) -> Dataset:
     """Return the dataset with the lagged conditions among `names`, such as `temperature.lag540`,
     that it lacks and that follow from its recorded ones.
 
-    They belong to the whole recording: samples that are chosen later keep their values.
+    Where parts have sensors of their own, a part among `names` that has none gets the general
+    temperature. The conditions belong to the whole recording: samples that are chosen later keep
+    their values.
     """
-    known = dataset.conditions
-    added = {}
+    names = tuple(names)
+    known = dict(dataset.conditions)
+    wanted = [lag[0] for name in names if (lag := parse_lag(name))] + list(names)
+    for name in wanted:
+        part = parse_part(name)
+        if part and name not in known and part[0] in known and any(map(parse_part, known)):
+            known[name] = known[part[0]]
     for name in names:
         lag = parse_lag(name)
         if lag is None or name in known or lag[0] not in known or "time" not in known:
             continue
         session = known.get("session", np.zeros(len(dataset)))
-        added[name] = compute_lagged(known[lag[0]], known["time"], lag[1], session)
-    return dataclasses.replace(dataset, conditions={**known, **added}) if added else dataset
+        known[name] = compute_lagged(known[lag[0]], known["time"], lag[1], session)
+    added = len(known) > len(dataset.conditions)
+    return dataclasses.replace(dataset, conditions=known) if added else dataset
 
 
 def compute_lagged(

@@ -15,7 +15,7 @@ from parallel_cal.base.progress import Progress
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.recordings.bag import read_bag
-from parallel_cal.recordings.channels import CHANNELS
+from parallel_cal.recordings.channels import find_channel, list_channels
 from parallel_cal.recordings.clocks import align_clocks
 from parallel_cal.recordings.columns import ColumnMap, map_by_names, read_column_map
 from parallel_cal.recordings.dataset import Dataset
@@ -250,7 +250,8 @@ def _list_unit_suspicions(dataset: Dataset) -> list[str]:
             "unit",
             name,
         )
-        for name, channel in CHANNELS.items()
+        for name in list_channels("condition", among=dataset.conditions)
+        if (channel := find_channel(name))
         for low, high in [channel.plausible]
         for values in [dataset.conditions.get(name, np.zeros(0))]
         if len(values) and not (low <= values.min() and values.max() <= high)

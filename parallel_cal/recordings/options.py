@@ -10,7 +10,7 @@ import numpy as np
 
 from parallel_cal.base.errors import BagError, DatasetError
 from parallel_cal.base.options import with_changes
-from parallel_cal.recordings.channels import CHANNELS
+from parallel_cal.recordings.channels import CHANNELS, list_channels
 from parallel_cal.recordings.recording import COORDINATES
 
 if TYPE_CHECKING:
@@ -137,7 +137,8 @@ class ReadOptions(SampleOptions):
             ("measures", self.measures or (), COORDINATES),
             ("topics", self.topics, CHANNELS),
         ):
-            if unknown := [name for name in given if name not in known]:
+            parts = list_channels("condition", among=given) if known is CHANNELS else ()
+            if unknown := [name for name in given if name not in known and name not in parts]:
                 raise BagError(f"{what}: {unknown} unknown; expected some of {', '.join(known)}")
 
     @property

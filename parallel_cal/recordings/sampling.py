@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.keyed_warning import KeyedWarning
-from parallel_cal.recordings.channels import CHANNELS
+from parallel_cal.recordings.channels import find_channel
 from parallel_cal.recordings.dwells import approach, still_tolerance
 from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.pairing import paired_samples
@@ -53,7 +53,8 @@ def conditions_of(
     time = np.array([s.time for s in kept])
     conditions = {"time": time}
     for name, stream in recording.conditions.items():
-        if not CHANNELS[name].held:
+        channel = find_channel(name)
+        if channel is None or not channel.held:
             conditions[name] = np.interp(time, stream.time, stream.value)
             continue
         latest = np.searchsorted(stream.time, time, side="right") - 1

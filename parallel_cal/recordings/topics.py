@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from parallel_cal.base.errors import BagError
-from parallel_cal.recordings.channels import CHANNELS, Kind, list_channels
+from parallel_cal.recordings.channels import CHANNELS, Channel, Kind, find_channel, list_channels
 from parallel_cal.recordings.pose_messages import OTHER_POSE_TYPES, may_hold_poses, split_body
 from parallel_cal.recordings.recording import TopicInfo
 
@@ -29,16 +29,18 @@ def choose_topics(
 
     BagError if there are no joints, or nothing measured besides images.
     """
-    names = {channel: split_body(topics.get(channel, channel))[0] for channel in CHANNELS}
+    channels: dict[str, Channel] = {n: c for n in topics if (c := find_channel(n))} | CHANNELS
+    names = {channel: split_body(topics.get(channel, channel))[0] for channel in channels}
     offer = _Offer(available, notes)
     joints = CHANNELS["joint_states"].types
     chosen = {"joint_states": offer.require("joint_states", names["joint_states"], joints)}
 
     def choose(kind: Kind) -> None:
-        for channel in list_channels(kind):
+        for channel in list_channels(kind, among=topics):
             # If a message type has many uses, only the topic's name identifies the channel.
-            guess, types = not CHANNELS[channel].by_name, CHANNELS[channel].types
-            if found := offer.optional(channel, names[channel], types, guess):
+            guess, types = not channels[channel].by_name, channels[channel].types
+            found = offer.without(chosen.values()).optional(channel, names[channel], types, guess)
+            if found:
                 chosen[channel] = found
 
     choose("words")
@@ -82,6 +84,11 @@ class _Offer:
 
     available: Sequence[TopicInfo]
     notes: list[str]
+
+    def without(self, taken: Iterable[TopicInfo]) -> _Offer:
+        """Return the offer without the topics of other channels."""
+        used = [topic.name for topic in taken]
+        return replace(self, available=[t for t in self.available if t.name not in used])
 
     def find_named(self, name: str, types: Types) -> TopicInfo | None:
         """Return the topic of this name, or None; BagError if its type does not fit."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from parallel_cal.base.units import ARCMIN
-from parallel_cal.recordings.channels import CHANNELS, list_channels
+from parallel_cal.recordings.channels import find_channel, list_channels
 from parallel_cal.reporting.readable import format_fixed_vector
 
 if TYPE_CHECKING:
@@ -30,7 +30,9 @@ def print_info(document: dict[str, Any], console: Console) -> None:
         first = next(d for d in document["dropped_list"] if d["reason"] == reason)
         line = f"  dropped {count}: {reason}; first at {first['time']:.2f} s: {first['detail']}"
         console.print(escape(line), highlight=False)
-    units = {**{name: CHANNELS[name].unit for name in list_channels("condition")}, "time": "s"}
+    names = list_channels("condition", among=document["conditions"])
+    units = {name: channel.unit for name in names if (channel := find_channel(name))}
+    units["time"] = "s"
     for name, unit in units.items():
         if span := document["conditions"].get(name):
             console.print(f"{name}: {span['min']:.2f} to {span['max']:.2f} {unit}", highlight=False)

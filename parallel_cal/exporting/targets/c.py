@@ -97,18 +97,15 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
     constants = [functions.iteration.n_constants for functions in newton]
     limits = np.array(m.joint_limits, dtype=float).reshape(-1, 2).T
     names = _condition_names(model)
-    kinds = list(dict.fromkeys(name.split(".")[0] for name in model.conditions))
-    by_joint = [kind for kind in kinds if CONDITIONS[kind][2]]
+    # The specification of each member of the struct: unit, neutral value, whether by joint.
+    members = {_name_member(name): CONDITIONS[name.split(".")[0]] for name in model.conditions}
     fields = [
-        f"    double {kind}{f'[{robot.upper()}_JOINTS]' * (kind in by_joint)}; "
-        f"/* {CONDITIONS[kind][0]}, {CONDITIONS[kind][1]:g} */"
-        for kind in kinds
+        f"    double {member}{f'[{robot.upper()}_JOINTS]' * by_joint}; /* {unit}, {value:g} */"
+        for member, (unit, value, by_joint) in members.items()
     ]
     neutral = [
-        f"{{{_list([CONDITIONS[kind][1]] * n)}}}"
-        if kind in by_joint
-        else _list([CONDITIONS[kind][1]])
-        for kind in kinds
+        f"{{{_list([value] * n)}}}" if by_joint else _list([value])
+        for _, value, by_joint in members.values()
     ]
     rates = np.array(m.joint_rates or ((np.inf, np.inf),) * n, dtype=float).T
     home = np.asarray(m.home.configuration)
@@ -149,7 +146,9 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
         "descents": MAX_DESCENTS,
         "amplitude": PATH_AMPLITUDE * m.length,
         "followed": _lines(
-            f"memcpy(at->{kind}, motion->{kind}, sizeof at->{kind});" for kind in by_joint
+            f"memcpy(at->{kind}, motion->{kind}, sizeof at->{kind});"
+            for kind, (_, _, by_joint) in members.items()
+            if by_joint
         ),
         "neutral": ", ".join(neutral or ["0.0"]),
         "generated": _generate_functions(model, newton),
@@ -172,8 +171,18 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
 
 def _condition_names(model: Model) -> list[str]:
     """Return the conditions as struct members: `temperature`, or `direction[0]` of a joint."""
-    parts = [name.partition(".") for name in model.conditions]
-    return [f"{kind}[{model.joints.index(joint)}]" if joint else kind for kind, _, joint in parts]
+    members = []
+    for name in model.conditions:
+        kind, _, joint = name.partition(".")
+        number = f"[{model.joints.index(joint)}]" if CONDITIONS[kind][2] else ""
+        members.append(_name_member(name) + number)
+    return members
+
+
+def _name_member(condition: str) -> str:
+    """Return the member of the struct: one for all joints, and `temperature_arms` of a part."""
+    kind = condition.split(".")[0]
+    return kind if CONDITIONS[kind][2] else condition.replace(".", "_")
 
 
 def _generate_copy(to: str, source: str, coordinates: list[int]) -> list[str]:
