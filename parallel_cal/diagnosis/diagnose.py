@@ -348,14 +348,12 @@ def _diagnose_trusted(
     if _is_outdone_by_wrong_sign(search, best, ranked):
         best = base  # what was found only imitates it
     best = search.order_for_adding(best)
-
-    swaps = search.swaps(best, rivals_of(best, ranked))
+    best, swaps, robot_or_device = _choose_side(search, best, catalogue, ranked)
     residual_field = Field.of(best.scene)
     structure = lack_of_fit(best.scene, residual_field)
     shape = NoiseShape.of(best.scene, residual_field)
     noise = NoiseLevel.of(best.scene, residual_field, structure.has_structure, shape.correlated)
     remaining = find_remaining_condition(best.scene, shape)
-    robot_or_device = _find_robot_or_device(search, best, catalogue, swaps)
     significant = catalogue.select_significant(best)
     tried = [search.fit(*best.chosen, Chosen.of(c)) for c in significant]
     ambiguous = find_ambiguous_effects(
@@ -413,6 +411,35 @@ def _diagnose_trusted(
         measure_next=measure_next,
         ambiguous=ambiguous,
     )
+
+
+def _choose_side(
+    search: Search, best: Trial, catalogue: _Catalogue, ranked: list[Candidate]
+) -> tuple[Trial, Mapping[str, list[str]], tuple[str, ...]]:
+    """Exchange effects that the other side, robot or device, explains as well, for lookalikes of
+    the same side that it does not explain. Return the trial, its lookalikes and its effects of
+    doubtful side.
+
+    Lookalikes fit equally well, but not at the same size: where an effect would have to be so large
+    that a usual error of the device is as plausible, another may be of usual size.
+    """
+    rivals = rivals_of(best, ranked)
+    swaps = search.swaps(best, rivals)
+    doubtful = _find_robot_or_device(search, best, catalogue, swaps)
+    if not doubtful:
+        return best, swaps, doubtful
+    least = best, swaps, doubtful
+    sides = {c.name: c.effect.of_device for c in ranked}
+    same_side = {
+        name: [c for c in rivals.get(name, []) if c.effect.of_device is sides[name]]
+        for name in doubtful
+    }
+    for other in search.list_equals(best, same_side):
+        other_swaps = search.swaps(other, rivals_of(other, ranked))
+        still = _find_robot_or_device(search, other, catalogue, other_swaps)
+        if len(still) < len(least[2]):
+            least = other, other_swaps, still
+    return least
 
 
 def _find_robot_or_device(

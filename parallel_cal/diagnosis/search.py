@@ -403,6 +403,13 @@ class Search:
             or (ratio_of(trial, other) or np.inf) <= MAX_UNUSUAL_START_RATIO
         ]
 
+    def list_equals(self, trial: Trial, rivals: Rivals) -> list[Trial]:
+        """The trials with one effect exchanged for a rival that explain the data as well, those
+        with the least chi2 first."""
+        found = [other for *_, other in self._iterate_swaps(trial, rivals)]
+        equals = [other for other in found if is_as_good(trial, other)]
+        return sorted(equals, key=lambda other: other.fitted.estimate.chi2_per_dof)
+
     def swaps(self, trial: Trial, rivals: Rivals) -> dict[str, list[str]]:
         """For each chosen effect, the rivals that explain the data as well in its place."""
         found: dict[str, list[str]] = {}
