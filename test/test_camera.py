@@ -56,7 +56,7 @@ def test_the_noise_of_images_is_measured_without_the_robot(hexapod_fit):
     [noise] = [kind for kind in found.document()["noise"] if kind["name"] == "camera"]
     assert noise["unit"] == "px"
     assert noise["value"] == pytest.approx(0.3, rel=0.05)
-    assert found.observations.noise_from["reading"] == "scatter within images"
+    assert noise["source"] == "scatter within images"
     assert found.noise_floor.pixel_rms == pytest.approx(0.3 * 2**0.5, rel=0.05)
 
 
@@ -126,6 +126,20 @@ def test_a_stated_lens_replaces_the_search_and_its_sigma_is_the_tolerance():
     free = pc.fit(with_camera(cell), cell.seen_by_camera(20), hold_out=0)
     own, other = (one.parameters()["camera.cy"].sigma for one in (found, free))
     assert own < other
+
+
+@pytest.mark.wide
+def test_two_cameras_are_identified_together():
+    one = Cell("stewart", 1)
+    other = Cell("stewart", 1, name="camera2", lens=vc.Lens(900.0, 905.0, 630.0, 520.0))
+    data = one.seen_by_camera(40)
+    data = dataclasses.replace(
+        data, conditions=data.conditions | other.seen_by_camera(40).conditions
+    )
+    model = one.drawn.with_sensors((one.sensor(), other.sensor()))
+    numbers = pc.fit(model, data, hold_out=0).parameters()
+    for name, true in (("camera.fx", 1210.0), ("camera2.fx", 900.0), ("camera2.cy", 520.0)):
+        assert abs(numbers[name].value - true) < 4 * numbers[name].sigma
 
 
 @pytest.mark.wide

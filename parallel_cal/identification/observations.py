@@ -207,7 +207,9 @@ def list_noise(model: Model, observations: Observations) -> list[NoiseFigure]:
         own = np.isin(model.structure.channels, sensor.channels)
         used = np.isfinite(observations.reading) & own
         if used.any():
-            source = unknown.get(sensor.name, "model file")
+            # Without a stated sigma, the noise of images was measured or is unknown.
+            stated = "model file" if sensor.sigma is not None else sources.get("reading", UNSTATED)
+            source = unknown.get(sensor.name, stated)
             rms = float(np.sqrt(np.mean(sigma[used] ** 2)))
             found.append(NoiseFigure(sensor.name, rms, sensor.unit, source))
     return found
