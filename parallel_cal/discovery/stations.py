@@ -44,7 +44,7 @@ def find_stations(scene: Scene, given: Dataset) -> Stations | None:
     recording = scene.dataset.conditions["session"].astype(int)
     found = {}
     for k in np.unique(recording).tolist():
-        its = recording == k
+        its = (recording == k) & np.isfinite(shown).all(axis=1)
         here, there = r[its].mean(axis=0), shown[its].mean(axis=0)
         U, _, V = np.linalg.svd((r[its] - here).T @ (shown[its] - there))
         proper = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ V))])
