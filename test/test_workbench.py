@@ -543,7 +543,7 @@ def test_the_page_asks_before_it_overwrites_a_better_model(browser, folder, tmp_
         page.get_by_role("button", name="Save", exact=True).click()
         page.get_by_role("button", name="Write anyway", exact=True).wait_for()
         assert page.get_by_role("button", name="Write anyway", exact=True).is_disabled()
-        page.get_by_label("reason to do it anyway").fill("the camera was moved")
+        page.get_by_label("say why").fill("the camera was moved")
         page.get_by_role("button", name="Write anyway", exact=True).click()
         page.locator("#message").get_by_text("written").wait_for()
         assert not read_model(output).effects
@@ -575,7 +575,7 @@ def test_a_refused_effect_is_added_with_a_reason_that_both_histories_keep(browse
         assert Session(folder).state.step == "fit"
 
         page.get_by_role("button", name="add encoder_gain").click()
-        page.get_by_label("reason to do it anyway").fill("its data sheet states it")
+        page.get_by_label("say why").fill("its data sheet states it")
         page.get_by_role("button", name="Add anyway", exact=True).click()
         page.get_by_role("cell", name="add encoder_gain, forced").wait_for()
         page.get_by_role("cell", name="its data sheet states it").wait_for()

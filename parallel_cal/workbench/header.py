@@ -108,7 +108,7 @@ class Notice:
             with ui.row().classes("w-full items-center gap-2") as self.asked:
                 self.question = ui.label().props("id=question role=alert").classes("grow basis-64")
                 self.question.style(f"color: {COLOURS['amber']}")
-                self.reason = ui.input("reason to do it anyway", on_change=self._allow_yes)
+                self.reason = ui.input("say why", on_change=self._allow_yes)
                 self.reason.classes("w-64").props("dense")
                 self.no = _button("", bench.decline)
                 self.yes = _button("", self._confirm)
