@@ -20,6 +20,7 @@ def test_without_ros_a_node_says_so_in_one_line(node):
     done = command(node, "--help", before="sys.modules['rclpy'] = None")
     assert done.returncode == 1
     assert done.stderr.startswith(f"error: {node} needs ROS 2, and rclpy is not installed")
+    assert "pip install 'parallel_cal[ros]'" in done.stderr
     assert done.stderr.count("\n") == 1
 
 

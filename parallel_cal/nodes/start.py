@@ -36,7 +36,7 @@ def _start(name: str) -> int:
             raise
         sys.stderr.write(
             f"error: {name} needs ROS 2, and {package} is not installed: source its setup.bash, "
-            "or 'make venv'\n"
+            "run pip install 'parallel_cal[ros]', or, in a clone, 'make venv'\n"
         )
         return 1
     if {"-h", "--help"} & set(sys.argv[1:]):
