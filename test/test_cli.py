@@ -32,7 +32,7 @@ IDENTIFIED = str(ROOT / "config" / "delta_mockup_identified.yaml")
 NOMINAL = str(ROOT / "config" / "delta_mockup_nominal.yaml")
 DELTA24 = str(ROOT / "config" / "delta24_mockup_identified.yaml")
 BAG = str(ROOT / "bags" / "delta_clean")
-KINDS = ("position", "orientation", "joint", "reading")
+KINDS = ("position", "orientation", "joint", "reading", "pixel")
 E = {f"{k}_{m}" for k in KINDS for m in ("mean", "rms")} | {"closure_rms"}
 
 

@@ -230,8 +230,9 @@ def test_a_sample_can_be_opened_to_the_readings_it_was_made_of(session, tmp_path
 
 def test_poses_are_planned_for_what_is_free_here(session, run_cli):
     file = session.plan(8)
-    names, *rows = file.read_text().splitlines()
-    assert names.startswith("x,y,z,qx,qy,qz,qw,joint1,joint2,joint3")
+    lines = file.read_text().splitlines()
+    names, *rows = [line for line in lines if not line.startswith("#")]
+    assert names.startswith("x [m],y [m],z [m]")
     assert len(rows) == 8
     assert run_cli("session", "plan", session.folder, "--poses", "9").strip().endswith("9 poses")
 

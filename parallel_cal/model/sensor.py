@@ -139,7 +139,7 @@ class Sensor(ABC):
         return self.guessed_sigma if self.sigma is None else self.sigma
 
     @property
-    def kind(self) -> str:
+    def class_name(self) -> str:
         """Name of its class in a model file."""
         return type(self).__module__.removeprefix("parallel_cal.sensors.")
 
@@ -147,7 +147,7 @@ class Sensor(ABC):
     def name(self) -> str:
         """Name of its parameters. Default: its kind. An option `name` distinguishes several sensors
         of one kind."""
-        return self.kind
+        return self.class_name
 
     @property
     def options(self) -> dict[str, Any]:

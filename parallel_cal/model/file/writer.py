@@ -104,7 +104,7 @@ def _sensors(model: Model) -> Iterator[str]:
     if model.sensors:
         yield "sensors:"
     for sensor in model.sensors:
-        yield f"- name: {flow(sensor.kind)}"
+        yield f"- name: {flow(sensor.class_name)}"
         yield f"  options: {flow(sensor.options)}"
         yield from _numbers(model, sensor)
 
