@@ -145,8 +145,8 @@ class Sensor(ABC):
 
     @property
     def name(self) -> str:
-        """Name of its parameters. Default: its kind. An option `name` distinguishes several sensors
-        of one kind."""
+        """Name of its parameters. Default: its class name. An option `name` distinguishes several
+        sensors of one class."""
         return self.class_name
 
     @property
