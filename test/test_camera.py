@@ -267,7 +267,8 @@ def test_two_cameras_of_one_name_are_refused():
     ("options", "message"),
     [
         ({"columns": 2}, "columns and rows is 2 and 6; expected at least 3 squares each"),
-        ({"square": -0.03}, "square is -0.03; expected a length above 0 m"),
+        ({"square": -0.03}, "square is -0.03; expected a length of 0 to 1 m"),
+        ({"square": 30}, "square is 30; expected a length of 0 to 1 m"),
         ({"name": "a.b"}, "name is a.b; expected a word without a dot"),
         ({"mounted": "wall"}, "mounted is wall; expected fixed or platform"),
         ({"distortion": (0.1,) * 6}, "distortion has 6 numbers; expected at most 5"),

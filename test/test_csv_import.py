@@ -6,14 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.base.errors import DatasetError, ParallelCalError
 from parallel_cal.cli import main as cli
 from parallel_cal.cli.recordings import data_options
 from parallel_cal.model.file.modelfile import dump_model, read_model
 from parallel_cal.model.model import new_model
+from parallel_cal.recordings.columns import map_by_names
 from parallel_cal.recordings.csv_import import import_csv
 from parallel_cal.recordings.joining import join_datasets
 from parallel_cal.recordings.loading import load_dataset, load_sessions
+from parallel_cal.recordings.table import read_table
+from parallel_cal.recordings.table_samples import make_dataset
 from parallel_cal.session.session import Session
 
 TABLE = """\
@@ -501,3 +504,36 @@ def test_files_that_are_not_there_are_named(files, tmp_path, capsys):
     assert run("import-csv", table, "--columns", tmp_path / "no.yaml", "-o", tmp_path / "o") == 1
     assert "no.yaml: No such file" in capsys.readouterr().err
     assert not (tmp_path / "o").exists()
+
+
+CORNERS = (
+    "arm_deg,slide_mm,reading.camera.0.u [px],reading.camera.0.v [px]\n1,2,640.5,12.25\n3,4,,\n"
+)
+
+
+def test_pixels_of_a_camera_are_readings_in_px(files):
+    text = SHORT + "readings: {camera.0.u: {column: u}, camera.0.v: {column: v, unit: px}}"
+    table = CORNERS.replace("reading.camera.0.u [px]", "u [px]").replace(
+        "reading.camera.0.v [px]", "v"
+    )
+    data = import_csv(*files(table, text))
+    np.testing.assert_array_equal(data.conditions["reading.camera.0.u"], [640.5, np.nan])
+    np.testing.assert_array_equal(data.conditions["reading.camera.0.v"], [12.25, np.nan])
+
+
+def test_a_table_with_the_names_of_channels_needs_no_map_for_them(files):
+    table = read_table(files(CORNERS)[0])
+    wanted = map_by_names(table, ["arm", "slide"], table.path.with_suffix(".yaml"))
+    assert {name: one.column for name, one in wanted.readings.items()} == {
+        "camera.0.u": "reading.camera.0.u",
+        "camera.0.v": "reading.camera.0.v",
+    }
+    data = make_dataset([table], wanted, "the model")
+    np.testing.assert_array_equal(data.conditions["reading.camera.0.v"], [12.25, np.nan])
+
+
+def test_a_length_in_px_is_refused(files):
+    with pytest.raises(DatasetError, match=r"column x \[px\] is in px, expected a length"):
+        import_csv(
+            *files(TABLE.replace(",x,y,z,", ",x [px],y,z,"), MAP.replace("z], unit: mm", "z]"))
+        )

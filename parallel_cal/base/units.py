@@ -33,6 +33,7 @@ ANGLES: dict[str, float] = {
     "rev": 2 * math.pi,
 }
 UNITS = ANGLES | LENGTHS
+PIXEL = "px"  # of readings in an image: no length
 UNIT_ALIASES = {
     "°": "deg",
     "degree": "deg",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,7 +17,8 @@ from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.file.schema import NoisePart, Part, sentence, suggestion
 from parallel_cal.model.file.yamltext import parse_yaml
 from parallel_cal.recordings.channels import list_channels
-from parallel_cal.recordings.table import Table
+from parallel_cal.recordings.samples import READING
+from parallel_cal.recordings.table import Table, split_unit
 
 
 class JointColumn(Part):
@@ -79,7 +81,7 @@ class ReadingColumn(Part):
     """A sensor's readings; the key is the model file's channel. An empty cell is no reading."""
 
     column: str
-    unit: Length | None = None
+    unit: Literal[Length, "px"] | None = None
 
 
 class PositionColumns(Part):
@@ -163,19 +165,30 @@ class ColumnMap(Part):
         return names + ([self.group] if self.group else [])
 
 
+MAX_SHOWN_HEADER = 400  # characters of a table's header in a message
+
+
 def map_by_names(table: Table, joints: Sequence[str], beside: Path) -> ColumnMap:
     """Return the column map of a table whose columns have the names of the joints, x, y, z and qx,
-    qy, qz, qw, and of conditions. DatasetError with the columns that are missing; the map can be
-    stated in the file `beside`."""
+    qy, qz, qw, of readings (`reading.CHANNEL`) and of conditions. DatasetError with the columns
+    that are missing; the map can be stated in the file `beside`."""
     missing = [joint for joint in joints if table.find(joint) is None]
     position, orientation = (
         [name for name in names if table.find(name) is not None]
         for names in (("x", "y", "z"), ("qx", "qy", "qz", "qw"))
     )
-    if missing or not joints or (len(position) < 3 and len(orientation) < 4):
+    named = [split_unit(word)[0] for word in table.header]
+    readings = {
+        name.removeprefix(READING): ReadingColumn(column=name)
+        for name in named
+        if name.startswith(READING)
+    }
+    measured = len(position) == 3 or len(orientation) == 4 or readings
+    if missing or not joints or not measured:
         lacking = ", ".join(missing) or ("x, y, z" if joints else "the names of the joints")
         raise DatasetError(
-            f"{table.path}:1: no columns {lacking}; the table has {', '.join(table.header)}. "
+            f"{table.path}:1: no columns {lacking}; the table has "
+            f"{textwrap.shorten(', '.join(table.header), MAX_SHOWN_HEADER, placeholder=' ...')}. "
             "Expected the joints of the model, and x, y and z or qx, qy, qz and qw, each length "
             f"and angle with its unit ({joints[0] if joints else 'joint1'} [mm]). Otherwise state "
             f"the columns in the file {beside}, or --data columns=MAP.yaml (see docs/import_csv.md)"
@@ -184,6 +197,7 @@ def map_by_names(table: Table, joints: Sequence[str], beside: Path) -> ColumnMap
         joints={joint: JointColumn(column=joint) for joint in joints},
         position=PositionColumns(columns=position) if len(position) == 3 else None,
         orientation=orientation if len(orientation) == 4 else None,
+        readings=readings,
         conditions={name: name for name in CONDITIONS if name in table.header},
     )
 

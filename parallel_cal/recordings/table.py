@@ -18,7 +18,7 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.files import MEGABYTE, read_foreign_text
-from parallel_cal.base.units import UNIT_ALIASES, UNITS
+from parallel_cal.base.units import PIXEL, UNIT_ALIASES, UNITS
 from parallel_cal.recordings.motive import is_motive, merge_header
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
@@ -164,4 +164,4 @@ def split_unit(word: str) -> tuple[str, str | None]:
         return word, None
     unit = next(group for group in match.groups()[1:] if group).strip()
     unit = UNIT_ALIASES.get(unit.lower(), unit.lower())
-    return (match[1], unit) if unit in UNITS else (word, None)
+    return (match[1], unit) if unit in UNITS or unit == PIXEL else (word, None)

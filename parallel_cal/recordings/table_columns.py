@@ -9,8 +9,14 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.rotation import quaternion_to_matrix
-from parallel_cal.base.units import LENGTHS, UNITS
-from parallel_cal.recordings.columns import ColumnMap, JointColumn, si_unit, travel
+from parallel_cal.base.units import LENGTHS, PIXEL, UNITS
+from parallel_cal.recordings.columns import (
+    ColumnMap,
+    JointColumn,
+    ReadingColumn,
+    si_unit,
+    travel,
+)
 from parallel_cal.recordings.recording import Array
 from parallel_cal.recordings.table import Table, split_unit
 
@@ -56,6 +62,10 @@ class Columns:
     def si(self, names: Sequence[str], unit: str | None, gaps: bool = False) -> Array:
         """Return columns (N, len(names)) in m or rad; with `gaps`, an empty cell is NaN."""
         return np.column_stack([self._column(name, unit, gaps) for name in names])
+
+    def reading(self, wanted: ReadingColumn) -> Array:
+        """Return readings (N,) in m or px; an empty cell is NaN."""
+        return self._column(wanted.column, wanted.unit, gaps=True, pixels=True)
 
     def joint(self, wanted: JointColumn, gaps: bool = False) -> Array:
         """Return (N, 1) readings in m or rad; DatasetError if per_rev or offset do not fit them."""
@@ -129,19 +139,26 @@ class Columns:
     def _find_column(self, name: str) -> tuple[Table, str]:
         return next((t, word) for t in self.tables if (word := t.find(name)) is not None)
 
-    def _column(self, name: str, unit: str | None, gaps: bool) -> Array:
+    def _column(self, name: str, unit: str | None, gaps: bool, pixels: bool = False) -> Array:
         table, word = self._find_column(name)
         in_header = split_unit(word)[1]
         if unit is None and in_header is None:
             raise DatasetError(
                 f"{table.path}:1: column {word} has no unit; state it in {self.map} "
                 f"(unit: mm) or in the header ({word} [mm])"
+                + ("; pixels of a camera: px" if pixels else "")
             )
         if unit and in_header and unit != in_header:
             raise DatasetError(
                 f"{table.path}:1: column {word} is in {in_header}, but {self.map} states {unit}"
             )
-        return _numbers(table, word, gaps) * UNITS[unit or in_header or ""]
+        stated = unit or in_header or ""
+        if stated == PIXEL and not pixels:
+            raise DatasetError(
+                f"{table.path}:1: column {word} is in px, expected a length or an angle; only "
+                "readings of a camera are in pixels"
+            )
+        return _numbers(table, word, gaps) * (1.0 if stated == PIXEL else UNITS[stated])
 
 
 def _numbers(table: Table, word: str, gaps: bool) -> Array:

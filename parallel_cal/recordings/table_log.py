@@ -171,8 +171,7 @@ def make_recording(
             if isinstance(column, str)
         },
         distances={
-            name: stream(one.column, found.si([one.column], one.unit, gaps=True)[:, 0])
-            for name, one in wanted.readings.items()
+            name: stream(one.column, found.reading(one)) for name, one in wanted.readings.items()
         },
         sha256=_hash_numbers(recording),
     )

@@ -32,10 +32,7 @@ def make_dataset(given: Sequence[Table], wanted: ColumnMap, asks: str) -> Datase
     found = Columns(tables, asks).check(wanted)
     q = np.hstack([found.joint(joint) for joint in wanted.joints.values()])
     r, R, n = found.position(wanted), found.rotation(wanted), len(tables[0].rows)
-    readings = {
-        READING + name: found.si([one.column], one.unit, gaps=True)[:, 0]
-        for name, one in wanted.readings.items()
-    }
+    readings = {READING + name: found.reading(one) for name, one in wanted.readings.items()}
     conditions = {
         name: found.numbers([given])[:, 0] if isinstance(given, str) else np.full(n, given)
         for name, given in wanted.conditions.items()

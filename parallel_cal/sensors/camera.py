@@ -29,6 +29,7 @@ LENS_TOLERANCE = {"k": 0.3, "p": 5e-3}
 FISHEYE_TOLERANCE = 0.05
 FOCAL_TOLERANCE, CENTRE_TOLERANCE = 0.1, 0.03  # shares of focal length and width, if not stated
 POSE_TOLERANCE = {"m": 5e-3, "rad": 0.05}  # of a start that the robot's own errors shifted
+MAX_SQUARE = 1.0  # m, of a square's side: more is a length in mm
 BEND_TOLERANCE_M = 1e-3  # of a printed board
 SCALE_TOLERANCE = 1e-3  # of a printer
 # Focal lengths that are tried if none is stated, in widths of the image: fields of view of 120 to
@@ -108,7 +109,7 @@ class Camera(Sensor):
     def __post_init__(self) -> None:
         problems = (
             (min(self.columns, self.rows) < 3, "columns and rows", "at least 3 squares each"),
-            (not self.square > 0, "square", "a length above 0 m"),
+            (not 0 < self.square < MAX_SQUARE, "square", f"a length of 0 to {MAX_SQUARE:g} m"),
             (min(self.image_size) < 1, "image_size", "width and height in px"),
             (not self.name or "." in self.name, "name", "a word without a dot"),
             (self.mounted not in ("fixed", "platform"), "mounted", "fixed or platform"),
