@@ -50,6 +50,17 @@ def test_pixels_alone_identify_lens_hand_eye_and_robot_from_nothing(hexapod_fit)
 
 
 @pytest.mark.wide
+def test_the_error_of_the_nominal_model_is_the_same_after_a_second_fit(hexapod_fit):
+    """Its camera is placed anew: with the place that the first fit began with, it was twice as
+    large."""
+    cell, found = hexapod_fit
+    again = pc.fit(found.model, cell.seen_by_camera(), hold_out=0.5)
+    assert again.nominal_errors.summary.position_rms == pytest.approx(
+        found.nominal_errors.summary.position_rms, rel=0.02
+    )
+
+
+@pytest.mark.wide
 def test_the_noise_of_images_is_measured_without_the_robot(hexapod_fit):
     """So the fit states a noise floor, although nobody stated the noise of a corner."""
     _, found = hexapod_fit

@@ -71,6 +71,7 @@ from parallel_cal.identification.registration import (
     is_identified,
     prepared_for_fit,
     registered_by,
+    shows_pose,
 )
 from parallel_cal.identification.thresholds import (
     CONTRADICTED_SIGMAS,
@@ -290,7 +291,7 @@ class FitResult(ShownInNotebook):
         model = self.model.with_values(values)
         held_out = self.held_out.judged.any()
         # Frames that a fit found belong to its geometry: the nominal one gets its own.
-        registers = self.given.is_registered or is_identified(self.model)
+        registers = self.given.is_registered or is_identified(self.model) or shows_pose(self.model)
         placed = registered_by(model, self.observations) if registers else None
         given = GivenModel(
             model, placed or model, self.dataset, self.options.joint_sigma, self.options.insist
