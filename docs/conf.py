@@ -110,11 +110,10 @@ def setup(app: Sphinx) -> None:
     app.connect("doctree-read", mark_drawings_for_both_modes)
     app.connect("builder-inited", copy_plotly)
     app.connect("html-page-context", add_plotly)
-    # Before autosummary, which reads these pages at the same event with priority 500.
+    # Before Sphinx lists the pages of the folder: autosummary reads only those.
     app.connect(
-        "builder-inited",
-        lambda app: site_pages.write_pages(Path(app.srcdir), ROOT),
-        priority=100,
+        "config-inited",
+        lambda app, _config: site_pages.write_pages(Path(app.srcdir), ROOT),
     )
     app.connect(
         "source-read",
