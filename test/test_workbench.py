@@ -56,8 +56,7 @@ def test_a_bench_takes_steps_beside_and_shows_what_came_out(folder):
     assert bench.message == f"written: {folder / 'model.yaml'}"
     bench.begin("add", "thermal_expansion")
     until(lambda: not bench.busy, "add")
-    assert bench.failed
-    assert "does not fall" in bench.message
+    assert "does not fall" in bench.question.words  # it may be forced, with a reason
     bench.begin("add", "backlash")
     until(lambda: bench.stage not in ("", "starting"), "its first word")
     bench.cancel()
@@ -256,7 +255,9 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
     served = Served(folder)
 
     def faults(page):
-        found = axe.run(page).response["violations"]
+        # NiceGUI shows the loading bar of its framework, which is no part of the page.
+        outside = {"exclude": [[".q-loading-bar"]]}
+        found = axe.run(page, context=outside).response["violations"]
         return [
             (one["id"], one["nodes"][0]["html"][:200])
             for one in found
@@ -337,7 +338,6 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
         narrow.set_default_timeout(1000 * LONG)
         narrow.goto(served.url)
         narrow.get_by_text("Where it fails").wait_for()
-        narrow.locator(".q-loading-bar").wait_for(state="hidden")  # a part of the browser's load
         wide = narrow.evaluate("document.documentElement.scrollWidth")
         assert wide <= 800
         assert faults(narrow) == []

@@ -51,6 +51,7 @@ from parallel_cal.diagnosis.thresholds import (
     DRIFT_SIGNIFICANCE_LEVEL,
     MAX_MISTRUSTED_SHARE,
     MAX_REFITTED_CANDIDATES,
+    MAX_USUAL_SIZE,
     NAMING_SIGNIFICANCE_LEVEL,
 )
 from parallel_cal.diagnosis.unusual import UnusualEffect, find_unusual_effects
@@ -420,13 +421,14 @@ def _choose_side(
     the same side that it does not explain. Return the trial, its lookalikes and its effects of
     doubtful side.
 
-    Lookalikes fit equally well, but not at the same size: where an effect would have to be so large
-    that a usual error of the device is as plausible, another may be of usual size.
+    Lookalikes fit equally well, but not at the same size: where an effect would have to be far
+    larger than its tolerances, so that a usual error of the device is as plausible, another may be
+    of usual size. An effect of usual size is not exchanged.
     """
     rivals = rivals_of(best, ranked)
     swaps = search.swaps(best, rivals)
     doubtful = _find_robot_or_device(search, best, catalogue, swaps)
-    if not doubtful:
+    if not doubtful or compute_largest_size(best) <= MAX_USUAL_SIZE:
         return best, swaps, doubtful
     least = best, swaps, doubtful
     sides = {c.name: c.effect.of_device for c in ranked}
@@ -435,11 +437,21 @@ def _choose_side(
         for name in doubtful
     }
     for other in search.list_equals(best, same_side):
+        if compute_largest_size(other) > MAX_USUAL_SIZE:
+            continue
         other_swaps = search.swaps(other, rivals_of(other, ranked))
         still = _find_robot_or_device(search, other, catalogue, other_swaps)
         if len(still) < len(least[2]):
             least = other, other_swaps, still
     return least
+
+
+def compute_largest_size(trial: Trial) -> float:
+    """Largest parameter of the chosen effects, in its tolerances."""
+    model = trial.fitted.model
+    own = model.table.matching([f"{name}.*" for name in trial.names]) & trial.fitted.free
+    moved = np.abs(model.values - model.table.nominal) / model.table.tolerance
+    return float(np.max(moved[own], initial=0.0))
 
 
 def _find_robot_or_device(

@@ -39,6 +39,8 @@ MAX_HELD_COORDINATE_SIGMAS = (
     2.0  # sigmas rms of coordinates that a model holds: above, it lacks freedoms
 )
 
+MAX_USUAL_SIZE = 3.0  # tolerances: an effect with a larger parameter may be exchanged
+
 # Which effects are tested and added
 MAX_EFFECTS = 4  # added in one diagnosis
 MAX_REFITTED_CANDIDATES = (
