@@ -77,8 +77,8 @@ def test_poses_where_rival_laws_differ_are_measured_until_no_pose_can_tell_those
     payloads = np.where(np.arange(100) * 6 // 100 % 2, 1.2, 0.2)
     data = measure(vr.NOMINAL.inverse(vd.targets(80, 0))[0], payloads, 20, 0)
     model, seen = dump_model(ROBOT.model()), []
-    for k in range(4):
-        request = JudgementRequest(model, more=8, left=40 - 8 * k, changes={"payload": 1.0}, seed=k)
+    for k in range(6):
+        request = JudgementRequest(model, more=8, left=48 - 8 * k, changes={"payload": 1.0}, seed=k)
         seen.append(judge_samples(request, data, np.arange(len(data)) % 20 == 0))
         if seen[-1].untold:
             break
@@ -91,10 +91,11 @@ def test_poses_where_rival_laws_differ_are_measured_until_no_pose_can_tell_those
     assert not first.is_final(first)
     assert all(one.purpose.startswith("to distinguish the laws joint2 ") for one in first.targets)
     assert {one.conditions["payload"] for one in first.targets} <= {0.2, 1.2}
-    # At last only the cause is left, as an error of the reading or of a part of that chain.
-    assert len(data) <= 132
+    # At last the cause is named, beside laws that no pose can distinguish from it: the load on
+    # another joint is nearly proportional to the payload.
+    assert len(data) <= 148
     assert last.laws == ("joint2 by payload",)
-    assert {name.partition(" by ")[2] for name in last.doubt} == {"payload"}
+    assert {name.partition(" by ")[2] for name in last.doubt} <= {"payload", "load.joint1"}
     assert set(last.untold) == {*last.laws, *last.doubt}
     assert last.is_final(last)
     assert "FoundLaw" in next(iter(last.law_effects.values()))

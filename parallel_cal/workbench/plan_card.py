@@ -20,6 +20,21 @@ PLACE, TURN = ("x", "y", "z"), ("qx", "qy", "qz", "qw")  # columns of planned po
 
 
 @dataclass(frozen=True)
+class PlanWords:
+    """What names one of the two tables of poses on the page."""
+
+    id: str
+    send: str
+    figure: str
+
+
+PLANNED = PlanWords("sent", "Send to the robot", "planned and measured poses")
+DISTINGUISHING = PlanWords(
+    "sent-distinguishing", "Send one that distinguishes effects", "poses that distinguish effects"
+)
+
+
+@dataclass(frozen=True)
 class PlannedPoses:
     """The text of a file of planned poses, its remarks, and its numbers by column name."""
 
@@ -43,17 +58,21 @@ def draw_plan_card(bench: Bench, view: dict[str, Any]) -> None:
         for advice in view["advice"]:
             ui.label(write_micro(advice))
         if separation := view["separation"]:
-            _draw_poses(bench, view, PlannedPoses.parse(separation), "distinguish_effects.csv")
+            poses = PlannedPoses.parse(separation)
+            _draw_poses(bench, view, poses, "distinguish_effects.csv", DISTINGUISHING)
         with ui.row().classes("items-center"):
             count = ui.number("poses", value=20, min=1, max=500, precision=0).classes("w-24")
             plan = ui.button("Plan", on_click=lambda: bench.begin("plan", int(count.value or 20)))
             plan.props("dense").set_enabled(not bench.busy)
             ui.label("poses that determine the free parameters of this step").classes("quiet")
         if planned := bench.planned:
-            _draw_poses(bench, view, PlannedPoses.parse(read_text(planned)), planned.name)
+            poses = PlannedPoses.parse(read_text(planned))
+            _draw_poses(bench, view, poses, planned.name, PLANNED)
 
 
-def _draw_poses(bench: Bench, view: dict[str, Any], planned: PlannedPoses, file: str) -> None:
+def _draw_poses(
+    bench: Bench, view: dict[str, Any], planned: PlannedPoses, file: str, words: PlanWords
+) -> None:
     """Draw planned poses with what they tell and how to reach them."""
     with ui.column().classes("gap-0"):
         for remark in planned.remarks:
@@ -64,15 +83,15 @@ def _draw_poses(bench: Bench, view: dict[str, Any], planned: PlannedPoses, file:
         ).props(f'dense outline aria-label="download {file}"')
         ui.label("lengths in m, angles in rad; each column states its unit").classes("quiet")
     if bench.live is not None:
-        _send(bench.live, planned.rows)
-    _draw_places(planned.rows, view)
+        _send(bench.live, planned.rows, words)
+    _draw_places(planned.rows, view, words.figure)
 
 
-def _send(live: Live, rows: Sequence[dict[str, float]]) -> None:
+def _send(live: Live, rows: Sequence[dict[str, float]], words: PlanWords) -> None:
     """Let a click send the next planned pose to the robot."""
     with ui.row().classes("items-center"):
         at = ui.number("pose", value=1, min=1, max=len(rows), precision=0).classes("w-24")
-        answer = ui.label().props("id=sent aria-live=polite")
+        answer = ui.label().props(f"id={words.id} aria-live=polite")
 
         async def send() -> None:
             k = int(at.value or 1)
@@ -83,10 +102,10 @@ def _send(live: Live, rows: Sequence[dict[str, float]]) -> None:
             except ParallelCalError as error:
                 answer.set_text(str(error))
 
-        ui.button("Send to the robot", on_click=send).props("dense")
+        ui.button(words.send, on_click=send).props("dense")
 
 
-def _draw_places(rows: Sequence[dict[str, float]], view: dict[str, Any]) -> None:
+def _draw_places(rows: Sequence[dict[str, float]], view: dict[str, Any], title: str) -> None:
     poses = [[1e3 * row[k] for k in PLACE] for row in rows]
     traces = [
         {
@@ -103,4 +122,4 @@ def _draw_places(rows: Sequence[dict[str, float]], view: dict[str, Any]) -> None
     ]
     axes = {f"{k}axis": {"title": {"text": f"{k} [mm]"}} for k in "xyz"}
     layout = {"height": 380, "margin": FIGURE_MARGIN, "scene": axes}
-    draw_figure({"data": traces, "layout": layout}, "planned and measured poses")
+    draw_figure({"data": traces, "layout": layout}, title)
