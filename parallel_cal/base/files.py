@@ -90,7 +90,13 @@ def write_atomically(path: str | Path, text: str | bytes, like: str | Path | Non
         _replace(target, text, permissions)
     except OSError as error:  # it names the temporary file
         raise OSError(error.errno, error.strerror, str(path)) from None
-    _sync_folder(target.parent)
+    # Make the new name survive a power cut; some file systems cannot, which is no error.
+    with contextlib.suppress(OSError):
+        handle = os.open(target.parent, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def open_locked(path: Path) -> int | None:
@@ -167,13 +173,3 @@ def _replace(target: Path, text: str | bytes, permissions: int) -> None:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(name)
         raise
-
-
-def _sync_folder(folder: Path) -> None:
-    """Make the new name survive a power cut; some file systems cannot, which is no error."""
-    with contextlib.suppress(OSError):
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)

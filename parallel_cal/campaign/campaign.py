@@ -190,7 +190,18 @@ class Campaign:
         self._begun, self._before = time.monotonic(), 0.0
         self._status = Status("planning", "", 0, np.nan, "")
         for entry in json_lines(self.folder / FILE, MAX_JOURNAL_BYTES):
-            self._restore_entry(entry)
+            self._before = entry.get("spent", self._before)
+            if "model" in entry:
+                self.model = entry["model"]
+            if "targets" in entry:
+                self.targets += map(Target.from_document, entry["targets"])
+            if "sample" in entry:
+                dataset = Dataset.from_document(entry["sample"], FILE)
+                self.samples[entry["target"]] = Sample(dataset, entry["start_ns"])
+            if "left_out" in entry:
+                self.left_out[entry["left_out"]] = entry["why"]
+            if "judged" in entry:
+                self._restore_judgement(entry["judged"])
         if not is_same_but_for_limits(self.model, model):
             os.close(file)
             raise CampaignError(
@@ -206,7 +217,12 @@ class Campaign:
         ]
         if not self.targets:
             self._write(begin=to_json_value(goal), model=model)
-        self._skip_ignored_targets()
+        # The next judgement plans its own targets instead of those of ignored judgements.
+        why = "planned by a judgement that is ignored"
+        for k in self._ignored_targets:
+            if k not in self.samples and k not in self.left_out:
+                self.left_out[k] = why
+                self._write(left_out=k, why=why)
         last = next(reversed(self.samples), None)
         self._sent = None if last is None else np.array(self.targets[last].joints)
         if not (self.folder / SESSION).exists():
@@ -224,20 +240,6 @@ class Campaign:
         """Append a line to the journal and flush it to the disk."""
         entry["spent"] = self.spent
         append_lines(self._file, [json.dumps(to_json_value(entry), allow_nan=False)])
-
-    def _restore_entry(self, entry: Mapping[str, Any]) -> None:
-        self._before = entry.get("spent", self._before)
-        if "model" in entry:
-            self.model = entry["model"]
-        if "targets" in entry:
-            self.targets += map(Target.from_document, entry["targets"])
-        if "sample" in entry:
-            dataset = Dataset.from_document(entry["sample"], FILE)
-            self.samples[entry["target"]] = Sample(dataset, entry["start_ns"])
-        if "left_out" in entry:
-            self.left_out[entry["left_out"]] = entry["why"]
-        if "judged" in entry:
-            self._restore_judgement(entry["judged"])
 
     def _restore_judgement(self, document: Mapping[str, Any]) -> None:
         """Restore a judgement, or ignore it if its model cannot be read."""
@@ -259,14 +261,6 @@ class Campaign:
             return
         self.warnings.append(f"{why}; this judgement is ignored and the samples are judged again")
         self._ignored_targets += range(first, len(self.targets))
-
-    def _skip_ignored_targets(self) -> None:
-        """Skip the targets of ignored judgements: the next judgement plans its own."""
-        why = "planned by a judgement that is ignored"
-        for k in self._ignored_targets:
-            if k not in self.samples and k not in self.left_out:
-                self.left_out[k] = why
-                self._write(left_out=k, why=why)
 
     @property
     def spent(self) -> float:

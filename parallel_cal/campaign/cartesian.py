@@ -77,13 +77,15 @@ def plan_cartesian_path(
     r[:, np.setdiff1d(np.arange(3), moved)] = here.position[np.setdiff1d(np.arange(3), moved)]
     if not any(i >= 3 for i in guard.model.mechanism.controlled):
         R = np.broadcast_to(here.rotation, R.shape)
-    r, R = _drop_repeated(r, R, guard.model.mechanism.length)
+    length = guard.model.mechanism.length
+    moves = np.concatenate([[True], np.linalg.norm(_steps(r, R, length), axis=1) > MIN_LENGTH])
+    r, R = r[moves], R[moves]
     if len(r) == 1:
         raise PathError("the robot is already at the pose: the path has no length")
     limits = rates(guard.model.mechanism, crossing)
     parts, last = [], here
-    for first, end in pairwise(_find_stops(r, R, guard.model.mechanism.length)):
-        curve = _Curve(r[first : end + 1], R[first : end + 1], guard.model.mechanism.length)
+    for first, end in pairwise(_find_stops(r, R, length)):
+        curve = _Curve(r[first : end + 1], R[first : end + 1], length)
         where = _Numbering(first, len(r) - 1, curve.knots)
         found = _solve_curve(kinematics, curve, last, at, where)
         violation = guard.find_violation(found.joints)
@@ -92,13 +94,13 @@ def plan_cartesian_path(
             raise PathError(f"the path is {words} {where.before(share)}")
         parts.append(_time_optimal(found.joints, *limits))
         last = found[-1]
-    return _join(parts)
-
-
-def _drop_repeated(r: np.ndarray, R: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    steps = np.linalg.norm(_steps(r, R, length), axis=1)
-    keep = np.concatenate([[True], steps > MIN_LENGTH])
-    return r[keep], R[keep]
+    # Join the motions from rest to rest; the first point is the start, at time 0.
+    time, positions, velocities = [parts[0].time], [parts[0].positions], [parts[0].velocities]
+    for part in parts[1:]:
+        time.append(part.time[1:] + time[-1][-1])
+        positions.append(part.positions[1:])
+        velocities.append(part.velocities[1:])
+    return Trajectory(np.concatenate(time), np.vstack(positions), np.vstack(velocities))
 
 
 def _steps(r: np.ndarray, R: np.ndarray, length: float) -> np.ndarray:
@@ -267,13 +269,3 @@ def _needed_stretch(
     fastest = np.maximum(np.abs(v).max(axis=0), np.abs(turning).max(axis=0))
     shares = [*(fastest / velocity), *np.sqrt(ends.max(axis=0) / acceleration)]
     return max(1.0, float(max(shares)))
-
-
-def _join(parts: list[Trajectory]) -> Trajectory:
-    """Join motions from rest to rest; the first point is the start, at time 0."""
-    time, positions, velocities = [parts[0].time], [parts[0].positions], [parts[0].velocities]
-    for part in parts[1:]:
-        time.append(part.time[1:] + time[-1][-1])
-        positions.append(part.positions[1:])
-        velocities.append(part.velocities[1:])
-    return Trajectory(np.concatenate(time), np.vstack(positions), np.vstack(velocities))

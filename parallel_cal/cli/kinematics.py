@@ -218,16 +218,14 @@ def _print_solutions(
         ],
     )
     if solutions.complete is not None:
-        console.say(_format_solution_count(solutions))
+        n, usable = solutions.solved.sum(), solutions.ok.sum()
+        others = "" if solutions.complete else "; others may exist"
+        first = ", home branch first" if n > 1 else ""
+        console.say(
+            f"{n} solution{'' if n == 1 else 's'} found{first}; {usable} within limits{others}"
+        )
     for covariance in covariances or []:
         console.say(f"1 sigma from the fit: {words(covariance.diagonal() ** 0.5)}")
-
-
-def _format_solution_count(found: Solutions) -> str:
-    n, usable = found.solved.sum(), found.ok.sum()
-    known = "" if found.complete else "; others may exist"
-    first = ", home branch first" if n > 1 else ""
-    return f"{n} solution{'' if n == 1 else 's'} found{first}; {usable} within limits{known}"
 
 
 def _pose_sigma(sigma: np.ndarray) -> str:

@@ -217,8 +217,9 @@ def _print_mechanism(name: str, options: list[str], as_json: bool) -> None:
             _row(name, type(m), m) | {"parameters": numbers, "completeness": counted.document()}
         )
     console.say(f"{name}: {_sentence(sys.modules[type(m).__module__].__doc__)}")
-    if words := _describe_options(type(m)):
-        console.say(words)
+    _, found, described = (inspect.getdoc(type(m)) or "").partition("\n\nOptions: ")
+    if found:
+        console.say(f"\nOptions: {described}\n")
     rows = []
     for p in m.parameters:
         value, unit = in_unit(p.nominal, p.unit)
@@ -270,12 +271,6 @@ def _row(name: str, cls: Any, m: Mechanism | None) -> dict[str, Any]:
 
 def _sentence(doc: str | None) -> str:
     return (doc or "").strip().split("\n\n")[0].replace("\n", " ")
-
-
-def _describe_options(cls: type) -> str:
-    """Return the docstring of a mechanism from its options on; empty if it describes none."""
-    _, found, rest = (inspect.getdoc(cls) or "").partition("\n\nOptions: ")
-    return f"\nOptions: {rest}\n" if found else ""
 
 
 def effects(as_json: Json = False) -> None:

@@ -103,18 +103,13 @@ def _show(found: Plan, document: dict[str, Any]) -> None:
         ],
     ]
     console.table(("", "planned", "random"), rows)
-    _show_parameters(found, document["expected"]["parameters"])
-
-
-def _show_parameters(found: Plan, parameters: dict[str, dict[str, Any]], worst: int = 5) -> None:
-    """Print the parameters with the largest expected sigma in tolerances."""
     from parallel_cal.model.words import describe
 
-    sigmas = {k: v["sigma_tolerances"] for k, v in parameters.items()}
+    sigmas = {k: v["sigma_tolerances"] for k, v in document["expected"]["parameters"].items()}
     order = sorted(sigmas, key=lambda k: -(math.inf if sigmas[k] is None else sigmas[k]))
     shown = [
         f"{describe(name, found.model.table)} ({name}) {_format_short(sigmas[name])}"
-        for name in order[:worst]
+        for name in order[:5]
     ]
     console.say(f"least certain parameters, sigma in tolerances: {'; '.join(shown)}")
 

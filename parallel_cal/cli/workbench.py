@@ -16,7 +16,7 @@ from parallel_cal.identification.options import FitOptions
 from parallel_cal.reporting import console
 
 if TYPE_CHECKING:
-    from parallel_cal.nodes.watch import Watch
+    pass
 
 
 @with_options
@@ -64,7 +64,13 @@ def workbench(
             f"--host {host}: other computers can connect; give a --token that they must know"
         )
     _check_port(host, port)
-    watch = _watch(namespace) if ros else None
+    watch = None
+    if ros:
+        if find_spec("rclpy") is None:
+            raise ParallelCalError("--ros needs ROS 2: pip install 'parallel_cal[ros]'")
+        from parallel_cal.nodes.watch import Watch
+
+        watch = Watch(namespace)
     try:
         served = Path(watch.model_file()) if watch and watch.model_file() else None
         if (model := model or served) is None:
@@ -74,8 +80,14 @@ def workbench(
         folder = model if model.is_dir() else session or model.with_suffix(".session")
         _prepare_session(folder, model, bags or [], options, data)
         output = output or served or folder / "model.yaml"
-        if watch and not served:
-            _start(watch, folder, output)
+        if watch and not served:  # start both nodes on the file that Save writes
+            from parallel_cal.model.file.modelfile import write_model
+            from parallel_cal.session.session import Session
+
+            if not output.exists():
+                write_model(Session(folder).model, output)
+            watch.start(folder, output)
+            console.note(f"started kinematics_node and calibration_node on {output}")
         address = f"http://{host}:{port}/" + (f"?token={token}" if token else "")
         console.note(f"{folder}: {address} (Ctrl-C stops the server; the session is kept)")
         serve(folder, output, watch, host=host, port=port, token=token, show=browser)
@@ -97,26 +109,6 @@ def _check_port(host: str, port: int) -> None:
             f"--host {host} --port {port}: the server cannot listen there ({error.strerror}); "
             "another workbench may be running: choose another port by --port"
         ) from None
-
-
-def _watch(namespace: str) -> Watch:
-    if find_spec("rclpy") is None:
-        raise ParallelCalError("--ros needs ROS 2: pip install 'parallel_cal[ros]'")
-    from parallel_cal.nodes.watch import Watch
-
-    return Watch(namespace)
-
-
-def _start(watch: Watch, folder: Path, model_file: Path) -> None:
-    """Start both nodes on the file that Save writes; if it is missing, write the session's model
-    to it."""
-    from parallel_cal.model.file.modelfile import write_model
-    from parallel_cal.session.session import Session
-
-    if not model_file.exists():
-        write_model(Session(folder).model, model_file)
-    watch.start(folder, model_file)
-    console.note(f"started kinematics_node and calibration_node on {model_file}")
 
 
 def _prepare_session(

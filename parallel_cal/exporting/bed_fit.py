@@ -174,7 +174,8 @@ class BedFit:
     def model_moves(self) -> tuple[Array, Array]:
         """Movements (2n,) of x and y to those by the model, and their covariance (2n, 2n)."""
         m = self.model
-        frame, q = self.old.frame, self._readings(self.points)
+        frame = self.old.frame
+        q = self.old.stops + frame.readings(self._motors(self.points) - self.old.firmware.homed)
         found = Kinematics(m, quick=True).direct(q)
 
         def xy(model: Model) -> Array:
@@ -195,11 +196,6 @@ class BedFit:
             changes.append(xy(m.with_values(values)) - here)
         J = np.array(changes)
         return here - self.points[:, :2].ravel(), J.T @ J
-
-    def _readings(self, points: Array) -> Array:
-        return self.old.stops + self.old.frame.readings(
-            self._motors(points) - self.old.firmware.homed
-        )
 
     def supported(self, tightening: float = 1.0) -> tuple[Array, Array]:
         """Movements (2n,) of x and y that measurements support, and the whitening (2n, 2n) of

@@ -101,7 +101,9 @@ def budgets(
             removed: tuple[float | None, float | None] = (None, None)
             if other is not None:
                 removed = _root(*compute_mean_and_sigma(other.norms(kind)[known] ** 2 - now, at))
-            moves = _rms(alone[name][known, part])
+            squares = np.sum(alone[name][known, part] ** 2, axis=1)
+            squares = squares[np.isfinite(squares)]
+            moves = float(np.sqrt(squares.mean())) if len(squares) else None
             parts.append(Part(titles.get(name) or name, *removed, moves))
         parts.sort(key=lambda one: -(one.removed or 0.0))
         floor = noise.summary.rms(kind)
@@ -142,12 +144,6 @@ def _compute_motions(model: Model, observations: Observations) -> dict[str, np.n
         change = complete.change_from(Configuration.from_rows(less))[:, n:]
         found[name] = np.where(known, change, np.nan)
     return found
-
-
-def _rms(vectors: np.ndarray) -> float | None:
-    squares = np.sum(vectors**2, axis=1)
-    squares = squares[np.isfinite(squares)]
-    return float(np.sqrt(squares.mean())) if len(squares) else None
 
 
 @dataclass(frozen=True)

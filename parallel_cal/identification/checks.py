@@ -137,7 +137,15 @@ def check_plausible(
         bound = least if value < low else most
         if p.group not in ("effect", "sensor"):
             chi2 = estimate.chi2_per_dof
-            raise ImplausibleGeometryError(_describe_absurd_parameter(p, value, chi2), chi2)
+            raise ImplausibleGeometryError(
+                f"{p.name} was identified as {_show(p, value)}, "
+                f"{(value - p.nominal) / p.tolerance:+.1f} tolerances from its nominal "
+                f"{p.nominal:.6g} (plausible {least:.6g} to {most:.6g}; chi2/dof {chi2:.3g}): "
+                "check units and mechanism, fix the parameter, use priors, correct nominal and "
+                "tolerance in the model file, or let the fit identify the effect that the "
+                "geometry imitates, too (fit --effect NAME)",
+                chi2,
+            )
         if bound == p.nominal:
             side = "negative" if value < p.nominal else "positive"
             raise WrongSignError(
@@ -192,18 +200,6 @@ def _advise_on_sign(model: Model, p: Parameter) -> str:
     return (
         "check the recorded direction and travel of the joints (their sign, the order of the "
         "visits), and whether the encoders sit behind the gears"
-    )
-
-
-def _describe_absurd_parameter(p: Parameter, value: float, chi2_per_dof: float) -> str:
-    low, high = p.plausible_range()
-    return (
-        f"{p.name} was identified as {_show(p, value)}, "
-        f"{(value - p.nominal) / p.tolerance:+.1f} tolerances from its "
-        f"nominal {p.nominal:.6g} (plausible {low:.6g} to {high:.6g}; chi2/dof "
-        f"{chi2_per_dof:.3g}): check units and mechanism, fix the parameter, use priors, "
-        "correct nominal and tolerance in the model file, or let the fit identify the effect that "
-        "the geometry imitates, too (fit --effect NAME)"
     )
 
 

@@ -354,7 +354,9 @@ def conditions(model: Model, dataset: Dataset) -> np.ndarray:
 
 def _readings(model: Model, dataset: Dataset) -> np.ndarray:
     """(N, n_channels): the dataset's columns `reading.CHANNEL`, NaN if not read."""
-    channels, read = model.structure.channels, _list_read_channels(dataset)
+    names = [k for k in dataset.conditions if k.startswith(READING)]
+    read = [k.removeprefix(READING) for k in names if np.isfinite(dataset.conditions[k]).any()]
+    channels = model.structure.channels
     missing = [c for s in model.sensors for c in _list_missing_channels(s, read)]
     if missing:
         raise FitError(
@@ -388,9 +390,3 @@ def _list_missing_channels(sensor: Sensor, read: list[str]) -> list[str]:
     if not sensor.shows_pose:
         return missing
     return [f"the corners of {sensor.name}"] if len(missing) == len(sensor.channels) else []
-
-
-def _list_read_channels(dataset: Dataset) -> list[str]:
-    """Channels with at least one reading."""
-    names = [k for k in dataset.conditions if k.startswith(READING)]
-    return [k.removeprefix(READING) for k in names if np.isfinite(dataset.conditions[k]).any()]

@@ -61,7 +61,11 @@ class Cable(Mechanism):
         hp4 = n == len(HP4_ANCHORS) and len(used) == 3
         advantages = advantages or (HP4_ADVANTAGES if hp4 else (1.0,) * n)
         self.spools = tuple(spools or (HP4_SPOOLS if hp4 else range(1, n + 1)))
-        _check_lines(n, advantages, self.spools)
+        for name, each in (("advantages", advantages), ("spools", self.spools)):
+            if len(each) != n:
+                raise ModelError(f"{len(each)} {name} for {n} anchors, expected one for each")
+        if not all(value > 0 for value in advantages):
+            raise ModelError(f"advantages {list(advantages)}, expected numbers above 0")
         box = np.array([Cable.workspace.low, Cable.workspace.high])[:, used].tolist()
         self.workspace = Workspace(low=tuple(box[0]), high=tuple(box[1]))
         self.joints = tuple(f"motor{i + 1}" for i in range(n))
@@ -148,14 +152,6 @@ class Cable(Mechanism):
         points = np.array([self.parameters[name].nominal for name in names]).reshape(n + 1, n)
         sizes = np.linalg.svd(points[1:] - points[0], compute_uv=False)
         return bool(sizes[-1] > 0.05 * sizes[0])
-
-
-def _check_lines(n: int, advantages: Sequence[float], spools: Sequence[int]) -> None:
-    for name, values in (("advantages", advantages), ("spools", spools)):
-        if len(values) != n:
-            raise ModelError(f"{len(values)} {name} for {n} anchors, expected one for each")
-    if not all(value > 0 for value in advantages):
-        raise ModelError(f"advantages {list(advantages)}, expected numbers above 0")
 
 
 def _check_anchors(anchors: Sequence[Any]) -> np.ndarray:

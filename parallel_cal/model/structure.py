@@ -258,7 +258,8 @@ class Structure:
         parts, begin = [self._slopes(self.rows[:phi])], phi
         for sensor in self._with_numbers:
             end = begin + len(sensor.channels)
-            points = None if self._is_changed(sensor) else sensor.points(r, R, numbers[sensor.name])
+            is_changed = any(e.acts_on(c) for e in self.effects for c in sensor.channels)
+            points = None if is_changed else sensor.points(r, R, numbers[sensor.name])
             if points is None:
                 parts.append(self._slopes(self.rows[begin:end]))
             else:
@@ -271,10 +272,6 @@ class Structure:
             begin = end
         by_x, by_v = zip(*parts, strict=True)
         return ca.vertcat(*by_x), ca.vertcat(*by_v)
-
-    def _is_changed(self, sensor: Sensor) -> bool:
-        """Whether an effect acts on a sensor."""
-        return any(effect.acts_on(c) for effect in self.effects for c in sensor.channels)
 
     @cached_property
     def rows_batch(self) -> Batch:

@@ -24,7 +24,7 @@ from parallel_cal.planning.expectation import Expectation, View
 from parallel_cal.planning.options import PlanKeywords, PlanOptions
 from parallel_cal.planning.pose_table import format_pose_table
 from parallel_cal.planning.posepool import Pool, given_pool, make_pool
-from parallel_cal.planning.selection import SelectionProblem, anneal, exchange
+from parallel_cal.planning.selection import anneal, exchange
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -212,7 +212,18 @@ def plan(
         pool = given_pool(model, options.pool, rng)
     else:
         pool = make_pool(model, options.pool, rng, options.symmetric)
-    groups = _count_groups(n, pool)
+    size = pool.groups.shape[1]
+    if n % size:
+        raise FitError(
+            f"{n} poses are not a multiple of {size}, the size of a symmetric set: "
+            f"plan {n // size * size or size} or {n // size * size + size}"
+        )
+    if n > len(pool.poses):
+        raise FitError(
+            f"{n} poses requested, but only {len(pool.poses)} candidates are reachable, inside the "
+            "limits and away from singularities: take a larger pool"
+        )
+    groups = n // size
     unseen = make_pool(
         model, N_VALIDATION_POSES, np.random.default_rng([options.seed, 1]), symmetric=False
     )
@@ -223,10 +234,15 @@ def plan(
         chosen = exchange(problem, groups, report)
     else:
         chosen = anneal(problem, groups, rng, report)
-    random = _compute_median_expectation(view, problem, groups, rng)
+    # Compare with the random set that has the median criterion.
+    sets = [rng.permutation(len(problem.blocks))[:groups] for _ in range(RANDOM_SETS)]
+    costs = [problem.cost(problem.information(s)) for s in sets]
+    middle = sets[int(np.argsort(costs)[RANDOM_SETS // 2])]
+    random = view.expectation(view.rows(middle))
     rows = view.rows(chosen)
     expected = view.expectation(rows)
     _check_determined(expected, view.rank, options.prior)
+    channels = ", ".join(model.structure.channels)
     return Plan(
         model=model,
         poses=pool.poses[rows],
@@ -239,7 +255,9 @@ def plan(
         pool=len(pool.poses),
         warnings=(
             *view.warnings(),
-            *_list_sensor_warnings(model),
+            *[f"planned for the pose device only: readings of {channels} are ignored"][
+                : bool(channels)
+            ],
             *_list_region_warnings(model, pool.poses[rows]),
             *filter(None, [describe_untested_conditions(model, pool.a[rows])]),
         ),
@@ -288,13 +306,6 @@ def _measured(model: Model) -> np.ndarray:
     return np.array([True] * len(model.joints) + [given[0]] * 3 + [given[1]] * 3)
 
 
-def _list_sensor_warnings(model: Model) -> list[str]:
-    channels = ", ".join(model.structure.channels)
-    return [f"planned for the pose device only: readings of {channels} are ignored"] * bool(
-        channels
-    )
-
-
 def _list_region_warnings(model: Model, poses: Solutions) -> list[str]:
     """Name poses beyond the region in which the model was identified."""
     region = IdentifiedRegion.of_model(model)
@@ -336,29 +347,3 @@ def _check_determined(expected: Expectation, rank: int, prior: bool) -> None:
             f"{seen.poses} poses determine only {seen.rank} of the {rank} directions of the "
             "parameters that the workspace determines: plan more, fix parameters, or use priors"
         )
-
-
-def _count_groups(n: int, pool: Pool) -> int:
-    size = pool.groups.shape[1]
-    if n % size:
-        raise FitError(
-            f"{n} poses are not a multiple of {size}, the size of a symmetric set: "
-            f"plan {n // size * size or size}"
-            f" or {n // size * size + size}"
-        )
-    if n > len(pool.poses):
-        raise FitError(
-            f"{n} poses requested, but only {len(pool.poses)} candidates are reachable, inside the "
-            "limits and away from singularities: take a larger pool"
-        )
-    return n // size
-
-
-def _compute_median_expectation(
-    view: View, problem: SelectionProblem, groups: int, rng: np.random.Generator
-) -> Expectation:
-    """Return the expectation of the random set with the median criterion."""
-    sets = [rng.permutation(len(problem.blocks))[:groups] for _ in range(RANDOM_SETS)]
-    costs = [problem.cost(problem.information(s)) for s in sets]
-    middle = sets[int(np.argsort(costs)[RANDOM_SETS // 2])]
-    return view.expectation(view.rows(middle))

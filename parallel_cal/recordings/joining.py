@@ -64,7 +64,14 @@ def join_datasets(
     if starts is not None:
         at = Configuration(columns["q"], columns["r"], columns["R"])
         columns["pose_id"] = replicate_ids(at, columns["measured"], columns["scatter_q"], tolerance)
-    shared = _join_conditions(parts)
+    names = dict.fromkeys(name for part in parts for name in part.conditions)
+    shared = {
+        name: np.concatenate(
+            [part.conditions.get(name, np.full(len(part), np.nan)) for part in parts]
+        )
+        for name in names
+        if name.startswith(READING) or all(name in part.conditions for part in parts)
+    }
     warnings = _merge_warnings(parts)
     for d in parts:
         if lost := [name for name in d.conditions if name not in shared]:
@@ -160,15 +167,3 @@ def _shift_times(dataset: Dataset, start: float) -> Dataset:
     if "time" in conditions:  # otherwise only the order of the samples is known
         conditions["time"] = time
     return dataclasses.replace(dataset, time=time, dropped=late, conditions=conditions)
-
-
-def _join_conditions(parts: Sequence[Dataset]) -> dict[str, Array]:
-    """Return the conditions (N,) that all parts have, and every reading, NaN if a part lacks it."""
-    names = dict.fromkeys(name for part in parts for name in part.conditions)
-    return {
-        name: np.concatenate(
-            [part.conditions.get(name, np.full(len(part), np.nan)) for part in parts]
-        )
-        for name in names
-        if name.startswith(READING) or all(name in part.conditions for part in parts)
-    }

@@ -40,7 +40,8 @@ def make_dataset(given: Sequence[Table], wanted: ColumnMap, asks: str) -> Datase
     order, source = conditions.get("time"), " + ".join(str(table.path) for table in given)
     if order is None and wanted.join and wanted.join.within and len(tables) > 1:
         order = found.numbers([wanted.join.by])[:, 0]
-    if _orders_visits(wanted) and n > 1:
+    stated = any(name.split(".")[0] in ("direction", "travel") for name in wanted.conditions)
+    if wanted.visits == "in order" and not stated and n > 1:
         conditions |= _directions_of_visits(wanted, q, order)
         where = "times" if order is not None else "order"
         notes.append(
@@ -72,12 +73,6 @@ def make_dataset(given: Sequence[Table], wanted: ColumnMap, asks: str) -> Datase
     return dataclasses.replace(dataset, sha256=fingerprint(dataset))
 
 
-def _orders_visits(wanted: ColumnMap) -> bool:
-    """Return whether the rows are in the order of visits, and nothing else states directions."""
-    stated = any(name.split(".")[0] in ("direction", "travel") for name in wanted.conditions)
-    return wanted.visits == "in order" and not stated
-
-
 def _directions_of_visits(wanted: ColumnMap, q: Array, time: Array | None) -> dict[str, Array]:
     """Return the conditions direction.JOINT and travel.JOINT of rows in the order of their time, or
     of the file."""
@@ -103,7 +98,12 @@ def _match_rows(
     if len(tables) == 1:
         return tables, [], []
     if join is None:
-        _require_equal_lengths(tables)
+        counts = {str(table.path): len(table.rows) for table in tables}
+        if len({*counts.values()}) > 1:
+            raise DatasetError(
+                f"{' and '.join(f'{n} rows in {p}' for p, n in counts.items())}: state in "
+                "the column map how they belong together (join: {by: COLUMN})"
+            )
         paths = " and ".join(str(table.path) for table in tables)
         note = f"{paths} were matched row by row, because no column that joins them is stated"
         return tables, [], [note]
@@ -130,15 +130,6 @@ def _select_complete_rows(table: Table, wanted: ColumnMap) -> Table:
     numbers = [table.column(word) for name in names if (word := table.find(name)) is not None]
     usable = np.isfinite(numbers).all(axis=0) if numbers else np.ones(len(table.rows), bool)
     return table.select(np.flatnonzero(usable).tolist())
-
-
-def _require_equal_lengths(tables: Sequence[Table]) -> None:
-    counts = {str(table.path): len(table.rows) for table in tables}
-    if len({*counts.values()}) > 1:
-        raise DatasetError(
-            f"{' and '.join(f'{n} rows in {p}' for p, n in counts.items())}: state in "
-            "the column map how they belong together (join: {by: COLUMN})"
-        )
 
 
 def _join_tables(

@@ -107,23 +107,6 @@ def drawing(
         "text": [escape(part.label) for part in named],
         "textfont": {"size": 11},
     }
-    layout = {
-        "height": 460,
-        "showlegend": True,
-        "legend": {"orientation": "h", "y": 0, "x": 0},
-        "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
-        "scene": _cube(parts),
-    }
-    return {"data": [*traces, words | {"showlegend": False}], "layout": layout}
-
-
-def flat(parts: list[DrawnLine]) -> bool:
-    """Return whether all lines lie at one height."""
-    return bool(np.ptp(np.vstack([part.points for part in parts])[:, 2]) < 1e-6)
-
-
-def _cube(parts: list[DrawnLine]) -> Spec:
-    """Make axes of equal length; the camera looks at a flat mechanism from above."""
     points = 1e3 * np.vstack([part.points for part in parts])
     middle, half = (points.min(0) + points.max(0)) / 2, 0.55 * np.ptp(points, axis=0).max()
     axes: Spec = {
@@ -134,7 +117,19 @@ def _cube(parts: list[DrawnLine]) -> Spec:
     if flat(parts):
         axes["zaxis"]["visible"] = False
         camera = {"eye": {"x": 0, "y": 0, "z": 1.6}, "up": {"x": 0, "y": 1, "z": 0}}
-    return axes | {"aspectmode": "cube", "camera": camera}
+    layout = {
+        "height": 460,
+        "showlegend": True,
+        "legend": {"orientation": "h", "y": 0, "x": 0},
+        "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
+        "scene": axes | {"aspectmode": "cube", "camera": camera},
+    }
+    return {"data": [*traces, words | {"showlegend": False}], "layout": layout}
+
+
+def flat(parts: list[DrawnLine]) -> bool:
+    """Return whether all lines lie at one height."""
+    return bool(np.ptp(np.vstack([part.points for part in parts])[:, 2]) < 1e-6)
 
 
 def select_labelled(parts: list[DrawnLine]) -> list[DrawnLine]:

@@ -62,7 +62,16 @@ def in_space(report: Report, plot: Plot) -> str:
     fields = [left.now] if left.found is None else [left.now, left.found]
     figure, scale = spaces.residual_arrows(left.place, fields, left.kind, left.sample)
     flat, same = maps.residuals(left.place, fields, left.kind, left.sample)
-    legend = _legend(left.kind, scale, len(left.sample))
+    what = (
+        f"Measured minus predicted position, magnified {scale:g} times."
+        if left.kind == "position"
+        else "Rotation from predicted to measured orientation (rotation vector in {B}), at "
+        f"the platform's z axis on the unit sphere; 1 rad is drawn {scale:g} long."
+    )
+    if len(left.sample) > spaces.MAX_ARROWS:
+        what += f" {spaces.MAX_ARROWS} of {len(left.sample)} samples are drawn."
+    wheel = '<span class="wheel" aria-hidden="true"></span>'
+    legend = f'<p class="note legend">{wheel}<span>{escape(f"{what} {COLOURS}")}</span></p>'
     pages = {
         "in space": legend + plot(figure),
         "plan, front, side": paragraph(f"Residuals, magnified {same:g} times.", "note")
@@ -77,20 +86,6 @@ def in_space(report: Report, plot: Plot) -> str:
         )
         pages["model uncertainty"] = paragraph(note, "note") + plot(ellipses)
     return (SWITCH if left.found is not None else "") + tabs(pages) + _regions(report.regions)
-
-
-def _legend(kind: str, scale: float, count: int) -> str:
-    """Explain the arrows, their scale, and the colours of directions."""
-    what = (
-        f"Measured minus predicted position, magnified {scale:g} times."
-        if kind == "position"
-        else "Rotation from predicted to measured orientation (rotation vector in {B}), at "
-        f"the platform's z axis on the unit sphere; 1 rad is drawn {scale:g} long."
-    )
-    if count > spaces.MAX_ARROWS:
-        what += f" {spaces.MAX_ARROWS} of {count} samples are drawn."
-    wheel = '<span class="wheel" aria-hidden="true"></span>'
-    return f'<p class="note legend">{wheel}<span>{escape(f"{what} {COLOURS}")}</span></p>'
 
 
 def _regions(rows: Sequence[Region]) -> str:

@@ -76,7 +76,11 @@ def _traces(panel: Panel, mechanism: Mechanism) -> Iterator[Spec]:
     }
     x, wide = means.at * factor, 0.3 * step * factor
     if few:
-        across, up = _boxes(x, means.band, wide)
+        # A rectangle about each (x, 0), with gaps between them.
+        none, half = np.full(len(x), np.nan), means.band
+        corners = [x - wide, x + wide, x + wide, x - wide, x - wide, none]
+        across = np.column_stack(corners).ravel()
+        up = np.column_stack([half, half, -half, -half, half, none]).ravel()
     else:
         across, up = np.append(x, x[::-1]), np.append(means.band, -means.band[::-1])
     yield {
@@ -108,11 +112,3 @@ def _traces(panel: Panel, mechanism: Mechanism) -> Iterator[Spec]:
             "line": look,
             "hovertemplate": "%{y:.2f} σ",
         }
-
-
-def _boxes(x: np.ndarray, half: np.ndarray, wide: float) -> tuple[np.ndarray, np.ndarray]:
-    """A rectangle about each (x, 0), gaps between them."""
-    none = np.full(len(x), np.nan)
-    across = [x - wide, x + wide, x + wide, x - wide, x - wide, none]
-    up = [half, half, -half, -half, half, none]
-    return np.column_stack(across).ravel(), np.column_stack(up).ravel()

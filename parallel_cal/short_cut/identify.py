@@ -165,7 +165,16 @@ def combine(robot: Model, loops: Sequence[LoopResult], relinearise: bool = True)
     covariance = np.zeros((len(robot.table), len(robot.table)))
     covariance[np.ix_(free, free)] = seen.covariance
     model = robot.with_values(found.values, covariance)
-    _check_plausible(model)
+    # Dimensions that are implausible together indicate wrongly named loops.
+    sigma = np.sqrt(np.diag(np.asarray(model.covariance)))
+    for p, value, own, fixed in zip(model.table, model.values, sigma, model.fixed, strict=True):
+        low, high = p.plausible_range(own)
+        if not (fixed or low <= value <= high):
+            raise FitError(
+                f"together the loops put {p.name} to {value:.6g} {p.unit} (plausible {low:.6g} to "
+                f"{high:.6g}), though each is plausible alone: is a ball or rod named wrongly, or "
+                "was an encoder set to zero in between?"
+            )
     datasets = [k.fit.dataset for k in loops]
     step = {
         "step": "short-cut",
@@ -176,16 +185,3 @@ def combine(robot: Model, loops: Sequence[LoopResult], relinearise: bool = True)
     model = replace(model, history=(*robot.history, step))
     unseen = blind_spots([k.loop for k in loops], model, J)
     return Combination(model, tuple(loops), float(r @ r), len(r) - seen.rank, seen, unseen)
-
-
-def _check_plausible(model: Model) -> None:
-    """Refuse implausible dimensions, which indicate wrongly named loops (FitError)."""
-    sigma = np.sqrt(np.diag(np.asarray(model.covariance)))
-    for p, value, own, fixed in zip(model.table, model.values, sigma, model.fixed, strict=True):
-        low, high = p.plausible_range(own)
-        if not (fixed or low <= value <= high):
-            raise FitError(
-                f"together the loops put {p.name} to {value:.6g} {p.unit} (plausible {low:.6g} to "
-                f"{high:.6g}), though each is plausible alone: is a ball or rod named wrongly, or "
-                "was an encoder set to zero in between?"
-            )

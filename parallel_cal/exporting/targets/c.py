@@ -96,7 +96,11 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
     given = [list(range(n)), [n + i for i in m.controlled]]
     constants = [functions.iteration.n_constants for functions in newton]
     limits = np.array(m.joint_limits, dtype=float).reshape(-1, 2).T
-    names = _condition_names(model)
+    names = []  # of the conditions in C: `temperature`, or `direction[0]` of a joint
+    for name in model.conditions:
+        kind, _, joint = name.partition(".")
+        number = f"[{model.joints.index(joint)}]" if CONDITIONS[kind][2] else ""
+        names.append(_name_member(name) + number)
     # The specification of each member of the struct: unit, neutral value, whether by joint.
     members = {_name_member(name): CONDITIONS[name.split(".")[0]] for name in model.conditions}
     fields = [
@@ -167,16 +171,6 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
             f"constants_{problem}": c,
         }
     return {key: str(value) for key, value in words.items()}
-
-
-def _condition_names(model: Model) -> list[str]:
-    """Return the conditions as struct members: `temperature`, or `direction[0]` of a joint."""
-    members = []
-    for name in model.conditions:
-        kind, _, joint = name.partition(".")
-        number = f"[{model.joints.index(joint)}]" if CONDITIONS[kind][2] else ""
-        members.append(_name_member(name) + number)
-    return members
 
 
 def _name_member(condition: str) -> str:

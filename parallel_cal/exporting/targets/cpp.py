@@ -47,7 +47,9 @@ def files(model: Model, name: str = "", poses: int = 1000) -> dict[str, str]:
 
 def _embed(header: str, source: str, prefix: str) -> str:
     """Return both C files as the inside of a namespace in a header."""
-    text = _inside_guards(header, prefix) + source
+    # The header without its guard and without `extern "C"`.
+    inside = header.split(f"#define {prefix}_H\n")[1].rsplit("#endif", 1)[0]
+    text = re.sub(r"#ifdef __cplusplus\n.*?#endif\n", "", inside, flags=re.S) + source
     text = re.sub(r"^#include .*\n", "", text, flags=re.M)
     text = re.sub(r"^extern [^;]*;.*\n", "", text, flags=re.M)
     # A constant instead of a macro, except those of the header, which initialise a structure.
@@ -56,9 +58,3 @@ def _embed(header: str, source: str, prefix: str) -> str:
     text = re.sub(r"^(static )?const ", "inline constexpr ", text, flags=re.M)
     text = re.sub(r"^static inline |^static ", "inline ", text, flags=re.M)
     return re.sub(r"^(int|void) ", r"inline \1 ", text, flags=re.M)
-
-
-def _inside_guards(header: str, prefix: str) -> str:
-    """Return a C header without its guard and without `extern "C"`."""
-    inside = header.split(f"#define {prefix}_H\n")[1].rsplit("#endif", 1)[0]
-    return re.sub(r"#ifdef __cplusplus\n.*?#endif\n", "", inside, flags=re.S)

@@ -95,7 +95,12 @@ def minimise(
     promised = np.inf
     for k in range(iterations):
         last = near and k > 0 and here.normal.will_converge(promised)
-        if (k > 0 and here.normal.has_converged) or last or _stalled(costs):
+        # The last steps gained almost nothing: the minimum is reached, even if it is flat.
+        gains_nothing = (
+            len(costs) > STALLED_ITERATIONS
+            and costs[-STALLED_ITERATIONS - 1] - costs[-1] < STALLED_GAIN * costs[-1]
+        )
+        if (k > 0 and here.normal.has_converged) or last or gains_nothing:
             seen = sought.compute_spectrum(here.system)
             better = sought.make_knowledge(here.system, seen)
             if choices >= MAX_DIRECTION_CHOICES or known.is_close_to(better):
@@ -122,14 +127,6 @@ def minimise(
     raise NoSolutionError(
         f"identification did not converge in {iterations} iterations (chi2 "
         f"{here.system.chi2:.3g} of {len(here.system.residual)} samples): {advice}"
-    )
-
-
-def _stalled(costs: list[float]) -> bool:
-    """Whether the last steps gained almost nothing: the minimum is reached, even if it is flat."""
-    return (
-        len(costs) > STALLED_ITERATIONS
-        and costs[-STALLED_ITERATIONS - 1] - costs[-1] < STALLED_GAIN * costs[-1]
     )
 
 

@@ -171,25 +171,20 @@ def kind(stated: Settings) -> int:
 
 
 def read_delta(stated: Settings) -> Delta:
-    if kind(stated) == 3:
-        return _towers(stated)
+    if kind(stated) == 3:  # M665 L R H B X Y Z and M666 X Y Z A B; A and B are in per cent
+        radius = stated.number("M665 R", "the delta radius in mm", low=1.0)
+        least = "rod lengths in mm, longer than the delta radius"
+        rods = stated.numbers("M665 L", least, 3, low=radius)
+        trim = [stated.number(f"M665 {tower}", "degrees", 0.0, -30, 30) for tower in "XYZ"]
+        stops = [stated.number(f"M666 {tower}", "mm", 0.0) for tower in "XYZ"]
+        tilt = [stated.number(f"M666 {axis}", "per cent", 0.0, -20, 20) / 100 for axis in "AB"]
+        homed = stated.number("M665 H", "the homed height in mm", low=0.0)
+        heights = homed + np.array(stops)
+        reach = _reach(stated, "M665 B")
+        return Towers.of(radius, rods, trim, heights, tilt=(tilt[0], tilt[1]), reach=reach)
     if kind(stated) == 10:
         return _shoulders(stated)
     raise stated.error("M669 K", KINDS)
-
-
-def _towers(stated: Settings) -> Towers:
-    """Return the Delta of M665 L R H B X Y Z and M666 X Y Z A B; A and B are in per cent."""
-    radius = stated.number("M665 R", "the delta radius in mm", low=1.0)
-    least = "rod lengths in mm, longer than the delta radius"
-    rods = stated.numbers("M665 L", least, 3, low=radius)
-    trim = [stated.number(f"M665 {tower}", "degrees", 0.0, -30, 30) for tower in "XYZ"]
-    stops = [stated.number(f"M666 {tower}", "mm", 0.0) for tower in "XYZ"]
-    tilt = [stated.number(f"M666 {axis}", "per cent", 0.0, -20, 20) / 100 for axis in "AB"]
-    homed = stated.number("M665 H", "the homed height in mm", low=0.0)
-    heights = homed + np.array(stops)
-    reach = _reach(stated, "M665 B")
-    return Towers.of(radius, rods, trim, heights, tilt=(tilt[0], tilt[1]), reach=reach)
 
 
 def _shoulders(stated: Settings) -> Shoulders:

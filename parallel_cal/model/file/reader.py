@@ -42,7 +42,14 @@ class Reader:
         file = validate(self._document, hint)
         self._configure(mechanism, file)
         tolerances = self._own_tolerances(mechanism, file)
-        self._check_noise(mechanism, file)
+        # The noise of joints may be stated by joint or by unit.
+        known = [*mechanism.joints, *sorted(set(mechanism.joint_units))]
+        for name in file.noise.joint if isinstance(file.noise.joint, dict) else ():
+            if name not in known:
+                raise self._error(
+                    ("noise", "joint", name),
+                    f"neither a joint nor a unit of a joint{suggestion(name, known)}",
+                )
         entries = self._entries(file, mechanism, effects, sensors, tolerances)
         for path, parameter, entry in entries:
             checks.number(self._document, path, parameter, entry.value, entry.sigma)
@@ -153,7 +160,14 @@ class Reader:
             checks.gravity(self._document, file.gravity)
             x, y, z = file.gravity
             mechanism.gravity = (x, y, z)
-        mechanism.parameters = self._own_table(mechanism, file)
+        names = mechanism.parameters.names
+        checks.names(self._document, ("parameters",), file.parameters, names)
+        own = []
+        for parameter in mechanism.parameters:
+            entry = file.parameters[parameter.name]
+            checks.unit(self._document, ("parameters", parameter.name), parameter, entry.unit)
+            own.append(replace(parameter, nominal=entry.nominal, tolerance=entry.tolerance))
+        mechanism.parameters = ParameterTable(own)
 
     def _own_tolerances(self, mechanism: Mechanism, file: FilePart) -> dict[str, float]:
         """Return the tolerances by parameter name or shell pattern; each must match a parameter.
@@ -183,16 +197,6 @@ class Reader:
             own |= {p.name: tolerance for p in free} if fixed else {f"{name}.*": tolerance}
         return own
 
-    def _check_noise(self, mechanism: Mechanism, file: FilePart) -> None:
-        """Check that the noise of joints is stated for joints or units that the robot has."""
-        known = [*mechanism.joints, *sorted(set(mechanism.joint_units))]
-        for name in file.noise.joint if isinstance(file.noise.joint, dict) else ():
-            if name not in known:
-                raise self._error(
-                    ("noise", "joint", name),
-                    f"neither a joint nor a unit of a joint{suggestion(name, known)}",
-                )
-
     def _set_joints(self, mechanism: Mechanism, file: FilePart) -> None:
         """Set names, limits, gearing, drives and rates of the joints, in the mechanism's order."""
         names, own = tuple(file.joints), mechanism.joints
@@ -221,16 +225,6 @@ class Reader:
         rates = [(joint.velocity, joint.acceleration) for joint in file.joints.values()]
         if any(rate is not None for each in rates for rate in each):
             mechanism.joint_rates = tuple((v or math.inf, a or math.inf) for v, a in rates)
-
-    def _own_table(self, mechanism: Mechanism, file: FilePart) -> ParameterTable:
-        names = mechanism.parameters.names
-        checks.names(self._document, ("parameters",), file.parameters, names)
-        own = []
-        for parameter in mechanism.parameters:
-            entry = file.parameters[parameter.name]
-            checks.unit(self._document, ("parameters", parameter.name), parameter, entry.unit)
-            own.append(replace(parameter, nominal=entry.nominal, tolerance=entry.tolerance))
-        return ParameterTable(own)
 
     def _entries(
         self,
