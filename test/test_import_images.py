@@ -131,16 +131,20 @@ def test_unusable_images_are_listed_with_the_reason_and_their_rows_are_excluded(
     (folder / name_of(2)).write_bytes(b"not an image")
     blurred = cv2.GaussianBlur(images[1].image, (0, 0), 1.8)
     cv2.imwrite(str(folder / name_of(1)), blurred)
+    cv2.imwrite(str(folder / name_of(5)), np.ascontiguousarray(images[5].image[:, ::-1]))
     cv2.imwrite(str(folder / "shot_07.png"), images[0].image)
     dataset = samples("images", [folder], joints=table(folder, range(N)))
-    assert np.degrees(dataset.q[:, 0]) == pytest.approx([1.0, 31.0, 51.0])
+    assert np.degrees(dataset.q[:, 0]) == pytest.approx([1.0, 31.0])
     reasons = {one.reason: (one.count, one.detail) for one in dataset.dropped}
     assert reasons["camera: the file is not an image"] == (1, name_of(2))
     dark = next(reason for reason in reasons if "dark" in reason)
     assert reasons[dark] == (1, name_of(4))
     assert reasons["camera: blurred"][1].startswith(f"{name_of(1)} (its edges are ")
     assert reasons["camera: no joint readings"] == (1, "shot_07.png")
-    assert reasons["row without a usable image"][0] == 3
+    mirrored = next(reason for reason in reasons if "mirrored" in reason)
+    assert mirrored.endswith("switch off the mirroring of the camera or its driver")
+    assert reasons[mirrored] == (1, name_of(5))
+    assert reasons["row without a usable image"][0] == 4
 
 
 def test_a_board_of_another_size_is_named_before_any_sample_is_made(folder):

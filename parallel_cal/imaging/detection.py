@@ -58,7 +58,10 @@ class Corners:
         Contrast of the edges divided by their steepest slope, px; the larger of the two directions
         of the board. NaN if it was not measured.
     problem : str
-        Why the image cannot be used; empty if it can.
+        Why the image cannot be used; empty if it can. Images with the same problem have the same
+        words.
+    detail : str
+        What is particular to this image of that problem.
     """
 
     numbers: Numbers
@@ -67,6 +70,7 @@ class Corners:
     excluded: dict[int, float] = field(default_factory=dict)
     edge_width: float = np.nan
     problem: str = ""
+    detail: str = ""
 
 
 def read_image(path: Path) -> Grey | None:
@@ -91,8 +95,9 @@ class Detector:
         size = image.shape[1], image.shape[0]
         pixels, numbers, marker_pixels, markers = self._charuco.detectBoard(image)
 
-        def unusable(problem: str) -> Corners:
-            return Corners(np.zeros(0, np.int64), np.zeros((0, 2)), size, problem=problem)
+        def unusable(problem: str, detail: str = "") -> Corners:
+            nothing = np.zeros(0, np.int64), np.zeros((0, 2))
+            return Corners(*nothing, size, problem=problem, detail=detail)
 
         if markers is None or not len(markers):
             remark = _light(image) or self._explain_mirror(image)
@@ -102,21 +107,22 @@ class Detector:
             return unusable(other)
         count = 0 if numbers is None else len(numbers)
         if count < MIN_CORNERS:
-            return unusable(f"too few corners: {count} found, expected at least {MIN_CORNERS}")
+            return unusable("too few corners", f"{count} found, expected at least {MIN_CORNERS}")
         order = np.argsort(numbers.ravel())
         numbers = numbers.ravel()[order].astype(np.int64)
         pixels = pixels.reshape(-1, 2)[order].astype(float)
         plane = _Plane.through(self._cv2, self.board.corners[numbers], pixels)
         if plane is None:
-            return unusable(f"too few corners: {count} found, all on one line")
+            return unusable("too few corners", f"{count} found, all on one line")
         pixels = self._refine(image, numbers, pixels, plane)
         residuals = _fit_residuals(self.board.corners[numbers], pixels, plane, size)
         sigma = MAD_TO_SIGMA * float(np.median(residuals)) if len(residuals) else 0.0
         wrong = residuals > max(MIN_OUTLIER_PX, MIN_OUTLIER_SIGMAS * sigma)
         if (~wrong).sum() < MIN_CORNERS:
             return unusable(
-                f"too few corners: {int((~wrong).sum())} of {count} agree with each other, "
-                f"expected at least {MIN_CORNERS}"
+                "too few corners",
+                f"{int((~wrong).sum())} of {count} agree with each other, expected at least "
+                f"{MIN_CORNERS}",
             )
         excluded = {int(n): float(e) for n, e in zip(numbers[wrong], residuals[wrong], strict=True)}
         numbers, pixels = numbers[~wrong], pixels[~wrong]

@@ -104,8 +104,8 @@ def _check_sizes(images: list[BoardImage]) -> list[BoardImage]:
         if one.corners.size == usual or one.corners.problem
         else _reject(
             one,
-            f"it has {one.corners.size[0]} x {one.corners.size[1]} px, most images "
-            f"{usual[0]} x {usual[1]} px",
+            "another size than most images",
+            "{} x {} px, usual are {} x {} px".format(*one.corners.size, *usual),
         )
         for one in images
     ]
@@ -119,17 +119,14 @@ def _check_blur(images: list[BoardImage], limit: float | None) -> list[BoardImag
     usual = float(np.nanmedian(widths))
     limit = find_blur_limit(widths) if limit is None else limit
     return [
-        _reject(one, f"blurred: its edges are {width:.1f} px wide, usual are {usual:.1f} px")
+        _reject(one, "blurred", f"its edges are {width:.1f} px wide, usual are {usual:.1f} px")
         if width > limit
         else one
         for one, width in zip(images, widths, strict=True)
     ]
 
 
-def _reject(one: BoardImage, problem: str) -> BoardImage:
-    return replace(
-        one,
-        corners=replace(
-            one.corners, numbers=NO_CORNERS[0], pixels=NO_CORNERS[1], excluded={}, problem=problem
-        ),
-    )
+def _reject(one: BoardImage, problem: str, detail: str) -> BoardImage:
+    numbers, pixels = NO_CORNERS
+    corners = replace(one.corners, numbers=numbers, pixels=pixels, excluded={})
+    return replace(one, corners=replace(corners, problem=problem, detail=detail))

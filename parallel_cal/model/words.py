@@ -4,18 +4,51 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
 from parallel_cal.model.parameters import ParameterTable
+
+NUMBERED = re.compile(r"(.*[a-z])(\d+)")  # an owner in a parameter's name: chain2
+
+
+@dataclass(frozen=True)
+class Owner:
+    """What a parameter belongs to: a family such as `chain`, and its number there if it has one."""
+
+    family: str
+    number: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.family} {self.number}".rstrip()
+
+
+@dataclass(frozen=True)
+class Described:
+    """A parameter in words, and its owners from the inside out: `z`, of `plate`, of `probe`."""
+
+    word: str
+    owners: tuple[Owner, ...] = ()
+
+    def __str__(self) -> str:
+        return " of ".join([self.word, *map(str, self.owners)])
+
+    @classmethod
+    def of(cls, name: str, table: ParameterTable) -> Described:
+        """Describe a parameter; without a label, its name is kept."""
+        if name in table.names and table[name].title:
+            return cls(str(table[name].title))
+        *owners, key = name.split(".")
+        word = (table[name].label if name in table.names else "") or key
+        parts = [NUMBERED.fullmatch(owner) for owner in owners]
+        families = [match[1] if match else o for o, match in zip(owners, parts, strict=True)]
+        numbers = [match[2] if match else "" for match in parts]
+        found = map(Owner, [family.replace("_", " ") for family in families], numbers)
+        return cls(word, tuple(found)[::-1])
 
 
 def describe(name: str, table: ParameterTable) -> str:
     """Describe `chain2.Lb` as `rod length of chain 2`; without a label, the name is kept."""
-    if name in table.names and table[name].title:
-        return str(table[name].title)
-    *owners, key = name.split(".")
-    word = (table[name].label if name in table.names else "") or key
-    readable = [re.sub(r"(?<=[a-z])(\d+)$", r" \1", o).replace("_", " ") for o in owners]
-    return " of ".join([word, *reversed(readable)])
+    return str(Described.of(name, table))
 
 
 def direction_in_words(parts: Mapping[str, float], table: ParameterTable) -> str:
@@ -36,8 +69,9 @@ def _join_groups(names: list[str], table: ParameterTable, most: int = 3) -> str:
         grouped.setdefault(name.rpartition(".")[2], []).append(name)
     phrases = []  # such as `rod length of chain 1, 2, 3`
     for group in list(grouped.values())[:most]:
-        first, *others = (describe(name, table) for name in sorted(group))
-        phrases.append(", ".join([first, *(other.rpartition(" ")[2] for other in others)]))
+        first, *others = (Described.of(name, table) for name in sorted(group))
+        last = [one.owners[-1] if one.owners else Owner(one.word) for one in others]
+        phrases.append(", ".join([str(first), *(one.number or one.family for one in last)]))
     rest = len(grouped) - len(phrases)
     return " with ".join(phrases) + (f" and {rest} more" if rest else "")
 
@@ -46,11 +80,15 @@ def parameters_in_words(names: Iterable[str], table: ParameterTable) -> str:
     """Describe parameters, grouped: `D_x, D_y of chain 1, 2 and z of plate of probe`."""
     owners: dict[tuple[str, str], dict[str, None]] = {}
     for name in names:
-        word, _, owner = describe(name, table).partition(" of ")
-        family, _, number = owner.rpartition(" ") if owner[-1:].isdigit() else (owner, "", "")
-        owners.setdefault((word, family), {})[number] = None
+        one = Described.of(name, table)
+        *inner, last = one.owners or (Owner(""),)
+        family = " of ".join([*map(str, inner), last.family])
+        owners.setdefault((one.word, family), {})[last.number] = None
     parts: dict[tuple[str, str], list[str]] = {}
     for (word, family), numbers in owners.items():
         parts.setdefault((family, ", ".join(sorted(numbers))), []).append(word)
-    phrases = [f"{', '.join(words)} of {f} {n}".rstrip() for (f, n), words in parts.items()]
-    return " and ".join(phrases).replace(" of  ", " ").removesuffix(" of")
+    phrases = [
+        ", ".join(words) + (f" of {Owner(family, numbers)}" if family else "")
+        for (family, numbers), words in parts.items()
+    ]
+    return " and ".join(phrases)

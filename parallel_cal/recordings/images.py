@@ -101,7 +101,7 @@ class ImageReader:
         usable = [(time, one) for time, one in self.found if not one.problem]
         for time, one in self.found:
             if one.problem:
-                self.problems[one.problem.partition(": ")[0]].append(time)
+                self.problems[one.problem].append(time)
         if not usable:
             reasons = "; ".join(f"{why} ({len(at)})" for why, at in self.problems.items())
             raise BagError(
@@ -148,7 +148,7 @@ class ImageReader:
             return
         limit = find_blur_limit(widths)
         self.found = [
-            (time, replace(one, problem=f"blurred: edges {width:.1f} px wide"))
+            (time, replace(one, problem="blurred", detail=f"edges {width:.1f} px wide"))
             if width > limit and not one.problem
             else (time, one)
             for (time, one), width in zip(self.found, widths, strict=True)

@@ -256,9 +256,9 @@ def _list_unused(camera: str, images: Sequence[BoardImage], rows: Sequence[int])
     """Return every image that is not used, grouped by the reason."""
     reasons: dict[str, list[str]] = defaultdict(list)
     for one, row in zip(images, rows, strict=True):
-        if problem := one.corners.problem:
-            reason, _, detail = problem.partition(": ")
-            reasons[reason].append(f"{one.name} ({detail})" if detail else one.name)
+        if _bad(one):
+            detail = f" ({one.corners.detail})" if one.corners.detail else ""
+            reasons[one.corners.problem].append(f"{one.name}{detail}")
         elif row < 0:
             reasons["no joint readings"].append(one.name)
     return [
