@@ -2,9 +2,11 @@
 
 import dataclasses
 import doctest
+import enum
 import html
 import inspect
 import io
+import operator
 import random
 import re
 import subprocess
@@ -111,12 +113,50 @@ def test_every_public_function_is_documented_and_its_examples_run(name, monkeypa
     assert result.failed == 0, said.getvalue()
 
 
-@pytest.mark.parametrize(
-    "function", [pc.Model, pc.Kinematics, pc.Step, pc.Dataset.from_arrays], ids=lambda f: f.__name__
-)
-def test_the_examples_of_public_classes_run(function, monkeypatch):
+PUBLIC_CLASSES = [n for n in pc.__all__ if inspect.isclass(getattr(pc, n))]
+
+
+def is_shown_by_its_name(cls):
+    """Whether a class is an error or an enumeration: its members need no list."""
+    return issubclass(cls, (Exception, enum.Enum))
+
+
+@pytest.mark.parametrize("name", PUBLIC_CLASSES)
+def test_every_public_class_documents_itself_and_its_members(name):
+    cls = getattr(pc, name)
+    text = inspect.getdoc(cls)
+    assert text, name
+    if not is_shown_by_its_name(cls) and cls is not pc.Cell:  # a protocol has methods only
+        assert "Parameters\n----" in text or "Attributes\n----" in text
+    for member, value in vars(cls).items():
+        accessor = getattr(value, "fget", None) or getattr(value, "func", None)
+        function = accessor or getattr(value, "__func__", value)
+        if not member.startswith("_") and inspect.isfunction(function):
+            assert inspect.getdoc(function), f"{name}.{member}"
+
+
+@pytest.mark.parametrize("name", PUBLIC_FUNCTIONS + PUBLIC_CLASSES)
+def test_every_argument_is_documented_by_its_name(name):
+    documented = getattr(pc, name)
+    text = inspect.getdoc(documented)
+    if "Parameters\n----" not in text:
+        return
+    section = re.split(r"\n\n\w+\n---", text.split("Parameters\n----", 1)[1])[0]
+    for parameter in inspect.signature(documented).parameters.values():
+        if parameter.kind not in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
+            assert re.search(rf"\b{parameter.name}\b", section), parameter.name
+
+
+WITH_EXAMPLE = [n for n in PUBLIC_CLASSES if ">>>" in inspect.getdoc(getattr(pc, n))]
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("name", [*WITH_EXAMPLE, "Dataset.from_arrays"])
+def test_the_examples_of_public_classes_run(name, monkeypatch):
+    assert len(WITH_EXAMPLE) > 10
     monkeypatch.chdir(Path(pc.__file__).parents[1])
-    (example,) = doctest.DocTestFinder(recurse=False).find(function, function.__name__, globs={})
+    function = operator.attrgetter(name)(pc)
+    (example,) = doctest.DocTestFinder(recurse=False).find(function, name, globs={})
     said = io.StringIO()
     result = doctest.DocTestRunner().run(example, out=said.write)
     assert result.attempted > 0

@@ -75,11 +75,38 @@ class CampaignError(ParallelCalError):
 class Goal:
     """The goal of a campaign and its limits.
 
-    `enough` is an rms position error at the validation poses in m (rad if no position is measured),
-    or 0 to stop at a verdict. `effects` are the candidates; empty means all. A person may be asked
-    to attach `payload` (kg) or to warm the robot by `warmer` (K); 0 means never. If poses in the
-    workspace do not distinguish the effects, a space `reach` times as large may be used. `seed`
-    draws the candidate poses.
+    Parameters
+    ----------
+    poses : int
+        Largest number of poses. Default 80.
+    minutes : float
+        Longest duration, min. Default 60.
+    enough : float
+        Stop at this rms position error at the validation poses, m (rad if no position is measured).
+        Default 0: stop at a verdict.
+    effects : tuple of str
+        Candidate effects. Default: all.
+    keep_out : tuple of Box
+        Boxes in {B} that the robot must not enter. Default: none.
+    payload : float
+        Mass that a person may be asked to attach, kg. Default 0: never.
+    warmer : float
+        By how much a person may be asked to warm the robot, K. Default 0: never.
+    reach : float
+        If poses in the workspace do not distinguish the effects, a space this many times as large
+        may be used. Default 1.
+    hold_out : float
+        Share of the poses that is held out in each fit. Default 0.25.
+    joint_sigma : float, optional
+        Standard deviation of joint readings, rad or m. Default: as the model file states.
+    seed : int
+        Seed of the candidate poses. Default 0.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> pc.Goal(poses=40, enough=20e-6).poses
+    40
     """
 
     poses: int = 80
@@ -141,10 +168,26 @@ STATES = "planning moving sampling judging asking paused stopped done".split()
 class Outcome(goals.Outcome):
     """Outcome of a campaign.
 
-    `success` is true if the goal was reached. `text` holds the model if it is proven better.
-    `curve` holds pairs of the number of samples and the rms error at the validation poses (m or
-    rad): first for the initial model, then for each judgement. A campaign that has `ended` cannot
-    continue."""
+    Attributes
+    ----------
+    success : bool
+        Whether the goal was reached.
+    message : str
+        Why the campaign ended.
+    text : str
+        The model file's text if the model is proven better; else empty.
+    model : Model or None
+        The model of `text`.
+    document : dict
+        The JSON document of `parallel-cal calibrate`.
+    ended : bool
+        False if the campaign was stopped and can continue.
+    samples : int
+        Number of samples.
+    curve : tuple of (int, float)
+        Number of samples and rms error at the validation poses (m or rad): first for the initial
+        model, then for each judgement.
+    """
 
     ended: bool = True
     samples: int = 0
@@ -156,7 +199,35 @@ Work = Callable[..., Any]  # a function and its arguments -> its result
 
 
 class Campaign:
-    """A campaign in a folder, started with a model file's text or continued."""
+    """A campaign in a folder, started with a model file's text or continued.
+
+    Every sample and judgement is on disk before the next one begins: a campaign that was
+    interrupted continues where it was. `run` takes it to its end.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Folder of the campaign; created if it does not exist.
+    model : str
+        Text of the model file.
+    goal : Goal
+        When the campaign ends, and its limits.
+    cell : Cell
+        The robot and its measuring device.
+    tell : callable, optional
+        Receives each status. Default: nobody is told.
+    work : callable, optional
+        `work(function, *arguments)` runs the long computations. Default: at once.
+    control : Control, optional
+        Pauses or aborts the campaign from another thread.
+
+    Raises
+    ------
+    CampaignError
+        If another process uses the folder, or it holds the campaign of another model.
+    ModelFileError
+        If the model cannot be read.
+    """
 
     def __init__(
         self,
@@ -168,10 +239,6 @@ class Campaign:
         work: Work = operator.call,
         control: Control | None = None,
     ):
-        """Open the campaign. `tell` receives each status; `work` runs the long computations.
-
-        Raises CampaignError if another process uses the folder or if it holds the campaign of
-        another model, and ModelFileError if the model cannot be read."""
         parse_model(model, "the campaign's model")  # store nothing that cannot be read again
         self.folder, self.goal, self.control = Path(folder), goal, control or Control()
         self._cell, self._tell, self._work = cell, tell, work

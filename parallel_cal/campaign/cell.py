@@ -30,7 +30,15 @@ class AbortRequested(Exception):
 
 @dataclass(frozen=True)
 class Sample:
-    """One sample, its time counted from `start_ns`."""
+    """One sample of a campaign.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        A dataset with one sample. Its time counts from `start_ns`.
+    start_ns : int
+        Start of the recording, ns since 1970. Default 0.
+    """
 
     dataset: Dataset
     start_ns: int = 0
@@ -52,8 +60,25 @@ class Question:
 class Cell(Protocol):
     """A robot with its controller, and a device that measures its poses.
 
-    A method that takes long calls `go_on` at least every 50 ms; `go_on` raises if the campaign is
-    paused or aborted. Methods raise CellError on a fault.
+    A class with these methods is a cell: it needs no base class. A method that takes long calls
+    `go_on` at least every 50 ms; `go_on` raises if the campaign is paused or aborted.
+
+    Raises
+    ------
+    CellError
+        By every method, on a fault.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> class Simulated:
+    ...     def joints(self):
+    ...         return np.zeros(3)
+    ...
+    ...     def move(self, trajectory, go_on): ...
+    ...     def stop(self): ...
+    ...     def sample(self, go_on): ...
+    ...     def ask(self, words, conditions, go_on): ...
     """
 
     def joints(self) -> np.ndarray:

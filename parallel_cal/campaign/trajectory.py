@@ -22,7 +22,17 @@ STEP = 0.05  # s between points: dense enough for a controller that interpolates
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Joint positions and velocities (n, nq) at times (n,) in s after the start."""
+    """A motion of the joints.
+
+    Parameters
+    ----------
+    time : array (n,)
+        Times after the start, s.
+    positions : array (n, nq)
+        Joint positions, rad or m.
+    velocities : array (n, nq)
+        Joint velocities, rad/s or m/s.
+    """
 
     time: np.ndarray
     positions: np.ndarray
@@ -30,6 +40,7 @@ class Trajectory:
 
     @property
     def seconds(self) -> float:
+        """Duration, s."""
         return float(self.time[-1])
 
 

@@ -46,8 +46,24 @@ from parallel_cal.recordings.residuals import Residuals
 class Comparison(ShownInNotebook):
     """A model compared with measurements: the errors of each sample, and the noise floor.
 
-    `noise_sigmas` is by kind how much the rms of the noise floor varies between repetitions.
-    `model` and `errors` are those of the given model, registered only, as in the result of a fit.
+    Attributes
+    ----------
+    model : Model
+        The given model, in the frame of the measurements, as in the result of a fit.
+    dataset : Dataset
+        The samples (N).
+    observations : Observations
+        What was measured, with its covariance.
+    errors : Errors
+        Errors of the model at each sample; `errors.summary` holds their means and rms.
+    noise : Summary
+        The noise floor: the errors that noise alone would cause.
+    given : GivenModel
+        The model as it was given.
+    registration : Registration or None
+        The device's frame, if the poses had to be moved into {B}.
+    noise_sigmas : dict of float
+        By kind, how much the rms of the noise floor varies between repetitions (1 sigma).
     """
 
     model: Model
@@ -80,26 +96,31 @@ class Comparison(ShownInNotebook):
     @cached_property
     @single_threaded()
     def field(self) -> Field:
+        """The residuals by sample and component."""
         return Field.of(self.scene)
 
     @cached_property
     @single_threaded()
     def residual_profiles(self) -> tuple[ResidualProfile, ...]:
+        """The residuals against joints, coordinates and conditions, the most significant first."""
         return compute_residual_profiles(self.scene, self.field)
 
     @cached_property
     @single_threaded()
     def regions(self) -> tuple[Region, ...]:
+        """The rms errors in the octants of the workspace, worst first."""
         return regions(self.scene, self.field)
 
     @cached_property
     @single_threaded()
     def structure(self) -> LackOfFit:
+        """Whether the residuals show more structure than noise has."""
         return lack_of_fit(self.scene, self.field)
 
     @cached_property
     @single_threaded()
     def odd_samples(self) -> tuple[OddSample, ...]:
+        """The samples whose residuals contradict those of the others."""
         return odd_samples(self.scene, self.field)
 
     @cached_property

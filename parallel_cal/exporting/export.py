@@ -33,11 +33,22 @@ MIN_FOLDED_TOUCHES = 24  # twice the numbers of a linear Delta in RepRapFirmware
 
 @dataclass(frozen=True)
 class ExportResult:
-    """The written files.
+    """The written files, and what a firmware's numbers lose.
 
-    For a firmware, `loss` is the loss of accuracy by its numbers, `before` the loss with its old
-    numbers, `heights` the heights at touches of its bed, `movement` how far x and y move over this
-    bed, and `remarks` are further notes.
+    Attributes
+    ----------
+    paths : list of Path
+        The written files.
+    loss : dict or None
+        The loss of accuracy by a firmware's numbers: errors by kind (m, rad).
+    before : dict or None
+        The loss with the firmware's previous numbers.
+    remarks : list of str
+        Further notes.
+    heights : BedHeights or None
+        Height errors (m) at the touches of a firmware's bed, before and after.
+    movement : Movement or None
+        How far x and y move over this bed, m.
     """
 
     paths: list[Path]

@@ -165,6 +165,7 @@ class FitResult(ShownInNotebook):
 
     @property
     def samples(self) -> int:
+        """Number of samples."""
         return len(self.observations)
 
     @cached_property

@@ -32,6 +32,7 @@ class Status(IntEnum):
 
     @property
     def text(self) -> str:
+        """The name in small letters, as JSON documents have it."""
         return self.name.lower()
 
 
@@ -42,12 +43,35 @@ SOLVED = np.isin(list(Status), [Status.CONVERGED, Status.SINGULAR, Status.OUTSID
 
 @dataclass(frozen=True)
 class Solutions:
-    """N solved configurations: joints (N, nq), position (N, 3) m, rotation (N, 3, 3),
-    residual (N,) m and status (N,). Indexing returns one solution or a smaller set.
+    """N solved configurations. Indexing returns one solution or a smaller set.
 
-    `complete`: whether these are known to be all solutions of one sample (None: not requested).
-    `count_complex`: number of complex solutions that a complete search found (None: no such
-    search). `message`: a solver's remark on the whole set.
+    A sample that cannot be solved has a row, too: `status` states why.
+
+    Attributes
+    ----------
+    joints : array (N, nq)
+        Joint readings, rad or m.
+    position : array (N, 3)
+        Position of {P} in {B}, m.
+    rotation : array (N, 3, 3)
+        Orientation of {P} in {B}, as matrices.
+    residual : array (N,)
+        Remaining error of the closure, m.
+    status : array of int (N,)
+        A `Status` for each row.
+    count_complex : int or None
+        Number of complex solutions that a complete search found; None without such a search.
+    message : str or None
+        A solver's remark on the whole set.
+    complete : bool or None
+        Whether these are known to be all solutions of one sample; None if not requested.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> found = pc.Kinematics(pc.new_model("delta24")).inverse([[0.0, 0.0, 0.2], [0.0, 0.0, 9.0]])
+    >>> [pc.Status(number).text for number in found.status]
+    ['converged', 'unreachable']
     """
 
     joints: np.ndarray
@@ -96,6 +120,7 @@ class Solutions:
 
     @property
     def configuration(self) -> Configuration:
+        """Joints and poses as one object."""
         return Configuration(self.joints, self.position, self.rotation)
 
     @property
@@ -110,6 +135,7 @@ class Solutions:
 
     @property
     def ok(self) -> np.ndarray:
+        """Which rows converged inside the joint limits, at regular poses."""
         return self.status == Status.CONVERGED
 
 

@@ -236,6 +236,7 @@ class Effect(ABC):
 
     @property
     def name(self) -> str:
+        """Name in model files and commands: that of its file, or its Python path."""
         return type(self).__module__.removeprefix("parallel_cal.effects.")
 
     def fixed_patterns(self) -> list[str]:

@@ -55,7 +55,17 @@ class Home:
 class Workspace:
     """A box of controlled coordinates, for sampling and planning.
 
-    `low` and `high` are absolute: positions (m) and components of the rotation vector (rad) in {B}.
+    Parameters
+    ----------
+    low, high : tuple of float
+        Limits of each controlled coordinate in {B}: positions (m) and components of the rotation
+        vector (rad). They are absolute, not relative to home.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> pc.Workspace(low=(-0.1, -0.1, -0.4), high=(0.1, 0.1, -0.3)).high
+    (0.1, 0.1, -0.3)
     """
 
     low: tuple[float, ...]
@@ -258,10 +268,12 @@ class Mechanism(ABC):
 
     @property
     def moved(self) -> list[int]:
+        """Indices of the moved coordinates in x y z rx ry rz."""
         return _places(self.moves)
 
     @property
     def controlled(self) -> list[int]:
+        """Indices of the controlled coordinates in x y z rx ry rz."""
         return _places(self.controls)
 
     @property

@@ -91,7 +91,27 @@ class Parameter:
 
 
 class ParameterTable(Sequence[Parameter]):
-    """An ordered table of parameters; its order is the order of the parameter vector."""
+    """An ordered table of parameters; its order is the order of the parameter vector.
+
+    Parameters
+    ----------
+    parameters : iterable of Parameter
+        The parameters (n); each name may occur once.
+
+    Raises
+    ------
+    ModelError
+        If a name occurs twice.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> table = pc.ParameterTable([pc.Parameter("arm.L", "m", 0.2, 1e-4)])
+    >>> table["arm.L"].nominal
+    0.2
+    >>> table.vector({"arm.L": 0.201})
+    array([0.201])
+    """
 
     def __init__(self, parameters: Iterable[Parameter]):
         self._parameters = tuple(parameters)
@@ -110,14 +130,17 @@ class ParameterTable(Sequence[Parameter]):
 
     @cached_property
     def names(self) -> tuple[str, ...]:
+        """Names (n) of the parameters."""
         return tuple(p.name for p in self._parameters)
 
     @cached_property
     def nominal(self) -> np.ndarray:
+        """Nominal values (n,), each in its unit."""
         return np.array([p.nominal for p in self._parameters], dtype=float)
 
     @cached_property
     def tolerance(self) -> np.ndarray:
+        """Tolerances (n,), each in its unit."""
         return np.array([p.tolerance for p in self._parameters], dtype=float)
 
     @cached_property
@@ -175,6 +198,7 @@ class ParameterTable(Sequence[Parameter]):
         return ParameterTable(replace(p, nominal=nominal.get(p.name, p.nominal)) for p in self)
 
     def mapping(self, vector: Sequence[float] | np.ndarray) -> dict[str, float]:
+        """Return the values of a parameter vector (n,) by name."""
         return dict(zip(self.names, (float(v) for v in vector), strict=True))
 
 

@@ -95,10 +95,12 @@ class Sensor(ABC):
 
     @property
     def base_part(self) -> str:
+        """Name pattern of the parameters of its part on the base; empty by default."""
         return ""
 
     @property
     def platform_part(self) -> str:
+        """Name pattern of the parameters of its part on the platform; empty by default."""
         return ""
 
     @property

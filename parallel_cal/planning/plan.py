@@ -38,8 +38,27 @@ MAX_NAMED_PARAMETERS = 5  # of the least certain ones
 class Plan:
     """The poses to measure, with the inputs of the selection.
 
-    `approach` says how to reach them, None if that does not matter; `random` is the median of 21
-    random sets of the same size from the same pool.
+    Attributes
+    ----------
+    model : Model
+        The model for which the poses were chosen.
+    poses : Solutions
+        The chosen poses (n): joints, positions and rotations.
+    a : array (n, n_conditions)
+        Conditions at the poses, in the order of `model.conditions`.
+    approach : Approaches or None
+        How to reach the poses; None if that does not matter.
+    options : PlanOptions
+        The options of the selection.
+    free : array of bool (n_parameters,)
+        The parameters to identify.
+    expected, random : Expectation
+        Expected uncertainty with the chosen poses, and with the median of 21 random sets of the
+        same size from the same pool.
+    pool : int
+        Number of poses from which these were chosen.
+    warnings : tuple of str
+        What the plan does not achieve.
     """
 
     model: Model
@@ -61,6 +80,7 @@ class Plan:
 
     @property
     def names(self) -> list[str]:
+        """Names of the free parameters."""
         return [n for n, f in zip(self.model.table.names, self.free, strict=True) if f]
 
     def document(self) -> dict[str, Any]:

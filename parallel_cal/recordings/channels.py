@@ -24,19 +24,46 @@ Kind = Literal["joints", "poses", "condition", "words", "readings"]
 
 @dataclass(frozen=True)
 class Channel:
-    """The message types of a channel, the usual one first, and how a message is decoded.
+    """The message types of a channel, and how a message is decoded.
 
-    `decode` returns a row. Its content depends on the kind:
+    Parameters
+    ----------
+    kind : str
+        `joints`, `poses`, `condition`, `words` or `readings`.
+    types : tuple of str
+        Accepted message types, the usual one first.
+    decode : callable
+        Returns the row of a message. Its content depends on the kind:
 
-    - joints: (names, q, effort)
-    - poses: (frame, position, quaternion or None, covariance or None)
-    - condition: (value,), interpolated between messages, or, if `held`, valid until the next one
-    - words: (text,), the constraint of the tip until the next message
-    - readings: (the device's channel, m), averaged over a dwell
+        - joints: (names, q, effort)
+        - poses: (frame, position, quaternion or None, covariance or None)
+        - condition: (value,), interpolated between messages, or, if `held`, valid until the next
+        - words: (text,), the constraint of the tip until the next message
+        - readings: (the device's channel, m), averaged over a dwell
+    by_name : bool
+        Whether only a topic of this name is meant, because the message type has many uses. Default
+        False.
+    latched : bool
+        Whether the topic is often published once, before anything subscribes. Default False.
+    held : bool
+        Whether a condition stays valid until the next message. Default False.
+    unit : str
+        Unit of a condition. Default: none.
+    plausible : tuple of 2 float
+        A condition outside this range, in `unit`, causes a warning. Default: unbounded.
 
-    A channel whose message type has many uses is chosen `by_name` of its topic only. A `latched`
-    topic is often published once, before anything subscribes. A condition outside `plausible` (in
-    `unit`) causes a warning.
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> humidity = pc.Channel(
+    ...     "condition",
+    ...     ("sensor_msgs/msg/RelativeHumidity",),
+    ...     lambda message: (message.relative_humidity,),
+    ...     unit="1",
+    ...     plausible=(0.0, 1.0),
+    ... )
+    >>> humidity.types
+    ('sensor_msgs/msg/RelativeHumidity',)
     """
 
     kind: Kind

@@ -88,7 +88,7 @@ class SampleOptions:
 
 @dataclass(frozen=True)
 class ReadOptions(SampleOptions):
-    """Options of reading recordings and of making samples; see also SampleOptions.
+    """Options of reading recordings and of making samples.
 
     Parameters
     ----------
@@ -112,9 +112,32 @@ class ReadOptions(SampleOptions):
     mechanism : Mechanism, optional
         The robot: it states names and order of the joints, and converts angles of motors to lengths
         by the drives that its model file states.
+    mode : str
+        `dwell` (one sample per standstill), `continuous` (one per pose message) or `auto`.
+        Default `auto`.
+    min_dwell : float
+        Shortest standstill that is a dwell, s. Default 0.3.
+    trim_start, trim_end : float
+        Time that is cut off at the start and the end of a dwell, s. Defaults 0.1 and 0.05.
+    still_tolerance : float or sequence of float, optional
+        How far a joint may deviate while it stands still, rad or m. Default: from the data.
+    min_joint_messages : int
+        Joint messages that a dwell needs. Default 3.
+    min_pose_messages : int, optional
+        Pose messages that a dwell needs. Default 3, or 1 if the device sends fewer per dwell.
+    max_gap : float, optional
+        Longest gap between joint messages around a pose, s. Default: from the data.
+    joint_sigma : float or sequence of float, optional
+        Standard deviation of joint readings, rad or m. Default: not stated.
+    assume_units : bool
+        Whether positions that look like millimetres are accepted. Default False.
+    replicate_tolerance : float, optional
+        Joint distance between two visits of one pose, rad or m. Default: from the data.
 
     Raises
     ------
+    DatasetError
+        If a value of a sample's options is outside its range.
     BagError
         If a channel, a coordinate or `stamps` is unknown.
     """

@@ -39,7 +39,15 @@ MAX_DRAWS = 20  # draws per pose before the workspace counts as unreachable
 
 @dataclass(frozen=True)
 class Simulation:
-    """What a robot like `model` and its measuring device would publish."""
+    """What a robot and its measuring device would publish.
+
+    Attributes
+    ----------
+    model : Model
+        The simulated robot: a model with its effects.
+    recording : Recording
+        The streams of joints, poses and conditions.
+    """
 
     model: Model
     recording: Recording

@@ -33,8 +33,21 @@ def _text(words: str) -> Any:
 class CertificateFields:
     """What the owner states on a certificate; an empty field stays blank for a pen.
 
-    `limit_um` and `limit_arcmin` are the limits of acceptance of the rms position and orientation
-    error at held-out poses.
+    Parameters
+    ----------
+    number, robot, serial_number, device, device_serial_number, device_certificate : str
+        The certificate, the robot and the measuring device.
+    operator, place, temperature, measured_on, valid_until : str
+        Who measured, where, at which temperature and when.
+    limit_um, limit_arcmin : float, optional
+        Limits of acceptance of the rms position error (um) and the rms orientation error (arcmin)
+        at held-out poses. Default: none, nothing is decided.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> pc.CertificateFields(robot="Delta 4", limit_um=50.0).robot
+    'Delta 4'
     """
 
     number: str = _text("Certificate number")

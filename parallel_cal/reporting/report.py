@@ -79,7 +79,33 @@ class Provenance:
 class Report:
     """A diagnosis with its evidence, and optionally a comparison with another model.
 
-    The residuals are those of the present model, the parameters those with the effects found.
+    Attributes
+    ----------
+    diagnosis : Diagnosis
+        The diagnosis that is reported.
+    errors : HeldOutErrors
+        Errors at held-out poses: before, now, and with the effects found.
+    history : list of dict
+        One row for each step of the model: its name, its error and its data.
+    residuals, along, along_found, joints : Residuals, tuple, tuple, JointResiduals
+        Residuals of the present model in space, against quantities (without and with the effects
+        found), and of each joint.
+    spread : PositionUncertainty or None
+        Uncertainty of the model over the workspace.
+    regions, samples : tuple of Region, list of JudgedSample
+        Errors by octant of the workspace and by sample, worst first.
+    budget, iso_9283 : tuple of Budget, tuple of Iso9283
+        What contributes to the error; pose accuracy and repeatability (after ISO 9283).
+    parameters : dict of DescribedParameter
+        The parameters with the effects found, by name.
+    combinations, correlated : dict, list of Correlation
+        What the data do not determine, and what they cannot tell apart.
+    map : dict
+        The smooth part of the residuals.
+    against : Versus or None
+        The comparison with another model.
+    provenance, certificate, certified, conformity
+        Where the numbers come from, and the certificate's block with its decision.
     """
 
     diagnosis: Diagnosis

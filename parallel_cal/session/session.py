@@ -44,7 +44,31 @@ JUDGED = ("before", "errors", "noise", "against", "verdict", "summary", "samples
 
 
 class Session(History):
-    """The folder of a calibration. Every change is on disk before its method returns."""
+    """The folder of a calibration. Every change is on disk before its method returns.
+
+    `Session.new` starts a session; a step (`fit`, `add`, `remove`) makes a new state, and `undo`
+    returns to the previous one.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Folder of the session.
+
+    Raises
+    ------
+    SessionError
+        If the folder holds no session, or an unreadable one.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import parallel_cal as pc
+    >>> model, folder = pc.new_model("delta24"), tempfile.mkdtemp()
+    >>> pc.write_bag(pc.simulate(model, 12, effects=["backlash"]), f"{folder}/bag")
+    >>> session = pc.Session.new(f"{folder}/session", model, [f"{folder}/bag"])
+    >>> session.state.step
+    'begin'
+    """
 
     def __init__(self, folder: str | Path):
         """Open a session; SessionError if the folder has none, or an unreadable one."""
@@ -98,6 +122,7 @@ class Session(History):
 
     @property
     def model(self) -> Model:
+        """The model of the present state."""
         return self._model(self.state)
 
     @property
