@@ -225,6 +225,58 @@ def test_the_wrong_kind_of_argument_is_named_with_the_cure(results):
             call(model, "bag")
 
 
+IS_NO_MODEL = r"model is 'robot.yaml' \(str\); expected a Model.*read_model"
+WRONG_CALLS = {  # of functions that take a model, a dataset or a path
+    IS_NO_MODEL: [
+        lambda model, data: pc.add("robot.yaml", "backlash", data),
+        lambda model, data: pc.remove("robot.yaml", "backlash", data),
+        lambda model, data: pc.discover("robot.yaml", data),
+        lambda model, data: pc.plan("robot.yaml", 30),
+        lambda model, data: pc.export("robot.yaml", "c", "folder"),
+        lambda model, data: pc.simulate("robot.yaml", 30),
+        lambda model, data: pc.write_model("robot.yaml", "copy.yaml"),
+        lambda model, data: pc.Kinematics("robot.yaml"),
+    ],
+    r"dataset is 'bag' \(str\); expected a Dataset": [
+        lambda model, data: pc.add(model, "backlash", "bag"),
+        lambda model, data: pc.remove(model, "backlash", "bag"),
+    ],
+    r"effect is 3 \(int\); expected a string": [lambda model, data: pc.add(model, 3, data)],
+    r"effects is 'backlash' \(str\); expected a list: \['backlash'\]": [
+        lambda model, data: pc.diagnose(model, data, effects="backlash"),
+        lambda model, data: pc.simulate(model, 30, effects="backlash"),
+        lambda model, data: pc.new_model("delta24", effects="backlash"),
+    ],
+    r"free is 'chain1\.\*' \(str\); expected a list": [
+        lambda model, data: pc.fit(model, data, free="chain1.*")
+    ],
+    r"hold_out is '0.1' \(str\); expected a number": [
+        lambda model, data: pc.fit(model, data, hold_out="0.1")
+    ],
+    r"n is 30.5 \(float\); expected a whole number": [lambda model, data: pc.plan(model, 30.5)],
+    r"(path|folder) is 3 \(int\); expected the path of a file or folder": [
+        lambda model, data: pc.read_model(3),
+        lambda model, data: pc.load_dataset(3),
+        lambda model, data: pc.info(3),
+        lambda model, data: pc.Session(3),
+    ],
+    r"paths is 'bag' \(str\); expected a list": [lambda model, data: pc.load_sessions("bag")],
+    r"session is Dataset.* expected a Simulation": [lambda model, data: pc.write_bag(data, "bag")],
+}
+
+
+@pytest.mark.parametrize("words", WRONG_CALLS)
+def test_every_function_names_a_wrong_argument_and_what_was_expected(words, results):
+    for call in WRONG_CALLS[words]:
+        with pytest.raises(pc.ParallelCalError, match=words):
+            call(results["Model"], results["Dataset"])
+
+
+def test_the_result_of_a_fit_in_place_of_its_model_is_named(results):
+    with pytest.raises(pc.ModelError, match="pass the model of this FitResult"):
+        pc.add(results["FitResult"], "backlash", results["Dataset"])
+
+
 def test_a_misspelt_option_is_named_with_the_nearest_one(results):
     model, data = results["Model"], results["Dataset"]
     with pytest.raises(pc.FitError, match="unknown option hold_ouut; did you mean 'hold_out'"):

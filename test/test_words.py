@@ -5,7 +5,7 @@ import numpy as np
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.model import new_model
-from parallel_cal.model.words import parameters_in_words
+from parallel_cal.model.words import direction_in_words, parameters_in_words
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.simulate import with_effects
 from parallel_cal.reporting.blocks import as_text
@@ -53,4 +53,16 @@ def test_parameters_that_several_chains_share_are_named_once():
     )
     assert parameters_in_words(["La", "Lb"], new_model("delta_nominal").table) == (
         "arm length, rod length"
+    )
+    nominal = new_model("delta_nominal").table
+    assert parameters_in_words(["Lb", "chain1.theta", "chain3.theta"], nominal) == (
+        "rod length and chain's direction about z of chain 1, 3"
+    )
+
+
+def test_a_direction_names_the_joints_of_an_effect():
+    table = new_model("delta24", effects=["encoder_eccentricity"]).table
+    parts = {f"encoder_eccentricity.joint{k}.sin": 1.0 for k in (3, 1)} | {"chain2.Lb": -1.0}
+    assert direction_in_words(parts, table) == (
+        "sine part of joint 1, 3 of encoder eccentricity against rod length of chain 2"
     )

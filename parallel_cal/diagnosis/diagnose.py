@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from parallel_cal.base.arguments import require_names
 from parallel_cal.base.documents import to_json_value
-from parallel_cal.base.errors import FitError
+from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress, ignore_progress
@@ -275,6 +276,7 @@ def diagnose(
     ('explained', ('backlash',))
     """
     check_inputs(model, dataset)
+    require_names("effects", effects, ModelError)
     report = progress or ignore_progress
     options = with_changes(options or FitOptions(), changes, FitError)
     # The search refits with unusual sizes in any case: they are evidence against other effects.

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypedDict
 
+from parallel_cal.base.arguments import require_names, require_number
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.options import option
 
@@ -108,7 +109,13 @@ class FitOptions:
     insist: bool = False
 
     def __post_init__(self) -> None:
-        """Raise FitError for a negative share; a share that is too large is refused later."""
+        """Raise FitError for a wrong kind of value or a negative share; a share that is too large
+        is refused later."""
+        for name in ("free", "fix", "refit"):
+            require_names(name, getattr(self, name), FitError)
+        require_number("hold_out", self.hold_out, FitError)
+        if self.joint_sigma is not None:
+            require_number("joint_sigma", self.joint_sigma, FitError)
         if not self.hold_out >= 0:
             raise FitError(f"hold_out {self.hold_out}: expected 0 (no validation) to 0.5")
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from parallel_cal.base.arguments import require_model
 from parallel_cal.base.compiled import Single
 from parallel_cal.kinematics.problem import Problem
 from parallel_cal.kinematics.rows import joint_rows, pose_rows
@@ -61,6 +62,7 @@ class Kinematics:
     """
 
     def __init__(self, model: Model, compile: bool = False, quick: bool = False):
+        require_model(model)
         self.model = model
         self._compile, self._quick = compile, quick
         self._n = len(model.joints)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.arguments import require_names
 from parallel_cal.base.errors import ModelError
 from parallel_cal.model.effect import Effect, list_substitutes
 from parallel_cal.model.machine_class import DEFAULT_CLASS, MachineClass, check_class
@@ -392,6 +393,7 @@ def new_model(
     """
     if isinstance(mechanism, str):
         mechanism = load_mechanism(mechanism)
+    require_names("effects", effects, ModelError)
     loaded = tuple(load_effect(name) for name in effects)
     table = structure_of(mechanism, loaded, tuple(sensors)).table
     return Model(

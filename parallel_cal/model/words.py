@@ -32,6 +32,13 @@ class Described:
     def __str__(self) -> str:
         return " of ".join([self.word, *map(str, self.owners)])
 
+    def numbered(self, place: int, number: str) -> Described:
+        """Return it with another number of the owner at a place; unchanged at place -1."""
+        owners = list(self.owners)
+        if place >= 0:
+            owners[place] = Owner(owners[place].family, number)
+        return Described(self.word, tuple(owners))
+
     @classmethod
     def of(cls, name: str, table: ParameterTable) -> Described:
         """Describe a parameter; without a label, its name is kept."""
@@ -63,16 +70,17 @@ def direction_in_words(parts: Mapping[str, float], table: ParameterTable) -> str
 
 
 def _join_groups(names: list[str], table: ParameterTable, most: int = 3) -> str:
-    """The first few parameters; equal parameters of several chains share one phrase."""
-    grouped: dict[str, list[str]] = {}
-    for name in names:
-        grouped.setdefault(name.rpartition(".")[2], []).append(name)
-    phrases = []  # such as `rod length of chain 1, 2, 3`
-    for group in list(grouped.values())[:most]:
-        first, *others = (Described.of(name, table) for name in sorted(group))
-        last = [one.owners[-1] if one.owners else Owner(one.word) for one in others]
-        phrases.append(", ".join([str(first), *(one.number or one.family for one in last)]))
-    rest = len(grouped) - len(phrases)
+    """The first few parameters; those that differ in one owner's number share a phrase."""
+    groups: dict[tuple[Described, int], dict[str, None]] = {}
+    for one in (Described.of(name, table) for name in names):
+        place = next((k for k, owner in enumerate(one.owners) if owner.number), -1)
+        number = one.owners[place].number if place >= 0 else ""
+        groups.setdefault((one.numbered(place, ""), place), {})[number] = None
+    phrases = [
+        str(alike.numbered(place, ", ".join(sorted(numbers))))  # `rod length of chain 1, 2, 3`
+        for (alike, place), numbers in list(groups.items())[:most]
+    ]
+    rest = len(groups) - len(phrases)
     return " with ".join(phrases) + (f" and {rest} more" if rest else "")
 
 

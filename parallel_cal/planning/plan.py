@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from parallel_cal.base.arguments import require_count, require_model
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.options import with_changes
@@ -218,6 +219,8 @@ def plan(
     >>> bool(plan.expected.position_rms < plan.random.position_rms)
     True
     """
+    require_model(model)
+    require_count("n", n, FitError)
     options = with_changes(options or PlanOptions(), changes, FitError)
     measured = _measured(model)
     sought = EstimationProblem(model, free_mask(model, options.free, options.fix), options.prior)

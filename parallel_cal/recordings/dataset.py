@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from parallel_cal.base.arguments import require_dataset, require_model
 from parallel_cal.base.documents import to_json_value
-from parallel_cal.base.errors import DatasetError, ModelError
+from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.files import write_atomically
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.recordings.recording import Array, Bools, Dropped
@@ -316,12 +317,5 @@ class Dataset:
 
 def check_inputs(model: Model, dataset: Dataset) -> None:
     """Raise ModelError or DatasetError if an argument has the wrong type, such as a path."""
-    for name, value, attribute, error, cure in (
-        ("model", model, "mechanism", ModelError, "read_model(path) or new_model(name)"),
-        ("dataset", dataset, "joint_names", DatasetError, "load_dataset(path)"),
-    ):
-        if not hasattr(value, attribute):
-            raise error(
-                f"{name} is {value!r:.60} ({type(value).__name__}); expected a "
-                f"{name.capitalize()}, as parallel_cal.{cure} returns it"
-            )
+    require_model(model)
+    require_dataset(dataset)

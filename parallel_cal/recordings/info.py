@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.arguments import require_path
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.progress import Progress
@@ -56,6 +57,7 @@ def info(
     >>> pc.info("bags/delta_backlash")["samples"]
     94
     """
+    require_path("path", path, DatasetError)
     options = options or ReadOptions()
     if holds_samples(Path(path)):
         return info_of(Dataset.from_json(path).excluding(options.exclude))

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.base.errors import SolveError
+from parallel_cal.base.arguments import require_count, require_model, require_names
+from parallel_cal.base.errors import ModelError, SolveError
 from parallel_cal.base.rotation import matrix_to_quaternion, rotation_matrix
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.base.units import ARCSEC
@@ -136,6 +137,9 @@ def simulate(
     >>> len(simulation.dataset())
     12
     """
+    require_model(model)
+    require_count("poses", poses, SolveError)
+    require_names("effects", effects, ModelError)
     if poses < 1 or not 0 <= replicates <= poses:
         raise SolveError(f"{replicates} replicates of {poses} poses: expected at most one each")
     model = with_effects(model, map(parse_effect, effects))

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from parallel_cal.base.arguments import describe_argument
 from parallel_cal.base.errors import BagError
 from parallel_cal.recordings.channels import CHANNELS
 
@@ -47,6 +48,9 @@ def write_bag(session: Simulation, path: str | Path, storage: str = "mcap") -> N
     >>> len(pc.load_dataset(path))
     5
     """
+    if not hasattr(session, "recording"):
+        found = describe_argument("session", session)
+        raise BagError(f"{found}; expected a Simulation, as parallel_cal.simulate returns it")
     if storage not in STORAGES:
         raise BagError(f"storage '{storage}' unknown; expected {' or '.join(STORAGES)}")
     messages = _Session()

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from parallel_cal.base.arguments import require_text
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.base.notebook import ShownInNotebook
@@ -37,7 +38,7 @@ from parallel_cal.identification.thresholds import MAX_NEGLIGIBLE_ERROR_RISE
 from parallel_cal.model.effect import parse_effects
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
-from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.dataset import Dataset, check_inputs
 from parallel_cal.recordings.lagged import add_lagged_conditions
 
 if TYPE_CHECKING:
@@ -199,6 +200,8 @@ def add(
     >>> step.model.effects[-1].name
     'backlash'
     """
+    check_inputs(model, dataset)
+    require_text("effect", effect, ModelError)
     asked, larger = parse_effects(effect), model
     for name, _ in asked:  # report a wrong name before a search
         larger = larger.with_effect(name)
@@ -341,6 +344,8 @@ def remove(
     >>> pc.remove(with_backlash, "backlash", data, force=True).model.effects
     ()
     """
+    check_inputs(model, dataset)
+    require_text("effect", effect, ModelError)
     smaller = model.without_effect(effect)  # report a wrong name before a fit
     how, progress = _collect_options(options)
     with_it = fit(model, dataset, how, progress)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
+from parallel_cal.base.arguments import require_model, require_path
 from parallel_cal.base.errors import ModelFileError
 from parallel_cal.base.files import BACKUP_SUFFIX, MEGABYTE, read_text, write_atomically
 from parallel_cal.model.file.writer import dump_model
@@ -49,6 +50,7 @@ def read_model(path: str | Path) -> Model:
     >>> pc.read_model("config/delta_mockup_nominal.yaml").mechanism.name
     'delta54'
     """
+    require_path("path", path, ModelFileError)
     return parse_model(model_text(path), str(path))
 
 
@@ -91,6 +93,7 @@ def write_model(model: Model, path: str | Path) -> None:
     >>> pc.read_model(path)
     Model(delta24, 24 parameters)
     """
+    require_model(model)
     write_text(path, readable_text(model, path))
 
 
