@@ -22,6 +22,7 @@ from parallel_cal.diagnosis.ambiguity import (
 )
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_to_test
 from parallel_cal.diagnosis.device import find_doubtful_effects
+from parallel_cal.diagnosis.drift import compute_drift_p_value
 from parallel_cal.diagnosis.entries import (
     Entry,
     NegativeControl,
@@ -543,29 +544,34 @@ def _search_effects(search: Search, catalogue: _Catalogue) -> tuple[Trial, dict[
         return best, against
 
     best, against = found()
-    slow = {c.name for c in catalogue.rank(base) if c.varies_slowly and c.testable}
-    if not slow & set(best.names):
-        return best, against
-    shape = NoiseShape.of(best.scene, Field.of(best.scene))
-    if not shape.correlated or _exceed_drift(search, best, slow, shape.inflation):
-        return best, against
-    catalogue.wandering = False
-    best, against = found()
-    words = f"indistinguishable from drift: the noise is correlated over {shape.memory:.2g} s"
-    return best, against | dict.fromkeys(sorted(slow), words)
+    while imitated := _find_imitated_by_drift(search, best, catalogue):
+        words = "indistinguishable from drift: neighbours in time explain each other as well"
+        catalogue.imitated |= imitated
+        best, more = found()
+        against = more | dict.fromkeys(sorted(catalogue.imitated), words)
+    return best, against
 
 
-def _exceed_drift(search: Search, best: Trial, slow: set[str], inflation: float) -> bool:
-    """Whether each slow effect explains more than drifting noise, which varies `inflation` times
-    as much as white noise over such times."""
-    for name in slow & set(best.names):
-        without = search.fit(*(c for c in best.chosen if c.name != name))
-        if without.result is None:
+def _find_imitated_by_drift(search: Search, best: Trial, catalogue: _Catalogue) -> set[str]:
+    """Find the slow effects that noise which drifts explains as well: those chosen, with all that
+    the data show less clearly; none if every chosen one explains more."""
+    dataset = best.scene.dataset
+    if dataset.mode == "continuous" or "time" not in dataset.conditions:
+        return set()
+    slow = {c.name: c for c in catalogue.rank(search.fit()) if c.varies_slowly and c.testable}
+    if not slow.keys() & set(best.names):
+        return set()
+    imitated = set[str]()
+    for one in best.chosen:
+        without = search.fit(*(c for c in best.chosen if c is not one))
+        if one.name not in slow or without.result is None:
             continue
-        log_p = improvement_log_p(without.result.estimate, best.fitted.estimate, inflation)
-        if log_p > np.log(DRIFT_SIGNIFICANCE_LEVEL):
-            return False
-    return True
+        freedoms = without.result.estimate.dof - best.fitted.estimate.dof
+        p = compute_drift_p_value(without.scene, best.scene, freedoms)
+        if p * slow[one.name].tried > DRIFT_SIGNIFICANCE_LEVEL:
+            imitated.add(one.name)
+    exceeding = set(best.names) - imitated
+    return (imitated | (slow.keys() - exceeding)) if imitated else set()
 
 
 class _Catalogue:
@@ -573,7 +579,7 @@ class _Catalogue:
 
     def __init__(self, names: list[str], report: Progress):
         self._names, self._report = names, report
-        self.wandering = True  # whether what goes with time or temperature may be named
+        self.imitated = set[str]()  # slow effects that noise which drifts explains as well
         self._ranked: dict[frozenset[Chosen], list[Candidate]] = {}
 
     def rank(self, trial: Trial) -> list[Candidate]:
@@ -589,9 +595,7 @@ class _Catalogue:
 
     def select_significant(self, trial: Trial) -> list[Candidate]:
         """Select the best significant candidates, corrected for the number of tests."""
-        tested = [
-            c for c in self.rank(trial) if c.testable and (self.wandering or not c.varies_slowly)
-        ]
+        tested = [c for c in self.rank(trial) if c.testable and c.name not in self.imitated]
         adjusted = holm(np.array([c.p_value for c in tested]))
         return [c for c, p in zip(tested, adjusted, strict=True) if p < NAMING_SIGNIFICANCE_LEVEL][
             :MAX_REFITTED_CANDIDATES
