@@ -162,7 +162,22 @@ def test_a_bad_table_is_named_by_file_line_and_column(files, change, words):
             "map.yaml:6: conditions.temprature: unknown "
             "condition; expected one of time, temperature, .*direction.JOINT",
         ),
-        (("group:", "groups:"), "map.yaml:7: groups: unknown key; did you mean 'group'"),
+        (
+            ("group:", "groups:"),
+            r"map.yaml:7: groups: unknown key; did you mean 'group'\?; expected one of joints, pos",
+        ),
+        (
+            ("z], unit: mm", "z], scale: 2"),
+            "map.yaml:4: position.scale: unknown key; expected one of columns, unit$",
+        ),
+        (
+            ("a_deg, unit: deg", "a_deg, gear: 2"),
+            "map.yaml:2: joints.arm.gear: unknown key; expected one of column, unit, factor, per_",
+        ),
+        (
+            ("noise: {joint: 1.0e-4", "matrix: [a, b, c, d, e, f, g, h, i]\nnoise: {joint: 1.0e-4"),
+            "map.yaml:8: matrix: orientation is given as well: remove one of the two",
+        ),
         (("joint: 1.0e-4", "joint: -1"), "map.yaml:8: noise.joint: expected 0 or more"),
         ((MAP, "joints: {a: {column: a_deg, unit: deg}}"), "neither position nor orientation"),
     ],
@@ -170,6 +185,72 @@ def test_a_bad_table_is_named_by_file_line_and_column(files, change, words):
 def test_a_bad_map_is_named_by_file_line_and_key(files, change, words):
     with pytest.raises(ParallelCalError, match=words):
         import_csv(*files(columns=MAP.replace(*change)))
+
+
+HEADED = "arm [deg],x [mm],y [mm],z [mm],temperature [K],payload (g),time_ms,direction.arm\n"
+
+
+def test_conditions_in_a_header_are_recorded_in_si(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text(HEADED + "90,1,2,3,293.15,1500,0,1\n0,1,2,3,294.15,0,2500,-1\n")
+    table = read_table(path)
+    data = make_dataset([table], map_by_names(table, ["arm"], tmp_path / "m.yaml"), "the header")
+    np.testing.assert_allclose(data.conditions["temperature"], [20, 21])
+    np.testing.assert_allclose(data.conditions["payload"], [1.5, 0])
+    np.testing.assert_allclose(data.conditions["time"], [0, 2.5])
+    np.testing.assert_allclose(data.conditions["direction.arm"], [1, -1])
+
+
+def test_a_condition_of_a_map_has_the_unit_of_its_header(files):
+    data = import_csv(*files(TABLE.replace("T,visit", "T [degF],visit").replace("21.5", "68")))
+    assert data.conditions["temperature"][0] == pytest.approx(20)
+
+
+@pytest.mark.parametrize(
+    ("word", "words"),
+    [
+        ("temperature [bar]", r"t.csv:1: column temperature \[bar\]: 'bar' is no unit of temp.* K"),
+        ("temperature [mm]", "is in mm, but temperature is in degC: expected one of degC, K, degF"),
+    ],
+)
+def test_a_wrong_unit_of_a_condition_is_refused(word, words, tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text(HEADED.replace("temperature [K]", word) + "90,1,2,3,293.15,1500,0,1\n")
+    table = read_table(path)
+    with pytest.raises(DatasetError, match=words):
+        make_dataset([table], map_by_names(table, ["arm"], tmp_path / "m.yaml"), "the header")
+
+
+ROTATIONS = (
+    # A quarter turn about z, half a turn about x, and a turn of 120 degrees about (1, 1, 1).
+    "0,0,1.5707963267948966,0,-1,0,1,0,0,0,0,1\n"
+    "3.141592653589793,0,0,1,0,0,0,-1,0,0,0,-1\n"
+    "1.2091995761561452,1.2091995761561452,1.2091995761561452,0,0,1,1,0,0,0,1,0\n"
+)
+
+
+@pytest.mark.parametrize(
+    "orientation",
+    [
+        "rotation_vector: {columns: [u, v, w], unit: rad}",
+        "matrix: [r11, r12, r13, r21, r22, r23, r31, r32, r33]",
+    ],
+)
+def test_rotation_vectors_and_matrices_are_orientations(files, orientation):
+    header = "a,u,v,w,r11,r12,r13,r21,r22,r23,r31,r32,r33\n"
+    rows = [f"{k},{line}" for k, line in enumerate(ROTATIONS.splitlines())]
+    joints = "joints: {arm: {column: a, unit: deg}}\n"
+    data = import_csv(*files(header + "\n".join(rows) + "\n", joints + orientation + "\n"))
+    np.testing.assert_allclose(data.R[0], [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-12)
+    np.testing.assert_allclose(data.R[1], np.diag([1, -1, -1]), atol=1e-12)
+    np.testing.assert_allclose(data.R[2], [[0, 0, 1], [1, 0, 0], [0, 1, 0]], atol=1e-12)
+
+
+def test_nine_numbers_that_are_no_rotation_are_refused(files):
+    header, names = "a,b,c,d,e,f,g,h,i,j\n", "[b, c, d, e, f, g, h, i, j]"
+    columns = f"joints: {{arm: {{column: a, unit: deg}}}}\nmatrix: {names}\n"
+    with pytest.raises(DatasetError, match=r"t.csv:2: b, .* are no rotation matrix"):
+        import_csv(*files(f"{header}0,1,0,0,0,1,0,0,0,-1\n", columns))
 
 
 SHORT = "joints: {arm: {column: arm}, slide: {column: slide}}\n"

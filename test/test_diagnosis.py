@@ -355,15 +355,32 @@ def test_it_reports_progress_and_can_be_cancelled():
 def test_gross_outliers_are_set_aside_and_named_before_a_robust_diagnosis():
     data, _ = hiding([vf.KINDS["backlash"]], 0.6, seed=6)
     data.r[[20, 60, 100]] += [[2e-3, 0, 0], [0, -3e-3, 0], [0, 0, 5e-3]]
+    data.r[[30, 70]] -= [[2e-3, 0, 0], [0, -3e-3, 0]]
     spoilt = diagnose(MODEL, data, effects=["backlash", "base_drift", "device_axes"])
-    assert {one.sample for one in spoilt.odd_samples if one.outlier} >= {20, 60, 100}
+    assert {one.sample for one in spoilt.odd_samples if one.outlier} >= {20, 30, 60, 70, 100}
+    assert not spoilt.knocked  # so many are heavy tails of the noise
     assert spoilt.verdict.word != "explained"
     found = diagnose(MODEL, data, effects=["backlash", "base_drift", "device_axes"], loss="cauchy")
     assert found.effects == ("backlash",)
     assert found.verdict.word == "explained"
     assert any(
-        "excluded by --loss cauchy: sample 20, 60, 100" in w for w in found.document()["warnings"]
+        "excluded by --loss cauchy: sample 20, 30, 60, 70, 100" in w
+        for w in found.document()["warnings"]
     )
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("size", [0.3e-3, 2e-3])
+def test_one_knocked_sample_is_named_with_the_verdict_of_the_others(size):
+    data, _ = hiding([vf.KINDS["backlash"]], 0.8, seed=40)
+    data.r[17] += size * np.array([0.7, -0.5, 0.5])
+    found = diagnose(MODEL, data, effects=["backlash", "base_drift", "device_axes"])
+    assert found.effects == ("backlash",)
+    assert found.verdict.word == "explained"
+    assert [one.sample for one in found.knocked] == [17]
+    assert found.verdict.summary.startswith("sample 17 (")
+    assert found.document()["next_steps"][0].endswith("--data exclude=17")
+    assert found.next_steps[-1].split(" -o ")[0].endswith("RECORDING --data exclude=17")
 
 
 @pytest.mark.wide

@@ -272,7 +272,12 @@ def test_the_commands_write_samples_and_a_model_that_can_be_read(files, tmp_path
         (("new", "-o", "a.yaml"), 2, "--from FILE"),
         (("new", "delta24", "--from", "c.g", "-o", "a.yaml"), 2, "--from FILE"),
         (("new", "--from", "c.stl", "-o", "a.yaml"), 1, "expected .cfg (klipper)"),
-        (("new", "--from", "c.urdf", "-o", "a.yaml"), 1, "; or .urdf (new serial)"),
+        (("new", "--from", "c.urdf", "-o", "a.yaml"), 1, "c.urdf"),
+        (
+            ("new", "--from", "c.g", "--to-link", "b", "-o", "a.yaml"),
+            2,
+            "only a URDF has links",
+        ),
         (("import", "rrrf", "c.g", "-o", "a.json"), 1, "no importer 'rrrf': expected one of"),
         (("import", "rrf", "c.g", "-o", "a.json"), 1, "expected height maps (.csv)"),
         (("import", "rrf", "c.g", "h.csv", "-o", "a.json"), 1, "c.g: cannot be read: No such file"),

@@ -66,6 +66,38 @@ UNIT_ALIASES = {
     "meter": "m",
     "metre": "m",
 }
+# SI unit of a condition -> unit in a table -> factor and offset to SI.
+CONDITION_UNITS: dict[str, dict[str, tuple[float, float]]] = {
+    "s": {
+        "s": (1.0, 0.0),
+        "ms": (1e-3, 0.0),
+        "us": (1e-6, 0.0),
+        "ns": (1e-9, 0.0),
+        "min": (60.0, 0.0),
+        "h": (3600.0, 0.0),
+    },
+    "degC": {"degC": (1.0, 0.0), "K": (1.0, -273.15), "degF": (5 / 9, -160 / 9)},
+    "kg": {"kg": (1.0, 0.0), "g": (1e-3, 0.0), "lb": (0.45359237, 0.0)},
+}
+CONDITION_UNIT_ALIASES = {
+    "°c": "degC",
+    "c": "degC",
+    "celsius": "degC",
+    "degc": "degC",
+    "k": "K",
+    "kelvin": "K",
+    "°f": "degF",
+    "f": "degF",
+    "degf": "degF",
+    "fahrenheit": "degF",
+    "sec": "s",
+    "seconds": "s",
+    "msec": "ms",
+    "minutes": "min",
+    "hours": "h",
+    "grams": "g",
+    "lbs": "lb",
+}
 MM = LENGTHS["mm"]
 DEGREE, ARCMIN, ARCSEC = ANGLES["deg"], ANGLES["arcmin"], ANGLES["arcsec"]
 

@@ -32,10 +32,7 @@ def new(
     output: Out,
     mechanism: Annotated[
         str | None,
-        typer.Argument(
-            help="name from 'parallel-cal mechanisms'; omit it with --from CONFIG; with --from "
-            "URDF give the name 'serial'"
-        ),
+        typer.Argument(help="name from 'parallel-cal mechanisms'; omit it with --from"),
     ] = None,
     configuration: Annotated[
         list[Path] | None,
@@ -74,20 +71,21 @@ def new(
 
     if output.exists():
         raise ParallelCalError(f"{output}: file exists already; remove it or give another name")
-    of_urdf = mechanism == "serial" and configuration is not None and len(configuration) == 1
-    if not of_urdf and (
+    urdf = _get_urdf(mechanism, configuration or [])
+    if not urdf and (
         (mechanism is None) == (not configuration)
         or (configuration and option)
         or (from_link or to_link)
     ):
         raise typer.BadParameter(
-            "expected a MECHANISM (and its options), or --from FILE, or serial --from URDF"
+            "expected a MECHANISM (and its options), or --from FILE; only a URDF has links and "
+            "options"
         )
-    if of_urdf and configuration:
+    if urdf:
         from parallel_cal.importing.urdf import arm
 
-        found = arm(configuration[0], from_link, to_link, **parse_options(option))
-        model, values, remarks = found.model, f"as in {configuration[0]}", found.remarks
+        found = arm(urdf, from_link, to_link, **parse_options(option))
+        model, values, remarks = found.model, f"as in {urdf}", found.remarks
     else:
         model, values, remarks = _make_model(mechanism, option, configuration)
     model = _with_set_ups(model, sensor or [])
@@ -108,6 +106,14 @@ def new(
     console.say(f"{output}: {name}, {len(model.table)} parameters {values}{usual}")
     for remark in remarks:
         console.say(f"- {remark}")
+
+
+def _get_urdf(mechanism: str | None, configuration: list[Path]) -> Path | None:
+    """Return the URDF of a serial arm, by its ending or because the arm is called `serial`."""
+    if len(configuration) != 1 or mechanism not in (None, "serial"):
+        return None
+    by_name = mechanism == "serial" or configuration[0].suffix.lower() == ".urdf"
+    return configuration[0] if by_name else None
 
 
 def _make_model(

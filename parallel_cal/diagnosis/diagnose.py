@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -23,6 +23,7 @@ from parallel_cal.diagnosis.ambiguity import (
 )
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_to_test
 from parallel_cal.diagnosis.device import find_doubtful_effects
+from parallel_cal.diagnosis.drift import compute_drift_p_value
 from parallel_cal.diagnosis.entries import (
     Entry,
     NegativeControl,
@@ -37,8 +38,14 @@ from parallel_cal.diagnosis.first_effect import proposing_first_effect
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.noise_shape import NoiseShape
-from parallel_cal.diagnosis.patterns import OddSample, odd_samples
+from parallel_cal.diagnosis.patterns import (
+    OddSample,
+    describe_knocked_samples,
+    find_knocked_samples,
+    odd_samples,
+)
 from parallel_cal.diagnosis.remaining import RemainingCondition, find_remaining_condition
+from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.search import (
     Chosen,
     Search,
@@ -60,7 +67,7 @@ from parallel_cal.diagnosis.verdict import UNEXPLAINED_VERDICTS, Findings, Verdi
 from parallel_cal.identification.added_effects import limit_patterns
 from parallel_cal.identification.fit import FitResult, fit, fit_registered
 from parallel_cal.identification.given_model import GivenModel
-from parallel_cal.identification.observations import Observations
+from parallel_cal.identification.observations import Observations, conditions
 from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.platform_shift import explain_unseparated_device
 from parallel_cal.identification.registration import (
@@ -103,6 +110,9 @@ class Diagnosis(ShownInNotebook):
         Effects that are significant but not yet proven at held-out poses.
     ambiguous : tuple of Ambiguity
         Effects of the model that other effects would replace without loss.
+    knocked : tuple of OddSample
+        Single samples far from all others, as if somebody knocked the device. They are excluded
+        from `base` and `best`.
     """
 
     model: Model
@@ -126,6 +136,7 @@ class Diagnosis(ShownInNotebook):
     registration: Registration | None
     measure_next: NextMeasurement
     ambiguous: tuple[Ambiguity, ...] = ()
+    knocked: tuple[OddSample, ...] = ()
 
     @property
     def leaves_an_error(self) -> bool:
@@ -143,10 +154,17 @@ class Diagnosis(ShownInNotebook):
             "search for a law outside the catalogue: parallel-cal discover MODEL RECORDING "
             "-o my_law.py"
         )
+        exclude = f"--data exclude={','.join(str(one.sample) for one in self.knocked)}"
         add = f"add what was found: parallel-cal add MODEL {'+'.join(self.additions)} RECORDING"
+        add = f"{add} {exclude}" if self.knocked else add
         adds = [f"{add} -o BETTER.yaml"] if self.additions else []
         discovers = [discover] if self.leaves_an_error else []
-        return tuple(discovers + adds if self.verdict.suspected_of_law else adds + discovers)
+        checks = [
+            f"check sample {one.sample}, or exclude it from each command: {exclude}"
+            for one in self.knocked
+        ]
+        steps = discovers + adds if self.verdict.suspected_of_law else adds + discovers
+        return tuple(checks + steps)
 
     def __repr__(self) -> str:
         found = ", ".join(self.effects) or "no effect"
@@ -210,6 +228,7 @@ class Diagnosis(ShownInNotebook):
             "structure": self.structure,
             "depends_on": self.remaining,
             "odd_samples": self.odd_samples,
+            "knocked": [one.sample for one in self.knocked],
             "measure_next": self.measure_next,
             "next_steps": self.next_steps,
             "registration": self.registration,
@@ -287,8 +306,8 @@ def diagnose(
     dataset = add_registration_warning(dataset, registration)
     names = list_effects_to_test(model, also, effects)
 
-    def without(aside: list[int]) -> Diagnosis:
-        kept = dataset.excluding(aside, f"by --loss {options.loss}")
+    def without(aside: list[int], why: str = f"by --loss {options.loss}") -> Diagnosis:
+        kept = dataset.excluding(aside, why)
         least_squares = replace(options, loss="linear")
         judged = replace(given, dataset=kept)
         return _diagnose_trusted(
@@ -302,7 +321,7 @@ def diagnose(
         aside = [] if options.loss == "linear" else suspects(model)
         found = without(aside)
     if options.loss == "linear":
-        return found
+        return _set_knocked_samples_aside(found, without)
     # A good pose may look bad only for as long as the effect is not in the model.
     try:
         again = suspects(found.best.fitted.model) if found.effects else aside
@@ -316,6 +335,45 @@ def find_mistrusted_samples(robust: FitResult) -> list[int]:
     the model that is wrong: at most a quarter of the samples is returned."""
     worst = robust.down_weighted[: int(MAX_MISTRUSTED_SHARE * len(robust.dataset))]
     return sorted(one.sample for one in worst)
+
+
+def _set_knocked_samples_aside(
+    found: Diagnosis, without: Callable[[list[int], str], Diagnosis]
+) -> Diagnosis:
+    """Diagnose again without single samples that are far from all others, such as those at which
+    somebody knocked the device; name them, with the verdict of the others.
+
+    One such sample hides effects, because it makes up most of chi2. It counts as knocked if it is
+    as far from what the model predicts that describes the others.
+    """
+    knocked, others = find_knocked_samples(found.base.scene), found
+    while knocked:
+        try:
+            others = without([one.sample for one in knocked], "because it is far from all others")
+            still = find_knocked_samples(_view_all_samples(found, others.best.fitted.model))
+        except FitError:
+            return found
+        numbers = {one.sample for one in knocked}
+        confirmed = [one for one in still if one.sample in numbers]
+        if len(confirmed) == len(knocked):
+            break
+        knocked = confirmed
+    if not knocked:
+        return found
+    verdict = replace(
+        others.verdict, summary=f"{describe_knocked_samples(confirmed)}{others.verdict.summary}"
+    )
+    odd = [one for one in others.odd_samples if one.sample not in numbers]
+    return replace(
+        others, verdict=verdict, odd_samples=(*confirmed, *odd), knocked=tuple(confirmed)
+    )
+
+
+def _view_all_samples(found: Diagnosis, model: Model) -> Scene:
+    """The scene of another model with all samples of a diagnosis; no parameter follows them."""
+    base = found.base.fitted
+    observations = replace(base.observations, a=conditions(model, base.dataset))
+    return Scene.of(model, base.dataset, observations, np.zeros(len(model.values), dtype=bool))
 
 
 def _diagnose_trusted(
@@ -545,29 +603,34 @@ def _search_effects(search: Search, catalogue: _Catalogue) -> tuple[Trial, dict[
         return best, against
 
     best, against = found()
-    slow = {c.name for c in catalogue.rank(base) if c.varies_slowly and c.testable}
-    if not slow & set(best.names):
-        return best, against
-    shape = NoiseShape.of(best.scene, Field.of(best.scene))
-    if not shape.correlated or _exceed_drift(search, best, slow, shape.inflation):
-        return best, against
-    catalogue.wandering = False
-    best, against = found()
-    words = f"indistinguishable from drift: the noise is correlated over {shape.memory:.2g} s"
-    return best, against | dict.fromkeys(sorted(slow), words)
+    while imitated := _find_imitated_by_drift(search, best, catalogue):
+        words = "indistinguishable from drift: neighbours in time explain each other as well"
+        catalogue.imitated |= imitated
+        best, more = found()
+        against = more | dict.fromkeys(sorted(catalogue.imitated), words)
+    return best, against
 
 
-def _exceed_drift(search: Search, best: Trial, slow: set[str], inflation: float) -> bool:
-    """Whether each slow effect explains more than drifting noise, which varies `inflation` times
-    as much as white noise over such times."""
-    for name in slow & set(best.names):
-        without = search.fit(*(c for c in best.chosen if c.name != name))
-        if without.result is None:
+def _find_imitated_by_drift(search: Search, best: Trial, catalogue: _Catalogue) -> set[str]:
+    """Find the slow effects that noise which drifts explains as well: those chosen, with all that
+    the data show less clearly; none if every chosen one explains more."""
+    dataset = best.scene.dataset
+    if dataset.mode == "continuous" or "time" not in dataset.conditions:
+        return set()
+    slow = {c.name: c for c in catalogue.rank(search.fit()) if c.varies_slowly and c.testable}
+    if not slow.keys() & set(best.names):
+        return set()
+    imitated = set[str]()
+    for one in best.chosen:
+        without = search.fit(*(c for c in best.chosen if c is not one))
+        if one.name not in slow or without.result is None:
             continue
-        log_p = improvement_log_p(without.result.estimate, best.fitted.estimate, inflation)
-        if log_p > np.log(DRIFT_SIGNIFICANCE_LEVEL):
-            return False
-    return True
+        freedoms = without.result.estimate.dof - best.fitted.estimate.dof
+        p = compute_drift_p_value(without.scene, best.scene, freedoms)
+        if p * slow[one.name].tried > DRIFT_SIGNIFICANCE_LEVEL:
+            imitated.add(one.name)
+    exceeding = set(best.names) - imitated
+    return (imitated | (slow.keys() - exceeding)) if imitated else set()
 
 
 class _Catalogue:
@@ -575,7 +638,7 @@ class _Catalogue:
 
     def __init__(self, names: list[str], report: Progress):
         self._names, self._report = names, report
-        self.wandering = True  # whether what goes with time or temperature may be named
+        self.imitated = set[str]()  # slow effects that noise which drifts explains as well
         self._ranked: dict[frozenset[Chosen], list[Candidate]] = {}
 
     def rank(self, trial: Trial) -> list[Candidate]:
@@ -591,9 +654,7 @@ class _Catalogue:
 
     def select_significant(self, trial: Trial) -> list[Candidate]:
         """Select the best significant candidates, corrected for the number of tests."""
-        tested = [
-            c for c in self.rank(trial) if c.testable and (self.wandering or not c.varies_slowly)
-        ]
+        tested = [c for c in self.rank(trial) if c.testable and c.name not in self.imitated]
         adjusted = holm(np.array([c.p_value for c in tested]))
         return [c for c, p in zip(tested, adjusted, strict=True) if p < NAMING_SIGNIFICANCE_LEVEL][
             :MAX_REFITTED_CANDIDATES

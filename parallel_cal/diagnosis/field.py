@@ -19,14 +19,18 @@ class Field:
 
     pose (N, 6) m and rad about base axes, 0 where neither measured nor shown by an image;
     `noise_units` (N, k) the same divided by what joint and device noise explain together;
-    `measured` (N, 6). `held` is the rms, in the device's sigmas, of measured coordinates that the
-    model holds at one value; 0 if these sigmas were not stated.
+    `measured` (N, 6). `error` (N, k) is the pose, or else the readings or the closure, 0 where
+    nothing was measured, and `sigma` (N, k) what joint and device noise make of each.
+    `held` is the rms, in the device's sigmas, of measured coordinates that the model holds at one
+    value; 0 if these sigmas were not stated.
     """
 
     pose: np.ndarray = field(repr=False)
     noise_units: np.ndarray = field(repr=False)
     measured: np.ndarray = field(repr=False)
     held: float
+    error: np.ndarray = field(repr=False)
+    sigma: np.ndarray = field(repr=False)
 
     @classmethod
     def of(cls, scene: Scene) -> Field:
@@ -53,15 +57,18 @@ class Field:
         if measured.any():
             by_joint = _compute_joint_jacobians(scene)[0]
             total = S[:, n:, n:] + by_joint @ S[:, :n, :n] @ by_joint.transpose(0, 2, 1)
-            return cls(pose, _in_noise_units(pose, total, measured), measured, held)
+            noise_units, sigma = _in_noise_units(pose, total, measured), _sigma(total)
+            return cls(pose, noise_units, measured, held, pose, sigma)
         if np.isfinite(readings).any():
             by_joint = _compute_joint_jacobians(scene)[1]
             own = observations.get_reading_sigma(scene.model)[:, :, None] ** 2
             total = by_joint @ S[:, :n, :n] @ by_joint.transpose(0, 2, 1)
             total = total + own * np.eye(own.shape[1])
             noise_units = _in_noise_units(readings, total, np.isfinite(readings))
-            return cls(pose, noise_units, measured, held)
-        return cls(pose, scene.by_sample(scene.residual), measured, held)
+            error = np.nan_to_num(readings)
+            return cls(pose, noise_units, measured, held, error, _sigma(total))
+        closure = scene.by_sample(scene.residual)
+        return cls(pose, closure, measured, held, closure, np.ones_like(closure))
 
     @property
     def kind(self) -> str | None:
@@ -87,6 +94,10 @@ def _compute_joint_jacobians(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     pose = np.zeros((len(moved_by), 6, len(scene.model.joints)))
     pose[:, scene.model.mechanism.moved] = moved_by
     return pose, reading
+
+
+def _sigma(covariance: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
 
 
 def _in_noise_units(apart: np.ndarray, covariance: np.ndarray, known: np.ndarray) -> np.ndarray:

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL
+from parallel_cal.base.units import MM
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import find_varying_coordinates, regressors
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.statistics import normal_below, runs_test
 from parallel_cal.diagnosis.thresholds import (
+    KNOCK_SIGNIFICANCE_LEVEL,
     LEVELS,
+    MAX_KNOCKED_SHARE,
     MAX_PROFILE_POINTS,
     MAX_WINDOWS,
     MIN_INFLUENTIAL_COOKS_DISTANCE,
@@ -165,3 +169,31 @@ def odd_samples(scene: Scene, field: Field) -> tuple[OddSample, ...]:
         )
     ]
     return tuple(sorted(odd, key=lambda one: -one.sigmas))
+
+
+def find_knocked_samples(scene: Scene) -> list[OddSample]:
+    """Find single samples that are far from all others; none if they are more than
+    MAX_KNOCKED_SHARE, because then the noise has heavy tails, or the model fails in places."""
+    if scene.dataset.mode == "continuous":
+        return []
+    far = [
+        one for one in odd_samples(scene, Field.of(scene)) if one.p_value < KNOCK_SIGNIFICANCE_LEVEL
+    ]
+    return far if len(far) <= max(1, MAX_KNOCKED_SHARE * len(scene.dataset)) else []
+
+
+def describe_knocked_samples(knocked: Sequence[OddSample]) -> str:
+    """Name the samples that a verdict leaves out, to be put before it."""
+    several = len(knocked) > 1
+    names = " and ".join(
+        f"sample {one.sample} ({one.sigmas:.0f} sigmas, "
+        f"{np.linalg.norm(one.position_error) / MM:.3g} mm)"
+        for one in knocked
+    )
+    exclude = ",".join(str(one.sample) for one in knocked)
+    return (
+        f"{names} {'are' if several else 'is'} far from what all others show, as if somebody "
+        f"knocked the device: check {'them' if several else 'it'}, or exclude "
+        f"{'them' if several else 'it'} (--data exclude={exclude}). Without "
+        f"{'them' if several else 'it'}: "
+    )

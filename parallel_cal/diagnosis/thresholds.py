@@ -14,14 +14,23 @@ NAMING_SIGNIFICANCE_LEVEL = 1e-3
 REPLICATE_CONTRADICTION_LEVEL = 1e-4  # p-value below which replicates replace the stated noise
 # p-value below which residuals depend on a recorded condition: it contradicts "this is noise"
 CONDITION_SIGNIFICANCE_LEVEL = 1e-6
-# p-value below which an effect is no drifting noise, whose memory is known only roughly
+# p-value, by the ratio of likelihoods, below which an effect is no drifting noise
 DRIFT_SIGNIFICANCE_LEVEL = 1e-6
+DRIFT_MEMORIES = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 1e3, 1e4)  # of drifting noise, in usual steps
+DRIFT_VARIANCES = tuple(10 ** (k / 2) for k in range(-4, 13))  # of it, of white noise 1
+MAX_DRIFT_SAMPLES = 1000  # of which the likelihood is computed: more are averaged
+MAX_DRIFT_STEPS = 20  # of noise and parameters in turns ...
+MIN_DRIFT_GAIN = 0.01  # ... while the log likelihood rises by as much
 # of the variance of a slow mean, by correlated noise: less hardly changes a sigma
 MIN_INFLATION = 1.5
 CERTAINTY_LEVEL = (
     1e-8  # p-value below which an effect counts although residuals are within the noise
 )
 OUTLIER_SIGNIFICANCE_LEVEL = 1e-3  # p-value of an outlier, over the whole data set
+# p-value, over the whole data set, of a sample that was disturbed alone; if more samples than this
+# share are so far away, the noise has heavy tails
+KNOCK_SIGNIFICANCE_LEVEL = 1e-6
+MAX_KNOCKED_SHARE = 0.02
 MIN_INFLUENTIAL_COOKS_DISTANCE = (
     1.0  # Cook's distance: without the sample, estimates move by about their sigma
 )

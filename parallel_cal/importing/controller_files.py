@@ -44,5 +44,5 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
             return modules[name].configured(paths)  # type: ignore[no-any-return]
     known = "; ".join(f"{' or '.join(ends)} ({name})" for name, ends in kinds.items())
     raise DatasetError(
-        f"{paths[0]}: not a configuration that can be read; expected {known}; or .urdf (new serial)"
+        f"{paths[0]}: not a configuration that can be read; expected {known}; or .urdf"
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,15 +11,15 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, field_validator
 
-from parallel_cal.base.errors import DatasetError, ModelFileError
+from parallel_cal.base.errors import DatasetError, ModelFileError, format_suggestion
 from parallel_cal.base.files import read_foreign_text
-from parallel_cal.base.units import LENGTHS, UNITS, Angle, Length
-from parallel_cal.model.effect import CONDITIONS
-from parallel_cal.model.file.schema import NoisePart, Part, sentence, suggestion
+from parallel_cal.base.units import CONDITION_UNITS, LENGTHS, UNITS, Angle, Length
+from parallel_cal.model.effect import CONDITIONS, parse_part
+from parallel_cal.model.file.schema import NoisePart, Part, sentence
 from parallel_cal.model.file.yamltext import parse_yaml
 from parallel_cal.recordings.channels import list_channels
 from parallel_cal.recordings.samples import READING
-from parallel_cal.recordings.table import Table, split_unit
+from parallel_cal.recordings.table import Table, split_condition, split_unit
 
 
 class JointColumn(Part):
@@ -99,6 +100,13 @@ class AngleColumns(Part):
     unit: Angle | None = None
 
 
+class RotationVectorColumns(Part):
+    """The axis of one rotation times its angle, as some controllers and devices state it."""
+
+    columns: Annotated[list[str], Field(min_length=3, max_length=3)]
+    unit: Angle | None = None
+
+
 class Join(Part):
     """Rows of several tables that belong together.
 
@@ -127,7 +135,8 @@ class Log(Part):
 class ColumnMap(Part):
     """The meaning of a table's columns; other columns are ignored.
 
-    `orientation` is a quaternion x y z w; `angles` are an alternative. A condition is a column,
+    `orientation` is a quaternion x y z w; `angles`, `rotation_vector` and `matrix` (nine columns,
+    row by row) are alternatives. A condition is a column,
     or a constant number. Rows of equal `group` are visits of one pose. `visits` states whether the
     robot visited the poses in the order of the rows. `noise` is 1 sigma as the manufacturers state
     it (SI; for a motor's angle without `per_rev`, of this angle).
@@ -137,6 +146,8 @@ class ColumnMap(Part):
     position: PositionColumns | None = None
     orientation: Annotated[list[str], Field(min_length=4, max_length=4)] | None = None
     angles: AngleColumns | None = None
+    rotation_vector: RotationVectorColumns | None = None
+    matrix: Annotated[list[str], Field(min_length=9, max_length=9)] | None = None
     readings: dict[str, ReadingColumn] = Field(default_factory=dict)
     conditions: dict[str, str | float] = Field(default_factory=dict)
     group: str | None = None
@@ -153,8 +164,14 @@ class ColumnMap(Part):
     @property
     def pose_columns(self) -> list[str]:
         """The columns of position and orientation."""
-        names = [name for part in (self.position, self.angles) if part for name in part.columns]
-        return names + (self.orientation or [])
+        parts = (self.position, self.angles, self.rotation_vector)
+        names = [name for part in parts if part for name in part.columns]
+        return names + (self.orientation or []) + (self.matrix or [])
+
+    @property
+    def orientations(self) -> list[str]:
+        """The keys that state the orientation: one at most is allowed."""
+        return [key for key in ORIENTATIONS if getattr(self, key)]
 
     @property
     def columns(self) -> list[str]:
@@ -165,6 +182,19 @@ class ColumnMap(Part):
         return names + ([self.group] if self.group else [])
 
 
+# The keys of a column map that have keys themselves; those of `joints` and `readings` have names
+# first.
+PARTS: dict[str, type[Part]] = {
+    "joints": JointColumn,
+    "position": PositionColumns,
+    "angles": AngleColumns,
+    "rotation_vector": RotationVectorColumns,
+    "readings": ReadingColumn,
+    "join": Join,
+    "log": Log,
+    "noise": NoisePart,
+}
+ORIENTATIONS = ("orientation", "angles", "rotation_vector", "matrix")
 MAX_SHOWN_HEADER = 400  # characters of a table's header in a message
 
 
@@ -198,8 +228,38 @@ def map_by_names(table: Table, joints: Sequence[str], beside: Path) -> ColumnMap
         position=PositionColumns(columns=position) if len(position) == 3 else None,
         orientation=orientation if len(orientation) == 4 else None,
         readings=readings,
-        conditions={name: name for name in CONDITIONS if name in table.header},
+        conditions=_find_conditions(table, joints),
     )
+
+
+def _find_conditions(table: Table, joints: Sequence[str]) -> dict[str, str | float]:
+    """Return the columns of a table that have the name of a condition, with its unit or without;
+    DatasetError for a unit that is none of this quantity."""
+    found: dict[str, str | float] = {}
+    for word in table.header:
+        name, unit = split_condition(word)
+        bracketed = re.fullmatch(r"(.+?)\s*[\[(](.+)[\])]", word)
+        name = bracketed[1] if bracketed else name
+        kind, _, part = name.partition(".")
+        if kind not in CONDITIONS:
+            continue
+        per_joint = CONDITIONS[kind][2]
+        if not (part in joints if per_joint else not part or parse_part(name)):
+            continue
+        if bracketed and unit is None and split_unit(word)[1] is None:
+            own = CONDITIONS[kind][0]
+            known = ", ".join(CONDITION_UNITS.get(own, (own,)))
+            raise DatasetError(
+                f"{table.path}:1: column {word}: '{bracketed[2]}' is no unit of {kind}; expected "
+                f"{known}"
+            )
+        found[name] = word
+    return found
+
+
+def _list_known_keys(place: Sequence[Any]) -> list[str]:
+    """Return the known keys of the part of a column map in which an unknown one was found."""
+    return list((ColumnMap if len(place) == 1 else PARTS[place[0]]).model_fields)
 
 
 def read_column_map(path: Path, measured_elsewhere: bool = False) -> ColumnMap:
@@ -217,14 +277,15 @@ def read_column_map(path: Path, measured_elsewhere: bool = False) -> ColumnMap:
         first: Any = error.errors(include_url=False)[0]
         place = tuple(first["loc"])
         if first["type"] == "extra_forbidden":
-            known = list(ColumnMap.model_fields) if len(place) == 1 else []
-            text = "unknown key" + suggestion(str(place[-1]), known)
+            known = _list_known_keys(place)
+            near = format_suggestion(str(place[-1]), known)
+            text = f"unknown key{near}; expected one of {', '.join(known)}"
         else:
             text = sentence(first, place)
         raise document.error(place, text) from None
-    if found.orientation and found.angles:
-        raise document.error(("angles",), "orientation is given as well: remove one of the two")
-    measured = found.position or found.orientation or found.angles or found.readings
+    if len(turned := found.orientations) > 1:
+        raise document.error((turned[1],), f"{turned[0]} is given as well: remove one of the two")
+    measured = found.position or turned or found.readings
     if not (measured or measured_elsewhere):
         raise document.error(
             (), "neither position nor orientation nor readings: state what was measured"

@@ -18,7 +18,14 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.files import MEGABYTE, read_foreign_text
-from parallel_cal.base.units import PIXEL, UNIT_ALIASES, UNITS
+from parallel_cal.base.units import (
+    CONDITION_UNIT_ALIASES,
+    CONDITION_UNITS,
+    PIXEL,
+    UNIT_ALIASES,
+    UNITS,
+)
+from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.recordings.motive import is_motive, merge_header
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
@@ -39,7 +46,8 @@ class Table:
         """Return the header's word for a column: its name, or name and unit (`x [mm]`, `x_mm`)."""
         if name in self.header:
             return name
-        return next((word for word in self.header if split_unit(word)[0] == name), None)
+        splits = (split_unit, split_condition)
+        return next((w for w in self.header if name in [split(w)[0] for split in splits]), None)
 
     def select(self, rows: Sequence[int]) -> Table:
         """Return the table with some rows, in this order."""
@@ -159,9 +167,26 @@ def is_table(path: Path) -> bool:
 
 def split_unit(word: str) -> tuple[str, str | None]:
     """Split `x [mm]`, `x (mm)`, `x_mm`, `x/mm` or `x mm`; (word, None) if there is no unit."""
+    name, unit = _split_last_word(word)
+    unit = UNIT_ALIASES.get(unit.lower(), unit.lower())
+    return (name, unit) if unit in UNITS or unit == PIXEL else (word, None)
+
+
+def split_condition(word: str) -> tuple[str, str | None]:
+    """Split `temperature [degC]` or `time_ms`; (word, None) if there is no unit of a condition.
+
+    Without brackets, only the name of a condition has a unit: `arm_g` is a name.
+    """
+    name, unit = _split_last_word(word)
+    unit = CONDITION_UNIT_ALIASES.get(unit.lower(), unit)
+    known = any(unit in units for units in CONDITION_UNITS.values())
+    stated = word.rstrip().endswith(("]", ")")) or name.split(".")[0] in CONDITIONS
+    return (name, unit) if known and stated else (word, None)
+
+
+def _split_last_word(word: str) -> tuple[str, str]:
+    """Split a header's word into a name and what may be its unit, empty if there is none."""
     match = re.fullmatch(r"(.+?)\s*(?:\[(.+)\]|\((.+)\)|[_/ ]\s*([^_/ ]+))", word)
     if match is None:
-        return word, None
-    unit = next(group for group in match.groups()[1:] if group).strip()
-    unit = UNIT_ALIASES.get(unit.lower(), unit.lower())
-    return (match[1], unit) if unit in UNITS or unit == PIXEL else (word, None)
+        return word, ""
+    return match[1], next(group for group in match.groups()[1:] if group).strip()

@@ -9,7 +9,8 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.rotation import quaternion_to_matrix
-from parallel_cal.base.units import LENGTHS, PIXEL, UNITS
+from parallel_cal.base.units import CONDITION_UNITS, LENGTHS, PIXEL, UNITS
+from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.recordings.columns import (
     ColumnMap,
     JointColumn,
@@ -18,9 +19,10 @@ from parallel_cal.recordings.columns import (
     travel,
 )
 from parallel_cal.recordings.recording import Array
-from parallel_cal.recordings.table import Table, split_unit
+from parallel_cal.recordings.table import Table, split_condition, split_unit
 
 MAX_QUATERNION_LENGTH_ERROR = 0.05
+MAX_MATRIX_ERROR = 0.02  # of an element of R R^T
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,21 @@ class Columns:
             [_numbers(t, word, gaps) for t, word in map(self._find_column, names)]
         )
 
+    def condition(self, name: str, column: str) -> Array:
+        """Return a condition (N,) in its SI unit, degC for a temperature. A header without a unit
+        means this unit; DatasetError for a unit of another quantity."""
+        table, word = self._find_column(column)
+        own = CONDITIONS.get(name.split(".")[0], ("", 0.0, False))[0]
+        known = CONDITION_UNITS.get(own, {})
+        unit = split_condition(word)[1] or split_unit(word)[1]
+        if known and unit and unit not in known:
+            raise DatasetError(
+                f"{table.path}:1: column {word} is in {unit}, but {name} is in {own}: expected one "
+                f"of {', '.join(known)}"
+            )
+        factor, offset = known.get(unit or own, (UNITS.get(unit or "", 1.0), 0.0))
+        return self.numbers([column])[:, 0] * factor + offset
+
     def texts(self, name: str) -> list[str]:
         table, word = self._find_column(name)
         return table.texts(word)
@@ -114,14 +131,21 @@ class Columns:
 
     def rotation(self, wanted: ColumnMap, gaps: bool = False) -> Array | None:
         """Return rotations (N, 3, 3); None if they are not measured."""
-        if wanted.angles is not None:
+        turned = wanted.angles or wanted.rotation_vector
+        if turned is not None:
             from scipy.spatial.transform import Rotation
 
-            turns = self.si(wanted.angles.columns, wanted.angles.unit, gaps)
+            turns = self.si(turned.columns, turned.unit, gaps)
             kept = ~np.isnan(turns).any(axis=1)
             R = np.full((len(turns), 3, 3), np.nan)
-            R[kept] = Rotation.from_euler(wanted.angles.axes, turns[kept]).as_matrix()
+            R[kept] = (
+                Rotation.from_euler(wanted.angles.axes, turns[kept])
+                if wanted.angles
+                else Rotation.from_rotvec(turns[kept])
+            ).as_matrix()
             return R
+        if wanted.matrix is not None:
+            return self._rotation_matrix(wanted.matrix, gaps)
         given = wanted.orientation
         if given is None:
             return None
@@ -135,6 +159,20 @@ class Columns:
                 "w, or remove the line"
             )
         return quaternion_to_matrix(quaternions)
+
+    def _rotation_matrix(self, names: Sequence[str], gaps: bool) -> Array:
+        """Return rotations (N, 3, 3) of columns with the elements of matrices, row by row."""
+        R = self.numbers(names, gaps).reshape(-1, 3, 3)
+        error = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+        wrong = (error > MAX_MATRIX_ERROR) | (np.linalg.det(R) < 0)
+        if (bad := np.flatnonzero(wrong)).size:
+            table, _ = self._find_column(names[0])
+            raise DatasetError(
+                f"{table.path}:{table.lines[bad[0]]}: {', '.join(names)} are no rotation matrix: "
+                "check that the columns are its elements row by row, or remove the line"
+            )
+        left, _, right = np.linalg.svd(np.where(np.isnan(R), np.eye(3), R))  # rounded in the file
+        return np.where(np.isnan(R), np.nan, left @ right)
 
     def _find_column(self, name: str) -> tuple[Table, str]:
         return next((t, word) for t in self.tables if (word := t.find(name)) is not None)
@@ -157,6 +195,10 @@ class Columns:
             raise DatasetError(
                 f"{table.path}:1: column {word} is in px, expected a length or an angle; only "
                 "readings of a camera are in pixels"
+            )
+        if stated not in UNITS and stated != PIXEL:
+            raise DatasetError(
+                f"{table.path}:1: column {word} is in {stated}, expected a length or an angle"
             )
         return _numbers(table, word, gaps) * (1.0 if stated == PIXEL else UNITS[stated])
 

@@ -34,7 +34,7 @@ def make_dataset(given: Sequence[Table], wanted: ColumnMap, asks: str) -> Datase
     r, R, n = found.position(wanted), found.rotation(wanted), len(tables[0].rows)
     readings = {READING + name: found.reading(one) for name, one in wanted.readings.items()}
     conditions = {
-        name: found.numbers([given])[:, 0] if isinstance(given, str) else np.full(n, given)
+        name: found.condition(name, given) if isinstance(given, str) else np.full(n, given)
         for name, given in wanted.conditions.items()
     }
     order, source = conditions.get("time"), " + ".join(str(table.path) for table in given)
