@@ -43,12 +43,14 @@ def test_an_error_of_the_caller_ends_the_work_and_one_of_a_part_reaches_the_call
         if number == 900:
             raise ValueError("the part failed")
 
-    with (
-        pytest.raises(KeyboardInterrupt),
-        parallel.running(parallel.run_on_cores, work, None, range(1000)) as results,
-    ):
-        next(iter(results))
-        raise KeyboardInterrupt
+
+    def stop_after_the_first():
+        with parallel.running(parallel.run_on_cores, work, None, range(1000)) as results:
+            next(iter(results))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stop_after_the_first()
     assert len(begun) < 20
     with pytest.raises(ValueError, match="the part failed"):
         list(parallel.run_on_cores(work, None, range(890, 1000)))

@@ -20,6 +20,7 @@ from parallel_cal.diagnosis.diagnose import find_mistrusted_samples
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.diagnosis.thresholds import MAX_HELD_COORDINATE_SIGMAS
 from parallel_cal.diagnosis.verdict import share_explained
 from parallel_cal.discovery.drivers import (
     LAGGED,
@@ -73,6 +74,7 @@ from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.fit import FitResult, fit
 from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.prediction_errors import Summary
+from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset, check_inputs
 from parallel_cal.recordings.lagged import add_lagged_conditions
@@ -209,6 +211,8 @@ class Discovery(ShownInNotebook):
     described : Model
         The fitted model with the proven laws, for use in this process. To write a model file, write
         the effect first and add it with `add`.
+    needs_larger_model : bool
+        Whether the measured pose varies in coordinates that the model holds at one value.
     """
 
     model: Model
@@ -219,6 +223,7 @@ class Discovery(ShownInNotebook):
     summary: str
     measure_next: tuple[str, ...]
     described: Model
+    needs_larger_model: bool = False
 
     def __repr__(self) -> str:
         found = "; ".join(law.name for law in self.laws) or "no law"
@@ -247,6 +252,7 @@ class Discovery(ShownInNotebook):
             "laws": [law.document() for law in self.laws],
             "suspected": [law.document() for law in self.suspected],
             "measure_next": list(self.measure_next),
+            "needs_larger_model": self.needs_larger_model,
             "file": str(files[0]) if files else None,
             "files": [str(file) for file in files],
             "samples": len(self.dataset),
@@ -387,7 +393,8 @@ def discover(
         if not law.against:
             current, proven = step.model, np.hstack([proven, winner.formula.columns])
     advice = [_advise(scene, winner, drivers) for winner, _ in real]
-    return _conclude(model, dataset, found, [words for words in advice if words], current)
+    held = Field.of(scene).held
+    return _conclude(model, dataset, found, [words for words in advice if words], current, held)
 
 
 def _make_scene(base: FitResult, given: Dataset) -> tuple[Scene, Dataset]:
@@ -789,8 +796,10 @@ def _conclude(
     found: Sequence[Law],
     advice: Sequence[str],
     described: Model,
+    held: float,
 ) -> Discovery:
-    """The verdict, its sentence, and what to measure next."""
+    """The verdict, its sentence, and what to measure next. `held` is by how many sigmas coordinates
+    vary that the model holds at one value."""
     laws = tuple(law for law in found if not law.against)
     suspected = tuple(law for law in found if law.against)
     if laws:
@@ -809,7 +818,32 @@ def _conclude(
     summary = " ".join(words)
     if any(law.device_may_err for law in suspected):
         advice = [*advice, A_STATION]
-    return Discovery(model, dataset, laws, suspected, verdict, summary, tuple(advice), described)
+    needs_larger_model = held > MAX_HELD_COORDINATE_SIGMAS
+    if needs_larger_model:
+        summary = f"{_explain_larger_model(model, held)} {summary}"
+    return Discovery(
+        model,
+        dataset,
+        laws,
+        suspected,
+        verdict,
+        summary,
+        tuple(advice),
+        described,
+        needs_larger_model,
+    )
+
+
+def _explain_larger_model(model: Model, held: float) -> str:
+    """Say that a model is too small for what was measured, and which one to use instead."""
+    mechanism, larger = model.mechanism, "a larger model"
+    if type(mechanism).widen is not Mechanism.widen:
+        name, _ = mechanism.widen(mechanism.parameters.mapping(mechanism.parameters.nominal))
+        larger = f"the larger model {name}"
+    return (
+        "The measured pose includes coordinates that the model holds at one value; they vary by "
+        f"{held:.0f} sigmas: use {larger} first."
+    )
 
 
 def _describe_proof(law: Law) -> str:

@@ -28,7 +28,7 @@ from parallel_cal.effects._statics import (
     needs_weight,
     rod_forces,
 )
-from parallel_cal.model.effect import CONDITIONS, Seen, parse_lag
+from parallel_cal.model.effect import CONDITIONS, Seen, parse_lag, parse_part
 from parallel_cal.model.parameters import Named
 from parallel_cal.recordings.dataset import Dataset
 
@@ -169,13 +169,21 @@ class Driver:
             return f"the {lag[0]}, delayed by a time constant of {lag[1]:g} s"
         if self.shown:
             return f"the {self.family} that the device shows"
+        if part := parse_part(self.name):
+            return f"the {part[0]} of the part '{part[1]}'"
         if self.family not in JOINT_WORDS:
             return WORDS[self.family]
         return JOINT_WORDS[self.family].format(self.name.rpartition(".")[2])
 
     @property
     def rank(self) -> int:
-        return PLAUSIBILITY.index(self.family)
+        return PLAUSIBILITY.index(self.kind)
+
+    @property
+    def kind(self) -> str:
+        """The family, for which the temperatures of all parts are one."""
+        part = parse_part(self.family)
+        return part[0] if part else self.family
 
 
 def list_drivers(scene: Scene) -> list[Driver]:
@@ -251,6 +259,11 @@ def _iterate_drivers(scene: Scene) -> Iterator[Driver]:
             yield Driver(
                 kind, kind, unit, f"at.{kind}", known[kind] - neutral, zero=neutral, needs=kind
             )
+    for name in filter(parse_part, known):
+        if not parse_lag(name):
+            unit, neutral, _ = CONDITIONS["temperature"]
+            code, values = f"at[{json.dumps(name)}]", known[name] - neutral
+            yield Driver(name, name, "K", code, values, zero=neutral, needs=name)
     for name in filter(parse_lag, known):
         unit, neutral, _ = CONDITIONS["temperature"]
         code = f"at[{json.dumps(name)}]"

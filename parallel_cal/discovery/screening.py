@@ -291,7 +291,7 @@ class Screening:
         """Whether a site may err with one driver: from one station, what moves the platform as a
         device does cannot be told from an error of the device."""
         moves = site.kind in (PLATFORM, BASE)
-        return not moves or self._has_stations or own[0].family not in OF_DEVICE
+        return not moves or self._has_stations or own[0].kind not in OF_DEVICE
 
     def _is_plausible_pair(self, site: Site, one: DriverSet, other: DriverSet) -> bool:
         """Whether two drivers may act together on a site: for a joint, its own quantities, other
