@@ -43,7 +43,6 @@ def test_an_error_of_the_caller_ends_the_work_and_one_of_a_part_reaches_the_call
         if number == 900:
             raise ValueError("the part failed")
 
-
     def stop_after_the_first():
         with parallel.running(parallel.run_on_cores, work, None, range(1000)) as results:
             next(iter(results))

@@ -20,6 +20,7 @@ from parallel_cal.diagnosis.diagnose import find_mistrusted_samples
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.diagnosis.stations import DeviceField, find_stations
 from parallel_cal.diagnosis.thresholds import MAX_HELD_COORDINATE_SIGMAS
 from parallel_cal.diagnosis.verdict import share_explained
 from parallel_cal.discovery.drivers import (
@@ -54,9 +55,8 @@ from parallel_cal.discovery.places import (
     list_places,
     list_sites,
 )
-from parallel_cal.discovery.screening import DeviceField, Hypothesis, Screening, Targets
+from parallel_cal.discovery.screening import Hypothesis, Screening, Targets
 from parallel_cal.discovery.shape import Shape, find_shape
-from parallel_cal.discovery.stations import find_stations
 from parallel_cal.discovery.thresholds import (
     LAGS_PER_OCTAVE,
     MAX_EQUAL_EVIDENCE,
@@ -66,7 +66,6 @@ from parallel_cal.discovery.thresholds import (
     MAX_SCREENED_SAMPLES,
     MAX_SPLITS,
     MIN_RIVAL_EVIDENCE_SHARE,
-    MIN_SHARE_BEYOND_DEVICE,
     MIN_TERM_EVIDENCE,
     NULL_SESSIONS,
 )
@@ -369,8 +368,7 @@ def discover(
     device, shown = None, list[Driver]()
     if stations is not None:
         seen = stations.show(scene.seen[:, len(model.joints) :][:, :3])
-        own = [place for place in places if place.kind == DEVICE and place.index < 3]
-        device = DeviceField([place.columns for place in own], seen)
+        device = DeviceField(scene, stations)
         shown = list_shown_positions(seen)
         drivers = [one for one in drivers if one.family != "session"]  # stations change with it
     screening = Screening(scene, list_sites(places), [*select_for_screening(drivers), *shown])
@@ -489,8 +487,8 @@ def _exclude_device(search: _Search, columns: np.ndarray, winner: _Winner) -> _W
     if search.device is None or winner.formula.hypothesis.slow:
         return winner
     targets = Targets.of(search.scene, search.scene.residual[:, None], columns)
-    left = search.device.leave(targets, winner.signal)
-    return replace(winner, excludes_device=left > MIN_SHARE_BEYOND_DEVICE)
+    excluded = search.device.excludes(winner.signal, targets.directions)
+    return replace(winner, excludes_device=excluded)
 
 
 def find_winner(
@@ -679,8 +677,6 @@ def _prove(
     of_device = hypothesis.site.kind == DEVICE
     against = step.acceptance.against.replace(f" with '{name}'", "").replace(name, "it")
     device_may_err = step.acceptance.device_may_err
-    if device_may_err and winner.excludes_device:
-        against, device_may_err = "", False
     if not against:
         against = _explain_device(winner)
         device_may_err = bool(against)

@@ -16,10 +16,10 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import write_atomically
+from parallel_cal.diagnosis.stations import Stations
 from parallel_cal.discovery.drivers import LOAD, MOMENT, STRETCH, TENSION, Driver
 from parallel_cal.discovery.formula import Formula, Term
 from parallel_cal.discovery.places import BASE, DEVICE, JOINT, PARAMETER, PLATFORM, ROD, Place
-from parallel_cal.discovery.stations import Stations
 
 WIDTH = 96  # characters of a line of the docstring
 FORCES = {  # family of a driver -> where the function is that computes it, it, its requirement

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations, product
-from math import comb
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -31,8 +30,6 @@ from parallel_cal.discovery.places import BASE, DEVICE, JOINT, PARAMETER, PLATFO
 from parallel_cal.discovery.thresholds import (
     FINE_SPLINES,
     MAX_CHUNK_NUMBERS,
-    MAX_FIELD_DEGREE,
-    MIN_ROWS_PER_FIELD_COLUMN,
     MIN_SAMPLES_PER_FINE_SPLINE,
     SPLINES,
 )
@@ -119,36 +116,6 @@ def evidence(explained: np.ndarray, total: np.ndarray, rank: np.ndarray, dof: in
     squares: dof/2 log(total / rest) - rank/2 log(dof) (Schwarz 1978), noise of unknown size."""
     rest = np.maximum(total - explained, 1e-12 * total)
     return np.asarray(dof / 2 * np.log(total / rest) - rank / 2 * np.log(dof))
-
-
-class DeviceField:
-    """Smooth errors of a device: each coordinate errs with a polynomial in the position that it
-    shows, of the highest degree that the samples determine well.
-
-    `along` are the columns (N, rows) of each coordinate, `shown` (N, 3) the positions.
-    """
-
-    def __init__(self, along: Sequence[np.ndarray], shown: np.ndarray):
-        low, high = shown.min(axis=0), shown.max(axis=0)
-        x = (2 * shown - low - high) / np.maximum(high - low, 1e-12)
-        degree = max(
-            d
-            for d in range(1, MAX_FIELD_DEGREE + 1)
-            if d == 1 or len(along) * comb(d + 3, 3) * MIN_ROWS_PER_FIELD_COLUMN <= along[0].size
-        )
-        powers = [p for p in product(range(degree + 1), repeat=3) if sum(p) <= degree]
-        terms = [np.prod(x**p, axis=1) for p in powers]
-        B = np.stack([(own * term[:, None]).ravel() for own in along for term in terms], axis=1)
-        self._columns = B / np.maximum(np.linalg.norm(B, axis=0), 1e-12)
-
-    def leave(self, targets: Targets, signal: np.ndarray) -> float:
-        """The share of a signal (n,) that neither such an error nor the model can imitate."""
-        Q = targets.directions
-        s = signal - Q @ (Q.T @ signal)
-        left = self._columns - Q @ (Q.T @ self._columns)
-        U, sizes, _ = np.linalg.svd(left, full_matrices=False)
-        U = U[:, sizes > MIN_COLUMN_REMAINDER]
-        return float(np.sum((s - U @ (U.T @ s)) ** 2) / max(float(np.sum(s**2)), 1e-300))
 
 
 class Screening:
