@@ -10,8 +10,10 @@ import virtual_findings as vf
 
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.discovery.discovery import discover
+from parallel_cal.discovery.effect_file import load_text
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.joining import join_datasets
+from parallel_cal.session.steps import UnprovenStepError, add
 from parallel_cal.virtual import robot as vr
 
 SIZE = 4e-5  # m at 60 mm from the middle
@@ -21,8 +23,10 @@ SIZE = 4e-5  # m at 60 mm from the middle
 class Bent(vr.Effect):
     """A rail along x that is bent to y and z: of the robot's stand, or of the device."""
 
+    size: float = SIZE
+
     def device(self, r, R, at):
-        return r + SIZE * (r[:, :1] / 0.06) ** 2 * np.array([0.0, 1.0, 0.4]), R
+        return r + self.size * (r[:, :1] / 0.06) ** 2 * np.array([0.0, 1.0, 0.4]), R
 
 
 @dataclass(frozen=True)
@@ -79,3 +83,37 @@ def test_the_robot_does_not_learn_what_stays_the_same_as_the_device_turns():
     stand = vb.YieldingStand(SIZE)
     found = discover_on_delta(record([stand], [Turned(), stand]))
     assert all(law.of_device for law in found.laws), found.summary
+
+
+BENT_STAND = """
+import casadi as ca
+
+from parallel_cal import Effect, Parameter
+
+
+class BentStand(Effect):
+    found_in_data = True
+
+    def parameters(self, mechanism):
+        return [Parameter(axis, "1/m", 0.0, 5e-3) for axis in "yz"]
+
+    def ideal(self, seen, e, at, mechanism):
+        return seen.with_pose(seen.r - seen.r[0] ** 2 * ca.vertcat(0, e.y, e.z), seen.R)
+"""
+
+
+@pytest.mark.wide
+def test_add_judges_the_device_in_the_frame_of_each_recording():
+    """A bend as small as that of usual devices: from one station it may be the device's, from two
+    it is the robot's if it stays in {B}, and the device's if it goes with the device."""
+    law, small = load_text(BENT_STAND), Bent(1.5e-5)
+    robots = record([small], [small, Turned()])
+    step = add(new_model("delta54"), law, robots)
+    for axis, share in (("y", 1.0), ("z", 0.4)):
+        p = step.result.parameters()[f"{law}.{axis}"]
+        assert abs(p.value - share * small.size / 0.06**2) < 4 * p.sigma
+    alone = robots.select(np.flatnonzero(robots.conditions["session"] == 0))
+    for data in (alone, record([small], [Turned(), small])):
+        with pytest.raises(UnprovenStepError, match="the measuring device may cause") as refused:
+            add(new_model("delta54"), law, data)
+        assert law in str(refused.value)

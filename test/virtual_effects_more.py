@@ -146,6 +146,35 @@ class PartsWarmth(Effect):
 
 
 @dataclass(frozen=True)
+class PartsOfAHall(Effect):
+    """Arms near the motors, rods in the air and a base on a cold floor, each of which follows the
+    morning in its own way and grows by its own rate (1/K): the dimensions La, Lb and D."""
+
+    arms: float
+    rods: float
+    base: float
+
+    @staticmethod
+    def temperatures(time: Array) -> dict[str, Array]:
+        """What a sensor on each part reads, degC."""
+        t = time / max(float(np.max(time)), 1.0)
+        return {
+            "arms": 20.0 + 14.0 * (1 - np.exp(-4 * t)),
+            "rods": 20.0 + 6.0 * np.sin(2 * np.pi * 1.5 * t),
+            "base": 20.0 - 9.0 * t**2,
+        }
+
+    def geometry(self, parameters: Any, at: SampleConditions) -> Any:
+        warm = self.temperatures(at.time)
+        growth = {
+            "La": (self.arms, warm["arms"]),
+            "Lb": (self.rods, warm["rods"]),
+            "D": (self.base, warm["base"]),
+        }
+        return PartsWarmth(growth).geometry(parameters, at)
+
+
+@dataclass(frozen=True)
 class MisplacedTarget(Effect):
     """A reflector at `at_platform` (m, in {P}) instead of the platform's origin."""
 

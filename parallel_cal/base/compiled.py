@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.files import cache_folder
+from parallel_cal.base.parallel import count_cores
 
 log = logging.getLogger(__name__)
 
@@ -77,9 +78,7 @@ class Batch:
         room = -(-n // self.SIZES[-1]) * self.SIZES[-1]
         out = [np.empty((room, self.function.numel_out(i))) for i in range(self.function.n_out())]
         with self._lock:
-            # OMP_NUM_THREADS limits the threads here as in other libraries.
-            allowed = os.environ.get("OMP_NUM_THREADS") or len(os.sched_getaffinity(0))
-            cores = min(int(allowed), n // MIN_SAMPLES_PER_CORE)
+            cores = min(count_cores(), n // MIN_SAMPLES_PER_CORE)
             if cores < 2:
                 self._evaluate_range(0, given, out, 0, n)
             else:

@@ -118,3 +118,8 @@ PLAN_REACHES = (1.0, 2.0)  # times the workspace: poses outside it may separate 
 TARGET_SEPARATION_SIGMAS = (
     7.0  # sigmas: two more than MIN_SEPARATION_SIGMAS, as a margin for chance
 )
+
+# Several stations: a device whose smooth error leaves more than this share of an effect is excluded
+MIN_SHARE_BEYOND_DEVICE = 0.2
+MAX_FIELD_DEGREE = 4  # of the polynomials of a device's error
+MIN_ROWS_PER_FIELD_COLUMN = 4  # rows of the residual for each of their coefficients

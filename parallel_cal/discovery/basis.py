@@ -37,6 +37,12 @@ def splines(drivers: Sequence[Driver], count: int) -> np.ndarray:
     return out
 
 
+def lines(drivers: Sequence[Driver]) -> np.ndarray:
+    """One column (members, N, 1) in proportion to a driver."""
+    values = np.array([one.values for one in drivers])
+    return np.asarray(values[:, :, None] / np.abs(values).max())
+
+
 def polynomials(drivers: Sequence[Driver]) -> np.ndarray:
     """Legendre polynomials (members, N, MAX_DEGREE + 1) of one driver."""
     return _polynomials(np.array([one.values for one in drivers]), MAX_DEGREE)

@@ -13,12 +13,15 @@ from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.options import with_changes
+from parallel_cal.base.parallel import Runner, run_on_cores, running
 from parallel_cal.base.progress import Progress, ignore_progress, never_falling
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.diagnose import find_mistrusted_samples
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.diagnosis.stations import DeviceField, find_stations
+from parallel_cal.diagnosis.thresholds import MAX_HELD_COORDINATE_SIGMAS
 from parallel_cal.diagnosis.verdict import share_explained
 from parallel_cal.discovery.drivers import (
     LAGGED,
@@ -38,10 +41,12 @@ from parallel_cal.discovery.effect_file import (
     write_effect_file,
     write_formula,
 )
+from parallel_cal.discovery.folds import Choice, choose_in_folds
 from parallel_cal.discovery.formula import Formula, find_formula
 from parallel_cal.discovery.nulls import characterise_noise, compute_threshold, draw_residuals
 from parallel_cal.discovery.parts import Part, Parts, find_parts
 from parallel_cal.discovery.places import (
+    BASE,
     DEVICE,
     JOINT,
     PARAMETER,
@@ -50,9 +55,8 @@ from parallel_cal.discovery.places import (
     list_places,
     list_sites,
 )
-from parallel_cal.discovery.screening import DeviceField, Hypothesis, Screening, Targets
+from parallel_cal.discovery.screening import Hypothesis, Screening, Targets
 from parallel_cal.discovery.shape import Shape, find_shape
-from parallel_cal.discovery.stations import find_stations
 from parallel_cal.discovery.thresholds import (
     LAGS_PER_OCTAVE,
     MAX_EQUAL_EVIDENCE,
@@ -62,7 +66,6 @@ from parallel_cal.discovery.thresholds import (
     MAX_SCREENED_SAMPLES,
     MAX_SPLITS,
     MIN_RIVAL_EVIDENCE_SHARE,
-    MIN_SHARE_BEYOND_DEVICE,
     MIN_TERM_EVIDENCE,
     NULL_SESSIONS,
 )
@@ -70,6 +73,7 @@ from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.fit import FitResult, fit
 from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.prediction_errors import Summary
+from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset, check_inputs
 from parallel_cal.recordings.lagged import add_lagged_conditions
@@ -113,6 +117,8 @@ class Law:
         The range of each driver in the samples.
     alternatives : tuple of str
         Laws that describe the data equally well, each as `PLACE by DRIVER`.
+    choice : Choice
+        The residuals at held-out poses if its form and its constants are chosen without them.
     evidence, threshold : float
         Log evidence of place and drivers without a formula, and the value that the best of all
         hypotheses exceeds in one of a hundred sessions without a law.
@@ -139,6 +145,7 @@ class Law:
     noise_floor: Summary
     tested: Mapping[str, tuple[float, float]]
     alternatives: tuple[str, ...]
+    choice: Choice
     evidence: float
     threshold: float
     against: str
@@ -170,6 +177,8 @@ class Law:
                 "before": self.before.document(),
                 "after": self.after.document(),
                 "noise_floor": self.noise_floor.document(),
+                "residuals_ratio": to_json_value(self.choice.ratio),
+                "residuals_ratio_chosen_anew": to_json_value(self.choice.ratio_anew),
             },
             "tested": {name: list(span) for name, span in self.tested.items()},
             "or": list(self.alternatives),
@@ -201,6 +210,8 @@ class Discovery(ShownInNotebook):
     described : Model
         The fitted model with the proven laws, for use in this process. To write a model file, write
         the effect first and add it with `add`.
+    needs_larger_model : bool
+        Whether the measured pose varies in coordinates that the model holds at one value.
     """
 
     model: Model
@@ -211,6 +222,7 @@ class Discovery(ShownInNotebook):
     summary: str
     measure_next: tuple[str, ...]
     described: Model
+    needs_larger_model: bool = False
 
     def __repr__(self) -> str:
         found = "; ".join(law.name for law in self.laws) or "no law"
@@ -239,6 +251,7 @@ class Discovery(ShownInNotebook):
             "laws": [law.document() for law in self.laws],
             "suspected": [law.document() for law in self.suspected],
             "measure_next": list(self.measure_next),
+            "needs_larger_model": self.needs_larger_model,
             "file": str(files[0]) if files else None,
             "files": [str(file) for file in files],
             "samples": len(self.dataset),
@@ -293,6 +306,7 @@ def discover(
     *,
     options: FitOptions | None = None,
     progress: Progress | None = None,
+    run: Runner = run_on_cores,
     **changes: Unpack[FitKeywords],
 ) -> Discovery:
     """Find the law of an error that no effect of the catalogue describes.
@@ -312,6 +326,9 @@ def discover(
     progress : callable, optional
         Called with a stage in words and the completed share (0 to 1), which never falls. An
         exception that it raises cancels the search.
+    run : callable, optional
+        Runs the parts of the search: on all cores of this machine by default, on a Dask cluster
+        with `fleet.cluster.run_on_cluster`. The result does not depend on it.
     **changes
         Single options by name, as in `fit`.
 
@@ -351,28 +368,31 @@ def discover(
     device, shown = None, list[Driver]()
     if stations is not None:
         seen = stations.show(scene.seen[:, len(model.joints) :][:, :3])
-        own = [place for place in places if place.kind == DEVICE and place.index < 3]
-        device = DeviceField([place.columns for place in own], seen)
+        device = DeviceField(scene, stations)
         shown = list_shown_positions(seen)
         drivers = [one for one in drivers if one.family != "session"]  # stations change with it
     screening = Screening(scene, list_sites(places), [*select_for_screening(drivers), *shown])
-    winners = _find_winners(scene, screening, drivers, report, device)
-    thresholds = _find_thresholds(scene, screening, winners, report)
+    search = _Search(scene, screening, drivers, device, run, report)
+    winners = _find_winners(search)
+    thresholds = _find_thresholds(search, winners)
     real = [
         law
         for one, threshold in zip(winners, thresholds, strict=True)
         if one.evidence > threshold
         for law in one.list_laws(threshold)
     ]
-    found, current = list[Law](), base.model
+    found, current, proven = list[Law](), base.model, np.zeros((len(scene.residual), 0))
     for k, (winner, threshold) in enumerate(real):
         report("testing a law at held-out poses", 0.8 + 0.2 * k / len(real))
-        law, step = _prove(winner, threshold, current, dataset, options, scene)
+        targets = Targets.of(scene, scene.residual[:, None], proven)
+        choice = choose_in_folds(targets, winner.formula, run)
+        law, step = _prove(winner, threshold, choice, current, dataset, options, scene)
         found.append(law)
         if not law.against:
-            current = step.model
+            current, proven = step.model, np.hstack([proven, winner.formula.columns])
     advice = [_advise(scene, winner, drivers) for winner, _ in real]
-    return _conclude(model, dataset, found, [words for words in advice if words], current)
+    held = Field.of(scene).held
+    return _conclude(model, dataset, found, [words for words in advice if words], current, held)
 
 
 def _make_scene(base: FitResult, given: Dataset) -> tuple[Scene, Dataset]:
@@ -386,72 +406,109 @@ def _make_scene(base: FitResult, given: Dataset) -> tuple[Scene, Dataset]:
     return scene, given.select(some)
 
 
-def _find_winners(
-    scene: Scene,
-    screening: Screening,
-    drivers: Sequence[Driver],
-    report: Progress,
-    device: DeviceField | None,
-) -> list[_Winner]:
-    """The best law, and further ones in what it leaves, before any test of chance. `device` are
-    errors of a device that stood at several stations."""
-    columns = np.zeros((len(scene.residual), 0))
+@dataclass(frozen=True)
+class _Search:
+    """What a search for laws works with: `device` are errors of a device that stood at several
+    stations."""
+
+    scene: Scene
+    screening: Screening
+    drivers: Sequence[Driver]
+    device: DeviceField | None
+    run: Runner
+    report: Progress
+
+
+@dataclass(frozen=True)
+class _Best:
+    """The best law in what earlier ones leave, and the hypotheses with their evidence."""
+
+    winner: _Winner
+    targets: Targets
+    scored: Sequence[tuple[float, Hypothesis]]
+
+
+def _find_winners(search: _Search) -> list[_Winner]:
+    """The best law, and further ones in what it leaves, before any test of chance."""
+    columns = np.zeros((len(search.scene.residual), 0))
     winners: list[_Winner] = []
-    for k in range(MAX_LAWS):
-        report("screening places and drivers", 0.1 + 0.1 * k)
-        targets = Targets.of(scene, scene.residual[:, None], columns)
-        scored = [
-            (float(e), one)
-            for part in screening.score(targets)
-            for e, one in zip(part.evidence[:, 0], part.hypotheses, strict=True)
-        ]
-        if not scored:
-            break
-        scored.sort(key=lambda item: -item[0])
-        # By chance, the best of so many hypotheses is about as much likelier as their number.
-        if scored[0][0] < np.log(len(scored)):
-            break
-        winner = find_winner(scene, targets, scored)
-        if winner is None:
-            break
-        refined = _refine_lag(scene, targets, winner.formula, drivers)
-        winner = replace(winner, formula=refined)
-        limit = MAX_LAWS - sum(1 + len(one.parts) for one in winners)
-        parts = _find_parts(scene, targets, screening, scored, winner.formula, limit)
+    best = _find_best(search, columns)
+    while best is not None:
+        winner, left = best.winner, MAX_LAWS - _count_laws(winners)
+        parts = _find_parts(search, best, left)
+        best = None
+        if parts is not None and len(winner.formula.hypothesis.drivers) == 1 < left:
+            # Places of this driver may only imitate what depends on another quantity.
+            best = _find_best(search, np.hstack([columns, winner.columns]))
+            gained = parts.evidence - winner.formula.evidence
+            if best is not None and best.winner.formula.evidence > gained:
+                parts = None
         if parts is not None:  # what the device may cause stays an objection
             of_device = [one for one in winner.equal if one.hypothesis.site.kind == DEVICE]
             first, *others = parts.laws
             equal = (*of_device, *first.equal)
             winner = replace(winner, formula=first.formula, equal=equal, parts=tuple(others))
-        if device is not None and not winner.formula.hypothesis.slow:
-            excluded = device.leave(targets, winner.signal) > MIN_SHARE_BEYOND_DEVICE
-            winner = replace(winner, excludes_device=excluded)
-        winners.append(winner)
+            best = None
+        winners.append(_exclude_device(search, columns, winner))
         columns = np.hstack([columns, winner.columns])
-        if sum(1 + len(one.parts) for one in winners) >= MAX_LAWS:
+        if _count_laws(winners) >= MAX_LAWS:
             break
+        best = best or _find_best(search, columns)
     return winners
 
 
+def _count_laws(winners: Sequence[_Winner]) -> int:
+    return sum(1 + len(one.parts) for one in winners)
+
+
+def _find_best(search: _Search, columns: np.ndarray) -> _Best | None:
+    """The best law beside laws with the columns (n, k); None if chance explains it."""
+    search.report("screening places and drivers", 0.1)
+    targets = Targets.of(search.scene, search.scene.residual[:, None], columns)
+    scored = [
+        (float(e), one)
+        for part in search.screening.score(targets, search.run)
+        for e, one in zip(part.evidence[:, 0], part.hypotheses, strict=True)
+    ]
+    scored.sort(key=lambda item: -item[0])
+    # By chance, the best of so many hypotheses is about as much likelier as their number.
+    if not scored or scored[0][0] < np.log(len(scored)):
+        return None
+    search.report("searching formulas", 0.3)
+    winner = find_winner(targets, scored, search.run)
+    if winner is None:
+        return None
+    formula = _refine_lag(targets, winner.formula, search)
+    return _Best(replace(winner, formula=formula), targets, scored)
+
+
+def _exclude_device(search: _Search, columns: np.ndarray, winner: _Winner) -> _Winner:
+    """The winner, which no device can cause if samples of several stations show it."""
+    if search.device is None or winner.formula.hypothesis.slow:
+        return winner
+    targets = Targets.of(search.scene, search.scene.residual[:, None], columns)
+    excluded = search.device.excludes(winner.signal, targets.directions)
+    return replace(winner, excludes_device=excluded)
+
+
 def find_winner(
-    scene: Scene, targets: Targets, scored: Sequence[tuple[float, Hypothesis]]
+    targets: Targets,
+    scored: Sequence[tuple[float, Hypothesis]],
+    run: Runner = run_on_cores,
 ) -> _Winner | None:
     """Find formulas for the best hypotheses; of those equally good, take the simplest."""
-    found: dict[tuple[Any, ...], tuple[Formula, Hypothesis]] = {}
-    for one in _select_for_formulas(scored):
-        formula = find_formula(scene, targets, one)
-        if formula is None:
-            continue
-        reduced = _reduce(formula)
-        key = reduced.hypothesis.key
-        if key not in found or found[key][0].evidence < reduced.evidence:
-            found[key] = reduced, one
+    found: dict[tuple[Any, ...], Formula] = {}
+    with running(run, find_formula, targets, _select_for_formulas(scored)) as formulas:
+        for formula in filter(None, formulas):
+            reduced = _reduce(formula)
+            key = reduced.hypothesis.key
+            if key not in found or found[key].evidence < reduced.evidence:
+                found[key] = reduced
     if not found:
         return None
-    ranked = sorted(found.values(), key=lambda item: -item[0].evidence)
-    limit = ranked[0][0].evidence - MAX_EQUAL_EVIDENCE
+    limit = max(formula.evidence for formula in found.values()) - MAX_EQUAL_EVIDENCE
     equal = sorted(
-        (formula for formula, _ in ranked if formula.evidence >= limit),
+        (formula for formula in found.values() if formula.evidence >= limit),
         key=lambda formula: (*formula.complexity, -formula.evidence),
     )
     best = equal[0]
@@ -460,50 +517,46 @@ def find_winner(
     return _Winner(best, tuple(equal[1:]), max(scored[0][0], best.evidence), next(robots, None))
 
 
-def _find_parts(
-    scene: Scene,
-    targets: Targets,
-    screening: Screening,
-    scored: Sequence[tuple[float, Hypothesis]],
-    formula: Formula,
-    limit: int,
-) -> Parts | None:
+def _find_parts(search: _Search, best: _Best, limit: int) -> Parts | None:
     """Several laws of one driver, in different places, that describe the data better than a law of
     the robot with one driver, or as well as one with two; None if there are none.
 
     Where several parts err with the temperature, one of them alone describes less than a law with
     a second quantity that no part depends on.
     """
+    formula, targets, list_hypotheses = (
+        best.winner.formula,
+        best.targets,
+        search.screening.list_hypotheses,
+    )
     drivers = formula.hypothesis.drivers
     if formula.hypothesis.site.kind == DEVICE:
         return None
     if len(drivers) == 1:
-        return find_parts(targets, formula, screening.list_hypotheses(drivers[0][0]), limit)
-    best, found = formula.evidence - MAX_EQUAL_EVIDENCE, None
+        return find_parts(targets, formula, list_hypotheses(drivers[0][0]), limit)
+    evidence, found = formula.evidence - MAX_EQUAL_EVIDENCE, None
     for own in drivers:
         begin = [
             one
-            for _, one in scored
+            for _, one in best.scored
             if len(one.drivers) == 1 and one.uses(own[0]) and one.site.kind != DEVICE
         ]
         for one in begin[:MAX_SPLITS]:
-            start = find_formula(scene, targets, one)
+            start = find_formula(targets, one)
             if start is None:
                 continue
-            parts = find_parts(targets, start, screening.list_hypotheses(own[0]), limit)
-            if parts is not None and parts.evidence > best:
-                best, found = parts.evidence, parts
+            parts = find_parts(targets, start, list_hypotheses(own[0]), limit)
+            if parts is not None and parts.evidence > evidence:
+                evidence, found = parts.evidence, parts
     return found
 
 
-def _refine_lag(
-    scene: Scene, targets: Targets, formula: Formula, drivers: Sequence[Driver]
-) -> Formula:
+def _refine_lag(targets: Targets, formula: Formula, search: _Search) -> Formula:
     """The formula with the time constant that describes the data best."""
     own = formula.hypothesis.drivers[0]
     if own[0].family != LAGGED:
         return formula
-    lags = [one for one in drivers if one.family == LAGGED]
+    lags = [one for one in search.drivers if one.family == LAGGED]
     at = [one.name for one in lags].index(own[0].name)
     near = lags[max(at - LAGS_PER_OCTAVE + 1, 0) : at + LAGS_PER_OCTAVE]
     hypotheses = [
@@ -511,8 +564,8 @@ def _refine_lag(
         for one in near
         if one is not own[0]
     ]
-    found = [find_formula(scene, targets, one) for one in hypotheses]
-    return max([formula, *filter(None, found)], key=lambda one: one.evidence)
+    with running(search.run, find_formula, targets, hypotheses) as found:
+        return max([formula, *filter(None, found)], key=lambda one: one.evidence)
 
 
 def _select_for_formulas(scored: Sequence[tuple[float, Hypothesis]]) -> list[Hypothesis]:
@@ -551,9 +604,7 @@ def _reduce(formula: Formula) -> Formula:
     return replace(formula, terms=terms, hypothesis=replace(formula.hypothesis, drivers=drivers))
 
 
-def _find_thresholds(
-    scene: Scene, screening: Screening, winners: Sequence[_Winner], report: Progress
-) -> list[float]:
+def _find_thresholds(search: _Search, winners: Sequence[_Winner]) -> list[float]:
     """For each winner, the evidence that the best hypothesis of a session without any law rarely
     exceeds; drivers that change slowly are compared among themselves.
 
@@ -564,7 +615,7 @@ def _find_thresholds(
     removed = [one for one in winners if not one.formula.hypothesis.slow]
     thresholds: dict[int, float] = {}
     while len(thresholds) < len(winners):
-        limit = _compute_limits(scene, screening, removed, report)
+        limit = _compute_limits(search, removed)
         found = {k: limit[one.formula.hypothesis.slow] for k, one in enumerate(winners)}
         real = {k: t for k, t in found.items() if k not in thresholds and winners[k].evidence > t}
         thresholds |= real
@@ -575,30 +626,30 @@ def _find_thresholds(
     return [thresholds[k] for k in range(len(winners))]
 
 
-def _compute_limits(
-    scene: Scene, screening: Screening, removed: Sequence[_Winner], report: Progress
-) -> dict[bool, float]:
+def _compute_limits(search: _Search, removed: Sequence[_Winner]) -> dict[bool, float]:
     """The evidence that the best hypothesis of a session without any law rarely exceeds, of drivers
     that change slowly (True) and of the others, with the noise that `removed` laws leave."""
+    scene = search.scene
     nothing = np.zeros((len(scene.residual), 0))
     columns = np.hstack([nothing, *(one.columns for one in removed)])
     rest = Targets.of(scene, scene.residual[:, None], columns).residuals[:, 0]
     noise = characterise_noise(scene, rest)
     targets = Targets.of(scene, draw_residuals(scene, noise, NULL_SESSIONS), nothing)
     maxima = {True: np.full(NULL_SESSIONS, -np.inf), False: np.full(NULL_SESSIONS, -np.inf)}
-    for done, part in enumerate(screening.score(targets)):
+    for done, part in enumerate(search.screening.score(targets, search.run)):
         is_slow = np.array([one.slow for one in part.hypotheses])
         for kind in (True, False):
             if np.any(is_slow == kind):
                 own = part.evidence[is_slow == kind].max(axis=0)
                 maxima[kind] = np.maximum(maxima[kind], own)
-        report("searching sessions without a law", 0.4 + 0.4 * (1 - 0.99**done))
+        search.report("searching sessions without a law", 0.4 + 0.4 * (1 - 0.99**done))
     return {kind: compute_threshold(own) for kind, own in maxima.items() if np.isfinite(own).all()}
 
 
 def _prove(
     winner: _Winner,
     threshold: float,
+    choice: Choice,
     model: Model,
     dataset: Dataset,
     options: FitOptions,
@@ -626,11 +677,14 @@ def _prove(
     of_device = hypothesis.site.kind == DEVICE
     against = step.acceptance.against.replace(f" with '{name}'", "").replace(name, "it")
     device_may_err = step.acceptance.device_may_err
-    if device_may_err and winner.excludes_device:
-        against, device_may_err = "", False
     if not against:
         against = _explain_device(winner)
         device_may_err = bool(against)
+    if not against and not choice.is_clear:
+        against = (
+            "if its form and its constants are chosen without the held-out poses, the error there "
+            "falls by no more than its own uncertainty"
+        )
     law = Law(
         place=_name_place(hypothesis),
         drivers=hypothesis.families,
@@ -645,6 +699,7 @@ def _prove(
         noise_floor=step.result.noise_floor,
         tested=tested,
         alternatives=tuple(rivals),
+        choice=choice,
         evidence=winner.evidence,
         threshold=threshold,
         against=against,
@@ -702,6 +757,7 @@ def describe_law(hypothesis: Hypothesis) -> str:
         PARAMETER: f"The parameter {_join(names)}",
         ROD: f"The length of {_join(names)}",
         PLATFORM: f"The platform's {last}",
+        BASE: f"The rotation {last} of the base, as the device sees it,",
         DEVICE: f"The {last} that the device shows",
     }[site.kind]
     on = " and ".join(
@@ -736,8 +792,10 @@ def _conclude(
     found: Sequence[Law],
     advice: Sequence[str],
     described: Model,
+    held: float,
 ) -> Discovery:
-    """The verdict, its sentence, and what to measure next."""
+    """The verdict, its sentence, and what to measure next. `held` is by how many sigmas coordinates
+    vary that the model holds at one value."""
     laws = tuple(law for law in found if not law.against)
     suspected = tuple(law for law in found if law.against)
     if laws:
@@ -756,7 +814,32 @@ def _conclude(
     summary = " ".join(words)
     if any(law.device_may_err for law in suspected):
         advice = [*advice, A_STATION]
-    return Discovery(model, dataset, laws, suspected, verdict, summary, tuple(advice), described)
+    needs_larger_model = held > MAX_HELD_COORDINATE_SIGMAS
+    if needs_larger_model:
+        summary = f"{_explain_larger_model(model, held)} {summary}"
+    return Discovery(
+        model,
+        dataset,
+        laws,
+        suspected,
+        verdict,
+        summary,
+        tuple(advice),
+        described,
+        needs_larger_model,
+    )
+
+
+def _explain_larger_model(model: Model, held: float) -> str:
+    """Say that a model is too small for what was measured, and which one to use instead."""
+    mechanism, larger = model.mechanism, "a larger model"
+    if type(mechanism).widen is not Mechanism.widen:
+        name, _ = mechanism.widen(mechanism.parameters.mapping(mechanism.parameters.nominal))
+        larger = f"the larger model {name}"
+    return (
+        "The measured pose includes coordinates that the model holds at one value; they vary by "
+        f"{held:.0f} sigmas: use {larger} first."
+    )
 
 
 def _describe_proof(law: Law) -> str:
@@ -778,11 +861,15 @@ def _describe_proof(law: Law) -> str:
 
 
 def _describe_choices(law: Law) -> str:
-    """Say what was chosen with the held-out poses: each fold identifies the coefficients again, but
-    not the form of the law and the constants in it."""
+    """Say what was chosen with the held-out poses, and what it means for the error there: each fold
+    identifies the coefficients again, but not the form of the law and the constants in it."""
     chosen = ["form", *(c.name for c in law.parameters if c.scanned)]
     verb = "was" if len(chosen) == 1 else "were"
-    return f"; {_join(chosen)} {verb} chosen with these poses, the coefficients without them"
+    return (
+        f"; {_join(chosen)} {verb} chosen with these poses: residuals there fall to "
+        f"{100 * law.choice.ratio:.1f} %, and to {100 * law.choice.ratio_anew:.1f} % if chosen "
+        "without them"
+    )
 
 
 def _format_coefficient(c: Coefficient) -> str:

@@ -19,6 +19,7 @@ from parallel_cal.discovery.thresholds import (
     MIN_SAMPLES_PER_LAG,
     MIN_VARIATION,
 )
+from parallel_cal.effects._lines import line_stretches, needs_lines
 from parallel_cal.effects._statics import (
     PAYLOAD,
     joint_forces,
@@ -27,11 +28,12 @@ from parallel_cal.effects._statics import (
     needs_weight,
     rod_forces,
 )
-from parallel_cal.model.effect import CONDITIONS, Seen, parse_lag
+from parallel_cal.model.effect import CONDITIONS, Seen, parse_lag, parse_part
 from parallel_cal.model.parameters import Named
 from parallel_cal.recordings.dataset import Dataset
 
 READING, LOAD, TENSION, TIME = "reading", "load", "tension", "time"
+STRETCH, MOMENT = "stretch", "moment"
 LAGGED = "lagged temperature"  # of parts that warm up later than the sensor
 NEXT, PREVIOUS = "next_joint", "previous_joint"  # readings of neighbours, for laws of all joints
 JOINT_CONDITIONS = tuple(name for name, (_, _, per_joint) in CONDITIONS.items() if per_joint)
@@ -59,6 +61,8 @@ WORDS = {  # of drivers of the whole robot, and of those of a member's own joint
     **{axis: f"the platform's {axis}" for axis in "xyz"},
     LOAD: "the load on its own joint",
     TENSION: "the tension of its own rod",
+    STRETCH: "the stretch of its own line by the payload, with all lines of one stiffness EA",
+    MOMENT: "the moment of the payload's weight about the same axis",
     READING: "the reading of its own joint",
     NEXT: "the reading of the next joint",
     PREVIOUS: "the reading of the previous joint",
@@ -69,6 +73,8 @@ WORDS = {  # of drivers of the whole robot, and of those of a member's own joint
 JOINT_WORDS = {  # of drivers of one named joint or rod
     LOAD: "the load on {}",
     TENSION: "the tension of {}",
+    STRETCH: "the stretch of the line of {} by the payload, with all lines of one stiffness EA",
+    MOMENT: "the moment of the payload's weight about {}",
     READING: "the reading of {}",
     "direction": "the approach direction of {}",
     "travel": "the travel of {} since the reversal",
@@ -78,6 +84,8 @@ JOINT_WORDS = {  # of drivers of one named joint or rod
 PLAUSIBILITY = (
     LOAD,
     TENSION,
+    STRETCH,
+    MOMENT,
     "payload",
     READING,
     "direction",
@@ -122,8 +130,9 @@ class Driver:
 
     `name` is as in reports (`load.joint2`), `family` its name without the joint, `code` what an
     effect computes it from, `needs` the condition that this requires. `slow` is whether it changes
-    as slowly as noise may. `joint` or `rod` is the index of the one that it belongs to. `shown` is
-    whether it is a position in the frame of the device, which stood elsewhere in each recording.
+    as slowly as noise may. `joint`, `rod` or `axis` is the index of the one that it belongs to.
+    `shown` is whether it is a position in the frame of the device, which stood elsewhere in each
+    recording.
     """
 
     name: str
@@ -137,6 +146,12 @@ class Driver:
     slow: bool = False
     rod: int | None = None
     shown: bool = False
+    axis: int | None = None
+
+    @property
+    def is_common(self) -> bool:
+        """Whether it belongs to the whole robot, and to no joint, rod or axis."""
+        return self.joint is None and self.rod is None and self.axis is None
 
     @property
     def few_values(self) -> bool:
@@ -154,13 +169,21 @@ class Driver:
             return f"the {lag[0]}, delayed by a time constant of {lag[1]:g} s"
         if self.shown:
             return f"the {self.family} that the device shows"
+        if part := parse_part(self.name):
+            return f"the {part[0]} of the part '{part[1]}'"
         if self.family not in JOINT_WORDS:
             return WORDS[self.family]
         return JOINT_WORDS[self.family].format(self.name.rpartition(".")[2])
 
     @property
     def rank(self) -> int:
-        return PLAUSIBILITY.index(self.family)
+        return PLAUSIBILITY.index(self.kind)
+
+    @property
+    def kind(self) -> str:
+        """The family, for which the temperatures of all parts are one."""
+        part = parse_part(self.family)
+        return part[0] if part else self.family
 
 
 def list_drivers(scene: Scene) -> list[Driver]:
@@ -216,6 +239,12 @@ def _iterate_drivers(scene: Scene) -> Iterator[Driver]:
         yield Driver(
             f"{TENSION}.rod{k + 1}", TENSION, "N", f"tension[{k}]", values, rod=k, needs=PAYLOAD
         )
+    for i, values in enumerate(compute_stretches(scene).T):
+        name = f"{STRETCH}.{joints[i]}"
+        yield Driver(name, STRETCH, "N m", f"stretch[{i}]", values, i, needs=PAYLOAD)
+    for axis, values in compute_moments(scene).items():
+        name, code = f"{MOMENT}.{'xyz'[axis]}", f"moment[{axis}]"
+        yield Driver(name, MOMENT, "N m", code, values, needs=PAYLOAD, axis=axis)
     known = scene.dataset.conditions
     for kind in JOINT_CONDITIONS:
         for i, name in enumerate(joints):
@@ -230,6 +259,11 @@ def _iterate_drivers(scene: Scene) -> Iterator[Driver]:
             yield Driver(
                 kind, kind, unit, f"at.{kind}", known[kind] - neutral, zero=neutral, needs=kind
             )
+    for name in filter(parse_part, known):
+        if not parse_lag(name):
+            unit, neutral, _ = CONDITIONS["temperature"]
+            code, values = f"at[{json.dumps(name)}]", known[name] - neutral
+            yield Driver(name, name, "K", code, values, zero=neutral, needs=name)
     for name in filter(parse_lag, known):
         unit, neutral, _ = CONDITIONS["temperature"]
         code = f"at[{json.dumps(name)}]"
@@ -272,6 +306,25 @@ def compute_loads(scene: Scene) -> np.ndarray:
 def compute_tensions(scene: Scene) -> np.ndarray:
     """Tension (N, n_rods) of each rod under the payload, N; without columns if it is unknown."""
     return _compute_forces(scene, rod_forces, needs_rods(scene.model.mechanism))
+
+
+def compute_stretches(scene: Scene) -> np.ndarray:
+    """Stretch of each line by the payload, times EA (N, n_lines), N m; without columns if there are
+    no lines or no payload."""
+    return _compute_forces(scene, line_stretches, needs_lines(scene.model.mechanism))
+
+
+def compute_moments(scene: Scene) -> dict[int, np.ndarray]:
+    """Moment (N,) of the payload's weight about each axis of {B} that it can turn, N m.
+
+    None if the payload is unknown, or constant: it is then a function of the position.
+    """
+    payload, n = scene.dataset.conditions.get(PAYLOAD), len(scene.model.joints)
+    if payload is None or np.ptp(payload) <= MIN_VARIATION:
+        return {}
+    weight = payload[:, None] * np.array(scene.model.mechanism.gravity)
+    moments = np.cross(scene.seen[:, n : n + 3], weight)
+    return {axis: moments[:, axis] for axis in range(3) if moments[:, axis].any()}
 
 
 def _compute_forces(scene: Scene, forces: Callable[..., Any], unsuitable: str) -> np.ndarray:

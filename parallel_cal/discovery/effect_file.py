@@ -16,15 +16,16 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import write_atomically
-from parallel_cal.discovery.drivers import LOAD, TENSION, Driver
+from parallel_cal.diagnosis.stations import Stations
+from parallel_cal.discovery.drivers import LOAD, MOMENT, STRETCH, TENSION, Driver
 from parallel_cal.discovery.formula import Formula, Term
-from parallel_cal.discovery.places import DEVICE, JOINT, PARAMETER, PLATFORM, ROD, Place
-from parallel_cal.discovery.stations import Stations
+from parallel_cal.discovery.places import BASE, DEVICE, JOINT, PARAMETER, PLATFORM, ROD, Place
 
 WIDTH = 96  # characters of a line of the docstring
-FORCES = {  # family of a driver -> the function of `_statics` that computes it, and its requirement
-    LOAD: ("joint_forces", "needs_weight"),
-    TENSION: ("rod_forces", "needs_rods"),
+FORCES = {  # family of a driver -> where the function is that computes it, it, its requirement
+    LOAD: ("_statics", "joint_forces", "needs_weight"),
+    TENSION: ("_statics", "rod_forces", "needs_rods"),
+    STRETCH: ("_lines", "line_stretches", "needs_lines"),
 }
 RELATIVE_CONSTANT_TOLERANCE = 0.1  # of a scanned constant, if a user frees it
 
@@ -181,15 +182,19 @@ def write_effect(
         "",
         "from parallel_cal import Effect, Parameter",
     ]
-    if site.kind in (PLATFORM, DEVICE):
+    if site.kind in (PLATFORM, BASE, DEVICE):
         lines.append("from parallel_cal.base.rotation import cayley")
     if stations is not None:
         lines.append("from parallel_cal.effects._frames import select_station")
-    functions = {name for family in forces for name in ("masses", *FORCES[family])}
+    functions = {"_lines": set[str](), "_statics": {"masses"} if forces else set[str]()}
+    for family in forces:
+        module, *names = FORCES[family]
+        functions[module] |= set(names)
     if site.kind == ROD:
-        functions |= {"lengthen_rods", "needs_rods"}
-    if functions:
-        lines.append(f"from parallel_cal.effects._statics import {', '.join(sorted(functions))}")
+        functions["_statics"] |= {"lengthen_rods", "needs_rods"}
+    for module, own in functions.items():
+        if own:
+            lines.append(f"from parallel_cal.effects.{module} import {', '.join(sorted(own))}")
     if stations is not None:
         lines += ["", *_write_stations(stations)]
     lines += ["", "", "class FoundLaw(Effect):"]
@@ -253,9 +258,9 @@ def _tolerance(value: float, sigma: float | None) -> float:
 
 def _equation(formula: Formula) -> str:
     site = formula.hypothesis.site
-    words = {JOINT: "q", PLATFORM: "pose", DEVICE: "shown pose"}
+    words = {JOINT: "q", PLATFORM: "pose", BASE: "pose turned about {B}", DEVICE: "shown pose"}
     name = words.get(site.kind, "length")
-    sign = "-" if site.kind in (PLATFORM, DEVICE) else "+"
+    sign = "-" if site.kind in (PLATFORM, BASE, DEVICE) else "+"
     members = ", ".join(place.name for place in site.members)
     law = write_formula(formula)
     return fill(_plain(f"ideal {name} = {name} {sign} ({law}), for {members}."), WIDTH)
@@ -278,7 +283,7 @@ def _applies(formula: Formula) -> Iterator[str]:
         yield f"        missing = {{{needed}}} - {{*mechanism.joints, *mechanism.parameters.names}}"
         yield "        if missing:"
         yield "            return f\"it has no {', '.join(sorted(missing))}\""
-    needs = [f"{FORCES[family][1]}(mechanism)" for family in _list_forces(formula)]
+    needs = [f"{FORCES[family][2]}(mechanism)" for family in _list_forces(formula)]
     if site.kind == ROD:
         needs = list(dict.fromkeys([*needs, "needs_rods(mechanism)"]))
     yield f"        return {' or '.join(needs) or json.dumps('')}"
@@ -287,14 +292,17 @@ def _applies(formula: Formula) -> Iterator[str]:
 def _ideal(formula: Formula) -> Iterator[str]:
     site, hypothesis = formula.hypothesis.site, formula.hypothesis
     for family in _list_forces(formula):
-        yield f"        {family} = {FORCES[family][0]}(seen, e, at, mechanism)"
+        yield f"        {family} = {FORCES[family][1]}(seen, e, at, mechanism)"
     start = {
         JOINT: "q = ca.vertsplit(seen.q)",
         PARAMETER: "changed = {}",
         ROD: "longer = [0.0] * len(mechanism.rod_lengths(seen.p))",
         PLATFORM: "shift, turn = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]",
         DEVICE: "shift, turn = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]",
+        BASE: "turn = [0.0, 0.0, 0.0]",
     }
+    if any(formula.hypothesis.drivers[k][0].family == MOMENT for k in formula.used_drivers):
+        yield "        moment = ca.cross(seen.r, at.payload * ca.DM(mechanism.gravity))"
     yield f"        {start[site.kind]}"
     if site.members[0].stations is not None:
         yield "        to_device, origin = select_station(STATIONS, at.session)"
@@ -320,6 +328,8 @@ def _ideal(formula: Formula) -> Iterator[str]:
         ROD: "return lengthen_rods(seen, mechanism, ca.vertcat(*longer))",
         PLATFORM: "return seen.with_pose(seen.r - ca.vertcat(*shift), "
         "cayley(ca.vertcat(*turn)).T @ seen.R)",
+        BASE: "back = cayley(ca.vertcat(*turn)).T\n"
+        "        return seen.with_pose(back @ seen.r, back @ seen.R)",
     }
     if site.members[0].stations is not None:  # from the axes of the device to those of {B}
         end[DEVICE] = (

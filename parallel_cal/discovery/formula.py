@@ -8,11 +8,10 @@ from itertools import product
 
 import numpy as np
 
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
 from parallel_cal.discovery.basis import frequencies
 from parallel_cal.discovery.drivers import NEXT, PREVIOUS, READING, TIME, Driver
-from parallel_cal.discovery.places import DEVICE, JOINT, PARAMETER, PLATFORM, ROD, Site
+from parallel_cal.discovery.places import BASE, DEVICE, JOINT, PARAMETER, PLATFORM, ROD, Site
 from parallel_cal.discovery.screening import Hypothesis, Targets, evidence
 from parallel_cal.discovery.thresholds import (
     MAX_TERMS,
@@ -20,9 +19,15 @@ from parallel_cal.discovery.thresholds import (
     MIN_TERM_EVIDENCE,
     REDRAWS,
 )
-from parallel_cal.identification.observations import blocks
 
-PLACE_KINDS = (JOINT, PLATFORM, ROD, PARAMETER, DEVICE)  # the more usual place of an error first
+PLACE_KINDS = (
+    JOINT,
+    PLATFORM,
+    BASE,
+    ROD,
+    PARAMETER,
+    DEVICE,
+)  # the more usual place of an error first
 POWERS = {1: "linear", 2: "quadratic", 3: "cubic"}
 CENTRES = 24  # of a bump or a step, over the range of its driver
 WIDTHS = (0.02, 0.04, 0.08, 0.15, 0.3)  # of a bump or a step, as shares of the range
@@ -179,7 +184,7 @@ def _is_of_other_joint(site: Site, own: Sequence[Driver]) -> bool:
     return any(one.joint != place.joint for one, place in zip(own, site.members, strict=True))
 
 
-def find_formula(scene: Scene, targets: Targets, hypothesis: Hypothesis) -> Formula | None:
+def find_formula(targets: Targets, hypothesis: Hypothesis) -> Formula | None:
     """Find the shortest formula for a hypothesis, on the first residual of the targets; None if no
     term describes the residual.
 
@@ -191,7 +196,7 @@ def find_formula(scene: Scene, targets: Targets, hypothesis: Hypothesis) -> Form
     chosen = search.forward()
     chosen = search.backward(chosen)
     while chosen:
-        unstable = _find_unstable(scene, search, chosen)
+        unstable = _find_unstable(search, chosen)
         if unstable is None:
             break
         chosen = [number for number in chosen if number != unstable]
@@ -451,10 +456,10 @@ def _with_constants(group: Group, constants: np.ndarray) -> Group:
     return Group(terms, group.scanned)
 
 
-def _find_unstable(scene: Scene, search: _Selection, chosen: Sequence[int]) -> int | None:
+def _find_unstable(search: _Selection, chosen: Sequence[int]) -> int | None:
     """The group whose terms all change their sign with the choice of the poses; None if all keep
     it. Visits of one pose stay together."""
-    group = blocks(scene.dataset)
+    group = search.targets.group
     names = np.unique(group)
     rng = np.random.default_rng(0)
     at = search.columns_of(chosen)

@@ -11,11 +11,18 @@ import numpy as np
 
 from parallel_cal.base.rotation import left_generators
 from parallel_cal.diagnosis.scene import Scene
-from parallel_cal.discovery.stations import Stations
+from parallel_cal.diagnosis.stations import Stations
 from parallel_cal.effects._statics import needs_rods, rods
 from parallel_cal.model.mechanism import POSE
 
-JOINT, PARAMETER, ROD, PLATFORM, DEVICE = "joint", "parameter", "rod", "pose", "device"
+JOINT, PARAMETER, ROD, PLATFORM, BASE, DEVICE = (
+    "joint",
+    "parameter",
+    "rod",
+    "pose",
+    "base",
+    "device",
+)
 MEMBER = re.compile(r"(.*?\d+)\.(.+)")  # chain1.La_x: the chain, and the name of its parameter
 
 
@@ -81,6 +88,7 @@ def list_places(scene: Scene, stations: Stations | None = None) -> list[Place]:
             Place(f"{PLATFORM}.{name}", PLATFORM, unit, i, None, pose[:, :, i]),
             Place(f"{DEVICE}.{name}", DEVICE, unit, i, None, shown[:, :, i], stations=stations),
         ]
+    found += _list_turns_of_base(scene, pose)
     owners = _find_owners(mechanism.parameters.names, n)
     found += [
         Place(p.name, PARAMETER, p.unit, k, owners.get(p.name), J[:, :, n + 12 + k])
@@ -88,6 +96,19 @@ def list_places(scene: Scene, stations: Stations | None = None) -> list[Place]:
     ]
     found += _list_rods(scene, J[:, :, n + 12 :])
     return [place for place in found if np.any(place.columns)]
+
+
+def _list_turns_of_base(scene: Scene, pose: np.ndarray) -> list[Place]:
+    """The turns of the robot's base, as the device sees them, about the axes of {B} that a weight
+    can turn it about; `pose` are the derivatives by a shift and a turn of the platform."""
+    n, gravity = len(scene.model.joints), np.array(scene.model.mechanism.gravity)
+    r, found = scene.seen[:, n : n + 3], list[Place]()
+    for axis, unit in enumerate(np.eye(3)):
+        if np.cross(unit, gravity).any():
+            shift = np.cross(unit, r)
+            columns = np.einsum("nri,ni->nr", pose[:, :, :3], shift) + pose[:, :, 3 + axis]
+            found.append(Place(f"{BASE}.{POSE[3 + axis]}", BASE, "rad", 3 + axis, None, columns))
+    return found
 
 
 def _list_rods(scene: Scene, J: np.ndarray) -> list[Place]:
@@ -117,12 +138,14 @@ def list_sites(places: list[Place]) -> list[Site]:
             groups["rods"].append(place)
         elif place.kind == PARAMETER and (match := MEMBER.fullmatch(place.name)):
             groups[match[2]].append(place)
+        elif place.kind == BASE:
+            groups[BASE].append(place)
         elif place.index < 3:
             groups[f"{place.kind}.xyz"].append(place)
     for name, members in groups.items():
         if len(members) < 2:
             continue
-        if members[0].kind in (JOINT, PARAMETER, ROD):
+        if members[0].kind in (JOINT, PARAMETER, ROD, BASE):
             sites.append(Site(name, tuple(members)))
         if members[0].kind != ROD:  # so many coefficients would imitate any slow noise
             sites.append(Site(name, tuple(members), each=True))
@@ -147,8 +170,16 @@ def _turn_columns(pose: np.ndarray, turns: np.ndarray) -> np.ndarray:
 
 
 def _find_owners(names: tuple[str, ...], n_joints: int) -> dict[str, int]:
-    """The joint of each parameter that belongs to one chain, if there is a chain for each joint."""
-    chains = list(dict.fromkeys(m[1] for name in names if (m := MEMBER.fullmatch(name))))
-    if len(chains) != n_joints:
-        return {}
-    return {name: chains.index(match[1]) for name in names if (match := MEMBER.fullmatch(name))}
+    """The joint of each parameter that belongs to one chain (`chain1`, `line1`), if there is a
+    chain for each joint."""
+    matches = {name: match for name in names if (match := MEMBER.fullmatch(name))}
+    kinds: dict[str, list[str]] = defaultdict(list)
+    for chain in dict.fromkeys(match[1] for match in matches.values()):
+        kinds[chain.rstrip("0123456789")].append(chain)
+    owners = {
+        chain: joint
+        for chains in kinds.values()
+        if len(chains) == n_joints
+        for joint, chain in enumerate(chains)
+    }
+    return {name: owners[match[1]] for name, match in matches.items() if match[1] in owners}

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations, product
-from math import comb
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.parallel import Runner, run_on_cores, running
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
 from parallel_cal.discovery import basis
@@ -26,12 +26,10 @@ from parallel_cal.discovery.drivers import (
     READING,
     Driver,
 )
-from parallel_cal.discovery.places import DEVICE, JOINT, PARAMETER, PLATFORM, ROD, Site
+from parallel_cal.discovery.places import BASE, DEVICE, JOINT, PARAMETER, PLATFORM, ROD, Site
 from parallel_cal.discovery.thresholds import (
     FINE_SPLINES,
     MAX_CHUNK_NUMBERS,
-    MAX_FIELD_DEGREE,
-    MIN_ROWS_PER_FIELD_COLUMN,
     MIN_SAMPLES_PER_FINE_SPLINE,
     SPLINES,
 )
@@ -82,12 +80,14 @@ class Hypothesis:
 @dataclass(frozen=True)
 class Targets:
     """What hypotheses are scored on: `directions` (n, p), orthonormal, that the model can imitate,
-    and `residuals` (n, m) without them, with `dof` degrees of freedom each."""
+    and `residuals` (n, m) without them, with `dof` degrees of freedom each. `group` (N,) is the
+    number of the pose that a sample visits."""
 
     directions: np.ndarray = field(repr=False)
     residuals: np.ndarray = field(repr=False)
     rows: int
     dof: int
+    group: np.ndarray = field(repr=False)
 
     @classmethod
     def of(cls, scene: Scene, residuals: np.ndarray, found: np.ndarray) -> Targets:
@@ -100,7 +100,7 @@ class Targets:
             Q = np.hstack([Q, U[:, sizes > MIN_COLUMN_REMAINDER]])
         left = residuals - Q @ (Q.T @ residuals)
         dof = scene.dof - (Q.shape[1] - scene.basis.shape[1])
-        return cls(Q, left, scene.rows, dof)
+        return cls(Q, left, scene.rows, dof, scene.group)
 
 
 @dataclass(frozen=True)
@@ -118,45 +118,15 @@ def evidence(explained: np.ndarray, total: np.ndarray, rank: np.ndarray, dof: in
     return np.asarray(dof / 2 * np.log(total / rest) - rank / 2 * np.log(dof))
 
 
-class DeviceField:
-    """Smooth errors of a device: each coordinate errs with a polynomial in the position that it
-    shows, of the highest degree that the samples determine well.
-
-    `along` are the columns (N, rows) of each coordinate, `shown` (N, 3) the positions.
-    """
-
-    def __init__(self, along: Sequence[np.ndarray], shown: np.ndarray):
-        low, high = shown.min(axis=0), shown.max(axis=0)
-        x = (2 * shown - low - high) / np.maximum(high - low, 1e-12)
-        degree = max(
-            d
-            for d in range(1, MAX_FIELD_DEGREE + 1)
-            if d == 1 or len(along) * comb(d + 3, 3) * MIN_ROWS_PER_FIELD_COLUMN <= along[0].size
-        )
-        powers = [p for p in product(range(degree + 1), repeat=3) if sum(p) <= degree]
-        terms = [np.prod(x**p, axis=1) for p in powers]
-        B = np.stack([(own * term[:, None]).ravel() for own in along for term in terms], axis=1)
-        self._columns = B / np.maximum(np.linalg.norm(B, axis=0), 1e-12)
-
-    def leave(self, targets: Targets, signal: np.ndarray) -> float:
-        """The share of a signal (n,) that neither such an error nor the model can imitate."""
-        Q = targets.directions
-        s = signal - Q @ (Q.T @ signal)
-        left = self._columns - Q @ (Q.T @ self._columns)
-        U, sizes, _ = np.linalg.svd(left, full_matrices=False)
-        U = U[:, sizes > MIN_COLUMN_REMAINDER]
-        return float(np.sum((s - U @ (U.T @ s)) ** 2) / max(float(np.sum(s**2)), 1e-300))
-
-
 class Screening:
     """All hypotheses about a robot's residuals, and their scores."""
 
     def __init__(self, scene: Scene, sites: Sequence[Site], drivers: Sequence[Driver]) -> None:
-        self._scene, self._sites, self._drivers = scene, sites, drivers
+        self._sites, self._drivers = sites, drivers
         # Where the device stood elsewhere, too, what moves the platform may be the robot's.
         self._has_stations = any(one.shown for one in drivers)
         self._known: dict[tuple[Any, ...], np.ndarray] = {}  # bases, which sites share
-        self._n = len(scene.x)
+        self._n, self._n_joints = len(scene.x), len(scene.model.joints)
 
     def list_hypotheses(self, driver: Driver) -> list[Hypothesis]:
         """The hypotheses of one driver alone, which may be that of each joint or rod."""
@@ -172,6 +142,9 @@ class Screening:
     def _splines(self, own: DriverSet, count: int) -> np.ndarray:
         return self._compute_once(own, count, lambda: basis.splines(own, count))
 
+    def _lines(self, own: DriverSet) -> np.ndarray:
+        return self._compute_once(own, "lines", lambda: basis.lines(own))
+
     def _polynomials(self, own: DriverSet) -> np.ndarray:
         return self._compute_once(own, "polynomials", lambda: basis.polynomials(own))
 
@@ -183,22 +156,32 @@ class Screening:
             self._known[key] = compute()
         return self._known[key]
 
-    def score(self, targets: Targets) -> Iterator[Scored]:
+    def score(self, targets: Targets, run: Runner = run_on_cores) -> Iterator[Scored]:
         """Score all hypotheses, site by site."""
-        for site in self._sites:
-            total = np.sum(targets.residuals**2, axis=0)
-            work = _SiteWork(site, targets)
-            for hypotheses, columns in self._iterate_bases(site):
-                explained, rank = work.explain(columns)
-                yield Scored(hypotheses, evidence(explained, total, rank[:, None], targets.dof))
+        with running(run, _score_site, (self, targets), self._sites) as scored:
+            for parts in scored:
+                yield from parts
+
+    def score_site(self, site: Site, targets: Targets) -> list[Scored]:
+        """Score the hypotheses about one site."""
+        total = np.sum(targets.residuals**2, axis=0)
+        work, scored = _SiteWork(site, targets), list[Scored]()
+        for hypotheses, columns in self._iterate_bases(site):
+            explained, rank = work.explain(columns)
+            own = evidence(explained, total, rank[:, None], targets.dof)
+            scored.append(Scored(hypotheses, own))
+        return scored
 
     def _iterate_bases(self, site: Site) -> Iterator[tuple[list[Hypothesis], np.ndarray]]:
         """Iterate over hypotheses with their columns (members, hypotheses, N, k)."""
         sets = self._driver_sets(site)
+        alone = [own for own in sets if self._is_plausible(site, own)]
         yield from _chunks(
-            ([Hypothesis(site, (own,))], self._splines(own, SPLINES))
-            for own in sets
-            if self._is_plausible(site, own)
+            ([Hypothesis(site, (own,))], self._splines(own, SPLINES)) for own in alone
+        )
+        # A weak law in proportion to its driver is clear by one column, and not by so many splines.
+        yield from _chunks(
+            ([Hypothesis(site, (own,))], self._lines(own)) for own in alone if not own[0].few_values
         )
         if len(site.members) == 1 or not site.each:
             instant = [own for own in sets if own[0].family != LAGGED]
@@ -233,7 +216,7 @@ class Screening:
         """Drivers that each member may depend on: those of its own joint, those of all joints for
         a single place, and those of the whole robot."""
         n = len(site.members)
-        whole = [one for one in self._drivers if one.joint is None and one.rod is None]
+        whole = [one for one in self._drivers if one.is_common]
         common = [one for one in whole if not one.shown]
         own = [one for one in self._drivers if one.joint is not None]
         tensions = [one for one in self._drivers if one.rod is not None]
@@ -241,6 +224,12 @@ class Screening:
             shown = [one for one in whole if one.shown]
             known = [one for one in common if one.family not in PLACES] if shown else common
             return [(one,) * n for one in (*shown, *known) if one.family in OF_DEVICE]
+        if site.kind == BASE:
+            by_axis = {one.axis: one for one in self._drivers if one.axis is not None}
+            moments = [by_axis.get(place.index - 3) for place in site.members]
+            turned = tuple(one for one in moments if one is not None)
+            own_moments = [turned] if len(turned) == n else []
+            return [*own_moments, *((one,) * n for one in common if one.family not in PLACES)]
         if site.kind == PLATFORM:
             return [(one,) * n for one in (*own, *common) if one.family != READING]
         if site.kind == ROD:
@@ -257,7 +246,7 @@ class Screening:
                 members = [by_joint.get((family, int(joint or 0))) for joint in joints]
                 if all(member is not None for member in members):
                     sets.append(tuple(one for one in members if one is not None))
-        all_joints = site.kind == JOINT and n == len(self._scene.model.joints) > 1
+        all_joints = site.kind == JOINT and n == self._n_joints > 1
         if all_joints and READING in families:
             readings = [by_joint[READING, int(joint or 0)] for joint in joints]
             for family, step in ((NEXT, 1), (PREVIOUS, -1)):
@@ -268,11 +257,14 @@ class Screening:
     def _is_plausible(self, site: Site, own: DriverSet) -> bool:
         """Whether a site may err with one driver: from one station, what moves the platform as a
         device does cannot be told from an error of the device."""
-        return site.kind != PLATFORM or self._has_stations or own[0].family not in OF_DEVICE
+        moves = site.kind in (PLATFORM, BASE)
+        return not moves or self._has_stations or own[0].kind not in OF_DEVICE
 
     def _is_plausible_pair(self, site: Site, one: DriverSet, other: DriverSet) -> bool:
         """Whether two drivers may act together on a site: for a joint, its own quantities, other
         readings and those of the whole robot; for a single length, its own joint's as well."""
+        if site.kind == BASE:
+            return False
         if site.kind == DEVICE:
             return all(own[0].family in {*PLACES, "time"} for own in (one, other))
         if site.kind == PLATFORM:  # a field of position alone is the device's
@@ -286,6 +278,11 @@ class Screening:
             for own in (one, other)
             for d in own
         )
+
+
+def _score_site(shared: tuple[Screening, Targets], site: Site) -> list[Scored]:
+    screening, targets = shared
+    return screening.score_site(site, targets)
 
 
 def _chunks(

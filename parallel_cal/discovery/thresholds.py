@@ -25,10 +25,6 @@ MAX_LAWS = 3
 MAX_EQUAL_EVIDENCE = 5.0  # log of how much likelier one of two equally good laws may be
 # of the evidence for a law of the device: from it on, the robot may cause the error as well
 MIN_RIVAL_EVIDENCE_SHARE = 0.8
-# Several stations: a device whose smooth error leaves more than this share of a law is excluded
-MIN_SHARE_BEYOND_DEVICE = 0.2
-MAX_FIELD_DEGREE = 4  # of the polynomials of a device's error
-MIN_ROWS_PER_FIELD_COLUMN = 4  # rows of the residual for each of their coefficients
 MAX_FORMULAS = 20  # winners of the screening for which a formula is searched ...
 MAX_FORMULA_LAG = 40.0  # ... if their evidence is at most so much smaller: a formula needs fewer
 MAX_SPLITS = 4  # places from which a law of two drivers is split into laws of one driver

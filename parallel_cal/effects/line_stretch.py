@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import casadi as ca
-import numpy as np
 
+from parallel_cal.effects._lines import compute_sag, needs_lines
 from parallel_cal.mechanisms.cable import Cable
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
@@ -36,24 +36,10 @@ class LineStretch(Effect):
         ]
 
     def applies(self, mechanism: Mechanism) -> str:
-        if not isinstance(mechanism, Cable):
-            return "no line holds the platform"
-        falls = np.array(mechanism.gravity)[mechanism.moved].any()
-        return "" if falls else "the platform does not move along gravity"
+        return needs_lines(mechanism)
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         assert isinstance(mechanism, Cable)
         weight = (e.mass + at["payload"]) * mechanism.place(ca.DM(mechanism.gravity))
-        sag = e.compliance * ca.solve(_stiffness(seen, mechanism), weight)
+        sag = e.compliance * compute_sag(seen, mechanism, weight)
         return seen.with_pose(seen.r - mechanism.in_base(sag), seen.R)
-
-
-def _stiffness(seen: Seen, mechanism: Cable) -> ca.SX:
-    """Force per displacement (N/m) of lines with EA = 1 N, in the coordinates that move."""
-    n = len(mechanism.moves)
-    K = ca.SX.zeros(n, n)
-    for i, anchor in enumerate(mechanism.anchors(seen.p), start=1):
-        to_anchor = anchor - mechanism.place(seen.r)
-        advantage = seen.p[f"line{i}"].advantage
-        K += advantage * to_anchor @ to_anchor.T / ca.norm_2(to_anchor) ** 3
-    return K

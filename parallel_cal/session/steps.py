@@ -21,6 +21,7 @@ from parallel_cal.diagnosis.entries import are_confused, is_clearly_better
 from parallel_cal.diagnosis.first_effect import proposing_first_effect
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.search import Trial, is_as_good, is_superfluous
+from parallel_cal.diagnosis.stations import exclude_device
 from parallel_cal.diagnosis.verdict import robot_or_device
 from parallel_cal.identification.acceptance import IN_SAMPLE, Acceptance, acceptance
 from parallel_cal.identification.added_effects import limit_patterns
@@ -221,8 +222,9 @@ def add(
     if not found.against:
         if is_superfluous(_with_noise_of(result, base).estimate, result.estimate):
             found = replace(found, against=f"the improvement by '{name}' may be chance")
-        elif doubt := explain_unseparated_device(base, result) or _explain_doubt(
-            scene, more, base, result
+        elif not exclude_device(scene, dataset, more, result.model) and (
+            doubt := explain_unseparated_device(base, result)
+            or _explain_doubt(scene, more, base, result)
         ):
             found = replace(found, against=doubt, device_may_err=True)
     return _step("add", result, _check_proven(found, force), base, name)
