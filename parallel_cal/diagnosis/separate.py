@@ -65,6 +65,11 @@ class Separation:
     poses: tuple[PlannedPose, ...]
     how: tuple[str, ...]
 
+    @property
+    def is_enough(self) -> bool:
+        """Whether the poses separate the two, with a margin for chance."""
+        return self.sigmas.then > TARGET_SEPARATION_SIGMAS
+
     def __str__(self) -> str:
         one, other = self.separates
         return (
@@ -244,6 +249,7 @@ def plan_separation(
     default none or twice the heaviest one recorded. The last approach to a pose has at least the
     length `least` (nq,). None if no pose is reachable and `allowed`.
     """
+    *smaller, largest = sorted(sizes)
     plans = []
     for reach in reaches:
         rng = np.random.default_rng(seed)
@@ -257,11 +263,13 @@ def plan_separation(
         block = rng.integers(BLOCKS if depends_on_time(doubt.model) else 1, size=len(pool.poses))
         a = plan_conditions(doubt.model, pool, so_far, course, block, rng, payloads)
         problem = doubt.make_selection_problem(pool, a)
-        for n in sizes:
-            chosen = exchange(problem, min(n, len(a)), lambda fraction: None)
-            plans.append(_separation(doubt, pool, a, course, block, chosen))
-            if plans[-1].sigmas.then > TARGET_SEPARATION_SIGMAS:
-                return plans[-1]
+        of_all_sizes = (
+            _separation(doubt, pool, a, course, block, exchange(problem, n, lambda fraction: None))
+            for n in (min(n, len(a)) for n in (largest, *smaller))
+        )
+        plans.append(next(of_all_sizes))
+        if plans[-1].is_enough:  # otherwise no smaller plan is enough either
+            return next((plan for plan in of_all_sizes if plan.is_enough), plans[-1])
     return max(plans, key=lambda plan: plan.sigmas.then, default=None)
 
 

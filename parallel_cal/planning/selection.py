@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ import numpy as np
 from parallel_cal.planning.options import LINEAR
 
 MAX_SWEEPS = 20
+MIN_RELATIVE_WEIGHT = 1e-14  # of the largest eigenvalue: below it there are rounding errors only
 MIN_RELATIVE_GAIN = 1e-6  # of an exchange: smaller gains only swap equal groups
 
 Report = Callable[[float], None]
@@ -31,6 +33,13 @@ class SelectionProblem:
     weight: np.ndarray
     criterion: str
     rank: int
+
+    @cached_property
+    def weight_factor(self) -> np.ndarray:
+        """L (p, rank of W) with W = L L^T: few columns where the weight is of low rank."""
+        values, vectors = np.linalg.eigh(self.weight)
+        kept = values > MIN_RELATIVE_WEIGHT * values[-1]
+        return np.asarray(vectors[:, kept] * np.sqrt(values[kept]))
 
     def information(self, chosen: np.ndarray) -> np.ndarray:
         A = self.blocks[chosen].reshape(-1, self.blocks.shape[2])
@@ -87,13 +96,14 @@ def _gains(problem: SelectionProblem, V: np.ndarray, taken: list[int]) -> np.nda
     det(M + A^T A) = det M det(I + A V A^T); V falls by V A^T (I + A V A^T)^-1 A V.
     """
     A = problem.blocks
-    AV = (A.reshape(-1, A.shape[2]) @ V).reshape(A.shape)
-    B = AV @ A.transpose(0, 2, 1) + np.eye(A.shape[1])
+    AV = A.reshape(-1, A.shape[2]) @ V
+    B = AV.reshape(A.shape) @ A.transpose(0, 2, 1) + np.eye(A.shape[1])
     if problem.criterion == "D":
         gains = np.linalg.slogdet(B)[1]
     else:
-        AVW = (AV.reshape(-1, A.shape[2]) @ problem.weight).reshape(A.shape)
-        gains = np.trace(np.linalg.solve(B, AVW @ AV.transpose(0, 2, 1)), axis1=1, axis2=2)
+        # trace(B^-1 AV W (AV)^T) with W = L L^T
+        AVL = (AV @ problem.weight_factor).reshape(*A.shape[:2], -1)
+        gains = np.einsum("kij,kij->k", AVL, np.linalg.solve(B, AVL))
     gains = np.array(gains)
     gains[taken] = -np.inf
     return gains
