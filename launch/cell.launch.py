@@ -14,6 +14,7 @@ OF_THE_CELL = {
     "seed": (int, "0", "seed of the geometric errors, hidden effects and noise"),
     "effects": (str, "", "effects of the robot, separated by commas; hidden = one drawn at random"),
     "rate": (float, "1.0", "factor on real time"),
+    "device": (str, "tracker", "tracker, or camera: a camera before a board on the platform"),
 }
 
 
@@ -23,12 +24,23 @@ def generate_launch_description():
         name: ParameterValue(LaunchConfiguration(name), value_type=type)
         for name, (type, _, _) in OF_THE_CELL.items()
     }
-    nodes = {"virtual_cell_node": model | cell, "kinematics_node": model, "calibration_node": model}
+    images = ParameterValue(LaunchConfiguration("images"), value_type=str)
+    nodes = {
+        "virtual_cell_node": model | cell,
+        "kinematics_node": model,
+        "calibration_node": model | {"images": images},
+    }
     return LaunchDescription(
         [
             DeclareLaunchArgument(
                 "model_file",
                 description="model file of the robot; if missing, the nominal model is written",
+            ),
+            DeclareLaunchArgument(
+                "images",
+                default_value="",
+                description="topic of the camera's images: with device:=camera, "
+                "camera/image_raw/compressed",
             ),
             DeclareLaunchArgument(
                 "namespace", default_value="", description="namespace of all nodes"

@@ -87,7 +87,8 @@ class Cell:
             flat = platform @ pose[:3, :3] @ board_turn
             return self._make(pose, vc.frame(centre - flat @ size, flat))
         eye = middle + [0.25, 0.1, 0.53]
-        mount = vc.frame(np.array([0.0, 0.0, 0.02]) - board_turn @ size, board_turn)
+        printed_up = board_turn @ turn(np.array([np.pi, 0.0, 0.0]))  # z points into the board
+        mount = vc.frame(np.array([0.0, 0.0, 0.02]) - printed_up @ size, printed_up)
         return self._make(vc.look_at(eye, middle, 0.1), mount)
 
     def _make(self, pose: np.ndarray, mount: np.ndarray) -> vc.Camera:

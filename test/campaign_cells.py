@@ -4,8 +4,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from camera_cells import Cell as PixelCell
+from virtual_camera import as_conditions
 
-from parallel_cal.campaign.cell import CellError, Sample
+from parallel_cal.campaign.cell import CellError, Sample, UnseenError
 from parallel_cal.model.file.modelfile import dump_model, parse_model, read_model
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.recordings.dataset import Dataset
@@ -17,6 +19,7 @@ PRESETS = Path(__file__).parents[1] / "config"
 SETTLING = 0.3  # s after which the robot rests
 # What whoever drew it knows of it: parts may be printed or cast of polymers, 20e-6..90e-6 /K.
 OF_POLYMERS = {"thermal_expansion.*.alpha": 50e-6}
+MIN_CORNERS = 6  # of an image that shows a pose
 REST, MOVING = 0.8, 4.0  # s a sample takes; sigmas of a reading by which a direction counts
 
 
@@ -126,3 +129,33 @@ class SimulatedCell:
             on = (moved * self._direction > 0) | turned
             self._furthest = np.where(on, q, self._furthest)
         self._q = seen.q[-1]
+
+
+class CameraCell(SimulatedCell):
+    """The virtual Delta before a camera: its samples are pixels of a board's corners."""
+
+    def __init__(self, robot="delta", seed=0, effects=(), **given):
+        seen = PixelCell(robot)
+        self.camera, self.sensor = seen.camera(), seen.sensor()
+        self._rng = np.random.default_rng([seed, 7])
+        super().__init__(robot, seed, effects, **given)
+
+    def sample(self, go_on):
+        pose = super().sample(go_on)
+        r, R = self.cell.true_pose()
+        pixels = self.camera.see(r[None], R[None], self._rng)
+        if np.isfinite(pixels).all(axis=2).sum() < MIN_CORNERS:
+            raise UnseenError("the image shows fewer than 6 corners of the board")
+        data = pose.dataset
+        return Sample(
+            Dataset.from_arrays(
+                data.joint_names,
+                data.q,
+                np.zeros((1, 3)),
+                measured=[False] * 6,
+                joint_sigma=data.joint_sigma,
+                conditions=dict(data.conditions) | as_conditions(pixels),
+                pose_id=[0],
+            ),
+            1,
+        )

@@ -29,6 +29,7 @@ from parallel_cal.campaign.cell import (
     PauseRequested,
     Question,
     Sample,
+    UnseenError,
 )
 from parallel_cal.campaign.checking import Checker, ImplausibleSample
 from parallel_cal.campaign.judging import (
@@ -65,6 +66,7 @@ FILE = "campaign.jsonl"
 MAX_JOURNAL_BYTES = 512 * MEGABYTE  # a larger journal is not read
 LIMITS = ("joint_limits", "joint_rates", "keep_out")  # of the motion, in a mechanism
 BATCH = 8  # poses between two judgements
+MAX_UNSEEN_IN_A_ROW = 6  # targets; a camera that is covered sees none of them
 
 
 class CampaignError(ParallelCalError):
@@ -253,6 +255,7 @@ class Campaign:
         self.left_out: dict[int, str] = {}
         self.judgements: list[Judgement] = []
         self.warnings: list[str] = []
+        self._unseen = 0  # targets in a row at which the device saw too little
         self._ignored_targets: list[int] = []  # planned by judgements that are ignored
         self._begun, self._before = time.monotonic(), 0.0
         self._status = Status("planning", "", 0, np.nan, "")
@@ -449,9 +452,15 @@ class Campaign:
             # From a forbidden pose no target can be reached: stop instead of skipping them all.
             if self._guard.describe_violation(self._get_current_joints()):
                 raise
-            self.left_out[k] = str(error)
-            self._write(left_out=k, why=str(error))
+            self._skip(k, str(error))
             return
+        except UnseenError as error:
+            self._unseen += 1
+            if self._unseen >= MAX_UNSEEN_IN_A_ROW:
+                raise
+            self._skip(k, str(error))
+            return
+        self._unseen = 0
         again = None
         try:
             self._checker.check(sample.dataset, np.array(target.joints), self._last)
@@ -461,6 +470,11 @@ class Campaign:
         if again is not None:
             self._add_targets([again[0]])
             self._store_sample(len(self.targets) - 1, again[1])
+
+    def _skip(self, k: int, why: str) -> None:
+        """Leave a target out, and keep the reason."""
+        self.left_out[k] = why
+        self._write(left_out=k, why=why)
 
     def _take_sample(self, target: Target, why: str) -> Sample:
         """Move to a target and take its sample; PathError if no path is allowed."""
@@ -499,7 +513,7 @@ class Campaign:
         )
         try:
             sample = self._take_sample(target, f"{odd}; measuring {target.purpose}")
-        except PathError:
+        except (PathError, UnseenError):
             raise odd from None
         if not self._checker.is_same_pose(sample.dataset, before.dataset):
             raise odd

@@ -20,6 +20,10 @@ class CellError(ParallelCalError):
     """The robot or the device failed; the robot is stopped."""
 
 
+class UnseenError(CellError):
+    """The robot rests at its target, but the device sees too little: the target is skipped."""
+
+
 class PauseRequested(Exception):
     """A pause was requested."""
 

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.base.rotation import rotation_matrix, rotation_vector
 from parallel_cal.base.units import ERROR_UNITS
 from parallel_cal.campaign.cell import CellError
 from parallel_cal.campaign.deviation import compute_way_points, find_deviating_joints
@@ -74,11 +74,21 @@ class Checker:
 
     def is_same_pose(self, one: Dataset, other: Dataset) -> bool:
         """Whether two samples (1,) agree within the usual errors."""
+        (r, R), (other_r, other_R) = self._get_shown_pose(one), self._get_shown_pose(other)
         distance = {
-            "position": float(np.linalg.norm(one.r[0] - other.r[0])),
-            "orientation": _angle(one.R[0], other.R[0]),
+            "position": float(np.linalg.norm(r - other_r)),
+            "orientation": _angle(R, other_R),
         }
         return all(distance[kind] <= MAX_ERROR_RATIO * usual for kind, usual in self._usual.items())
+
+    def _get_shown_pose(self, sample: Dataset) -> tuple[np.ndarray, np.ndarray]:
+        """Return position (3,) and rotation (3, 3) that a device measured, or that images show."""
+        if sample.measured.any():
+            return sample.r[0], sample.R[0]
+        found = errors(self._model, observe(self._model, sample))
+        reached = self._robot.direct(sample.q)
+        turn = rotation_matrix(np.nan_to_num(found.orientation[0]))
+        return reached.position[0] + found.position[0], turn @ reached.rotation[0]
 
     def check_arrived(
         self, q: np.ndarray, sent: np.ndarray, path: Sequence[np.ndarray] = ()

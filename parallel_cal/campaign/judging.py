@@ -23,9 +23,11 @@ from parallel_cal.diagnosis.first_effect import find_first_effect
 from parallel_cal.diagnosis.search import Chosen
 from parallel_cal.diagnosis.separate import explain_separation
 from parallel_cal.discovery.in_session import write_effects
+from parallel_cal.identification.image_poses import estimate_robot_error, find_shown_poses
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import Summary, errors
+from parallel_cal.identification.predictions import predict_configurations
 from parallel_cal.identification.registration import register_device
 from parallel_cal.model.file.modelfile import parse_model, readable_text
 from parallel_cal.model.mechanism import Box
@@ -192,12 +194,12 @@ def judge_samples(
         suspected,
         missing,
         text,
-        rms(found.base.fitted.given.model, dataset.select(unseen), question.options),
-        rms(best, dataset.select(unseen), question.options),
+        robot_rms(found.base.fitted.given.model, dataset.select(unseen), question.options),
+        robot_rms(best, dataset.select(unseen), question.options),
         rms(best, dataset, question.options),
         tuple(targets),
         found.document(),
-        by_kind(found.best.fitted.noise_floor),
+        {} if is_measured_by_images(best, dataset) else by_kind(found.best.fitted.noise_floor),
         laws.laws,
         laws.effects,
     )
@@ -272,6 +274,25 @@ def rms(model: Any, dataset: Dataset, options: FitOptions) -> dict[str, float]:
     if not len(dataset):
         return {}
     return by_kind(errors(model, observe(model, dataset, options.joint_sigma)).summary)
+
+
+def robot_rms(model: Model, dataset: Dataset, options: FitOptions) -> dict[str, float]:
+    """Return the rms errors of a model at samples, by kind (m, rad), without the noise of images.
+
+    A single image shows a pose with an error that may hide the robot's. The estimate contains its
+    own standard deviation, because few poses tell it badly."""
+    found = rms(model, dataset, options)
+    if not len(dataset) or not is_measured_by_images(model, dataset):
+        return found
+    observations = observe(model, dataset, options.joint_sigma)
+    shown = find_shown_poses(model, observations, predict_configurations(model, observations))
+    estimate = None if shown is None else estimate_robot_error(shown)
+    return found if estimate is None else {"position": float(np.hypot(*estimate))}
+
+
+def is_measured_by_images(model: Model, dataset: Dataset) -> bool:
+    """Whether images show the poses of the samples, which no other device measured."""
+    return not dataset.measured.any() and any(sensor.shows_pose for sensor in model.sensors)
 
 
 def by_kind(summary: Summary) -> dict[str, float]:

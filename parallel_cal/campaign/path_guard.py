@@ -17,6 +17,7 @@ from parallel_cal.model.mechanism import Box
 from parallel_cal.model.model import Model
 from parallel_cal.planning.approach import controlled_coordinates
 from parallel_cal.planning.posepool import find_clear_poses
+from parallel_cal.planning.visibility import find_seen_poses, list_planned_sensors
 
 CHECK_STEP = 1 / 100  # spacing of the checked points, as a fraction of a joint's range
 # As a fraction of the workspace's size: a path that is straight in the joints bulges by so much
@@ -38,16 +39,18 @@ class PathError(ParallelCalError):
 @dataclass(frozen=True)
 class Guard:
     """The limits of every path: joint limits, workspace (enlarged by `reach`), singularities and
-    the poses beyond them, keep-out boxes."""
+    the poses beyond them, keep-out boxes. `measuring` is the model with its sensors: at the poses
+    to measure, a camera whose place is known must see its board."""
 
     model: Model
     keep_out: tuple[Box, ...] = ()
     reach: float = 1.0
+    measuring: Model | None = None
 
     @classmethod
     def of(cls, model: Model, more: Iterable[Box] = (), reach: float = 1.0) -> Guard:
         """Make a guard with the model file's keep-out boxes and `more`."""
-        return cls(model.robot(), (*model.mechanism.keep_out, *more), reach)
+        return cls(model.robot(), (*model.mechanism.keep_out, *more), reach, model)
 
     def plan_path(self, start: np.ndarray, stops: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Return the joints (nq,) of a path from `start` through all `stops`.
@@ -141,6 +144,13 @@ class Guard:
     def is_allowed(self, q: np.ndarray) -> np.ndarray:
         """Return a mask (n,) of the joints (n, nq) at which the robot may be."""
         return ~np.any([mask for mask, _ in self._find_violations(q)], axis=0)
+
+    def is_measurable(self, q: np.ndarray) -> np.ndarray:
+        """Return a mask (n,) of the joints (n, nq) at which the robot may be and is measured."""
+        allowed = self.is_allowed(q)
+        if self.measuring is None or not list_planned_sensors(self.measuring):
+            return allowed
+        return np.asarray(allowed & find_seen_poses(self.measuring, self._robot.direct(q)))
 
     def summarise_violations(self, q: np.ndarray) -> str:
         """Say how many of the joints (n, nq) are forbidden for each reason."""

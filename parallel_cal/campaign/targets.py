@@ -24,6 +24,7 @@ from parallel_cal.model.shelf import load_effect
 from parallel_cal.planning.approach import approaches, controlled_coordinates
 from parallel_cal.planning.plan import equations_per_pose, plan
 from parallel_cal.planning.posepool import Pool, make_pool
+from parallel_cal.planning.visibility import stand_in_pose_device
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.simulate import with_noise
 
@@ -62,9 +63,9 @@ def first_targets(guard: Guard, most: int, seed: int = 0) -> list[Target]:
 
     They are validation poses that are spread over the workspace, poses that identify the free
     parameters best, and some of these poses again, approached from the other side."""
-    model, rng = with_noise(guard.model), np.random.default_rng(seed)
+    model, rng = stand_in_pose_device(with_noise(guard.model)), np.random.default_rng(seed)
     pool = make_pool(model, POOL, rng, symmetric=False).poses
-    drawn, pool = pool, pool[np.flatnonzero(guard.is_allowed(pool.joints))]
+    drawn, pool = pool, pool[np.flatnonzero(guard.is_measurable(pool.joints))]
     if len(pool) < min(most, POOL // 2):
         raise PathError(
             f"only {len(pool)} of {len(drawn)} random poses in the workspace are allowed: "
@@ -177,7 +178,7 @@ def plan_distinguishing_poses(
     reaches = sorted({1.0, guard.reach})
     plan, last = (
         plan_separation(
-            doubt, so_far, seed, (size,), reaches, guard.is_allowed, payloads, guard.min_approach
+            doubt, so_far, seed, (size,), reaches, guard.is_measurable, payloads, guard.min_approach
         )
         for size in (n, left)
     )
@@ -206,7 +207,7 @@ def repeat_first_poses(dataset: Dataset, guard: Guard, n: int) -> list[Target]:
     _, first, count = np.unique(dataset.pose_id, return_index=True, return_counts=True)
     order = np.lexsort((dataset.time[first], count))
     joints = dataset.q[first[order]]
-    allowed = joints[guard.is_allowed(joints)][:n]
+    allowed = joints[guard.is_measurable(joints)][:n]
     purpose = "measured before, again to see whether anything moved"
     return [Target(tuple(q), purpose=purpose) for q in allowed.tolist()]
 
@@ -235,7 +236,7 @@ def _plan_untried_conditions(
     for k, (name, under) in enumerate(blocks):
         share = (n - len(targets)) // (len(blocks) - k)
         pool = plan_refinement(
-            found.best, suspects[name], share, under, guard.is_allowed, seed, guard.min_approach
+            found.best, suspects[name], share, under, guard.is_measurable, seed, guard.min_approach
         )
         targets += _targets(pool, f"to see the influence of {name}", under)
     return targets
@@ -260,7 +261,7 @@ def _plan_refinement(
     if suspects:
         purpose += f" and of {', '.join(one.name for one in suspects)}"
     pool = plan_refinement(
-        found.best, suspects, n, under, guard.is_allowed, seed, guard.min_approach, guard.reach
+        found.best, suspects, n, under, guard.is_measurable, seed, guard.min_approach, guard.reach
     )
     return _targets(pool, purpose, under)
 

@@ -68,6 +68,10 @@ def calibrate(
             "delta or delta:backlash,warmth; docs/cell.md lists the effects",
         ),
     ] = "",
+    camera: Annotated[
+        bool,
+        typer.Option("--camera", help="with --simulated: a camera measures, instead of a tracker"),
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Let the robot calibrate itself until the diagnosis no longer changes. Ctrl-C stops the robot;
@@ -86,7 +90,10 @@ def calibrate(
     robot, _, hidden = simulated.partition(":")
     if not robot and not model.is_file():
         raise ParallelCalError(f"{model}: no such file: expected the model of the robot")
-    cell = {"robot": robot, "effects": hidden, "rate": 4.0} if robot else None
+    if camera and not robot:
+        raise ParallelCalError("--camera needs --simulated: a real camera needs no option here")
+    device, rate = ("camera", 2.0) if camera else ("tracker", 4.0)
+    cell = {"robot": robot, "effects": hidden, "device": device, "rate": rate} if robot else None
     last = [""]
     with Calibration(model, namespace, cell, interrupted=lambda: bool(asked)) as calibration:
 

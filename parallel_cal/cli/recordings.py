@@ -176,7 +176,7 @@ def data_options(items: list[str] | None) -> ReadOptions:
     topics: dict[str, str] = {}
     for item in items or []:
         key, equals, value = item.partition("=")
-        known = ("channels", *CHANNELS, *others)
+        known = ("channels", *filter(find_channel, CHANNELS), *others)
         if not equals or not (key in known or find_channel(key)):
             raise ParallelCalError(
                 f"--data {item}: expected KEY=VALUE, KEY one of {', '.join(known)}"

@@ -93,6 +93,11 @@ class Sensor(ABC):
         """Return the readings of `points`."""
         raise NotImplementedError
 
+    def find_visible(self, readings: np.ndarray) -> np.ndarray:
+        """Return the mask (N, n_channels) of the predicted readings that the sensor can give: the
+        pixels inside the image, of a camera."""
+        return np.ones(readings.shape, dtype=bool)
+
     @property
     def base_part(self) -> str:
         """Name pattern of the parameters of its part on the base; empty by default."""

@@ -27,6 +27,7 @@ from parallel_cal.nodes.client import (
 )
 
 CELL = "virtual_cell_node"
+CELL_IMAGES = "camera/image_raw/compressed"  # of its camera
 # s
 STOP_TIMEOUT_S = 30.0
 RESULT_TIMEOUT_S = 600.0
@@ -72,6 +73,8 @@ class Calibration:
                     "allowed_folders": os.pathsep.join(folders),
                 }
                 self._start(KINEMATICS, **given)
+                if self._simulated.get("device") == "camera":
+                    given["images"] = CELL_IMAGES
                 self._start(CALIBRATION, **given, journal_folder=str(self._folder))
             self._open = self._open.pop_all()
         return self

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.executors import ExternalShutdownException
@@ -15,6 +16,7 @@ from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import forbid_foreign
 from parallel_cal.nodes.calibration_settings import PARAMETERS, CalibrationSettings
 from parallel_cal.nodes.calibrator import Calibrator
+from parallel_cal.nodes.cameras import Cameras
 from parallel_cal.nodes.campaign_server import CampaignServer, NodeAccess
 from parallel_cal.nodes.collection_report import CollectionReport
 from parallel_cal.nodes.collector import Collector
@@ -82,14 +84,16 @@ class CalibrationNode(ManagedNode):
         self._campaigning = CampaignServer(
             self, access, calibrator.slot, calibrator.worker, report.say, group
         )
+        self._cameras = Cameras(self, settings, self._queue, group)
         self._input = Subscriptions(
             self,
             self._queue,
-            self._campaigning.on_joint_state,
+            self._on_joint_state,
             settings.get("pose_type"),
             settings.get("driver_type"),
             settings.get("body"),
             group,
+            self._cameras.images,
         )
         SampleServices(self, samples, settings.folders, calibrator, report, group)
         self._next_update, self._ending = 0.0, False
@@ -100,6 +104,12 @@ class CalibrationNode(ManagedNode):
         self.get_logger().info(f"collecting; model file {model}; {where}")
         report.publish()
         self.start()
+
+    def _on_joint_state(self, message: Any) -> None:
+        """Pass on a joint state, in the thread that read it."""
+        self._campaigning.on_joint_state(message)
+        if self._cameras.images:
+            self._cameras.rests.add(message)
 
     def _update(self) -> None:
         """Make samples of what came in, less often the longer it takes; in a worker thread."""
@@ -121,7 +131,15 @@ class CalibrationNode(ManagedNode):
         if self._report.trouble:
             self._samples.keep()  # the disk may have space again
         self._recording.follow(self._settings.get("record"))
-        self._report.update_warnings([*self._samples.warnings(), *self._calibrator.warnings()])
+        for event in self._cameras.take_events():
+            self._report.say(event)
+        self._report.update_warnings(
+            [
+                *self._samples.warnings(),
+                *self._calibrator.warnings(),
+                *self._cameras.warnings(),
+            ]
+        )
 
     def _take(self, model: Model, meanwhile: Callable[[], None]) -> Sample:
         """Return the sample of the present dwell; in the thread of a campaign."""
@@ -134,7 +152,9 @@ class CalibrationNode(ManagedNode):
             self._report.say(event)
         name = self.get_fully_qualified_name()
         self._report.publish_diagnostics(
-            self._campaigning.diagnosis(name), *self._queue.diagnoses(name)
+            self._campaigning.diagnosis(name),
+            *self._queue.diagnoses(name),
+            *self._cameras.diagnoses(name),
         )
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:

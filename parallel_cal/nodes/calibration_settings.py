@@ -7,17 +7,20 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.model.model import Model
 from parallel_cal.nodes.folders import Folders
 from parallel_cal.nodes.frames import DEVICE_FRAME_SENSOR
 from parallel_cal.nodes.jobs import describe_error
+from parallel_cal.nodes.live_images import DEFAULT_REST_TOLERANCE, REST_SHARE
 from parallel_cal.nodes.managed_node import AUTOSTART
 from parallel_cal.nodes.parameters import ACCEPTED, SECURITY, Changes, Setting, absolute, declare
-from parallel_cal.recordings.options import MODES, SampleOptions
+from parallel_cal.recordings.options import MODES, ReadOptions, SampleOptions
 
 POSE_TYPES = ("PoseWithCovarianceStamped", "PoseStamped")
 EXTRA_DWELL_S = 0.3  # s that a campaign rests beyond the shortest dwell, to receive enough poses
@@ -49,6 +52,18 @@ PARAMETERS = {
     "body": Setting(
         "",
         "name of the body, tag or frame in the messages of driver_type; empty = the only one",
+        fixed=True,
+    ),
+    "images": Setting(
+        "",
+        "topics of the images of a printed board, one for each camera, separated by commas; "
+        "compressed if the name ends in /compressed; empty = none",
+        fixed=True,
+    ),
+    "board": Setting(
+        "",
+        "the board in the images, such as 8x6 or 8x6:5X5_100; empty = that of the model's camera, "
+        "or 8x6",
         fixed=True,
     ),
     "channels": Setting("", "Python paths of your own channels, separated by commas", fixed=True),
@@ -86,6 +101,8 @@ class CalibrationSettings:
         # The version of the model file that was read last, or the error, and the model's joints.
         self._version: Any = None
         self._joints: tuple[str, ...] | None = None
+        self.rest_tolerance: Any = DEFAULT_REST_TOLERANCE  # (nq,) rad or m, of a joint at rest
+        self.camera_board = ""  # columns x rows of the board of the model's camera, or empty
         self.model_trouble = ""  # why the model file cannot be read; empty if it can
 
     def get(self, name: str) -> Any:
@@ -107,6 +124,21 @@ class CalibrationSettings:
         names = ("mode", "min_dwell", "trim_start", "trim_end")
         tolerance = self.get("still_tolerance") or None
         return SampleOptions(**{n: self.get(n) for n in names}, still_tolerance=tolerance)
+
+    @property
+    def known_joints(self) -> tuple[str, ...] | None:
+        """The model's joints as they were read last; None if unknown. For threads that must not
+        wait for a file."""
+        return self._joints
+
+    def find_rest_tolerance(self) -> Any:
+        """Return how far the joints may deviate in a coarse search for rests, rad or m."""
+        return self.get("still_tolerance") or self.rest_tolerance
+
+    def board(self) -> str:
+        """Return the board that images show; the parameter counts more than the model."""
+        self.joints()  # reads the model
+        return self.get("board") or self.camera_board or ReadOptions.board
 
     def fit_options(self) -> dict[str, Any]:
         """Return the options of a fit that a goal does not give."""
@@ -134,6 +166,8 @@ class CalibrationSettings:
                 model = read_model(path)
                 moves = any(sensor.name == DEVICE_FRAME_SENSOR for sensor in model.sensors)
                 self.base = "" if moves else model.frames["base"]
+                self.rest_tolerance = REST_SHARE * np.asarray(model.mechanism.joint_ranges)
+                self.camera_board = _find_board(model)
                 self._version, self._joints = (path, modified), model.joints
                 self.model_trouble = ""
         except ParallelCalError as error:
@@ -155,3 +189,10 @@ class CalibrationSettings:
         except Exception as error:  # a user's own mechanism may raise anything
             return SetParametersResult(successful=False, reason=describe_error(error))
         return ACCEPTED
+
+
+def _find_board(model: Model) -> str:
+    """Return columns x rows of the board that a sensor of the model sees; empty without one."""
+    options = [sensor.options for sensor in model.sensors if sensor.shows_pose]
+    boards = [f"{o['columns']}x{o['rows']}" for o in options if {"columns", "rows"} <= set(o)]
+    return next(iter(boards), "")

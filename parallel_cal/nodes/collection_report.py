@@ -94,7 +94,7 @@ class CollectionReport:
         return CollectionStatus(
             stamp=self._node.get_clock().now().to_msg(),
             joint_states_received=c.received["joint_states"],
-            poses_received=c.received["measured_pose"] + c.received["measured_position"],
+            poses_received=sum(c.received[name] for name in list_channels("poses", "images")),
             paired=c.paired,
             dropped=c.dropped_poses,
             samples=len(c),

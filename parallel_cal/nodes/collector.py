@@ -92,10 +92,11 @@ class Collector:
         next joint state, so that they enter the same inbox.
         """
         self.received[channel] += 1
-        kind, stamp = CHANNELS[channel].kind, stamp_of(message)
+        kind = CHANNELS[channel].kind
+        stamp = message.stamp if kind == "images" else stamp_of(message)
         if kind == "words":
             self._words.append((channel, log_ns, message))
-        elif kind == "condition":  # too rare to judge their stamps: one a minute, or only one
+        elif kind in ("condition", "images"):  # too rare to judge their stamps: one a minute
             self._buffer(channel, message, log_ns, stamp)
         else:
             stream = self._identify_stream(channel, message)
@@ -208,7 +209,7 @@ class Collector:
         if len(live.raws["joint_states"].stamp) > MAX_JOINT_STATES:
             self._begin_inbox(live)
         poses = [c for c in list_channels("poses") if self.received[c]]
-        measured = poses[:1] + [c for c in list_channels("readings") if self.received[c]]
+        measured = poses[:1] + [c for c in list_channels("readings", "images") if self.received[c]]
         in_use = [self._at[channel] for channel in ("joint_states", *measured)]
         first = min(self._inboxes.index(inbox) for inbox in in_use)
         for inbox in self._inboxes[:first]:  # no stream adds to these any more

@@ -60,7 +60,7 @@ class Snapshot:
     def make_samples(self) -> Made:
         # Samples need joint states and at least one kind of measurement.
         raws, poses = self.raws, find_poses(self.raws)
-        measured = (poses, *(raws[name] for name in list_channels("words", "readings")))
+        measured = (poses, *(raws[name] for name in list_channels("words", "readings", "images")))
         silent = [] if raws["joint_states"].stamp else [raws["joint_states"].topic]
         if not any(raw.stamp for raw in measured):
             silent.append(" or ".join(raw.topic for raw in measured))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from typing import Protocol
@@ -28,6 +29,8 @@ class Inflow:
         self._latest: dict[str, float] = {}
         self._readers: list[Reader] = []
         self.joint_reader: Reader | None = None  # reads the joint states
+        # When the last image arrived that shows too little of the board, and the reason.
+        self.unusable: tuple[float, str] = (-math.inf, "")
 
     def add_reader(self, reader: Reader) -> None:
         self._readers.append(reader)
@@ -39,8 +42,11 @@ class Inflow:
     def receive(self, channel: str, received_ns: int) -> None:
         """Count a measurement that was read and had arrived at `received_ns` of `time.time_ns`."""
         self._received[channel] += 1
-        age = max(0.0, 1e-9 * (time.time_ns() - received_ns))
-        self._latest[channel] = time.monotonic() - age
+        self._latest[channel] = _monotonic_time(received_ns)
+
+    def note_unusable(self, received_ns: int, why: str) -> None:
+        """Note an image that arrived at `received_ns` of `time.time_ns` and shows too little."""
+        self.unusable = _monotonic_time(received_ns), why
 
     def process(self, channel: str) -> None:
         """Count a measurement that the next samples will contain."""
@@ -63,3 +69,8 @@ class Inflow:
     def joints_read_until(self) -> float:
         """Return the time until which every joint state that arrived has been read."""
         return time.monotonic() if self.joint_reader is None else self.joint_reader.read_until
+
+
+def _monotonic_time(received_ns: int) -> float:
+    """Convert a time of `time.time_ns` in the past to that of `time.monotonic`."""
+    return time.monotonic() - max(0.0, 1e-9 * (time.time_ns() - received_ns))

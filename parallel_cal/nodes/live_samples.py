@@ -20,7 +20,7 @@ from parallel_cal.nodes.inbox import Made, Snapshot
 from parallel_cal.nodes.journal import Journal
 from parallel_cal.nodes.message_recording import MessageRecording
 from parallel_cal.nodes.subscriptions import MEASURED, MessageQueue
-from parallel_cal.recordings.channels import CHANNELS
+from parallel_cal.recordings.channels import CHANNELS, CORNERS
 
 POLL_INTERVAL_S = 0.02  # s between two checks whether the samples are made
 T = TypeVar("T")
@@ -175,6 +175,9 @@ class LiveSamples:
             )
             if CHANNELS[channel].kind in MEASURED:
                 self._queue.inflow.process(channel)
+            if channel == CORNERS:  # a recording has the image, which can be searched again
+                image = received.message
+                received = received._replace(channel=image.topic, message=image.message)
             self._recording.write(received)
 
 

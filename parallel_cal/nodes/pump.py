@@ -49,7 +49,7 @@ class Pump:
         take: Callable[[Messages], None],
         **options: Any,
     ):
-        self._node, self._take, self._ended = node, take, False
+        self._node, self.take, self._ended = node, take, False
         # Time of time.monotonic(): every message that arrived before it was taken.
         self.read_until = -math.inf
         self._subscription = node.create_subscription(
@@ -109,5 +109,5 @@ class Pump:
                 if event.is_ready(waiting):
                     event.callback(event.take_data())
             if messages:
-                self._take(messages)
+                self.take(messages)
             self.read_until = empty

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError, SolveError
-from parallel_cal.campaign.cell import CellError, Sample
+from parallel_cal.campaign.cell import CellError, Sample, UnseenError
 from parallel_cal.campaign.checking import ARRIVAL_TOLERANCE, LIMIT_SWITCH_ADVICE
 from parallel_cal.campaign.deviation import (
     MAX_PATH_DEVIATION,
@@ -168,6 +168,12 @@ class RobotCell:
                     return taking
                 why, end = taking, time.monotonic()
                 again = end + min(max(10 * POLL_INTERVAL_S, (end - now) / MAX_TAKING), MAX_PAUSE)
+            elif (
+                not new
+                and stamp >= dwell_end + self._dwell  # an image comes later than a pose
+                and self._inflow.unusable[0] >= self._rested_at
+            ):
+                raise UnseenError(self._inflow.unusable[1])
             elif now > due and self._inflow.has_read_until(due) and (taken > due or not measured):
                 raise CellError(
                     f"no sample at this pose: {why}. Check that the device sees its target"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -15,9 +15,11 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from parallel_cal.base.errors import BagError, ParallelCalError
+from parallel_cal.imaging.messages import COMPRESSED, IMAGE
 from parallel_cal.nodes.conversions import find_measured_pose, message_class
 from parallel_cal.nodes.health import Stream
 from parallel_cal.nodes.inflow import Inflow
+from parallel_cal.nodes.live_images import LiveImages
 from parallel_cal.nodes.managed_node import ManagedNode
 from parallel_cal.nodes.parameters import LATCHED, overridable
 from parallel_cal.nodes.pump import Messages, Pump
@@ -27,7 +29,9 @@ from parallel_cal.recordings.pose_messages import body_names
 # Reliable, and deep enough for minutes of a 1 kHz stream while this process is busy.
 STREAM = QoSProfile(depth=100_000)
 BEST_EFFORT_STREAM = QoSProfile(depth=100_000, reliability=ReliabilityPolicy.BEST_EFFORT)
-MEASURED = ("poses", "readings")  # kinds of channels that a measuring device fills by itself
+MEASURED = ("poses", "readings", "images")  # kinds that a measuring device fills by itself
+IMAGES = QoSProfile(depth=10)  # an image is large, and the next one shows as much
+BEST_EFFORT_IMAGES = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 LOG_THROTTLE_S = 5.0  # s between two log lines about messages without the pose
 STREAMED = ("joints", *MEASURED)  # kinds read in threads of their own, however busy the node is
 
@@ -95,8 +99,10 @@ class Subscriptions:
         driver_type: str,
         body: str,
         group: CallbackGroup,
+        cameras: Sequence[LiveImages] = (),
     ):
-        """Read `measured_pose` as `pose_type`, or the poses of `body` from `driver_type`."""
+        """Read `measured_pose` as `pose_type`, or the poses of `body` from `driver_type`; `cameras`
+        search the images on their topics."""
         self._node, self._queue, self._group = node, queue, group
         self._on_joint_state = on_joint_state
         # Before any thread is started, as it may fail.
@@ -104,7 +110,13 @@ class Subscriptions:
         self._body = body if driver_type else None
         self._pumps: dict[str, Pump] = {}
         quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
+        for camera in cameras:
+            # Each camera searches its images in the thread of its pump.
+            type = message_class(COMPRESSED if camera.topic.endswith("/compressed") else IMAGE)
+            self._start_pump(camera.camera, camera.topic, type, IMAGES, camera.take)
         for name, channel in CHANNELS.items():
+            if channel.kind == "images":
+                continue
             type = message_class(channel.types[0])
             if name == "measured_pose":
                 type = pose_class
@@ -138,7 +150,8 @@ class Subscriptions:
             type, topic = pump.type, pump.topic
             pump.destroy()
             self._queue.inflow.remove_reader(pump)
-            self._start_pump(channel, type, BEST_EFFORT_STREAM)
+            best_effort = BEST_EFFORT_STREAM if channel in CHANNELS else BEST_EFFORT_IMAGES
+            self._start_pump(channel, topic, type, best_effort, pump.take)
             changes.append(
                 f"{topic} is published best effort by {', '.join(names)}, so this node receives "
                 "it best effort, too: messages may be lost, and 'lost' counts them"
@@ -152,10 +165,18 @@ class Subscriptions:
                 type, channel, on_message, qos, callback_group=self._group, **options
             )
             return
-        self._start_pump(channel, type, qos, **options)
+        self._start_pump(channel, channel, type, qos, partial(self._on_stream, channel), **options)
 
-    def _start_pump(self, channel: str, type: Any, qos: QoSProfile, **options: Any) -> None:
-        pump = Pump(self._node, type, channel, qos, partial(self._on_stream, channel), **options)
+    def _start_pump(
+        self,
+        channel: str,
+        topic: str,
+        type: Any,
+        qos: QoSProfile,
+        take: Callable[[Messages], None],
+        **options: Any,
+    ) -> None:
+        pump = Pump(self._node, type, topic, qos, take, **options)
         self._pumps[channel] = pump
         if channel == "joint_states":
             self._queue.inflow.joint_reader = pump

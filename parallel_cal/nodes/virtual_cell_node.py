@@ -24,10 +24,13 @@ from trajectory_msgs.msg import JointTrajectory
 from parallel_cal.base.errors import ParallelCalError, SolveError
 from parallel_cal.base.rotation import matrix_to_quaternion
 from parallel_cal.model.file.modelfile import write_model
-from parallel_cal.model.model import Noise, new_model
+from parallel_cal.model.model import Model, Noise, new_model
+from parallel_cal.model.shelf import load_sensor
 from parallel_cal.nodes.conversions import joint_order, pose_message
 from parallel_cal.nodes.parameters import ACCEPTED, LATCHED, Changes, Setting, absolute, declare
+from parallel_cal.nodes.rendering import BOARD, SQUARE_M
 from parallel_cal.nodes.run import create_steady_timer, run
+from parallel_cal.virtual.board_camera import usual_camera
 from parallel_cal.virtual.cell import Box, Cell, Messages
 from parallel_cal.virtual.kinds import words_of
 from parallel_cal.virtual.machines import MACHINES
@@ -50,6 +53,13 @@ SET_UP = {
         fixed=True,
     ),
     "noise": Setting(1.0, "factor on the usual noise of encoders and tracker", (0.0, 100.0), True),
+    "device": Setting(
+        "tracker",
+        "what measures: a tracker of poses, or a camera before a board on the platform, whose "
+        "images are rendered",
+        ("tracker", "camera"),
+        True,
+    ),
     "rate": Setting(1.0, "factor on real time", (0.01, 100.0), True),
     "joint_rate": Setting(
         100.0, "rate of joint states and of the controller, Hz", (50.0, 500.0), True
@@ -114,7 +124,14 @@ class VirtualCellNode(Node):
         self._conditions_published = -CONDITION_PERIOD_S  # time in the cell, s
         many, group = QoSProfile(depth=1000), MutuallyExclusiveCallbackGroup()
         self._joints = self.create_publisher(JointState, "joint_states", many)
-        self._poses = self.create_publisher(PoseWithCovarianceStamped, "measured_pose", many)
+        self._camera: Any = None
+        self._poses: Any = None
+        if self._value("device") == "camera":
+            from parallel_cal.nodes.photographer import Photographer  # needs OpenCV
+
+            self._camera = Photographer(self, self._cell, self._value("seed"), self._stamp)
+        else:
+            self._poses = self.create_publisher(PoseWithCovarianceStamped, "measured_pose", many)
         self._air = self.create_publisher(Temperature, "temperature", many)
         self._load = self.create_publisher(InertiaStamped, "payload", LATCHED)
         self.create_subscription(
@@ -176,7 +193,10 @@ class VirtualCellNode(Node):
             model.mechanism.joint_rates = ((limits.velocity, limits.acceleration),) * len(
                 model.joints
             )
-            write_model(replace(model, noise=noise), path)
+            model = replace(model, noise=noise)
+            if self._value("device") == "camera":
+                model = _with_camera(model)
+            write_model(model, path)
 
     def _on_parameters(self, changes: Changes) -> SetParametersResult:
         """Queue changed parameters for the next tick: this may be another thread."""
@@ -219,9 +239,12 @@ class VirtualCellNode(Node):
             message = JointState(name=names, position=q.tolist(), velocity=speed.tolist())
             message.header.stamp = self._stamp(moment)
             self._joints.publish(message)
-        for moment, r, quaternion in zip(
-            shown.stamp, shown.r, matrix_to_quaternion(shown.R), strict=True
-        ):
+        if self._camera is not None:
+            self._camera.watch()
+            poses = []
+        else:
+            poses = [*zip(shown.stamp, shown.r, matrix_to_quaternion(shown.R), strict=True)]
+        for moment, r, quaternion in poses:
             message = PoseWithCovarianceStamped()
             message.header.stamp, message.header.frame_id = self._stamp(moment), self._frame
             message.pose.pose = pose_message(r, quaternion)
@@ -236,9 +259,27 @@ class VirtualCellNode(Node):
             self._air.publish(air)
             self._load.publish(load)
 
+    def destroy_node(self) -> None:
+        if self._camera is not None:
+            self._camera.close()
+        super().destroy_node()
+
     def _stamp(self, seconds: float) -> Time:
         sec, nanosec = divmod(self._begin + round(1e9 * float(seconds)), 1_000_000_000)
         return Time(sec=sec, nanosec=nanosec)
+
+
+def _with_camera(model: Model) -> Model:
+    """Return the model with the camera that sees the cell's board, and no other device."""
+    camera = load_sensor(
+        "camera",
+        columns=BOARD.columns,
+        rows=BOARD.rows,
+        square=SQUARE_M,
+        image_size=usual_camera().size,
+    )
+    noise = replace(model.noise, position=None, orientation=None)
+    return replace(model.with_sensors((camera,)), noise=noise)
 
 
 def _read_points(

@@ -18,6 +18,7 @@ from parallel_cal.model.words import direction_in_words
 from parallel_cal.planning.indices import Indices, indices, prediction_rms
 from parallel_cal.planning.posepool import Pool
 from parallel_cal.planning.selection import SelectionProblem
+from parallel_cal.planning.visibility import predict_shown_readings
 
 # Prior information if the tolerances are not a prior: every parameter to 100 tolerances. It keeps
 # the information matrix invertible while the selected poses are too few.
@@ -137,7 +138,7 @@ def as_observations(
     sigma = np.append(np.nan_to_num(model.joint_noise), device)
     S = np.broadcast_to(np.diag(np.square(sigma)), (len(x), n + 6, n + 6))
     mask = np.broadcast_to(measured, (len(x), n + 6))
-    # Plans ignore sensors other than the pose device: contact constrains their poses.
-    unread = np.full((len(x), len(model.structure.channels)), np.nan)
     source = {"joint": "model file", "pose": "model file"}
-    return Observations(x, S, mask, a, np.arange(len(x)), unread, source)
+    return Observations(
+        x, S, mask, a, np.arange(len(x)), predict_shown_readings(model, x, a), source
+    )

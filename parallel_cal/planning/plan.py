@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,6 +26,11 @@ from parallel_cal.planning.options import PlanKeywords, PlanOptions
 from parallel_cal.planning.pose_table import format_pose_table
 from parallel_cal.planning.posepool import Pool, given_pool, make_pool
 from parallel_cal.planning.selection import anneal, exchange
+from parallel_cal.planning.visibility import (
+    find_seen_poses,
+    list_planned_sensors,
+    stand_in_pose_device,
+)
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -222,6 +227,7 @@ def plan(
     require_model(model)
     require_count("n", n, FitError)
     options = with_changes(options or PlanOptions(), changes, FitError)
+    model = stand_in_pose_device(model)
     measured = _measured(model)
     sought = EstimationProblem(model, free_mask(model, options.free, options.fix), options.prior)
     _check_enough(model, n, sought.free)
@@ -235,15 +241,16 @@ def plan(
         pool = given_pool(model, options.pool, rng)
     else:
         pool = make_pool(model, options.pool, rng, options.symmetric)
+    pool = _keep_seen_groups(model, pool)
     size = pool.groups.shape[1]
     if n % size:
         raise FitError(
             f"{n} poses are not a multiple of {size}, the size of a symmetric set: "
             f"plan {n // size * size or size} or {n // size * size + size}"
         )
-    if n > len(pool.poses):
+    if n > pool.groups.size:
         raise FitError(
-            f"{n} poses requested, but only {len(pool.poses)} candidates are reachable, inside the "
+            f"{n} poses requested, but only {pool.groups.size} candidates are reachable, inside the "
             "limits and away from singularities: take a larger pool"
         )
     groups = n // size
@@ -265,7 +272,6 @@ def plan(
     rows = view.rows(chosen)
     expected = view.expectation(rows)
     _check_determined(expected, view.rank, options.prior)
-    channels = ", ".join(model.structure.channels)
     return Plan(
         model=model,
         poses=pool.poses[rows],
@@ -275,12 +281,10 @@ def plan(
         free=sought.free,
         expected=expected,
         random=random,
-        pool=len(pool.poses),
+        pool=pool.groups.size,
         warnings=(
             *view.warnings(),
-            *[f"planned for the pose device only: readings of {channels} are ignored"][
-                : bool(channels)
-            ],
+            *_list_sensor_warnings(model),
             *_list_region_warnings(model, pool.poses[rows]),
             *filter(None, [describe_untested_conditions(model, pool.a[rows])]),
         ),
@@ -292,6 +296,7 @@ def expected_at(model: Model, q: np.ndarray) -> Expectation:
     """Predict the result of an identification from poses at joints q (N, nq), under neutral
     conditions. Raises FitError if they are too few for the free parameters, or if the noise is not
     known."""
+    model = stand_in_pose_device(model)
     measured, free = _measured(model), free_mask(model, (), ())
     _check_enough(model, len(q), free)
     rng = np.random.default_rng(0)
@@ -313,20 +318,40 @@ def _measured(model: Model) -> np.ndarray:
     """Return the mask (nq + 6,) of the joints and the coordinates whose noise the model states."""
     noise, channels = model.noise, model.structure.channels
     given = [noise.position is not None, noise.orientation is not None]
-    if channels and not any(given):
+    planned = list_planned_sensors(model)
+    if channels and not planned and not any(given):
         raise FitError(
             f"a plan needs a device that measures poses; the model's sensors read "
             f"{', '.join(channels)} instead: spread the tip along the rim of the plate and of "
             "each sphere, or remove the sensors from the model file and state noise.position"
         )
     silent = np.isnan(model.joint_noise).any()
-    if silent or not any(given):
+    if silent or not (planned or any(given)):
         missing = "noise.joint" if silent else "noise.position or noise.orientation"
         raise FitError(
             f"the model states no {missing}: a plan weights measurements by their noise; state "
             "noise (1 sigma, rad or m) in the model file"
         )
     return np.array([True] * len(model.joints) + [given[0]] * 3 + [given[1]] * 3)
+
+
+def _keep_seen_groups(model: Model, pool: Pool) -> Pool:
+    """Keep the groups of poses at which a camera sees its board; FitError without any."""
+    seen = find_seen_poses(model, pool.poses)[pool.groups].all(axis=1)
+    if not seen.any():
+        raise FitError(
+            f"no camera sees its board at any of {len(pool.poses)} poses in the workspace: check "
+            "the place of camera and board in the model file"
+        )
+    return replace(pool, groups=pool.groups[seen])
+
+
+def _list_sensor_warnings(model: Model) -> list[str]:
+    planned = list_planned_sensors(model)
+    channels = ", ".join(c for s in model.sensors if s not in planned for c in s.channels)
+    return [f"planned for the pose device only: readings of {channels} are ignored"] * bool(
+        channels
+    )
 
 
 def _list_region_warnings(model: Model, poses: Solutions) -> list[str]:
@@ -341,9 +366,11 @@ def _list_region_warnings(model: Model, poses: Solutions) -> list[str]:
 
 def equations_per_pose(model: Model) -> int:
     """Return the number of equations that a measured pose gives; FitError if it is zero, or if the
-    noise is not known."""
+    noise is not known. An image of a board gives as many as a pose."""
+    model = stand_in_pose_device(model)
     moved = [len(model.joints) + i for i in model.mechanism.moved]
-    each = model.structure.phi.shape[0] - int((~_measured(model)[moved]).sum())
+    unmeasured = int((~_measured(model)[moved]).sum())
+    each = model.structure.phi.shape[0] - (0 if list_planned_sensors(model) else unmeasured)
     if each <= 0:
         raise FitError(
             "the measured coordinates give no equation: state the noise of the "

@@ -19,7 +19,7 @@ from parallel_cal.model.effect import parse_part
 from parallel_cal.model.shelf import require_allowed
 from parallel_cal.recordings.pose_messages import pose_row
 
-Kind = Literal["joints", "poses", "condition", "words", "readings"]
+Kind = Literal["joints", "poses", "condition", "words", "readings", "images"]
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Channel:
     Parameters
     ----------
     kind : str
-        `joints`, `poses`, `condition`, `words` or `readings`.
+        `joints`, `poses`, `condition`, `words`, `readings` or `images`.
     types : tuple of str
         Accepted message types, the usual one first.
     decode : callable
@@ -40,6 +40,7 @@ class Channel:
         - condition: (value,), interpolated between messages, or, if `held`, valid until the next
         - words: (text,), the constraint of the tip until the next message
         - readings: (the device's channel, m), averaged over a dwell
+        - images: (camera, numbers of corners, their pixels), as detected in an image
     by_name : bool
         Whether only a topic of this name is meant, because the message type has many uses. Default
         False.
@@ -85,6 +86,14 @@ def joint_row(message: Any) -> tuple:
     )
 
 
+def corner_row(message: Any) -> tuple:
+    """Return (camera, numbers (n,), pixels (n, 2)) of the corners that were detected."""
+    return message.camera, message.corners.numbers, message.corners.pixels
+
+
+# The corners of a board, which calibration_node detects in images. No topic has them: a recording
+# is searched for the images of the option `images`.
+CORNERS = "corners"
 # The name of a channel is also the name of its usual topic.
 CHANNELS = {
     "joint_states": Channel("joints", ("sensor_msgs/msg/JointState",), joint_row),
@@ -123,6 +132,9 @@ CHANNELS = {
         lambda message: (message.header.frame_id, message.range),
         by_name=True,
     ),
+    CORNERS: Channel(
+        "images", ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"), corner_row
+    ),
 }
 
 
@@ -131,12 +143,14 @@ def list_channels(*kinds: Kind, among: Iterable[str] = ()) -> list[str]:
     such as `temperature.arms`."""
     parts = [name for name in among if parse_part(name)]
     names = dict.fromkeys([*parts, *CHANNELS])
-    return [name for name in names if (one := find_channel(name)) and one.kind in kinds]
+    known = {name: CHANNELS.get(name) or find_channel(name) for name in names}
+    return [name for name, one in known.items() if one and one.kind in kinds]
 
 
 def find_channel(name: str) -> Channel | None:
-    """Return the channel of a name; that of a part's own sensor has no usual topic."""
-    if name in CHANNELS:
+    """Return the channel of a name in a recording; that of a part's own sensor has no usual
+    topic."""
+    if name in CHANNELS and name != CORNERS:
         return CHANNELS[name]
     part = parse_part(name)
     return replace(CHANNELS[part[0]], by_name=True) if part else None

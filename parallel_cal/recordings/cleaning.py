@@ -68,6 +68,7 @@ def assemble(
         return {name: stream for name, stream in found.items() if stream}
 
     conditions, distances = numbers(of("condition")), numbers(_by_gauge(of("readings").values()))
+    distances |= numbers(_by_corner(of("images").values()))
     words = (_latch_texts(raw, streams[0], times[0], start) for raw in of("words").values())
     return Recording(
         source,
@@ -123,6 +124,21 @@ def _by_gauge(raws: Iterable[Raw]) -> dict[str, Raw]:
                 raise BagError(f"{name} is also on {gauge.topic}: give the two different names")
             gauge.append(log, stamp, (value,))
     return gauges
+
+
+def _by_corner(raws: Iterable[Raw]) -> dict[str, Raw]:
+    """Make one stream for each coordinate of each corner that a camera sees, in px; rows are
+    (camera, numbers, pixels)."""
+    corners: dict[tuple[str, int, str], Raw] = {}
+    for raw in raws:
+        for log, stamp, (camera, numbers, pixels) in zip(raw.log, raw.stamp, raw.rows, strict=True):
+            for number, pixel in zip(numbers.tolist(), pixels.tolist(), strict=True):
+                for axis, value in zip("uv", pixel, strict=True):
+                    at = camera, number, axis
+                    if at not in corners:
+                        corners[at] = Raw(f"images of {camera}", raw.type)
+                    corners[at].append(log, stamp, (value,))
+    return {f"{camera}.{n}.{axis}": corners[camera, n, axis] for camera, n, axis in sorted(corners)}
 
 
 def _latch_texts(

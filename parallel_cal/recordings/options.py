@@ -10,7 +10,7 @@ import numpy as np
 
 from parallel_cal.base.errors import BagError, DatasetError
 from parallel_cal.base.options import with_changes
-from parallel_cal.recordings.channels import CHANNELS, list_channels
+from parallel_cal.recordings.channels import CHANNELS, CORNERS, list_channels
 from parallel_cal.recordings.recording import COORDINATES
 
 if TYPE_CHECKING:
@@ -161,7 +161,11 @@ class ReadOptions(SampleOptions):
             ("topics", self.topics, CHANNELS),
         ):
             parts = list_channels("condition", among=given) if known is CHANNELS else ()
-            if unknown := [name for name in given if name not in known and name not in parts]:
+            if unknown := [
+                name
+                for name in given
+                if (name not in known and name not in parts) or name == CORNERS
+            ]:
                 raise BagError(f"{what}: {unknown} unknown; expected some of {', '.join(known)}")
 
     @property

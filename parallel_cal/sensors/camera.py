@@ -38,6 +38,7 @@ FOCAL = np.geomspace(0.29, 5.7, 28)
 UNDISTORT_STEPS = 20
 MAX_START_ANGLE = 1.3  # rad from the axis, of corners that start a fisheye
 NEXT_TO_NOTHING = 1e-18
+IMAGE_MARGIN_PX = 8.0  # a corner nearer to the edge of the image is not detected surely
 
 
 @dataclass(frozen=True)
@@ -245,6 +246,17 @@ class Camera(Sensor):
         u = x * grown + 2 * s.p1 * x * y + s.p2 * (square + 2 * x**2)
         v = y * grown + 2 * s.p2 * x * y + s.p1 * (square + 2 * y**2)
         return s.fx * u + s.cx, s.fy * v + s.cy
+
+    def find_visible(self, readings: np.ndarray) -> np.ndarray:
+        """Mask the predicted corners inside the image, if the camera sees the printed side."""
+        pixels = readings.reshape(len(readings), -1, 2)
+        high = np.array(self.image_size) - 1 - IMAGE_MARGIN_PX
+        inside = ((pixels >= IMAGE_MARGIN_PX) & (pixels <= high)).all(axis=2)
+        # From the printed side, the board's y is 90 degrees clockwise from its x in the image.
+        along = pixels[:, self.columns - 2] - pixels[:, 0]
+        down = pixels[:, -(self.columns - 1)] - pixels[:, 0]
+        faces = along[:, 0] * down[:, 1] - along[:, 1] * down[:, 0] > 0
+        return np.repeat(inside & faces[:, None], 2, axis=1)
 
     # ------------------------------------------------------------------ start values
 
