@@ -6,7 +6,6 @@ import pytest
 from virtual_lines import Creep, LinedRobot, Pulleys, Tension, balanced_length
 
 from parallel_cal.base.errors import ModelError
-from parallel_cal.identification.fit import fit
 from parallel_cal.model.effect import Seen
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.model.parameters import Named
@@ -80,7 +79,7 @@ def sagging(name):
 
 def creeping(name):
     creep = Creep((1.1e-3, 2.3e-3), (400.0, 5000.0))
-    numbers = {"strain1": 1.1e-3, "strain2": 2.3e-3, "tau1": 400.0, "tau2": 5000.0}
+    numbers = {"fast": 1.1e-3, "slow": 2.3e-3, "tau": 5000.0, "ratio": 12.5}
     return {"creep": creep}, {f"line_creep.{key}": value for key, value in numbers.items()}
 
 
@@ -159,7 +158,7 @@ def test_a_chain_sags_by_the_span_cubed_over_24_times_the_square_of_the_tension(
 
 
 def test_a_line_has_crept_half_way_after_ln_2_time_constants():
-    numbers = {"strain1": 2e-3, "tau1": 100.0, "strain2": 0.0}
+    numbers = {"fast": 2e-3, "tau": 1000.0, "ratio": 10.0, "slow": 0.0}
     found = excess("line_creep", numbers, [3, 0, 4], (0, 0, 0), time=100 * np.log(2))
     assert found == pytest.approx(-5e-3 / 1.001, abs=1e-15)
 

@@ -14,20 +14,23 @@ from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
-FASTEST = 60.0  # s; what creeps within a minute has crept before the first pose
-RATIO = 5.0  # of the time constants that the scan tries: nearer ones look alike
+RATIO = 4.0  # of the time constants that the scan tries; the best one is refined
+SHORTEST = 1 / 64  # of the session's length; what creeps faster has crept before the second pose
 
 
 class LineCreep(Effect):
-    """q_ideal = q + l c / (1 + c) / k, c = sum over i = 1, 2 of strain_i (1 - exp(-t / tau_i)).
+    """q_ideal = q + l c / (1 + c) / k for every line of length l.
 
-    The line of length l is two Voigt elements and a spring in series under a tension that stays. t
-    is the time since the first recording began. `tau1` and `tau2` (s) are known from a creep test,
-    or found by `scan`. k is the line (m) that a reading of 1 lets out.
+    c = fast (1 - exp(-ratio t / tau)) + slow (1 - exp(-t / tau)): the line is a spring and two
+    Voigt elements in series, under a tension that stays.
+    `fast` and `slow` are the strains to which these creep. t is the time since the first recording
+    began, and k is the line (m) that a reading of 1 lets out. The time constant `tau` (s) of the
+    slow element is known from a creep test, or found by `scan`. That of the fast one is tau /
+    `ratio`.
     """
 
     needs = ("time",)
-    fixed = ("tau1", "tau2")
+    fixed = ("tau", "ratio")
     depends_on_class = False
     physics = "A polymer line under tension goes on stretching, fast at first and then ever slower."
     remedy = "pretension new lines for a day, warm up under tension, or home more often"
@@ -37,12 +40,10 @@ class LineCreep(Effect):
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         return [
-            *[
-                Parameter(f"strain{i}", "1", 0.0, 1e-3, low=0.0, high=20e-3, label=f"{word} creep")
-                for i, word in ((1, "fast"), (2, "slow"))
-            ],
-            Parameter("tau1", "s", 300.0, 200.0, low=1.0, label="time constant"),
-            Parameter("tau2", "s", 3600.0, 2000.0, low=1.0, label="time constant"),
+            Parameter("fast", "1", 0.0, 1e-3, low=0.0, high=20e-3, label="fast creep"),
+            Parameter("slow", "1", 0.0, 1e-3, low=0.0, high=20e-3, label="slow creep"),
+            Parameter("tau", "s", 3600.0, 2000.0, low=1.0, label="time constant"),
+            Parameter("ratio", "1", 10.0, 5.0, low=1.0, label="of the time constants"),
         ]
 
     def applies(self, mechanism: Mechanism) -> str:
@@ -50,7 +51,8 @@ class LineCreep(Effect):
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         assert isinstance(mechanism, Cable)
-        crept = sum(e[f"strain{i}"] * (1 - ca.exp(-at["time"] / e[f"tau{i}"])) for i in (1, 2))
+        t = at["time"] / e.tau
+        crept = e.fast * (1 - ca.exp(-e.ratio * t)) + e.slow * (1 - ca.exp(-t))
 
         def excess(placed: Seen) -> list[Any]:
             strands = find_strands(placed, mechanism)
@@ -61,10 +63,9 @@ class LineCreep(Effect):
     def scan(
         self, mechanism: Mechanism, recorded: Mapping[str, Any]
     ) -> Iterator[Mapping[str, float]]:
-        """Return pairs of time constants up to the length of the session: slower creep is a line
-        in time, as that of the session's length nearly is."""
+        """Return time constants up to twice the session: slower creep is a line in time."""
         duration = float(np.ptp(recorded["time"]))
-        count = max(1, round(np.log(max(duration / FASTEST, 1.0)) / np.log(RATIO)))
-        slow = [max(duration, FASTEST) / RATIO**k for k in range(count)]
-        for tau2 in slow:
-            yield {"tau1": tau2 / RATIO, "tau2": tau2}
+        tau = 2 * duration
+        while duration and tau >= SHORTEST * duration:
+            yield {"tau": tau}
+            tau /= RATIO

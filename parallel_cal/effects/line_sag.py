@@ -66,28 +66,30 @@ class LineSag(Effect):
             for strand, tension in zip(find_strands(placed, mechanism), tensions, strict=True):
                 chord, height = ca.norm_2(strand), ca.dot(strand, up)
                 t = ca.fmax(tension, MIN_TENSION)
-                found.append(_unstretched(chord, height, t, e.sag, e.strain) - chord)
+                found.append(_slack(chord, height, t, e.sag, e.strain))
             return found
 
         return shift_lines(seen, mechanism, excess)
 
 
-def _unstretched(chord: Any, height: Any, t: Any, sag: Any, strain: Any) -> Any:
-    """Return the length L (m) of a catenary over a chord; t in units of T.
+def _slack(chord: Any, height: Any, t: Any, sag: Any, strain: Any) -> Any:
+    """Return by how much a catenary's unstretched length L exceeds its chord (m); t in units of T.
 
     An elastic catenary is an inextensible one over a span that is shorter by H L / EA and
     lower by L V_mean / EA, and that has the length sqrt(z^2 + (x sinh(u) / u)^2), u = w x / (2 H).
     """
     flat = chord**2 - height**2
-    length = chord
+    more: Any = 0
     z = height
     for _ in range(ROUNDS):
+        length = chord + more
         shorter = 1 - t * strain * length / chord  # span over the horizontal distance
         u2 = sag * (chord * shorter / (2 * t)) ** 2
         mean = t * (z / chord) / shorter * _cosh(u2) / _sinhc(u2)
         z = height - strain * length * mean
-        length = ca.sqrt(z**2 + flat * (shorter * _sinhc(u2)) ** 2)
-    return length
+        squares = z**2 - height**2 + flat * ((shorter * _sinhc(u2)) ** 2 - 1)
+        more = squares / (ca.sqrt(chord**2 + squares) + chord)
+    return more
 
 
 def _sinhc(u2: Any) -> Any:

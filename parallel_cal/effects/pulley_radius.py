@@ -20,8 +20,8 @@ class PulleyRadius(Effect):
 
     The line comes along the axis a, touches the pulley at the anchor A, runs over it by the angle
     beta and leaves to P. The pulley swivels about the line that comes, so that P lies in its plane:
-    with z = (P - A) . a and the distance x of P from that axis, l^2 = (x - radius)^2 + z^2 -
-    radius^2, beta = atan2(x - radius, z) + atan2(radius, l) and L = l + radius beta.
+    with z = (P - A) . a and the distance x of P from that axis, l^2 = x^2 + z^2 - 2 radius x,
+    beta = atan2(x - radius, z) + atan2(radius, l) and L = l + radius beta.
 
     `radius` (m) is that of the groove plus half the line, the same for all pulleys. `axis` is the
     direction in {B} in which the line comes; by default along the last coordinate that moves (z, or
@@ -51,7 +51,7 @@ class PulleyRadius(Effect):
 
         def excess(placed: Seen) -> list[Any]:
             strands = enumerate(find_strands(placed, mechanism), start=1)
-            return [_wrap(-s, e.radius, _find_axis(e, i)) - ca.norm_2(s) for i, s in strands]
+            return [_detour(-s, e.radius, _find_axis(e, i)) for i, s in strands]
 
         return shift_lines(seen, mechanism, excess)
 
@@ -92,9 +92,11 @@ def _find_axis(e: Named, line: int) -> Any:
     return axis / ca.norm_2(axis)
 
 
-def _wrap(to_point: Any, radius: Any, axis: Any) -> Any:
-    """Return the length of line (m) from the anchor over the pulley to a point."""
+def _detour(to_point: Any, radius: Any, axis: Any) -> Any:
+    """Return by how much the line over the pulley is longer than the way to a point (m)."""
     z = ca.dot(to_point, axis)
     x = ca.norm_2(ca.cross(axis, to_point))
-    free = ca.sqrt((x - radius) ** 2 + z**2 - radius**2)
-    return free + radius * (ca.atan2(x - radius, z) + ca.atan2(radius, free))
+    way = ca.norm_2(to_point)
+    free = ca.sqrt(way**2 - 2 * radius * x)
+    wrapped = radius * (ca.atan2(x - radius, z) + ca.atan2(radius, free))
+    return wrapped - 2 * radius * x / (free + way)  # no difference of two lengths: 0 at radius 0
