@@ -1,10 +1,12 @@
-"""Elastic lines: how far each line stretches under the payload."""
+"""Shared by effects of the lines of a cable robot: which robots have them, lengths and tensions."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from parallel_cal.mechanisms.cable import Cable
 from parallel_cal.model.effect import Seen
@@ -13,11 +15,34 @@ from parallel_cal.model.parameters import Named
 
 
 def needs_lines(mechanism: Mechanism) -> str:
-    """Return why an effect of elastic lines does not apply; empty if it does."""
-    if not isinstance(mechanism, Cable):
-        return "no line holds the platform"
-    falls = any(mechanism.gravity[i] for i in mechanism.moved)
-    return "" if falls else "the platform does not move along gravity"
+    """Return why an effect of lines does not apply; empty if it does."""
+    return "" if isinstance(mechanism, Cable) else "no line holds the platform"
+
+
+def has_redundant_lines(mechanism: Mechanism) -> bool:
+    """Whether lines can pull against each other: there are more of them than freedoms."""
+    return len(mechanism.joints) > len(mechanism.moves)
+
+
+def hangs(mechanism: Mechanism) -> bool:
+    """Whether the lines carry weight: gravity acts along a coordinate that moves."""
+    return bool(np.array(mechanism.gravity)[mechanism.moved].any())
+
+
+def needs_tension(mechanism: Mechanism) -> str:
+    """Return why the tensions of the lines are not known; empty if they are."""
+    if why := needs_lines(mechanism):
+        return why
+    if hangs(mechanism) or has_redundant_lines(mechanism):
+        return ""
+    return "neither a weight nor redundant lines keep its lines taut"
+
+
+def needs_weight(mechanism: Mechanism) -> str:
+    """Return why the weight of the platform does not stretch lines; empty if it does."""
+    if why := needs_lines(mechanism):
+        return why
+    return "" if hangs(mechanism) else "the platform does not move along gravity"
 
 
 def compute_sag(seen: Seen, mechanism: Cable, weight: Any) -> Any:
@@ -25,7 +50,8 @@ def compute_sag(seen: Seen, mechanism: Cable, weight: Any) -> Any:
     the stiffness EA (N) of the lines, which is the same for all."""
     n = len(mechanism.moves)
     K = ca.SX.zeros(n, n)
-    for i, to_anchor in enumerate(_directions(seen, mechanism), start=1):
+    for i, strand in enumerate(find_strands(seen, mechanism), start=1):
+        to_anchor = mechanism.place(strand)
         advantage = seen.p[f"line{i}"].advantage
         K += advantage * to_anchor @ to_anchor.T / ca.norm_2(to_anchor) ** 3
     return ca.solve(K, weight)
@@ -36,9 +62,48 @@ def line_stretches(seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Any
     assert isinstance(mechanism, Cable)
     mass = e["mass"].platform + at["payload"]
     sag = compute_sag(seen, mechanism, mass * mechanism.place(ca.DM(mechanism.gravity)))
-    return ca.vertcat(*[-ca.dot(to, sag) / ca.norm_2(to) for to in _directions(seen, mechanism)])
+    strands = [mechanism.place(strand) for strand in find_strands(seen, mechanism)]
+    return ca.vertcat(*[-ca.dot(to, sag) / ca.norm_2(to) for to in strands])
 
 
-def _directions(seen: Seen, mechanism: Cable) -> list[Any]:
-    """From the platform to the anchor of each line, m."""
-    return [anchor - mechanism.place(seen.r) for anchor in mechanism.anchors(seen.p)]
+def find_strands(seen: Seen, mechanism: Cable) -> list[Any]:
+    """Return the vectors in {B}, (3, 1) m, from the end point to the anchor of each line."""
+    P = mechanism.place(seen.r)
+    return [mechanism.in_base(A - P) for A in mechanism.anchors(seen.p)]
+
+
+def find_up(mechanism: Mechanism) -> Any:
+    """Return the unit vector (3, 1) in {B} against gravity."""
+    down = np.array(mechanism.gravity, dtype=float)
+    return ca.DM(-down / np.linalg.norm(down))
+
+
+def find_tensions(seen: Seen, mechanism: Cable, pretension: Any, weight: Any) -> list[Any]:
+    """Return the tension of each line: W t = weight up, nearest to `pretension` in every line.
+
+    t = pretension (1 - W^+ W 1) + W^+ weight up, with the unit vectors from {P} to the anchors as
+    columns of W; in the unit of `pretension` and `weight`.
+    """
+    strands = find_strands(seen, mechanism)
+    W = ca.horzcat(*[mechanism.place(s) / ca.norm_2(s) for s in strands])
+    wanted = weight * mechanism.place(find_up(mechanism))
+    if not has_redundant_lines(mechanism):
+        return ca.vertsplit(ca.solve(W, wanted))
+    missing = wanted - pretension * ca.sum2(W)
+    return ca.vertsplit(pretension + W.T @ ca.solve(W @ W.T, missing))
+
+
+def shift_lines(
+    seen: Seen, mechanism: Cable, excess: Callable[[Seen], list[Any]], since_home: bool = True
+) -> Seen:
+    """Return the readings that let out straight, rigid lines to the same end point.
+
+    `excess` returns by how much the free line at the reading exceeds the distance from the end
+    point to the anchor (m). With `since_home` it counts from where readings are zero.
+    """
+    more = excess(seen)
+    if since_home:
+        home = ca.DM(mechanism.home.position)
+        more = [m - m0 for m, m0 in zip(more, excess(seen.with_pose(home, seen.R)), strict=True)]
+    shifts = [m / mechanism.per_radian(seen.p, i) for i, m in enumerate(more)]
+    return seen.with_q(seen.q - ca.vertcat(*shifts))

@@ -14,11 +14,13 @@ from parallel_cal.effects._joints import (
     find_revolute_joints,
     needs_turning,
     shift_joints,
+    sizes,
 )
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
+SIZE = {"rad": (0.3e-3, 3e-3), "m": (0.1e-3, 1e-3)}  # tolerance and upper bound; m of line
 RATIOS = (3.0, 150.0)  # below: an encoder's harmonics; above: too fine for the poses
 
 
@@ -27,7 +29,9 @@ class GearTransmissionError(Effect):
 
     One `ratio` for all joints, known from the gear's catalogue or found by `scan`: its best
     setting lies within half a step of the peak and shows at least 90 % of the first harmonic;
-    from there the ratio may be freed and is refined together with the amplitudes.
+    from there the ratio may be freed and is refined together with the amplitudes. If the readings
+    are angles of motors that turn spools, the ratio is the angle of the spool per angle of the
+    motor: a spool that is out of round errs once per turn of its own.
     """
 
     fixed = ("ratio",)
@@ -42,17 +46,18 @@ class GearTransmissionError(Effect):
                 f"{joint}.{part}{k}",
                 "rad",
                 0.0,
-                0.3e-3,
-                low=-3e-3,
-                high=3e-3,
+                size,
+                low=-most,
+                high=most,
                 label=f"{label}, {'once' if k == 1 else 'twice'} per input turn",
             )
-            for joint in find_revolute_joints(mechanism)
+            for joint, unit, (size, most) in sizes(mechanism, SIZE)
+            if unit == "rad"
             for k in (1, 2)
             for part, label in WAVE.items()
         ]
         return [
-            Parameter("ratio", "1", 50.0, 20.0, low=1.0, high=250.0, label="gear ratio"),
+            Parameter("ratio", "1", 50.0, 20.0, low=1e-3, high=250.0, label="gear ratio"),
             *amplitudes,
         ]
 
@@ -74,8 +79,11 @@ class GearTransmissionError(Effect):
     ) -> Iterator[Mapping[str, float]]:
         """Return ratios pi / travel apart: a peak reaches 2 pi / travel to each side.
 
-        The travel is the longest that was recorded.
+        The travel is the longest that was recorded. Spools that motors turn have known ratios.
         """
+        if mechanism.winds:
+            yield from ({"ratio": turn} for turn in _find_spool_turns(mechanism))
+            return
         low, high = RATIOS
         travel = max(np.ptp(recorded[joint]) for joint in find_revolute_joints(mechanism))
         for ratio in np.arange(low, high, np.pi / max(travel, np.pi / (high - low))):
@@ -89,3 +97,10 @@ class GearTransmissionError(Effect):
     def period(self, setting: Mapping[str, float]) -> float:
         """Return one turn of the gear's input."""
         return 2 * np.pi / setting["ratio"]
+
+
+def _find_spool_turns(mechanism: Mechanism) -> list[float]:
+    """Return the turns of the nominal spools per turn of their motors."""
+    p = Named(mechanism.parameters.names, mechanism.parameters.nominal)
+    spools = [mechanism.spool(i, p) for i in range(len(mechanism.joints))]
+    return sorted({round(abs(float(spool.turn)), 12) for spool in spools if spool})

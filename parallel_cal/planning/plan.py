@@ -250,8 +250,8 @@ def plan(
         )
     if n > pool.groups.size:
         raise FitError(
-            f"{n} poses requested, but only {pool.groups.size} candidates are reachable, inside the "
-            "limits and away from singularities: take a larger pool"
+            f"{n} poses requested, but only {pool.groups.size} candidates are reachable, inside "
+            "the limits and away from singularities: take a larger pool"
         )
     groups = n // size
     unseen = make_pool(

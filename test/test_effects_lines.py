@@ -1,0 +1,237 @@
+"""Pulleys, stretch under tension, sag and creep of lines: by hand, and in virtual cable robots."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from virtual_lines import Creep, LinedRobot, Pulleys, Tension, balanced_length
+
+from parallel_cal.base.errors import ModelError
+from parallel_cal.model.effect import Seen
+from parallel_cal.model.model import Noise, new_model
+from parallel_cal.model.parameters import Named
+from parallel_cal.model.shelf import load_effect, load_mechanism
+from parallel_cal.recordings.dataset import Dataset
+
+RADIUS, GEAR = 0.075, 12.75
+ROBOTS = {
+    "four": [[0, -1.6, -0.11], [1.3, 1.25, -0.15], [-1.44, 0.74, -0.16], [0.2, 0.1, 2.345]],
+    "eight": [[x, y, z] for x in (-1.5, 1.6) for y in (-1.3, 1.2) for z in (-0.3, 2.1)],
+    "wall": [[-1.5, 0, 1.2], [1.6, 0, 1.25]],
+    "table": [[-1.5, 1.2, 0], [1.5, 1.1, 0], [1.4, -1.2, 0], [-1.6, -1.0, 0]],
+}
+ADVANTAGES = {"four": [2.0, 2.0, 2.0, 4.0]}
+NAMES = ("pulley_radius", "line_flex", "line_sag", "line_creep")
+
+
+def mechanism(name):
+    return load_mechanism("cable", anchors=ROBOTS[name], advantages=ADVANTAGES.get(name))
+
+
+def twin(name, **physics):
+    n = len(ROBOTS[name])
+    way = RADIUS / GEAR / np.array(ADVANTAGES.get(name, np.ones(n)))
+    return LinedRobot(ROBOTS[name], way, **physics)
+
+
+def places(name, n=60, seed=0):
+    """Points all over the workspace, in the robot's plane if it has one."""
+    rng = np.random.default_rng(seed)
+    low, high = {
+        "four": ((-0.35, -0.35, 0.1), (0.35, 0.35, 0.6)),
+        "eight": ((-0.5, -0.5, 0.0), (0.5, 0.5, 0.8)),
+        "wall": ((-0.5, 0, -0.5), (0.5, 0, 0.4)),
+        "table": ((-0.5, -0.5, 0), (0.5, 0.5, 0)),
+    }[name]
+    return rng.uniform(low, high, (n, 3))
+
+
+# Physics of the twin, and the same numbers as parameters of the effect.
+def pulleys(name):
+    anchors = np.array(ROBOTS[name], float)
+    axes = np.zeros_like(anchors)
+    for i, away in enumerate(anchors):
+        up = 1 if name == "table" else 2
+        steep = abs(away[up]) > 2 * np.linalg.norm(np.delete(away, up))
+        axes[i, 0 if steep else up] = np.sign(away[0 if steep else up])
+    return {"pulleys": Pulleys(0.02, axes)}, {"pulley_radius.radius": 0.02}
+
+
+def flexing(name):
+    tension = Tension(EA=20e3, platform=10.0, pretension=30.0)
+    if name == "wall":
+        return {"tension": tension}, {"line_flex.load": 10 / 20e3}
+    load = {} if name == "table" else {"line_flex.load": 10 / 20e3}
+    return {"tension": tension}, {"line_flex.strain": 30 / 20e3, **load}
+
+
+def sagging(name):
+    """Under their weights and stretched."""
+    hung = name == "wall"
+    scale = 98.1 if hung else 50.0
+    tension = Tension(
+        EA=50e3, weight_per_metre=3.0, platform=98.1 if hung else 10.0, pretension=50.0
+    )
+    numbers = {"line_sag.sag": (3.0 / scale) ** 2, "line_sag.strain": scale / 50e3}
+    return {"tension": tension}, numbers if hung or name == "table" else (
+        numbers | {"line_sag.load": 10 / 50}
+    )
+
+
+def creeping(name):
+    creep = Creep((1.1e-3, 2.3e-3), (400.0, 5000.0))
+    numbers = {"fast": 1.1e-3, "slow": 2.3e-3, "tau": 5000.0, "ratio": 12.5}
+    return {"creep": creep}, {f"line_creep.{key}": value for key, value in numbers.items()}
+
+
+PHYSICS = dict(zip(NAMES, (pulleys, flexing, sagging, creeping), strict=True))
+
+
+def closure(model, q, r, time):
+    x = np.column_stack([q, r, np.tile(np.eye(3).ravel(), (len(q), 1))])
+    at = time[:, None] if model.conditions else np.zeros((len(q), 0))
+    return model.structure.closure_batch(x, at, model.values)[0]
+
+
+# --------------------------------------------------------------------------- against the twin
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("name", NAMES)
+def test_the_true_numbers_close_every_line_of_the_virtual_robot(name, robot):
+    physics, numbers = PHYSICS[name](robot)
+    r = places(robot)
+    time = np.linspace(0, 7200, len(r))
+    q = twin(robot, **physics).readings(r, time)
+    geometry = new_model(mechanism(robot))
+    exact = new_model(mechanism(robot), numbers, [name])
+    assert np.abs(closure(exact, q, r, time)).max() < 1e-9
+    assert np.abs(closure(geometry, q, r, time)).max() > 0.1e-3
+
+
+# --------------------------------------------------------------------------- by pencil and paper
+
+
+def excess(name, numbers, anchor, r, time=None):
+    """Line (m) that the ideal robot sees less than let out, on the first of two lines in x, z."""
+    m = load_mechanism("cable", anchors=[anchor, [-anchor[0], 0, anchor[2]]])
+    effect = load_effect(name)
+    table = effect.table(m)
+    e = table.vector({f"{name}.{key}": value for key, value in numbers.items()})
+    p = Named(m.parameters.names, ca.SX(ca.DM(m.parameters.nominal)))
+    seen = Seen(ca.SX.zeros(2), ca.SX(ca.DM(r)), ca.SX.eye(3), p)
+    at = Named(("time",), ca.SX(ca.DM([time]))) if time else Named((), ca.SX())
+    q = effect.ideal(seen, Named(table.names, ca.SX(ca.DM(e)))[name], at, m).q
+    return -float(ca.DM(q[0])) * RADIUS / GEAR
+
+
+def test_a_line_that_leaves_level_with_the_hub_less_its_radius_wraps_a_quarter_turn():
+    """Radius 1 m, anchor (7, 0, 4): the line comes up, leaves at the top of the pulley (6, 5) and
+    runs level to (2, 0, 5): 4 m and a quarter of the circumference, for 5.0990 m of distance. At
+    home the hub is at (6, 4): 52 - 1 = 51 = l^2, beta = atan2(6, -4) + atan2(1, sqrt(51))."""
+    wrapped = 4 + np.pi / 2 - np.hypot(5, 1)
+    home = np.sqrt(51) + np.arctan2(6, -4) + np.arctan2(1, np.sqrt(51)) - np.sqrt(65)
+    found = excess("pulley_radius", {"radius": 1.0}, [7, 0, 4], (2, 0, 5))
+    assert found == pytest.approx(wrapped - home, abs=1e-12)
+
+
+def test_a_line_of_5_m_at_3_to_4_carries_five_eighths_of_the_weight():
+    """Anchors 3 m aside, 4 m up: t = 5/8 weight, strain 5/8 of 1.6e-3 = 1e-3 of 5 m / 1.001. At
+    (0, 0, 1), 3 m below, lines of sqrt(18) m carry weight / sqrt(2)."""
+    s = 1.6e-3 / np.sqrt(2)
+    expected = -s * np.sqrt(18) / (1 + s) + 1e-3 * 5 / 1.001
+    assert excess("line_flex", {"load": 1.6e-3}, [3, 0, 4], (0, 0, 1)) == pytest.approx(
+        expected, abs=1e-15
+    )
+
+
+def test_a_chain_sags_by_the_span_cubed_over_24_times_the_square_of_the_tension():
+    """The parabola: chord times (w x / H)^2 cos^2 / 24 with cos = x / chord, x / H = chord / t:
+    3^2 / 5 * (w 5 / t)^2 / 24, and t = 5/8 of the weight at home."""
+    w = 1e-3
+
+    def longer(chord, t):
+        return 9 / chord * (w * chord / t) ** 2 / 24
+
+    expected = longer(np.sqrt(18), 1 / np.sqrt(2)) - longer(5, 5 / 8)
+    found = excess("line_sag", {"sag": w**2}, [3, 0, 4], (0, 0, 1))
+    assert found == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_line_has_crept_half_way_after_ln_2_time_constants():
+    numbers = {"fast": 2e-3, "tau": 1000.0, "ratio": 10.0, "slow": 0.0}
+    found = excess("line_creep", numbers, [3, 0, 4], (0, 0, 0), time=100 * np.log(2))
+    assert found == pytest.approx(-5e-3 / 1.001, abs=1e-15)
+
+
+@pytest.mark.parametrize("name", ["line_flex", "line_sag"])
+def test_the_weight_of_the_chains_themselves_is_the_part_that_is_neglected(name):
+    """Chains of 3 N/m on a sled of 10 kg: a tenth of the weight that pulls them is their own."""
+    given = Tension(EA=50e3, weight_per_metre=3.0 * (name == "line_sag") + 1e-9, platform=98.1)
+    r = places("wall", 12)
+    exact = np.array([balanced_length(ROBOTS["wall"], point, given) for point in r])
+    home = balanced_length(ROBOTS["wall"], np.zeros(3), given)
+    q = (exact - home) / (RADIUS / GEAR)
+    numbers = {
+        "line_flex": {"line_flex.load": 98.1 / 50e3},
+        "line_sag": {"line_sag.sag": (3 / 98.1) ** 2, "line_sag.strain": 98.1 / 50e3},
+    }[name]
+    time = np.zeros(len(r))
+    left = closure(new_model(mechanism("wall"), numbers, [name]), q, r, time)
+    before = closure(new_model(mechanism("wall")), q, r, time)
+    share = np.linalg.norm(left) / np.linalg.norm(before)
+    assert share < (1e-7 if name == "line_flex" else 0.15)
+
+
+# --------------------------------------------------------------------------- where they apply
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("robot", ["delta24", "stewart42", "five_bar"])
+def test_effects_of_lines_apply_to_cable_robots_only(name, robot):
+    with pytest.raises(ModelError, match=f"{name} does not apply to {robot}: no line holds"):
+        new_model(robot).with_effect(name)
+
+
+@pytest.mark.parametrize("name", ["line_flex", "line_sag"])
+def test_two_lines_on_a_table_have_no_tension_that_anyone_knows(name):
+    table = load_mechanism("cable", anchors=[[-3, 4], [3, 4]])
+    with pytest.raises(ModelError, match="neither a weight nor redundant lines keep its lines"):
+        new_model(table).with_effect(name)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_an_effect_of_size_zero_changes_nothing_and_its_slope_is_finite(name, robot):
+    model = new_model(mechanism(robot)).with_effect(name)
+    s = model.structure
+    at = np.zeros(len(model.conditions)) + 1000.0
+    slope = ca.Function("slope", [s.q, s.r, s.a, s.v], [s.seen.q, ca.jacobian(s.seen.q, s.v)])
+    q = np.linspace(-100, 100, len(ROBOTS[robot]))
+    for r in [np.zeros(3), *places(robot, 5)]:
+        seen, by = slope(q, r, at, model.values)
+        np.testing.assert_allclose(np.array(seen).squeeze(), q, atol=1e-9)
+        assert np.isfinite(np.array(by)).all()
+
+
+# --------------------------------------------------------------------------- found in data
+
+NOISE = Noise(joint=0.01, position=0.1e-3)
+
+
+def session(robot, name, seed=0, n=100, noise=1.0, far=1.0):
+    physics, _ = PHYSICS[name](robot)
+    rng = np.random.default_rng([seed, 7])
+    r = far * places(robot, n, seed)
+    time = np.linspace(0, 4 * 3600, n)
+    q = twin(robot, **physics).readings(r, time)
+    flat = [axis in ("x", "y", "z") and axis in mechanism(robot).moves for axis in "xyz"]
+    sigma = np.array([NOISE.position if axis else np.nan for axis in flat] + [np.nan] * 3)
+    return Dataset.from_arrays(
+        mechanism(robot).joints,
+        q + noise * NOISE.joint * rng.normal(size=q.shape),
+        r + noise * np.nan_to_num(sigma[:3]) * rng.normal(size=r.shape),
+        pose_cov=np.diag(np.square(sigma)),
+        joint_sigma=NOISE.joint,
+        conditions={"time": time},
+        pose_id=np.arange(n),
+    )
