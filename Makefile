@@ -28,8 +28,8 @@ $(BIN)/uv pip install -q -p $(BIN)/python $(1) 2>/dev/null \
 	 || $(BIN)/python -m pip install -qq $(1)
 endef
 
-# Two stamps: a changed list of libraries must not rebuild the messages, which takes longest.
-$(STAMP): $(VENV)/.messages setup.cfg pyproject.toml
+# Stamps of their own: a changed list of libraries must not rebuild the messages, which takes longest.
+$(STAMP): $(VENV)/.messages $(VENV)/.controller_messages setup.cfg pyproject.toml
 	@echo "installing the libraries"
 	@$(call install,$(LIBRARIES))
 	@touch $@
@@ -37,6 +37,18 @@ $(STAMP): $(VENV)/.messages setup.cfg pyproject.toml
 $(VENV)/.messages: $(VENV)/.created $(wildcard msg_defs/*.* msg_defs/*/*.*)
 	@echo "installing ROS 2 and building the messages (about a minute)"
 	@$(call install,./msg_defs)
+	@touch $@
+
+# The action of robot controllers, of which there is no wheel, for the tests only. It is built as
+# msg_defs is, from the same list of tools.
+CONTROL_MSGS := build/control_msgs
+$(VENV)/.controller_messages: $(VENV)/.created $(wildcard test/control_msgs/*.* test/control_msgs/*/*.*)
+	@rm -rf $(CONTROL_MSGS) && mkdir -p $(CONTROL_MSGS)
+	@cp -R test/control_msgs/* msg_defs/pip_build $(CONTROL_MSGS)
+	@sed -e 's/parallel_cal_msgs/control_msgs/' -e 's/^version = .*/version = "0.0.0"/' \
+	  -e 's/ros-jazzy-geometry-msgs/ros-jazzy-trajectory-msgs/' \
+	  msg_defs/pyproject.toml > $(CONTROL_MSGS)/pyproject.toml
+	@$(call install,./$(CONTROL_MSGS))
 	@touch $@
 
 $(VENV)/.created:

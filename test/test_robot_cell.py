@@ -24,12 +24,13 @@ from sensor_msgs.msg import JointState
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.campaign.cell import CellError, Sample
-from parallel_cal.campaign.trajectory import plan_trajectory
+from parallel_cal.campaign.trajectory import Trajectory, plan_trajectory
 from parallel_cal.model.file.modelfile import write_model
 from parallel_cal.nodes import robot_cell
 from parallel_cal.nodes.calibration_node import CalibrationNode
 from parallel_cal.nodes.client import use_private_domain
 from parallel_cal.nodes.collector import Collector
+from parallel_cal.nodes.conversions import STOPPING_TIME_S
 from parallel_cal.nodes.inbox import Snapshot
 from parallel_cal.nodes.inflow import Inflow
 from parallel_cal.nodes.robot_cell import RobotCell
@@ -83,9 +84,7 @@ class Desk:
 def soon(monkeypatch):
     monkeypatch.setattr(robot_cell, "SAMPLE_TIMEOUT_S", LONGEST)
     monkeypatch.setattr(robot_cell, "REPORT_INTERVAL_S", 0.1)
-    monkeypatch.setattr(
-        robot_cell, "JOINT_STATE_TIMEOUT_S", 30.0
-    )  # whatever else this machine is at
+    monkeypatch.setattr(robot_cell, "MAX_SILENCE_MOVING_S", 30.0)  # this machine may be busy
 
 
 def a_sample():
@@ -187,7 +186,7 @@ def test_a_motion_takes_as_long_as_on_the_robots_own_clock(monkeypatch):
 
 
 def test_joint_states_that_are_not_read_yet_are_not_missing(monkeypatch):
-    monkeypatch.setattr(robot_cell, "JOINT_STATE_TIMEOUT_S", 0.05)
+    monkeypatch.setattr(robot_cell, "MAX_SILENCE_RESTING_S", 0.05)
     desk = Desk(no_dwell)
     desk.inflow.joint_reader = reader = Reader()
     desk.go_on()
@@ -200,7 +199,7 @@ def test_joint_states_that_are_not_read_yet_are_not_missing(monkeypatch):
 
 
 def test_joint_states_that_nobody_reads_any_more_are_missing_after_all(monkeypatch):
-    monkeypatch.setattr(robot_cell, "JOINT_STATE_TIMEOUT_S", 0.05)
+    monkeypatch.setattr(robot_cell, "MAX_SILENCE_RESTING_S", 0.05)
     monkeypatch.setattr(robot_cell, "MAX_STANDSTILL_S", 0.1)
     desk = Desk(no_dwell)
     desk.inflow.joint_reader = Reader()
@@ -209,6 +208,110 @@ def test_joint_states_that_nobody_reads_any_more_are_missing_after_all(monkeypat
     time.sleep(0.2)
     with pytest.raises(CellError, match="no joint states were received"):
         desk.cell.joints()
+
+
+class Pausing:
+    """A robot that follows a trajectory on this computer's clock; its driver is silent at times."""
+
+    def __init__(self, cell, silences):
+        self.cell, self.silences, self.begun, self.path = cell, silences, time.monotonic(), None
+
+    def follow(self, trajectory):
+        self.path = np.vstack([HOME, trajectory.positions])
+        self.times, self.begun = np.append(0.0, trajectory.time), time.monotonic()
+
+    def q(self):
+        elapsed = time.monotonic() - self.begun
+        return np.array([np.interp(elapsed, self.times, column) for column in self.path.T])
+
+    def go_on(self):
+        elapsed = time.monotonic() - self.begun
+        if any(begin < elapsed < end for begin, end in self.silences):
+            return
+        state = JointState(name=list(MODEL.joints), position=self.q().tolist())
+        state.header.stamp = Time(sec=100 + int(elapsed), nanosec=int(1e9 * (elapsed % 1)))
+        self.cell.on_joint_state(state)
+
+
+def pausing(trajectory, *silences):
+    desk = Desk(no_dwell)
+    robot = Pausing(desk.cell, silences)
+    robot.follow(trajectory)
+    robot.silences = ()
+    robot.go_on()  # where it is at the start is known
+    robot.silences = silences
+    return desk, robot
+
+
+@pytest.mark.wide
+def test_a_driver_that_is_silent_at_rest_is_awaited_and_said_so(monkeypatch):
+    monkeypatch.setattr(robot_cell, "MAX_SILENCE_MOVING_S", 0.2)
+    monkeypatch.setattr(robot_cell, "FRESH_S", 0.3)
+    motion = a_motion()
+    end = motion.seconds + 0.05
+    desk, robot = pausing(motion, (end, end + 1.5))
+    desk.cell.move(motion, robot.go_on)
+    assert time.monotonic() - robot.begun > end + 1.5
+    assert any(words.startswith("no joint states for ") for words in desk.said)
+    np.testing.assert_allclose(desk.cell.joints(), motion.positions[-1])
+
+
+@pytest.mark.wide
+def test_a_driver_that_is_silent_for_too_long_at_rest_is_told_that_it_must_publish(monkeypatch):
+    monkeypatch.setattr(robot_cell, "MAX_SILENCE_RESTING_S", 1.0)
+    motion = a_motion()
+    desk, robot = pausing(motion, (motion.seconds, np.inf))
+    with pytest.raises(CellError, match=r"for 1 s: .*must publish them also while the robot rests"):
+        desk.cell.move(motion, robot.go_on)
+
+
+def test_a_driver_that_is_silent_while_the_robot_moves_ends_the_motion(monkeypatch):
+    monkeypatch.setattr(robot_cell, "MAX_SILENCE_MOVING_S", 0.1)
+    motion = plan_trajectory([np.array(HOME), np.array(HOME) + 0.3], MODEL.mechanism)
+    motion = Trajectory(100 * motion.time, motion.positions, motion.velocities / 100)
+    desk, robot = pausing(motion, (0.1, np.inf))
+    with pytest.raises(CellError, match="no joint states were received for 0 s"):
+        desk.cell.move(motion, robot.go_on)
+    assert time.monotonic() - robot.begun < motion.seconds / 2
+
+
+def test_no_motion_begins_before_the_driver_tells_where_the_robot_is(monkeypatch):
+    monkeypatch.setattr(robot_cell, "FRESH_S", 0.1)
+    rest = Trajectory(np.array([1.0]), np.array([HOME]), np.zeros((1, 3)))
+    desk, robot = pausing(rest, (0.0, 0.5))
+
+    class Sent(Exception):
+        pass
+
+    desk.cell._motion.send.side_effect = Sent
+    time.sleep(0.2)
+    with pytest.raises(Sent):
+        desk.cell.move(rest, robot.go_on)
+    assert time.monotonic() - robot.begun > 0.5
+
+
+@pytest.mark.parametrize("silence", [0.0, 0.4])
+def test_a_stop_is_where_the_robot_is_and_not_where_it_was_last_seen(silence):
+    """A stop used to lead back over the way since the last joint state, in 50 ms."""
+    motion = plan_trajectory([np.array(HOME), np.array(HOME) + 0.5], MODEL.mechanism)
+    slow = Trajectory(10 * motion.time, motion.positions, motion.velocities / 10)
+    middle = slow.seconds / 2
+    desk, robot = pausing(slow, (middle, np.inf))
+
+    class Enough(Exception):
+        pass
+
+    def go_on():
+        robot.go_on()
+        if time.monotonic() - robot.begun > middle + silence:
+            raise Enough
+
+    with pytest.raises(Enough):
+        desk.cell.move(slow, go_on)
+    q, speed = robot.q(), np.gradient(slow.positions[:, 0], slow.time)[len(slow.time) // 2]
+    point = desk.cell._make_halt().points[0]
+    ahead = np.array(point.positions) - q
+    assert (np.abs(ahead - speed * STOPPING_TIME_S / 2) < 0.05 * abs(speed)).all()
 
 
 def test_stamps_that_stand_still_are_named(monkeypatch):

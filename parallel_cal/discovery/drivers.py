@@ -19,7 +19,7 @@ from parallel_cal.discovery.thresholds import (
     MIN_SAMPLES_PER_LAG,
     MIN_VARIATION,
 )
-from parallel_cal.effects._lines import line_stretches, needs_weight
+from parallel_cal.effects._lines import line_stretches, needs_hanging_lines
 from parallel_cal.effects._statics import (
     PAYLOAD,
     joint_forces,
@@ -311,7 +311,7 @@ def compute_tensions(scene: Scene) -> np.ndarray:
 def compute_stretches(scene: Scene) -> np.ndarray:
     """Stretch of each line by the payload, times EA (N, n_lines), N m; without columns if there are
     no lines or no payload."""
-    return _compute_forces(scene, line_stretches, needs_weight(scene.model.mechanism))
+    return _compute_forces(scene, line_stretches, needs_hanging_lines(scene.model.mechanism))
 
 
 def compute_moments(scene: Scene) -> dict[int, np.ndarray]:

@@ -25,7 +25,7 @@ WIDTH = 96  # characters of a line of the docstring
 FORCES = {  # family of a driver -> where the function is that computes it, it, its requirement
     LOAD: ("_statics", "joint_forces", "needs_weight"),
     TENSION: ("_statics", "rod_forces", "needs_rods"),
-    STRETCH: ("_lines", "line_stretches", "needs_lines"),
+    STRETCH: ("_lines", "line_stretches", "needs_hanging_lines"),
 }
 RELATIVE_CONSTANT_TOLERANCE = 0.1  # of a scanned constant, if a user frees it
 

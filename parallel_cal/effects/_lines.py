@@ -38,7 +38,7 @@ def needs_tension(mechanism: Mechanism) -> str:
     return "neither a weight nor redundant lines keep its lines taut"
 
 
-def needs_weight(mechanism: Mechanism) -> str:
+def needs_hanging_lines(mechanism: Mechanism) -> str:
     """Return why the weight of the platform does not stretch lines; empty if it does."""
     if why := needs_lines(mechanism):
         return why

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from parallel_cal.effects._lines import compute_sag, needs_weight
+from parallel_cal.effects._lines import compute_sag, needs_hanging_lines
 from parallel_cal.mechanisms.cable import Cable
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
@@ -36,7 +36,7 @@ class LineStretch(Effect):
         ]
 
     def applies(self, mechanism: Mechanism) -> str:
-        return needs_weight(mechanism)
+        return needs_hanging_lines(mechanism)
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         assert isinstance(mechanism, Cable)

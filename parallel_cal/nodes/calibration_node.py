@@ -10,6 +10,7 @@ from typing import Any
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from trajectory_msgs.msg import JointTrajectory
 
 from parallel_cal.campaign.cell import Sample
 from parallel_cal.model.model import Model
@@ -25,6 +26,7 @@ from parallel_cal.nodes.journal import Journal
 from parallel_cal.nodes.live_samples import LiveSamples
 from parallel_cal.nodes.managed_node import ManagedNode
 from parallel_cal.nodes.message_recording import MessageRecording
+from parallel_cal.nodes.motion import Motion, TopicMotion, make_trajectory_action
 from parallel_cal.nodes.run import (
     WorkerThreadGroup,
     create_steady_timer,
@@ -80,6 +82,7 @@ class CalibrationNode(ManagedNode):
             settings.fit_options,
             settings.dwell,
             self._queue.inflow,
+            self._make_motion(group),
         )
         self._campaigning = CampaignServer(
             self, access, calibrator.slot, calibrator.worker, report.say, group
@@ -110,6 +113,12 @@ class CalibrationNode(ManagedNode):
         self._campaigning.on_joint_state(message)
         if self._cameras.images:
             self._cameras.rests.add(message)
+
+    def _make_motion(self, group: MutuallyExclusiveCallbackGroup) -> Motion:
+        """Make the way to the robot of campaigns."""
+        if action := self._settings.get("trajectory_action"):
+            return make_trajectory_action(self, action, group)
+        return TopicMotion(self.create_publisher(JointTrajectory, "joint_trajectory", 10))
 
     def _update(self) -> None:
         """Make samples of what came in, less often the longer it takes; in a worker thread."""

@@ -19,6 +19,7 @@ from parallel_cal.nodes.frames import DEVICE_FRAME_SENSOR
 from parallel_cal.nodes.jobs import describe_error
 from parallel_cal.nodes.live_images import DEFAULT_REST_TOLERANCE, REST_SHARE
 from parallel_cal.nodes.managed_node import AUTOSTART
+from parallel_cal.nodes.motion import TRAJECTORY_ACTION
 from parallel_cal.nodes.parameters import ACCEPTED, SECURITY, Changes, Setting, absolute, declare
 from parallel_cal.recordings.options import MODES, ReadOptions, SampleOptions
 
@@ -76,6 +77,7 @@ PARAMETERS = {
     "look_period": Setting(
         0.5, "interval at which received messages are processed, s", (0.01, 3600), fixed=True
     ),
+    **TRAJECTORY_ACTION,
     **SECURITY,
     **AUTOSTART,
 }

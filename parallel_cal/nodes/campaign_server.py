@@ -17,7 +17,6 @@ from parallel_cal_msgs.msg import CalibrationStatus, Question
 from rclpy.callback_groups import CallbackGroup
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
-from trajectory_msgs.msg import JointTrajectory
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.worker import WorkCancelled, Worker
@@ -38,6 +37,7 @@ from parallel_cal.nodes.calibration_messages import json_message, json_text
 from parallel_cal.nodes.inflow import Inflow
 from parallel_cal.nodes.jobs import Job, JobServer, Say, ThreadWork, WorkSlot
 from parallel_cal.nodes.managed_node import ManagedNode
+from parallel_cal.nodes.motion import Motion
 from parallel_cal.nodes.parameters import LATCHED
 from parallel_cal.nodes.robot_cell import RobotCell
 from parallel_cal.nodes.tally import diagnostics
@@ -54,7 +54,8 @@ class NodeAccess:
     `files` returns where a goal's model is read and the better one is written. `take` returns the
     sample of the current dwell; it is called in another thread than the one that spins, with a
     function to call while it waits. `folder` contains all campaigns. `options` returns those of a
-    fit, `dwell` the time to rest in s. `inflow` counts the device's messages.
+    fit, `dwell` the time to rest in s. `inflow` counts the device's messages. `motion` sends
+    trajectories to the robot.
     """
 
     files: Callable[[str, str], tuple[str, str]]
@@ -63,6 +64,7 @@ class NodeAccess:
     options: Callable[[], dict[str, Any]]
     dwell: Callable[[], float]
     inflow: Inflow
+    motion: Motion
 
 
 class CampaignServer:
@@ -90,7 +92,6 @@ class CampaignServer:
         self._curve_publisher = node.create_publisher(String, "~/campaign_curve", LATCHED)
         self._curve = Curve()
         self._curve_publisher.publish(json_message(asdict(self._curve)))
-        self._command = node.create_publisher(JointTrajectory, "joint_trajectory", 10)
         job = Job(
             "calibrate",
             Calibrate,
@@ -136,7 +137,7 @@ class CampaignServer:
         model = parse_model(text, model_file)
 
         cell = RobotCell(
-            self._command,
+            self._access.motion,
             model,
             partial(self._access.take, model),
             self._access.dwell(),

@@ -12,6 +12,7 @@ from parallel_cal_msgs.msg import ModelStatus
 from parallel_cal_msgs.srv import ComputeFK, ComputeIK, LoadModel
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
@@ -23,6 +24,7 @@ from parallel_cal.nodes.file_watch import FileWatch
 from parallel_cal.nodes.folders import Folders
 from parallel_cal.nodes.managed_node import AUTOSTART, ManagedNode
 from parallel_cal.nodes.model_server import Attempt, ModelServer
+from parallel_cal.nodes.motion import TRAJECTORY_ACTION
 from parallel_cal.nodes.parameters import (
     ACCEPTED,
     LATCHED,
@@ -56,6 +58,7 @@ PARAMETERS = {
     "request_time": Setting(5.0, "maximum time for a request, s", (0.01, 3600)),
     "request_memory": Setting(2048, "maximum memory for requests, MB", (64, 10**6), fixed=True),
     "direction_threshold": Setting(5e-4, "smallest motion that has a direction, rad or m", (0, 1)),
+    **TRAJECTORY_ACTION,
     **SECURITY,
     **AUTOSTART,
 }
@@ -92,6 +95,7 @@ class KinematicsNode(ManagedNode):
         # The streams must answer at once, so only they are in this group (see FrontExecutor).
         self._front = MutuallyExclusiveCallbackGroup()
         self._streams = Streams(self, self._server, self._memory, self._tally, self._front)
+        self._serve(Trigger, "stop", self._stop)
         create_steady_timer(1.0, self, self._tick)
         self.start()
 
@@ -198,6 +202,19 @@ class KinematicsNode(ManagedNode):
         answer(self._worker, budget, served, self._server.last.reason, request, response)
         self._tally.add(name, "refused" if response.message else "answered", response.message)
         return response
+
+    def _stop(self, request: Any, response: Any) -> Any:
+        """Stop the robot; an inactive node does it, too."""
+        try:
+            self._streams.stop()
+            response.success = True
+        except ParallelCalError as error:
+            response.message = str(error)
+        return response
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._streams.withdraw()
+        return super().on_deactivate(state)
 
     # ------------------------------------------------------------------ once a second
 

@@ -10,6 +10,7 @@ from threading import Event
 from typing import Any
 
 import numpy as np
+from trajectory_msgs.msg import JointTrajectory
 
 from parallel_cal.base.errors import DatasetError, SolveError
 from parallel_cal.campaign.cell import CellError, Sample, UnseenError
@@ -24,10 +25,16 @@ from parallel_cal.campaign.trajectory import Trajectory
 from parallel_cal.model.model import Model
 from parallel_cal.nodes.conversions import match_joints, stop_message, trajectory_message
 from parallel_cal.nodes.inflow import Inflow
+from parallel_cal.nodes.motion import Motion
 
 POLL_INTERVAL_S = 0.01  # s between two checks; an unwanted motion ends that soon
 DISCOVERY_TIMEOUT_S = 5.0  # s in which a node that has just started must receive joint states
-JOINT_STATE_TIMEOUT_S = 1.0  # s without joint states after which the robot's position is unknown
+FRESH_S = 1.0  # s for which a joint state tells where the robot is
+# s without joint states after which a campaign ends: while the robot moves, and while it rests.
+# Some drivers are silent for a while at rest, and on a busy computer every driver is.
+MAX_SILENCE_MOVING_S = 10.0
+MAX_SILENCE_RESTING_S = 60.0
+MAX_STEP_BACK_S = 1.0  # s by which the stamps of joint states may go back
 # s on the robot's clock after the planned end: at which a motion counts as failed, and in which a
 # robot at rest may still start to move, because a busy computer delivers the command late.
 ARRIVAL_TIMEOUT_S = 10.0
@@ -52,21 +59,21 @@ Take = Callable[
 class RobotCell:
     """A Cell whose robot is connected by ROS topics.
 
-    `command` publishes trajectories. `take` returns the sample of the current dwell, which must
-    last `dwell` s. `inflow` tells how far the device's messages are processed. `say` publishes what
-    the campaign is waiting for.
+    `motion` sends trajectories to the controller. `take` returns the sample of the current dwell,
+    which must last `dwell` s. `inflow` tells how far the device's messages are processed. `say`
+    publishes what the campaign is waiting for.
     """
 
     def __init__(
         self,
-        command: Any,
+        motion: Motion,
         model: Model,
         take: Take,
         dwell: float,
         inflow: Inflow,
         say: Callable[[str], None] = lambda text: None,
     ):
-        self._command, self._model, self._take, self._dwell = command, model, take, dwell
+        self._motion, self._model, self._take, self._dwell = motion, model, take, dwell
         self._inflow, self._say = inflow, say
         self._states: deque[tuple[float, float, np.ndarray]] = deque(maxlen=MAX_JOINT_STATES)
         self.done = Event()  # set when a person has done what was asked
@@ -78,6 +85,9 @@ class RobotCell:
         self._rested_at = 0.0  # time.monotonic() when the joint state of that end was received
         self._advanced_at = math.inf  # time.monotonic() when the stamps last changed
         self._others: list[str] = []  # received joint names that are not the model's
+        # The stamp at which the present motion began, and its joints (n, nq) and velocities at
+        # times (n,); None while the robot rests.
+        self._moving: tuple[float, np.ndarray, np.ndarray, np.ndarray] | None = None
 
     def on_joint_state(self, message: Any) -> None:
         """Remember a joint state; may be called in any thread."""
@@ -98,41 +108,65 @@ class RobotCell:
         return self._latest()[1]
 
     def move(self, trajectory: Trajectory, go_on: Callable[[], None]) -> None:
+        wait = self._make_wait(go_on, self._describe_silence)
+        self._latest()
+        while self._silence() > FRESH_S:  # where the robot is now must be known
+            wait()
+            self._latest()
+            time.sleep(POLL_INTERVAL_S)
         begin, q = self._latest()
         path = np.vstack([q, trajectory.positions])
-        if not self._command.get_subscription_count():
-            raise CellError(
-                f"no node subscribes to {self._command.topic_name}: is a controller running?"
-            )
-        self._command.publish(trajectory_message(self._model.joints, trajectory))
+        self._motion.require_controller()
+        self._motion.send(trajectory_message(self._model.joints, trajectory))
+        speeds = np.vstack([0 * q, trajectory.velocities])
+        self._moving = begin, np.concatenate([[0.0], trajectory.time]), path, speeds
         while True:
-            go_on()
+            wait()
             stamp, q = self._latest(begin)
             elapsed = stamp - begin  # on the robot's clock: a simulated one may be slow
             self._check_on_path(q, path[0], trajectory, elapsed)
+            ended = self._motion.has_ended()
             arrived = (np.abs(q - path[-1]) < ARRIVAL_TOLERANCE * self._range).all()
             late = elapsed > trajectory.seconds + START_TIMEOUT_S
-            if (arrived or late) and self._rests(begin + trajectory.seconds):
+            if ended and (arrived or late) and self._rests(begin + trajectory.seconds):
                 moved = np.abs(path - path[0]).max(axis=0) > self._still
                 self._departed = begin if moved.any() else 0.0
                 self._rested = stamp - REST_DURATION_S
                 self._rested_at = self._reception_time(self._rested)
+                self._moving = None
                 return
             if elapsed > trajectory.seconds + ARRIVAL_TIMEOUT_S:
                 raise CellError(
                     f"the robot did not stop within {ARRIVAL_TIMEOUT_S:.0f} s after the "
                     "planned end of its motion"
+                    if ended
+                    else f"{ARRIVAL_TIMEOUT_S:.0f} s after the planned end of the motion, the "
+                    "controller's action has not ended its goal"
                 )
             time.sleep(POLL_INTERVAL_S)
 
     def stop(self) -> None:
-        if not self._states:
-            return
+        if self._states:  # otherwise nothing was sent
+            self._motion.stop(self._make_halt)
+        self._moving = None
+
+    def _make_halt(self) -> JointTrajectory:
+        """Make a trajectory that stops the robot where it is now."""
         states = list(self._states)  # a copy: other threads append meanwhile
         recent = [state for state in states if state[0] > states[-1][0] - SPEED_WINDOW_S]
-        (early, _, q0), (late, _, q) = recent[0], recent[-1]
+        (early, _, q0), (late, received, q) = recent[0], recent[-1]
         speed = (q - q0) / (late - early) if late > early else np.zeros(len(q))
-        self._command.publish(stop_message(self._model.joints, q, speed))
+        age = time.monotonic() - received
+        moves = (np.abs(q - q0) > self._still).any()
+        if self._moving is not None and moves and age > SPEED_WINDOW_S:
+            # The robot has moved on since: to go back to where it was would be a jump.
+            begin, times, path, speeds = self._moving
+            lapse = received - states[0][1]
+            rate = (late - states[0][0]) / lapse if lapse > 0 else 1.0  # of its clock to this one
+            then, now = late - begin, late - begin + rate * age
+            q = q + [np.interp(now, times, c) - np.interp(then, times, c) for c in path.T]
+            speed = np.array([np.interp(now, times, column) for column in speeds.T])
+        return stop_message(self._model.joints, q, speed)
 
     def sample(self, go_on: Callable[[], None]) -> Sample:
         """Wait for the device to measure the present dwell, then take its sample.
@@ -145,7 +179,7 @@ class RobotCell:
         why = "no pose was received while the robot rested"
         # Times of the last attempt, of the next one, and of the last measurement of an attempt.
         taken, again, used = -math.inf, -math.inf, -math.inf
-        wait = self._make_wait(go_on)
+        wait = self._make_wait(go_on, self._describe_waiting)
         while True:
             wait()
             now, latest = time.monotonic(), self._inflow.latest
@@ -204,27 +238,41 @@ class RobotCell:
         due = time.monotonic() + DISCOVERY_TIMEOUT_S
         while not self._states and time.monotonic() < due:
             time.sleep(POLL_INTERVAL_S)
-        if not self._states or self._silence() > JOINT_STATE_TIMEOUT_S:
-            words = (
-                f"no joint states were received for {JOINT_STATE_TIMEOUT_S:.0f} s: the robot's "
-                "position is unknown"
-            )
-            if self._others:
-                words += f"; joint_states contain {', '.join(self._others)}, the model has "
-                words += ", ".join(self._model.joints)
-            raise CellError(words)
-        stamp, _, q = self._states[-1]
-        if self._states[-1][1] - self._advanced_at > MAX_STANDSTILL_S:
+        if not self._states:
+            raise CellError(self._describe_missing(DISCOVERY_TIMEOUT_S))
+        stamp, received, q = self._states[-1]
+        limit = MAX_SILENCE_MOVING_S if self._should_move(stamp) else MAX_SILENCE_RESTING_S
+        if self._silence() > limit:
+            raise CellError(self._describe_missing(limit))
+        if received - self._advanced_at > MAX_STANDSTILL_S:
             raise CellError(
                 f"joint states are received, but their stamp has been {stamp:.3f} s for "
                 f"{MAX_STANDSTILL_S:.0f} s: expected stamps that advance with the robot's clock"
             )
-        if stamp < since - JOINT_STATE_TIMEOUT_S:
+        if stamp < since - MAX_STEP_BACK_S:
             raise CellError(
                 f"the stamps of the joint states jumped back by {since - stamp:.3g} s: was the "
                 "robot's driver restarted?"
             )
         return stamp, q
+
+    def _describe_missing(self, seconds: float) -> str:
+        words = (
+            f"no joint states were received for {seconds:.0f} s: the robot's position is unknown"
+        )
+        if self._others:
+            words += f"; joint_states contain {', '.join(self._others)}, the model has "
+            words += ", ".join(self._model.joints)
+        elif self._states:
+            words += "; its driver must publish them also while the robot rests"
+        return words
+
+    def _should_move(self, stamp: float) -> bool:
+        """Whether the robot has not yet reached the planned end of its motion, as far as known."""
+        if self._moving is None:
+            return False
+        begin, times, _, _ = self._moving
+        return stamp + self._silence() < begin + times[-1]
 
     def _silence(self) -> float:
         """Return for how long (s) no joint state has arrived, as far as it is known: messages that
@@ -239,24 +287,38 @@ class RobotCell:
         states = list(self._states)
         return next((received for s, received, _ in states if s >= stamp), time.monotonic())
 
-    def _make_wait(self, go_on: Callable[[], None]) -> Callable[[], None]:
-        """Make a function to call while waiting for a sample; it reports unprocessed messages."""
+    def _make_wait(
+        self, go_on: Callable[[], None], describe: Callable[[float], str]
+    ) -> Callable[[], None]:
+        """Make a function to call while waiting. It says from time to time what `describe` returns
+        for the time.monotonic() of the last report: what is waited for, or nothing."""
         reported = time.monotonic()
 
         def wait() -> None:
             nonlocal reported
             go_on()
-            now, waiting = time.monotonic(), self._inflow.unprocessed
+            now = time.monotonic()
             if now < reported + REPORT_INTERVAL_S:
                 return
-            behind = not self._inflow.has_read_until(reported)
-            if waiting or behind:
-                self._say(
-                    f"{waiting} poses are not processed yet{', others are not read yet' * behind}"
-                )
+            if words := describe(reported):
+                self._say(words)
             reported = now
 
         return wait
+
+    def _describe_silence(self, since: float) -> str:
+        silence = self._silence() if self._states else 0.0
+        return f"no joint states for {silence:.0f} s, waiting for the driver" * (silence > FRESH_S)
+
+    def _describe_waiting(self, since: float) -> str:
+        """Describe silence, or messages that are not processed and those from before a time that
+        are not read."""
+        waiting, behind = self._inflow.unprocessed, not self._inflow.has_read_until(since)
+        if words := self._describe_silence(since):
+            return words
+        if not (waiting or behind):
+            return ""
+        return f"{waiting} poses are not processed yet{', others are not read yet' * behind}"
 
     def _rests(self, since: float) -> bool:
         """Whether the readings of the last REST_DURATION_S, all after `since`, are equal."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Mapping
 
 import numpy as np
@@ -44,6 +46,7 @@ class Memory:
         self.heard: dict[str, float] = {}
         self._motion: dict[str, tuple[float, float]] = {}  # position and velocity of each joint
         self._time: float | None = None
+        self.received = -math.inf  # time.monotonic() of the last joint state
         self._condition_times: dict[str, float] = {}
 
     def on_condition(self, model: Model | None, name: str, value: float, stamp: float) -> None:
@@ -81,7 +84,7 @@ class Memory:
         for joint, value in zip(model.joints, velocity, strict=True):
             self.heard[f"velocity.{joint}"] = float(value)
         self._motion = dict(zip(model.joints, zip(q, velocity, strict=True), strict=True))
-        self._time = stamp
+        self._time, self.received = stamp, time.monotonic()
 
     def joints(self, model: Model) -> np.ndarray | None:
         """Return the last joints (nq,), or None before the first joint state."""

@@ -38,11 +38,13 @@ from parallel_cal.nodes.conversions import (
     message_class,
     pose_numbers,
     set_pose,
+    stop_message,
     trajectory_message,
 )
 from parallel_cal.nodes.health import Stream
 from parallel_cal.nodes.managed_node import ManagedNode
 from parallel_cal.nodes.model_server import ModelServer, ServedModel, describe_status
+from parallel_cal.nodes.motion import Motion, TopicMotion, make_trajectory_action
 from parallel_cal.nodes.parameters import LATCHED, RELIABLE, SENSOR, overridable
 from parallel_cal.nodes.path_check import Bounds, check_path
 from parallel_cal.nodes.pump import Messages, Pump
@@ -56,6 +58,7 @@ from parallel_cal.recordings.pose_messages import stamp_of
 STATES = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 MAX_WAITING_JOINT_STATES = 50  # joint states answered one by one, in about 5 ms; older are skipped
 MAX_REST_SPEED = 0.01  # share of a joint's velocity limit below which it counts as at rest
+MAX_HALT_AGE_S = 0.5  # s since the last joint state for which a moving robot can be stopped
 LOG_THROTTLE_S = 5.0  # s between two log lines about refused messages
 
 
@@ -78,7 +81,7 @@ class Streams:
         self._pose = self._publisher(PoseStamped, "~/pose")
         self._sure_pose = self._publisher(PoseWithCovarianceStamped, "~/pose_with_covariance")
         self._passive = self._publisher(JointState, "~/passive_joint_states")
-        self._command = self._publisher(JointTrajectory, "joint_command")
+        self._motion = self._make_motion()
         self.health["joint_states"] = Stream()
         self._pump = Pump(
             node,
@@ -102,6 +105,13 @@ class Streams:
             self._subscribe(message_class(channel.types[0]), name, SENSOR, take)
             if channel.latched:
                 self._subscribe_latched(message_class(channel.types[0]), name, take)
+
+    def _make_motion(self) -> Motion:
+        """Make the way to the robot's controller."""
+        action = self._node.get_parameter("trajectory_action").value
+        if action:
+            return make_trajectory_action(self._node, action, self._group, publish_status=True)
+        return TopicMotion(self._publisher(JointTrajectory, "joint_command"))
 
     def _publisher(self, type: Any, topic: str) -> Any:
         options = overridable()
@@ -158,6 +168,28 @@ class Streams:
     def end(self) -> None:
         """Stop answering joint states."""
         self._pump.end()
+
+    def stop(self) -> None:
+        """Stop the robot; raise SolveError if its motion is not known well enough for that."""
+        self._motion.stop(self._make_halt)
+
+    def withdraw(self) -> None:
+        """Cancel what a controller that has an action still follows."""
+        self._motion.withdraw()
+
+    def _make_halt(self) -> JointTrajectory:
+        """Make a trajectory that stops the robot where it is now."""
+        model = self._get_served_model().model
+        q, speed = self._present_motion(model)
+        full_travel = self._node.get_parameter("full_travel").value
+        moves = (np.abs(speed) > MAX_REST_SPEED * rates(model.mechanism, full_travel)[0]).any()
+        age = time.monotonic() - self._memory.received
+        if moves and age > MAX_HALT_AGE_S:
+            raise SolveError(
+                f"the robot moved in its last joint state, which was received {age:.1f} s ago: its "
+                "position is unknown; stop it by other means"
+            )
+        return stop_message(model.joints, q + moves * age * speed, speed)
 
     def diagnoses(self, name: str) -> list[Any]:
         """Return a DiagnosticStatus per topic; called once a second."""
@@ -285,16 +317,17 @@ class Streams:
         )
         at, bounds = self._memory.conditions(model), Bounds(crossing, least)
         path = check_path(served.kinematics, start, found, at, bounds, speed, requested)
+        # Without velocities, a controller would interpolate linearly and break the limits.
+        point = JointTrajectoryPoint(positions=found.joints.tolist(), velocities=[0.0] * len(start))
+        point.time_from_start = Duration(seconds=path.seconds).to_msg()
+        command = JointTrajectory(joint_names=list(model.joints), points=[point])
+        self._motion.send(command, "target_pose")
         status.time_from_start, status.singularity = path.seconds, path.singularity
         status.status = CommandStatus.ACCEPTED
         if path.seconds > requested:
             status.status = CommandStatus.SLOWED
             status.message = f"{path.seconds:.3g} s instead of {requested:.3g} s: {path.why}"
             self._tally.add("target_pose", "slowed", status.message)
-        # Without velocities, a controller would interpolate linearly and break the limits.
-        point = JointTrajectoryPoint(positions=found.joints.tolist(), velocities=[0.0] * len(start))
-        point.time_from_start = Duration(seconds=path.seconds).to_msg()
-        self._command.publish(JointTrajectory(joint_names=list(model.joints), points=[point]))
         self._warn_outside_region(served, "target_pose", found.joints, r)
         self._tally.add("target_pose", "answered")
 
@@ -328,7 +361,7 @@ class Streams:
             raise SolveError(
                 f"the path is too near a singularity: {status.singularity:.3g}, allowed {least:g}"
             )
+        self._motion.send(trajectory_message(model.joints, trajectory), "target_path")
         status.status, status.time_from_start = CommandStatus.ACCEPTED, trajectory.seconds
-        self._command.publish(trajectory_message(model.joints, trajectory))
         self._warn_outside_region(served, "target_path", trajectory.positions, found.position)
         self._tally.add("target_path", "answered")

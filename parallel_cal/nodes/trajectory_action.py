@@ -1,0 +1,186 @@
+"""A client of the action FollowJointTrajectory, as joint_trajectory_controller provides it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+from action_msgs.msg import GoalStatus
+from action_msgs.srv import CancelGoal
+from control_msgs.action import FollowJointTrajectory
+from parallel_cal_msgs.msg import MotionStatus
+from rclpy.action import ActionClient
+from rclpy.callback_groups import CallbackGroup
+from rclpy.node import Node
+from rclpy.task import Future
+from trajectory_msgs.msg import JointTrajectory
+
+from parallel_cal.campaign.cell import CellError
+from parallel_cal.nodes.parameters import RELIABLE
+
+Result = FollowJointTrajectory.Result
+ERRORS = {
+    Result.INVALID_GOAL: "the trajectory is invalid",
+    Result.INVALID_JOINTS: "the joint names are not those of the controller",
+    Result.OLD_HEADER_TIMESTAMP: "the trajectory begins in the past",
+    Result.PATH_TOLERANCE_VIOLATED: "path tolerance violated",
+    Result.GOAL_TOLERANCE_VIOLATED: "goal tolerance violated",
+}
+UNENDED = (MotionStatus.SENT, MotionStatus.MOVING)
+
+
+@dataclass
+class _Goal:
+    """One trajectory that was sent, and what is known of it."""
+
+    trajectory: JointTrajectory
+    source: str
+    state: int = MotionStatus.SENT
+    code: int = 0
+    message: str = ""
+    errors: Mapping[str, float] = field(default_factory=dict)  # desired minus actual, by joint
+    handle: Any = None  # of the goal, once the controller has accepted it
+    stop: bool = False  # whether it is to be cancelled
+
+
+class TrajectoryAction:
+    """Sends trajectories as goals, of which the controller reports the end.
+
+    A goal replaces the one before it, as the controller does it. The goals are sent and their
+    answers are heard in the thread that spins: rclpy would lose an answer that arrives before the
+    thread that sent the request has noted its number.
+    """
+
+    def __init__(self, node: Node, name: str, group: CallbackGroup, publish_status: bool = False):
+        """`group` must be called by the thread that spins."""
+        self._node, self._name = node, name
+        self._client = ActionClient(node, FollowJointTrajectory, name, callback_group=group)
+        self._goals: list[_Goal] = []  # the newest one, and others that have not ended
+        self._status = None
+        if publish_status:
+            self._status = node.create_publisher(MotionStatus, "~/motion_status", RELIABLE)
+
+    def require_controller(self) -> None:
+        if not self._client.server_is_ready():
+            raise CellError(
+                f"no node provides the action {self._name} (parameter trajectory_action): is the "
+                "controller active?"
+            )
+
+    def send(self, trajectory: JointTrajectory, source: str = "") -> None:
+        self.require_controller()
+        goal = _Goal(trajectory, source)
+        self._goals = [one for one in self._goals if one.state in UNENDED] + [goal]
+        self._node.executor.create_task(self._begin, goal)
+
+    def has_ended(self) -> bool:
+        goal = self._goals[-1]
+        if goal.state in UNENDED:
+            return False
+        if goal.state != MotionStatus.ARRIVED:
+            raise CellError(goal.message or "the motion was stopped")
+        return True
+
+    def stop(self, make_halt: Callable[[], JointTrajectory]) -> None:
+        self.withdraw()
+
+    def withdraw(self) -> None:
+        """Cancel all goals; the controller then stops the robot and holds its position."""
+        for goal in self._goals:
+            goal.stop = True
+            self._node.executor.create_task(self._cancel, goal)
+
+    # ------------------------------------------------------------------ in the thread that spins
+
+    def _begin(self, goal: _Goal) -> None:
+        if goal.stop:
+            self._end(goal, MotionStatus.STOPPED)
+            return
+        self._report(goal)
+        answer = self._client.send_goal_async(
+            FollowJointTrajectory.Goal(trajectory=goal.trajectory), partial(self._on_feedback, goal)
+        )
+        answer.add_done_callback(partial(self._on_answer, goal))
+
+    def _on_answer(self, goal: _Goal, answer: Future) -> None:
+        handle = answer.result()
+        if not handle.accepted:
+            why = "the controller rejected the trajectory; its log has the reason"
+            self._end(goal, MotionStatus.FAILED, Result.INVALID_GOAL, why)
+            return
+        goal.handle, goal.state = handle, MotionStatus.MOVING
+        self._report(goal)
+        handle.get_result_async().add_done_callback(partial(self._on_result, goal))
+        if goal.stop:
+            self._cancel(goal)
+
+    def _on_feedback(self, goal: _Goal, message: Any) -> None:
+        feedback = message.feedback
+        goal.errors = dict(zip(feedback.joint_names, feedback.error.positions, strict=False))
+        if goal.state == MotionStatus.MOVING:
+            self._report(goal)
+
+    def _on_result(self, goal: _Goal, answer: Future) -> None:
+        status, result = answer.result().status, answer.result().result
+        code = result.error_code
+        if status == GoalStatus.STATUS_SUCCEEDED and code == Result.SUCCESSFUL:
+            self._end(goal, MotionStatus.ARRIVED)
+        elif goal.stop and status == GoalStatus.STATUS_CANCELED:
+            self._end(goal, MotionStatus.STOPPED, code)
+        elif goal is not self._goals[-1]:
+            self._end(goal, MotionStatus.REPLACED, code)
+        else:
+            self._end(goal, MotionStatus.FAILED, code, _describe_failure(goal, status, result))
+
+    def _cancel(self, goal: _Goal) -> None:
+        if goal.handle is not None and goal.state in UNENDED:
+            goal.handle.cancel_goal_async().add_done_callback(self._on_cancelled)
+
+    def _on_cancelled(self, answer: Future) -> None:
+        if answer.result().return_code == CancelGoal.Response.ERROR_REJECTED:
+            self._node.get_logger().error(
+                f"{self._name}: the controller refused to cancel the motion; stop the robot by "
+                "other means"
+            )
+
+    def _end(self, goal: _Goal, state: int, code: int = 0, message: str = "") -> None:
+        goal.state, goal.code, goal.message = state, code, message
+        if state == MotionStatus.FAILED:
+            self._node.get_logger().warning(f"{self._name}: {message}")
+        self._report(goal)
+
+    def _report(self, goal: _Goal) -> None:
+        if self._status is None:
+            return
+        names, end = list(goal.trajectory.joint_names), goal.trajectory.points[-1].time_from_start
+        known = all(name in goal.errors for name in names)
+        self._status.publish(
+            MotionStatus(
+                stamp=self._node.get_clock().now().to_msg(),
+                state=goal.state,
+                source=goal.source,
+                error_code=goal.code,
+                message=goal.message,
+                time_from_start=end.sec + 1e-9 * end.nanosec,
+                joint_names=names,
+                errors=[goal.errors[name] for name in names] if known else [],
+            )
+        )
+
+
+def _describe_failure(goal: _Goal, status: int, result: Any) -> str:
+    """Say why the controller ended a motion, and which joint was furthest off."""
+    if status == GoalStatus.STATUS_CANCELED:
+        why = "the motion was cancelled by the controller or by another client"
+    else:
+        why = "the controller ended the motion"
+    if result.error_code in ERRORS:
+        why += f": {ERRORS[result.error_code]}"
+    if result.error_string:
+        why += f" ({result.error_string})"
+    if goal.errors:
+        joint = max(goal.errors, key=lambda name: abs(goal.errors[name]))
+        why += f"; {joint} was furthest off its path, by {goal.errors[joint]:.4g} rad or m"
+    return why
