@@ -27,9 +27,7 @@ def find_strays(pose: PoseStream, dwell: Dwell) -> Array:
     return np.where(dwell.measured, np.abs(both), 0.0)
 
 
-def pose_limits(
-    pose: PoseStream, dwells: list[Dwell], strays: list[Array], length: float
-) -> Array:
+def pose_limits(pose: PoseStream, dwells: list[Dwell], strays: list[Array], length: float) -> Array:
     """Return how far (2,) a single reading may lie from its dwell's middle, in m and rad.
 
     The limit is eight times the largest deviation that is usual in a dwell. If the device's clock
