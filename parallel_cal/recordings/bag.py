@@ -17,7 +17,7 @@ from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.pose_bytes import PoseReader
 from parallel_cal.recordings.pose_messages import body_names, read_pose, split_body, stamp_of
 from parallel_cal.recordings.recording import Raw, Recording, TopicInfo
-from parallel_cal.recordings.standard_types import DEFINITIONS, make_type_store
+from parallel_cal.recordings.standard_types import DEFINITIONS, collect_definitions
 from parallel_cal.recordings.topics import choose_topics
 
 DATA_FILES = (".mcap", ".db3", ".zstd")
@@ -304,12 +304,15 @@ def _type_store(connections: Sequence[Any]) -> Any:
 
     A bag's own definition of a standard type is not used, so that it cannot interfere.
     """
-    types = {connection.msgtype for connection in connections}
-    if types <= DEFINITIONS.keys():
-        return make_type_store(types)
-
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+    types = {connection.msgtype for connection in connections}
+    if types <= DEFINITIONS.keys():
+        store, fields = get_typestore(Stores.EMPTY), dict[str, Any]()
+        for name, text in collect_definitions(types).items():
+            fields |= get_types_from_msg(text, name)
+        store.register(fields)
+        return store
     store = get_typestore(Stores.ROS2_JAZZY)
     for connection in connections:
         if connection.msgtype in store.types:

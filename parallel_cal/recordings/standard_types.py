@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from typing import Any
 
 # A type and its fields. The types that it contains are standard types, too.
 DEFINITIONS = {
@@ -47,17 +46,10 @@ DEFINITIONS = {
 }
 
 
-def make_type_store(types: Iterable[str]) -> Any:
-    """Return a type store of rosbags that holds these types and those that they contain."""
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
+def collect_definitions(types: Iterable[str]) -> dict[str, str]:
+    """Return the fields of these types and of those that they contain."""
     needed = list(types)
     for name in needed:  # the list grows by the types that each one contains
         inside = re.findall(r"^(\w+)/(\w+)", DEFINITIONS[name], re.MULTILINE)
         needed += [f"{package}/msg/{type}" for package, type in inside]
-    store = get_typestore(Stores.EMPTY)
-    fields: dict[str, Any] = {}
-    for name in dict.fromkeys(needed):
-        fields |= get_types_from_msg(DEFINITIONS[name], name)
-    store.register(fields)
-    return store
+    return {name: DEFINITIONS[name] for name in needed}
