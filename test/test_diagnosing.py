@@ -9,7 +9,6 @@ from findings import clean
 from scipy import stats
 
 from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL, SIGNIFICANCE_LEVEL
-from parallel_cal.base.distributions import f_log_tail
 from parallel_cal.base.errors import ModelError
 from parallel_cal.diagnosis import catalogue
 from parallel_cal.diagnosis import search as searching
@@ -19,7 +18,7 @@ from parallel_cal.diagnosis.lack_of_fit import lack_of_fit, smooth_map
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.patterns import compute_residual_profiles, odd_samples, regions
 from parallel_cal.diagnosis.scene import Scene, columns
-from parallel_cal.diagnosis.scoring import canonical_correlation, f_test, score
+from parallel_cal.diagnosis.scoring import canonical_correlation, f_test, log_p_of, score
 from parallel_cal.diagnosis.search import Chosen, Search, Trial
 from parallel_cal.diagnosis.statistics import holm, morans_i, runs_test
 from parallel_cal.identification.fit import fit
@@ -94,14 +93,14 @@ def test_bands_hold_what_is_no_more_than_chance():
 
 @pytest.mark.parametrize(("F", "q", "dof"), [(0.3, 3, 40), (1.0, 1, 7), (12.0, 6, 300)])
 def test_the_p_value_of_an_f_test_is_scipys(F, q, dof):
-    assert f_log_tail(F, q, dof) == pytest.approx(stats.f.logsf(F, q, dof), rel=1e-6)
+    assert log_p_of(F, q, dof) == pytest.approx(stats.f.logsf(F, q, dof), rel=1e-6)
 
 
 def test_the_p_value_keeps_its_order_where_it_underflows():
-    logs = [f_log_tail(F, 3, 500) for F in (300.0, 3000.0, 30000.0, 3e5, 3e7)]
+    logs = [log_p_of(F, 3, 500) for F in (300.0, 3000.0, 30000.0, 3e5, 3e7)]
     assert np.all(np.diff(logs) < -50)
     # Where both are finite the leading term of the series is the whole of it.
-    assert f_log_tail(60.0, 2, 4000) == pytest.approx(-2000 * np.log1p(2 * 60 / 4000), rel=1e-9)
+    assert log_p_of(60.0, 2, 4000) == pytest.approx(-2000 * np.log1p(2 * 60 / 4000), rel=1e-9)
 
 
 def test_the_f_test_of_a_planted_direction_is_the_regression_of_a_textbook():

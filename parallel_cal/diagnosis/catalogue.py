@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from parallel_cal.base.distributions import minimise_between
 from parallel_cal.base.errors import ModelError
 from parallel_cal.diagnosis.scene import Scene, columns
 from parallel_cal.diagnosis.scoring import Score, quick_log_p, score
@@ -204,12 +203,15 @@ class Peak:
 def _peak(scene: Scene, plain: Model, key: str, near: float, step: float, a: np.ndarray) -> Peak:
     """The best value of a setting within a step of `near`: log p falls by a half where chi2 rises
     by one, and one sigma away it does."""
+    from scipy.optimize import minimize_scalar
 
     def log_p(value: float) -> float:
         return quick_log_p(scene, compute_effect_columns(scene, plain, {key: value}, a))
 
-    optimum = minimise_between(log_p, near - step, near + step, 1e-3 * step)
-    value = min((near, optimum), key=log_p)
+    optimum = minimize_scalar(
+        log_p, bounds=(near - step, near + step), method="bounded", options={"xatol": 1e-3 * step}
+    )
+    value = min((near, float(optimum.x)), key=log_p)
     apart = step / 20
     below, at, above = (log_p(value + away) for away in (-apart, 0.0, apart))
     bend = (below - 2 * at + above) / apart**2

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.base.confidence import SIGNIFICANCE_LEVEL
-from parallel_cal.base.distributions import chi2_below, chi2_tail, f_quantile
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_REPLICATE_DOF, REPLICATE_CONTRADICTION_LEVEL
@@ -35,11 +34,13 @@ class PureError:
     @property
     def contradicts_stated_noise(self) -> bool:
         """Whether replicates differ significantly from the stated noise."""
+        from scipy.special import chdtr, chdtrc
+
         if self.variance is None or self.dof < MIN_REPLICATE_DOF:
             return False
         squares = self.variance * self.dof
         return bool(
-            min(chi2_below(self.dof, squares), chi2_tail(self.dof, squares))
+            min(chdtr(self.dof, squares), chdtrc(self.dof, squares))
             < REPLICATE_CONTRADICTION_LEVEL / 2
         )
 
@@ -126,12 +127,14 @@ class NoiseLevel:
 
     def band(self, dof: int) -> tuple[float, float]:
         """Band that holds chi2/dof of 99 % of complete models; infinite if the noise is unknown."""
+        from scipy.special import fdtri
+
         if self.variance is None or dof <= 0:
             return (0.0, float("inf"))
         if self.dof is None:
             return chi2_band(dof)
         low, high = (
-            f_quantile(dof, self.dof, p)
+            float(fdtri(dof, self.dof, p))
             for p in (SIGNIFICANCE_LEVEL / 2, 1 - SIGNIFICANCE_LEVEL / 2)
         )
         return low * self.variance, high * self.variance

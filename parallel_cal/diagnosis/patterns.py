@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL
-from parallel_cal.base.distributions import chi2_tail
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import find_varying_coordinates, regressors
 from parallel_cal.diagnosis.scene import Scene
@@ -140,12 +139,14 @@ def odd_samples(scene: Scene, field: Field) -> tuple[OddSample, ...]:
     The typical residual serves as the noise. An outlier's squared residual would occur once in a
     thousand data sets. A Cook's distance above 1 moves the estimate by about its sigma.
     """
+    from scipy.special import chdtrc
+
     n, blocks = len(scene.model.joints), scene.by_sample(scene.residual)
     k = max(1, round(scene.dof / max(len(blocks), 1)))
     squared = np.sum(blocks**2, axis=1)
     scale = np.median(squared) / max(k - 2 / 3, 0.3)  # median of a chi-square is about k - 2/3
     leverage = np.sum(scene.by_sample(np.sum(scene.basis**2, axis=1)), axis=1)
-    p = chi2_tail(k, squared / max(scale, 1e-300)) * len(blocks)
+    p = chdtrc(k, squared / max(scale, 1e-300)) * len(blocks)
     cook = squared * leverage / max(scene.basis.shape[1] * scene.chi2_per_dof, 1e-300)
     odd = [
         OddSample(

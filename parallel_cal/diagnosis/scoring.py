@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from parallel_cal.base.distributions import f_log_tail
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER, RESAMPLES
 
@@ -74,7 +74,21 @@ def _f_of(taken: float, r: np.ndarray, q: int, dof: int) -> tuple[float, float]:
         return 0.0, 0.0
     left = float(r @ r) - taken
     F = (taken / q) / max(left / (dof - q), 1e-300)
-    return F, float(f_log_tail(F, q, dof - q))
+    return F, float(log_p_of(F, q, dof - q))
+
+
+def log_p_of(F: Any, q: int, dof: int) -> Any:
+    """log P(F' > F), of one F or an array, with q and dof degrees of freedom, by the incomplete
+    beta function."""
+    from scipy.special import betainc, gammaln
+
+    z, a, b = dof / (dof + q * F), dof / 2, q / 2
+    p = betainc(a, b, z)
+    with np.errstate(divide="ignore"):
+        # The leading term of its series, where it underflows.
+        series = a * np.log(z) + b * np.log1p(-z) - np.log(a)
+        found = np.where(p > 1e-290, np.log(p), series - (gammaln(a) + gammaln(b) - gammaln(a + b)))
+    return found[()]
 
 
 def deflate(one: Score, dof: int, inflation: float) -> float:
@@ -82,7 +96,7 @@ def deflate(one: Score, dof: int, inflation: float) -> float:
     inflation of a slow mean's variance, as if there were so many fewer samples."""
     if not one.q or dof <= one.q:
         return 0.0
-    return float(f_log_tail(one.F / max(inflation, 1.0), one.q, dof - one.q))
+    return float(log_p_of(one.F / max(inflation, 1.0), one.q, dof - one.q))
 
 
 def canonical_correlation(one: np.ndarray, other: np.ndarray) -> float:
@@ -128,5 +142,5 @@ def _log_ps(G: np.ndarray, p: int, ends: np.ndarray, dof: int) -> np.ndarray:
         M, g = left[:, begin:end, begin:end], left[:, begin:end, -1:]
         taken = (g.transpose(0, 2, 1) @ np.linalg.pinv(M, rcond=1e-6, hermitian=True) @ g)[:, 0, 0]
         F = taken / q / np.maximum((rr - taken) / (dof - q), 1e-300)
-        column[:] = f_log_tail(np.maximum(F, 0.0), q, dof - q)
+        column[:] = log_p_of(np.maximum(F, 0.0), q, dof - q)
     return logs

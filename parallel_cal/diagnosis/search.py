@@ -8,11 +8,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from parallel_cal.base.distributions import f_log_tail
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.catalogue import Candidate, find_new_parameters
 from parallel_cal.diagnosis.scene import Scene, columns
+from parallel_cal.diagnosis.scoring import log_p_of
 from parallel_cal.diagnosis.thresholds import (
     EFFECT_SIGNIFICANCE_LEVEL,
     MAX_EFFECTS,
@@ -575,7 +575,7 @@ def is_superfluous(less: Estimate, more: Estimate) -> bool:
     """Whether the improvement by additional parameters may be chance, by an F test."""
     if less.dof == more.dof:  # a prior holds all of the additional parameters: at best it is one
         F = (less.chi2 - more.chi2) / max(more.chi2_per_dof, 1e-300)
-        chance = f_log_tail(max(F, 0.0), 1, max(more.dof, 1)) > np.log(EFFECT_SIGNIFICANCE_LEVEL)
+        chance = log_p_of(max(F, 0.0), 1, max(more.dof, 1)) > np.log(EFFECT_SIGNIFICANCE_LEVEL)
         return bool(chance or more.chi2 > (1 - MIN_CHI2_FALL) * less.chi2)
     if less.dof < more.dof or more.dof <= 0:
         return False
@@ -589,4 +589,4 @@ def improvement_log_p(less: Estimate, more: Estimate, inflation: float = 1.0) ->
     if q <= 0 or more.dof <= 0:
         return 0.0
     F = max(less.chi2 - more.chi2, 0.0) / q / max(more.chi2_per_dof, 1e-300)
-    return float(f_log_tail(F / inflation, q, more.dof))
+    return float(log_p_of(F / inflation, q, more.dof))

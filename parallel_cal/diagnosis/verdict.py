@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from parallel_cal.base.distributions import chi2_tail
 from parallel_cal.base.units import ERROR_UNITS, MM
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit
 from parallel_cal.diagnosis.noise import NoiseLevel
@@ -121,11 +120,13 @@ class Findings:
     def was_inside_band(self) -> bool:
         """Whether the base needed no effect: its chi2/dof was inside the band, and the better
         fit is either not significant or lowers the validation error only a little."""
+        from scipy.special import chdtrc
+
         before, after = self.base.fitted.estimate, self.final_estimate
         inside = self.chi2_before <= self.noise.band(before.dof)[1] and not self.noise.is_exceeded
         fall = self.chi2_before * before.dof - after.chi2_per_dof * after.dof
         taken = max(before.dof - after.dof, 1)
-        certain = chi2_tail(taken, max(fall, 0.0) / (self.noise.variance or 1.0)) < CERTAINTY_LEVEL
+        certain = chdtrc(taken, max(fall, 0.0) / (self.noise.variance or 1.0)) < CERTAINTY_LEVEL
         ratio = ratio_of(self.base, self.best)
         counts = ratio is None or ratio * MAX_SWAP_ERROR_RATIO < 1
         return bool(inside and not (certain and counts))

@@ -14,12 +14,10 @@ of noise at the best of the compared delays.
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from parallel_cal.base.distributions import f_log_tail
 from parallel_cal.base.keyed_warning import KeyedWarning
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.recordings.dwells import jitter, noise_span
@@ -215,12 +213,14 @@ class _Explained:
     @property
     def chance(self) -> float:
         """Probability (F-test) that as many terms leave as little of white noise."""
+        from scipy.special import betainc
+
         if self.spare <= 0:
             return 1.0
         taken = max(self.total - self.left, 0.0) / self.terms
         ratio = taken / max(self.left / self.spare, 1e-300) / SHARED_READINGS
         fitted, rest = self.coordinates * self.terms, self.coordinates * self.spare
-        return math.exp(f_log_tail(ratio, fitted, rest))
+        return float(betainc(rest / 2, fitted / 2, rest / (rest + fitted * ratio)))
 
 
 TOO_FEW = _Explained(np.inf, 1.0, 0, 0, 1.0)
