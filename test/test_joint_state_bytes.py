@@ -35,14 +35,16 @@ def test_a_second_message_is_read_as_the_general_decoder_reads_it(frame, names, 
         for _ in range(2)
     )
     reader = JointStateReader()
-    assert reader.read(second) is None
+    assert not reader.fits(second)
     reader.learn(first, names)
-    stamp, row = reader.read(second)
-    expected = STORE.deserialize_cdr(second, TYPE)
-    assert stamp == 2_000_000_000_999_999_999
-    assert row[0] == tuple(expected.name)
-    np.testing.assert_array_equal(row[1], expected.position)
-    np.testing.assert_array_equal(row[2], expected.effort)
+    assert reader.fits(second)
+    stamps, rows = reader.read([first, second])
+    for data, stamp, row in zip((first, second), stamps, rows, strict=True):
+        expected = STORE.deserialize_cdr(data, TYPE)
+        assert stamp == 2_000_000_000_999_999_999
+        assert row[0] == tuple(expected.name)
+        np.testing.assert_array_equal(row[1], expected.position)
+        np.testing.assert_array_equal(row[2], expected.effort)
 
 
 def test_messages_of_another_layout_are_left_to_the_general_decoder():
@@ -50,17 +52,25 @@ def test_messages_of_another_layout_are_left_to_the_general_decoder():
     usual = serialized(names, [1.0, 2.0], effort=[3.0, 4.0])
     reader = JointStateReader()
     reader.learn(usual, names)
-    assert reader.read(usual) is not None
-    assert reader.read(serialized(("a", "c"), [1.0, 2.0])) is None
-    assert reader.read(serialized(names, [1.0, 2.0], frame="other")) is None
-    assert reader.read(serialized(names, [1.0, 2.0], endian=False)) is None
-    assert reader.read(usual + b"\0" * 8) is None
+    assert reader.fits(usual)
+    assert not reader.fits(serialized(("a", "c"), [1.0, 2.0], effort=[3.0, 4.0]))
+    assert not reader.fits(serialized(names, [1.0, 2.0], velocity=[3.0, 4.0]))
+    assert not reader.fits(serialized(names, [1.0, 2.0], effort=[3.0, 4.0], frame="race"))
+    assert not reader.fits(serialized(names, [1.0, 2.0], effort=[3.0, 4.0], endian=False))
+    assert not reader.fits(usual + b"\0" * 8)
     for cut in range(len(usual)):
-        assert reader.read(usual[:cut]) is None, cut
+        assert not reader.fits(usual[:cut]), cut
+
+
+def test_a_message_with_bytes_behind_its_arrays_teaches_the_reader_nothing():
+    reader = JointStateReader()
+    data = serialized(("a",), [1.0]) + b"\0" * 8
+    reader.learn(data, ("a",))
+    assert not reader.fits(data)
 
 
 def test_a_big_endian_message_teaches_the_reader_nothing():
     reader = JointStateReader()
     data = serialized(("a",), [1.0], endian=False)
     reader.learn(data, ("a",))
-    assert reader.read(data) is None
+    assert not reader.fits(data)

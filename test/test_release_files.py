@@ -24,17 +24,35 @@ def citation():
     return yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
 
 
-def test_version_licence_and_maintainer_are_the_same_in_every_file():
-    stated = [(setup()["version"], setup()["license"], setup()["maintainer_email"])]
-    stated.append((citation()["version"], citation()["license"], citation()["authors"][0]["email"]))
-    for package in map(ElementTree.parse, PACKAGES):
-        root = package.getroot()
-        maintainer = root.find("maintainer")
-        stated.append((root.findtext("version"), root.findtext("license"), maintainer.get("email")))
+def package_roots():
+    return [ElementTree.parse(path).getroot() for path in PACKAGES]
+
+
+def test_version_and_licence_are_the_same_in_every_file():
+    stated = [(setup()["version"], setup()["license"])]
+    stated.append((citation()["version"], citation()["license"]))
+    stated += [(root.findtext("version"), root.findtext("license")) for root in package_roots()]
     code = (ROOT / "parallel_cal" / "__init__.py").read_text(encoding="utf-8")
     assert f'__version__ = "{setup()["version"]}"' in code
     assert len(stated) == 4
     assert len(set(stated)) == 1, stated
+
+
+def test_the_maintainer_s_address_stands_in_both_package_xml_and_nowhere_else():
+    (address,) = {root.find("maintainer").get("email") for root in package_roots()}
+    steps = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    # As long as it is a placeholder, it must look like one, and the steps of a release name it.
+    assert not address.endswith("@example.org") or f"`{address}`" in steps
+    assert "maintainer_email" not in setup()
+    assert "email" not in str(citation())
+
+
+def test_both_package_xml_state_urls_and_authors():
+    for root in package_roots():
+        urls = {url.get("type"): url.text for url in root.iter("url")}
+        assert set(urls) == {"website", "repository", "bugtracker"}
+        assert all(text.startswith("https://") for text in urls.values())
+        assert root.findtext("author") == root.findtext("maintainer")
 
 
 def test_the_ros_packages_that_the_code_imports_are_declared():

@@ -54,7 +54,7 @@ def quick_log_p(scene: Scene, B: np.ndarray) -> float:
     """`score(scene, B).log_p` from the columns' Gram matrix alone, for scans: a third of the work,
     equal to rounding."""
     gram, along, onto = B.T @ B, scene.basis.T @ B, B.T @ scene.residual
-    lengths = np.sqrt(np.diag(gram))
+    lengths = np.sqrt(gram.diagonal())
     seen = lengths > 1e-9
     left = (gram - along.T @ along)[np.ix_(seen, seen)] / np.outer(lengths[seen], lengths[seen])
     squares, directions = np.linalg.eigh(left)

@@ -567,7 +567,8 @@ def fit_registered(
     estimate_with = estimator(options.method, options.prior, options.loss)
     if is_partial:
         check_convergent_method(options.method, "a partial re-calibration")
-    observations = observe(model, dataset, options.joint_sigma, options.insist)
+    doubts = None if noise is None else noise.doubts
+    observations = observe(model, dataset, options.joint_sigma, options.insist, doubts)
     if noise is not None:
         observations = observations.with_noise_of(noise)
     if words := explain_too_few_poses(model, observations, mask, options.prior):

@@ -137,11 +137,16 @@ def blocks(dataset: Dataset) -> np.ndarray:
 
 
 def observe(
-    model: Model, dataset: Dataset, joint_sigma: float | None = None, insist: bool = False
+    model: Model,
+    dataset: Dataset,
+    joint_sigma: float | None = None,
+    insist: bool = False,
+    doubts: str | None = None,
 ) -> Observations:
     """Make observations for a model: joints in its order, noise from option, recording or file.
 
-    FitError for joint readings that no such robot shows, unless the caller insists.
+    FitError for joint readings that no such robot shows, unless the caller insists. `doubts` are
+    those about the same readings that were found before, if the readings were examined.
     """
     missing = [j for j in model.joints if j not in dataset.joint_names]
     if missing:
@@ -176,7 +181,8 @@ def observe(
         noise_from["reading"] = UNSTATED
     guessed = np.hstack([np.broadcast_to(guessed_joints, (len(x), n)), guessed_pose]) & measured
     group = np.asarray(dataset.pose_id)
-    doubts = doubt_readings(model, x, measured, a, dataset.source)
+    if doubts is None:
+        doubts = doubt_readings(model, x, measured, a, dataset.source)
     if doubts and not insist:
         raise FitError(doubts)
     reading_sigma = np.broadcast_to(model.structure.standard_uncertainty, reading.shape).copy()

@@ -62,10 +62,9 @@ def split(s: Structure, problem: str) -> tuple[list[int], Any, Any]:
     """Return the unknown columns of (q, r, w), the given symbols and the start configuration."""
     m, n = s.mechanism, len(s.mechanism.joints)
     if problem == "direct":
-        r, R = m.start(s.q, s.geometry)
-        start = ca.vertcat(s.q, r, ca.vec(ca.SX(R).T))
+        start = ca.vertcat(s.q, *s.ideal.start_pose(s.q, s.geometry.column))
         return [n + i for i in m.moved], s.q, start
-    q = m.start_inverse(s.r, s.R, s.geometry)
+    q = s.ideal.start_joints(s.r, s.R9, s.geometry.column)
     given = [s.r[i] for i in range(3) if i not in m.passive]
     if not any(i >= 3 for i in m.passive):
         given.append(s.R9)

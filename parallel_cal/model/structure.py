@@ -106,11 +106,30 @@ class Structure:
     def phi(self) -> Any:
         """The closure of the ideal mechanism, at its inputs after the effects."""
         seen = self.seen
+        if self.effects or self.sensors:  # most of the work is the same for all of them
+            return self._check_closure(self.ideal.closure_of_seen(_column(seen)))
         try:
             phi = self.mechanism.closure(seen.q, seen.r, seen.R, seen.p)
         except Exception as error:
             raise wrap_plugin_error(self.mechanism.name, error) from error
         return self._check_closure(phi)
+
+    @cached_property
+    def closure_of_seen(self) -> ca.Function:
+        """(q, r, R9 and geometry) -> phi; for an ideal mechanism."""
+        return ca.Function("phi", [ca.vertcat(self.configuration, self.v)], [self.phi])
+
+    @cached_property
+    def start_pose(self) -> ca.Function:
+        """(q, geometry) -> r, R9 from which the direct problem starts; for an ideal mechanism."""
+        r, R = self.mechanism.start(self.q, self.geometry)
+        return ca.Function("start_pose", [self.q, self.v], [r, ca.vec(ca.SX(R).T)])
+
+    @cached_property
+    def start_joints(self) -> ca.Function:
+        """(r, R9, geometry) -> q from which the inverse problem starts; for an ideal mechanism."""
+        q = self.mechanism.start_inverse(self.r, self.R, self.geometry)
+        return ca.Function("start_joints", [self.r, self.R9, self.v], [q])
 
     def _check_closure(self, phi: Any) -> Any:
         """The closure as SX, after checks of type, shape, symbols and values at home."""

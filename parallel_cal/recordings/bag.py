@@ -14,11 +14,14 @@ from parallel_cal.recordings.channels import Channel, find_channel
 from parallel_cal.recordings.cleaning import assemble
 from parallel_cal.recordings.joint_state_bytes import JointStateReader
 from parallel_cal.recordings.options import ReadOptions
+from parallel_cal.recordings.pose_bytes import PoseReader
 from parallel_cal.recordings.pose_messages import body_names, read_pose, split_body, stamp_of
 from parallel_cal.recordings.recording import Raw, Recording, TopicInfo
+from parallel_cal.recordings.standard_types import DEFINITIONS, collect_definitions
 from parallel_cal.recordings.topics import choose_topics
 
 DATA_FILES = (".mcap", ".db3", ".zstd")
+MAX_WAITING = 4096  # joint states that are read at once
 
 
 def read_bag(
@@ -172,6 +175,7 @@ def _read_messages(
         if progress and i % 2000 == 0:
             progress(f"reading {bag.path.name}", i / total)
     for decoder in decoders.values():
+        decoder.read_waiting()
         decoder.require_body()
     if progress:
         progress(f"read {bag.path.name}", 1.0)
@@ -238,10 +242,18 @@ class _Decoder:
         self.channel, self.raw, self.body = channel, raw, body
         self.others: set[str] = set()  # bodies in messages that lack the named one
         self.joint_states = JointStateReader()
+        self.waiting: list[tuple[int, bytes]] = []  # joint states that the reader knows
+        self.poses = PoseReader(raw.type)
 
     def take(self, store: Any, log: int, data: bytes) -> None:
+        if self.joint_states.fits(data):
+            self.waiting.append((log, data))
+            if len(self.waiting) == MAX_WAITING:
+                self.read_waiting()
+            return
+        self.read_waiting()
         try:
-            if (known := self.joint_states.read(data)) is not None:
+            if (known := self.poses.read(data)) is not None:
                 self.raw.append(log, *known)
                 return
             message = store.deserialize_cdr(data, self.raw.type)
@@ -253,12 +265,24 @@ class _Decoder:
                 self.raw.append(log, stamp_of(message), self.channel.decode(message))
             elif (found := read_pose(message, self.body)) is not None:
                 self.raw.append(log, *found)
+                self.poses.learn(data, found[1][0])
             else:
                 self.others.update(body_names(message))
         except BagError as error:
             raise BagError(f"{self.raw.topic}: {error}") from None
         except Exception:  # bytes that are not a message fail in any manner; they are counted
             self.raw.undecodable += 1
+
+    def read_waiting(self) -> None:
+        """Read the joint states that wait, all at once."""
+        if not self.waiting:
+            return
+        logs, messages = zip(*self.waiting, strict=True)
+        stamps, rows = self.joint_states.read(messages)
+        self.raw.log += logs
+        self.raw.stamp += stamps
+        self.raw.rows += rows
+        self.waiting.clear()
 
     def require_body(self) -> None:
         """Raise BagError if no message had the named body, or any pose at all."""
@@ -282,6 +306,13 @@ def _type_store(connections: Sequence[Any]) -> Any:
     """
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+    types = {connection.msgtype for connection in connections}
+    if types <= DEFINITIONS.keys():
+        store, fields = get_typestore(Stores.EMPTY), dict[str, Any]()
+        for name, text in collect_definitions(types).items():
+            fields |= get_types_from_msg(text, name)
+        store.register(fields)
+        return store
     store = get_typestore(Stores.ROS2_JAZZY)
     for connection in connections:
         if connection.msgtype in store.types:

@@ -19,18 +19,20 @@ def clean_joints(
     names = _joint_names(raw, wanted, notes)
     q = np.full((len(raw.rows), len(names)), np.nan)
     effort = np.full_like(q, np.nan)
-    columns: dict[tuple[str, ...], list[int] | None] = {}
     missing, ragged = np.zeros(len(q), bool), np.zeros(len(q), bool)
-    for i, (present, position, torque) in enumerate(raw.rows):
-        if present not in columns:
-            complete = set(names) <= set(present)
-            columns[present] = [present.index(n) for n in names] if complete else None
-        index = columns[present]
-        missing[i], ragged[i] = index is None, len(position) != len(present)
-        if index is not None and not ragged[i]:
-            q[i] = position[index]
-            if len(torque) == len(present):
-                effort[i] = torque[index]
+    for present, which in _group_by_names(raw).items():
+        if not set(names) <= set(present):
+            missing[which] = True
+            continue
+        index = [present.index(name) for name in names]
+        for column, values in ((1, q), (2, effort)):
+            complete = np.array([len(raw.rows[i][column]) for i in which]) == len(present)
+            if complete.any():
+                found = np.array([raw.rows[i][column] for i in which[complete]])
+                values[which[complete]] = found[:, index]
+            if column == 1:
+                ragged[which[~complete]] = True
+    effort[ragged] = np.nan
     hint = f"Expected a position in rad or m for each of {', '.join(names)}: check their driver."
     sieve.drop(missing, f"lacks some of the joints {', '.join(names)}")
     sieve.drop(ragged, "position and name differ in length", hint)
@@ -40,6 +42,14 @@ def clean_joints(
     )
     keep = sieve.keep
     return JointStream(raw.topic, names, sieve.time[keep], q[keep], effort[keep])
+
+
+def _group_by_names(raw: Raw) -> dict[tuple[str, ...], np.ndarray]:
+    """Return the numbers of the messages with each set of names."""
+    groups: dict[tuple[str, ...], list[int]] = {}
+    for i, (present, _, _) in enumerate(raw.rows):
+        groups.setdefault(present, []).append(i)
+    return {present: np.array(which) for present, which in groups.items()}
 
 
 def _joint_names(raw: Raw, wanted: Sequence[str] | None, notes: list[str]) -> tuple[str, ...]:

@@ -16,16 +16,18 @@ from parallel_cal.recordings.samples import mean_rotation
 from parallel_cal.recordings.windows import Dwell
 
 
-def _deviation(pose: PoseStream, dwell: Dwell) -> Array:
-    """Return deviations (n, 6) of a dwell's messages from their middle; 0 where not measured."""
+def find_strays(pose: PoseStream, dwell: Dwell) -> Array:
+    """Return how far (n, 6) a dwell's messages lie from their middle; 0 where not measured."""
+    if not len(dwell.poses):
+        return np.zeros((0, 6))
     r = pose.position[dwell.poses]
     middle = mean_rotation(pose.rotation[dwell.poses])
     turned = rotation_vector(pose.rotation[dwell.poses] @ middle.T)
     both = np.hstack([r - np.median(r, axis=0), turned - np.median(turned, axis=0)])
-    return np.where(dwell.measured, both, 0.0)
+    return np.where(dwell.measured, np.abs(both), 0.0)
 
 
-def pose_limits(pose: PoseStream, dwells: list[Dwell], length: float) -> Array:
+def pose_limits(pose: PoseStream, dwells: list[Dwell], strays: list[Array], length: float) -> Array:
     """Return how far (2,) a single reading may lie from its dwell's middle, in m and rad.
 
     The limit is eight times the largest deviation that is usual in a dwell. If the device's clock
@@ -35,9 +37,9 @@ def pose_limits(pose: PoseStream, dwells: list[Dwell], length: float) -> Array:
     steps of the device, 1e-4 of the workspace, and 1e-4 rad.
     """
     dwells = [d for d in dwells if len(d.poses)]
+    strays = [stray for stray in strays if len(stray)]
     if not dwells:
         return np.zeros(2)
-    strays = [np.abs(_deviation(pose, d)) for d in dwells]
     largest = np.median([s.max(axis=0) for s in strays], axis=0)
     half = np.median([np.median(s, axis=0) for s in strays], axis=0)
     # Position and rotation about the middle of all messages, a few wild ones clipped.
@@ -56,6 +58,7 @@ def pose_limits(pose: PoseStream, dwells: list[Dwell], length: float) -> Array:
 def drop_outliers(
     pose: PoseStream,
     dwell: Dwell,
+    stray: Array,
     limits: Array,
     minimum: int,
     dropped: list[Dropped],
@@ -63,7 +66,6 @@ def drop_outliers(
     """Remove a few outlying readings from the dwell; False if it is not calm even then."""
     if not len(dwell.poses):
         return True
-    stray = np.abs(_deviation(pose, dwell))
     far = (stray[:, :3].max(axis=1) > limits[0]) | (stray[:, 3:].max(axis=1) > limits[1])
     if not far.any():
         return True

@@ -8,7 +8,7 @@ from parallel_cal.base.keyed_warning import KeyedWarning
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.recordings.dwells import drift, still_intervals
 from parallel_cal.recordings.options import SampleOptions
-from parallel_cal.recordings.pose_outliers import drop_outliers, pose_limits
+from parallel_cal.recordings.pose_outliers import drop_outliers, find_strays, pose_limits
 from parallel_cal.recordings.recording import Array, Dropped, JointStream, PoseStream, Recording
 from parallel_cal.recordings.samples import (
     Sample,
@@ -44,13 +44,14 @@ def standstill_samples(recording: Recording, options: SampleOptions, tolerance: 
             found.dropped.append(Dropped(0.5 * (dwell.start + dwell.end), *why))
         else:
             dwells.append(dwell)
-    limits = pose_limits(pose, dwells, options.min_dwell)
-    for dwell in dwells:
+    strays = [find_strays(pose, dwell) for dwell in dwells]
+    limits = pose_limits(pose, dwells, strays, options.min_dwell)
+    for dwell, stray in zip(dwells, strays, strict=True):
         if len(dwell.less):
             count, first = len(dwell.less), float(pose.time[dwell.less[0]])
             reason = "measures fewer coordinates than the rest of its dwell"
             found.dropped.append(Dropped(first, reason, f"{count} messages of {pose.topic}", count))
-        if drop_outliers(pose, dwell, limits, minimum, found.dropped):
+        if drop_outliers(pose, dwell, stray, limits, minimum, found.dropped):
             found.kept.append(_dwell_sample(joints, pose, dwell))
     _report_lonely_poses(pose, windows, options, found)
     return found

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import singledispatch
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from parallel_cal.base.units import ARCMIN
-from parallel_cal.diagnosis.comparison import Comparison
-from parallel_cal.diagnosis.diagnose import Diagnosis
-from parallel_cal.diagnosis.entries import Entry
-from parallel_cal.discovery.discovery import Discovery
 from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.budget import Budget, Iso9283
 from parallel_cal.identification.fit import FitResult, ParameterEstimate
@@ -38,7 +33,13 @@ from parallel_cal.reporting.readable import (
     vector,
     with_sigma,
 )
-from parallel_cal.session.steps import Step
+
+if TYPE_CHECKING:
+    from parallel_cal.diagnosis.comparison import Comparison
+    from parallel_cal.diagnosis.diagnose import Diagnosis
+    from parallel_cal.diagnosis.entries import Entry
+    from parallel_cal.discovery.discovery import Discovery
+    from parallel_cal.session.steps import Step
 
 # Limits on what one screen shows.
 MAX_CANDIDATES = 8
@@ -49,16 +50,25 @@ MIN_SHOWN_P_VALUE = 1e-99  # a smaller p-value adds no information
 PATTERN_SIGNIFICANCE_LEVEL = 0.05  # below it a pattern of the errors is shown
 
 
-@singledispatch
 def describe(result: Any) -> Iterator[Block]:
     """Describe a result; TypeError if it is not one of those below."""
+    # By name: the classes of a diagnosis need not be imported to show a fit.
+    describers: dict[str, Callable[[Any], Iterator[Block]]] = {
+        "Step": describe_step,
+        "FitResult": describe_fit,
+        "Comparison": describe_comparison,
+        "Diagnosis": describe_diagnosis,
+        "Discovery": describe_discovery,
+    }
     kind = type(result).__name__
-    raise TypeError(
-        f"show: got {kind}, expected the result of fit, add, remove, compare, diagnose or discover"
-    )
+    if kind not in describers:
+        raise TypeError(
+            f"show: got {kind}, expected the result of fit, add, remove, compare, diagnose or "
+            "discover"
+        )
+    return describers[kind](result)
 
 
-@describe.register
 def describe_step(step: Step) -> Iterator[Block]:
     """Describe a step's fit; the fit without an added effect is its reference."""
     yield from describe_fit(step.result, step.rival if step.name == "add" else None)
@@ -76,7 +86,6 @@ def describe_step(step: Step) -> Iterator[Block]:
         yield f"{where}; {beyond}" if beyond else where
 
 
-@describe.register
 def describe_fit(result: FitResult, without: FitResult | None = None) -> Iterator[Block]:
     """Describe a fit; `without` is the fit of the same samples without the added effect.
 
@@ -252,7 +261,6 @@ def _describe_fixing(parameter: DescribedParameter) -> str:
     return f"fixed at {'its nominal value' if is_nominal else 'this value'}"
 
 
-@describe.register
 def describe_comparison(comparison: Comparison) -> Iterator[Block]:
     """Describe errors, the worst samples, patterns of the errors, and odd samples."""
     yield f"{len(comparison.observations)} samples"
@@ -316,7 +324,6 @@ def _worst_samples(comparison: Comparison) -> Table:
     return Table(tuple(shown), list(zip(*shown.values(), strict=True)))
 
 
-@describe.register
 def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
     """Describe the verdict, validation errors, the candidates, and what to measure next."""
     judged = {
@@ -354,7 +361,6 @@ def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
         )
 
 
-@describe.register
 def describe_discovery(found: Discovery) -> Iterator[Block]:
     """Describe the verdict, each law with its parameters and validation errors, and advice."""
     yield f"{found.verdict}: {found.summary}"

@@ -99,7 +99,7 @@ def write_model(model: Model, path: str | Path) -> None:
 
 def replace_model(model: Model, path: str | Path) -> None:
     """Write a model file like `write_model`; an existing file is kept as `PATH.previous`."""
-    replace_text(path, readable_text(model, path))
+    _write_beside_previous(path, readable_text(model, path))
 
 
 def replace_text(path: str | Path, text: str) -> None:
@@ -108,6 +108,11 @@ def replace_text(path: str | Path, text: str) -> None:
     ModelFileError for a text that could not be read back; both files then stay unchanged.
     """
     parse_model(text, f"{path} (not written)")
+    _write_beside_previous(path, text)
+
+
+def _write_beside_previous(path: str | Path, text: str) -> None:
+    """Write a text that was just checked; an existing file is kept as `PATH.previous`."""
     if Path(path).exists():
         write_text(f"{path}{BACKUP_SUFFIX}", model_text(path), like=path)
     write_text(path, text)

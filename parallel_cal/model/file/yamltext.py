@@ -9,6 +9,7 @@ import json
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,6 +59,9 @@ def parse_yaml(text: str, name: str) -> Document:
     except UnicodeEncodeError:  # an argument of the command line that is not UTF-8
         raise ModelFileError(f"{name}:1: not YAML: it is not text (UTF-8)") from None
     except yaml.YAMLError as error:
+        # libyaml reads ahead and has a limit of its own; PyYAML's parser finds the level.
+        with suppress(yaml.YAMLError):
+            _check_depth(yaml.parse(text, Loader=yaml.SafeLoader), name)
         mark = getattr(error, "problem_mark", None)
         line = mark.line + 1 if mark else 1
         why = getattr(error, "problem", None) or str(error).replace("\n", " ")
