@@ -289,3 +289,23 @@ def test_an_impossible_camera_is_refused_with_option_value_and_expectation(optio
     given = {"columns": 8, "rows": 6, "square": 0.03, "image_size": (1280, 1024)} | options
     with pytest.raises(ModelError, match=message):
         Camera(**given)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "named"),
+    [
+        ({"columns": 6, "rows": 8}, "columns: 8, rows: 6"),
+        ({"mounted": "platform"}, "mounted: fixed"),
+        ({"square": 0.06}, "square: about 0.03"),
+        ({"square": 0.0003}, "square: about 0.03"),
+    ],
+)
+def test_options_that_people_mix_up_are_named_before_the_fit(wrong, named):
+    cell = Cell("delta", 1)
+    data = cell.seen_by_camera(20)
+    sensor = dataclasses.replace(cell.sensor(), **wrong)
+    model = cell.drawn.with_sensors((sensor,))
+    with pytest.raises(FitError, match=f"With the options {named} they are"):
+        pc.fit(model, data)
+    [placed] = place_sensors(model, observe(model, data), insist=True).sensors
+    assert placed.is_placed

@@ -457,6 +457,19 @@ def test_a_table_may_carry_conditions(document, tmp_path):
     assert up["position"] != down["position"]
 
 
+def test_conditions_that_a_model_does_not_depend_on_may_stand_in_a_table(document, tmp_path):
+    rows = "0.5,0.6,0.7", "0.4,0.5,0.6"
+    (tmp_path / "bare.csv").write_text("joint1,joint2,joint3\n" + "\n".join(rows) + "\n")
+    more = "\n".join(f"{row},1,20" for row in rows)
+    header = "joint1,joint2,joint3,direction.joint1,temperature"
+    (tmp_path / "more.csv").write_text(f"{header}\n{more}\n")
+    bare, full = (
+        document("direct", DELTA24, "--input", tmp_path / name)["solutions"]
+        for name in ("bare.csv", "more.csv")
+    )
+    assert [one["position"] for one in full] == [one["position"] for one in bare]
+
+
 def test_without_output_the_table_goes_to_stdout(run, tmp_path):
     (tmp_path / "q.csv").write_text("joint1,joint2,joint3\n.5,.5,.5\n")
     code, out, err = run("direct", DELTA24, "--input", tmp_path / "q.csv")

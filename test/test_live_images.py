@@ -131,7 +131,7 @@ def test_a_shaken_image_is_set_aside_once_sharp_ones_are_known(shots):
             "",
             ns(k * slot + 0.52),
             image_message(
-                shots[0].image if k < 5 else cv2.GaussianBlur(shots[0].image, (0, 0), 1.3),
+                shots[1].image if k < 5 else cv2.GaussianBlur(shots[1].image, (0, 0), 1.3),
                 k * slot + 0.5,
             ),
         )

@@ -23,7 +23,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 from parallel_cal.base.errors import DatasetError
-from parallel_cal.campaign.cell import CellError, Sample
+from parallel_cal.campaign.cell import CellError, Sample, UnseenError
 from parallel_cal.campaign.trajectory import Trajectory, plan_trajectory
 from parallel_cal.model.file.modelfile import write_model
 from parallel_cal.nodes import robot_cell
@@ -101,6 +101,15 @@ def test_a_silent_device_is_noticed_before_any_sample():
     with pytest.raises(
         CellError, match=r"no pose was received while the robot rested\. Check that the device"
     ):
+        desk.cell.sample(desk.go_on)
+    assert desk.taken == 0
+
+
+def test_a_target_is_left_soon_where_the_images_show_too_little():
+    desk = Desk(no_dwell)
+    why = "camera: image not used: too few corners"
+    desk.script = [(0.0, lambda: desk.inflow.note_unusable(time.time_ns(), why))]
+    with pytest.raises(UnseenError, match=why):
         desk.cell.sample(desk.go_on)
     assert desk.taken == 0
 

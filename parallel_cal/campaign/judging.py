@@ -282,7 +282,8 @@ def robot_rms(model: Model, dataset: Dataset, options: FitOptions) -> dict[str, 
     A single image shows a pose with an error that may hide the robot's. The estimate contains its
     own standard deviation, because few poses tell it badly."""
     found = rms(model, dataset, options)
-    if not len(dataset) or not is_measured_by_images(model, dataset):
+    travels = any(coordinate in "xyz" for coordinate in model.mechanism.moves)
+    if not (len(dataset) and travels and is_measured_by_images(model, dataset)):
         return found
     observations = observe(model, dataset, options.joint_sigma)
     shown = find_shown_poses(model, observations, predict_configurations(model, observations))

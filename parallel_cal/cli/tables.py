@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from parallel_cal.base.errors import SolveError
+from parallel_cal.base.errors import ModelError, SolveError
 from parallel_cal.base.rotation import quaternion_to_matrix
-from parallel_cal.kinematics.answers import status_text
+from parallel_cal.kinematics.answers import named_conditions, status_text
 from parallel_cal.kinematics.kinematics import Solutions, Status
 from parallel_cal.kinematics.solving import Conditions, direct, inverse
 from parallel_cal.model.model import Model
@@ -24,9 +24,15 @@ POSITION = ("x", "y", "z")
 QUATERNION = ("qx", "qy", "qz", "qw")
 
 
-def _check_columns(table: Table, wanted: Sequence[str], optional: Sequence[str]) -> Table:
-    """Raise SolveError if wanted columns are missing, or others than the optional ones exist."""
-    known, header = {*wanted, *optional}, table.header
+def _check_columns(
+    table: Table, wanted: Sequence[str], optional: Sequence[str], model: Model
+) -> Table:
+    """Raise SolveError if wanted columns are missing, or others than the optional ones exist.
+
+    Conditions that the model does not depend on may stand in the table: they change nothing.
+    """
+    header = table.header
+    known = {*wanted, *optional, *(name for name in header if _is_condition(model, name))}
     if not {*wanted} <= {*header} <= known or len(set(header)) < len(header):
         also = f" (and may have {', '.join(optional)})" if optional else ""
         raise SolveError(
@@ -34,6 +40,15 @@ def _check_columns(table: Table, wanted: Sequence[str], optional: Sequence[str])
             f"{','.join(wanted)}{also}"
         )
     return table
+
+
+def _is_condition(model: Model, name: str) -> bool:
+    """Whether a column is a condition that a robot with these joints may have."""
+    try:
+        named_conditions(model, [(name, 0.0)])
+    except ModelError:
+        return False
+    return True
 
 
 def _columns(table: Table, names: Sequence[str]) -> np.ndarray:
@@ -54,7 +69,7 @@ class Answer(NamedTuple):
 
 def direct_table(model: Model, path: Path, at: Conditions, solver: str) -> Answer:
     """Solve a table of joint readings."""
-    table = _check_columns(read_table(path), model.joints, model.conditions)
+    table = _check_columns(read_table(path), model.joints, model.conditions, model)
     q = _columns(table, model.joints)
     conditions = _conditions(model, table, at)
     good = _find_finite_rows(q, conditions)
@@ -96,7 +111,7 @@ def _pose_table(model: Model, path: Path) -> Table:
     turned = bool(header & {*QUATERNION}) or not {*model.mechanism.controls} & {*POSITION}
     placed = bool(header & {*POSITION}) or not turned
     wanted = (*(POSITION if placed else ()), *(QUATERNION if turned else ()))
-    return _check_columns(table, wanted, model.conditions)
+    return _check_columns(table, wanted, model.conditions, model)
 
 
 def _find_finite_rows(numbers: np.ndarray, conditions: Conditions) -> np.ndarray:

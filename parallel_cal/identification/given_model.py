@@ -77,7 +77,7 @@ class GivenModel:
         model, dataset = register_recordings(model, dataset, joint_sigma, insist)
         started = not all(sensor.is_placed for sensor in model.sensors)
         if started:
-            model = place_sensors(model, observe(model, dataset, joint_sigma, insist))
+            model = place_sensors(model, observe(model, dataset, joint_sigma, insist), insist)
         placed, registration = register_device(model, dataset, joint_sigma, insist)
         if registration is None:
             observations = observe(model, dataset, joint_sigma, insist)

@@ -93,6 +93,9 @@ MAX_REMAINING_SHARE = 0.5
 MAX_REMAINING_SHARE_IDENTIFIED = 0.25
 OUTLIER_DISTANCE_RATIO = 6.0  # times the usual distance: such poses are ignored
 MIN_PLACEMENT_POSES = 4  # that start a sensor which shows poses
+# An error of the start, relative to the mechanism's length, from which other options are tried
+MIN_DOUBTFUL_SHARE = 0.15
+MIN_VARIANT_RATIO = 3.0  # by which other options must fit better to be believed
 # Rotation (rms) of the platform from which the start determines a target's position on it
 MIN_PLACEMENT_TILT_RAD = 0.02
 IMAGE_POSE_STEPS = 2  # of Gauss-Newton from the predicted pose, which is near

@@ -120,6 +120,13 @@ class Sensor(ABC):
         """
         return iter(())
 
+    def variants(self) -> Iterator[tuple[str, Sensor]]:
+        """Yield options that people mix up, in words and as the sensor that has them.
+
+        If the readings show the robot's poses much better with them, a fit refuses the sensor.
+        """
+        return iter(())
+
     def placed(self, f: np.ndarray, F: np.ndarray, t: np.ndarray, T: np.ndarray) -> Sensor:
         """Return the sensor with the pose (f, F) of its part on the base in {B}, and the pose
         (t, T) of its part on the platform in {P}."""

@@ -16,7 +16,6 @@ from parallel_cal.imaging.board import read_board
 from parallel_cal.imaging.detection import Corners, Detector, Grey
 from parallel_cal.imaging.folder import find_blur_limit
 from parallel_cal.imaging.messages import decode_image
-from parallel_cal.imaging.opencv import ImageError
 from parallel_cal.recordings.pose_messages import stamp_of
 
 MAX_RESTS = 1000  # standstills that are remembered: minutes, however late an image comes
@@ -176,11 +175,11 @@ class LiveImages:
         self.counts["searched"] += 1
         try:
             image = decode_image(message)
-        except ImageError as error:
+            corners = self._detector.detect(image)
+        except Exception as error:  # OpenCV may raise anything, and the thread must not end
             self._refuse(str(error))
             self._on_unusable(arrived, self.last)
             return
-        corners = self._detector.detect(image)
         problem = corners.problem or self._explain_blur(corners.edge_width)
         words = problem or (
             f"{len(corners.numbers)} of {self._detector.board.corner_count} corners, edges "

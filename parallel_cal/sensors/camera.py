@@ -35,6 +35,9 @@ SCALE_TOLERANCE = 1e-3  # of a printer
 # Focal lengths that are tried if none is stated, in widths of the image: fields of view of 120 to
 # 10 degrees. A step is small enough for the descent that follows.
 FOCAL = np.geomspace(0.29, 5.7, 28)
+# Sides of a square that are tried beside the stated one: half and twice as long, and units that
+# are mixed up (mm, inches and cm in place of m).
+SQUARE_FACTORS = (1e-3, 0.01, 0.0254, 0.5, 0.7, 1.4, 2.0, 10.0, 39.37, 100.0)
 UNDISTORT_STEPS = 20
 MAX_START_ANGLE = 1.3  # rad from the axis, of corners that start a fisheye
 NEXT_TO_NOTHING = 1e-18
@@ -289,6 +292,20 @@ class Camera(Sensor):
                 R = R.transpose(0, 2, 1)
                 r = -(R @ r[:, :, None])[:, :, 0]
             yield View(lens, r, R, seen)
+
+    def variants(self) -> Iterator[tuple[str, Camera]]:
+        """Yield the other mounting, rows in place of columns, and sides of the squares."""
+        other: Literal["fixed", "platform"] = "platform" if self.mounted == "fixed" else "fixed"
+        yield f"mounted: {other}", replace(self, mounted=other)
+        if self.columns != self.rows:
+            turned = replace(self, columns=self.rows, rows=self.columns)
+            words = f"columns: {turned.columns}, rows: {turned.rows}"
+            yield words, turned
+            yield f"{words}, mounted: {other}", replace(turned, mounted=other)
+        for factor in SQUARE_FACTORS:
+            side = factor * self.square
+            if side < MAX_SQUARE:
+                yield f"square: about {side:.2g}", replace(self, square=side)
 
     def placed(self, f: np.ndarray, F: np.ndarray, t: np.ndarray, T: np.ndarray) -> Camera:
         if self.mounted == "platform":
