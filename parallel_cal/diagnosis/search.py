@@ -282,7 +282,7 @@ class Search:
             # A refit costs a second, and one without a solution several.
             if all(c.name == one.name or _is_pair_unusual(before, one, c) for c in partners):
                 continue
-            beyond = self.fit(*alone, insist=True)
+            beyond = self.fit(*alone, insist=True, judged=False)
             more = rank(beyond) if beyond.result is not None else []
             halves = [c for c in ranked if c.name in one.effect.lookalikes]
             for other, less in [*((c, beyond) for c in more), *((c, before) for c in halves)]:
@@ -291,15 +291,17 @@ class Search:
                     continue
                 if _is_pair_unusual(before, one, other):
                     continue
-                both = self.fit(*alone, Chosen.of(other))
+                # Held-out poses last: they cost several fits, and most pairs fail before.
+                both = self.fit(*alone, Chosen.of(other), judged=False)
                 if both.result is None:
                     refused.add(pair)
                     continue
-                if _describe_held_out_objection(before, both) or _describe_chance_objection(
-                    less, both, other
-                ):
+                if _describe_chance_objection(less, both, other):
                     continue
-                if _compute_oversize_ratio(before.fitted, both.result) <= 1:
+                if _compute_oversize_ratio(before.fitted, both.result) > 1:
+                    continue
+                both = self.fit(*alone, Chosen.of(other))
+                if both.result is not None and not _describe_held_out_objection(before, both):
                     found.append(both)
                     break
         return min(found, key=lambda both: both.fitted.estimate.chi2_per_dof, default=None)
