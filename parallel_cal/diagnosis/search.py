@@ -584,11 +584,10 @@ def is_superfluous(less: Estimate, more: Estimate) -> bool:
     return improvement_log_p(less, more) > np.log(EFFECT_SIGNIFICANCE_LEVEL)
 
 
-def improvement_log_p(less: Estimate, more: Estimate, inflation: float = 1.0) -> float:
-    """log p of the improvement by additional parameters, by an F test; `inflation` is the variance
-    of the noise where these act over that of white noise."""
+def improvement_log_p(less: Estimate, more: Estimate) -> float:
+    """log p of the improvement by additional parameters, by an F test."""
     q = less.dof - more.dof
     if q <= 0 or more.dof <= 0:
         return 0.0
     F = max(less.chi2 - more.chi2, 0.0) / q / max(more.chi2_per_dof, 1e-300)
-    return float(log_p_of(F / inflation, q, more.dof))
+    return float(log_p_of(F, q, more.dof))
