@@ -7,7 +7,7 @@ import virtual_findings as vf
 from findings import dataset, sized
 
 from parallel_cal.diagnosis.diagnose import diagnose
-from parallel_cal.diagnosis.drift import Session, compute_drift_log_likelihood
+from parallel_cal.diagnosis.drift import ErrorSeries, compute_drift_log_likelihood
 from parallel_cal.diagnosis.thresholds import DRIFT_MEMORIES, DRIFT_VARIANCES
 from parallel_cal.model.model import new_model
 
@@ -16,7 +16,7 @@ TIME = np.cumsum(np.random.default_rng(0).uniform(9, 12, 120))
 
 def session(error, columns):
     sigma = np.full((len(TIME), 1), 2e-6)
-    return Session(error[:, None], sigma, columns[:, None, :], TIME)
+    return ErrorSeries(error[:, None], sigma, columns[:, None, :], TIME)
 
 
 def gain_of_a_steady_drift(error):

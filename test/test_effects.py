@@ -11,7 +11,7 @@ import pytest
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import quaternion_to_matrix, rotation_matrix
 from parallel_cal.kinematics.kinematics import Kinematics
-from parallel_cal.model.effect import CONDITIONS
+from parallel_cal.model.effect import CONDITIONS, format_effect, parse_effects
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import new_model
@@ -281,3 +281,21 @@ def test_a_users_effect_with_a_mistake_is_refused_in_one_line(
         Kinematics(new_model("slider_crank", effects=["workshop_wrong.slip"])).direct(np.ones(1))
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_pattern_sets_all_joints_and_is_printed_as_it_is_read():
+    model = new_model("delta24")
+    text = "hysteresis:*.width=0.00222"
+    ((name, settings),) = parse_effects(text)
+    worn = model.with_effect(name, settings)
+    widths = worn.table.matching(["hysteresis.*.width"])
+    assert worn.values[widths].tolist() == [0.00222] * 3
+    assert np.asarray(worn.fixed)[widths].all()
+    each = {f"{joint}.width": 0.00222 for joint in worn.joints}
+    assert format_effect("hysteresis", each, worn.table.names) == text
+    other = each | {f"{worn.joints[0]}.width": 0.001}
+    assert parse_effects(format_effect("hysteresis", other, worn.table.names)) == [
+        ("hysteresis", other)
+    ]
+    with pytest.raises(ModelError, match=r"no parameter matches 'hysteresis\.\*\.breadth'"):
+        model.with_effect("hysteresis", {"*.breadth": 0.1})

@@ -75,6 +75,7 @@ from parallel_cal.identification.registration import (
     add_registration_warning,
     prepared_for_fit,
 )
+from parallel_cal.model.effect import format_effect
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset, check_inputs
 
@@ -183,7 +184,8 @@ class Diagnosis(ShownInNotebook):
         """The effects found, as arguments of `add`, such as `gear_transmission_error:ratio=80`.
 
         To add all of them in one step, join them by `+`."""
-        return tuple(c.text for c in self.best.chosen)
+        names = self.best.fitted.model.table.names
+        return tuple(format_effect(c.name, c.settings, names) for c in self.best.chosen)
 
     @property
     def band(self) -> tuple[float, float]:

@@ -31,13 +31,13 @@ def compute_drift_p_value(without: Scene, with_effect: Scene, parameters: int) -
     the ratio of the likelihoods, judged as by Wilks (1938)."""
     from scipy.special import chdtrc
 
-    gain = compute_drift_log_likelihood(Session.of(with_effect))
-    gain -= compute_drift_log_likelihood(Session.of(without))
+    gain = compute_drift_log_likelihood(ErrorSeries.of(with_effect))
+    gain -= compute_drift_log_likelihood(ErrorSeries.of(without))
     return float(chdtrc(max(parameters, 1), max(2 * gain, 0.0)))
 
 
 @dataclass(frozen=True)
-class Session:
+class ErrorSeries:
     """Errors (N, k) at times (N,) s, in order, their white noise `sigma` (N, k), and how they
     change with the free parameters of the model: columns (N, k, p). An error that is exactly zero
     was not measured."""
@@ -48,7 +48,7 @@ class Session:
     time: np.ndarray
 
     @classmethod
-    def of(cls, scene: Scene) -> Session:
+    def of(cls, scene: Scene) -> ErrorSeries:
         """The pose errors of a scene, or else those of readings or of the closure; of very many
         samples, averages of neighbours in time."""
         field = Field.of(scene)
@@ -89,7 +89,7 @@ def _differentiate_errors(scene: Scene, field: Field) -> np.ndarray:
     return np.asarray(scene.whitener @ J)
 
 
-def compute_drift_log_likelihood(session: Session) -> float:
+def compute_drift_log_likelihood(series: ErrorSeries) -> float:
     """Compute the log likelihood of a session's errors, up to a constant, if each component is
     white noise, proportional to its sigma, and a process of first order.
 
@@ -97,18 +97,18 @@ def compute_drift_log_likelihood(session: Session) -> float:
     of both: given the noise, the parameters are those of weighted least squares, and so in turns.
     Without this a walk would distort the geometry, and count against itself.
     """
-    white = (session.sigma / np.median(session.sigma, axis=0)) ** 2
-    rows = np.concatenate([session.error[:, :, None], session.columns], axis=2)
-    error, likely = session.error, -np.inf
+    white = (series.sigma / np.median(series.sigma, axis=0)) ** 2
+    rows = np.concatenate([series.error[:, :, None], series.columns], axis=2)
+    error, likely = series.error, -np.inf
     for _ in range(MAX_DRIFT_STEPS):
-        kept, variance, scale, now = _fit_noise(error, session.error != 0, white, session.time)
+        kept, variance, scale, now = _fit_noise(error, series.error != 0, white, series.time)
         if now < likely + MIN_DRIFT_GAIN:
             break
         likely = now
-        filtered = _filter(rows, session.error != 0, white, kept, variance) / scale[:, None]
+        filtered = _filter(rows, series.error != 0, white, kept, variance) / scale[:, None]
         filtered = filtered.reshape(-1, rows.shape[2])
         step = np.linalg.lstsq(filtered[:, 1:], filtered[:, 0], rcond=LSTSQ_RANK_TOLERANCE)[0]
-        error = np.where(session.error != 0, session.error - session.columns @ step, 0.0)
+        error = np.where(series.error != 0, series.error - series.columns @ step, 0.0)
     return likely
 
 

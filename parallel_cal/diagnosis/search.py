@@ -282,7 +282,7 @@ class Search:
             # A refit costs a second, and one without a solution several.
             if all(c.name == one.name or _is_pair_unusual(before, one, c) for c in partners):
                 continue
-            beyond = self.fit(*alone, insist=True)
+            beyond = self.fit(*alone, insist=True, judged=False)
             more = rank(beyond) if beyond.result is not None else []
             halves = [c for c in ranked if c.name in one.effect.lookalikes]
             for other, less in [*((c, beyond) for c in more), *((c, before) for c in halves)]:
@@ -291,15 +291,17 @@ class Search:
                     continue
                 if _is_pair_unusual(before, one, other):
                     continue
-                both = self.fit(*alone, Chosen.of(other))
+                # Held-out poses last: they cost several fits, and most pairs fail before.
+                both = self.fit(*alone, Chosen.of(other), judged=False)
                 if both.result is None:
                     refused.add(pair)
                     continue
-                if _describe_held_out_objection(before, both) or _describe_chance_objection(
-                    less, both, other
-                ):
+                if _describe_chance_objection(less, both, other):
                     continue
-                if _compute_oversize_ratio(before.fitted, both.result) <= 1:
+                if _compute_oversize_ratio(before.fitted, both.result) > 1:
+                    continue
+                both = self.fit(*alone, Chosen.of(other))
+                if both.result is not None and not _describe_held_out_objection(before, both):
                     found.append(both)
                     break
         return min(found, key=lambda both: both.fitted.estimate.chi2_per_dof, default=None)
@@ -582,11 +584,10 @@ def is_superfluous(less: Estimate, more: Estimate) -> bool:
     return improvement_log_p(less, more) > np.log(EFFECT_SIGNIFICANCE_LEVEL)
 
 
-def improvement_log_p(less: Estimate, more: Estimate, inflation: float = 1.0) -> float:
-    """log p of the improvement by additional parameters, by an F test; `inflation` is the variance
-    of the noise where these act over that of white noise."""
+def improvement_log_p(less: Estimate, more: Estimate) -> float:
+    """log p of the improvement by additional parameters, by an F test."""
     q = less.dof - more.dof
     if q <= 0 or more.dof <= 0:
         return 0.0
     F = max(less.chi2 - more.chi2, 0.0) / q / max(more.chi2_per_dof, 1e-300)
-    return float(log_p_of(F / inflation, q, more.dof))
+    return float(log_p_of(F, q, more.dof))

@@ -283,6 +283,20 @@ def parse_effects(text: str) -> list[tuple[str, dict[str, float]]]:
     return [parse_effect(part) for part in re.split(r"\+(?=[A-Za-z_])", text)]  # not at 1e+3
 
 
+def format_effect(name: str, settings: Mapping[str, float], names: Iterable[str]) -> str:
+    """Format an effect with its settings as `parse_effect` reads them. Settings that all joints, or
+    all parts, of a model with the parameters `names` have alike are one pattern."""
+    own = [n.removeprefix(f"{name}.") for n in names if n.startswith(f"{name}.")]
+    short: dict[str, float] = {}
+    for key, value in settings.items():
+        part, dot, last = key.partition(".")
+        alike = [n for n in own if n.partition(".")[2] == last] if dot and part else []
+        shared = len(alike) > 1 and all(settings.get(n) == value for n in alike)
+        short[f"*.{last}" if shared else key] = value
+    numbers = ",".join(f"{key}={float(value)!r}" for key, value in short.items())
+    return ":".join(filter(None, [name, numbers]))
+
+
 def parse_effect(text: str) -> tuple[str, dict[str, float]]:
     """Parse `NAME[:key=value,...]` into name and parameters; ModelError for other text."""
     name, given = split_options(text, "effect", ModelError)

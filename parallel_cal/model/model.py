@@ -225,12 +225,14 @@ class Model:
     def with_settings(self, effect: str, settings: Mapping[str, float]) -> Model:
         """Return the model with some parameters of an effect fixed at the given values.
 
-        `settings` are the values in SI units by short name, such as `{"ratio": 80.0}`.
+        `settings` are the values in SI units by short name, such as `{"ratio": 80.0}`, or by a
+        pattern of names, such as `{"*.width": 2e-3}` for the width of all joints.
         """
         values, fixed = self.values.copy(), self.fixed.copy()
         for key, value in settings.items():
-            i = self.table.index_of(f"{effect}.{key}")
-            values[i], fixed[i] = value, True
+            name = f"{effect}.{key}"
+            which = self.table.matching([name]) if "*" in key else self.table.index_of(name)
+            values[which], fixed[which] = value, True
         return replace(self, values=values, fixed=fixed)
 
     def robot(self) -> Model:
