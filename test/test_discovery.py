@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import pickle
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +18,7 @@ import virtual_laws as laws
 import virtual_sessions as days
 
 from parallel_cal.base.errors import ModelError
+from parallel_cal.base.parallel import run_on_cores
 from parallel_cal.base.progress import never_falling
 from parallel_cal.cli import main as cli
 from parallel_cal.diagnosis.catalogue import find_new_parameters
@@ -198,6 +200,26 @@ def test_an_error_of_the_device_is_not_learned_by_the_robot(device):
     assert all(law.of_device for law in found.laws), found.summary
     for law in found.suspected:
         assert "device" in law.against
+
+
+@pytest.mark.wide
+def test_a_search_finds_the_same_to_the_last_bit_on_one_core_and_where_parts_are_sent_elsewhere(
+    spring, monkeypatch
+):
+    found, data, *_ = spring
+
+    def run_elsewhere(do, shared, items):
+        """As a cluster: every part and every result is sent."""
+        there = pickle.dumps((do, shared))
+        for item in items:
+            work, own = pickle.loads(there)
+            yield pickle.loads(pickle.dumps(work(own, pickle.loads(pickle.dumps(item)))))
+
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    for run in (run_on_cores, run_elsewhere):
+        other = discover(new_model("delta54"), data, run=run)
+        assert other.document() == found.document()
+        assert other.laws[0].text == found.laws[0].text
 
 
 def test_a_search_is_cancelled_by_an_exception_of_its_progress():
