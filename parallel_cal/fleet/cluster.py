@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import signal
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from importlib.util import find_spec
 from multiprocessing import resource_tracker
@@ -128,7 +128,7 @@ def results(
 
 def run_each(
     client: Client, do: Callable[..., Any], calls: Sequence[tuple[Any, ...]]
-) -> Iterator[tuple[int, Any]]:
+) -> Generator[tuple[int, Any], None, None]:
     """Yield the number and the result of every call as it is finished, in no order.
 
     The result is None if the call killed its workers repeatedly. Closing the iterator cancels the
