@@ -262,7 +262,11 @@ def test_the_page_shows_the_counts_of_the_kept_study(monkeypatch):
     monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "bench"))
     study = importlib.import_module("discover")
     outcomes = list(study.kept(study.STUDY).values())
-    assert {one.case.kind for one in outcomes if one.case.family == "catalogue"} == {*cs.EFFECTS}
+    hidden = {
+        one.case.kind for one in outcomes if one.case.family in ("catalogue", "pose", "larger")
+    }
+    assert len(hidden) > 15
+    assert hidden <= {*cs.EFFECTS}
     assert study.make_table(outcomes) in study.PAGE.read_text()
 
 
