@@ -71,6 +71,7 @@ SHOWN = {  # family -> its sessions in words, and what is counted in words
     "payload": ("payload recorded late, no law", {"law": "a law found"}),
     "device": ("an error of the device", {"learned": "learned by the robot"}),
 }
+FIRST_SEED = 2000  # of the sessions that were searched by the present version
 MAX_ERROR_RATIO = 1.25  # of the true error with a found law to that with the true effect
 CLEARLY = 1.1  # of the true error before: its own uncertainty at 60 poses
 SIGMAS = (1.0, 2.0)  # of the residual that the geometry leaves of a law
@@ -313,16 +314,26 @@ def count(some: list[Outcome]) -> dict[str, int]:
 
 
 def make_table(outcomes: list[Outcome]) -> str:
-    """The table of the page: counts with their exact intervals, by family."""
-    rows = ["| sessions | what | count | share, 95 % interval |", "|---|---|--:|---|"]
+    """The table of the page: counts with their exact intervals, by family, of the present version
+    and of earlier ones; then the effects that were hidden in no session of the present one."""
+    rows = [
+        "| sessions | what | this version | share, 95 % interval | earlier versions |",
+        "|---|---|--:|---|--:|",
+    ]
+    present = [o for o in outcomes if o.case.seed >= FIRST_SEED]
     for family, (sessions, counted) in SHOWN.items():
-        some = [o for o in outcomes if o.case.family == family]
-        counts = count(some)
+        now = [o for o in present if o.case.family == family]
+        before = [o for o in outcomes if o.case.family == family and o.case.seed < FIRST_SEED]
         for name, words in counted.items():
-            share = blind.interval(counts[name], len(some)) if some else "none yet"
-            shown = f"{counts[name]} of {len(some)}"
-            rows.append(f"| {sessions} | {words} | {shown} | {share.replace('..', ' to ')} |")
-    return "\n".join(rows)
+            shown = [
+                f"{count(some)[name]} of {len(some)}" if some else "-" for some in (now, before)
+            ]
+            share = blind.interval(count(now)[name], len(now)) if now else "-"
+            share = share.replace("..", " to ")
+            rows.append(f"| {sessions} | {words} | {shown[0]} | {share} | {shown[1]} |")
+    missing = ", ".join(sorted({*cs.EFFECTS} - {o.case.kind for o in present}))
+    note = f"\n\nHidden in no session of this version: {missing}." if missing else ""
+    return "\n".join(rows) + note
 
 
 def write_page() -> None:

@@ -56,3 +56,11 @@ def test_the_workbench_gets_plain_data_that_it_can_sort():
 
 def test_a_sort_key_replaces_the_text_of_its_cell_in_the_workbench():
     assert as_rows(Table(("sample",), [(Cell("7", key=7),)]))["rows"][0]["sample"] == 7
+
+
+def test_a_terminal_shows_digits_of_a_number_that_its_decimals_would_hide():
+    """A coefficient in m/N^2 was shown as 0.0000 +- 0.0000."""
+    small = Number(-1.165e-7, decimals=4, sigma=4.3e-9)
+    assert small.fixed() == "-0.0000001165"
+    assert Number(4.3e-9, decimals=4, sigma=4.3e-9).fixed() == "0.0000000043"
+    assert Number(0.09625681, 1e3, decimals=4, sigma=2.3e-5).fixed() == "96.2568"

@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import pickle
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +18,7 @@ import virtual_laws as laws
 import virtual_sessions as days
 
 from parallel_cal.base.errors import ModelError
+from parallel_cal.base.parallel import run_on_cores
 from parallel_cal.base.progress import never_falling
 from parallel_cal.cli import main as cli
 from parallel_cal.diagnosis.catalogue import find_new_parameters
@@ -25,6 +27,7 @@ from parallel_cal.diagnosis.scene import columns as compute_effect_columns
 from parallel_cal.discovery.discovery import discover, find_winner
 from parallel_cal.discovery.drivers import list_drivers
 from parallel_cal.discovery.effect_file import load_text, write_effect, write_effect_file
+from parallel_cal.discovery.folds import choose_in_folds
 from parallel_cal.discovery.formula import Factor, Formula, Term, find_formula
 from parallel_cal.discovery.nulls import characterise_noise, compute_threshold, draw_residuals
 from parallel_cal.discovery.parts import find_parts
@@ -118,6 +121,8 @@ def test_a_law_states_its_range_its_share_and_its_errors_at_held_out_poses(sprin
         ("thermal_expansion", 1.0),
         ("thermal_expansion", 2.0),
         ("spool_buildup", 1.0),
+        ("payload_sag", 2.0),
+        ("line_stretch", 1.0),
     ],
 )
 def test_an_effect_is_found_again_without_itself_and_its_lookalikes_in_the_catalogue(name, sigmas):
@@ -200,6 +205,26 @@ def test_an_error_of_the_device_is_not_learned_by_the_robot(device):
         assert "device" in law.against
 
 
+@pytest.mark.wide
+def test_a_search_finds_the_same_to_the_last_bit_on_one_core_and_where_parts_are_sent_elsewhere(
+    spring, monkeypatch
+):
+    found, data, *_ = spring
+
+    def run_elsewhere(do, shared, items):
+        """As a cluster: every part and every result is sent."""
+        there = pickle.dumps((do, shared))
+        for item in items:
+            work, own = pickle.loads(there)
+            yield pickle.loads(pickle.dumps(work(own, pickle.loads(pickle.dumps(item)))))
+
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    for run in (run_on_cores, run_elsewhere):
+        other = discover(new_model("delta54"), data, run=run)
+        assert other.document() == found.document()
+        assert other.laws[0].text == found.laws[0].text
+
+
 def test_a_search_is_cancelled_by_an_exception_of_its_progress():
     class Cancelled(Exception):
         pass
@@ -237,7 +262,11 @@ def test_the_page_shows_the_counts_of_the_kept_study(monkeypatch):
     monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "bench"))
     study = importlib.import_module("discover")
     outcomes = list(study.kept(study.STUDY).values())
-    assert {one.case.kind for one in outcomes if one.case.family == "catalogue"} == {*cs.EFFECTS}
+    hidden = {
+        one.case.kind for one in outcomes if one.case.family in ("catalogue", "pose", "larger")
+    }
+    assert len(hidden) > 15
+    assert hidden <= {*cs.EFFECTS}
     assert study.make_table(outcomes) in study.PAGE.read_text()
 
 
@@ -513,6 +542,83 @@ def test_of_equally_good_laws_that_of_a_joints_own_reading_comes_first(scene):
     winner = find_winner(targets, [(100.0, one) for one in rivals])
     assert winner.formula.hypothesis is rivals[1]
     assert [one.hypothesis for one in winner.equal] == [rivals[0]]
+
+
+def _column_of(scene, effect, parameter):
+    """d residual/d parameter (n,) of an effect that is new to the scene's model."""
+    extended = scene.model.with_effect(effect)
+    new = find_new_parameters(scene.model, extended)
+    names = [name for name, one in zip(extended.table.names, new, strict=True) if one]
+    columns = compute_effect_columns(extended, scene, new) / extended.table.tolerance[new]
+    return columns[:, names.index(f"{effect}.{parameter}")]
+
+
+def test_a_base_is_turned_by_the_moment_of_the_payload_as_by_a_frame_that_tilts(scene):
+    (site,) = _find_sites(scene, ("base", False))
+    own = tuple(one for one in list_drivers(scene) if one.family == "moment")
+    assert [one.name for one in own] == ["moment.x", "moment.y"]
+    assert [place.name for place in site.members] == ["base.rx", "base.ry"]
+    laws = [(place, 3e-4 * one.values) for place, one in zip(site.members, own, strict=True)]
+    found = find_formula(_leave(scene, laws), Hypothesis(site, (own,)))
+    assert [term.word for term in found.terms] == ["linear"]
+    assert found.coefficients[0, 0] == pytest.approx(3e-4, rel=0.2)
+    law = load_text(write_effect(found, "the base turns", "a test"))
+    ours, known = _column_of(scene, law, "linear"), _column_of(scene, "payload_sag", "tilt")
+    np.testing.assert_allclose(ours, known, atol=1e-9 * np.abs(known).max())
+
+
+def test_lines_are_longer_by_their_stretch_as_by_that_of_the_catalogue():
+    machine = cs.MACHINES["cable"]
+    data = cs.measure(machine, None, 0)
+    result = fit(machine.model(), data, hold_out=0)
+    scene = Scene.of(result.model, data, result.observations, result.free)
+    (site,) = _find_sites(scene, ("offset", False))
+    own = tuple(one for one in list_drivers(scene) if one.family == "stretch")
+    assert [one.name for one in own] == [f"stretch.motor{k}" for k in range(1, 5)]
+    assert [place.joint for place in site.members] == [0, 1, 2, 3]
+    laws = [(place, 2e-4 * one.values) for place, one in zip(site.members, own, strict=True)]
+    found = find_formula(_leave(scene, laws), Hypothesis(site, (own,)))
+    assert found.coefficients[0, 0] == pytest.approx(2e-4, rel=0.1)
+    law = load_text(write_effect(found, "lines stretch", "a test"))
+    assert "it has no line1.offset" in load_effect(law).applies(new_model("delta54").mechanism)
+    ours = _column_of(scene, law, "linear")
+    known = _column_of(scene, "line_stretch", "compliance")
+    np.testing.assert_allclose(ours, known, atol=1e-9 * np.abs(known).max())
+
+
+def test_a_weak_law_in_proportion_to_its_driver_is_found_by_one_column(scene):
+    """So many splines cost more than a law of five sigmas gains."""
+    (place,) = [one for one in list_places(scene) if one.name == "pose.z"]
+    (driver,) = [one for one in list_drivers(scene) if one.name == "load.joint2"]
+    column = scene.project_off_geometry((place.columns * driver.values[:, None]).reshape(-1, 1))
+    size = 5.0 / np.linalg.norm(column)
+    quiet = scene.residual - column @ np.linalg.lstsq(column, scene.residual)[0]
+    targets = Targets.of(scene, (quiet - size * column[:, 0])[:, None], np.zeros((len(quiet), 0)))
+    scores = [
+        float(e)
+        for part in Screening(scene, [Site("pose.z", (place,))], [driver]).score(targets)
+        for e in part.evidence[:, 0]
+    ]
+    assert len(scores) == 2
+    assert max(scores) > 8 > 0 > min(scores)
+
+
+def test_the_form_of_a_law_is_chosen_anew_without_the_held_out_poses(scene):
+    """A form that all poses chose to perfection in mere noise is worth nothing there."""
+    (place,) = [one for one in list_places(scene) if one.name == "joint2"]
+    (driver,) = [one for one in list_drivers(scene) if one.name == "load.joint2"]
+    hypothesis = Hypothesis(Site("joint2", (place,)), ((driver,),))
+    targets = _leave(scene, [(place, 0.3 * (driver.values / np.ptp(driver.values)) ** 3)])
+    law = find_formula(targets, hypothesis)
+    choice = choose_in_folds(targets, law)
+    assert choice.is_clear
+    assert choice.ratio <= choice.ratio_anew < 1.1 * choice.ratio < 0.5
+    noise = _leave(scene, [])
+    perfect = replace(law, columns=noise.residuals)
+    chance = choose_in_folds(noise, perfect)
+    assert chance.ratio < 0.01
+    assert chance.ratio_anew == pytest.approx(1.0, abs=0.02)
+    assert not chance.is_clear
 
 
 def test_a_scanned_constant_makes_a_formula_less_simple_than_a_line(scene):

@@ -4,12 +4,14 @@ import json
 import shutil
 import sys
 
+import numpy as np
 import pytest
 from workbench_page import LONG, Served, opened, until
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.cli import main as cli
 from parallel_cal.discovery.discovery import Discovery, Law
+from parallel_cal.discovery.folds import Choice
 from parallel_cal.discovery.in_session import discover_in_session, name_effect, write_laws
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.model.file.modelfile import read_model
@@ -56,6 +58,7 @@ def law(place="joint2", text=TEXT):
         noise_floor=errors,
         tested={"payload": (0.0, 2.0)},
         alternatives=("chain1.La_y by payload",),
+        choice=Choice(np.full(2, 4.0), np.ones(2), np.ones(2), np.arange(2)),
         evidence=9.0,
         threshold=5.0,
         against="",

@@ -55,3 +55,22 @@ def test_an_error_of_the_caller_ends_the_work_and_one_of_a_part_reaches_the_call
         list(parallel.run_on_cores(work, None, range(890, 1000)))
     assert 900 in begun
     assert 999 not in begun
+
+
+def answer(shared, item):
+    """None where there is nothing to answer, and as late as the item is small."""
+    time.sleep(0.01 * (5 - item))
+    return None if item == 2 else shared + item
+
+
+@pytest.mark.wide
+def test_a_cluster_answers_in_the_order_of_the_parts_and_says_what_a_worker_cannot_do():
+    pytest.importorskip("distributed")
+    from parallel_cal.fleet.cluster import cluster, run_on_cluster
+    from parallel_cal.fleet.jobs import FleetError
+
+    with cluster(None, 2) as client:
+        run = run_on_cluster(client)
+        assert list(run(answer, 100, range(5))) == [100, 101, None, 103, 104]
+        with pytest.raises(FleetError, match="TypeError"):
+            list(run(answer, "no number", range(5)))

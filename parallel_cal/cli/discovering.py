@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from parallel_cal.cli.arguments import Bags, Data, FittingByMethod, Json, ModelFile, with_options
+from parallel_cal.base.parallel import Runner, run_on_cores
+from parallel_cal.cli.arguments import (
+    Bags,
+    Data,
+    FittingByMethod,
+    Json,
+    ModelFile,
+    Scheduler,
+    with_options,
+)
 from parallel_cal.cli.calibration import read_model_and_data
 from parallel_cal.reporting import console
 
@@ -25,6 +36,7 @@ def discover(
     bags: Bags,
     *,
     output: EffectOut = None,
+    scheduler: Scheduler = None,
     options: FittingByMethod,
     data: Data = None,
     as_json: Json = False,
@@ -37,7 +49,10 @@ def discover(
     if output is not None:
         check_effect_path(output)  # before a search of seconds
     judged, dataset = read_model_and_data(model, bags, data)
-    found = discovery.discover(judged, dataset, options=options, progress=console.progress)
+    with _choose_runner(scheduler) as run:
+        found = discovery.discover(
+            judged, dataset, options=options, progress=console.progress, run=run
+        )
     files = found.write(output) if output is not None else []
     console.progress("", 1.0)
     if as_json:
@@ -52,3 +67,16 @@ def discover(
         laws, folder = "+".join(file.stem for file in files), files[0].parent
         command = f"PYTHONPATH={folder} parallel-cal add {model} {laws} RECORDING"
         console.say(f"written: {', '.join(map(str, files))}; next: {command}")
+
+
+@contextmanager
+def _choose_runner(scheduler: str | None) -> Iterator[Runner]:
+    """The runner of a Dask cluster at an address, else that of this machine's cores."""
+    if scheduler is None:
+        yield run_on_cores
+        return
+    from parallel_cal.fleet.cluster import check_extra_installed, cluster, run_on_cluster
+
+    check_extra_installed()
+    with cluster(scheduler, None) as client:
+        yield run_on_cluster(client)

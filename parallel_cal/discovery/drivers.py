@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
@@ -194,7 +194,7 @@ def list_drivers(scene: Scene) -> list[Driver]:
     for one in _iterate_drivers(scene):
         if np.isfinite(one.values).all() and np.ptp(one.values) > MIN_VARIATION:
             slow = known_order and _varies_slowly(one.values[order])
-            found.append(Driver(**{**vars(one), "slow": slow}))
+            found.append(replace(one, slow=slow, values=np.ascontiguousarray(one.values)))
     return found
 
 

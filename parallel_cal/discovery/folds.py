@@ -57,7 +57,8 @@ def choose_in_folds(targets: Targets, formula: Formula, run: Runner = run_on_cor
     with running(run, _judge_fold, (targets, formula), held_out) as judged:
         for own, found in zip(held_out, judged, strict=True):
             squares[:, own] = found
-    return Choice(*squares, targets.group)
+    without, chosen, anew = squares
+    return Choice(without, chosen, anew, targets.group)
 
 
 def _judge_fold(shared: tuple[Targets, Formula], held_out: np.ndarray) -> list[np.ndarray]:

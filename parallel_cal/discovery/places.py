@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import casadi as ca
 import numpy as np
@@ -95,7 +95,12 @@ def list_places(scene: Scene, stations: Stations | None = None) -> list[Place]:
         for k, p in enumerate(mechanism.parameters)
     ]
     found += _list_rods(scene, J[:, :, n + 12 :])
-    return [place for place in found if np.any(place.columns)]
+    # Contiguous: sums over them then do not depend on where they are computed, to the last bit.
+    return [
+        replace(place, columns=np.ascontiguousarray(place.columns))
+        for place in found
+        if np.any(place.columns)
+    ]
 
 
 def _list_turns_of_base(scene: Scene, pose: np.ndarray) -> list[Place]:

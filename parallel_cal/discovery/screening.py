@@ -227,9 +227,9 @@ class Screening:
         if site.kind == BASE:
             by_axis = {one.axis: one for one in self._drivers if one.axis is not None}
             moments = [by_axis.get(place.index - 3) for place in site.members]
-            turned = tuple(one for one in moments if one is not None)
-            own_moments = [turned] if len(turned) == n else []
-            return [*own_moments, *((one,) * n for one in common if one.family not in PLACES)]
+            of_axes = tuple(one for one in moments if one is not None)
+            by_moment = [of_axes] if len(of_axes) == n else []
+            return [*by_moment, *((one,) * n for one in common if one.family not in PLACES)]
         if site.kind == PLATFORM:
             return [(one,) * n for one in (*own, *common) if one.family != READING]
         if site.kind == ROD:

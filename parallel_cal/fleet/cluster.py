@@ -5,12 +5,14 @@ from __future__ import annotations
 import logging
 import os
 import signal
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from importlib.util import find_spec
 from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any
 
+from parallel_cal.base.parallel import Runner
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.fleet.jobs import FleetError, FleetOptions, Job
 from parallel_cal.fleet.judging import Page, Row, judge_recording
 
@@ -126,16 +128,26 @@ def results(
 
 def run_each(
     client: Client, do: Callable[..., Any], calls: Sequence[tuple[Any, ...]]
-) -> Iterator[tuple[int, Any]]:
+) -> Generator[tuple[int, Any], None, None]:
     """Yield the number and the result of every call as it is finished, in no order.
 
-    The result is None if the call killed its workers repeatedly. Raises FleetError if the
-    scheduler is lost or if a worker cannot run the call."""
-    from distributed import KilledWorker, as_completed
-
+    The result is None if the call killed its workers repeatedly. Closing the iterator cancels the
+    calls that are left. Raises FleetError if the scheduler is lost or if a worker cannot run the
+    call."""
     futures: dict[Future, int] = {
         client.submit(do, *call, pure=False): k for k, call in enumerate(calls)
     }
+    try:
+        yield from _collect(futures)
+    except GeneratorExit:
+        client.cancel(list(futures))
+        raise
+
+
+def _collect(futures: dict[Future, int]) -> Iterator[tuple[int, Any]]:
+    """Yield the number and the result of every future as it is finished, and remove it."""
+    from distributed import KilledWorker, as_completed
+
     for future in as_completed(list(futures)):
         k = futures.pop(future)
         if future.status == "finished":
@@ -155,6 +167,34 @@ def run_each(
         else:
             raise _make_lost_error()
         future.release()
+
+
+def run_on_cluster(client: Client) -> Runner:
+    """Run the parts of one computation, such as `discover`, on the workers of a cluster.
+
+    FleetError if a part ends its worker repeatedly."""
+
+    def run(do: Callable[[Any, Any], Any], shared: Any, items: Iterable[Any]) -> Iterator[Any]:
+        (sent,) = client.scatter([shared], broadcast=True, hash=False)
+        calls = [(do, sent, item) for item in items]
+        results: dict[int, Any] = {}
+        following = 0
+        with closing(run_each(client, _compute_part, calls)) as finished:
+            for k, answer in finished:
+                if answer is None:
+                    raise FleetError(f"part {k + 1} of {len(calls)}: {KILLED_WORKER_REASON}")
+                (results[k],) = answer
+                while following in results:
+                    yield results.pop(following)
+                    following += 1
+
+    return run
+
+
+@single_threaded()
+def _compute_part(do: Callable[[Any, Any], Any], shared: Any, item: Any) -> tuple[Any]:
+    """The result of a part, which may be None, as a tuple."""
+    return (do(shared, item),)
 
 
 def _make_lost_error() -> FleetError:

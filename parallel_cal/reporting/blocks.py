@@ -44,7 +44,10 @@ class Number:
     unit: str = ""
 
     def fixed(self) -> str:
-        """Format the number for a terminal."""
+        """Format the number for a terminal: as on a page where the decimals would show no digit of
+        the sigma, as of a coefficient in m/N^2."""
+        if is_known(self.sigma) and 0 < self.sigma * self.factor < 0.5 * 10**-self.decimals:
+            return self.on_page()
         return format_fixed(self.value, self.factor, self.decimals)
 
     def on_page(self) -> str:
