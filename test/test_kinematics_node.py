@@ -48,6 +48,8 @@ from parallel_cal.kinematics.all_solutions import direct_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.file.modelfile import model_hash, read_model, write_model
 from parallel_cal.nodes.client import Client, use_private_domain
+from parallel_cal.nodes.conversions import STOPPING_TIME_S
+from parallel_cal.nodes.streams import MAX_HALT_AGE_S
 
 CONFIG = Path(__file__).parents[1] / "config"
 NOMINAL, IDENTIFIED = CONFIG / "delta_mockup_nominal.yaml", CONFIG / "delta_mockup_identified.yaml"
@@ -630,6 +632,34 @@ def test_a_path_becomes_one_trajectory_within_the_limits_or_a_refusal(robot):
     robot.client.wait(lambda: "joint2 moves at 0.5" in told[-1].message, "the refusal")
     accepted = [status for status in told if status.status == CommandStatus.ACCEPTED]
     robot.client.wait(lambda: len(heard) == len(accepted), "one command for each accepted path")
+
+
+def test_stop_halts_a_robot_that_is_seen_and_refuses_where_it_is_unknown(robot):
+    states = robot.client._node.create_publisher(JointState, "joint_states", 10)
+    poses = heard_on(robot, PoseStamped, f"{NODE}/pose")
+    heard = heard_on(robot, JointTrajectory, "joint_command")
+    q, speed = robot.kinematics.inverse(np.array([0.0, 0.0, 0.2])).joints, np.array([0.4, 0, 0])
+    publish_until(robot, states, JointState(name=NAMES, position=q.tolist()), poses)
+    rest = JointState(name=NAMES, position=q.tolist(), velocity=[0.0] * 3)
+    publish_until(robot, states, rest, poses)
+    assert robot.call(Trigger, "stop").success
+    robot.client.wait(lambda: bool(heard), "the command")
+    (point,) = heard[-1].points
+    np.testing.assert_allclose(point.positions, q, atol=1e-12)
+    assert list(point.velocities) == [0.0] * 3
+    moving = JointState(name=NAMES, position=q.tolist(), velocity=speed.tolist())
+    publish_until(robot, states, moving, poses)
+    answer = robot.call(Trigger, "stop")
+    if answer.success:  # a busy computer may have taken longer than such a stop may
+        robot.client.wait(lambda: len(heard) == 2, "the command")
+        ahead = np.array(heard[-1].points[0].positions) - q
+        assert 0.4 * STOPPING_TIME_S / 2 <= ahead[0] < 0.4 * (MAX_HALT_AGE_S + STOPPING_TIME_S)
+        np.testing.assert_allclose(ahead[1:], 0, atol=1e-12)
+    time.sleep(2 * MAX_HALT_AGE_S)
+    answer = robot.call(Trigger, "stop")
+    assert not answer.success
+    assert "its position is unknown; stop it by other means" in answer.message
+    publish_until(robot, states, rest, poses)
 
 
 def all_answered(robot, channel):

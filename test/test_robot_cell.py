@@ -299,6 +299,16 @@ def test_no_motion_begins_before_the_driver_tells_where_the_robot_is(monkeypatch
     assert time.monotonic() - robot.begun > 0.5
 
 
+def test_a_robot_that_was_moved_while_its_driver_was_silent_is_not_sent_on(monkeypatch):
+    monkeypatch.setattr(robot_cell, "FRESH_S", 0.1)
+    drift = Trajectory(np.array([1.0]), np.array([HOME]) + [[0, 0.1, 0]], np.zeros((1, 3)))
+    desk, robot = pausing(drift, (0.0, 0.5))
+    time.sleep(0.2)
+    with pytest.raises(CellError, match=r"^joint2 moved while the driver was silent"):
+        desk.cell.move(drift, robot.go_on)
+    desk.cell._motion.send.assert_not_called()
+
+
 @pytest.mark.parametrize("silence", [0.0, 0.4])
 def test_a_stop_is_where_the_robot_is_and_not_where_it_was_last_seen(silence):
     """A stop used to lead back over the way since the last joint state, in 50 ms."""

@@ -50,6 +50,7 @@ from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import write_model
 from parallel_cal.nodes.client import Client, use_private_domain
 
+PATIENCE_S = 150.0  # on a busy computer a node takes a minute to start
 MADE = MotionStatus.SENT, MotionStatus.MOVING
 ABORTED, CANCELED = 6, 5
 ASIDE = (0.03, 0.02, 0.21)
@@ -81,8 +82,11 @@ class Desk:
         self.targets = node.create_publisher(PoseStamped, "target_pose", 10)
         self.paths = node.create_publisher(Path, "target_path", 10)
         for topic in ("target_pose", "target_path"):
-            self.client.wait(lambda t=topic: self.client.count_subscribers([t]), topic)
-        self.client.wait(lambda: self.states and self.motions == [], "the robot")
+            self.wait(lambda t=topic: self.client.count_subscribers([t]), topic)
+        self.wait(lambda: self.states and self.motions == [], "the robot")
+
+    def wait(self, ready, what):
+        self.client.wait(ready, what, PATIENCE_S)
 
     def hear(self, type, topic):
         heard = []
@@ -101,17 +105,17 @@ class Desk:
         """Send a target; return once the node has answered it."""
         known = len(self.commands)
         self.targets.publish(posed(place))
-        self.client.wait(lambda: len(self.commands) > known, "the answer")
+        self.wait(lambda: len(self.commands) > known, "the answer")
         return self.commands[-1]
 
     def until(self, *wanted):
         """Wait until the newest motion is in one of some states; return what was said of it."""
-        self.client.wait(lambda: self.motions and self.motions[-1].state in wanted, str(wanted))
+        self.wait(lambda: self.motions and self.motions[-1].state in wanted, str(wanted))
         return self.motions[-1]
 
     def arrive(self, place):
         assert self.go(place).status != CommandStatus.REFUSED, self.commands[-1].message
-        self.client.wait(lambda: bool(self.motions), "the motion")
+        self.wait(lambda: bool(self.motions), "the motion")
         return self.until(MotionStatus.ARRIVED)
 
     def here(self):
@@ -121,7 +125,7 @@ class Desk:
             return np.array([state.position for state in self.states[-20:]])
 
         self.states.clear()
-        self.client.wait(
+        self.wait(
             lambda: len(self.states) > 20 and np.ptp(positions(), axis=0).max() < 1e-4, "rest"
         )
         return self.kinematics.direct(positions().mean(axis=0)).position
@@ -149,8 +153,8 @@ def desk(running):
     running.robot.accepts, running.robot.stuck, running.robot.rate = True, 0, 2.0
     running.motions.clear()
     # Refused until the node knows from a joint state where the robot is.
-    running.client.wait(lambda: running.go(HOME).status != CommandStatus.REFUSED, "the node")
-    running.client.wait(lambda: bool(running.motions), "its motion")
+    running.wait(lambda: running.go(HOME).status != CommandStatus.REFUSED, "the node")
+    running.wait(lambda: bool(running.motions), "its motion")
     running.until(MotionStatus.ARRIVED)
     for heard in (running.motions, running.commands, running.robot.goals):
         heard.clear()
@@ -188,7 +192,7 @@ def test_a_path_is_one_goal(desk):
 def test_stop_cancels_the_motion_and_the_robot_rests_on_its_path(desk):
     desk.robot.rate = 0.1  # time enough for a busy computer
     desk.go(ASIDE)
-    desk.client.wait(lambda: any(motion.errors for motion in desk.motions), "the motion")
+    desk.wait(lambda: any(motion.errors for motion in desk.motions), "the motion")
     assert desk.stop().success
     assert desk.until(MotionStatus.STOPPED, MotionStatus.ARRIVED).state == MotionStatus.STOPPED
     gone = np.linalg.norm(desk.here() - HOME)
@@ -220,7 +224,7 @@ def test_a_rejected_motion_is_told_and_the_robot_stays(desk):
 @pytest.mark.wide
 def test_a_later_target_replaces_the_motion(desk):
     desk.go(ASIDE)
-    desk.client.wait(lambda: any(motion.errors for motion in desk.motions), "the motion")
+    desk.wait(lambda: any(motion.errors for motion in desk.motions), "the motion")
     desk.go((-0.03, 0.0, 0.2))
     desk.until(MotionStatus.ARRIVED)
     ends = [motion.state for motion in desk.motions if motion.state not in MADE]
@@ -229,7 +233,7 @@ def test_a_later_target_replaces_the_motion(desk):
 
 
 def begin_campaign(desk, **goal):
-    desk.client.wait(lambda: bool(desk.status), "session_status")
+    desk.wait(lambda: bool(desk.status), "session_status")
     handle = desk.client.send_goal(
         Calibrate, "calibration_node/calibrate", lambda feedback: None, enough=1e-9, **goal
     )
@@ -240,16 +244,15 @@ def begin_campaign(desk, **goal):
 @pytest.mark.wide
 def test_a_campaign_moves_by_the_action_alone_and_its_cancel_stops_the_robot(desk):
     handle, result = begin_campaign(desk)
-    desk.client.wait(
+    desk.wait(
         lambda: (desk.status[0].poses >= 3 and desk.status[0].state == "moving") or result.done(),
         "three poses",
-        120,
     )
     assert not result.done(), result.result().result.message
     known = len(desk.robot.goals)
     assert desk.client.count_publishers("joint_trajectory") == 0
     handle.cancel_goal_async()
-    answer = desk.client.await_result(result, "the result", 60)
+    answer = desk.client.await_result(result, "the result", PATIENCE_S)
     assert answer.status == CANCELED
     here = desk.here()
     time.sleep(1.0)
@@ -261,9 +264,9 @@ def test_a_campaign_moves_by_the_action_alone_and_its_cancel_stops_the_robot(des
 @pytest.mark.wide
 def test_a_campaign_ends_with_the_controllers_reason(desk):
     _, result = begin_campaign(desk, afresh=True)
-    desk.client.wait(lambda: desk.status[0].poses >= 1 or result.done(), "a pose", 60)
+    desk.wait(lambda: desk.status[0].poses >= 1 or result.done(), "a pose")
     desk.robot.stuck = 3
-    answer = desk.client.await_result(result, "the result", 120)
+    answer = desk.client.await_result(result, "the result", PATIENCE_S)
     assert answer.status == ABORTED
     assert "path tolerance violated (joint3 is off by" in answer.result.message
 
@@ -272,6 +275,6 @@ def test_a_campaign_ends_with_the_controllers_reason(desk):
 def test_without_the_controller_a_target_is_refused(desk):
     desk.robot.server.destroy()
     refused = "no node provides the action"
-    desk.client.wait(lambda: refused in desk.go(ASIDE).message, "the refusal")
+    desk.wait(lambda: refused in desk.go(ASIDE).message, "the refusal")
     assert desk.commands[-1].status == CommandStatus.REFUSED
     assert math.isnan(desk.commands[-1].time_from_start)

@@ -109,12 +109,15 @@ class RobotCell:
 
     def move(self, trajectory: Trajectory, go_on: Callable[[], None]) -> None:
         wait = self._make_wait(go_on, self._describe_silence)
-        self._latest()
+        _, planned = self._latest()
         while self._silence() > FRESH_S:  # where the robot is now must be known
             wait()
             self._latest()
             time.sleep(POLL_INTERVAL_S)
         begin, q = self._latest()
+        if (moved := np.abs(q - planned) > self._still).any():
+            names = ", ".join(np.array(self._model.joints)[moved])
+            raise CellError(f"{names} moved while the driver was silent, before the motion began")
         path = np.vstack([q, trajectory.positions])
         self._motion.require_controller()
         self._motion.send(trajectory_message(self._model.joints, trajectory))

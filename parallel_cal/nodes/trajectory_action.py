@@ -48,9 +48,9 @@ class _Goal:
 class TrajectoryAction:
     """Sends trajectories as goals, of which the controller reports the end.
 
-    A goal replaces the one before it, as the controller does it. The goals are sent and their
-    answers are heard in the thread that spins: rclpy would lose an answer that arrives before the
-    thread that sent the request has noted its number.
+    A goal replaces the one before it, as the controller does it. Goals are sent by the thread that
+    spins, which also receives the answers: rclpy loses an answer that arrives before the thread
+    that sent the request has noted its number.
     """
 
     def __init__(self, node: Node, name: str, group: CallbackGroup, publish_status: bool = False):
@@ -87,10 +87,17 @@ class TrajectoryAction:
         self.withdraw()
 
     def withdraw(self) -> None:
-        """Cancel all goals; the controller then stops the robot and holds its position."""
+        """Cancel all goals; the controller then stops the robot and holds its position.
+
+        This is done at once, in the calling thread: the node may be about to end.
+        """
         for goal in self._goals:
             goal.stop = True
-            self._node.executor.create_task(self._cancel, goal)
+            self._cancel(goal)
+
+    def _cancel(self, goal: _Goal) -> None:
+        if goal.handle is not None and goal.state in UNENDED:
+            goal.handle.cancel_goal_async().add_done_callback(self._on_cancelled)
 
     # ------------------------------------------------------------------ in the thread that spins
 
@@ -133,10 +140,6 @@ class TrajectoryAction:
             self._end(goal, MotionStatus.REPLACED, code)
         else:
             self._end(goal, MotionStatus.FAILED, code, _describe_failure(goal, status, result))
-
-    def _cancel(self, goal: _Goal) -> None:
-        if goal.handle is not None and goal.state in UNENDED:
-            goal.handle.cancel_goal_async().add_done_callback(self._on_cancelled)
 
     def _on_cancelled(self, answer: Future) -> None:
         if answer.result().return_code == CancelGoal.Response.ERROR_REJECTED:
