@@ -128,11 +128,11 @@ def command_line() -> str:
 
 
 def _help(command: Any, name: str) -> str:
-    """What a command prints for --help, 96 columns wide."""
+    """What a command prints for --help, 80 columns wide."""
     printed = StringIO()
     with redirect_stdout(printed):
-        command.main(["--help"], prog_name=name, standalone_mode=False, max_content_width=96,
-                     terminal_width=96)  # fmt: skip
+        command.main(["--help"], prog_name=name, standalone_mode=False, max_content_width=80,
+                     terminal_width=80)  # fmt: skip
     return f"```text\n{printed.getvalue().strip()}\n```"
 
 
