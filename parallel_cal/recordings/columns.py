@@ -127,7 +127,8 @@ class Log(Part):
 class ColumnMap(Part):
     """The meaning of a table's columns; other columns are ignored.
 
-    `orientation` is a quaternion x y z w; `angles` are an alternative. A condition is a column,
+    `orientation` is a quaternion x y z w; `angles` are an alternative. `joints_only` states that
+    nothing but redundant joints was read. A condition is a column,
     or a constant number. Rows of equal `group` are visits of one pose. `visits` states whether the
     robot visited the poses in the order of the rows. `noise` is 1 sigma as the manufacturers state
     it (SI; for a motor's angle without `per_rev`, of this angle).
@@ -138,6 +139,7 @@ class ColumnMap(Part):
     orientation: Annotated[list[str], Field(min_length=4, max_length=4)] | None = None
     angles: AngleColumns | None = None
     readings: dict[str, ReadingColumn] = Field(default_factory=dict)
+    joints_only: bool = False
     conditions: dict[str, str | float] = Field(default_factory=dict)
     group: str | None = None
     visits: Literal["in order", "unordered"] = "in order"
@@ -225,9 +227,13 @@ def read_column_map(path: Path, measured_elsewhere: bool = False) -> ColumnMap:
     if found.orientation and found.angles:
         raise document.error(("angles",), "orientation is given as well: remove one of the two")
     measured = found.position or found.orientation or found.angles or found.readings
-    if not (measured or measured_elsewhere):
+    if measured and found.joints_only:
+        raise document.error(("joints_only",), "something else was measured, too: remove one")
+    if not (measured or found.joints_only or measured_elsewhere):
         raise document.error(
-            (), "neither position nor orientation nor readings: state what was measured"
+            (),
+            "neither position nor orientation nor readings: state what was measured. If redundant "
+            "joints are all that was read, write 'joints_only: true'",
         )
     if found.log:
         for key, given in (("join", found.join), ("group", found.group)):
