@@ -142,13 +142,13 @@ def test_the_page_on_export_shows_what_its_commands_print(tmp_path):
     assert in_order("export.md", tmp_path) == 3
 
 
-TUTORIALS = {"start.md": 7, "hexapod.md": 7, "argos.md": 6, "cable_robot.md": 5}
+TUTORIALS = {"start.md": 7, "hexapod.md": 7, "argos.md": 6, "cable_robot.md": 9}
 
 
 @pytest.mark.wide
 @pytest.mark.parametrize("page", TUTORIALS)
 def test_a_tutorial_goes_from_raw_data_to_a_controller(page, tmp_path):
-    for name in ("bags", "config"):
+    for name in ("bags", "config", "examples"):
         (tmp_path / name).symlink_to(ROOT / name)
     shutil.copy(TABLE, tmp_path)
     assert in_order(page, tmp_path) == TUTORIALS[page]
