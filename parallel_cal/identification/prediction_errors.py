@@ -214,7 +214,8 @@ def _compute_joint_errors(
     m, apart = model.mechanism, np.full((len(observations), n), np.nan)
     controlled = [n + i for i in m.controlled]
     if model.structure.phi.shape[0] > len(m.moves):
-        alone = np.flatnonzero(find_joints_alone(model, observations))
+        pose_unknown = ~observations.measured[:, n : n + 6].any(axis=1)
+        alone = np.flatnonzero(pose_unknown & (not model.sensors))
         apart[alone] = _compute_disagreement(kinematics, observations.select(alone), reached[alone])
     given = np.flatnonzero(observations.measured[:, controlled].all(axis=1))
     if not len(given):
@@ -246,12 +247,6 @@ def _compute_disagreement(
     found = kinematics.inverse(reached.position, reached.rotation, at, reached)
     difference = observations.x[:, : len(kinematics.model.joints)] - found.joints
     return where_known(reached.solved & found.solved, difference)
-
-
-def find_joints_alone(model: Model, observations: Observations) -> np.ndarray:
-    """Samples (N,) at which nothing but the joints was measured."""
-    n = len(model.joints)
-    return np.asarray(~observations.measured[:, n : n + 6].any(axis=1)) & (not model.sensors)
 
 
 def find_fully_measured_samples(model: Model, observations: Observations) -> np.ndarray:

@@ -99,8 +99,8 @@ class Cable(Mechanism):
         self.parameters = ParameterTable([*(p for line in lines for p in line), *spooled])
         self.home = Home(joints=(0.0,) * n)
         if self.whole:
-            p, away = Named(self.parameters.names, self.parameters.nominal), np.zeros(3)
-            joints = self.joint_candidates(ca.DM(away), None, p)
+            p = Named(self.parameters.names, self.parameters.nominal)
+            joints = self.joint_candidates(ca.DM.zeros(3), None, p)
             self.home = Home(joints=tuple(round(float(q[0]), 13) for q in joints))
 
     @property
