@@ -185,6 +185,10 @@ def _condition(name: str, places: frozenset[str], machine: str, make: Any, size:
 
 # Newer than docs/discover_study.jsonl, which counts whether the law of a hidden effect is found.
 NOT_STUDIED = (
+    "line_creep",
+    "line_flex",
+    "line_sag",
+    "pulley_radius",
     "servo_lag",
     "strut_rotation",
     "thermal_expansion_by_part",
