@@ -24,12 +24,13 @@ import virtual_effects_more as more
 import virtual_findings as vf
 import virtual_setups as vs
 from twins import hexapod
+from virtual_lines import Creep, LinedRobot, Pulleys, Tension
 from virtual_struts import UniversalJoints
 
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import Model, new_model
-from parallel_cal.model.shelf import load_sensor
+from parallel_cal.model.shelf import load_mechanism, load_sensor
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.virtual import joint_effects as ve
 from parallel_cal.virtual import robot as vr
@@ -82,6 +83,43 @@ class Robot:
         )
 
 
+@dataclass(frozen=True)
+class CableRobot(Robot):
+    """Lines in m that hold a point; the anchors strayed by 5 mm, and `readings` draws places."""
+
+    def measured(self, effects: Any, seed: int, loud: float = 1.0) -> Dataset:
+        """120 places and 30 of them again, two minutes each; `loud` 0 is without errors."""
+        r, pose = self.readings(seed)
+        time = 120.0 * np.arange(len(r))
+        physics = {name: made for effect in effects for name, made in effect.items()}
+        q = LinedRobot(self.twin, np.ones(len(self.twin)), **physics).readings(r, time)
+        q_error, r_error, _ = vd.errors(self.noise, *q.shape, seed)
+        return Dataset.from_arrays(
+            self.model().joints,
+            q + loud * q_error,
+            r + loud * r_error,
+            pose_cov=np.diag([self.noise.position**2] * 3 + [np.nan] * 3),
+            joint_sigma=self.noise.joint,
+            conditions={"time": time},
+            pose_id=pose,
+        )
+
+
+def strayed(drawn: Any) -> Any:
+    return np.array(drawn) + np.random.default_rng(3).normal(0, 5e-3, np.shape(drawn))
+
+
+def cable_robot(drawn: Any, low: Any, high: Any) -> CableRobot:
+    def places(seed: int) -> Any:
+        return visited(np.random.default_rng([seed, 9]).uniform(low, high, (120, 3)), seed)
+
+    noise = vr.Noise(joint=50e-6, position=50e-6, orientation=0.0)
+    anchors = np.array(drawn).tolist()
+    return CableRobot(
+        lambda: new_model(load_mechanism("cable", anchors=anchors)), strayed(drawn), noise, places
+    )
+
+
 def visited(reading: Any, seed: int, again: int = 30) -> Any:
     """Each reading once, some twice, in no order; and which pose it is."""
     rng = np.random.default_rng([seed, 5])
@@ -124,6 +162,8 @@ def rails() -> LinearDelta:
 
 
 HEXAPOD, RAILS = hexapod(), rails()
+FOUR_LINES = [[0, -1.6, -0.1], [1.3, 1.2, -0.1], [-1.4, 0.7, -0.1], [0.3, 0.2, 2.3]]
+EIGHT_LINES = [[x, y, z] for x in (-1.5, 1.6) for y in (-1.3, 1.2) for z in (-0.3, 2.1)]
 DELTA = Robot(lambda: new_model("delta54"), vr.MOCK_UP, vr.THESIS_NOISE, delta_poses)
 ROBOTS = {
     "delta": DELTA,
@@ -131,6 +171,8 @@ ROBOTS = {
     "stewart": Robot(lambda: new_model("stewart42"), HEXAPOD, LEGS, leg_poses),
     "gauged stewart": Robot(gauged, HEXAPOD, LEGS, plate_poses),
     "linear delta": Robot(lambda: new_model("linear_delta"), RAILS, LEGS, carriage_poses),
+    "four lines": cable_robot(FOUR_LINES, (-0.35, -0.35, 0.1), (0.35, 0.35, 0.6)),
+    "eight lines": cable_robot(EIGHT_LINES, (-0.5, -0.5, 0.2), (0.5, 0.5, 1.2)),
 }
 
 
@@ -198,6 +240,28 @@ def apart(size: float, rng: np.random.Generator, n: int) -> Any:
     return UniversalJoints(foot=some(size, rng, n), head=some(size, rng, n))
 
 
+def pulleys(size: float, rng: np.random.Generator, n: int) -> Any:
+    anchors = np.array(EIGHT_LINES if n == 8 else FOUR_LINES)
+    axes = np.zeros(anchors.shape)
+    axes[:, 2] = np.sign(anchors[:, 2])
+    if n == 4:  # the steep line comes from the side
+        axes[3] = (1.0, 0.0, 0.0)
+    return {"pulleys": Pulleys(size, axes)}
+
+
+def taut(size: float, rng: np.random.Generator, n: int) -> Any:
+    return {"tension": Tension(EA=1.0, platform=0.2 * size, pretension=size)}
+
+
+def hanging(size: float, rng: np.random.Generator, n: int) -> Any:
+    return {"tension": Tension(weight_per_metre=np.sqrt(size), pretension=1.0)}
+
+
+def creeping(size: float, rng: np.random.Generator, n: int) -> Any:
+    fast, slow = abs(np.array(some(size, rng, 2)))
+    return {"creep": Creep((fast, slow), (rng.uniform(300, 900), rng.uniform(3000, 12000)))}
+
+
 def bed(size: float, rng: np.random.Generator, n: int) -> Any:
     xx, xy, yy = some(size, rng)
     return vs.Gauge(PLATE, shape=((2, 0, xx), (1, 1, xy), (0, 2, yy), (3, 0, 5 * xx)))
@@ -228,6 +292,10 @@ KINDS = {
     "leaning base": Kind(("base_compliance",), ("fine delta", "stewart"), leaning, 0.2e-3),
     "twisted struts": Kind(("strut_rotation",), ("stewart",), twisted, 1e-3),
     "offset joints": Kind(("universal_joint_offset",), ("stewart",), apart, 1e-3),
+    "pulleys": Kind(("pulley_radius",), ("four lines", "eight lines"), pulleys, 5e-3),
+    "taut lines": Kind(("line_flex",), ("four lines", "eight lines"), taut, 0.3e-3),
+    "sagging lines": Kind(("line_sag",), ("four lines", "eight lines"), hanging, 1e-4),
+    "creep": Kind(("line_creep",), ("four lines", "eight lines"), creeping, 0.1e-3),
     "bed": Kind(("bed_shape",), ("gauged stewart",), bed, 1e-3),
     "probe beside": Kind(("probe_offset",), ("gauged stewart",), beside, 0.1e-3),
     "probe slanted": Kind(("probe_tilt",), ("gauged stewart",), slanted, 5e-3),

@@ -24,7 +24,9 @@ NAMES = ("pulley_radius", "line_flex", "line_sag", "line_creep")
 
 
 def mechanism(name):
-    return load_mechanism("cable", anchors=ROBOTS[name], advantages=ADVANTAGES.get(name))
+    return load_mechanism(
+        "cable", anchors=ROBOTS[name], advantages=ADVANTAGES.get(name), radius=RADIUS, gear=GEAR
+    )
 
 
 def twin(name, **physics):
@@ -113,7 +115,7 @@ def test_the_true_numbers_close_every_line_of_the_virtual_robot(name, robot):
 
 def excess(name, numbers, anchor, r, time=None):
     """Line (m) that the ideal robot sees less than let out, on the first of two lines in x, z."""
-    m = load_mechanism("cable", anchors=[anchor, [-anchor[0], 0, anchor[2]]])
+    m = load_mechanism("cable", anchors=[anchor, [-anchor[0], 0, anchor[2]]], radius=RADIUS)
     effect = load_effect(name)
     table = effect.table(m)
     e = table.vector({f"{name}.{key}": value for key, value in numbers.items()})

@@ -203,7 +203,7 @@ def test_lines_that_start_at_another_length_are_lost_and_reported(tmp_path):
 
 def test_the_fifth_anchor_has_the_letter_that_its_firmware_reads(tmp_path):
     anchors = [[1, 0, -0.1], [0, 1, -0.1], [-1, 0, -0.1], [0, -1, -0.1], [0, 0, 2.3]]
-    model = new_model(load_mechanism("cable", anchors=anchors))
+    model = new_model(load_mechanism("cable", anchors=anchors, spools=[1, 2, 3, 4, 5]))
     done = export(model, "rrf", tmp_path)
     firmware = simulated("rrf", tmp_path)
     assert firmware.w["M669 I"] == pytest.approx([0, 0, 2300], abs=1)
@@ -213,7 +213,7 @@ def test_the_fifth_anchor_has_the_letter_that_its_firmware_reads(tmp_path):
     off = np.abs(np.radians(firmware.motors(r / MM)) - wanted) * model.mechanism.winds
     assert off.max() <= done.loss["line_max"] + 1e-9
     assert len(configured(done.paths).model.joints) == 5
-    six = load_mechanism("cable", anchors=[*anchors, [1, 1, 1]])
+    six = load_mechanism("cable", anchors=[*anchors, [1, 1, 1]], radius=0.075)
     with pytest.raises(ModelError, match=r"6 lines .* expected 4 to 5 and whole numbers"):
         export(new_model(six), "rrf", tmp_path)
 

@@ -716,10 +716,40 @@ def test_a_planar_line_is_what_paper_and_pencil_say():
     """From (0, 0) to (3, 4) the line from the anchor (-3, -4) grows from 5 m to 10 m, that from
     (3, -4) from 5 m to 8 m. The height of the point does not matter."""
     anchors = [[-3, -4], [3, -4]]
-    model = new_model(load_mechanism("cable", anchors=anchors), {"spool1.R": 1, "spool2.R": 1})
+    model = new_model(load_mechanism("cable", anchors=anchors, radius=1.0))
     motors = 12.75 * np.array([5, 3])
     for height in (0, 0.7):
         assert phi(model, motors, [3, 4, height], EYE) == pytest.approx([0, 0], abs=1e-12)
+
+
+def test_readings_of_a_cable_robot_with_own_anchors_are_lengths_of_line():
+    """The Hangprinter's spools are not its own. From (0, 0) to (3, 4) the lines grow from 5 m to 10
+    and to 8 m. Two strands of the second let out 6 m. From the anchors they are 10 and 8 m long."""
+    anchors, target = [[-3, -4], [3, -4]], [3, 4, 0]
+    model = new_model(load_mechanism("cable", anchors=anchors, advantages=[1, 2]))
+    assert model.joints == ("line1", "line2")
+    assert model.mechanism.joint_units == ("m", "m")
+    assert not model.mechanism.winds
+    assert phi(model, [5, 6], target, EYE) == pytest.approx([0, 0], abs=1e-12)
+    whole = new_model(load_mechanism("cable", anchors=anchors, zero="anchors"))
+    assert phi(whole, [10, 8], target, EYE) == pytest.approx([0, 0], abs=1e-12)
+    assert whole.mechanism.home.joints == (5.0, 5.0)
+    np.testing.assert_allclose(
+        Kinematics(whole).direct(np.array([np.sqrt(40), 2.0])).position, [3, -2, 0], atol=1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        ({"zero": "there"}, "zero 'there': expected 'origin' or 'anchors'"),
+        ({"radius": [0.1, 0.2]}, r"radius \[0.1, 0.2\]: expected a number, or 4 of them"),
+        ({"gear": 0}, "gear 0: expected numbers above 0"),
+    ],
+)
+def test_a_wrong_option_of_a_cable_robot_is_an_error_that_says_what_is_expected(option, words):
+    with pytest.raises(ModelError, match=words):
+        load_mechanism("cable", **option)
 
 
 @pytest.mark.parametrize("lines", [2, 4])
@@ -730,7 +760,7 @@ def test_heights_measured_at_a_planar_cable_robot_do_not_change_the_fit(lines):
     r = np.column_stack([rng.uniform(-0.8, 0.8, (80, 2)), np.zeros(80)])
     way = np.linalg.norm(r[:, None, :2] - anchors, axis=2) - np.linalg.norm(anchors, axis=1)
     off = np.round(anchors + rng.normal(0, 5e-3, anchors.shape), 3)
-    mechanism = load_mechanism("cable", anchors=off.tolist())
+    mechanism = load_mechanism("cable", anchors=off.tolist(), radius=0.075)
     q = way * 12.75 / 0.0752 + 0.02 * rng.normal(size=way.shape)
     data = Dataset.from_arrays(
         mechanism.joints,

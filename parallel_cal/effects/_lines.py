@@ -105,5 +105,5 @@ def shift_lines(
     if since_home:
         home = ca.DM(mechanism.home.position)
         more = [m - m0 for m, m0 in zip(more, excess(seen.with_pose(home, seen.R)), strict=True)]
-    shifts = [m / mechanism.per_radian(seen.p, i) for i, m in enumerate(more)]
+    shifts = [m / mechanism.per_reading(seen.p, i) for i, m in enumerate(more)]
     return seen.with_q(seen.q - ca.vertcat(*shifts))

@@ -56,8 +56,9 @@ class GearTransmissionError(Effect):
             for k in (1, 2)
             for part, label in WAVE.items()
         ]
+        ratio = _find_spool_turns(mechanism)[0] if mechanism.winds else 50.0
         return [
-            Parameter("ratio", "1", 50.0, 20.0, low=1e-3, high=250.0, label="gear ratio"),
+            Parameter("ratio", "1", ratio, 0.4 * ratio, low=1e-3, high=250.0, label="gear ratio"),
             *amplitudes,
         ]
 

@@ -15,6 +15,7 @@ from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
 RATIO = 4.0  # of the time constants that the scan tries; the best one is refined
+MIN_TIME_CONSTANT = 1.0  # s
 SHORTEST = 1 / 64  # of the session's length; what creeps faster has crept before the second pose
 
 
@@ -42,7 +43,7 @@ class LineCreep(Effect):
         return [
             Parameter("fast", "1", 0.0, 1e-3, low=0.0, high=20e-3, label="fast creep"),
             Parameter("slow", "1", 0.0, 1e-3, low=0.0, high=20e-3, label="slow creep"),
-            Parameter("tau", "s", 3600.0, 2000.0, low=1.0, label="time constant"),
+            Parameter("tau", "s", 3600.0, 2000.0, low=MIN_TIME_CONSTANT, label="time constant"),
             Parameter("ratio", "1", 10.0, 5.0, low=1.0, label="of the time constants"),
         ]
 
@@ -51,7 +52,7 @@ class LineCreep(Effect):
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         assert isinstance(mechanism, Cable)
-        t = at["time"] / e.tau
+        t = at["time"] / ca.fmax(e.tau, MIN_TIME_CONSTANT)  # a search may try less
         crept = e.fast * (1 - ca.exp(-e.ratio * t)) + e.slow * (1 - ca.exp(-t))
 
         def excess(placed: Seen) -> list[Any]:

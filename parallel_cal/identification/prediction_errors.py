@@ -101,9 +101,11 @@ class Errors:
 
     @property
     def judged(self) -> np.ndarray:
-        """Mask (N,) of samples with a known error of the pose or of a reading."""
+        """Mask (N,) of samples with a known error of the pose or of a reading; if none has one, of
+        those with a known error of the joints, which contradict each other."""
         kinds = ("position", "orientation", "reading", "pixel")
-        return np.asarray(np.any([np.isfinite(self.norms(kind)) for kind in kinds], axis=0))
+        known = np.any([np.isfinite(self.norms(kind)) for kind in kinds], axis=0)
+        return np.asarray(known if known.any() else np.isfinite(self.norms("joint")))
 
     def parts(self) -> dict[str, np.ndarray]:
         """The arrays by name."""
@@ -204,11 +206,17 @@ def _compute_joint_errors(
 ) -> np.ndarray:
     """Measured minus predicted joints (N, nq); NaN if a controlled coordinate was not measured.
 
+    Redundant joints contradict each other even if nothing else was measured: then the predicted
+    ones are those of the pose that fits all of them best.
     `reached` are the predicted poses in {B}, `pose` the same poses as the device shows them.
     """
     model, n = kinematics.model, len(kinematics.model.joints)
     m, apart = model.mechanism, np.full((len(observations), n), np.nan)
     controlled = [n + i for i in m.controlled]
+    if model.structure.phi.shape[0] > len(m.moves):
+        pose_unknown = ~observations.measured[:, n : n + 6].any(axis=1)
+        alone = np.flatnonzero(pose_unknown & (not model.sensors))
+        apart[alone] = _compute_disagreement(kinematics, observations.select(alone), reached[alone])
     given = np.flatnonzero(observations.measured[:, controlled].all(axis=1))
     if not len(given):
         return apart
@@ -227,6 +235,18 @@ def _compute_joint_errors(
     difference = difference - m.joint_periods * np.round(difference / (2 * np.pi))
     apart[given] = where_known(found.solved, difference)
     return apart
+
+
+def _compute_disagreement(
+    kinematics: Kinematics, observations: Observations, reached: Solutions
+) -> np.ndarray:
+    """Joint readings (N, nq) minus those of the poses that were `reached`, in {B}."""
+    if not len(observations):
+        return np.full((0, len(kinematics.model.joints)), np.nan)
+    at = condition_columns(kinematics.model, observations)
+    found = kinematics.inverse(reached.position, reached.rotation, at, reached)
+    difference = observations.x[:, : len(kinematics.model.joints)] - found.joints
+    return where_known(reached.solved & found.solved, difference)
 
 
 def find_fully_measured_samples(model: Model, observations: Observations) -> np.ndarray:

@@ -23,17 +23,22 @@ GEAR, RADIUS = 255 / 20, 75 * MM
 HP4_ANCHORS = ((0, -1.6, -0.11), (1.3, 1.25, -0.15), (-1.44, 0.74, -0.16), (0, 0, 2.345))
 HP4_ADVANTAGES = (2.0, 2.0, 2.0, 4.0)
 HP4_SPOOLS = (1, 1, 1, 2)
-BODIES = {"base": ("*.A_?",), "spools": ("*.R",)}
 
 
 class Cable(Mechanism):
     """Cable robot: lines from the anchors A_i hold the end point P.
 
-    The joint readings are zero if P is at the origin.
+    The joint readings are zero if P is at the origin. They are the angles of motors that turn
+    spools (rad), or, for a robot with anchors of its own, lengths of line (m).
 
     Options: `anchors` (n, 3), m; `advantages` (n,), the mechanical advantages of the pulleys;
-    `spools` (n,), where lines with equal numbers share one spool radius. Gear ratio and advantage
-    have the same influence as the radius. They are known exactly and therefore fixed by default.
+    `spools` (n,), where lines with equal numbers share one spool radius; `radius` of the spools, m,
+    and `gear`, turns of the motor per turn of the spool, one number or (n,) of the lines. With
+    `spools`, `radius` or `gear` the readings are angles of motors; the defaults of `radius` and
+    `gear` are those of the Hangprinter HP4. Gear ratio and advantage have the same influence as the
+    radius. They are known exactly and therefore fixed by default. With `zero: anchors` a reading is
+    the whole line from the anchor to P. A spool behind a reading in m is stated as the `drive` of
+    its joint. Without options the robot is the Hangprinter HP4.
 
     If one coordinate of every anchor is 0, the robot is planar: P moves in this plane, and a
     measured third coordinate is ignored. `anchors` (n, 2) are x and y. A planar robot has at least
@@ -41,61 +46,82 @@ class Cable(Mechanism):
     collinear.
     """
 
-    fixed = ("*.gear", "*.advantage")
     periodic = False
     closed_forms = ("direct", "inverse")
-    bodies = BODIES
     workspace = Workspace(low=(-0.5, -0.5, 0.0), high=(0.5, 0.5, 0.8))
-    length = RADIUS / GEAR / 2  # m of line per rad of the motor
 
     def __init__(
         self,
-        anchors: Sequence[Sequence[float]] = HP4_ANCHORS,
+        anchors: Sequence[Sequence[float]] | None = None,
         advantages: Sequence[float] | None = None,
         spools: Sequence[int] | None = None,
+        radius: float | Sequence[float] | None = None,
+        gear: float | Sequence[float] | None = None,
+        zero: str = "origin",
     ):
+        hp4 = anchors is None
+        anchors = HP4_ANCHORS if anchors is None else anchors
         n = len(anchors)
         points = _check_anchors(anchors)
         used = np.flatnonzero(points.any(axis=0))
         self.moves = self.controls = tuple("xyz"[axis] for axis in used)
-        hp4 = n == len(HP4_ANCHORS) and len(used) == 3
+        if zero not in ("origin", "anchors"):
+            raise ModelError(f"zero '{zero}': expected 'origin' or 'anchors'")
+        self.whole = zero == "anchors"
+        motors = hp4 or any(option is not None for option in (spools, radius, gear))
         advantages = advantages or (HP4_ADVANTAGES if hp4 else (1.0,) * n)
-        self.spools = tuple(spools or (HP4_SPOOLS if hp4 else range(1, n + 1)))
-        for name, each in (("advantages", advantages), ("spools", self.spools)):
-            if len(each) != n:
-                raise ModelError(f"{len(each)} {name} for {n} anchors, expected one for each")
-        if not all(value > 0 for value in advantages):
-            raise ModelError(f"advantages {list(advantages)}, expected numbers above 0")
+        own = spools or (HP4_SPOOLS if hp4 else range(1, n + 1))
+        self.spools = tuple(own) if motors else ()
+        radii, gears = (
+            _numbers(name, given, default, n)
+            for name, given, default in (("radius", radius, RADIUS), ("gear", gear, GEAR))
+        )
+        _check_lines(n, advantages, self.spools or own)
         box = np.array([Cable.workspace.low, Cable.workspace.high])[:, used].tolist()
         self.workspace = Workspace(low=tuple(box[0]), high=tuple(box[1]))
-        self.joints = tuple(f"motor{i + 1}" for i in range(n))
+        self.joints = tuple(f"{'motor' if motors else 'line'}{i + 1}" for i in range(n))
+        self.joint_unit = "rad" if motors else "m"
         self.joint_limits = ((-np.inf, np.inf),) * n
-        self.home = Home(joints=(0.0,) * n)
+        if motors:  # line (m) per rad of the motor
+            self.length = radii[0] / gears[0] / 2
+        self.fixed = ("*.gear", "*.advantage") if motors else ("*.advantage",)
+        self.bodies = {"base": ("*.A_?",), **({"spools": ("*.R",)} if motors else {})}
         places = [dict(zip(self.moves, point, strict=True)) for point in points[:, used]]
-        lines = [_line(i + 1, *row) for i, row in enumerate(zip(places, advantages, strict=True))]
-        radii = [
-            Parameter(f"spool{k}.R", "m", RADIUS, 1 * MM, "spool", low=0, label="radius")
-            for k in sorted({*self.spools})
+        lines = [
+            _line(i + 1, place, advantages[i], gears[i] if motors else None)
+            for i, place in enumerate(places)
         ]
-        self.parameters = ParameterTable([*(p for line in lines for p in line), *radii])
+        shared = {k: radii[self.spools.index(k)] for k in sorted({*self.spools})}
+        spooled = [
+            Parameter(f"spool{k}.R", "m", size, 1 * MM, "spool", low=0, label="radius")
+            for k, size in shared.items()
+        ]
+        self.parameters = ParameterTable([*(p for line in lines for p in line), *spooled])
+        self.home = Home(joints=(0.0,) * n)
+        if self.whole:
+            p = Named(self.parameters.names, self.parameters.nominal)
+            joints = self.joint_candidates(ca.DM.zeros(3), None, p)
+            self.home = Home(joints=tuple(round(float(q[0]), 13) for q in joints))
 
     @property
     def winds(self) -> tuple[float, ...]:
-        """Line (m) that each motor lets out at the platform per rad."""
-        p = {parameter.name: parameter.nominal for parameter in self.parameters}
-        lines = enumerate(self.spools, start=1)
-        return tuple(
-            p[f"spool{k}.R"] / (p[f"line{i}.gear"] * p[f"line{i}.advantage"]) for i, k in lines
-        )
+        """Line (m) that each motor lets out at the platform per rad; empty if readings are m."""
+        p = Named(self.parameters.names, self.parameters.nominal)
+        return tuple(float(self.per_reading(p, i)) for i in range(len(self.spools)))
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
-        """Compute |P - A| - |A| - (line let out + offset): length error of each line, in metres."""
+        """Compute |P - A| - |A| - (line let out + offset): length error of each line, in metres;
+        without |A| if readings are zero at the anchors."""
         A, P = self.anchors(p), self.place(r)
         let_out = [
-            q[i] * self.per_radian(p, i) + p[f"line{i + 1}"].offset for i in range(len(self.joints))
+            q[i] * self.per_reading(p, i) + p[f"line{i + 1}"].offset
+            for i in range(len(self.joints))
         ]
         return ca.vertcat(
-            *[ca.norm_2(P - a) - ca.norm_2(a) - l for a, l in zip(A, let_out, strict=True)]
+            *[
+                ca.norm_2(P - a) - (0 if self.whole else ca.norm_2(a)) - l
+                for a, l in zip(A, let_out, strict=True)
+            ]
         )
 
     def anchors(self, p: Named) -> list[Any]:
@@ -112,13 +138,17 @@ class Cable(Mechanism):
         rows = [place[self.moved.index(i)] if i in self.moved else 0 for i in range(3)]
         return ca.vertcat(*rows)
 
-    def per_radian(self, p: Named, i: int) -> Any:
-        """Line (m) that motor i lets out per rad."""
+    def per_reading(self, p: Named, i: int) -> Any:
+        """Line (m) at the platform that a reading of 1 (rad or m) lets out."""
         c = p[f"line{i + 1}"]
+        if not self.spools:
+            return 1 / c.advantage
         return p[f"spool{self.spools[i]}"].R / (c.gear * c.advantage)
 
-    def spool(self, joint: int, p: Named) -> Spool:
-        """Return the spool that a motor turns through its gear."""
+    def spool(self, joint: int, p: Named) -> Spool | None:
+        """Return the spool that a motor turns through its gear, or that moves a length."""
+        if not self.spools:
+            return super().spool(joint, p)
         return Spool(p[f"spool{self.spools[joint]}"].R, 1 / p[f"line{joint + 1}"].gear)
 
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
@@ -131,9 +161,9 @@ class Cable(Mechanism):
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
         """Intersect the spheres or circles about the anchors: two points of as many lines as there
         are freedoms, one point of one line more."""
-        lengths = -self.closure(q, ca.DM.zeros(3), ca.DM.eye(3), p)
+        more = -self.closure(q, ca.DM.zeros(3), ca.DM.eye(3), p)  # than the distance of the origin
         A, n = self.anchors(p), len(self.moves)
-        squares = [(ca.norm_2(a) + lengths[i]) ** 2 for i, a in enumerate(A)]
+        squares = [(ca.norm_2(a) + more[i]) ** 2 for i, a in enumerate(A)]
         two_points = three_spheres if n == 3 else two_circles
         points = [_one_point(A, squares)] if self._spans() else two_points(A[:n], squares[:n])
         return [(self.in_base(point), ca.DM.eye(3)) for point in points]
@@ -141,7 +171,7 @@ class Cable(Mechanism):
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
         """Find the only solution: each line's length gives its motor's angle."""
         missing = self.closure(ca.DM.zeros(len(self.joints)), r, R, p)
-        return [(missing[i] / self.per_radian(p, i),) for i in range(len(self.joints))]
+        return [(missing[i] / self.per_reading(p, i),) for i in range(len(self.joints))]
 
     def _spans(self) -> bool:
         """Whether the first anchors, one more than freedoms, span space or the plane clearly."""
@@ -152,6 +182,25 @@ class Cable(Mechanism):
         points = np.array([self.parameters[name].nominal for name in names]).reshape(n + 1, n)
         sizes = np.linalg.svd(points[1:] - points[0], compute_uv=False)
         return bool(sizes[-1] > 0.05 * sizes[0])
+
+
+def _numbers(name: str, given: Any, default: float, n: int) -> list[float]:
+    """Return n numbers above 0, given as one or as n of them."""
+    try:
+        values = np.broadcast_to(np.array(default if given is None else given, float), n)
+    except (TypeError, ValueError):
+        raise ModelError(f"{name} {given!r}: expected a number, or {n} of them") from None
+    if not (values > 0).all():
+        raise ModelError(f"{name} {given!r}: expected numbers above 0")
+    return [float(value) for value in values]
+
+
+def _check_lines(n: int, advantages: Sequence[float], spools: Sequence[int]) -> None:
+    for name, values in (("advantages", advantages), ("spools", spools)):
+        if len(values) != n:
+            raise ModelError(f"{len(values)} {name} for {n} anchors, expected one for each")
+    if not all(value > 0 for value in advantages):
+        raise ModelError(f"advantages {list(advantages)}, expected numbers above 0")
 
 
 def _check_anchors(anchors: Sequence[Any]) -> np.ndarray:
@@ -188,8 +237,12 @@ def _check_anchors(anchors: Sequence[Any]) -> np.ndarray:
     return points
 
 
-def _line(number: int, anchor: Mapping[str, float], advantage: float) -> list[Parameter]:
-    name = f"line{number}."
+def _line(
+    number: int, anchor: Mapping[str, float], advantage: float, gear: float | None
+) -> list[Parameter]:
+    name, drive = f"line{number}.", []
+    if gear is not None:
+        drive = [Parameter(f"{name}gear", "1", gear, 1e-3, "drive", low=0, label="gear ratio")]
     return [
         *[
             Parameter(
@@ -200,7 +253,7 @@ def _line(number: int, anchor: Mapping[str, float], advantage: float) -> list[Pa
         Parameter(
             f"{name}offset", "m", 0.0, 5 * MM, "offset", label="line's length at reading zero"
         ),
-        Parameter(f"{name}gear", "1", GEAR, 1e-3, "drive", low=0, label="gear ratio"),
+        *drive,
         Parameter(
             f"{name}advantage",
             "1",

@@ -136,7 +136,8 @@ class ColumnMap(Part):
     """The meaning of a table's columns; other columns are ignored.
 
     `orientation` is a quaternion x y z w; `angles`, `rotation_vector` and `matrix` (nine columns,
-    row by row) are alternatives. A condition is a column,
+    row by row) are alternatives. `joints_only` states that nothing but redundant joints was read. A
+    condition is a column,
     or a constant number. Rows of equal `group` are visits of one pose. `visits` states whether the
     robot visited the poses in the order of the rows. `noise` is 1 sigma as the manufacturers state
     it (SI; for a motor's angle without `per_rev`, of this angle).
@@ -149,6 +150,7 @@ class ColumnMap(Part):
     rotation_vector: RotationVectorColumns | None = None
     matrix: Annotated[list[str], Field(min_length=9, max_length=9)] | None = None
     readings: dict[str, ReadingColumn] = Field(default_factory=dict)
+    joints_only: bool = False
     conditions: dict[str, str | float] = Field(default_factory=dict)
     group: str | None = None
     visits: Literal["in order", "unordered"] = "in order"
@@ -286,9 +288,13 @@ def read_column_map(path: Path, measured_elsewhere: bool = False) -> ColumnMap:
     if len(turned := found.orientations) > 1:
         raise document.error((turned[1],), f"{turned[0]} is given as well: remove one of the two")
     measured = found.position or turned or found.readings
-    if not (measured or measured_elsewhere):
+    if measured and found.joints_only:
+        raise document.error(("joints_only",), "something else was measured, too: remove one")
+    if not (measured or found.joints_only or measured_elsewhere):
         raise document.error(
-            (), "neither position nor orientation nor readings: state what was measured"
+            (),
+            "neither position nor orientation nor readings: state what was measured. If redundant "
+            "joints are all that was read, write 'joints_only: true'",
         )
     if found.log:
         for key, given in (("join", found.join), ("group", found.group)):

@@ -147,6 +147,10 @@ def _five_bar(model: Model) -> Projection:
 def _cable(model: Model) -> Projection:
     """Fit anchors, radii and the build-up; gears and advantages are counted, not measured."""
     n = len(model.joints)
+    cable: Any = model.mechanism
+    if not cable.spools or len(cable.moves) < 3:
+        kind = "lengths of line" if cable.spools == () else "a planar robot"
+        raise ModelError(f"rrf: {kind}, expected angles of motors of a robot in space")
     rows = range(1, n + 1)
     anchors = np.array([[model.value(f"line{i}.A_{axis}") for axis in "xyz"] for i in rows])
     gears, advantages = (
@@ -155,7 +159,6 @@ def _cable(model: Model) -> Projection:
     if not 4 <= n <= len(ANCHORS) or (advantages != np.round(advantages)).any():
         why = f"{n} lines with advantages {advantages.tolist()}"
         raise ModelError(f"rrf: {why}, expected 4 to {len(ANCHORS)} and whole numbers")
-    cable: Any = model.mechanism
     spools = np.array(cable.spools)
     radii = [model.value(f"spool{k}.R") for k in sorted({*spools})]
     wound = "spool_buildup" in (effect.name for effect in model.effects)
