@@ -142,7 +142,7 @@ def test_two_at_once_are_both_found():
 def test_an_effect_outside_the_catalogue_never_gets_the_verdict_explained(name):
     kind = vf.Kind((), vf.OUTSIDE[name], 0.5e-3)
     found = diagnose(MODEL, hiding([kind], 1.5, seed=3)[0])
-    assert found.verdict.word == "XX", (found.verdict.word, name)
+    assert found.verdict.word in ("unexplained", "partly_explained")
 
 
 @pytest.mark.wide
@@ -175,7 +175,7 @@ def test_the_same_poses_at_another_size_of_noise_give_the_same_name():
     data, _ = hiding([vf.KINDS["backlash"]], 0.6, seed=5)
     loose = replace(data, pose_cov=9 * data.pose_cov, joint_sigma=3 * data.joint_sigma)
     found = diagnose(MODEL, loose)
-    assert found.effects == "XX", found.effects
+    assert found.effects[0] in ("backlash", "hysteresis")
 
 
 # ----------------------------------------------------------------------- what it doubts
@@ -257,7 +257,7 @@ def test_without_any_noise_figure_it_cannot_know_but_still_names_the_best():
 
 def test_too_few_poses_cannot_know():
     found = diagnose(MODEL, measured(3, n_poses=8, n_replicates=0), fix=["chain[23].*"])
-    assert found.verdict.word == "XX", found.verdict
+    assert found.verdict.word in ("cannot_know", "unexplained")
 
 
 def test_a_random_group_ranks_among_the_effects_that_are_not_there(play):

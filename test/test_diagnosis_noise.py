@@ -103,7 +103,7 @@ def test_noise_that_grows_outwards_is_reported_as_growing():
     found = found_in(noisy(vb.growing, 0))
     assert not found.effects
     assert found.noise_shape.grows_from_centre
-    assert found.verdict.word == "XX", found.verdict
+    assert found.verdict.word in ("at_noise", "cannot_know")
     assert "times larger far from the centre" in found.verdict.summary
 
 
