@@ -131,8 +131,13 @@ def _help(command: Any, name: str) -> str:
     """What a command prints for --help, 80 columns wide."""
     printed = StringIO()
     with redirect_stdout(printed):
-        command.main(["--help"], prog_name=name, standalone_mode=False, max_content_width=80,
-                     terminal_width=80)  # fmt: skip
+        command.main(
+            ["--help"],
+            prog_name=name,
+            standalone_mode=False,
+            max_content_width=80,
+            terminal_width=80,
+        )
     return f"```text\n{printed.getvalue().strip()}\n```"
 
 

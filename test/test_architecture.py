@@ -179,3 +179,15 @@ def test_few_private_functions_are_called_only_once():
     functions = sum(len(read.functions) for read in names.values())
     assert functions > 3000
     assert len(once) / functions < MAX_SHARE_CALLED_ONCE, (len(once), functions)
+
+
+def test_a_private_module_is_imported_by_its_own_folder_only():
+    elsewhere = {
+        (name, used)
+        for name, others in GRAPH.items()
+        for used in others
+        if used.split(".")[-1].startswith("_")
+        and used.rpartition(".")[0] != name.rpartition(".")[0]
+    }
+    # The forces of effects are also the drivers of laws.
+    assert {used for _, used in elsewhere} <= {"parallel_cal.effects._statics"}

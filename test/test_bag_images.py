@@ -97,9 +97,18 @@ def test_the_lens_of_camera_info_becomes_the_entry_of_the_model_file(tmp_path, s
     roi = kind("sensor_msgs/msg/RegionOfInterest")(0, 0, 0, 0, False)
     k = np.array([600.0, 0, 319.5, 0, 601.0, 255.5, 0, 0, 1])
     lens = kind("sensor_msgs/msg/CameraInfo")(
-        header(0.1), 512, 640, "plumb_bob", np.array(board_images.LENS), k,
-        np.eye(3).ravel(), np.zeros(12), 0, 0, roi,
-    )  # fmt: skip
+        header(0.1),
+        512,
+        640,
+        "plumb_bob",
+        np.array(board_images.LENS),
+        k,
+        np.eye(3).ravel(),
+        np.zeros(12),
+        0,
+        0,
+        roi,
+    )
     topic = "/cam/image_raw/compressed"
     messages = joint_states(Session(STOPS)) + recorded_images(
         shots, compressed_message, "CompressedImage", topic
@@ -142,8 +151,12 @@ def test_every_encoding_gives_the_grey_levels():
     colour = np.repeat(grey[:, :, None], 3, axis=2)
     alpha = np.concatenate([colour, np.full((6, 8, 1), 255, np.uint8)], axis=2)
     for encoding, image in (
-        ("mono8", grey), ("rgb8", colour), ("bgr8", colour), ("rgba8", alpha), ("bgra8", alpha),
-    ):  # fmt: skip
+        ("mono8", grey),
+        ("rgb8", colour),
+        ("bgr8", colour),
+        ("rgba8", alpha),
+        ("bgra8", alpha),
+    ):
         assert np.array_equal(decode_image(image_message(image, 0.0, encoding)), grey)
     even = np.full((6, 8), 77, np.uint8)
     for encoding in ("bayer_rggb8", "bayer_bggr8", "bayer_gbrg8", "bayer_grbg8"):

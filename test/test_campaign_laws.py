@@ -89,6 +89,7 @@ def test_poses_where_rival_laws_differ_are_measured_until_no_pose_can_tell_those
     assert {"joint2 by load.joint2", "joint2 by payload"} <= {*first.laws, *first.doubt}
     assert not first.untold
     assert not first.is_final(first)
+    assert len(first.targets) > 1
     assert all(one.purpose.startswith("to distinguish the laws joint2 ") for one in first.targets)
     assert {one.conditions["payload"] for one in first.targets} <= {0.2, 1.2}
     # At last the cause is named, beside laws that no pose can distinguish from it: the load on

@@ -143,7 +143,8 @@ def test_what_is_on_a_shelf_is_built_for_its_first_listing_only(tmp_path):
 
 
 def test_help_names_the_commands_that_exist_and_no_other():
-    listed = re.findall(r"^  ([\w-]+) ", child("--help").stdout.split("Commands:")[1], flags=re.M)
+    commands = child("--help").stdout.split("Commands:")[1].split("Other names:")[0]
+    listed = re.findall(r"^  ([\w-]+) ", commands, flags=re.M)
     assert listed == [
         "new",
         "mechanisms",
@@ -640,6 +641,11 @@ def test_people_see_the_fit_as_a_table_with_units(run, tmp_path, clean):
 
 
 @pytest.mark.wide
+def test_the_help_lists_the_other_names_of_commands(run):
+    shown = run("--help")[1]
+    assert "Other names: fk is direct, ik is inverse, look is info." in " ".join(shown.split())
+
+
 def test_look_prints_what_a_recording_holds(document, run):
     assert document("look", BAG)["samples"] == 94
     assert document("look", BAG, "--data", "mode=continuous")["mode"] == "continuous"

@@ -175,7 +175,7 @@ def test_the_same_poses_at_another_size_of_noise_give_the_same_name():
     data, _ = hiding([vf.KINDS["backlash"]], 0.6, seed=5)
     loose = replace(data, pose_cov=9 * data.pose_cov, joint_sigma=3 * data.joint_sigma)
     found = diagnose(MODEL, loose)
-    assert found.effects[0] in ("backlash", "hysteresis")
+    assert found.effects == ("backlash",)
 
 
 # ----------------------------------------------------------------------- what it doubts
@@ -256,8 +256,9 @@ def test_without_any_noise_figure_it_cannot_know_but_still_names_the_best():
 
 
 def test_too_few_poses_cannot_know():
-    found = diagnose(MODEL, measured(3, n_poses=8, n_replicates=0), fix=["chain[23].*"])
-    assert found.verdict.word in ("cannot_know", "unexplained")
+    found = diagnose(MODEL, measured(3, n_poses=7, n_replicates=0))
+    assert found.verdict.word == "cannot_know"
+    assert found.verdict.summary.startswith("6 degrees of freedom are too few for a verdict")
 
 
 def test_a_random_group_ranks_among_the_effects_that_are_not_there(play):

@@ -23,9 +23,9 @@ from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.estimators import load_method
 from parallel_cal.identification.methods import implicit, semiparametric
 from parallel_cal.identification.methods._factors import separate_factors
-from parallel_cal.identification.methods._robust import estimate_robustly
 from parallel_cal.identification.methods._separation import Separation
 from parallel_cal.identification.observations import Observations, observe
+from parallel_cal.identification.robust import estimate_robustly
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.mechanisms.delta24 import Delta24
 from parallel_cal.model.model import new_model

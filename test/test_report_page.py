@@ -107,6 +107,7 @@ def test_every_free_parameter_has_its_value_sigma_and_unit(made, text):
     rows = {cells[0]: cells[1:] for cells in found if cells}
     free = {name: p for name, p in made.parameters.items() if not p.fixed}
     assert set(rows) == set(free)
+    assert len(free) > 40
     for name, p in free.items():
         factor, unit = (1e3, "mm") if p.unit == "m" else (180 / np.pi, "deg")
         _, *numbers, words = rows[name]

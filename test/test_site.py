@@ -12,7 +12,7 @@ from urllib.parse import unquote, urlsplit
 import pytest
 
 import parallel_cal as pc
-from parallel_cal.cli.main import COMMANDS, HIDDEN
+from parallel_cal.cli.main import COMMANDS, OTHER_NAMES
 from parallel_cal.model.file.schema import KNOWN
 
 ROOT = Path(__file__).parents[1]
@@ -28,10 +28,10 @@ def site_pages():
 
 def test_the_page_of_the_command_line_has_the_help_of_every_command():
     page = site_pages().command_line()
-    for name in set(COMMANDS) - set(HIDDEN):
+    for name in set(COMMANDS) - set(OTHER_NAMES):
         assert f"Usage: parallel-cal {name} " in page, name
     assert "Usage: parallel-cal session undo" in page
-    assert not any(f"## {name}\n" in page for name in HIDDEN)
+    assert not any(f"## {name}\n" in page for name in OTHER_NAMES)
 
 
 def test_the_page_of_the_model_file_has_every_key_of_every_part():
@@ -86,10 +86,22 @@ def site(tmp_path_factory):
             pytest.skip(f"{module} is not installed: pip install 'parallel_cal[docs]'")
     folder = tmp_path_factory.mktemp("site")
     done = subprocess.run(
-        [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-d", folder / "trees",
-         ROOT / "docs", folder / "html"],
-        capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "sphinx",
+            "-q",
+            "-W",
+            "--keep-going",
+            "-d",
+            folder / "trees",
+            ROOT / "docs",
+            folder / "html",
+        ],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
     assert done.returncode == 0, done.stderr
     return folder / "html"
 

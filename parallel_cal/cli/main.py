@@ -49,7 +49,7 @@ COMMANDS = {
     "ik": "kinematics:inverse",
     "look": "recordings:info",
 }
-HIDDEN = ("fk", "ik", "look")
+OTHER_NAMES = {"fk": "direct", "ik": "inverse", "look": "info"}
 
 
 def _version(wanted: bool) -> None:
@@ -77,6 +77,9 @@ def application(words: Sequence[str]) -> typer.Typer:
         pretty_exceptions_enable=False,
         help="Kinematic calibration of parallel robots: compare the model with measurements, see "
         "where it fails, add the missing effect, check the error. All values are SI.",
+        epilog="Other names: "
+        + ", ".join(f"{other} is {name}" for other, name in OTHER_NAMES.items())
+        + ".",
     )
     app.callback()(_options)
     for name in words[:1] if words and words[0] in COMMANDS else COMMANDS:
@@ -87,7 +90,7 @@ def application(words: Sequence[str]) -> typer.Typer:
         if isinstance(found, typer.Typer):
             app.add_typer(found, name=name)
         else:
-            app.command(name, hidden=name in HIDDEN)(found)
+            app.command(name, hidden=name in OTHER_NAMES)(found)
     return app
 
 

@@ -174,10 +174,12 @@ def _judge(found: Findings) -> Verdict:
         words = f"{after.dof} degrees of freedom are too few for a verdict: measure more poses"
         return Verdict("cannot_know", words)
     if found.best.chosen and not judgement.judged:
-        words = f"{names} fits better ({errors}), but has no validation error"
+        fits = "fit better" if len(found.best.chosen) > 1 else "fits better"
+        words = f"{names} {fits} ({errors}), but there is no validation error"
         return Verdict("cannot_know", f"{words}: {judgement.against}", share)
     if found.noise.variance is None:
-        helps = f"{names} helps" if names else "no effect of the catalogue helps"
+        verb = "help" if len(found.best.chosen) > 1 else "helps"
+        helps = f"{names} {verb}" if names else "no effect of the catalogue helps"
         rest = " and the residuals still have structure" if found.structure.has_structure else ""
         return Verdict(
             "cannot_know",
@@ -204,8 +206,8 @@ def _judge(found: Findings) -> Verdict:
         but = "".join(f"; but {words}" for words in against)
         words = (
             f"the residuals are within the noise without any effect (chi2/dof {chi2}, at most "
-            f"{high}); {names} is significant all the same ({errors}): add it if this gain "
-            f"matters to you{but}"
+            f"{high}); {names} {'are' if several else 'is'} significant all the same ({errors}): "
+            f"add {'them' if several else 'it'} if this gain matters to you{but}"
         )
         return Verdict("at_noise", f"{words}{_noise(found)}", share, against)
     if not against:

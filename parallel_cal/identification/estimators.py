@@ -7,8 +7,8 @@ from functools import partial
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.estimate import Estimate
-from parallel_cal.identification.methods._robust import estimate_robustly
 from parallel_cal.identification.prior import Prior
+from parallel_cal.identification.robust import estimate_robustly
 from parallel_cal.model.shelf import load_module, wrap_plugin_function
 
 Estimator = Callable[..., Estimate]  # of a model, observations, the mask of what is free

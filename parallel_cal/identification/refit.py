@@ -13,8 +13,8 @@ import numpy as np
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.estimate import Estimate
 from parallel_cal.identification.linearisation import Linearisation
-from parallel_cal.identification.methods._robust import reweight
 from parallel_cal.identification.observations import Observations
+from parallel_cal.identification.robust import reweight
 from parallel_cal.model.model import Model
 
 

@@ -17,8 +17,8 @@ import numpy as np
 
 from parallel_cal.identification.estimate import Estimate
 from parallel_cal.identification.linearisation import Linearisation
-from parallel_cal.identification.methods._robust import reweight
 from parallel_cal.identification.observations import ESTIMATED, Observations
+from parallel_cal.identification.robust import reweight
 from parallel_cal.identification.thresholds import (
     CONVERGED_NOISE_RATIO,
     MAX_NOISE_SAMPLES,

@@ -251,21 +251,21 @@ def _fit_residuals(at: Array, pixels: Array, plane: _Plane, size: tuple[int, int
     start = _shifted(-middle / scale) @ np.diag([1 / scale, 1 / scale, 1.0]) @ plane.matrix
     start = (start / start[2, 2]).ravel()[:8]
 
-    def away(p: Array) -> Array:
+    def compute_offsets(p: Array) -> Array:
         flat = _map(np.append(p[:8], 1.0).reshape(3, 3), at)
         s = np.sum(flat**2, axis=1)[:, None]
         bent = flat * (1 + sum(k * s ** (i + 1) for i, k in enumerate(p[8:])))
         return np.asarray(scale * bent + middle - pixels)
 
     found = least_squares(
-        lambda p: away(p).ravel(),
+        lambda p: compute_offsets(p).ravel(),
         np.append(start, np.zeros(bends)),
         loss="soft_l1",
         f_scale=ROBUST_SCALE_PX,
         x_scale="jac",
         max_nfev=100,
     )
-    return np.asarray(np.linalg.norm(away(found.x), axis=1))
+    return np.asarray(np.linalg.norm(compute_offsets(found.x), axis=1))
 
 
 def _profile_width(image: Grey, points: Array) -> float:

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from parallel_cal.base.rotation import matrix_to_quaternion
 from parallel_cal.model.configuration import Configuration
+
+if TYPE_CHECKING:
+    from parallel_cal.model.model import Model
 
 MAX_CLOSED_RESIDUAL_M = 1e-10  # m: a closure residual below this is a solution
 MAX_SETTLED_STEP_M = 1e-10  # m: a last step below this leaves an error below rounding (third order)
@@ -137,6 +140,17 @@ class Solutions:
     def ok(self) -> np.ndarray:
         """Which rows converged inside the joint limits, at regular poses."""
         return self.status == Status.CONVERGED
+
+
+def make_unsolved(
+    model: Model, q: np.ndarray | None = None, r: np.ndarray | None = None
+) -> Solutions:
+    """Make the solution of an unreachable sample or of an input that is not finite."""
+    finite = all(np.isfinite(given).all() for given in (q, r) if given is not None)
+    status = np.array(Status.UNREACHABLE if finite else Status.INVALID_INPUT, dtype=np.int8)
+    x = Configuration.from_rows(np.full(len(model.joints) + 12, np.nan))
+    q, r = x.q if q is None else q, x.r if r is None else r
+    return Solutions(q, r, x.R, np.array(np.nan), status)
 
 
 def stack_solutions(found: Sequence[Solutions]) -> Solutions:

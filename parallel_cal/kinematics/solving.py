@@ -13,8 +13,7 @@ from parallel_cal.base.errors import SolveError
 from parallel_cal.base.options import convert_options, split_options
 from parallel_cal.kinematics.all_solutions import direct_all, inverse_all
 from parallel_cal.kinematics.kinematics import Solutions
-from parallel_cal.kinematics.solutions import stack_solutions
-from parallel_cal.kinematics.solvers._common import make_unsolved
+from parallel_cal.kinematics.solutions import make_unsolved, stack_solutions
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import list_plugins, load_module, wrap_plugin_function
 

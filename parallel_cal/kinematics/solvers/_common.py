@@ -20,6 +20,7 @@ from parallel_cal.kinematics.solutions import (
     MIN_REGULAR_SINGULAR_VALUE,
     Solutions,
     Status,
+    make_unsolved,
     stack_solutions,
 )
 from parallel_cal.model.configuration import Configuration
@@ -158,17 +159,6 @@ def select_conditions(at: Mapping[str, Any] | None, i: int) -> dict[str, Any] | 
     if at is None:
         return None
     return {name: np.ravel(v)[i] if np.size(v) > 1 else v for name, v in at.items()}
-
-
-def make_unsolved(
-    model: Model, q: np.ndarray | None = None, r: np.ndarray | None = None
-) -> Solutions:
-    """Make the solution of an unreachable sample or of an input that is not finite."""
-    finite = all(np.isfinite(given).all() for given in (q, r) if given is not None)
-    status = np.array(Status.UNREACHABLE if finite else Status.INVALID_INPUT, dtype=np.int8)
-    x = Configuration.from_rows(np.full(len(model.joints) + 12, np.nan))
-    q, r = x.q if q is None else q, x.r if r is None else r
-    return Solutions(q, r, x.R, np.array(np.nan), status)
 
 
 def pose_candidates(model: Model, q: np.ndarray) -> Configuration:

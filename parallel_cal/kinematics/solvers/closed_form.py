@@ -14,11 +14,15 @@ import numpy as np
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import quaternion_to_matrix
-from parallel_cal.kinematics.solutions import MAX_CLOSED_RESIDUAL_M, Solutions, stack_solutions
+from parallel_cal.kinematics.solutions import (
+    MAX_CLOSED_RESIDUAL_M,
+    Solutions,
+    make_unsolved,
+    stack_solutions,
+)
 from parallel_cal.kinematics.solvers._common import (
     get_kinematics,
     joint_candidates,
-    make_unsolved,
     order_from_home,
     pose_candidates,
     select_conditions,
