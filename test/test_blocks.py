@@ -54,5 +54,13 @@ def test_the_workbench_gets_plain_data_that_it_can_sort():
     }
 
 
+def test_the_workbench_gets_the_zeros_that_a_number_loses():
+    table = Table(("error [um]",), [(Number(3.9e-5, 1e6),), (Number(3.87e-5, 1e6),)])
+    assert as_rows(table)["rows"] == [
+        {"error [um]": 39.0, "error [um] digits": "39.0"},
+        {"error [um]": 38.7},
+    ]
+
+
 def test_a_sort_key_replaces_the_text_of_its_cell_in_the_workbench():
     assert as_rows(Table(("sample",), [(Cell("7", key=7),)]))["rows"][0]["sample"] == 7
