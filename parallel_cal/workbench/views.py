@@ -140,27 +140,26 @@ def view(session: Session, progress: Progress) -> View:
     how, part = session.options, session.dataset_of_some(MAX_DIAGNOSED_SAMPLES)
     data = session.dataset if part is None else part
     found = report(session.model, data, progress=progress, options=how, hold_out=how.hold_out)
-    verdict = found.diagnosis.verdict
-    session.record_verdict(session.state, verdict.word, verdict.summary)
-    made = _make_report_view(found)
-    return made if part is None else made | _make_numbers_of_all(session, made, len(part))
+    verdict, made = found.diagnosis.verdict, _make_report_view(found)
+    remark = "" if part is None else f" (diagnosis of {_describe_part(len(part), session)})"
+    session.record_verdict(session.state, verdict.word, f"{verdict.summary}{remark}")
+    return made if part is None else made | _make_numbers_of_all(session, made["verdict"], remark)
 
 
-def _make_numbers_of_all(session: Session, made: View, diagnosed: int) -> View:
+def _make_numbers_of_all(session: Session, verdict: View, remark: str) -> View:
     """Make what a diagnosis of a part must not replace: errors and parameters of all samples.
 
     Figures that only the fit of the part has (budget, chi2/dof) are left out.
     """
-    model, verdict = session.model, made["verdict"]
+    model = session.model
     sigma = np.full(len(model.values), np.nan)
     if model.covariance is not None:
         sigma = np.sqrt(np.diag(model.covariance))
     numbers = _make_numbers("", _known_errors(session.state), session.state.sigmas)
-    words = f"{verdict['words']} (diagnosis of {_describe_part(diagnosed, session)})"
     fixed = np.asarray(model.fixed)
     parameters = contents.describe_parameters(model, summarise_parameters(model, sigma, fixed))
     return {
-        "verdict": verdict | {"words": words},
+        "verdict": verdict | {"words": f"{verdict['words']}{remark}"},
         "tiles": numbers["tiles"],
         "counts": f"all errors: rms at {session.state.samples} samples; ± 1 sigma",
         "budget": None,
