@@ -4,6 +4,7 @@ import json
 
 from parallel_cal.reporting.blocks import Cell, Column, Number, Table, as_rows, as_text
 from parallel_cal.reporting.markup import as_html
+from parallel_cal.reporting.readable import write_micro
 
 TABLE = Table(
     ("part", "by itself", "unit", Column("position [um]", "place", on_terminal=False)),
@@ -64,3 +65,8 @@ def test_the_workbench_gets_the_zeros_that_a_number_loses():
 
 def test_a_sort_key_replaces_the_text_of_its_cell_in_the_workbench():
     assert as_rows(Table(("sample",), [(Cell("7", key=7),)]))["rows"][0]["sample"] == 7
+
+
+def test_a_page_writes_micro_in_every_unit():
+    assert write_micro("0.5 um, 21.6 urad +- 2 urad [um]") == "0.5 µm, 21.6 µrad ± 2 µrad [µm]"
+    assert write_micro("a drum of 2 radii") == "a drum of 2 radii"
