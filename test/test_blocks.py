@@ -4,6 +4,7 @@ import json
 
 from parallel_cal.reporting.blocks import Cell, Column, Number, Table, as_rows, as_text
 from parallel_cal.reporting.markup import as_html
+from parallel_cal.reporting.readable import write_micro
 
 TABLE = Table(
     ("part", "by itself", "unit", Column("position [um]", "place", on_terminal=False)),
@@ -54,6 +55,14 @@ def test_the_workbench_gets_plain_data_that_it_can_sort():
     }
 
 
+def test_the_workbench_gets_the_zeros_that_a_number_loses():
+    table = Table(("error [um]",), [(Number(3.9e-5, 1e6),), (Number(3.87e-5, 1e6),)])
+    assert as_rows(table)["rows"] == [
+        {"error [um]": 39.0, "error [um] digits": "39.0"},
+        {"error [um]": 38.7},
+    ]
+
+
 def test_a_sort_key_replaces_the_text_of_its_cell_in_the_workbench():
     assert as_rows(Table(("sample",), [(Cell("7", key=7),)]))["rows"][0]["sample"] == 7
 
@@ -64,3 +73,8 @@ def test_a_terminal_shows_digits_of_a_number_that_its_decimals_would_hide():
     assert small.fixed() == "-0.0000001165"
     assert Number(4.3e-9, decimals=4, sigma=4.3e-9).fixed() == "0.0000000043"
     assert Number(0.09625681, 1e3, decimals=4, sigma=2.3e-5).fixed() == "96.2568"
+
+
+def test_a_page_writes_micro_in_every_unit():
+    assert write_micro("0.5 um, 21.6 urad +- 2 urad [um]") == "0.5 µm, 21.6 µrad ± 2 µrad [µm]"
+    assert write_micro("a drum of 2 radii") == "a drum of 2 radii"

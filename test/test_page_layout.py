@@ -210,6 +210,36 @@ def test_a_page_shows_a_part_of_many_samples_first_and_says_so(folder, monkeypat
     assert Session(folder).state.verdict == session.state.verdict  # only the whole is recorded
 
 
+@pytest.mark.wide
+def test_of_many_samples_a_part_is_diagnosed_and_the_numbers_are_those_of_all(folder, monkeypatch):
+    from parallel_cal.workbench import views
+
+    def look():
+        return views.view(Session(folder), lambda *told: None)
+
+    whole = look()
+    monkeypatch.setattr(views, "MAX_DIAGNOSED_SAMPLES", 80)
+    part = look()
+    count = len(Session(folder).dataset.thinned(80))
+    assert count < 94
+    assert part["verdict"]["words"].endswith(
+        f"(diagnosis of {count} of 94 samples, evenly spread over the recording)"
+    )
+    assert "backlash" in part["verdict"]["words"]
+    assert len(part["samples"]["rows"]) == count
+    by_name = {tile["name"]: tile["values"] for tile in whole["tiles"]}
+    assert [tile["values"] for tile in part["tiles"] if tile["name"] == "now"] == [by_name["now"]]
+    assert part["counts"] == "all errors: rms at 94 samples; ± 1 sigma"
+    estimates = [[row[key] for key in ("name", "value", "sigma")] for row in _rows(part)]
+    fitted = [[row[key] for key in ("name", "value", "sigma")] for row in _rows(whole)]
+    assert estimates == fitted[: len(estimates)]
+    assert (part["budget"], part["chi2"]) == (None, "")
+
+
+def _rows(view):
+    return view["parameters"]["rows"]
+
+
 # ------------------------------------------------------------------ in a browser
 
 

@@ -94,3 +94,18 @@ def test_an_ended_worker_says_so():
     worker.end()
     with pytest.raises(WorkError, match="the node is shutting down"):
         worker.work(nothing)
+
+
+def test_a_process_that_starts_late_is_reported_and_does_the_next_work(monkeypatch):
+    from parallel_cal.base import worker as module
+
+    late = Worker(first=nothing)
+    try:
+        with monkeypatch.context() as busy:
+            busy.setattr(module, "STARTUP_TIMEOUT_S", 0.0)
+            with pytest.raises(WorkError, match="did not start within 0 s: the computer is busy"):
+                late.work(count, 3, tell=lambda i: None)
+        assert told(late, 3) == [0, 1, 2]
+        assert late.ended_early == 0  # the process that started late did the work
+    finally:
+        late.end()

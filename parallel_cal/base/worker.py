@@ -93,7 +93,7 @@ class Worker:
         WorkCancelled
             Soon after `wanted()` is False.
         WorkError
-            With what the work raised, or how its process ended.
+            With what the work raised, or how its process ended, or that it did not start.
         """
         with self._turn:
             if self._ended:
@@ -124,9 +124,14 @@ class Worker:
         wanted: Callable[[], bool],
     ) -> Any:
         assert self._pipe is not None
-        end = time.monotonic() + STARTUP_TIMEOUT_S
+        end, started = time.monotonic() + STARTUP_TIMEOUT_S, False
         while True:
             left = end - time.monotonic()
+            if left <= 0 and not started:  # it goes on starting, for the next work
+                raise WorkError(
+                    f"the process for the work did not start within {STARTUP_TIMEOUT_S:g} s: the "
+                    "computer is busy; try again"
+                )
             if left <= 0:
                 raise TimeBudgetExceeded("over budget")
             if not wanted():
@@ -138,7 +143,7 @@ class Worker:
             kind, value = self._pipe.recv()
             if kind == "ready":
                 self._pipe.send(asked)
-                end = time.monotonic() + seconds
+                end, started = time.monotonic() + seconds, True
             elif kind == "told" and tell is not None:
                 tell(*value)
             elif kind == "failed":

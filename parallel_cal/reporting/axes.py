@@ -1,4 +1,4 @@
-"""Axes and the noise floor of figures, without NumPy, so that the page can draw them."""
+"""Axes, space and the noise floor of figures, without NumPy, so that the page can draw them."""
 
 from __future__ import annotations
 
@@ -54,3 +54,15 @@ def draw_noise_floor(
         "showarrow": False,
     }
     return line, label
+
+
+def space(kind: str) -> dict[str, Any]:
+    """Make axes of equal scale: positions in mm, directions on the unit sphere without unit."""
+    unit = " [mm]" if kind == "position" else ""
+    axes = {f"{a}axis": {"title": {"text": f"{a}{unit}"}} for a in "xyz"}
+    camera = {"eye": {"x": 1.5, "y": -1.5, "z": 0.75}, "center": {"x": 0, "y": 0, "z": -0.16}}
+    return {
+        "scene": {**axes, "aspectmode": "data", "camera": camera},
+        "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
+        "height": 500,
+    }

@@ -76,6 +76,7 @@ class Cell:
 
 
 Row = Sequence[Cell | Number | str]
+DIGITS = " digits"  # of a key in the rows of the workbench: how its number is written
 
 
 @dataclass(frozen=True)
@@ -131,8 +132,9 @@ def _as_columns(table: Table) -> str:
 def as_rows(table: Table) -> dict[str, Any]:
     """Render a table as JSON: `columns` of (key, heading), and `rows` that are dictionaries.
 
-    Numbers and sort keys stay numbers, so that the page can sort them. The key of a small line is
-    the key of its cell with ` details`.
+    Numbers and sort keys stay numbers, so that the page can sort them. Where that loses zeros (39
+    of 39.0), the text has the key of its cell with ` digits`. The key of a small line is the key of
+    its cell with ` details`.
     """
     headings = table.headings()
     keys = [heading.key or heading.name for heading in headings]
@@ -143,7 +145,10 @@ def as_rows(table: Table) -> dict[str, Any]:
             cell = as_cell(one)
             row[key] = cell.on_page() if cell.key is None else cell.key
             if isinstance(cell.content, Number):
-                row[key] = None if row[key] == MISSING else float(row[key])
+                text = row[key]
+                row[key] = None if text == MISSING else float(text)
+                if text.endswith("0") and "." in text:
+                    row[f"{key}{DIGITS}"] = text
             if isinstance(one, Cell):
                 row[f"{key} details"] = write_micro(cell.under)
         rows.append(row)

@@ -22,6 +22,7 @@ from parallel_cal.identification.prediction_errors import ERRORS, Errors, Summar
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.mechanism import POSE, Mechanism
+from parallel_cal.model.model import Model
 from parallel_cal.model.words import describe
 
 MAX_REST_SPEED = 1e-3  # rad/s or m/s: below it the robot stands still
@@ -319,7 +320,14 @@ class DescribedParameter(ParameterEstimate):
 
 def parameters(result: FitResult) -> dict[str, DescribedParameter]:
     """Describe every parameter, by name."""
-    table, tolerances = result.model.table, result.model.usual_tolerance
+    return describe_parameters(result.model, result.parameters())
+
+
+def describe_parameters(
+    model: Model, estimates: Mapping[str, ParameterEstimate]
+) -> dict[str, DescribedParameter]:
+    """Describe the estimates of a model's parameters, by name."""
+    table, tolerances = model.table, model.usual_tolerance
     return {
         name: DescribedParameter(
             **vars(p),
@@ -327,7 +335,7 @@ def parameters(result: FitResult) -> dict[str, DescribedParameter]:
             words=describe(name, table),
             sigma_tolerances=None if p.sigma is None else p.sigma / tolerance,
         )
-        for (name, p), tolerance in zip(result.parameters().items(), tolerances, strict=True)
+        for (name, p), tolerance in zip(estimates.items(), tolerances, strict=True)
     }
 
 

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.model.model import Model
+from parallel_cal.reporting.axes import space
 from parallel_cal.reporting.colours import MEASURED, QUIET, WARNING
 from parallel_cal.reporting.contents import DescribedParameter
 from parallel_cal.reporting.figures import (
@@ -20,7 +21,6 @@ from parallel_cal.reporting.figures import (
     round_values,
     round_with_gaps,
 )
-from parallel_cal.reporting.spaces import space
 
 # The palette of Okabe and Ito: driven parts, rods, platform.
 COLOURS = {
@@ -30,6 +30,8 @@ COLOURS = {
     "rod": "#009e73",
     "platform": "#cc79a7",
 }
+# Labels of neighbouring lines take turns, so that they do not cover each other.
+LABEL_POSITIONS = ("top center", "bottom center", "middle right", "middle left")
 WIDTHS = {"base": 4, "axis": 2, "driven": 8, "rod": 5, "platform": 7}
 
 
@@ -105,6 +107,7 @@ def drawing(
         "y": round_values(at[:, 1]),
         "z": round_values(at[:, 2]),
         "text": [escape(part.label) for part in named],
+        "textposition": [LABEL_POSITIONS[k % len(LABEL_POSITIONS)] for k in range(len(named))],
         "textfont": {"size": 11},
     }
     points = 1e3 * np.vstack([part.points for part in parts])

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from parallel_cal.diagnosis.entries import Entry
 from parallel_cal.diagnosis.separate import PlannedPose
 from parallel_cal.diagnosis.signature import signature
 from parallel_cal.diagnosis.thresholds import MAX_REFITTED_CANDIDATES
 from parallel_cal.reporting import signatures
+from parallel_cal.reporting.contents import unit_along
 from parallel_cal.reporting.markup import (
     Plot,
     as_html,
@@ -28,6 +29,7 @@ from parallel_cal.reporting.readable import (
 from parallel_cal.reporting.report import Report
 from parallel_cal.reporting.results import candidate_table
 
+MAX_PRINTED_POSES = 20  # as in page.css
 PATTERNS = 4  # candidates whose patterns are drawn
 
 
@@ -90,14 +92,21 @@ def measure_next(report: Report) -> str:
         f"{len(plan.poses)} planned poses would distinguish {' from '.join(plan.separates)} by "
         f"{then} sigmas. The present data distinguish them by {now} sigmas."
     )
-    return items(advice) + paragraph(words) + _poses(plan.poses, report.provenance.joint_units)
+    printed = ""
+    if len(plan.poses) > MAX_PRINTED_POSES:
+        printed = paragraph(
+            f"On paper: the first {MAX_PRINTED_POSES} of {len(plan.poses)} poses.", "note more"
+        )
+    return items(advice) + paragraph(words) + printed + _poses(plan.poses, report)
 
 
-def _poses(poses: Sequence[PlannedPose], units: Mapping[str, str]) -> str:
+def _poses(poses: Sequence[PlannedPose], report: Report) -> str:
     """Render the poses to measure, with their waypoints and conditions."""
+    units, mechanism = report.provenance.joint_units, report.diagnosis.model.mechanism
     joints = [f"{name} [{value_unit(unit)[0]}]" for name, unit in units.items()]
     stops = ["waypoint 1 [mm]", "waypoint 2 [mm]"] if poses[0].by_way_of else []
-    conditions = list(poses[0].conditions)
+    conditions = {name: value_unit(unit_along(mechanism, name)) for name in poses[0].conditions}
+    columns = [f"{name} [{unit}]" if unit else name for name, (unit, _) in conditions.items()]
     rows = [
         [
             str(i),
@@ -105,8 +114,8 @@ def _poses(poses: Sequence[PlannedPose], units: Mapping[str, str]) -> str:
             vector(pose.position, "m"),
             vector(pose.quaternion, "", 5),
             *(vector([q], u) for q, u in zip(pose.joints, units.values(), strict=True)),
-            *(f"{pose.conditions[c]:.3g}" for c in conditions),
+            *(f"{pose.conditions[c] * factor:.3g}" for c, (_, factor) in conditions.items()),
         ]
         for i, pose in enumerate(poses, 1)
     ]
-    return table(["", *stops, "x y z [mm]", "quaternion x y z w", *joints, *conditions], rows)
+    return table(["", *stops, "x y z [mm]", "quaternion x y z w", *joints, *columns], rows)

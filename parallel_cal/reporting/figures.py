@@ -34,7 +34,7 @@ def side_by_side(
 ) -> Spec:
     """Draw small multiples as one figure from the traces and axis titles (x, y) of each panel.
 
-    The legend names the traces of the first panel.
+    A title x may have two lines. The legend names the traces of the first panel.
     """
     data: list[Spec] = []
     layout: Spec = {}
@@ -49,7 +49,7 @@ def side_by_side(
         layout[f"xaxis{mark}"] = {
             "domain": [left, min(left + width, 1.0)],
             "anchor": f"y{mark}",
-            "title": {"text": escape(across), "standoff": 4},
+            "title": {"text": escape(across).replace("\n", "<br>"), "standoff": 4},
             "nticks": 6,
         }
         layout[f"yaxis{mark}"] = {
@@ -59,7 +59,8 @@ def side_by_side(
             "range": list(heights),
             "nticks": 5,
         }
-    margin = {"t": 44, "r": 8, "l": 48, "b": 44}
+    lines = max((across.count("\n") for across, _ in axes), default=0)
+    margin = {"t": 44, "r": 8, "l": 48, "b": 44 + 16 * lines}
     about = {"height": 30 + 220 * rows, "showlegend": True, "legend": LEGEND, "margin": margin}
     return {"data": data, "layout": layout | about}
 

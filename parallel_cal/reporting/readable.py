@@ -76,8 +76,9 @@ def format_judged_error(errors: Mapping[str, float | None], sigmas: Mapping[str,
 
 
 def write_micro(text: str) -> str:
-    """Write um as µm and +- as ±: messages and texts of blocks are ASCII, a page is not."""
-    return re.sub(r"((?<=\d )|(?<=\[)|^)um\b", "µm", text.replace(" +- ", " ± "))
+    """Write um as µm, urad as µrad and +- as ±: messages and texts of blocks are ASCII, a page is
+    not."""
+    return re.sub(r"((?<=\d )|(?<=\[)|^)u(m|rad)\b", r"µ\2", text.replace(" +- ", " ± "))
 
 
 def day(stamp: str) -> str:

@@ -238,6 +238,7 @@ def parameter_table(parameters: Mapping[str, DescribedParameter]) -> Table:
     rows = []
     for p in parameters.values():
         (unit, factor), moved = value_unit(p.unit), p.moved_tolerances
+        nominal = float(f"{p.nominal * factor:.6g}")
         value, change, sigma = (
             Number(v, factor, 4, 6, p.sigma, unit) for v in (p.value, p.value - p.nominal, p.sigma)
         )
@@ -249,7 +250,7 @@ def parameter_table(parameters: Mapping[str, DescribedParameter]) -> Table:
                 change,
                 sigma,
                 unit,
-                Number(p.nominal, factor, 4, 6, unit=unit),
+                Cell(f"{nominal:.6g} {unit}", key=nominal),
                 f"{p.words}, {_describe_fixing(p)}" if p.fixed else p.words,
             )
         )

@@ -32,7 +32,8 @@ def figure(found: Signature, mechanism: Mechanism) -> Spec:
     """
     panels = [list(_traces(panel, mechanism)) for panel in found.panels]
     axes = [
-        (_across(panel, mechanism), f"{panel.component} residual [σ]") for panel in found.panels
+        (_across(panel, mechanism).replace(": ", "\n"), f"{panel.component} residual [σ]")
+        for panel in found.panels
     ]
     sizes = [float(np.quantile(abs(panel.residual), 0.98)) for panel in found.panels]
     size = max([2.0, *sizes])

@@ -8,6 +8,7 @@ import numpy as np
 
 from parallel_cal.diagnosis.lack_of_fit import SmoothMap
 from parallel_cal.reporting.arrows import arrows, scale_of, typical
+from parallel_cal.reporting.axes import space
 from parallel_cal.reporting.colours import PATTERN
 from parallel_cal.reporting.figures import Spec, round_values, select_evenly
 from parallel_cal.reporting.readable import with_unit
@@ -75,9 +76,9 @@ def _draw_arrows(
 def _add_scale_arrow(
     traces: list[Spec], places: np.ndarray, field: np.ndarray, scale: float, kind: str
 ) -> Spec:
-    """Add a length to compare arrows with, at the lowest corner."""
-    size = typical(field)
-    x, y, z = (1e3 if kind == "position" else 1.0) * places.min(axis=0)
+    """Add a length to compare arrows with, outside the lowest corner, where no arrow covers it."""
+    size, low = typical(field), places.min(axis=0)
+    x, y, z = (1e3 if kind == "position" else 1.0) * (low - 0.1 * (places.max(axis=0) - low))
     long = (1e3 if kind == "position" else 1.0) * scale * size
     bar = {
         "type": "scatter3d",
@@ -102,16 +103,4 @@ def _add_scale_arrow(
     return {
         "data": [*traces, bar],
         "layout": layout | {"scene": layout["scene"] | {"annotations": [words]}},
-    }
-
-
-def space(kind: str) -> Spec:
-    """Make axes of equal scale: positions in mm, directions on the unit sphere without unit."""
-    unit = " [mm]" if kind == "position" else ""
-    axes = {f"{a}axis": {"title": {"text": f"{a}{unit}"}} for a in "xyz"}
-    camera = {"eye": {"x": 1.4, "y": -1.4, "z": 0.7}, "center": {"x": 0, "y": 0, "z": -0.13}}
-    return {
-        "scene": {**axes, "aspectmode": "data", "camera": camera},
-        "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
-        "height": 500,
     }

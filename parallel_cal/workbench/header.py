@@ -156,7 +156,7 @@ class VerdictCard:
         self.bench = bench
         with card("Verdict") as self.card:
             self.words = ui.label().classes("font-bold").props("id=verdict-words")
-            self.numbers = ui.row().classes("items-start gap-x-6 gap-y-1")
+            self.numbers = ui.row().classes("items-start gap-x-4 gap-y-1")
             self.steps = FigureSlot()
             self.dotted = ui.label("A dotted line joins the errors of different samples.")
             self.dotted.classes("text-xs quiet")
@@ -176,7 +176,7 @@ class VerdictCard:
             for tile in view.get("tiles", []):
                 _tile(tile)
             if budget := view.get("budget"):
-                with ui.column().classes("gap-0"):
+                with ui.column().classes("gap-0 w-full"):
                     ui.label(budget["title"]).classes("text-xs quiet")
                     ui.label(" · ".join(budget["parts"])).props("id=budget").tooltip(
                         budget["about"]

@@ -37,7 +37,7 @@ class ImportDialog:
         self._folder = tempfile.TemporaryDirectory(prefix="parallel-cal-")
         self._file: Path | None = None
         self._awaits_result = False
-        with ui.dialog(value=True) as self._dialog, ui.card().classes("w-full max-w-4xl gap-2"):
+        with ui.dialog(value=True) as self._dialog, ui.card().classes("w-full max-w-5xl gap-2"):
             ui.label("Import a table").classes("text-base font-bold").props(
                 "role=heading aria-level=2"
             )

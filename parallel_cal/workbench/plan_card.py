@@ -11,10 +11,11 @@ from nicegui import run, ui
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.files import read_text
+from parallel_cal.reporting.axes import space
 from parallel_cal.reporting.colours import PATTERN, QUIET
 from parallel_cal.reporting.readable import write_micro
 from parallel_cal.workbench.bench import Bench, Live
-from parallel_cal.workbench.widgets import FIGURE_MARGIN, card, draw_figure
+from parallel_cal.workbench.widgets import card, draw_figure
 
 PLACE, TURN = ("x", "y", "z"), ("qx", "qy", "qz", "qw")  # columns of planned poses
 
@@ -120,6 +121,6 @@ def _draw_places(rows: Sequence[dict[str, float]], view: dict[str, Any], title: 
             ("planned", poses, 5, PATTERN),
         )
     ]
-    axes = {f"{k}axis": {"title": {"text": f"{k} [mm]"}} for k in "xyz"}
-    layout = {"height": 380, "margin": FIGURE_MARGIN, "scene": axes}
+    legend = {"x": 0, "y": 1, "bgcolor": "rgba(0,0,0,0)"}
+    layout = space("position") | {"height": 420, "legend": legend}
     draw_figure({"data": traces, "layout": layout}, title)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 from nicegui import ui
 
+from parallel_cal.reporting.blocks import DIGITS
 from parallel_cal.reporting.colours import BAND, QUIET
+from parallel_cal.reporting.readable import MISSING
 
 COLOURS = {"green": "#1a7f37", "amber": "#9a6700", "grey": "#57606a"}
 FIGURE_LAYOUT = {
@@ -37,7 +40,12 @@ CSS = f"""
   align-items: start; width: 100% }}
 .candidate > .wide {{ grid-column: 1 / -1 }}
 .one-line-rows td {{ white-space: nowrap }}
-.q-table--dense :is(th, td) {{ padding: 4px 6px }}
+.q-table--dense :is(th, td) {{ padding: 4px 6px; font-variant-numeric: tabular-nums }}
+.q-table th {{ vertical-align: bottom }}
+.q-table th .q-table__sort-icon--left {{ position: absolute }}
+.q-btn {{ text-transform: none }}
+.q-btn--dense {{ padding: 2px 8px }}
+.q-btn--standard.disabled {{ --q-primary: #6e7781 }}
 .js-plotly-plot :is([class$=tick], .textpoint, .infolayer, .legend) text {{
   fill: currentColor !important }}
 .skip-link {{ position: absolute; left: -999rem; top: 4px; z-index: 1; padding: 4px 12px;
@@ -78,10 +86,21 @@ def card(title: str) -> Any:
     return made
 
 
+# A number without its last zeros sorts; the digits that it was rounded to are shown.
+SHOW_DIGITS = f"(value, row) => row[{{field}} + {DIGITS!r}] ?? value ?? {MISSING!r}"
+
+
 def table(columns: list[tuple[str, str]], rows: list[dict[str, Any]], key: str, **how: Any) -> Any:
-    """Make a table of (field, heading) columns, sortable by each."""
+    """Make a table of (field, heading) columns, sortable by each, with numbers on the right."""
     shown = [
-        {"name": field, "label": label, "field": field, "align": "left", "sortable": True}
+        {
+            "name": field,
+            "label": label,
+            "field": field,
+            "align": "right" if _is_of_numbers(rows, field) else "left",
+            "sortable": True,
+            ":format": SHOW_DIGITS.format(field=json.dumps(field)),
+        }
         for field, label in columns
     ]
     made = ui.table(columns=shown, rows=rows, **({"row_key": key} | how))
@@ -89,6 +108,11 @@ def table(columns: list[tuple[str, str]], rows: list[dict[str, Any]], key: str, 
         made.add_slot("header-selection", CHECKBOX.format(words="'mark all'"))
         made.add_slot("body-selection", CHECKBOX.format(words="'mark ' + props.key"))
     return made.classes("w-full").props("dense flat wrap-cells")
+
+
+def _is_of_numbers(rows: list[dict[str, Any]], field: str) -> bool:
+    values = [row[field] for row in rows if row.get(field) is not None]
+    return bool(values) and all(isinstance(value, (int, float)) for value in values)
 
 
 def make_chart(across: dict[str, Any], up: str, **look: Any) -> dict[str, Any]:
