@@ -62,8 +62,8 @@ SHOWN = {  # family -> its sessions in words, and what is counted in words
         {"larger": "the larger model asked for"},
     ),
     "laws": (
-        "a law of no catalogue hidden",
-        {"place": "place right", "driver": "driver right", "worse": "true error above that before"},
+        "a hidden law that is in no catalogue",
+        {"place": "place right", "driver": "driver right", "worse": "true error larger than without the law"},
     ),
     "null": ("white noise, no law", {"law": "a law found"}),
     "noise": ("noise that is not as stated, no law", {"law": "a law found"}),
@@ -332,7 +332,7 @@ def make_table(outcomes: list[Outcome]) -> str:
             share = share.replace("..", " to ")
             rows.append(f"| {sessions} | {words} | {shown[0]} | {share} | {shown[1]} |")
     missing = ", ".join(sorted({*cs.EFFECTS} - {o.case.kind for o in present}))
-    note = f"\n\nHidden in no session of this version: {missing}." if missing else ""
+    note = f"\n\nThis version was not tested with: {missing}." if missing else ""
     return "\n".join(rows) + note
 
 

@@ -59,6 +59,7 @@ class Machine:
     effects: list[str] = field(default_factory=list)
     with_effects: float | None = None
     own: dict[str, float] = field(default_factory=dict)
+    means: dict[str, float] = field(default_factory=dict)  # of the last model, beside the rms
     seconds: dict[str, float] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
@@ -87,7 +88,9 @@ def calibrate(machine: Machine, model: pc.Model, data: pc.Dataset) -> pc.Model:
     training, held_out = (data.select(index) for index in split(len(data)))
 
     def error_of(model: pc.Model) -> float:
-        return float(pc.compare(model, held_out).errors.summary.position_rms)
+        summary = pc.compare(model, held_out).errors.summary
+        machine.means["parallel_cal"] = float(summary.position_mean)
+        return float(summary.position_rms)
 
     machine.samples = len(data)
     machine.registered = error_of(model)
@@ -121,6 +124,13 @@ def calibrate(machine: Machine, model: pc.Model, data: pc.Dataset) -> pc.Model:
     return model
 
 
+def note_independent_fit(machine: Machine, label: str, errors: Array) -> None:
+    """Note the rms of the independent fit's position errors (N, 3), and their mean if it is the
+    last fit."""
+    machine.own[label] = own.rms(errors)
+    machine.means["independent"] = float(np.linalg.norm(errors, axis=1).mean())
+
+
 def jugglebot(folder: Path) -> Machine:
     """Calibrate the hexapod on strings."""
     machine = Machine(
@@ -147,9 +157,8 @@ def jugglebot(folder: Path) -> Machine:
         ("with gain and bend of each leg", 54),
     ):
         p = own.fit_hexapod(start, free, turns[fitting], per_turn, r[fitting], R[fitting])
-        machine.own[label] = own.rms(
-            own.hexapod_errors(p, turns[held_out], per_turn, r[held_out], R[held_out])
-        )
+        errors = own.hexapod_errors(p, turns[held_out], per_turn, r[held_out], R[held_out])
+        note_independent_fit(machine, label, errors)
     return machine
 
 
@@ -200,7 +209,7 @@ def arm(kind: str, title: str, folder: Path) -> Machine:
     for label, options in cases:
         p = own.fit_arm(ROWS[kind], q[fitting], r[fitting], **options)
         computed = own.arm_positions(p, ROWS[kind], q[held_out], options.get("harmonics", ()))
-        machine.own[label] = own.rms(computed - r[held_out])
+        note_independent_fit(machine, label, computed - r[held_out])
     return machine
 
 
@@ -225,7 +234,7 @@ def hangprinter(folder: Path) -> Machine:
     for label, bend in (("geometry", False), ("with spools that shrink", True)):
         p = own.fit_cable_robot(anchors, 0.075, pay_out, motors[fitting], r[fitting], bend)
         errors = own.cable_robot_errors(p, pay_out, motors[held_out], r[held_out])
-        machine.own[label] = own.rms(errors)
+        note_independent_fit(machine, label, errors)
     return machine
 
 
@@ -346,7 +355,8 @@ scipy, kinematics of its own, nothing of this package). `make real` makes it.
 
 Each set is divided once: three quarters of the poses are for fitting, one quarter is for judging.
 Neither the tool nor the independent fit sees the poses for judging. All errors are rms position
-errors there. For the printer they are heights at touches in four folds, by the firmware's formula.
+errors there; the sections also state the mean. For the printer they are heights at touches in four
+folds, by the firmware's formula.
 
 - **registered**: the makers' dimensions; only the frames of device and target are estimated
   (printer: the numbers of its file).
@@ -401,13 +411,15 @@ def _section(machine: Machine) -> str:
     effects = ", then ".join(f"`{effect}`" for effect in machine.effects) or "none"
     seconds = ", ".join(f"{name} {value:.0f} s" for name, value in machine.seconds.items())
     said = "\n".join(f"{i}. {note}" for i, note in enumerate(machine.notes, start=1))
+    means = ", ".join(f"{name} {_length(machine, value)}" for name, value in machine.means.items())
+    mean = f"Mean error at the held-out poses: {means}. " if means else ""
     diagnosed = (
         f"\n\nWhat `diagnose` said, in order:\n\n{said}" if machine.effects else f"\n\n{said}"
     )
     return (
         f"## {machine.name.replace('_', '-')}\n\n"
-        f"By hand: {machine.hand_work}. Effects added: {effects}. Time on two cores: {seconds} "
-        f"(the longest call of each).{diagnosed}"
+        f"By hand: {machine.hand_work}. Effects added: {effects}. {mean}Time on two cores: "
+        f"{seconds} (the longest call of each).{diagnosed}"
     )
 
 
