@@ -51,7 +51,7 @@ EffectsInModel = Annotated[
     ),
 ]
 IMPLAUSIBLE = (
-    "joint readings are implausible, or values of an effect are physically impossible together"
+    "joint readings are implausible, or an effect's values are physically impossible in combination"
 )
 ForceFit = Annotated[
     bool,

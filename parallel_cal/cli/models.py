@@ -64,7 +64,7 @@ def new(
     ] = "industrial",
     as_json: Json = False,
 ) -> None:
-    """Write a model file with a mechanism's nominal values or a controller's configuration."""
+    """Write a model file: nominal values of a mechanism, or the values of a controller or URDF."""
     from parallel_cal.importing.deltas import PROBE_NOISE_UNKNOWN
     from parallel_cal.model.file.modelfile import model_hash, replace_model
     from parallel_cal.model.machine_class import DEFAULT_CLASS, check_class

@@ -253,9 +253,9 @@ def diagnose(
 ) -> Diagnosis:
     """Find the physical effects that a model lacks.
 
-    The free parameters are identified first. Each candidate effect is then compared with the
-    residuals; the part of its pattern that geometric parameters could imitate is removed before.
-    The best candidates are refitted and judged at held-out poses.
+    The free parameters are identified first. The part of each candidate's pattern that geometric
+    parameters could imitate is removed, and the rest is compared with the residuals. The best
+    candidates are refitted and judged at held-out poses.
     docs/judge_your_calibration.md explains the verdicts.
 
     Parameters
@@ -285,7 +285,7 @@ def diagnose(
     ------
     FitError
         If the free parameters cannot be identified. If no plausible geometry describes the samples,
-        the message names the effects with which one does.
+        the message names the effects that would make it plausible.
 
     Examples
     --------

@@ -311,11 +311,12 @@ def discover(
 ) -> Discovery:
     """Find the law of an error that no effect of the catalogue describes.
 
-    The free parameters are identified first. Then every place where an error can enter (each
-    joint, each parameter of the mechanism, the platform's pose, the device) is combined with every
-    quantity that it may depend on, without a formula; the part that geometric parameters could
-    imitate is removed before. The best combinations get a formula. A law must exceed what the same
-    search finds in sessions with the same noise and no law, and the judgement of `add`.
+    The free parameters are identified first. Then each place where an error can enter (each joint,
+    each parameter of the mechanism, the platform's pose, the device) is tested with each quantity
+    that the error may depend on. No formula is assumed, and the part of the error that geometric
+    parameters could imitate is removed first. The best combinations get a formula. A law must
+    explain more than the same search finds in simulated sessions with the same noise and no law. It
+    must also pass the checks of `add`.
 
     Parameters
     ----------

@@ -124,7 +124,8 @@ class FitResult(ShownInNotebook):
     registration : Registration, optional
         The estimated frame of the measuring device; None if none was needed.
     base_motion : BaseMotion, optional
-        How far the identified robot stands from the drawn one in {B}; None without a registration.
+        Displacement of the identified robot from its nominal place in {B}; None without a
+        registration.
     unusual : dict of str to UnusualSize
         Parameters of effects that are larger than usual for the machine's class, by name.
     """
@@ -261,7 +262,7 @@ class FitResult(ShownInNotebook):
     @cached_property
     @single_threaded()
     def errors_without(self) -> dict[str, Errors | None]:
-        """Errors of the model without its identified geometry and without each of its effects, at
+        """Errors of the model if its geometry, or one of its effects at a time, is taken away, at
         the samples of `judged_errors`; None where the rest cannot be identified.
 
         Without an effect, all other parameters are identified again. Without its geometry, the
@@ -329,7 +330,7 @@ class FitResult(ShownInNotebook):
 
     @cached_property
     def budgets(self) -> tuple[Budget, ...]:
-        """How much of the nominal model's error geometry and each effect remove."""
+        """The part of the nominal model's error that the geometry, and each effect, removes."""
         return budgets(
             self.model,
             self.dataset,
@@ -499,9 +500,9 @@ def fit(
           determine less precisely than the tolerance), True (for all parameters), False (for none)
           or a Prior.
         - `method` (default `"implicit"`), `loss` (`"linear"`, or a robust one such as `"huber"`),
-          `seed` of the folds, `insist` (accept implausible joint readings, and values of an effect
-          that are physically impossible together), `usual_only` (refuse effects that are larger
-          than usual).
+          `seed` of the folds, `insist` (accept implausible joint readings, and combinations of an
+          effect's values that are physically impossible), `usual_only` (refuse effects that are
+          larger than usual).
 
     Returns
     -------

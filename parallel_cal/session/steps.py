@@ -137,7 +137,7 @@ def fitted(
     """Identify the free parameters, with the options of `identification.fit`.
 
     FitError if the validation error does not fall. If no plausible geometry describes the samples,
-    the message names the effects with which one does.
+    the message names the effects that would make it plausible.
     """
     effects = options.pop("effects", ())
     how, progress = _collect_options(options)
