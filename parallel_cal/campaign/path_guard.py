@@ -113,20 +113,16 @@ class Guard:
             return None
         i, words = min(bad, key=lambda found: found[0])
         if words == STATUS_WORDS[Status.OUTSIDE_LIMITS]:
-            words += self._describe_exceeded_limits(q[i])
+            m = self.model.mechanism
+            exceeded = [
+                f"{joint} at {value:.4f} {unit}, allowed from {low:.4f} to {high:.4f}"
+                for joint, unit, value, (low, high) in zip(
+                    m.joints, m.joint_units, q[i].tolist(), m.joint_limits, strict=True
+                )
+                if not low <= value <= high
+            ]
+            words += f" ({'; '.join(exceeded)})" if exceeded else ""
         return i / max(len(q) - 1, 1), words
-
-    def _describe_exceeded_limits(self, q: np.ndarray) -> str:
-        """Name the joints (nq,) beyond their limits, with value and limits."""
-        m = self.model.mechanism
-        exceeded = [
-            f"{joint} at {value:.4f} {unit}, allowed from {low:.4f} to {high:.4f}"
-            for joint, unit, value, (low, high) in zip(
-                m.joints, m.joint_units, q.tolist(), m.joint_limits, strict=True
-            )
-            if not low <= value <= high
-        ]
-        return f" ({'; '.join(exceeded)})" if exceeded else ""
 
     def describe_violation(self, q: np.ndarray) -> str:
         """Say why the robot's present joints (nq,) are forbidden; empty if they are allowed.

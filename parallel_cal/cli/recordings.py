@@ -34,27 +34,24 @@ def info(
     """Show a recording (its topics, samples, dropped messages with reasons, and noise), or what a
     model file contains."""
     if bag.suffix in (".yaml", ".yml") and bag.is_file() and bag.name != "metadata.yaml":
-        return _show_model(bag, as_json)
+        from parallel_cal.model.file.modelfile import model_hash, read_model
+        from parallel_cal.model.region import IdentifiedRegion
+        from parallel_cal.model.summary import summarise_model
+
+        model = read_model(bag)
+        document = {"file": str(bag), "hash": model_hash(model)} | summarise_model(model)
+        if as_json:
+            return console.emit(document)
+        lists = {key: ", ".join(map(str, v)) for key, v in document.items() if isinstance(v, list)}
+        tolerances = {"tolerances": ", ".join(f"{k} {v:g}" for k, v in model.tolerances.items())}
+        region = IdentifiedRegion.of_model(model)
+        shown = {"region": "" if region is None else region.description}
+        for key, value in (document | lists | tolerances | shown).items():
+            console.say(f"{key}: {value if value != '' else 'none'}")
+        return None
     from parallel_cal.recordings import info as recording_info
 
     show_info(recording_info.info(bag, data_options(data), console.progress), as_json)
-
-
-def _show_model(path: Path, as_json: bool) -> None:
-    from parallel_cal.model.file.modelfile import model_hash, read_model
-    from parallel_cal.model.region import IdentifiedRegion
-    from parallel_cal.model.summary import summarise_model
-
-    model = read_model(path)
-    document = {"file": str(path), "hash": model_hash(model)} | summarise_model(model)
-    if as_json:
-        return console.emit(document)
-    lists = {key: ", ".join(map(str, v)) for key, v in document.items() if isinstance(v, list)}
-    tolerances = {"tolerances": ", ".join(f"{k} {v:g}" for k, v in model.tolerances.items())}
-    region = IdentifiedRegion.of_model(model)
-    shown = {"region": "" if region is None else region.description}
-    for key, value in (document | lists | tolerances | shown).items():
-        console.say(f"{key}: {value if value != '' else 'none'}")
 
 
 def show_info(document: dict[str, Any], as_json: bool) -> None:
@@ -189,19 +186,15 @@ def data_options(items: list[str] | None) -> ReadOptions:
         elif key == "columns":
             options[key] = str(Path(value).resolve())
         elif key == "exclude":
-            options[key] = _sample_numbers(value)
+            try:
+                options[key] = [int(word) for word in value.split(",")]
+            except ValueError:
+                raise ParallelCalError(
+                    f"--data {item}: expected sample numbers, such as exclude=3,17"
+                ) from None
         else:
             options[key] = value.split(",") if key == "measures" else _value(value)
     return ReadOptions(topics=topics, **options)
-
-
-def _sample_numbers(text: str) -> list[int]:
-    try:
-        return [int(word) for word in text.split(",")]
-    except ValueError:
-        raise ParallelCalError(
-            f"--data exclude={text}: expected sample numbers, such as exclude=3,17"
-        ) from None
 
 
 def _value(text: str) -> Any:

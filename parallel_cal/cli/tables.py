@@ -83,8 +83,13 @@ def direct_table(model: Model, path: Path, at: Conditions, solver: str) -> Answe
 
 
 def inverse_table(model: Model, path: Path, at: Conditions, solver: str) -> Answer:
-    """Solve a table of poses."""
-    table = _pose_table(model, path)
+    """Solve a table of positions, orientations or both, according to header and mechanism."""
+    table = read_table(path)
+    header = {*table.header}
+    has_turns = bool(header & {*QUATERNION}) or not {*model.mechanism.controls} & {*POSITION}
+    has_places = bool(header & {*POSITION}) or not has_turns
+    wanted = (*(POSITION if has_places else ()), *(QUATERNION if has_turns else ()))
+    table = _check_columns(table, wanted, model.conditions, model)
     n = len(table.rows)
     r = np.tile(model.mechanism.home.position, (n, 1))
     if "x" in table.header:
@@ -102,16 +107,6 @@ def inverse_table(model: Model, path: Path, at: Conditions, solver: str) -> Answ
         some = inverse(model, r[good], turned, _select_rows(conditions, good), solver=solver)
         found = _insert_solutions(found, some, good)
     return Answer(_text(table, model.joints, found.joints, found), found, conditions)
-
-
-def _pose_table(model: Model, path: Path) -> Table:
-    """Read positions, orientations or both, according to the header and the mechanism."""
-    table = read_table(path)
-    header = {*table.header}
-    turned = bool(header & {*QUATERNION}) or not {*model.mechanism.controls} & {*POSITION}
-    placed = bool(header & {*POSITION}) or not turned
-    wanted = (*(POSITION if placed else ()), *(QUATERNION if turned else ()))
-    return _check_columns(table, wanted, model.conditions, model)
 
 
 def _find_finite_rows(numbers: np.ndarray, conditions: Conditions) -> np.ndarray:

@@ -352,7 +352,11 @@ def _set_knocked_samples_aside(
     while knocked:
         try:
             others = without([one.sample for one in knocked], "because it is far from all others")
-            still = find_knocked_samples(_view_all_samples(found, others.best.fitted.model))
+            # The other model with all samples; no parameter follows them.
+            other, base = others.best.fitted.model, found.base.fitted
+            observations = replace(base.observations, a=conditions(other, base.dataset))
+            fixed = np.zeros(len(other.values), dtype=bool)
+            still = find_knocked_samples(Scene.of(other, base.dataset, observations, fixed))
         except FitError:
             return found
         numbers = {one.sample for one in knocked}
@@ -369,13 +373,6 @@ def _set_knocked_samples_aside(
     return replace(
         others, verdict=verdict, odd_samples=(*confirmed, *odd), knocked=tuple(confirmed)
     )
-
-
-def _view_all_samples(found: Diagnosis, model: Model) -> Scene:
-    """The scene of another model with all samples of a diagnosis; no parameter follows them."""
-    base = found.base.fitted
-    observations = replace(base.observations, a=conditions(model, base.dataset))
-    return Scene.of(model, base.dataset, observations, np.zeros(len(model.values), dtype=bool))
 
 
 def _diagnose_trusted(

@@ -105,7 +105,12 @@ def compute_drift_log_likelihood(series: ErrorSeries) -> float:
         if now < likely + MIN_DRIFT_GAIN:
             break
         likely = now
-        filtered = _filter(rows, series.error != 0, white, kept, variance) / scale[:, None]
+        # Rows whose noise is white in each component; zero where not measured.
+        seen = (series.error != 0)[:, :, None]
+        innovations, total = _predict(
+            rows, seen, white[:, :, None], kept[:, :, None], variance[:, None]
+        )
+        filtered = seen * innovations / np.sqrt(total) / scale[:, None]
         filtered = filtered.reshape(-1, rows.shape[2])
         step = np.linalg.lstsq(filtered[:, 1:], filtered[:, 0], rcond=LSTSQ_RANK_TOLERANCE)[0]
         error = np.where(series.error != 0, series.error - series.columns @ step, 0.0)
@@ -139,16 +144,6 @@ def _fit_noise(
     each = np.arange(n_components)
     scale = np.sqrt(np.maximum(squares[each, memory, size] / count[:, 0, 0], 1e-300))
     return kept[:, memory], variance[size], scale, float(likely[each, memory, size].sum())
-
-
-def _filter(
-    rows: np.ndarray, seen: np.ndarray, white: np.ndarray, kept: np.ndarray, variance: np.ndarray
-) -> np.ndarray:
-    """Filter rows (N, k, m) so that the noise of each component is white; zero where not `seen`."""
-    innovations, total = _predict(
-        rows, seen[:, :, None], white[:, :, None], kept[:, :, None], variance[:, None]
-    )
-    return np.asarray(seen[:, :, None] * innovations / np.sqrt(total))
 
 
 def _predict(

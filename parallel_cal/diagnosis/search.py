@@ -341,23 +341,18 @@ class Search:
         The search may have exchanged effects that the later ones needed. Effects that can be fitted
         neither first nor last without each other are added together.
         """
-        tied = self._find_tied_effects(trial)
+        needed = []  # without these, the others cannot be fitted
+        for one in trial.chosen:
+            others = (c for c in trial.chosen if c is not one)
+            if self.fit_as_shown(*others, judged=False).result is None:
+                needed.append(one)
+        tied = tuple(c for c in needed if self.fit_as_shown(c, judged=False).result is None)
+        tied = tied if len(tied) > 1 else ()
         units = [(c,) for c in trial.chosen if c not in tied] + ([tied] if tied else [])
         chosen = self._find_longest_order((), tuple(units), set())
         names = [c.name for c in chosen]
         chosen = (*chosen, *(c for c in trial.chosen if c.name not in names))
         return trial if chosen == trial.chosen else self.fit(*chosen)
-
-    def _find_tied_effects(self, trial: Trial) -> tuple[Chosen, ...]:
-        """Find effects that cannot be fitted alone, and without which the others cannot; none if
-        there is only one."""
-        found = []
-        for one in trial.chosen:
-            others = (c for c in trial.chosen if c is not one)
-            if self.fit_as_shown(*others, judged=False).result is None:
-                found.append(one)
-        found = [c for c in found if self.fit_as_shown(c, judged=False).result is None]
-        return tuple(found) if len(found) > 1 else ()
 
     def _find_longest_order(
         self,

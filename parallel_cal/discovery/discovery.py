@@ -450,7 +450,12 @@ def _find_winners(search: _Search) -> list[_Winner]:
             equal = (*of_device, *first.equal)
             winner = replace(winner, formula=first.formula, equal=equal, parts=tuple(others))
             best = None
-        winners.append(_exclude_device(search, columns, winner))
+        if search.device is not None and not winner.formula.hypothesis.slow:
+            # No device can cause the law if samples of several stations show it.
+            targets = Targets.of(search.scene, search.scene.residual[:, None], columns)
+            excluded = search.device.excludes(winner.signal, targets.directions)
+            winner = replace(winner, excludes_device=excluded)
+        winners.append(winner)
         columns = np.hstack([columns, winner.columns])
         if _count_laws(winners) >= MAX_LAWS:
             break
@@ -481,15 +486,6 @@ def _find_best(search: _Search, columns: np.ndarray) -> _Best | None:
         return None
     formula = _refine_lag(targets, winner.formula, search)
     return _Best(replace(winner, formula=formula), targets, scored)
-
-
-def _exclude_device(search: _Search, columns: np.ndarray, winner: _Winner) -> _Winner:
-    """The winner, which no device can cause if samples of several stations show it."""
-    if search.device is None or winner.formula.hypothesis.slow:
-        return winner
-    targets = Targets.of(search.scene, search.scene.residual[:, None], columns)
-    excluded = search.device.excludes(winner.signal, targets.directions)
-    return replace(winner, excludes_device=excluded)
 
 
 def find_winner(
@@ -845,7 +841,10 @@ def _explain_larger_model(model: Model, held: float) -> str:
 
 def _describe_proof(law: Law) -> str:
     """The sentence about a proven law."""
-    numbers = [_format_coefficient(c) for c in law.parameters[:MAX_SHOWN_PARAMETERS]]
+    numbers = [
+        f"{c.name} {c.value:.3g}{f' +- {c.sigma:.2g}' if c.sigma else ''} {c.unit}"
+        for c in law.parameters[:MAX_SHOWN_PARAMETERS]
+    ]
     rest = len(law.parameters) - len(numbers)
     terms = ", ".join(numbers) + (f" and {rest} more" if rest else "")
     share = ""
@@ -854,28 +853,15 @@ def _describe_proof(law: Law) -> str:
     spans = ", ".join(f"{n} {low:.3g} to {high:.3g}" for n, (low, high) in law.tested.items())
     floor = f"; noise floor {format_errors(law.noise_floor)}" if law.noise_floor.is_known else ""
     other = f" Equally good: {', '.join(law.alternatives)}." if law.alternatives else ""
-    return (
-        f"{law.sentence}: {law.formula} ({terms}).{share} Error at held-out poses "
-        f"{format_errors(law.after, law.before)}{floor}{_describe_choices(law)}. Tested at {spans}."
-        f"{other}"
-    )
-
-
-def _describe_choices(law: Law) -> str:
-    """Say what was chosen with the held-out poses, and what it means for the error there: each fold
-    identifies the coefficients again, but not the form of the law and the constants in it."""
+    # Each fold identifies the coefficients again, but not the form of the law and its constants.
     chosen = ["form", *(c.name for c in law.parameters if c.scanned)]
     verb = "was" if len(chosen) == 1 else "were"
     return (
-        f"; {_join(chosen)} {verb} chosen with these poses: residuals there fall to "
-        f"{100 * law.choice.ratio:.1f} %, and to {100 * law.choice.ratio_anew:.1f} % if chosen "
-        "without them"
+        f"{law.sentence}: {law.formula} ({terms}).{share} Error at held-out poses "
+        f"{format_errors(law.after, law.before)}{floor}; {_join(chosen)} {verb} chosen with "
+        f"these poses: residuals there fall to {100 * law.choice.ratio:.1f} %, and to "
+        f"{100 * law.choice.ratio_anew:.1f} % if chosen without them. Tested at {spans}.{other}"
     )
-
-
-def _format_coefficient(c: Coefficient) -> str:
-    sigma = f" +- {c.sigma:.2g}" if c.sigma else ""
-    return f"{c.name} {c.value:.3g}{sigma} {c.unit}"
 
 
 def _advise(scene: Scene, winner: _Winner, drivers: Sequence[Driver]) -> str:

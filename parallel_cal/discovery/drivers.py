@@ -193,7 +193,9 @@ def list_drivers(scene: Scene) -> list[Driver]:
     found = []
     for one in _iterate_drivers(scene):
         if np.isfinite(one.values).all() and np.ptp(one.values) > MIN_VARIATION:
-            slow = known_order and _varies_slowly(one.values[order])
+            away = one.values[order] - one.values[order].mean()
+            correlated = bool(away[1:] @ away[:-1] > MIN_SLOW_CORRELATION * (away @ away))
+            slow = known_order and correlated
             found.append(replace(one, slow=slow, values=np.ascontiguousarray(one.values)))
     return found
 
@@ -217,11 +219,6 @@ def select_for_screening(drivers: Sequence[Driver]) -> list[Driver]:
     lags = [one for one in drivers if one.family == LAGGED]
     left_out = {one.name for k, one in enumerate(lags) if k % LAGS_PER_OCTAVE}
     return [one for one in drivers if one.name not in left_out]
-
-
-def _varies_slowly(series: np.ndarray) -> bool:
-    away = series - series.mean()
-    return bool(away[1:] @ away[:-1] > MIN_SLOW_CORRELATION * (away @ away))
 
 
 def _iterate_drivers(scene: Scene) -> Iterator[Driver]:

@@ -17,7 +17,7 @@ import numpy as np
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import write_atomically
 from parallel_cal.diagnosis.stations import Stations
-from parallel_cal.discovery.drivers import LOAD, MOMENT, STRETCH, TENSION, Driver
+from parallel_cal.discovery.drivers import LOAD, MOMENT, STRETCH, TENSION
 from parallel_cal.discovery.formula import Formula, Term
 from parallel_cal.discovery.places import BASE, DEVICE, JOINT, PARAMETER, PLATFORM, ROD, Place
 
@@ -221,9 +221,11 @@ def write_effect(
     ]
     for c in coefficients:
         value, sigma = values.get(c.name, (c.value, c.sigma))
-        size = abs(value) * RELATIVE_CONSTANT_TOLERANCE if c.scanned else _tolerance(value, sigma)
-        nominal = repr(float(f"{value:.9g}")) if c.scanned else "0.0"
-        if not c.scanned:
+        if c.scanned:
+            size, nominal = abs(value) * RELATIVE_CONSTANT_TOLERANCE, repr(float(f"{value:.9g}"))
+        else:
+            # The usual size is as large as found, so that ten times that is plausible.
+            size, nominal = max(abs(value), 2 * (sigma or 0.0), 1e-300), "0.0"
             spread = f" +- {sigma:.2g}" if sigma else ""
             lines.append(f"            # found: {value:.4g}{spread} {c.unit}")
         lines.append(f'            Parameter("{c.name}", "{c.unit}", {nominal}, {size:.3g}),')
@@ -249,11 +251,6 @@ def _list_forces(formula: Formula) -> list[str]:
     """The families of static forces that a formula uses."""
     used = {formula.hypothesis.drivers[number][0].family for number in formula.used_drivers}
     return [family for family in FORCES if family in used]
-
-
-def _tolerance(value: float, sigma: float | None) -> float:
-    """The usual size of a coefficient: as large as found, so that ten times that is plausible."""
-    return max(abs(value), 2 * (sigma or 0.0), 1e-300)
 
 
 def _equation(formula: Formula) -> str:
@@ -312,7 +309,7 @@ def _ideal(formula: Formula) -> Iterator[str]:
         variables = []
         for number, own in enumerate(hypothesis.drivers):
             driver = own[m]
-            variables.append(_variable(driver))
+            variables.append(f"{_identifier(driver.name)}_value")  # unlike any input's name
             if number in formula.used_drivers and variables[-1] not in known:
                 known.add(variables[-1])
                 less = f" - {driver.zero!r}" if driver.zero else ""
@@ -337,11 +334,6 @@ def _ideal(formula: Formula) -> Iterator[str]:
             "\n            cayley(to_device.T @ ca.vertcat(*turn)).T @ seen.R)"
         )
     yield f"        {end[PLATFORM if site.kind == DEVICE and DEVICE not in end else site.kind]}"
-
-
-def _variable(driver: Driver) -> str:
-    """A name for a driver that is neither that of an input nor of another driver."""
-    return f"{_identifier(driver.name)}_value"
 
 
 def _assign(place: Place, error: str) -> Iterator[str]:

@@ -38,7 +38,12 @@ def characterise_noise(scene: Scene, residual: np.ndarray) -> Noise:
     shape = noise_shape(_by_sensor(scene, residual), scene.dataset.time, places)
     growth = np.ones(len(places))
     if shape.growth_p < MAX_CORRELATION_P and shape.growth > 1:
-        growth = _fit_growth(scene, residual, places)
+        # Linear in the distance from the centre, of mean square one.
+        away = np.linalg.norm(places - places.mean(axis=0), axis=1)
+        size = np.sqrt(np.mean(scene.by_sample(residual) ** 2, axis=1))
+        slope, base = np.polyfit(away, size, 1)
+        fitted = np.maximum(base + slope * away, 0.2 * size.mean())
+        growth = np.asarray(fitted / np.sqrt(np.mean(fitted**2)))
     squares = np.sum(scene.by_sample(residual) ** 2, axis=1) / growth**2
     k = np.maximum(scene.informative, 1)
     scale = np.median(squares / np.maximum(k - 2 / 3, 0.3))
@@ -56,8 +61,11 @@ def draw_residuals(scene: Scene, noise: Noise, count: int, seed: int = 0) -> np.
     rng = np.random.default_rng(seed)
     M, sigma, by_channel = _noise_maps(scene)
     N = len(M)
-    steps = _correlations(scene.dataset.time, noise.memory)
-    order = np.argsort(scene.dataset.time, kind="stable")
+    time = scene.dataset.time
+    order = np.argsort(time, kind="stable")
+    # Correlation of each sample, in the order of time, with the one before.
+    apart = np.diff(np.sort(time), prepend=np.min(time))
+    steps = np.exp(-apart / noise.memory) if noise.memory > 0 else np.zeros(N)
     out = np.empty((N, scene.rows, count))
     for c in range(count):
         e = rng.standard_normal((N, M.shape[2] + by_channel.shape[2]))
@@ -110,12 +118,6 @@ def _by_sensor(scene: Scene, residual: np.ndarray) -> np.ndarray:
     return np.hstack([sensed, np.einsum("nrk,nr->nk", by_channel, rows)])
 
 
-def _correlations(time: np.ndarray, memory: float) -> np.ndarray:
-    """Correlation (N,) of each sample, in the order of time, with the one before."""
-    apart = np.diff(np.sort(time), prepend=np.min(time))
-    return np.exp(-apart / memory) if memory > 0 else np.zeros(len(time))
-
-
 def _match_memory(scene: Scene, shape: NoiseShape, growth: np.ndarray) -> float:
     """The shortest memory whose drawn sessions are as correlated as the residual; the geometry
     takes part of the correlation away, from these as from the data."""
@@ -135,12 +137,3 @@ def _correlation(z: np.ndarray, time: np.ndarray) -> float:
     """Correlation of neighbours in time, as in `noise_shape`."""
     series = z[np.argsort(time, kind="stable")]
     return float(np.sum(series[1:] * series[:-1]) / max(float(np.sum(series**2)), 1e-300))
-
-
-def _fit_growth(scene: Scene, residual: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Size (N,) of the noise, of mean square one: linear in the distance from the centre."""
-    away = np.linalg.norm(places - places.mean(axis=0), axis=1)
-    size = np.sqrt(np.mean(scene.by_sample(residual) ** 2, axis=1))
-    slope, base = np.polyfit(away, size, 1)
-    fitted = np.maximum(base + slope * away, 0.2 * size.mean())
-    return np.asarray(fitted / np.sqrt(np.mean(fitted**2)))

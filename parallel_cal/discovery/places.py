@@ -81,7 +81,10 @@ def list_places(scene: Scene, stations: Stations | None = None) -> list[Place]:
         for i, (name, unit) in enumerate(zip(joints, mechanism.joint_units, strict=True))
     ]
     pose = _pose_columns(scene)
-    shown = pose if stations is None else _turn_columns(pose, stations.turns)
+    shown = pose
+    if stations is not None:  # shift and turn along the axes of the device
+        axes = stations.turns.transpose(0, 2, 1)
+        shown = np.concatenate([pose[:, :, i : i + 3] @ axes for i in (0, 3)], axis=2)
     for i in mechanism.moved:
         unit, name = "m" if i < 3 else "rad", POSE[i]
         found += [
@@ -165,13 +168,6 @@ def _pose_columns(scene: Scene) -> np.ndarray:
     turned = ca.Function("turned", [R9], [left_generators(ca.reshape(R9, 3, 3).T)])
     by_turn = np.array([np.array(turned(R)) for R in scene.seen[:, n + 3 : n + 12]])
     return -np.concatenate([J[:, :, n : n + 3], J[:, :, n + 3 : n + 12] @ by_turn], axis=2)
-
-
-def _turn_columns(pose: np.ndarray, turns: np.ndarray) -> np.ndarray:
-    """The columns (N, rows, 6) of a shift and a turn along the axes of the device; turns (N, 3, 3)
-    from {B} to its frame."""
-    parts = [pose[:, :, i : i + 3] @ turns.transpose(0, 2, 1) for i in (0, 3)]
-    return np.concatenate(parts, axis=2)
 
 
 def _find_owners(names: tuple[str, ...], n_joints: int) -> dict[str, int]:

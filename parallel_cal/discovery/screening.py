@@ -333,18 +333,13 @@ class _SiteWork:
             G = gram.reshape(h, size, size)
         else:
             B, G = onto.sum(axis=0), gram.sum(axis=(1, 3))
-        return _explained(G, B[:, :, : self._p], B[:, :, self._p :])
-
-
-def _explained(G: np.ndarray, along: np.ndarray, onto: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Explained sums of squares (h, m) and ranks (h,), from Gram matrices (h, k, k) of columns,
-    their products with the model's directions (h, k, p) and with the residuals (h, k, m)."""
-    lengths = np.sqrt(np.diagonal(G, axis1=1, axis2=2))
-    scale = np.where(lengths > 1e-12, 1 / np.maximum(lengths, 1e-12), 0.0)
-    left = (G - along @ along.transpose(0, 2, 1)) * scale[:, :, None] * scale[:, None, :]
-    squares, directions = np.linalg.eigh(left)
-    visible = squares > MIN_COLUMN_REMAINDER**2
-    inverse = np.where(visible, np.maximum(squares, 1e-300) ** -0.5, 0.0)
-    U = directions * inverse[:, None, :] * scale[:, :, None]
-    g = U.transpose(0, 2, 1) @ onto
-    return np.sum(g**2, axis=1), visible.sum(axis=1)
+        along, onto = B[:, :, : self._p], B[:, :, self._p :]
+        lengths = np.sqrt(np.diagonal(G, axis1=1, axis2=2))
+        scale = np.where(lengths > 1e-12, 1 / np.maximum(lengths, 1e-12), 0.0)
+        left = (G - along @ along.transpose(0, 2, 1)) * scale[:, :, None] * scale[:, None, :]
+        squares, directions = np.linalg.eigh(left)
+        visible = squares > MIN_COLUMN_REMAINDER**2
+        inverse = np.where(visible, np.maximum(squares, 1e-300) ** -0.5, 0.0)
+        U = directions * inverse[:, None, :] * scale[:, :, None]
+        g = U.transpose(0, 2, 1) @ onto
+        return np.sum(g**2, axis=1), visible.sum(axis=1)

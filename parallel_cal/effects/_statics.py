@@ -98,21 +98,19 @@ def _find_loaded_indices(
 def _forces(loose: Seen, u: Any, given: Any, e: Named, at: Named, mechanism: Mechanism) -> Any:
     """Return dU/du - (dphi/du)^T lambda with (dphi/dx)^T lambda = dU/dx, at u = given.
 
-    U is the work of the weights; the platform follows u so that phi stays zero.
+    U is the work of gravity on payload, platform and parts, J. The platform follows u so that phi
+    stays zero.
     """
     x, free = ca.SX.sym("x", len(POSE)), mechanism.moved
     turned = loose.R + ca.skew(x[3:]) @ loose.R
     pose = loose.with_pose(loose.r + x[:3], turned)
     phi = ca.vertcat(mechanism.closure(pose.q, pose.r, pose.R, pose.p))
-    rows = ca.vertcat(phi, _work(pose, e, at, mechanism))
+    # The weights of payload and platform act at {P}.
+    mass, centres = e["mass"], mechanism.centres(pose.q, pose.r, pose.R, pose.p)
+    moments = [mass[kind] * point for kind, points in centres.items() for point in points]
+    moment = sum(moments, (mass.platform + at[PAYLOAD]) * pose.r)
+    rows = ca.vertcat(phi, ca.dot(ca.DM(mechanism.gravity), moment))
     slopes = [ca.jacobian(rows, x)[:, free], ca.jacobian(rows, u)]
     by_x, by_u = ca.substitute(slopes, [x, u], [ca.SX.zeros(len(POSE)), given])
     multipliers = ca.solve(by_x[:-1, :].T, by_x[-1, :].T)
     return by_u[-1, :].T - by_u[:-1, :].T @ multipliers
-
-
-def _work(seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Any:
-    """Return the work of gravity on payload, platform and parts, J; the first two act at {P}."""
-    mass, centres = e["mass"], mechanism.centres(seen.q, seen.r, seen.R, seen.p)
-    moments = [mass[kind] * point for kind, points in centres.items() for point in points]
-    return ca.dot(ca.DM(mechanism.gravity), sum(moments, (mass.platform + at[PAYLOAD]) * seen.r))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 
 from parallel_cal.effects._struts import FIXED_AXES, find_axes, list_axes, needs_struts
@@ -42,12 +40,9 @@ class StrutRotation(Effect):
         rows = []
         for i, (foot, head) in enumerate(mechanism.struts(seen.r, seen.R, seen.p)):
             b, a = find_axes(seen, e[mechanism.joints[i]])
-            rows.append(seen.q[i] - e.lead / (2 * ca.pi) * _twist(head - foot, b, a))
+            strut = head - foot
+            u = strut / ca.norm_2(strut)
+            across = ca.cross(u, ca.cross(b, u))  # b without its part along the strut
+            twist = ca.atan2(ca.dot(across, ca.cross(a, u)), ca.dot(across, a))
+            rows.append(seen.q[i] - e.lead / (2 * ca.pi) * twist)
         return seen.with_q(ca.vertcat(*rows))
-
-
-def _twist(strut: Any, b: Any, a: Any) -> Any:
-    """Return the angle about the strut from the axis b to the axis a, both in {B}."""
-    u = strut / ca.norm_2(strut)
-    across = ca.cross(u, ca.cross(b, u))  # b without its part along the strut
-    return ca.atan2(ca.dot(across, ca.cross(a, u)), ca.dot(across, a))

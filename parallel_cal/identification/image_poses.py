@@ -57,16 +57,12 @@ def find_shown_poses(model: Model, observations: Observations, x: np.ndarray) ->
     change[solved], covariance[solved] = fitted.change, fitted.covariance
     # Few corners, or corners on one line, show a pose with an error that would hide all others.
     variance = np.diagonal(covariance, axis1=1, axis2=2).reshape(-1, 2, 3).sum(axis=2)
+    finite = variance[np.isfinite(variance).all(axis=1)]
+    usual = np.median(finite, axis=0) if len(finite) else np.full(variance.shape[1], np.nan)
     with np.errstate(invalid="ignore"):
-        vague = variance > MAX_IMAGE_POSE_SIGMA_RATIO**2 * _median(variance)
+        vague = variance > MAX_IMAGE_POSE_SIGMA_RATIO**2 * usual
     change[vague.any(axis=1)], covariance[vague.any(axis=1)] = np.nan, np.nan
     return ShownPoses(change, covariance)
-
-
-def _median(columns: np.ndarray) -> np.ndarray:
-    """Median of each column over its finite rows; NaN without any."""
-    known = columns[np.isfinite(columns).all(axis=1)]
-    return np.median(known, axis=0) if len(known) else np.full(columns.shape[1], np.nan)
 
 
 def measure_image_noise(model: Model, observations: Observations) -> Observations:

@@ -371,23 +371,19 @@ def _readings(model: Model, dataset: Dataset) -> np.ndarray:
             "measure it, or remove the sensor from the model"
         )
     if strange := [c for c in read if c not in channels]:
+        expected = ", ".join(  # those of an image by their range
+            f"{s.channels[0]} to {s.channels[-1]}" if s.shows_pose else ", ".join(s.channels)
+            for s in model.sensors
+            if s.channels
+        )
         raise FitError(
             f"{dataset.source}: readings of {', '.join(list_channel_groups(strange))}, but the "
-            f"model's sensors have {_list_expected_channels(model) or 'no channel'}: describe the "
+            f"model's sensors have {expected or 'no channel'}: describe the "
             "set-up in the model file"
         )
     none = np.full(len(dataset.q), np.nan)
     columns = [dataset.conditions.get(READING + c, none) for c in channels]
     return np.stack(columns, axis=1) if columns else np.zeros((len(dataset.q), 0))
-
-
-def _list_expected_channels(model: Model) -> str:
-    """List the channels of the sensors; those of an image by their range."""
-    return ", ".join(
-        f"{s.channels[0]} to {s.channels[-1]}" if s.shows_pose else ", ".join(s.channels)
-        for s in model.sensors
-        if s.channels
-    )
 
 
 def _list_missing_channels(sensor: Sensor, read: list[str]) -> list[str]:

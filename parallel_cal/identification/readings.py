@@ -59,18 +59,15 @@ def doubt_readings(
         cure = "If the readings are right, correct the dimensions in the model file"
     others = [joint for joint, s in zip(m.joints, size, strict=True) if s and joint != name]
     also = f" (likewise the readings of {', '.join(others)})" if others else ""
+    low, high = m.joint_limits[worst]
+    limits = "it has no limits"
+    if np.isfinite(high - low):
+        limits = f"its limits are {low:.4g} to {high:.4g} {unit}"
     return (
         f"{source or 'samples'}: joint {name} reads {q[:, worst].min():.4g} to "
-        f"{q[:, worst].max():.4g} {unit}, {_describe_limits(m, worst)}: {why}{also}. "
+        f"{q[:, worst].max():.4g} {unit}, {limits}: {why}{also}. "
         f"{_guess(model, x, measured, a, worst)}. {cure}"
     )
-
-
-def _describe_limits(m: Mechanism, i: int) -> str:
-    low, high = m.joint_limits[i]
-    if not np.isfinite(high - low):
-        return "it has no limits"
-    return f"its limits are {low:.4g} to {high:.4g} {m.joint_units[i]}"
 
 
 def _excess(m: Mechanism, q: np.ndarray) -> np.ndarray:

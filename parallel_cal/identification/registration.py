@@ -174,7 +174,18 @@ def registered_by(model: Model, observations: Observations) -> Model | None:
         placed = _with_fitted_frames(model, observations, there, there.frames())
     elif not shows_pose(model):
         return None
-    return _with_fitted_views(placed, observations)
+    patterns = [f"{sensor.name}.*" for sensor in placed.sensors if sensor.shows_pose]
+    own = placed.table.matching(patterns) & ~np.asarray(placed.fixed)
+    # A fit fixes where parts stand as far as the robot explains it. Here the robot does not move.
+    known = placed.table.matching(p for s in placed.sensors for p in s.fixed_patterns())
+    own |= _placements(placed) & ~_numbers(placed) & ~known
+    if not own.any():
+        return placed
+    try:
+        values = implicit.estimate(placed, observations, own, prior=None).values
+    except FitError:  # the search does not converge: the views stay
+        return placed
+    return placed.with_values(values, placed.covariance)
 
 
 def is_registrable(model: Model, observations: Observations) -> bool:
@@ -553,23 +564,6 @@ def _with_fitted_frames(
 def shows_pose(model: Model) -> bool:
     """Whether a sensor of the model shows poses, as a camera does."""
     return any(sensor.shows_pose for sensor in model.sensors)
-
-
-def _with_fitted_views(model: Model, observations: Observations) -> Model:
-    """The model with the parameters of sensors that show poses for which chi2 is least; unchanged
-    without such sensors, or if the search does not converge."""
-    patterns = [f"{sensor.name}.*" for sensor in model.sensors if sensor.shows_pose]
-    own = model.table.matching(patterns) & ~np.asarray(model.fixed)
-    # A fit fixes where parts stand as far as the robot explains it. Here the robot does not move.
-    known = model.table.matching(p for s in model.sensors for p in s.fixed_patterns())
-    own |= _placements(model) & ~_numbers(model) & ~known
-    if not own.any():
-        return model
-    try:
-        values = implicit.estimate(model, observations, own, prior=None).values
-    except FitError:
-        return model
-    return model.with_values(values, model.covariance)
 
 
 def is_identified(model: Model) -> bool:

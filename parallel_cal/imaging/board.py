@@ -114,7 +114,8 @@ class Board:
         for number, (column, row) in enumerate(self.marker_squares.tolist()):
             image = self._dictionary.generateImageMarker(number, size, borderBits=BORDER_MODULES)
             for j, line in enumerate(image == 0):
-                for start, end in _runs(line):
+                edges = np.flatnonzero(np.diff(np.concatenate([[0], line.astype(int), [0]])))
+                for start, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
                     x, y = column + self.gap + start * module, row + self.gap + j * module
                     areas.append((x, y, (end - start) * module, module))
         return areas
@@ -194,9 +195,3 @@ def marker_squares(columns: int, rows: int, first_is_white: bool = False) -> NDA
     row, column = np.divmod(np.arange(columns * rows), columns)
     white = (row + column) % 2 == (0 if first_is_white else 1)
     return np.stack([column[white], row[white]], axis=1)
-
-
-def _runs(line: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return start and end of each run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], line.astype(int), [0]])))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

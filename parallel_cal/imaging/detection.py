@@ -232,12 +232,6 @@ def _map(matrix: Array, points: Array) -> Array:
     return np.asarray(mapped[:, :2] / mapped[:, 2:])
 
 
-def _shifted(by: Array) -> Array:
-    matrix = np.eye(3)
-    matrix[:2, 2] = by
-    return matrix
-
-
 def _fit_residuals(at: Array, pixels: Array, plane: _Plane, size: tuple[int, int]) -> Array:
     """Return the distance (n,) in px of each corner from where the others expect it.
 
@@ -248,7 +242,9 @@ def _fit_residuals(at: Array, pixels: Array, plane: _Plane, size: tuple[int, int
 
     middle, scale = (np.array(size) - 1) / 2, float(max(size)) / 2
     bends = 2 if len(at) >= MIN_CORNERS_FOR_DISTORTION else 0
-    start = _shifted(-middle / scale) @ np.diag([1 / scale, 1 / scale, 1.0]) @ plane.matrix
+    shift = np.eye(3)
+    shift[:2, 2] = -middle / scale
+    start = shift @ np.diag([1 / scale, 1 / scale, 1.0]) @ plane.matrix
     start = (start / start[2, 2]).ravel()[:8]
 
     def compute_offsets(p: Array) -> Array:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 import zlib
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -107,35 +106,29 @@ class Sheet:
             )
         content = zlib.compress("\n".join(parts).encode("latin-1", "replace"))
         box = f"[0 0 {self.width * scale:.5f} {self.height * scale:.5f}]"
-        return _pdf_file(
-            [
-                b"<< /Type /Catalog /Pages 2 0 R /ViewerPreferences << /PrintScaling /None >> >>",
-                b"<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
-                f"<< /Type /Page /Parent 2 0 R /MediaBox {box} /Contents 4 0 R "
-                "/Resources << /Font << /F1 5 0 R >> >> >>".encode(),
-                b"<< /Length %d /Filter /FlateDecode >>\nstream\n%b\nendstream"
-                % (len(content), content),
-                b"<< /Type /Font /Subtype /Type1 /BaseFont /Helvetica >>",
-            ]
+        objects = [
+            b"<< /Type /Catalog /Pages 2 0 R /ViewerPreferences << /PrintScaling /None >> >>",
+            b"<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
+            f"<< /Type /Page /Parent 2 0 R /MediaBox {box} /Contents 4 0 R "
+            "/Resources << /Font << /F1 5 0 R >> >> >>".encode(),
+            b"<< /Length %d /Filter /FlateDecode >>\nstream\n%b\nendstream"
+            % (len(content), content),
+            b"<< /Type /Font /Subtype /Type1 /BaseFont /Helvetica >>",
+        ]
+        file, places = bytearray(b"%PDF-1.4\n%\xe2\xe3\xcf\xd3\n"), []
+        for number, each in enumerate(objects, 1):
+            places.append(len(file))
+            file += b"%d 0 obj\n%b\nendobj\n" % (number, each)
+        positions = b"".join(b"%010d 00000 n \n" % place for place in places)
+        count, start = len(objects) + 1, len(file)
+        return bytes(file) + (
+            b"xref\n0 %d\n0000000000 65535 f \n%btrailer\n<< /Size %d /Root 1 0 R >>\n"
+            b"startxref\n%d\n%%%%EOF\n" % (count, positions, count, start)
         )
 
     @property
     def _areas(self) -> list[Shape]:
         return self.board + self.rulers
-
-
-def _pdf_file(objects: Sequence[bytes]) -> bytes:
-    """Return the file of numbered objects, with their table of positions."""
-    file, places = bytearray(b"%PDF-1.4\n%\xe2\xe3\xcf\xd3\n"), []
-    for number, content in enumerate(objects, 1):
-        places.append(len(file))
-        file += b"%d 0 obj\n%b\nendobj\n" % (number, content)
-    table = b"".join(b"%010d 00000 n \n" % place for place in places)
-    count, start = len(objects) + 1, len(file)
-    return bytes(file) + (
-        b"xref\n0 %d\n0000000000 65535 f \n%btrailer\n<< /Size %d /Root 1 0 R >>\nstartxref\n%d\n"
-        b"%%%%EOF\n" % (count, table, count, start)
-    )
 
 
 def page_size(page: str) -> tuple[float, float]:
@@ -182,6 +175,8 @@ def make_sheet(board: Board, square: float, page: str = "A4") -> Sheet:
 
 def _describe(board: Board, square: float, width: float, height: float) -> list[str]:
     """Return the lines of text on the sheet."""
+    from textwrap import wrap
+
     size = round(1e-3 * square, SQUARE_DECIMALS)
     lines = [
         f"ChArUco {board.columns} x {board.rows}, square {square:g} mm, marker "
@@ -192,14 +187,8 @@ def _describe(board: Board, square: float, width: float, height: float) -> list[
         f"they measure L and H mm instead, state square: {size:g} * (L / {width:g} + "
         f"H / {height:g}) / 2 (m) there.",
     ]
-    room = 1.15 * width / LETTER_MM
-    return [part for line in lines for part in _wrap(line, int(room))]
-
-
-def _wrap(line: str, length: int) -> list[str]:
-    from textwrap import wrap
-
-    return wrap(line, max(length, 40))
+    room = max(int(1.15 * width / LETTER_MM), 40)
+    return [part for line in lines for part in wrap(line, room)]
 
 
 def _add_rulers(sheet: Sheet, left: float, top: float, width: float, height: float) -> None:

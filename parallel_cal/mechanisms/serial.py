@@ -91,7 +91,15 @@ class Serial(Mechanism):
         )
         self.bodies = {"links": [p.name for p in self.parameters if p.unit == "m"]}
         self.controls = tuple(controls) if controls else POSE[: len(self.driven)]
-        self.home = self._home(home)
+        at = tuple(np.zeros(len(self.joints)) if home is None else home)
+        if len(at) != len(self.joints):
+            raise ModelError(f"home has {len(at)} joints, the arm has {len(self.joints)}")
+        position, rotation = self.pose(
+            ca.DM(at), Named(self.parameters.names, ca.DM(self.parameters.nominal))
+        )
+        x, y, z = np.array(position).ravel().tolist()
+        a, b, c, w = matrix_to_quaternion(np.array(rotation)).tolist()
+        self.home = Home(tuple(float(q) for q in at), (x, y, z), (a, b, c, w))
         lengths = [
             np.hypot(k.nominal["a"], np.hypot(k.nominal["b"], k.nominal["d"])) for k in self.links
         ]
@@ -147,16 +155,6 @@ class Serial(Mechanism):
         """Return home: a general arm's inverse problem has no closed form."""
         return ca.DM(self.home.joints)
 
-    def _home(self, joints: Sequence[float] | None) -> Home:
-        joints = tuple(np.zeros(len(self.joints)) if joints is None else joints)
-        if len(joints) != len(self.joints):
-            raise ModelError(f"home has {len(joints)} joints, the arm has {len(self.joints)}")
-        p = Named(self.parameters.names, ca.DM(self.parameters.nominal))
-        position, rotation = self.pose(ca.DM(joints), p)
-        x, y, z = np.array(position).ravel().tolist()
-        a, b, c, w = matrix_to_quaternion(np.array(rotation)).tolist()
-        return Home(tuple(float(q) for q in joints), (x, y, z), (a, b, c, w))
-
 
 def rotation_difference(model: Any, R: Any) -> Any:
     """Compute the remaining rotation E = model^T R as 2 tan(angle / 2) times its axis (rad).
@@ -176,20 +174,14 @@ def read_links(given: Sequence[Mapping[str, Any]]) -> tuple[Link, ...]:
     last = max((i for i, link in enumerate(given) if link.get("joint")), default=-1)
     if last < 0:
         raise ModelError("a serial arm needs at least one link with joint: R or P")
-    names = _names(given, last)
-    following = [*(link.get("joint") for link in given[1:]), None]
-    rows = zip(names, given, following, strict=True)
-    return tuple(_link(name, link, next_joint) for name, link, next_joint in rows)
-
-
-def _names(given: Sequence[Mapping[str, Any]], last: int) -> list[str]:
-    """Default names: `base` before the first joint, `platform` after the last, else `link1`.."""
-    names, driven = [], 0
+    names, driven = [], 0  # by default `base`, then `link1`.., and `platform` after the last joint
     for i, link in enumerate(given):
         driven += 1 if link.get("joint") else 0
         default = f"link{driven}" if link.get("joint") else ("platform" if i > last else "base")
         names.append(str(link.get("name", default)))
-    return names
+    following = [*(link.get("joint") for link in given[1:]), None]
+    rows = zip(names, given, following, strict=True)
+    return tuple(_link(name, link, next_joint) for name, link, next_joint in rows)
 
 
 def _link(name: str, given: Mapping[str, Any], next_joint: str | None) -> Link:

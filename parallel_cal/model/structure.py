@@ -16,7 +16,7 @@ from parallel_cal.model.declaration import check_parameters
 from parallel_cal.model.effect import CONDITIONS, Effect, Seen
 from parallel_cal.model.machine_class import scale_usual_sizes
 from parallel_cal.model.mechanism import Mechanism
-from parallel_cal.model.parameters import Named, ParameterTable
+from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 from parallel_cal.model.sensor import Sensor, apply_sensor_tolerances
 from parallel_cal.model.shelf import load_effect
 
@@ -51,16 +51,12 @@ class Structure:
         self, machine_class: str, tolerances: tuple[tuple[str, float], ...]
     ) -> ParameterTable:
         """Return the table with the usual sizes of a class of machines, and with own tolerances."""
-        scaled = {
-            p.name: p
-            for effect in self.effects
-            for p in scale_usual_sizes(effect, self._part(effect), machine_class)
-        }
+        scaled: dict[str, Parameter] = {}
+        for effect in self.effects:
+            own = ParameterTable(p for p in self.table if p.name.startswith(f"{effect.name}."))
+            scaled |= {p.name: p for p in scale_usual_sizes(effect, own, machine_class)}
         table = ParameterTable(scaled.get(p.name, p) for p in self.table)
         return table.with_tolerances(dict(tolerances))
-
-    def _part(self, effect: Effect) -> ParameterTable:
-        return ParameterTable(p for p in self.table if p.name.startswith(f"{effect.name}."))
 
     @cached_property
     def neutral(self) -> list[float]:

@@ -13,7 +13,6 @@ from rclpy.node import Node
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.model.file.modelfile import read_model
-from parallel_cal.model.model import Model
 from parallel_cal.nodes.folders import Folders
 from parallel_cal.nodes.frames import DEVICE_FRAME_SENSOR
 from parallel_cal.nodes.jobs import describe_error
@@ -169,7 +168,11 @@ class CalibrationSettings:
                 moves = any(sensor.name == DEVICE_FRAME_SENSOR for sensor in model.sensors)
                 self.base = "" if moves else model.frames["base"]
                 self.rest_tolerance = REST_SHARE * np.asarray(model.mechanism.joint_ranges)
-                self.camera_board = _find_board(model)
+                seen = [sensor.options for sensor in model.sensors if sensor.shows_pose]
+                boards = (
+                    f"{o['columns']}x{o['rows']}" for o in seen if {"columns", "rows"} <= set(o)
+                )
+                self.camera_board = next(boards, "")
                 self._version, self._joints = (path, modified), model.joints
                 self.model_trouble = ""
         except ParallelCalError as error:
@@ -191,10 +194,3 @@ class CalibrationSettings:
         except Exception as error:  # a user's own mechanism may raise anything
             return SetParametersResult(successful=False, reason=describe_error(error))
         return ACCEPTED
-
-
-def _find_board(model: Model) -> str:
-    """Return columns x rows of the board that a sensor of the model sees; empty without one."""
-    options = [sensor.options for sensor in model.sensors if sensor.shows_pose]
-    boards = [f"{o['columns']}x{o['rows']}" for o in options if {"columns", "rows"} <= set(o)]
-    return next(iter(boards), "")

@@ -84,7 +84,14 @@ class ClockAlignment:
         released = list[StampedMessage]()
         for message in waiting:
             if self._fits(message):
-                self._drop_held()
+                if self._held:
+                    self.strays += len(self._held)
+                    self._held = []
+                    words = (
+                        f"{self._name}: {self.strays} messages dropped: their offset to the joint "
+                        "states' stamps changed by more than a second"
+                    )
+                    self.trouble = KeyedWarning(words, "stamps off the joints'", self._name)
                 released.append(self._release(message))
             else:
                 self._held.append(message)
@@ -141,14 +148,3 @@ class ClockAlignment:
         )
         self.trouble = KeyedWarning(words, "clock set", self._name)
         return [self._release(message) for message in held]
-
-    def _drop_held(self) -> None:
-        if not self._held:
-            return
-        self.strays += len(self._held)
-        self._held = []
-        words = (
-            f"{self._name}: {self.strays} messages dropped: their offset to the joint states' "
-            "stamps changed by more than a second"
-        )
-        self.trouble = KeyedWarning(words, "stamps off the joints'", self._name)

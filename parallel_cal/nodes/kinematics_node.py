@@ -164,21 +164,17 @@ class KinematicsNode(ManagedNode):
                 raise ParallelCalError(self.refusal)
             attempt = self._load(self._allowed(request.path), "service")
             if attempt.ok:
-                self._adopt(attempt.path)
+                self._adopting = True  # the parameter follows the file that the service loaded
+                try:
+                    self.set_parameters([Parameter("model_file", value=attempt.path)])
+                finally:
+                    self._adopting = False
             response.success, response.message = attempt.ok, attempt.reason
         except ParallelCalError as error:
             response.success, response.message = False, str(error)
         served = self._server.current
         response.hash = served.hash if served is not None else ""
         return response
-
-    def _adopt(self, path: str) -> None:
-        """Set the parameter and the watch to the file that a service has loaded."""
-        self._adopting = True
-        try:
-            self.set_parameters([Parameter("model_file", value=path)])
-        finally:
-            self._adopting = False
 
     def _reload(self, request: Any, response: Any) -> Any:
         if self.refusal:

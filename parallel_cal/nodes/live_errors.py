@@ -50,12 +50,9 @@ class LiveErrors:
             if k == 0:
                 continue
             (t0, r0), (t1, r1) = self._predicted[k - 1], self._predicted[k]
-            if t1 - t0 <= MAX_GAP_FACTOR * self._usual_interval():
+            latest = range(max(len(self._predicted) - INTERVALS - 1, 0), len(self._predicted))
+            usual = float(np.median(np.diff([self._predicted[i][0] for i in latest])))  # s
+            if t1 - t0 <= MAX_GAP_FACTOR * usual:
                 predicted = r0 + (r1 - r0) * (at - t0) / (t1 - t0)
                 errors.append(float(np.linalg.norm(measured - predicted)))
         return errors
-
-    def _usual_interval(self) -> float:
-        """Return the median interval between the latest predictions, s."""
-        latest = range(max(len(self._predicted) - INTERVALS - 1, 0), len(self._predicted))
-        return float(np.median(np.diff([self._predicted[k][0] for k in latest])))

@@ -93,7 +93,11 @@ class ModelServer:
         if not str(path):
             raise ModelFileError("no model file: set the parameter model_file or call load_model")
         text = model_text(path)
-        model = self._with_known_mechanism(parse_model(text, str(path)))
+        model, known = parse_model(text, str(path)), self.current
+        if known is not None and _is_same_mechanism(known.model.mechanism, model.mechanism):
+            # The functions of a mechanism are derived once and cached with it. A file that was
+            # written again with other values would leave half a megabyte with each load.
+            model = replace(model, mechanism=known.model.mechanism)
         kinematics = Kinematics(model.robot())
         try:
             self_test(kinematics)
@@ -110,17 +114,6 @@ class ModelServer:
         self._compilation.start()
         was = f", was {before.hash[:12]}" if before is not None else ""
         return f"{path}: {served.hash[:12]} in use{was}"
-
-    def _with_known_mechanism(self, model: Model) -> Model:
-        """Return the model with the mechanism of the model in use, if the two are the same.
-
-        The functions of a mechanism are derived once and cached with it. A file that was written
-        again with other values would otherwise leave half a megabyte with each load.
-        """
-        before = self.current
-        if before is None or not _is_same_mechanism(before.model.mechanism, model.mechanism):
-            return model
-        return replace(model, mechanism=before.model.mechanism)
 
     def _exchange_for(self, served: ServedModel) -> None:
         with self._exchange:

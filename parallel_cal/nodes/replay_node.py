@@ -23,7 +23,7 @@ from parallel_cal.base.errors import BagError, ParallelCalError
 from parallel_cal.nodes.conversions import message_class
 from parallel_cal.nodes.parameters import Setting, declare
 from parallel_cal.nodes.run import ros_context
-from parallel_cal.recordings.bag import RawMessage, list_topics, raw_messages
+from parallel_cal.recordings.bag import list_topics, raw_messages
 from parallel_cal.recordings.recording import TopicInfo
 
 PARAMETERS = {
@@ -128,7 +128,13 @@ class ReplayNode(Node):
             since = (message.time - first) * 1e-9
             if not self._sleep_until(begin + since / self.rate):
                 return
-            self._send(message)
+            sender = self._senders[message.topic]
+            if self._unacknowledged[message.topic] >= DEPTH - 1:
+                sender.wait_for_all_acked(self._ack_patience())
+                self._unacknowledged[message.topic] = 0
+            sender.publish(message.data)
+            self._unacknowledged[message.topic] += 1
+            self.sent += 1
             if time.monotonic() - reported > 1.0:
                 reported = time.monotonic()
                 late = reported - begin - since / self.rate
@@ -142,15 +148,6 @@ class ReplayNode(Node):
             if not self._go_on():
                 return False
         return self._go_on()
-
-    def _send(self, message: RawMessage) -> None:
-        sender = self._senders[message.topic]
-        if self._unacknowledged[message.topic] >= DEPTH - 1:
-            sender.wait_for_all_acked(self._ack_patience())
-            self._unacknowledged[message.topic] = 0
-        sender.publish(message.data)
-        self._unacknowledged[message.topic] += 1
-        self.sent += 1
 
     def _ack_patience(self) -> Duration:
         return Duration(seconds=self._value("ack_patience"))

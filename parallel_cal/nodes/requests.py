@@ -54,10 +54,16 @@ def answer(
         response.message = f"no model in use: {why_none}"
         return response
     response.model_hash = served.hash
+    given: list[Rows | str]  # or why there are none
     try:
         if hasattr(request, "targets"):
             response.joint_names = served.model.joints
-            given, problem = _read_targets(request), "inverse"
+            given, problem = [], "inverse"
+            for pose in request.targets:
+                try:
+                    given.append(pose_numbers(pose))
+                except SolveError as error:
+                    given.append(str(error))
         else:
             given, problem = _read_configurations(served, request), "direct"
         at = conditions_of(served.model, request.conditions)
@@ -94,17 +100,6 @@ def _read_configurations(served: ServedModel, request: Any) -> list[Rows | str]:
             rows.append((q if order is None else q[order],))
         else:
             rows.append(f"{len(q)} positions, expected {n}")
-    return rows
-
-
-def _read_targets(request: Any) -> list[Rows | str]:
-    """Return position and rotation of each target, or why there are none."""
-    rows = list[Rows | str]()
-    for pose in request.targets:
-        try:
-            rows.append(pose_numbers(pose))
-        except SolveError as error:
-            rows.append(str(error))
     return rows
 
 

@@ -81,7 +81,11 @@ class Streams:
         self._pose = self._publisher(PoseStamped, "~/pose")
         self._sure_pose = self._publisher(PoseWithCovarianceStamped, "~/pose_with_covariance")
         self._passive = self._publisher(JointState, "~/passive_joint_states")
-        self._motion = self._make_motion()
+        self._motion: Motion
+        if action := node.get_parameter("trajectory_action").value:
+            self._motion = make_trajectory_action(node, action, group, publish_status=True)
+        else:
+            self._motion = TopicMotion(self._publisher(JointTrajectory, "joint_command"))
         self.health["joint_states"] = Stream()
         self._pump = Pump(
             node,
@@ -105,13 +109,6 @@ class Streams:
             self._subscribe(message_class(channel.types[0]), name, SENSOR, take)
             if channel.latched:
                 self._subscribe_latched(message_class(channel.types[0]), name, take)
-
-    def _make_motion(self) -> Motion:
-        """Make the way to the robot's controller."""
-        action = self._node.get_parameter("trajectory_action").value
-        if action:
-            return make_trajectory_action(self._node, action, self._group, publish_status=True)
-        return TopicMotion(self._publisher(JointTrajectory, "joint_command"))
 
     def _publisher(self, type: Any, topic: str) -> Any:
         options = overridable()

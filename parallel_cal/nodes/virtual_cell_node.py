@@ -24,14 +24,14 @@ from trajectory_msgs.msg import JointTrajectory
 from parallel_cal.base.errors import ParallelCalError, SolveError
 from parallel_cal.base.rotation import matrix_to_quaternion
 from parallel_cal.model.file.modelfile import write_model
-from parallel_cal.model.model import Model, Noise, new_model
+from parallel_cal.model.model import Noise, new_model
 from parallel_cal.model.shelf import load_sensor
 from parallel_cal.nodes.conversions import joint_order, pose_message
 from parallel_cal.nodes.parameters import ACCEPTED, LATCHED, Changes, Setting, absolute, declare
 from parallel_cal.nodes.rendering import BOARD, SQUARE_M
 from parallel_cal.nodes.run import create_steady_timer, run
 from parallel_cal.virtual.board_camera import usual_camera
-from parallel_cal.virtual.cell import Box, Cell, Messages
+from parallel_cal.virtual.cell import Box, Cell
 from parallel_cal.virtual.kinds import words_of
 from parallel_cal.virtual.machines import MACHINES
 from parallel_cal.virtual.tracker import Tracker
@@ -195,7 +195,15 @@ class VirtualCellNode(Node):
             )
             model = replace(model, noise=noise)
             if self._value("device") == "camera":
-                model = _with_camera(model)
+                camera = load_sensor(
+                    "camera",
+                    columns=BOARD.columns,
+                    rows=BOARD.rows,
+                    square=SQUARE_M,
+                    image_size=usual_camera().size,
+                )
+                noise = replace(noise, position=None, orientation=None)  # no other device
+                model = replace(model.with_sensors((camera,)), noise=noise)
             write_model(model, path)
 
     def _on_parameters(self, changes: Changes) -> SetParametersResult:
@@ -231,9 +239,6 @@ class VirtualCellNode(Node):
             self.get_logger().warning(
                 "a joint does not follow its command: the drives stopped and hold"
             )
-        self._publish(shown)
-
-    def _publish(self, shown: Messages) -> None:
         names = list(self._cell.machine.joints)
         for moment, q, speed in zip(shown.time, shown.q, shown.speed, strict=True):
             message = JointState(name=names, position=q.tolist(), velocity=speed.tolist())
@@ -245,11 +250,11 @@ class VirtualCellNode(Node):
         else:
             poses = [*zip(shown.stamp, shown.r, matrix_to_quaternion(shown.R), strict=True)]
         for moment, r, quaternion in poses:
-            message = PoseWithCovarianceStamped()
-            message.header.stamp, message.header.frame_id = self._stamp(moment), self._frame
-            message.pose.pose = pose_message(r, quaternion)
-            message.pose.covariance = self._covariance
-            self._poses.publish(message)
+            pose = PoseWithCovarianceStamped()
+            pose.header.stamp, pose.header.frame_id = self._stamp(moment), self._frame
+            pose.pose.pose = pose_message(r, quaternion)
+            pose.pose.covariance = self._covariance
+            self._poses.publish(pose)
         if self._cell.time - self._conditions_published >= CONDITION_PERIOD_S:
             self._conditions_published, at = self._cell.time, self._stamp(self._cell.time)
             air = Temperature(temperature=float(self._cell.temperature(self._cell.time)))
@@ -267,19 +272,6 @@ class VirtualCellNode(Node):
     def _stamp(self, seconds: float) -> Time:
         sec, nanosec = divmod(self._begin + round(1e9 * float(seconds)), 1_000_000_000)
         return Time(sec=sec, nanosec=nanosec)
-
-
-def _with_camera(model: Model) -> Model:
-    """Return the model with the camera that sees the cell's board, and no other device."""
-    camera = load_sensor(
-        "camera",
-        columns=BOARD.columns,
-        rows=BOARD.rows,
-        square=SQUARE_M,
-        image_size=usual_camera().size,
-    )
-    noise = replace(model.noise, position=None, orientation=None)
-    return replace(model.with_sensors((camera,)), noise=noise)
 
 
 def _read_points(

@@ -118,7 +118,13 @@ def anneal(
     M = problem.information(order[:n])
     cost = problem.cost(M)
     best, best_cost = order[:n].copy(), cost
-    T0 = _first_temperature(problem, order, n, rng)
+    # The first temperature is the typical change by a random exchange: most are accepted.
+    changed: list[Any] = []
+    for _ in range(30):
+        i, j = rng.integers(n), rng.integers(min(n, len(order) - 1), len(order))
+        trial = M - _square(problem, order[i]) + _square(problem, order[j])
+        changed.append(problem.cost(trial))
+    T0 = float(np.std(changed)) + 1e-9
     for step in range(steps if len(order) > n else 0):
         i, j = rng.integers(n), rng.integers(n, len(order))
         trial = M - _square(problem, order[i]) + _square(problem, order[j])
@@ -133,15 +139,3 @@ def anneal(
             M = problem.information(order[:n])  # subtractions accumulate rounding errors
             report(step / steps)
     return np.sort(best)
-
-
-def _first_temperature(
-    problem: SelectionProblem, order: np.ndarray, n: int, rng: np.random.Generator
-) -> float:
-    """Return the typical cost change of a random exchange, so that most are accepted at first."""
-    costs: list[Any] = []
-    M = problem.information(order[:n])
-    for _ in range(30):
-        i, j = rng.integers(n), rng.integers(min(n, len(order) - 1), len(order))
-        costs.append(problem.cost(M - _square(problem, order[i]) + _square(problem, order[j])))
-    return float(np.std(costs)) + 1e-9

@@ -259,11 +259,6 @@ def _find_conditions(table: Table, joints: Sequence[str]) -> dict[str, str | flo
     return found
 
 
-def _list_known_keys(place: Sequence[Any]) -> list[str]:
-    """Return the known keys of the part of a column map in which an unknown one was found."""
-    return list((ColumnMap if len(place) == 1 else PARTS[place[0]]).model_fields)
-
-
 def read_column_map(path: Path, measured_elsewhere: bool = False) -> ColumnMap:
     """Read a column map; ModelFileError names line and key of an error.
 
@@ -279,7 +274,8 @@ def read_column_map(path: Path, measured_elsewhere: bool = False) -> ColumnMap:
         first: Any = error.errors(include_url=False)[0]
         place = tuple(first["loc"])
         if first["type"] == "extra_forbidden":
-            known = _list_known_keys(place)
+            part = ColumnMap if len(place) == 1 else PARTS[place[0]]
+            known = list(part.model_fields)
             near = format_suggestion(str(place[-1]), known)
             text = f"unknown key{near}; expected one of {', '.join(known)}"
         else:

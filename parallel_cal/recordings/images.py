@@ -23,7 +23,7 @@ from parallel_cal.imaging.opencv import ImageError, load_opencv
 from parallel_cal.recordings.dwells import still_intervals
 from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.pose_messages import stamp_of
-from parallel_cal.recordings.recording import Array, Dropped, Recording, ScalarStream
+from parallel_cal.recordings.recording import Dropped, Recording, ScalarStream
 from parallel_cal.recordings.samples import max_gap
 from parallel_cal.recordings.sampling import find_tolerance
 
@@ -58,7 +58,15 @@ class ImageReader:
 
     def __post_init__(self) -> None:
         self._detector = Detector(read_board(self.options.board))
-        self._starts, self._ends = _standstills(self.recording, self.options)
+        # The calm part of each standstill, s.
+        joints, options = self.recording.joints, self.options
+        tolerance = find_tolerance(joints, options)
+        intervals = still_intervals(
+            joints.time, joints.position, tolerance, options.min_dwell / 3, max_gap(joints, options)
+        )
+        starts = [joints.time[one.first] + options.trim_start for one in intervals]
+        ends = [joints.time[one.last] - options.trim_end for one in intervals]
+        self._starts, self._ends = np.array(starts, float), np.array(ends, float)
         self._dwell, self._order = -1, 0
         self._sharpest: list[tuple[float, int, float, Grey]] = []
 
@@ -153,18 +161,6 @@ class ImageReader:
             else (time, one)
             for (time, one), width in zip(self.found, widths, strict=True)
         ]
-
-
-def _standstills(recording: Recording, options: ReadOptions) -> tuple[Array, Array]:
-    """Return start and end (n,) in s of the calm part of each standstill."""
-    joints = recording.joints
-    tolerance = find_tolerance(joints, options)
-    intervals = still_intervals(
-        joints.time, joints.position, tolerance, options.min_dwell / 3, max_gap(joints, options)
-    )
-    starts = [joints.time[one.first] + options.trim_start for one in intervals]
-    ends = [joints.time[one.last] - options.trim_end for one in intervals]
-    return np.array(starts, float), np.array(ends, float)
 
 
 def _sharpness(image: Grey) -> float:

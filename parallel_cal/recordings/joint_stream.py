@@ -20,7 +20,11 @@ def clean_joints(
     q = np.full((len(raw.rows), len(names)), np.nan)
     effort = np.full_like(q, np.nan)
     missing, ragged = np.zeros(len(q), bool), np.zeros(len(q), bool)
-    for present, which in _group_by_names(raw).items():
+    groups: dict[tuple[str, ...], list[int]] = {}
+    for i, (present, _, _) in enumerate(raw.rows):
+        groups.setdefault(present, []).append(i)
+    for present, numbers in groups.items():
+        which = np.array(numbers)
         if not set(names) <= set(present):
             missing[which] = True
             continue
@@ -42,14 +46,6 @@ def clean_joints(
     )
     keep = sieve.keep
     return JointStream(raw.topic, names, sieve.time[keep], q[keep], effort[keep])
-
-
-def _group_by_names(raw: Raw) -> dict[tuple[str, ...], np.ndarray]:
-    """Return the numbers of the messages with each set of names."""
-    groups: dict[tuple[str, ...], list[int]] = {}
-    for i, (present, _, _) in enumerate(raw.rows):
-        groups.setdefault(present, []).append(i)
-    return {present: np.array(which) for present, which in groups.items()}
 
 
 def _joint_names(raw: Raw, wanted: Sequence[str] | None, notes: list[str]) -> tuple[str, ...]:

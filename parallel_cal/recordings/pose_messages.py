@@ -7,7 +7,7 @@ driver needs a topic and the name of its body, but no code.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from parallel_cal.base.errors import BagError
@@ -128,21 +128,17 @@ def _row(item: Any, message: Any) -> tuple | None:
 def _list_items(message: Any) -> list[tuple[tuple[str, ...], Any, tuple]]:
     """Return (names, item, row) for each item with a pose in the message's lists."""
     items = []
-    for values in _lists(message):
+    fields = getattr(message, "get_fields_and_field_types", None)
+    names = fields() if fields else getattr(message, "__dataclass_fields__", {})
+    for name in names:
+        values = getattr(message, name)
+        if not isinstance(values, (list, tuple)):
+            continue
         for k, item in enumerate(values):
             row = _row(item, message)
             if row is not None:
                 items.append((_names_of(item) or (str(k),), item, row))
     return items
-
-
-def _lists(message: Any) -> Iterator[Sequence[Any]]:
-    fields = getattr(message, "get_fields_and_field_types", None)
-    names = fields() if fields else getattr(message, "__dataclass_fields__", {})
-    for name in names:
-        value = getattr(message, name)
-        if isinstance(value, (list, tuple)):
-            yield value
 
 
 def _names_of(item: Any) -> tuple[str, ...]:

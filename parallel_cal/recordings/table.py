@@ -90,19 +90,17 @@ class Table:
         for name in names:
             numbers, texts = self.column(name), self.texts(name)
             for k in np.flatnonzero(~np.isfinite(numbers)):
+                hint = ""
+                if "," in texts[k] and self.decimal != ",":
+                    hint = ". A decimal comma needs a semicolon or a tab between the cells"
                 raise DatasetError(
                     f"{self.path}:{self.lines[k]}: column {name} contains "
                     f"{texts[k]!r:.60}, expected a finite number: enter one or remove "
-                    f"the line{self._explain_comma(texts[k])}"
+                    f"the line{hint}"
                 )
             self._check_decimal_sign(name, texts)
             columns.append(numbers)
         return np.column_stack(columns)
-
-    def _explain_comma(self, text: str) -> str:
-        if self.decimal == "," or "," not in text:
-            return ""
-        return ". A decimal comma needs a semicolon or a tab between the cells"
 
     def _check_decimal_sign(self, name: str, texts: Sequence[str]) -> None:
         """Raise DatasetError if some numbers of a column have a comma and some have a point."""

@@ -113,32 +113,28 @@ def history(diagnosis: Diagnosis, errors: HeldOutErrors) -> list[dict[str, Any]]
     """Make one row per step: its `name`, its validation `error`, and the data it was judged on."""
     data = diagnosis.dataset
     here = {"samples": len(data), "sha256": data.sha256}
-    steps = [_step(entry) for entry in _list_judged_steps(diagnosis)]
+    steps: list[dict[str, Any]] = [
+        {
+            "name": " ".join(str(entry[key]) for key in ("step", "effect") if key in entry),
+            "error": Summary(**entry["held_out"]["after"]),
+            "samples": entry.get("samples"),
+            "sha256": (entry.get("dataset") or {}).get("sha256", ""),
+        }
+        for entry in _list_judged_steps(diagnosis)
+    ]
     first = _list_judged_steps(diagnosis)[:1]
     before = Summary(**first[0]["held_out"]["before"]) if first else errors.before
     rows = [(steps[0] if steps else here) | {"name": "before", "error": before}, *steps]
-    if not (steps and _are_equal(steps[-1]["error"], errors.now)):  # else the last step is now
+    is_last_now = False  # whether the last step has the errors of now: it was written and repeated
+    if steps:
+        last, now = ([v or 0.0 for v in vars(e).values()] for e in (steps[-1]["error"], errors.now))
+        is_last_now = np.allclose(last, now, rtol=1e-4, atol=0.0)
+    if not is_last_now:
         rows.append({"name": "now", "error": errors.now, **here})
     if errors.found:
         name = f"with {' and '.join(diagnosis.effects)}"
         rows.append({"name": name, "error": errors.found, **here})
     return rows
-
-
-def _are_equal(one: Summary, other: Summary) -> bool:
-    """Return whether two errors agree, as those of a fit that was written and repeated."""
-    a, b = ([value or 0.0 for value in vars(e).values()] for e in (one, other))
-    return bool(np.allclose(a, b, rtol=1e-4, atol=0.0))
-
-
-def _step(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Make a row of the history from an entry in the model file."""
-    return {
-        "name": " ".join(str(entry[key]) for key in ("step", "effect") if key in entry),
-        "error": Summary(**entry["held_out"]["after"]),
-        "samples": entry.get("samples"),
-        "sha256": (entry.get("dataset") or {}).get("sha256", ""),
-    }
 
 
 @dataclass(frozen=True)

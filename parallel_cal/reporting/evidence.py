@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from parallel_cal.diagnosis.entries import Entry
 from parallel_cal.diagnosis.separate import PlannedPose
 from parallel_cal.diagnosis.signature import signature
 from parallel_cal.diagnosis.thresholds import MAX_REFITTED_CANDIDATES
@@ -33,6 +32,12 @@ MAX_PRINTED_POSES = 20  # as in page.css
 PATTERNS = 4  # candidates whose patterns are drawn
 
 
+NOTE_ON_PATTERNS = (
+    "The pattern of each candidate over the residuals of the present model. An effect fits if "
+    "the dashed line follows the blue one and both leave the band."
+)
+
+
 def candidates(report: Report, plot: Plot) -> str:
     """Render the catalogue, best candidate first, then the effects that were not tested."""
     found = report.diagnosis
@@ -52,7 +57,13 @@ def candidates(report: Report, plot: Plot) -> str:
     shown = paragraph("No effect could be tested.", "none")
     if first:
         shown = as_html([candidate_table(found, first)])
-    shown += _patterns(first, report, plot)
+    pages = {}
+    for entry in first[:PATTERNS]:
+        drawn = signature(entry.candidate)
+        if drawn.panels:
+            pages[entry.name] = plot(signatures.figure(drawn, found.model.mechanism))
+    if pages:
+        shown += paragraph(NOTE_ON_PATTERNS, "note") + tabs(pages)
     if later:
         more = as_html([candidate_table(found, later)])
         shown += folded(f"{len(later)} more effects fit no better", more)
@@ -60,20 +71,6 @@ def candidates(report: Report, plot: Plot) -> str:
         listed = table(("effect", "reason"), rest, "evidence")
         shown += folded(f"Not tested: {len(rest)}", listed)
     return paragraph(note, "note") + items(remarks) + shown
-
-
-def _patterns(rows: Sequence[Entry], report: Report, plot: Plot) -> str:
-    """Draw the patterns of the first candidates over the residuals, in tabs."""
-    mechanism, pages = report.diagnosis.model.mechanism, {}
-    for entry in rows[:PATTERNS]:
-        drawn = signature(entry.candidate)
-        if drawn.panels:
-            pages[entry.name] = plot(signatures.figure(drawn, mechanism))
-    note = (
-        "The pattern of each candidate over the residuals of the present model. An effect fits if "
-        "the dashed line follows the blue one and both leave the band."
-    )
-    return paragraph(note, "note") + tabs(pages) if pages else ""
 
 
 def measure_next(report: Report) -> str:

@@ -37,7 +37,12 @@ def multiples(
     """
     others = {entry.name: entry for entry in better}
     for entry in found.select_informative(along):
-        yield entry.name, peak(entry), _make_switched_panel(entry, found, others.get(entry.name))
+        panel = _panel(entry, found, found.noise_units)
+        shown = [trace | {"meta": 0} for trace in panel["data"]]
+        if entry.name in others and found.noise_units_found is not None:  # hidden, on one scale
+            other = _panel(others[entry.name], found, found.noise_units_found)
+            shown += [trace | {"meta": 1, "visible": False} for trace in other["data"]]
+        yield entry.name, peak(entry), panel | {"data": shown}
 
 
 def peak(entry: ResidualProfile) -> str:
@@ -45,18 +50,6 @@ def peak(entry: ResidualProfile) -> str:
     size = np.abs(entry.mean) / entry.band[:, None]
     at = np.unravel_index(int(np.argmax(size)), size.shape)
     return f"mean up to {abs(entry.mean[at]):.1f} σ, {size[at]:.1f} × the band"
-
-
-def _make_switched_panel(
-    entry: ResidualProfile, found: Residuals, better: ResidualProfile | None
-) -> Spec:
-    """Draw a panel of the present model and, hidden, of the effects found, on one scale."""
-    drawn = _panel(entry, found, found.noise_units)
-    shown = [trace | {"meta": 0} for trace in drawn["data"]]
-    if better is not None and found.noise_units_found is not None:
-        other = _panel(better, found, found.noise_units_found)
-        shown += [trace | {"meta": 1, "visible": False} for trace in other["data"]]
-    return drawn | {"data": shown}
 
 
 def _panel(entry: ResidualProfile, found: Residuals, z: np.ndarray) -> Spec:

@@ -20,8 +20,8 @@ def print_info(document: dict[str, Any], console: Console) -> None:
     from rich.markup import escape
 
     duration = document["duration"]
-    kind = "samples" if duration is None else f"{duration:.1f} s"
-    console.print(f"{document['source']}: {kind}, sha256 {document['sha256'][:12]}")
+    size = "samples" if duration is None else f"{duration:.1f} s"
+    console.print(f"{document['source']}: {size}, sha256 {document['sha256'][:12]}")
     if document["topics"]:
         console.print(_topic_table(document))
     console.print(_joint_table(document))
@@ -36,7 +36,17 @@ def print_info(document: dict[str, Any], console: Console) -> None:
     for name, unit in units.items():
         if span := document["conditions"].get(name):
             console.print(f"{name}: {span['min']:.2f} to {span['max']:.2f} {unit}", highlight=False)
-    _print_noise(document, console)
+    for kind, noise in document["noise"].items():
+        pose, parts = noise["pose"], []
+        if any(v is not None for v in pose):
+            parts.append(f"position {format_fixed_vector(pose[:3], 1e6, 1)} um")
+            parts.append(f"orientation {format_fixed_vector(pose[3:], 1 / ARCMIN, 2)} arcmin")
+        if "joint" in noise:
+            parts.append(f"joints {format_fixed_vector(noise['joint'], 1e3, 4)} mrad|mm")
+        about = f" ({noise['dof']} degrees of freedom)" if "dof" in noise else ""
+        label = kind.replace("_", " ")
+        if parts:
+            console.print(f"noise {label}, 1 sigma{about}: {', '.join(parts)}", highlight=False)
     for warning in document["warnings"]:
         console.print(f"[yellow]warning:[/yellow] {escape(warning)}", highlight=False)
 
@@ -93,19 +103,3 @@ def _reading_words(readings: dict[str, int]) -> list[str]:
         f"{camera} ({sum(counts)} readings of {len(counts)} corners)"
         for camera, counts in corners.items()
     ]
-
-
-def _print_noise(document: dict[str, Any], console: Console) -> None:
-    """Print the noise of position (um), orientation (arcmin) and joints (mrad or mm)."""
-    for kind, noise in document["noise"].items():
-        pose = noise["pose"]
-        parts = []
-        if any(v is not None for v in pose):
-            parts.append(f"position {format_fixed_vector(pose[:3], 1e6, 1)} um")
-            parts.append(f"orientation {format_fixed_vector(pose[3:], 1 / ARCMIN, 2)} arcmin")
-        if "joint" in noise:
-            parts.append(f"joints {format_fixed_vector(noise['joint'], 1e3, 4)} mrad|mm")
-        about = f" ({noise['dof']} degrees of freedom)" if "dof" in noise else ""
-        label = kind.replace("_", " ")
-        if parts:
-            console.print(f"noise {label}, 1 sigma{about}: {', '.join(parts)}", highlight=False)

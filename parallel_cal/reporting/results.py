@@ -242,6 +242,9 @@ def parameter_table(parameters: Mapping[str, DescribedParameter]) -> Table:
         value, change, sigma = (
             Number(v, factor, 4, 6, p.sigma, unit) for v in (p.value, p.value - p.nominal, p.sigma)
         )
+        words = p.words
+        if p.fixed:
+            words += f", fixed at {'its nominal' if p.value == p.nominal else 'this'} value"
         rows.append(
             (
                 Cell(p.shown_name, mark="odd" if abs(moved) > MAX_MOVED_TOLERANCES else ""),
@@ -251,15 +254,10 @@ def parameter_table(parameters: Mapping[str, DescribedParameter]) -> Table:
                 sigma,
                 unit,
                 Cell(f"{nominal:.6g} {unit}", key=nominal),
-                f"{p.words}, {_describe_fixing(p)}" if p.fixed else p.words,
+                words,
             )
         )
     return Table(columns, rows, "sortable")
-
-
-def _describe_fixing(parameter: DescribedParameter) -> str:
-    is_nominal = parameter.value == parameter.nominal
-    return f"fixed at {'its nominal value' if is_nominal else 'this value'}"
 
 
 def describe_comparison(comparison: Comparison) -> Iterator[Block]:

@@ -7,16 +7,11 @@ from parallel_cal.reporting.markup import Plot, section
 from parallel_cal.reporting.report import Report
 
 
-def _images(report: Report, plot: Plot) -> list[str]:
-    """Render what cameras saw; nothing without a camera."""
-    content = failures.over_images(report, plot)
-    return [section("Residuals over the image", content)] if content else []
-
-
 def body(report: Report, plot: Plot) -> str:
     """Render all sections; a section without data says so."""
     free = sum(not p.fixed for p in report.parameters.values())
     worst_first = f"{len(report.samples)}, worst first"
+    images = failures.over_images(report, plot)  # empty without a camera
     parts = [
         overview.verdict(report),
         overview.numbers(report),
@@ -24,7 +19,7 @@ def body(report: Report, plot: Plot) -> str:
         section("History", overview.history(report, plot)),
         section("Error budget", overview.budget(report)),
         section("Residuals in space", failures.in_space(report, plot)),
-        *_images(report, plot),
+        *([section("Residuals over the image", images)] if images else []),
         section("Residuals against quantities", failures.along_everything(report, plot)),
         section("Which effect is missing", evidence.candidates(report, plot)),
         section("What to measure next", evidence.measure_next(report)),

@@ -29,7 +29,7 @@ from parallel_cal.model.file.modelfile import (
 )
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.session.steps import Step, add, fitted
+from parallel_cal.session.steps import add, fitted
 
 UNKNOWN = (math.nan,) * 4
 Tell = Callable[[str, float, float], None]  # stage, fraction, mean position error so far in m
@@ -84,7 +84,7 @@ def propose_model(request: Request, dataset: Dataset, tell: Tell | None = None) 
         model = read_model(request.model_file)
         given = GivenModel.of(model, dataset, request.options.joint_sigma, request.options.insist)
         position_error = _or_nan(given.errors.summary.position_mean)
-        # Force the step here: `_make_outcome` decides whether its model may be written.
+        # Force the step here: the request decides below whether its model may be written.
         how: dict[str, Any] = {"force": True, "options": request.options, "progress": report}
         if request.effect:
             step = add(model, request.effect, dataset, **how)
@@ -92,27 +92,23 @@ def propose_model(request: Request, dataset: Dataset, tell: Tell | None = None) 
             step = fitted(model, dataset, **how)
         position_error = _or_nan(step.result.after.summary.position_mean)
         report("judging", 1.0)
-        return _make_outcome(request, step)
+        reason, found = step.acceptance.against, step.result
+        kinds = (found.before, found.after, found.held_out_before, found.held_out)
+        means = tuple(_or_nan(kind.summary.position_mean) for kind in kinds)
+        text = readable_text(step.model, request.output_file)
+        success = not reason or request.force
+        if success:
+            although = f" (forced although {reason})" if reason else ""
+            message = f"{step.acceptance.description}; written to {request.output_file}{although}"
+        else:
+            message = f"{reason}; nothing was written (use force to write it anyway)"
+        return Outcome(success, message, step.document(), text, means)
     except ParallelCalError as error:
         return Outcome(False, str(error))
 
 
 def _or_nan(value: float | None) -> float:
     return math.nan if value is None else value
-
-
-def _make_outcome(request: Request, step: Step) -> Outcome:
-    """Make the outcome of a step: the model to write, or the reason to write nothing."""
-    reason, found = step.acceptance.against, step.result
-    kinds = (found.before, found.after, found.held_out_before, found.held_out)
-    means = tuple(_or_nan(kind.summary.position_mean) for kind in kinds)
-    text = readable_text(step.model, request.output_file)
-    if reason and not request.force:
-        message = f"{reason}; nothing was written (use force to write it anyway)"
-        return Outcome(False, message, step.document(), text, means)
-    although = f" (forced although {reason})" if reason else ""
-    message = f"{step.acceptance.description}; written to {request.output_file}{although}"
-    return Outcome(True, message, step.document(), text, means)
 
 
 def write_proposal(request: Request, outcome: Outcome) -> Outcome:

@@ -75,7 +75,9 @@ def find_steps(history: History) -> FallingError | None:
                 continue
             same = shown is None or _samples(shown[1]) == _samples(state)
             before = shown[0] if shown else None
-            steps.append(Step(state.step, error, before, branch, same, _describe(state)))
+            count = len(state.excluded)
+            about = f"{count} excluded sample{'' if count == 1 else 's'}" if count else ""
+            steps.append(Step(state.step, error, before, branch, same, about))
             drawn[state.number] = len(steps) - 1
             shown = len(steps) - 1, state
     noise = next((n for s in reversed(paths[0]) if (n := s.noise.get(f"{kind}_rms"))), None)
@@ -206,8 +208,3 @@ def _error(state: State, kind: str) -> float | None:
 def _samples(state: State) -> tuple[str, Mapping[int, str]]:
     """What decides which samples judge a state."""
     return state.taken, dict.fromkeys(state.excluded, "")
-
-
-def _describe(state: State) -> str:
-    excluded = len(state.excluded)
-    return f"{excluded} excluded sample{'' if excluded == 1 else 's'}" if excluded else ""

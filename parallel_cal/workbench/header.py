@@ -41,30 +41,28 @@ class Header:
                 header.on("vue:mounted", js_handler="() => followHeaderHeight()")
                 self.campaign = CampaignBar(bench.live)
             with ui.row().classes("w-full no-wrap items-center gap-3"):
-                self._draw_line()
-
-    def _draw_line(self) -> None:
-        bench = self.bench
-        self.verdict = ui.label().classes("grow shrink basis-0 min-w-0 truncate font-bold")
-        self.verdict.props("id=verdict role=status aria-live=polite")
-        with self.verdict:
-            self.whole = ui.tooltip()
-        with ui.row().classes("headline items-center no-wrap gap-2 shrink-0") as self.headline:
-            self.about = ui.label().classes("headline-about quiet text-xs")
-            self.errors = ui.label().props("id=headline")
-        with ui.row().classes("items-center no-wrap gap-2 min-w-0") as self.work:
-            self.stage = ui.label().classes("truncate").props("id=stage")
-            self.fraction = ui.linear_progress(0.0, show_value=False).classes("w-24")
-            self.fraction.props('aria-label="progress"')
-            _button("Cancel", bench.cancel)
-        with ui.row().classes("no-wrap gap-2 shrink-0"):
-            self.undo = _button("Undo", partial(bench.run_now, "undo"))
-            self.redo = _button("Redo", partial(bench.run_now, "redo"))
-            self.fit = ui.button("Fit", on_click=partial(bench.begin, "fit")).props("dense")
-            self.save = _button("Save", lambda: bench.save())
-            self.save.tooltip(
-                f"write this model to {bench.output}, unless the model there is better"
-            )
+                self.verdict = ui.label().classes("grow shrink basis-0 min-w-0 truncate font-bold")
+                self.verdict.props("id=verdict role=status aria-live=polite")
+                with self.verdict:
+                    self.whole = ui.tooltip()
+                with ui.row().classes("headline items-center no-wrap gap-2 shrink-0") as row:
+                    self.headline = row
+                    self.about = ui.label().classes("headline-about quiet text-xs")
+                    self.errors = ui.label().props("id=headline")
+                with ui.row().classes("items-center no-wrap gap-2 min-w-0") as self.work:
+                    self.stage = ui.label().classes("truncate").props("id=stage")
+                    self.fraction = ui.linear_progress(0.0, show_value=False).classes("w-24")
+                    self.fraction.props('aria-label="progress"')
+                    _button("Cancel", bench.cancel)
+                with ui.row().classes("no-wrap gap-2 shrink-0"):
+                    self.undo = _button("Undo", partial(bench.run_now, "undo"))
+                    self.redo = _button("Redo", partial(bench.run_now, "redo"))
+                    self.fit = ui.button("Fit", on_click=partial(bench.begin, "fit"))
+                    self.fit.props("dense")
+                    self.save = _button("Save", lambda: bench.save())
+                    self.save.tooltip(
+                        f"write this model to {bench.output}, unless the model there is better"
+                    )
 
     def show(self, afresh: bool) -> None:
         """Show the state; change the numbers only if the view changed."""
@@ -163,18 +161,15 @@ class VerdictCard:
 
     def show(self, view: dict[str, Any]) -> None:
         self.words.set_text(write_micro(view["verdict"]["words"]))
-        self._numbers(view)
-        found = find_steps(self.bench.session)
-        self.dotted.set_visibility(
-            found is not None and not all(step.is_comparable for step in found.steps)
-        )
-        self.steps.show(*((draw_steps(found), describe_steps(found)) if found else (None,)))
-
-    def _numbers(self, view: dict[str, Any]) -> None:
         self.numbers.clear()
         with self.numbers:
             for tile in view.get("tiles", []):
-                _tile(tile)
+                with ui.column().classes("gap-0"):
+                    ui.label(tile["name"]).classes("text-xs quiet")
+                    for value, unit, kind in tile["values"]:
+                        ui.label(f"{value} {unit}").classes("text-lg leading-tight").tooltip(
+                            f"{kind}: {tile['about']}, rms"
+                        )
             if budget := view.get("budget"):
                 with ui.column().classes("gap-0 w-full"):
                     ui.label(budget["title"]).classes("text-xs quiet")
@@ -192,15 +187,11 @@ class VerdictCard:
                 with ui.expansion(count).props("dense id=warnings").classes("text-xs"):
                     for text in warnings:
                         ui.label(text)
-
-
-def _tile(tile: dict[str, Any]) -> None:
-    with ui.column().classes("gap-0"):
-        ui.label(tile["name"]).classes("text-xs quiet")
-        for value, unit, kind in tile["values"]:
-            ui.label(f"{value} {unit}").classes("text-lg leading-tight").tooltip(
-                f"{kind}: {tile['about']}, rms"
-            )
+        found = find_steps(self.bench.session)
+        self.dotted.set_visibility(
+            found is not None and not all(step.is_comparable for step in found.steps)
+        )
+        self.steps.show(*((draw_steps(found), describe_steps(found)) if found else (None,)))
 
 
 def _headline(tiles: Sequence[dict[str, Any]]) -> tuple[str, str]:

@@ -156,7 +156,15 @@ class Window:
     def _missing(self, view: dict[str, Any]) -> None:
         with card("What is missing"):
             candidates = view["candidates"]
-            self._model_effects(view["effects"])
+            if effects := view["effects"]:
+                with ui.row().classes("items-center gap-x-2 gap-y-0"):
+                    ui.label("in the model:").classes("quiet")
+                    for name in effects:
+                        ui.label(name).classes("font-bold")
+                        remove = partial(self.bench.begin, "remove", name)
+                        button = ui.button("Remove", on_click=remove)
+                        button.props(f'dense outline aria-label="remove {name}"')
+                        button.set_enabled(not self.bench.busy)
             if not candidates:
                 running = "The effects are being tested."
                 ui.label(running if self.bench.busy else "No effect has been tested. Press Fit.")
@@ -177,18 +185,6 @@ class Window:
             if untested := view["untested"]:
                 title = f"{_count(untested, 'effect')} not tested"
                 self._unfolded(title, "not tested", partial(_list_untested, untested))
-
-    def _model_effects(self, effects: list[str]) -> None:
-        """Name the effects of the model, each with a button that removes it."""
-        if not effects:
-            return
-        with ui.row().classes("items-center gap-x-2 gap-y-0"):
-            ui.label("in the model:").classes("quiet")
-            for name in effects:
-                ui.label(name).classes("font-bold")
-                remove = ui.button("Remove", on_click=partial(self.bench.begin, "remove", name))
-                remove.props(f'dense outline aria-label="remove {name}"')
-                remove.set_enabled(not self.bench.busy)
 
     def _candidates(self, candidates: list[dict[str, Any]]) -> None:
         for one in candidates:

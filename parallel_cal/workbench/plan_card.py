@@ -85,7 +85,23 @@ def _draw_poses(
         ui.label("lengths in m, angles in rad; each column states its unit").classes("quiet")
     if bench.live is not None:
         _send(bench.live, planned.rows, words)
-    _draw_places(planned.rows, view, words.figure)
+    poses = [[1e3 * row[k] for k in PLACE] for row in planned.rows]
+    traces = [
+        {
+            "type": "scatter3d",
+            "mode": "markers",
+            "name": name,
+            **{k: [p[i] for p in places] for i, k in enumerate("xyz")},
+            "marker": {"size": size, "color": colour},
+        }
+        for name, places, size, colour in (
+            ("measured", view["residuals"]["place"], 2, QUIET),
+            ("planned", poses, 5, PATTERN),
+        )
+    ]
+    legend = {"x": 0, "y": 1, "bgcolor": "rgba(0,0,0,0)"}
+    layout = space("position") | {"height": 420, "legend": legend}
+    draw_figure({"data": traces, "layout": layout}, words.figure)
 
 
 def _send(live: Live, rows: Sequence[dict[str, float]], words: PlanWords) -> None:
@@ -104,23 +120,3 @@ def _send(live: Live, rows: Sequence[dict[str, float]], words: PlanWords) -> Non
                 answer.set_text(str(error))
 
         ui.button(words.send, on_click=send).props("dense")
-
-
-def _draw_places(rows: Sequence[dict[str, float]], view: dict[str, Any], title: str) -> None:
-    poses = [[1e3 * row[k] for k in PLACE] for row in rows]
-    traces = [
-        {
-            "type": "scatter3d",
-            "mode": "markers",
-            "name": name,
-            **{k: [p[i] for p in places] for i, k in enumerate("xyz")},
-            "marker": {"size": size, "color": colour},
-        }
-        for name, places, size, colour in (
-            ("measured", view["residuals"]["place"], 2, QUIET),
-            ("planned", poses, 5, PATTERN),
-        )
-    ]
-    legend = {"x": 0, "y": 1, "bgcolor": "rgba(0,0,0,0)"}
-    layout = space("position") | {"height": 420, "legend": legend}
-    draw_figure({"data": traces, "layout": layout}, title)

@@ -51,14 +51,7 @@ class ResidualsCard:
             figure, title = arrows["figure"], f"residuals, magnified {arrows['scale']:g} times"
             low = figure | {"layout": figure["layout"] | {"height": HEIGHT}}
             self.arrows.show(low, "residual arrows in space", title)
-        self._map(residuals)
-        self._pictures()
-        _offer(self.component, residuals["components"])
-        _offer(self.along, list(residuals["along"]))
-        self._draw_profile()
-
-    def _map(self, residuals: dict[str, Any]) -> None:
-        sizes = [sample["sigmas"] or 0 for sample in self.view["samples"]["rows"]]
+        sizes = [sample["sigmas"] or 0 for sample in view["samples"]["rows"]]
         marker = {"color": sizes, "colorscale": "Cividis", "showscale": True, "size": 9}
         x, y = ([p[k] for p in residuals["place"]] for k in (0, 1))
         across, up = (residuals["where"].format(axis) for axis in "xy")
@@ -66,10 +59,7 @@ class ResidualsCard:
         figure["layout"]["yaxis"] |= {"scaleanchor": "x", "constrain": "domain"}
         figure["layout"]["xaxis"]["constrain"] = "domain"
         self.map.show(figure, RMS, RMS)
-
-    def _pictures(self) -> None:
-        """Make the tabs; the selected one stays selected."""
-        names = [one["name"] for one in self.view["pictures"]]
+        names = [one["name"] for one in view["pictures"]]
         selected = self.tabs.value if self.tabs.value in names else next(iter(names), None)
         if names != [tab.props["name"] for tab in self.tabs]:
             self.tabs.clear()
@@ -78,6 +68,9 @@ class ResidualsCard:
                     ui.tab(name)
         self.tabs.set_value(selected)
         self._turn()
+        _offer(self.component, residuals["components"])
+        _offer(self.along, list(residuals["along"]))
+        self._draw_profile()
 
     def _turn(self) -> None:
         chosen = [one for one in self.view["pictures"] if one["name"] == self.tabs.value]

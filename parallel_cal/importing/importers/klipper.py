@@ -54,7 +54,13 @@ def samples(
                 f"{TOUCHES} {name}{k}", "the nozzle's height in mm", None, -50, 50
             )
             heights.append(height * MM)
-            found.append(top - step * _position(stated, f"{TOUCHES} {name}{k}_pos"))
+            field = f"{TOUCHES} {name}{k}_pos"
+            text, place = stated.text(field, "steps of motors a, b, c from their end-stops")
+            words = text.split(",")
+            if len(words) != 3:
+                raise place.error(field, text, "three numbers of steps")
+            steps = [place.number(field, word, "three numbers of steps") for word in words]
+            found.append(top - step * np.array(steps))
     if not found:
         stated.text(f"{TOUCHES} height0", "what DELTA_CALIBRATE and SAVE_CONFIG store")
     if distances := sum(f"{TOUCHES} distance{k}" in stated for k in range(999)):
@@ -74,14 +80,6 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
         deltas.check_reach(printer, stated, "[printer] shoulder_height")
     remarks = [stated.describe_unread()] if stated.unread else []
     return deltas.make_configured_robot(printer, _probe(stated), remarks=remarks)
-
-
-def _position(stated: Settings, field: str) -> Array:
-    text, place = stated.text(field, "steps of motors a, b, c from their end-stops")
-    words = text.split(",")
-    if len(words) != 3:
-        raise place.error(field, text, "three numbers of steps")
-    return np.array([place.number(field, word, "three numbers of steps") for word in words])
 
 
 def _probe(stated: Settings) -> Array:

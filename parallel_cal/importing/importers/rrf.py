@@ -182,18 +182,14 @@ def read_delta(stated: Settings) -> Delta:
         heights = homed + np.array(stops)
         reach = _reach(stated, "M665 B")
         return Towers.of(radius, rods, trim, heights, tilt=(tilt[0], tilt[1]), reach=reach)
-    if kind(stated) == 10:
-        return _shoulders(stated)
-    raise stated.error("M669 K", KINDS)
-
-
-def _shoulders(stated: Settings) -> Shoulders:
-    """Return the Delta of M669 K10 U L H A R B X Y Z and M666 X Y Z (degrees)."""
+    if kind(stated) != 10:
+        raise stated.error("M669 K", KINDS)
+    # M669 K10 U L H A R B X Y Z and M666 X Y Z (degrees)
     arm = "least:most degrees of an arm"
-    reach = stated.numbers("M669 A", arm, 2) if "M669 A" in stated else np.array([-45.0, 45.0])
+    span = stated.numbers("M669 A", arm, 2) if "M669 A" in stated else np.array([-45.0, 45.0])
     trim = [stated.number(f"M669 {tower}", "degrees", 0.0, -30, 30) for tower in "XYZ"]
     stops = [stated.number(f"M666 {tower}", "degrees", 0.0) for tower in "XYZ"]
-    if reach[1] + min(stops) <= reach[0]:
+    if span[1] + min(stops) <= span[0]:
         raise stated.error("M669 A", arm)
     return Shoulders(
         stated.number("M669 R", "the delta radius in mm", low=0.0) * MM,
@@ -201,7 +197,7 @@ def _shoulders(stated: Settings) -> Shoulders:
         stated.numbers("M669 U", "arm lengths in mm", 3, low=1.0) * MM,
         stated.numbers("M669 L", "rod lengths in mm", 3, low=1.0) * MM,
         (np.array([210.0, 330.0, 90.0]) + trim) * DEGREE,
-        tuple((reach[0] * DEGREE, (reach[1] + stop) * DEGREE) for stop in stops),
+        tuple((span[0] * DEGREE, (span[1] + stop) * DEGREE) for stop in stops),
         _reach(stated, "M669 B"),
     )
 

@@ -129,7 +129,11 @@ class Hint:
         self._document, self._table = document, table
 
     def __call__(self, path: Path) -> str:
-        name = self._parameter_name(path)
+        name = ""
+        if len(path) == 3 and path[0] == "parameters":
+            name = str(path[1])
+        elif len(path) == 5 and path[0] in ("effects", "sensors") and path[2] == "parameters":
+            name = f"{self._document.data[path[0]][path[1]].get('name')}.{path[3]}"
         if name not in self._table.names:
             return ""
         parameter = self._table[name]
@@ -141,13 +145,6 @@ class Hint:
         for key in ("nominal", "tolerance", "sigma"):
             texts[key] = f" (in {parameter.unit})"
         return texts.get(str(path[-1]), "")
-
-    def _parameter_name(self, path: Path) -> str:
-        if len(path) == 3 and path[0] == "parameters":
-            return str(path[1])
-        if len(path) == 5 and path[0] in ("effects", "sensors") and path[2] == "parameters":
-            return f"{self._document.data[path[0]][path[1]].get('name')}.{path[3]}"
-        return ""
 
 
 def covariance(

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.model.drive import Drive
 from parallel_cal.model.effect import Effect
 from parallel_cal.model.file.yamltext import flow
 from parallel_cal.model.machine_class import DEFAULT_CLASS
@@ -45,7 +44,10 @@ def _setup(model: Model) -> Iterator[str]:
         limits = {"low": low, "high": high, "velocity": velocity, "acceleration": acceleration}
         limits |= {"gearing": gearing} if gearing != 1.0 else {}
         finite = {key: float(v) for key, v in limits.items() if math.isfinite(v)}
-        own = {"drive": _drive(drive)} if drive else {}
+        own = {}
+        if drive:
+            stated = {f: getattr(drive, f.name) for f in fields(drive)}
+            own["drive"] = {f.name: value for f, value in stated.items() if value != f.default}
         yield f"  {flow(joint)}: {flow({'unit': unit, **finite, **own})}"
     yield "home:"
     for key in ("joints", "position", "quaternion"):
@@ -59,12 +61,6 @@ def _setup(model: Model) -> Iterator[str]:
         yield f"gravity: {flow([float(v) for v in m.gravity])}"
     noise = {key: value for key, value in vars(model.noise).items() if value is not False}
     yield f"noise: {flow(noise)}"
-
-
-def _drive(drive: Drive) -> dict[str, str | float]:
-    """Return the stated values of a drive that differ from the defaults."""
-    stated = {field.name: getattr(drive, field.name) for field in fields(drive)}
-    return {f.name: stated[f.name] for f in fields(drive) if stated[f.name] != f.default}
 
 
 def _box(box: Workspace | Box) -> dict[str, list[float]]:
