@@ -108,7 +108,7 @@ class Reader:
         parameters = self._document.data.get("parameters")
         names = parameters if isinstance(parameters, dict) else {}
         try:
-            cls = load_class("mechanisms", name, Mechanism)
+            cls: type[Mechanism] = load_class("mechanisms", name, Mechanism)
             return load_mechanism(name, **cls.complete_options(options, names))
         except ModelError as error:
             raise self._error(("mechanism",), str(error)) from None
