@@ -109,7 +109,7 @@ def command_line() -> str:
     """The help of every command, as the command prints it."""
     import typer
 
-    from parallel_cal.cli.main import HIDDEN, application
+    from parallel_cal.cli.main import OTHER_NAMES, application
 
     parts = [
         "# The command line",
@@ -117,7 +117,7 @@ def command_line() -> str:
     ]
     group: Any = typer.main.get_command(application([]))
     for name, command in group.commands.items():
-        if name in HIDDEN:
+        if name in OTHER_NAMES:
             continue
         parts.append(f"## {name}")
         parts.append(_help(command, f"parallel-cal {name}"))

@@ -677,3 +677,25 @@ def test_the_mockup_misses_its_targets_as_table_5_15_says():
 
 def test_the_public_names_are_the_promised_ones():
     assert set(modelfile.__all__) >= {"read_model", "parse_model", "write_model", "dump_model"}
+
+
+@pytest.mark.parametrize(
+    "stated",
+    [
+        {"anchors": [[0, -2, 0], [2, 1, 0], [-2, 1, 0], [0, 0, 3], [1, 1, 3]], "radius": 0.075},
+        {
+            "anchors": [[0, -2, 0], [2, 1, 0], [-2, 1, 0], [0, 0, 3]],
+            "advantages": [2, 2, 2, 4],
+            "spools": [1, 1, 1, 2],
+        },
+    ],
+)
+def test_an_older_file_of_a_cable_robot_that_does_not_state_its_spools_is_read(stated):
+    today = new_model(load_mechanism("cable", **stated))
+    text = dump_model(today)
+    lines = [line for line in text.splitlines() if line.strip().split(":")[0] not in stated]
+    anchors = f"    anchors: {stated['anchors']}"
+    lines.insert(lines.index("  options:") + 1, anchors)
+    older = parse_model("\n".join(lines) + "\n")
+    assert older.joints == today.joints
+    np.testing.assert_array_equal(older.values, today.values)

@@ -163,10 +163,7 @@ def judge_samples(
     if first:
         summary = f"no geometry fits the samples without {first.name}; with it: {summary}"
     laws = LawSearch("")
-    # Search for a law outside the catalogue only if the whole catalogue explains nothing, and no
-    # untried condition is to be tried first.
-    is_unexplained = found.verdict.word == "unexplained" and not question.effects
-    if is_unexplained and not any(target.conditions for target in targets):
+    if _needs_law(found, question, targets):
         laws = search_laws(
             model,
             fitted,
@@ -202,6 +199,16 @@ def judge_samples(
         {} if is_measured_by_images(best, dataset) else by_kind(found.best.fitted.noise_floor),
         laws.laws,
         laws.effects,
+    )
+
+
+def _needs_law(found: Diagnosis, question: JudgementRequest, targets: Sequence[Target]) -> bool:
+    """Whether to search for a law outside the catalogue: the whole catalogue explains nothing, and
+    no untried condition is to be tried first."""
+    return (
+        found.verdict.word == "unexplained"
+        and not question.effects
+        and not any(target.conditions for target in targets)
     )
 
 

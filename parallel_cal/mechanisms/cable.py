@@ -3,7 +3,7 @@ freedoms if wanted."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -102,6 +102,19 @@ class Cable(Mechanism):
             p = Named(self.parameters.names, self.parameters.nominal)
             joints = self.joint_candidates(ca.DM.zeros(3), None, p)
             self.home = Home(joints=tuple(round(float(q[0]), 13) for q in joints))
+
+    @classmethod
+    def complete_options(
+        cls, options: Mapping[str, Any], parameters: Collection[str]
+    ) -> dict[str, Any]:
+        """Add the spools that an older file has among its parameters only: they belonged to every
+        robot, and four anchors in space had those of the Hangprinter HP4."""
+        motors = options.keys() & {"spools", "radius", "gear"} or "anchors" not in options
+        if motors or "spool1.R" not in parameters:
+            return dict(options)
+        if len(options["anchors"]) == len(HP4_ANCHORS) and "spool3.R" not in parameters:
+            return {"advantages": HP4_ADVANTAGES, "spools": HP4_SPOOLS, **options}
+        return {**options, "radius": RADIUS}
 
     @property
     def winds(self) -> tuple[float, ...]:

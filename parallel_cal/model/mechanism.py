@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
@@ -155,6 +155,14 @@ class Mechanism(ABC):
     bodies: Mapping[str, Sequence[str]] = {}  # patterns of the lengths of one material
     parts: tuple[str, ...] = ()  # kinds of links whose centres of mass are known
     options: Mapping[str, Any] = {}
+
+    @classmethod
+    def complete_options(
+        cls, options: Mapping[str, Any], parameters: Collection[str]
+    ) -> dict[str, Any]:
+        """Return the options of a model file, with those that an older file, which has these
+        parameters, does not state."""
+        return dict(options)
 
     @abstractmethod
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:

@@ -21,7 +21,7 @@ from parallel_cal.model.mechanism import Box, Home, Mechanism, Workspace
 from parallel_cal.model.model import Model, Noise
 from parallel_cal.model.parameters import Parameter, ParameterTable
 from parallel_cal.model.sensor import Sensor, apply_sensor_tolerances
-from parallel_cal.model.shelf import list_plugins, load_effect, load_mechanism
+from parallel_cal.model.shelf import list_plugins, load_class, load_effect, load_mechanism
 
 VERSION = 1
 
@@ -105,8 +105,11 @@ class Reader:
         if not isinstance(name, str) or not isinstance(options, dict):
             known = ", ".join(list_plugins("mechanisms"))
             raise self._error(("mechanism",), f"found {name!r}, expected one of {known}")
+        parameters = self._document.data.get("parameters")
+        names = parameters if isinstance(parameters, dict) else {}
         try:
-            return load_mechanism(name, **options)
+            cls = load_class("mechanisms", name, Mechanism)
+            return load_mechanism(name, **cls.complete_options(options, names))
         except ModelError as error:
             raise self._error(("mechanism",), str(error)) from None
 
