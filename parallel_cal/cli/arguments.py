@@ -19,7 +19,8 @@ Bags = Annotated[
 ]
 Out = Annotated[Path, typer.Option("-o", "--output", help="file to write")]
 OptionalOut = Annotated[
-    Path | None, typer.Option("-o", "--output", help="model file to write [default: none]")
+    Path | None,
+    typer.Option("-o", "--output", help="model file to write; without it, none is written"),
 ]
 Json = Annotated[bool, typer.Option("--json", help="print one JSON document")]
 Data = Annotated[

@@ -45,8 +45,8 @@ def fit(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Identify the free parameters and show the errors. The model is written if the validation
-    error falls."""
+    """Identify the free parameters and show the errors. The model is written to the file of -o if
+    the validation error falls."""
     from parallel_cal.session.steps import fitted
 
     options = replace(options, insist=force)
@@ -70,7 +70,8 @@ def add(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Add an effect and fit again. The model is written if the validation error falls."""
+    """Add an effect and fit again. The model is written to the file of -o if the validation error
+    falls."""
     from parallel_cal.session.steps import add
 
     start, dataset = read_model_and_data(model, bags, data)
@@ -91,8 +92,8 @@ def remove(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Remove an effect and fit again. The model is written unless the validation error rises by
-    1 % or more."""
+    """Remove an effect and fit again. The model is written to the file of -o, unless the validation
+    error rises by 1 % or more."""
     from parallel_cal.session.steps import remove
 
     start, dataset = read_model_and_data(model, bags, data)

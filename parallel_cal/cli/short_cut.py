@@ -31,9 +31,9 @@ def short_cut(
 ) -> None:
     """Identify a Delta without a measuring device, from loops of two arms and one rod.
 
-    The topic `constraint` names the loop: in 12:21:11, the first rod of chain 1 connects the
-    second ball of arm 1 to the first ball of arm 2. Angles do not determine the size: --fix
-    lengths that you measured, such as chain1.Lb chain1.dLb.
+    The topic `constraint` names the loop as BALL:BALL:ROD. 12:21:11 means: ball 2 of arm 1 and
+    ball 1 of arm 2, connected by rod 1 of chain 1. Angles do not determine the size of the robot.
+    Fix lengths that you measured: --fix chain1.Lb --fix chain1.dLb.
     """
     from parallel_cal.model.file.modelfile import model_hash, replace_model
     from parallel_cal.short_cut import identify

@@ -51,7 +51,7 @@ def tolerance(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Predict the accuracy of a design, and find the tolerance that contributes most."""
+    """Predict the accuracy of a design. Find the tolerance that contributes most."""
     from parallel_cal.kinematics.answers import parse_conditions
     from parallel_cal.model.file.modelfile import read_model
     from parallel_cal.reporting.studies import format_tolerances, tolerances_page
@@ -110,8 +110,8 @@ def power(
     ] = Path("power"),
     as_json: Json = False,
 ) -> None:
-    """Predict which effects a measuring session can detect, and their smallest detectable size. An
-    interrupted command can be resumed."""
+    """Predict which effects a measuring session can detect. Find their smallest detectable size.
+    An interrupted command can be resumed."""
     from parallel_cal.model.file.modelfile import dump_model
     from parallel_cal.reporting.studies import format_power, power_page
     from parallel_cal.study import power as studies

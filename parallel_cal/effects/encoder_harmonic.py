@@ -24,7 +24,9 @@ class EncoderHarmonic(Harmonic):
 
     fixed = ("order",)
     refines = False
-    physics = "A ring that n screws deform, or n pole pairs, misreads n times per turn."
+    physics = (
+        "A ring that n screws deform, or a magnet with n pole pairs, misreads n times per turn."
+    )
     remedy = (
         "loosen the ring's screws and tighten them crosswise, or keep the correction in the model"
     )

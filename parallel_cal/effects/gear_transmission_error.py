@@ -27,11 +27,11 @@ RATIOS = (3.0, 150.0)  # below: an encoder's harmonics; above: too fine for the 
 class GearTransmissionError(Effect):
     """q_ideal = q + sum over k = 1, 2 of sin_k * sin(k ratio q) + cos_k * cos(k ratio q) (rad).
 
-    One `ratio` for all joints, known from the gear's catalogue or found by `scan`: its best
-    setting lies within half a step of the peak and shows at least 90 % of the first harmonic;
-    from there the ratio may be freed and is refined together with the amplitudes. If the readings
-    are angles of motors that turn spools, the ratio is the angle of the spool per angle of the
-    motor: a spool that is out of round errs once per turn of its own.
+    All joints have one `ratio`. It is known from the gear's catalogue, or `scan` finds it. The best
+    ratio of the scan is at most half a step from the true one and shows at least 90 % of the first
+    harmonic. From there, a fit can refine the ratio together with the amplitudes (`--free`). If the
+    readings are angles of motors that turn spools, the ratio is the angle of the spool per angle of
+    the motor: a spool that is out of round errs once per turn of its own.
     """
 
     fixed = ("ratio",)

@@ -29,7 +29,10 @@ class LineFlex(Effect):
     Motors that hold their angles under a payload that changes are `line_stretch`.
     """
 
-    physics = "A line under tension is longer than what its spool let out, in proportion to both."
+    physics = (
+        "A line under tension is longer than the length that its spool let out, in proportion to "
+        "this length and to the tension."
+    )
     remedy = "measure the tension of the lines and correct their lengths, or take stiffer lines"
     source = "Hooke's law; 1 mm of braided line has an EA of 10-50 kN: 20 N give 0.4e-3 to 2e-3"
     lookalikes = ("encoder_gain", "pulley_radius", "spool_buildup", "line_sag", "device_axes")

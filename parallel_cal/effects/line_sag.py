@@ -24,12 +24,16 @@ ROUNDS = 5  # of the fixed point; each leaves about the line's strain of the err
 
 
 class LineSag(Effect):
-    """q_ideal = q - (L - L_home - |P - A| + |A|) / k, L the unstretched length of a catenary.
+    """q_ideal = q - (L - L_home - |P - A| + |A|) / k for every line, k in m of line per unit of q.
 
-    Over the horizontal distance x(s) = H s / EA + H / w (asinh(V / H) - asinh((V - w s) / H)) and
-    the height z(s) = s (V - w s / 2) / EA + (sqrt(H^2 + V^2) - sqrt(H^2 + (V - w s)^2)) / w a line
-    of the weight w (N/m) reaches its anchor at s = L. H is the horizontal part of the tension t of
-    a straight line, W t = weight, as in `line_flex`.
+    L is the unstretched length of the catenary from the anchor A to the end point P, and L_home is
+    its value at home. The point at s (m of unstretched line from the anchor) of a line of weight w
+    (N/m) is at the horizontal distance
+    x(s) = H s / EA + H / w (asinh(V / H) - asinh((V - w s) / H)) from the anchor, and below it by
+    z(s) = s (V - w s / 2) / EA + (sqrt(H^2 + V^2) - sqrt(H^2 + (V - w s)^2)) / w.
+    At s = L it is P. H and V are the horizontal and the vertical force at the anchor. H is that of
+    a straight line with the tension t. The tensions follow from the equilibrium of the platform,
+    W t = weight; the columns of W are the directions of the lines (as in `line_flex`).
 
     `sag` is (w / T)^2 (1/m^2). T is the pretension of redundant lines, otherwise the weight of the
     platform. `load` is this weight over T, and `strain` is T / EA: two known constants. That the

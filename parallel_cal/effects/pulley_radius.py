@@ -19,14 +19,15 @@ class PulleyRadius(Effect):
     """q_ideal = q - (L - L_home - |P - A| + |A|) / k for every line, k in m of line per unit of q.
 
     The line comes along the axis a, touches the pulley at the anchor A, runs over it by the angle
-    beta and leaves to P. The pulley swivels about the line that comes, so that P lies in its plane:
-    with z = (P - A) . a and the distance x of P from that axis, l^2 = x^2 + z^2 - 2 radius x,
+    beta and leaves to P. The pulley swivels about this axis, so that P lies in the pulley's plane.
+    With z = (P - A) . a and the distance x of P from the axis: l^2 = x^2 + z^2 - 2 radius x,
     beta = atan2(x - radius, z) + atan2(radius, l) and L = l + radius beta.
 
     `radius` (m) is that of the groove plus half the line, the same for all pulleys. `axis` is the
-    direction in {B} in which the line comes; by default along the last coordinate that moves (z, or
-    y on a table), away from the origin: up to a high pulley, down to a low one. A line that is
-    steeper than 2 : 1 at home comes along the first coordinate instead.
+    direction in {B} in which the line runs towards its pulley. By default it is that of the last
+    coordinate that moves (z; y if P moves in x and y only), with the sign that points away from
+    home: upwards for a high pulley, downwards for a low one. For a line that is steeper than 2 : 1
+    at home, it is that of the first coordinate instead.
     """
 
     fixed = ("*.axis_?",)

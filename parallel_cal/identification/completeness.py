@@ -56,10 +56,14 @@ class Completeness:
             missing = self.needed - self.rank
             return f"{counted}; {missing} more would let every such robot stand anywhere"
         if self.frames == 2:
-            return f"{counted}: complete with both frames anywhere"
-        where = ("both frames", "one frame")[self.frames]
+            return (
+                f"{counted}. They describe every geometric error, wherever the frames of base and "
+                "platform are"
+            )
+        where = ("both frames are", "one frame is")[self.frames]
         return (
-            f"{counted}: complete with {where} given; with both anywhere {self.needed} are needed"
+            f"{counted}. They describe every geometric error if {where} given (base, platform); "
+            f"wherever both are, {self.needed} are needed"
         )
 
     def document(self) -> dict[str, int | None]:

@@ -16,8 +16,9 @@ if TYPE_CHECKING:  # the command line shows its help without numpy
 
 # Options that a measurement plan has, too.
 FREE = option(
-    "identify the parameters that match this wildcard, such as 'chain1.*'; if parameters match "
-    "both --free and --fix, the narrower option decides (its parameters are a part of the other's)"
+    "identify the parameters that match this wildcard, such as 'chain1.*'; if a parameter matches "
+    "both --free and --fix, the option that matches fewer parameters decides (all of them must "
+    "match the other option, too)"
 )
 FIX = option("do not identify the parameters that match this wildcard")
 PRIOR = option("use tolerances as priors of all parameters, not only of weakly determined ones")
@@ -33,9 +34,10 @@ class FitOptions:
         Method of identification. Default `implicit`.
     free, fix : sequence of str
         Wildcards for parameter names (`chain1.*`). `free` adds parameters to the free ones of the
-        model file, `fix` removes some. If parameters match both, the narrower choice decides (its
-        parameters are a part of the other's): `fix=["*"], free=["chain1.Lb"]` identifies
-        `chain1.Lb` only. FitError is raised if neither is narrower. Default none.
+        model file, `fix` removes some. If a parameter matches both, the one that matches
+        fewer parameters decides (all of them must match the other, too): `fix=["*"],
+        free=["chain1.Lb"]` identifies `chain1.Lb` only. FitError is raised if neither contains the
+        other. Default none.
     refit : sequence of str
         Wildcards for the names of the parameters to identify again. All other parameters keep their
         values and covariance. Use it if only some parameters changed, for example after re-homing

@@ -1,5 +1,5 @@
-"""Cable robot: a point in space or in a plane, held by n lines wound on spools, more than it has
-freedoms if wanted."""
+"""Cable robot: a point in space or in a plane, held by n lines that are wound on spools. It may
+have more lines than degrees of freedom."""
 
 from __future__ import annotations
 
@@ -32,13 +32,14 @@ class Cable(Mechanism):
     spools (rad), or, for a robot with anchors of its own, lengths of line (m).
 
     Options: `anchors` (n, 3), m; `advantages` (n,), the mechanical advantages of the pulleys;
-    `spools` (n,), where lines with equal numbers share one spool radius; `radius` of the spools, m,
-    and `gear`, turns of the motor per turn of the spool, one number or (n,) of the lines. With
-    `spools`, `radius` or `gear` the readings are angles of motors; the defaults of `radius` and
-    `gear` are those of the Hangprinter HP4. Gear ratio and advantage have the same influence as the
-    radius. They are known exactly and therefore fixed by default. With `zero: anchors` a reading is
-    the whole line from the anchor to P. A spool behind a reading in m is stated as the `drive` of
-    its joint. Without options the robot is the Hangprinter HP4.
+    `spools` (n,), the number of the spool of each line: lines with the same number share one spool
+    radius; `radius`, the radius of the spools, m; `gear`, turns of the motor per turn of the spool.
+    `radius` and `gear` are one number, or (n,), one for each line. With `spools`,
+    `radius` or `gear` the readings are angles of motors; the defaults of `radius` and `gear` are
+    those of the Hangprinter HP4. Gear ratio and advantage have the same influence as the radius.
+    They are known exactly and therefore fixed by default. With `zero: anchors` a reading is the
+    whole line from the anchor to P. If a motor with a spool makes a reading in m, state this spool
+    as the `drive` of the joint in the model file. Without options the robot is the Hangprinter HP4.
 
     If one coordinate of every anchor is 0, the robot is planar: P moves in this plane, and a
     measured third coordinate is ignored. `anchors` (n, 2) are x and y. A planar robot has at least

@@ -33,7 +33,7 @@ class Parameter:
     group : str
         `geometry`, `effect` or `sensor`. Default `geometry`.
     low, high : float
-        Physical bounds (a backlash is never negative). Default: unbounded.
+        Lowest and highest possible value (a backlash is never negative). Default: unbounded.
     label : str
         The last part of the name in plain words, such as `rod length`. Default empty.
     title : str
@@ -57,7 +57,11 @@ class Parameter:
         return self.title or self.name
 
     def with_tolerance(self, tolerance: float) -> Parameter:
-        """Return the parameter with another tolerance; its bounds scale with the tolerance."""
+        """Return the parameter with another tolerance.
+
+        The distances of `low` and `high` from the nominal value change by the same factor, because
+        both are stated for robots with the present tolerance.
+        """
         times = tolerance / self.tolerance
         low, high = (self.nominal + times * (v - self.nominal) for v in (self.low, self.high))
         return replace(self, tolerance=tolerance, low=low, high=high)

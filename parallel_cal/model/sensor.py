@@ -29,10 +29,11 @@ class View:
 
 
 class Sensor(ABC):
-    """Base class of a measuring set-up (chapter 4).
+    """Base class of a measuring set-up (chapter 4 of the thesis).
 
-    Subclass it in a file of its own, whose name is the sensor's name, as a frozen dataclass. The
-    fields of the dataclass are the options in the model file (nominal geometry, uncertainty).
+    Write a subclass that is a frozen dataclass, in a file of its own. The file name is the
+    sensor's name. The fields of the dataclass are the options in the model file (nominal geometry,
+    uncertainty).
     A sensor adds its parameters to the model, and one row for each channel to the closure: the
     reading by the model at the pose, minus the recorded reading. (A reading error has the opposite
     sign.) If a sample has no reading of a channel, its row has no influence on the fit.
@@ -55,8 +56,8 @@ class Sensor(ABC):
     unit : str
         Unit of the readings, `m` or `px`. Default `m`.
     shows_pose : bool
-        Whether the readings of one sample show a pose, as those of an image do. Then a sample may
-        lack some of the channels, a sensor without start values finds them in its `views`, and the
+        Whether the readings of one sample show a pose, as those of an image do. If True: a sample
+        may lack some channels. Start values that the options do not state come from `views`. The
         errors of the pose are estimated from the readings. Default False.
     base_part, platform_part : str
         Name patterns of the parameters that state where its part on the base and its part on the
@@ -86,7 +87,7 @@ class Sensor(ABC):
 
     def points(self, r: Any, R: Any, s: Named) -> Any:
         """Return the coordinates, as a column, from which `show` computes the readings; None if
-        `readings` does it alone. The derivatives of many readings are fewer operations with it."""
+        `readings` does it alone. This split makes the derivatives of many readings cheaper."""
         return None
 
     def show(self, points: Any, s: Named) -> Any:
@@ -94,8 +95,8 @@ class Sensor(ABC):
         raise NotImplementedError
 
     def find_visible(self, readings: np.ndarray) -> np.ndarray:
-        """Return the mask (N, n_channels) of the predicted readings that the sensor can give: the
-        pixels inside the image, of a camera."""
+        """Return a mask (N, n_channels): which predicted readings the sensor can see. For a camera,
+        these are the pixels inside the image."""
         return np.ones(readings.shape, dtype=bool)
 
     @property
@@ -121,9 +122,10 @@ class Sensor(ABC):
         return iter(())
 
     def variants(self) -> Iterator[tuple[str, Sensor]]:
-        """Yield options that people mix up, in words and as the sensor that has them.
+        """Yield pairs (text, sensor) of settings that are often confused with the present ones.
 
-        If the readings show the robot's poses much better with them, a fit refuses the sensor.
+        The text describes the settings, and the sensor has them. If the readings then show the
+        robot's poses much better, a fit refuses the present sensor.
         """
         return iter(())
 
@@ -149,7 +151,7 @@ class Sensor(ABC):
 
     @property
     def weighing_sigma(self) -> float:
-        """Standard deviation (m) by which its readings are weighed, stated or guessed."""
+        """Standard deviation that weights its readings, stated or guessed, in their unit."""
         return self.guessed_sigma if self.sigma is None else self.sigma
 
     @property
@@ -159,8 +161,10 @@ class Sensor(ABC):
 
     @property
     def name(self) -> str:
-        """Name of its parameters. Default: its class name. An option `name` distinguishes several
-        sensors of one class."""
+        """Name of the sensor in the model, the prefix of its parameters' names.
+
+        Default: its class name. An option `name` distinguishes several sensors of one class.
+        """
         return self.class_name
 
     @property

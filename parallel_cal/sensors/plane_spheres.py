@@ -32,7 +32,9 @@ class PlaneSpheres(Sensor):
     tip: tuple[float, float, float] = (0.0, 0.0, 0.0)
     fixed: tuple[str, ...] = ("*",)
 
-    physics = "a ball-ended tip slides on a flat plate, or a ball-bar ties it to a hole in it"
+    physics = (
+        "a ball-ended tip slides on a flat plate, or a ball-bar ties the tip to a hole of the plate"
+    )
     source = "thesis 4.2.6, 5.4.4; Hornick 91 (plane), Driels 91 (ball-bar)"
 
     def __post_init__(self) -> None:
