@@ -63,7 +63,11 @@ SHOWN = {  # family -> its sessions in words, and what is counted in words
     ),
     "laws": (
         "a hidden law that is in no catalogue",
-        {"place": "place right", "driver": "driver right", "worse": "true error larger than without the law"},
+        {
+            "place": "place right",
+            "driver": "driver right",
+            "worse": "true error larger than without the law",
+        },
     ),
     "null": ("white noise, no law", {"law": "a law found"}),
     "noise": ("noise that is not as stated, no law", {"law": "a law found"}),
