@@ -367,7 +367,8 @@ states are at other poses: it cross-validates within the poses for fitting.
   estimated. For the printer: the values in its firmware configuration.
 - **geometry**: `fit`.
 - **with effects**: `diagnose` and `add` until the diagnosis names no effect, or `add` refuses those
-  that it names.
+  that it names. An effect of the device (`device_field`) removes errors of the device, not of the
+  machine.
 - **independent geometry**: the independent fit, with the unknowns of *geometry*.
 - **independent with effects**: the independent fit, with the effects in brackets. These are not
   always the effects that parallel_cal found.
