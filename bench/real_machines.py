@@ -136,7 +136,8 @@ def jugglebot(folder: Path) -> Machine:
     machine = Machine(
         "jugglebot",
         "Jugglebot, hexapod on strings and spools",
-        "the drawing (one command), six spools, a column map of nine lines",
+        "one command that creates the model from the drawing, the data of six spools, and a column "
+        "map of nine lines",
         "mm",
     )
     source = REAL / "jugglebot"
@@ -188,7 +189,7 @@ def arm(kind: str, title: str, folder: Path) -> Machine:
     machine = Machine(
         kind,
         title,
-        f"{len(ROWS[kind])} lines of Denavit-Hartenberg parameters, a column map of "
+        f"{len(ROWS[kind])} lines of Denavit-Hartenberg parameters, and a column map of "
         f"{len(ROWS[kind]) + 2} lines",
         "um",
     )
@@ -218,7 +219,7 @@ def hangprinter(folder: Path) -> Machine:
     machine = Machine(
         "hangprinter_hp4",
         "Hangprinter HP4, cable robot with four lines",
-        "the anchors (one command), a column map of six lines",
+        "one command that creates the model from the anchors, and a column map of six lines",
         "mm",
     )
     source = REAL / "hangprinter_hp4"
@@ -270,8 +271,9 @@ def d300vs(folder: Path) -> Machine:
     machine.registered, machine.geometry = heights["before"], heights["held_out"]
     moved = 1e3 * document["movement"]["largest"]
     machine.notes.append(
-        f"`export`: heights at all touches {1e6 * heights['before']:.1f} -> "
-        f"{1e6 * heights['after']:.1f} um; x and y move by at most {moved:.2f} mm"
+        f"`export`: rms height error at all touches, also those of the fit: "
+        f"{1e6 * heights['before']:.1f} -> "
+        f"{1e6 * heights['after']:.1f} um; x and y change by at most {moved:.2f} mm"
     )
     given, places = own.read_d300vs(REAL / "d300vs" / "heightmap.csv")
     unseen = np.empty(len(places))
@@ -349,20 +351,27 @@ def write_models() -> None:
 
 INTRODUCTION = """# Real machines
 
-How well does parallel_cal calibrate machines that others built and measured? This page says it
-for each set in [real/](../real/README.md), beside an independent fit (`bench/independent_fits.py`:
-scipy, kinematics of its own, nothing of this package). `make real` makes it.
+How well does parallel_cal calibrate machines that others built and measured? This page gives
+the answer for each data set in [real/](../real/README.md) and compares it with an independent fit
+(`bench/independent_fits.py`), which uses scipy, its own kinematics and no code of this package.
+`make real` produces this page.
 
 Each set is divided once: three quarters of the poses are for fitting, one quarter is for judging.
-Neither the tool nor the independent fit sees the poses for judging. All errors are rms position
-errors there; the sections also state the mean. For the printer they are heights at touches in four
-folds, by the firmware's formula.
+Neither the tool nor the independent fit sees the poses for judging. All errors in the table are rms
+position errors at the poses for judging; the sections also state the mean. The printer is an
+exception: its errors are height errors at the touches of the bed, computed by the firmware's
+formula. Each touch is judged once, in a four-fold cross-validation. The errors that `diagnose`
+states are at other poses: it cross-validates within the poses for fitting.
 
-- **registered**: the makers' dimensions; only the frames of device and target are estimated
-  (printer: the numbers of its file).
+- **registered**: the dimensions that the maker states; only the frames of device and target are
+  estimated. For the printer: the values in its firmware configuration.
 - **geometry**: `fit`.
-- **with effects**: `diagnose` and `add` until the diagnosis names nothing.
-- **independent**: least squares with the same unknowns.
+- **with effects**: `diagnose` and `add` until the diagnosis names no effect, or `add` refuses those
+  that it names. An effect of the device (`device_field`) removes errors of the device, not of the
+  machine.
+- **independent geometry**: the independent fit, with the unknowns of *geometry*.
+- **independent with effects**: the independent fit, with the effects in brackets. These are not
+  always the effects that parallel_cal found.
 """
 
 HEADER = [
@@ -370,9 +379,9 @@ HEADER = [
     "poses",
     "registered",
     "geometry",
-    "independent",
+    "independent geometry",
     "with effects",
-    "independent",
+    "independent with effects",
 ]
 
 
@@ -414,12 +423,15 @@ def _section(machine: Machine) -> str:
     means = ", ".join(f"{name} {_length(machine, value)}" for name, value in machine.means.items())
     mean = f"Mean error at the held-out poses: {means}. " if means else ""
     diagnosed = (
-        f"\n\nWhat `diagnose` said, in order:\n\n{said}" if machine.effects else f"\n\n{said}"
+        f"\n\nMessages of `diagnose` and `add`, in order:\n\n{said}"
+        if machine.effects
+        else f"\n\n{said}"
     )
+    longest = " (the longest call of each)" if len(machine.seconds) > 1 else " together"
     return (
         f"## {machine.name.replace('_', '-')}\n\n"
-        f"By hand: {machine.hand_work}. Effects added: {effects}. {mean}Time on two cores: "
-        f"{seconds} (the longest call of each).{diagnosed}"
+        f"Work of the user: {machine.hand_work}. Effects added: {effects}. {mean}"
+        f"Time on two cores: {seconds}{longest}.{diagnosed}"
     )
 
 

@@ -111,7 +111,7 @@ def test_with_two_unusual_effects_each_one_is_named_with_its_own_gain():
     assert set(found.effects) == {"encoder_gain", "backlash"}
     for one in found.unusual:
         assert f"{one.name}." in one.description
-        assert "it changes the error at held-out poses from" in one.description
+        assert "this effect changes the error at held-out poses from" in one.description
         assert one.description in found.verdict.summary
         assert one.ratio < 0.9
 

@@ -95,8 +95,8 @@ class Goal:
     warmer : float
         By how much a person may be asked to warm the robot, K. Default 0: never.
     reach : float
-        If poses in the workspace do not distinguish the effects, a space this many times as large
-        may be used. Default 1.
+        Size of the region for poses after the first diagnosis, as a multiple of the workspace.
+        Default 1.
     hold_out : float
         Share of the poses that is held out in each fit. Default 0.25.
     joint_sigma : float, optional

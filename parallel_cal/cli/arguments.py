@@ -27,7 +27,8 @@ Data = Annotated[
     list[str] | None,
     typer.Option(
         "--data",
-        help="option for reading the recording, KEY=VALUE (measured_pose=/tracker, exclude=3,17)",
+        help="option for reading the recording, KEY=VALUE (exclude=3,17; for a bag: "
+        "measured_pose=/tracker)",
     ),
 ]
 EffectName = Annotated[

@@ -19,7 +19,7 @@ from parallel_cal.reporting import console
 
 def calibrate(
     model: Annotated[Path, typer.Argument(help="model file (YAML) of the robot")],
-    poses: Annotated[int, typer.Option(min=1, help="maximum number of poses")] = 80,
+    poses: Annotated[int, typer.Option(min=1, help="largest number of samples")] = 80,
     minutes: Annotated[float, typer.Option(min=0.1, help="maximum duration")] = 60.0,
     enough: Annotated[
         float,
@@ -48,7 +48,8 @@ def calibrate(
         float,
         typer.Option(
             min=1,
-            help="factor by which poses may exceed the workspace if poses inside do not suffice",
+            help="size of the region for poses after the first diagnosis, as a multiple of the "
+            "workspace; 1: the workspace only",
         ),
     ] = 1.0,
     afresh: Annotated[
@@ -74,8 +75,8 @@ def calibrate(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Let the robot calibrate itself until the diagnosis no longer changes. Ctrl-C stops the robot;
-    run the same command again to resume."""
+    """Let the robot calibrate itself. The campaign ends when the diagnosis no longer changes.
+    Ctrl-C stops the robot; run the same command again to resume."""
     try:
         from parallel_cal.nodes.calibrate import Calibration
     except ImportError as error:

@@ -41,8 +41,8 @@ def discover(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Find the law of an error that no effect of the catalogue describes, and write it as an
-    effect that `add` takes."""
+    """Find the law of an error that no effect describes. `-o` writes it as an effect that `add`
+    takes."""
     from parallel_cal.discovery import discovery
     from parallel_cal.discovery.effect_file import check_effect_path
 

@@ -53,8 +53,8 @@ def export(
         bool,
         typer.Option(
             "--force",
-            help="write even if the height error at the touches increases, or if x and y move "
-            "further than a measurement shows",
+            help="write even if the height error at the touches increases, or if x and y change "
+            "by more than a measurement of x and y supports",
         ),
     ] = False,
     as_json: Json = False,

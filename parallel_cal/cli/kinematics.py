@@ -50,7 +50,11 @@ Solver = Annotated[
     ),
 ]
 Input = Annotated[
-    Path | None, typer.Option("--input", help="CSV table with joint readings or a pose in each row")
+    Path | None,
+    typer.Option(
+        "--input",
+        help="CSV table; each row states the joint readings (direct) or the pose (inverse)",
+    ),
 ]
 Output = Annotated[
     Path | None, typer.Option("--output", help="CSV table to write, with a solution in each row")

@@ -316,7 +316,8 @@ def _effect_row(name: str) -> dict[str, Any]:
 
 
 def sensors(as_json: Json = False) -> None:
-    """List the measuring set-ups other than the pose device, with their options."""
+    """List the measuring set-ups with their options. A device that measures poses needs none of
+    them."""
     rows = _rows("sensors", _sensor_row)
     if as_json:
         return console.emit({"sensors": rows})

@@ -74,7 +74,13 @@ def import_csv(
         ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="samples to write (.json)")],
-    columns: Annotated[Path, typer.Option(help="file that maps columns to quantities (YAML)")],
+    columns: Annotated[
+        Path,
+        typer.Option(
+            help="file that maps columns to quantities (YAML); the other commands read a table "
+            "without such a file if its header names all columns"
+        ),
+    ],
     data: Data = None,
     as_json: Json = False,
 ) -> None:

@@ -209,8 +209,8 @@ def diagnose(folder: Folder, as_json: Json = False) -> None:
 
 
 def discover(folder: Folder, as_json: Json = False) -> None:
-    """Find the law of an error that no effect of the catalogue describes. The laws are written as
-    effect files to the session's folder; `session add` takes them by name."""
+    """Find the law of an error that no effect describes. The laws are written as effect
+    files to the session's folder; `session add` takes them by name."""
     from parallel_cal.discovery.in_session import discover_in_session
 
     found, files = discover_in_session(_open(folder), console.progress)
@@ -251,8 +251,8 @@ def report(
     field: CertificateField = None,
     as_json: Json = False,
 ) -> None:
-    """Write the report of the last step, as `parallel-cal report` does. Its certificate states the
-    excluded samples with their reasons."""
+    """Write the report of the last step. Its certificate states the excluded samples with their
+    reasons."""
     from parallel_cal.reporting import report as reports
 
     session = _open(folder)

@@ -32,7 +32,9 @@ def workbench(
     *,
     ros: Annotated[
         bool,
-        typer.Option("--ros", help="use the running nodes; if none run, start both on MODEL.yaml"),
+        typer.Option(
+            "--ros", help="use the running nodes; if none run, start both on a copy of the model"
+        ),
     ] = False,
     namespace: Annotated[str, typer.Option(help="namespace of the nodes, with --ros")] = "",
     session: Annotated[

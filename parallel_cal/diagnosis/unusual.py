@@ -34,7 +34,7 @@ class UnusualEffect:
         if self.without is None or not self.present.is_known or self.is_only_one:
             return words
         errors = format_errors(self.present, self.without)
-        return f"{words}; it changes the error at held-out poses {errors}"
+        return f"{words}; this effect changes the error at held-out poses {errors}"
 
     def document(self) -> dict[str, Any]:
         return {

@@ -97,10 +97,13 @@ class Findings:
 
     @property
     def names(self) -> str:
-        """`backlash`, `A or B` or a family of lookalikes, several joined by `and`."""
-        return " and ".join(
+        """`backlash`, `A or B` or a family of lookalikes; several as `(A or B) and C`."""
+        names = [
             format_effect_names([c.name, *self.swaps.get(c.name, [])]) for c in self.best.chosen
-        )
+        ]
+        if len(names) == 1:
+            return names[0]
+        return " and ".join(f"({name})" if " or " in name else name for name in names)
 
     @property
     def suspected_of_law(self) -> list[str]:
@@ -271,14 +274,15 @@ def _describe_suspected_law(found: Findings) -> list[str]:
         why = "is not the only explanation" if is_one else "are not the only explanations"
     return [
         f"{' and '.join(names)} {why}, so the cause may be an effect that is not in the catalogue: "
-        "search for its law first (discover), and keep what predicts held-out poses better"
+        "before you add anything, search for its law (discover), and keep the law or the effect, "
+        "whichever predicts held-out poses better"
     ]
 
 
 def robot_or_device(name: str) -> str:
     """Say that the device may cause what an effect of the robot describes, or the robot what an
     effect of the device describes, and which measurement decides."""
-    cause = f"the measuring device may cause {name}: its usual errors explain as much"
+    cause = f"the measuring device may cause {name}: usual errors of such a device explain as much"
     if load_effect(name).of_device:
         cause = f"the robot may cause {name}: errors of its joints explain as much"
     return (

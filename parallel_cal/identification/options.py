@@ -51,8 +51,9 @@ class FitOptions:
         recording, else from the model file, else from the scatter within dwells.
     prior : bool or Prior, optional
         Prior knowledge of the parameters. True uses the tolerances of all parameters as priors,
-        False uses none. None uses them only for combinations of parameters that the data determine
-        weakly. A Prior states mean and covariance. Default None.
+        False uses none. None uses them only for parameters, or combinations of
+        parameters, that the data determine weakly. A Prior states mean and covariance.
+        Default None.
     loss : str
         Loss function of scipy, such as `huber`. The result lists samples with a low weight.
         Default `linear`.
@@ -64,12 +65,13 @@ class FitOptions:
         Default False.
     usual_only : bool
         Whether effects that are larger than usual for the machine's class are refused. By default
-        they are accepted with a warning, because a usual size is no measurement of this machine.
+        (False) they are accepted with a warning, because a usual size is no measurement of this
+        machine.
 
     Raises
     ------
     FitError
-        If `hold_out` is negative.
+        If `hold_out` is negative. A share above 0.5 is refused by the fit.
     """
 
     method: str = field(default="implicit", metadata=option("identification method"))

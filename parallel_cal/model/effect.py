@@ -86,8 +86,8 @@ class Effect(ABC):
     ----------
     needs : tuple of str
         Names of the conditions (keys of `CONDITIONS`) on which it depends. `temperature.lag540` is
-        what follows the temperature with a time constant of 540 s, `temperature.arms` is that of a
-        part. Default none.
+        the temperature delayed with a time constant of 540 s, `temperature.arms` is the temperature
+        of the part `arms`. Default none.
     reads : tuple of str
         Name patterns of the sensor channels on which it acts. Default none.
     fixed : tuple of str
@@ -103,8 +103,8 @@ class Effect(ABC):
         Whether adding it replaces the mechanism by one with more geometric parameters.
         Default False.
     refines : bool
-        Whether the parameter that `scan` tries is continuous. False for an integer, such as the
-        order of a harmonic. Default True.
+        Whether the parameter whose values the method `scan` tries in turn is continuous. False
+        for an integer, such as the order of a harmonic. Default True.
     title : str
         What messages and tables call it, if its name means nothing to a user. Default: its name.
     found_in_data : bool

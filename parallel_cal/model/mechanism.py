@@ -102,7 +102,8 @@ class Mechanism(ABC):
     moves : tuple of str
         Coordinates (x, y, z, rx, ry, rz) in which the platform moves. Default: all six.
     controls : tuple of str
-        Coordinates that the joints control. Default: all six.
+        Coordinates that can be commanded independently. The other ones of `moves` follow from them
+        (parasitic motion). Default: all six.
     parameters : ParameterTable
     fixed : tuple of str
         Name patterns of the parameters that are known constants. A fit does not identify them.
@@ -112,23 +113,26 @@ class Mechanism(ABC):
     joint_limits : tuple of (low, high)
         rad or m, one pair for each joint.
     joint_rates : tuple of (velocity, acceleration)
-        Limits of each joint, rad/s or m/s and per s^2; inf if unknown. Default: unknown.
+        Limits of the velocity (rad/s or m/s) and of the acceleration (rad/s^2 or m/s^2) of each
+        joint; inf if unknown. Default: unknown.
     keep_out : tuple of Box
         Boxes that no part of the robot may enter. Default none.
     joint_gearing : tuple of float
         Joint reading divided by the angle of the joint after the gear. Default: 1 for each joint.
     drives : tuple of (Drive or None)
-        The motor's drive of each joint whose readings are lengths. Default: unknown.
+        For each joint whose readings are lengths: the transmission from the motor's angle to the
+        length (spool, screw or belt). Default: unknown.
     closed_forms : tuple of str
-        The problems (`direct`, `inverse`) for which the candidates include every solution.
-        Default none.
+        The problems (`direct`, `inverse`) that the mechanism solves in closed form, with every
+        solution. Default none.
     length : float
         Characteristic length, m: angles are multiplied by it to compare them with positions.
         Default 0.1.
     gravity : tuple of 3 float
         Gravity in {B}, m/s^2. Default (0, 0, -9.81).
     bodies : dict
-        Maps the name of a body to the name patterns of its lengths. Default none.
+        Maps the name of a body of one material to the name patterns of the parameters that are its
+        lengths. Effects of thermal expansion use it. Default none.
     parts : tuple of str
         Kinds of links for which `centres` returns the centres of mass. Default none.
     options : dict

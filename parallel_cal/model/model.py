@@ -79,8 +79,8 @@ class Model:
         scales the tolerances of all effects of the robot, except those in `tolerances`. Default
         `industrial`.
     usual_tolerances : dict of float
-        The tolerances of parameters that are larger than usual, by full name, as they were before
-        a fit raised them in `tolerances`. Default none.
+        Original tolerances, by full name, of the parameters whose values are larger than usual. A
+        fit has replaced them by larger ones in `tolerances`. Default none.
 
     Raises
     ------

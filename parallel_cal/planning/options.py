@@ -40,10 +40,10 @@ class PlanOptions:
     ----------
     criterion : str
         `prediction` (mean variance of the predicted pose over the workspace), `D` (determinant of
-        the information matrix M), `A` (trace of M^-1, the sum of the variances of the parameters
-        in tolerances), `condition` (condition number of the Jacobian J, M = J^T J) or
-        `noise_amplification` (of J, by Nahvi: squared smallest over largest singular value). Use
-        `prediction` if you have no other reason. Default `prediction`.
+        the information matrix M), `A` (trace of M^-1: the sum of the variances of the
+        parameters, each in units of its tolerance), `condition` (condition number of the Jacobian
+        J, M = J^T J) or `noise_amplification` (index of Nahvi: s_min^2 / s_max, singular values of
+        J). Use `prediction` if you have no other reason. Default `prediction`.
     method : str
         `exchange` or `annealing`; `condition` and `noise_amplification` need `annealing`.
         Default: `exchange` if the criterion allows it.

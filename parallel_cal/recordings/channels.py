@@ -38,12 +38,13 @@ class Channel:
         - joints: (names, q, effort)
         - poses: (frame, position, quaternion or None, covariance or None)
         - condition: (value,), interpolated between messages, or, if `held`, valid until the next
-        - words: (text,), the constraint of the tip until the next message
-        - readings: (the device's channel, m), averaged over a dwell
+        - words: (text,), the name of the constraint that holds the tip of the robot until the
+          next message
+        - readings: (name of the device's channel, value in m); the values are averaged over a dwell
         - images: (camera, numbers of corners, their pixels), as detected in an image
     by_name : bool
-        Whether only a topic of this name is meant, because the message type has many uses. Default
-        False.
+        Whether a topic is used only if it has the name of the channel or is stated by name, because
+        the message type has many other uses. Default False.
     latched : bool
         Whether the topic is often published once, before anything subscribes. Default False.
     held : bool

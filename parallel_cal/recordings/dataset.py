@@ -43,7 +43,7 @@ class Dataset:
     """N samples of a robot: raw joint readings and raw measured poses in SI units.
 
     Samples that revisit a pose share `pose_id`. Poses are measured, never computed by forward
-    kinematics.
+    kinematics. If no pose is measured, `conditions` holds what other sensors measured.
 
     Attributes
     ----------
@@ -73,6 +73,7 @@ class Dataset:
     conditions : dict of array (N,)
         time, temperature, payload, direction.JOINT (-1, 0, 1), travel.JOINT (distance since the
         last reversal), velocity.JOINT; for several recordings also session, counted from 0.
+        reading.SENSOR.CHANNEL: a reading of another sensor, such as the pixels of a corner.
     pose_id : array of int (N,)
         Number of the commanded pose.
     mode : str
@@ -86,7 +87,8 @@ class Dataset:
         The hash of each recording, in the order of the condition `session`, if there are several.
     configuration : dict of float
         Numbers with which a controller or an importer computed the joint readings, rad or m:
-        parameters of the mechanism by name, and `JOINT.end_stop`. Empty if they were measured.
+        parameters of the mechanism by name, and `JOINT.end_stop`. Empty if the joint readings were
+        measured.
     excluded : dict of str
         The reason for each sample that was excluded, by its number.
     """
