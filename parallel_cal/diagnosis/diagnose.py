@@ -61,6 +61,7 @@ from parallel_cal.diagnosis.thresholds import (
     MAX_REFITTED_CANDIDATES,
     MAX_USUAL_SIZE,
     NAMING_SIGNIFICANCE_LEVEL,
+    WHITE_DRIFT_SIGNIFICANCE_LEVEL,
 )
 from parallel_cal.diagnosis.unusual import UnusualEffect, find_unusual_effects
 from parallel_cal.diagnosis.verdict import UNEXPLAINED_VERDICTS, Findings, Verdict, judge
@@ -619,6 +620,8 @@ def _find_imitated_by_drift(search: Search, best: Trial, catalogue: _Catalogue) 
     slow = {c.name: c for c in catalogue.rank(search.fit()) if c.varies_slowly and c.testable}
     if not slow.keys() & set(best.names):
         return set()
+    correlated = NoiseShape.of(best.scene, Field.of(best.scene)).correlated
+    level = DRIFT_SIGNIFICANCE_LEVEL if correlated else WHITE_DRIFT_SIGNIFICANCE_LEVEL
     imitated = set[str]()
     for one in best.chosen:
         without = search.fit(*(c for c in best.chosen if c is not one))
@@ -626,7 +629,7 @@ def _find_imitated_by_drift(search: Search, best: Trial, catalogue: _Catalogue) 
             continue
         freedoms = without.result.estimate.dof - best.fitted.estimate.dof
         p = compute_drift_p_value(without.scene, best.scene, freedoms)
-        if p * slow[one.name].tried > DRIFT_SIGNIFICANCE_LEVEL:
+        if p * slow[one.name].tried > level:
             imitated.add(one.name)
     exceeding = set(best.names) - imitated
     return (imitated | (slow.keys() - exceeding)) if imitated else set()

@@ -14,8 +14,10 @@ NAMING_SIGNIFICANCE_LEVEL = 1e-3
 REPLICATE_CONTRADICTION_LEVEL = 1e-4  # p-value below which replicates replace the stated noise
 # p-value below which residuals depend on a recorded condition: it contradicts "this is noise"
 CONDITION_SIGNIFICANCE_LEVEL = 1e-6
-# p-value, by the ratio of likelihoods, below which an effect is no drifting noise
+# p-value, by the ratio of likelihoods, below which an effect is no drifting noise: where the
+# residuals next to it are still correlated in time, and where they are white
 DRIFT_SIGNIFICANCE_LEVEL = 1e-6
+WHITE_DRIFT_SIGNIFICANCE_LEVEL = 1e-4
 DRIFT_MEMORIES = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 1e3, 1e4)  # of drifting noise, in usual steps
 DRIFT_VARIANCES = tuple(10 ** (k / 2) for k in range(-4, 13))  # of it, of white noise 1
 MAX_DRIFT_SAMPLES = 1000  # of which the likelihood is computed: more are averaged
