@@ -347,7 +347,8 @@ def _set_knocked_samples_aside(
     somebody knocked the device; name them, with the verdict of the others.
 
     One such sample hides effects, because it makes up most of chi2. It counts as knocked if it is
-    as far from what the model predicts that describes the others.
+    as far from what the model predicts that describes the others. If no model does, a sample that
+    is far from it may show what the model lacks.
     """
     knocked, others = find_knocked_samples(found.base.scene), found
     while knocked:
@@ -365,7 +366,7 @@ def _set_knocked_samples_aside(
         if len(confirmed) == len(knocked):
             break
         knocked = confirmed
-    if not knocked:
+    if not knocked or others.verdict.word in ("unexplained", "partly_explained"):
         return found
     verdict = replace(
         others.verdict, summary=f"{describe_knocked_samples(confirmed)}{others.verdict.summary}"

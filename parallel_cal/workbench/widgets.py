@@ -41,7 +41,7 @@ CSS = f"""
 .candidate > .wide {{ grid-column: 1 / -1 }}
 .one-line-rows td {{ white-space: nowrap }}
 .q-table--dense :is(th, td) {{ padding: 4px 6px; font-variant-numeric: tabular-nums }}
-.q-table th {{ vertical-align: bottom }}
+.q-table th {{ vertical-align: bottom; position: relative }}
 .q-table th .q-table__sort-icon--left {{ position: absolute }}
 .q-btn {{ text-transform: none }}
 .q-btn--dense {{ padding: 2px 8px }}
