@@ -625,8 +625,10 @@ def _find_imitated_by_drift(search: Search, best: Trial, catalogue: _Catalogue) 
     level = DRIFT_SIGNIFICANCE_LEVEL if correlated else WHITE_DRIFT_SIGNIFICANCE_LEVEL
     imitated = set[str]()
     for one in best.chosen:
+        if one.name not in slow:
+            continue
         without = search.fit(*(c for c in best.chosen if c is not one))
-        if one.name not in slow or without.result is None:
+        if without.result is None:
             continue
         freedoms = without.result.estimate.dof - best.fitted.estimate.dof
         p = compute_drift_p_value(without.scene, best.scene, freedoms)
