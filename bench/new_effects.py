@@ -343,6 +343,10 @@ def beating(size: float, rng: np.random.Generator, n: int) -> Any:
     return more.BeatingGears(ratio, some(size, rng, n), phases(rng, n), phases(rng, n))
 
 
+def notched(size: float, rng: np.random.Generator, n: int) -> Any:
+    return more.UnevenPitch(rng.uniform(2e-3, 30e-3), some(size, rng, n), phases(rng, n))
+
+
 def bending(size: float, rng: np.random.Generator, n: int) -> Any:
     return more.BentByInertia(tuple(np.abs(some(size, rng, n)) ** -0.5))
 
@@ -391,6 +395,7 @@ KINDS = {
         ("strain_wave_compliance",), ("lifting delta", "lifting arm"), stiffening, 1e-4
     ),
     "beating gears": Kind(("strain_wave_ripple",), ("delta", "lifting arm"), beating, 0.3e-3),
+    "uneven pitch": Kind(("encoder_interpolation",), ("stewart", "linear delta"), notched, 10e-6),
     "bending by inertia": Kind(
         ("acceleration_lag",), ("moving delta", "moving stewart"), bending, 0.1e-3
     ),

@@ -225,6 +225,11 @@ EFFECTS = {
         lambda s, rng: more.LobedRing(int(rng.integers(3, 9)), _signed(s, rng, 3), _phases(rng, 3)),
         1e-3,
     ),
+    "encoder_interpolation": _of_reading(
+        "hexapod",
+        lambda s, rng: more.UnevenPitch(6e-3, _signed(s, rng, 6), _phases(rng, 6)),
+        5e-6,
+    ),
     "encoder_second_harmonic": _of_reading(
         "delta", lambda s, rng: ve.OvalDisc(_signed(s, rng, 3), _phases(rng, 3)), 3e-3
     ),

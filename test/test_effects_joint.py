@@ -115,6 +115,23 @@ def test_a_strain_wave_gear_ripples_twice_per_turn_relative_to_each_spline():
     np.testing.assert_allclose(q, [np.pi / 12 - 2e-3, np.pi / 24 + 4e-3, 0.7], atol=1e-15)
 
 
+def test_a_scale_whose_signals_have_an_offset_and_unequal_sizes_errs_once_and_twice_per_period():
+    """The interpolator reads atan2((1 + g) sin + a, cos + b): to first order it is ahead by
+    a cos - b sin + g/2 sin 2."""
+    a, b, g, period = 2e-3, -1e-3, 3e-3, 2e-3
+    true = 0.1 + np.linspace(0, period, 6, endpoint=False)
+    angle = 2 * np.pi * true / period
+    shown = np.arctan2((1 + g) * np.sin(angle) + a, np.cos(angle) + b)
+    reading = true + ((shown - angle + np.pi) % (2 * np.pi) - np.pi) * period / (2 * np.pi)
+    size = period / (2 * np.pi)
+    numbers = {"period": period}
+    for leg in HEXAPOD.joints:
+        numbers |= {f"{leg}.cos1": -a * size, f"{leg}.sin1": b * size, f"{leg}.sin2": -g / 2 * size}
+    q, _, _ = sees("encoder_interpolation", "stewart42", numbers, {}, reading)
+    assert np.abs(reading - true).max() > 0.8e-6
+    np.testing.assert_allclose(q, true, atol=20e-9 / 2)
+
+
 @pytest.mark.parametrize(
     ("turned", "largest"), [(0, 2.0), (np.pi / 4, np.sqrt(2)), (np.pi / 2, 0.0), (np.pi, 2.0)]
 )
@@ -315,6 +332,7 @@ def test_device_and_base_have_the_numbers_that_the_platform_can_feel(effect, mec
         ("base_compliance", "planar_stewart", "does not move across gravity"),
         ("base_compliance", "argos9", "does not move across gravity"),
         ("screw_pitch_error", "delta54", "it has no prismatic joint"),
+        ("encoder_interpolation", "delta54", "gear_transmission_error describes revolute ones"),
         ("target_offset", "delta24", "does not rotate"),
         ("target_offset", "argos9", "only rotates"),
     ],
@@ -529,6 +547,16 @@ CASES = [
         | a_joint(HEXAPOD, "cos", np.array(WOBBLE) * np.sin(ANGLE))
         | a_joint(HEXAPOD, "bend", GROWING),
         {"lead": 5e-3},
+    ),
+    Case(
+        HEXAPOD,
+        "encoder_interpolation",
+        more.UnevenPitch(5e-3, WOBBLE, ANGLE),
+        a_joint(HEXAPOD, "sin1", np.array(WOBBLE) * np.sin(ANGLE))
+        | a_joint(HEXAPOD, "cos1", np.array(WOBBLE) * np.cos(ANGLE))
+        | a_joint(HEXAPOD, "sin2", np.array(WOBBLE) / 2 * np.sin(2 * np.array(ANGLE)))
+        | a_joint(HEXAPOD, "cos2", np.array(WOBBLE) / 2 * np.cos(2 * np.array(ANGLE))),
+        {"period": 5e-3},
     ),
     *[
         Case(

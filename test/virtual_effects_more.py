@@ -141,6 +141,20 @@ class BeatingGears(Effect):
 
 
 @dataclass(frozen=True)
+class UnevenPitch(Effect):
+    """Poles or teeth at a `pitch` (m): the joint runs ahead by `size` (m) at `phase` (rad), and
+    half as much, there and in the middle of the pitch, by the next wave."""
+
+    pitch: float
+    size: tuple[float, ...]
+    phase: tuple[float, ...]
+
+    def arm(self, reading: Array, robot: Any, at: SampleConditions) -> Array:
+        turned = 2 * np.pi * reading / self.pitch - np.array(self.phase)
+        return reading + np.array(self.size) * (np.cos(turned) + np.cos(2 * turned) / 2)
+
+
+@dataclass(frozen=True)
 class HomedAnew(Effect):
     """Joints homed again before the second recording: their zeros are off by `by` (rad or m)."""
 
