@@ -243,12 +243,14 @@ ROBOTS = {
 
 @dataclass(frozen=True)
 class Kind:
-    """Hidden physics: the robots to try it on, its names, and how a size and a draw make one."""
+    """Hidden physics: the robots to try it on, its names, and how a size and a draw make one. Its
+    size is that of what the geometry and the effect `special`, a special case of it, leave."""
 
     names: tuple[str, ...]
     robots: tuple[str, ...]
     make: Callable[[float, np.random.Generator, int], Any]
     size: float
+    special: str = ""
 
 
 def some(size: float, rng: np.random.Generator, n: int = 3) -> tuple[float, ...]:
@@ -392,7 +394,11 @@ KINDS = {
         1e-5,
     ),
     "stiffening gears": Kind(
-        ("strain_wave_compliance",), ("lifting delta", "lifting arm"), stiffening, 1e-4
+        ("strain_wave_compliance",),
+        ("lifting delta", "lifting arm"),
+        stiffening,
+        1e-4,
+        "joint_compliance",
     ),
     "beating gears": Kind(("strain_wave_ripple",), ("delta", "lifting arm"), beating, 0.3e-3),
     "uneven pitch": Kind(("encoder_interpolation",), ("stewart", "linear delta"), notched, 10e-6),
@@ -421,8 +427,11 @@ def sized(robot: Robot, kind: Kind, wanted: float, seed: int) -> Any:
     def effect() -> Any:
         return kind.make(size, np.random.default_rng(seed), joints)
 
+    model = robot.model()
+    if kind.special:
+        model = model.with_effect(kind.special)
     for _ in range(2):
-        still = fit(robot.model(), robot.measured([effect()], seed, loud=0.0), hold_out=0)
+        still = fit(model, robot.measured([effect()], seed, loud=0.0), hold_out=0, insist=True)
         size *= wanted / float(np.sqrt(still.estimate.chi2_per_dof))
     return effect()
 
