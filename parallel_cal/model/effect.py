@@ -104,8 +104,8 @@ class Effect(ABC):
         Whether adding it replaces the mechanism by one with more geometric parameters.
         Default False.
     refines : bool
-        Whether the parameter whose values the method `scan` tries in turn is continuous. False
-        for an integer, such as the order of a harmonic. Default True.
+        Whether a diagnosis refines the best value that the method `scan` returned. False for an
+        integer, such as the order of a harmonic, or if finer steps change little. Default True.
     title : str
         What messages and tables call it, if its name means nothing to a user. Default: its name.
     found_in_data : bool
