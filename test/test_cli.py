@@ -666,7 +666,9 @@ def test_look_prints_what_a_recording_holds(document, run):
     assert document("look", BAG)["samples"] == 94
     assert document("look", BAG, "--data", "mode=continuous")["mode"] == "continuous"
     assert "94 samples" in run("look", BAG)[1].replace("\n", " ")
-    fails(run("look", BAG, "--data", "min_dwell=abc"), "min_dwell=abc: expected a number")
+    fails(
+        run("look", BAG, "--data", "min_dwell=abc"), "min_dwell is 'abc' (str); expected a number"
+    )
     tolerances = "still_tolerance=1e-3,2e-3,1e-3"
     assert document("look", BAG, "--data", tolerances, "--data", "exclude=3")["samples"] == 93
     fails(run("look", BAG, "--data", "mood=good"), "expected KEY=VALUE", "measured_pose")
