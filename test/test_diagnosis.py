@@ -137,12 +137,19 @@ def test_two_at_once_are_both_found():
     assert found.verdict.word == "explained"
 
 
+# Waves of a joint's reading resemble some of these errors, and may remove a part of them.
+PARTLY_IMITATED = {"products of joints", "scratched tracks", "chirping gears"}
+
+
 @pytest.mark.wide
 @pytest.mark.parametrize("name", vf.OUTSIDE)
 def test_an_effect_outside_the_catalogue_never_gets_the_verdict_explained(name):
     kind = vf.Kind((), vf.OUTSIDE[name], 0.5e-3)
     found = diagnose(MODEL, hiding([kind], 1.5, seed=3)[0])
-    assert found.verdict.word in ("unexplained", "partly_explained")
+    imitated = name in PARTLY_IMITATED
+    assert found.verdict.word == ("partly_explained" if imitated else "unexplained")
+    assert bool(found.effects) == imitated
+    assert set(found.effects) <= {"gear_transmission_error", "encoder_harmonic"}
 
 
 @pytest.mark.wide

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from parallel_cal.base.arguments import require_names
+from parallel_cal.base.arguments import check_arguments
 from parallel_cal.base.documents import to_json_value
-from parallel_cal.base.errors import FitError, ModelError
+from parallel_cal.base.errors import FitError
 from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress, ignore_progress
@@ -78,7 +78,7 @@ from parallel_cal.identification.registration import (
 )
 from parallel_cal.model.effect import format_effect
 from parallel_cal.model.model import Model
-from parallel_cal.recordings.dataset import Dataset, check_inputs
+from parallel_cal.recordings.dataset import Dataset
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -241,6 +241,7 @@ class Diagnosis(ShownInNotebook):
         return {key: to_json_value(value) for key, value in document.items()}
 
 
+@check_arguments(FitError)
 @single_threaded()
 def diagnose(
     model: Model,
@@ -297,10 +298,8 @@ def diagnose(
     >>> diagnosis.verdict.word, diagnosis.effects
     ('explained', ('backlash',))
     """
-    check_inputs(model, dataset)
-    require_names("effects", effects, ModelError)
     report = progress or ignore_progress
-    options = with_changes(options or FitOptions(), changes, FitError)
+    options = with_changes(options, FitOptions, changes, FitError)
     # The search refits with unusual sizes in any case: they are evidence against other effects.
     usual_only, options = options.usual_only, replace(options, usual_only=False)
     given = GivenModel.of(model, dataset, options.joint_sigma, options.insist)
