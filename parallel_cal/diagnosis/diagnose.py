@@ -39,13 +39,14 @@ from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.patterns import (
+    KNOCKED,
     OddSample,
+    confirm_knocked_samples,
     describe_knocked_samples,
     find_knocked_samples,
     odd_samples,
 )
 from parallel_cal.diagnosis.remaining import RemainingCondition, find_remaining_condition
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.search import (
     Chosen,
     Search,
@@ -68,7 +69,7 @@ from parallel_cal.diagnosis.verdict import UNEXPLAINED_VERDICTS, Findings, Verdi
 from parallel_cal.identification.added_effects import limit_patterns
 from parallel_cal.identification.fit import FitResult, fit, fit_registered
 from parallel_cal.identification.given_model import GivenModel
-from parallel_cal.identification.observations import Observations, conditions
+from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.platform_shift import explain_unseparated_device
 from parallel_cal.identification.registration import (
@@ -353,16 +354,11 @@ def _set_knocked_samples_aside(
     knocked, others = find_knocked_samples(found.base.scene), found
     while knocked:
         try:
-            others = without([one.sample for one in knocked], "because it is far from all others")
-            # The other model with all samples; no parameter follows them.
-            other, base = others.best.fitted.model, found.base.fitted
-            observations = replace(base.observations, a=conditions(other, base.dataset))
-            fixed = np.zeros(len(other.values), dtype=bool)
-            still = find_knocked_samples(Scene.of(other, base.dataset, observations, fixed))
+            others = without([one.sample for one in knocked], f"because it is {KNOCKED}")
+            best = others.best.fitted.model
+            confirmed = confirm_knocked_samples(knocked, found.base.fitted, best)
         except FitError:
             return found
-        numbers = {one.sample for one in knocked}
-        confirmed = [one for one in still if one.sample in numbers]
         if len(confirmed) == len(knocked):
             break
         knocked = confirmed
@@ -371,6 +367,7 @@ def _set_knocked_samples_aside(
     verdict = replace(
         others.verdict, summary=f"{describe_knocked_samples(confirmed)}{others.verdict.summary}"
     )
+    numbers = {one.sample for one in confirmed}
     odd = [one for one in others.odd_samples if one.sample not in numbers]
     return replace(
         others, verdict=verdict, odd_samples=(*confirmed, *odd), knocked=tuple(confirmed)
