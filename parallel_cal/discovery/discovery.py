@@ -659,7 +659,8 @@ def _prove(
     sentence, tested = describe_law(hypothesis), _list_ranges(hypothesis)
     where = _describe_data(dataset, tested)
     name = load_text(write_effect(formula, sentence, where))
-    step = add(model, name, dataset, force=True, options=options)
+    # With the samples in which the law was found.
+    step = add(model, name, dataset, force=True, knocked=(), options=options)
     refitted = step.result.parameters()
     coefficients = []
     for c in list_coefficients(formula):

@@ -74,6 +74,11 @@ def describe(result: Any) -> Iterator[Block]:
 def describe_step(step: Step) -> Iterator[Block]:
     """Describe a step's fit; the fit without an added effect is its reference."""
     yield from describe_fit(step.result, step.rival if step.name == "add" else None)
+    if step.knocked:
+        yield (
+            f"excluded from both fits: sample {', '.join(map(str, step.knocked))}, "
+            "far from all others as if somebody knocked the device"
+        )
     if shift := step.platform_shift:
         measured, anywhere, worth = (
             format_fixed(distance, 1e6, 0)
