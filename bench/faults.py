@@ -148,7 +148,6 @@ def sample_files(n: int, folder: Path) -> Row:
 
 
 def channel_messages() -> list[tuple[str, int, Any]]:
-    sys.path.insert(0, str(ROOT / "test"))
     from test_collector import messages_of
 
     return messages_of(BAG)
@@ -720,11 +719,14 @@ def file_names(n: int, folder: Path) -> Row:
 @contextmanager
 def action_desk(folder: Path) -> Iterator[Any]:
     """The robot of test/action_robot.py, both nodes with its action, and a client of all."""
-    sys.path.insert(0, str(ROOT / "test"))
+    from action_robot import HOME
+    from parallel_cal_msgs.msg import CommandStatus
     from test_trajectory_action import Desk
 
     desk = Desk(folder)
     try:
+        # Refused until the node knows from a joint state where the robot is.
+        desk.wait(lambda: desk.go(HOME).status != CommandStatus.REFUSED, "the node")
         yield desk
     finally:
         desk.close()  # AssertionError if a node crashed
@@ -971,6 +973,7 @@ def main() -> int:
     arguments.add_argument("rows", nargs="*", help=", ".join(ROWS))
     arguments.add_argument("--share", type=float, default=1.0, help="of each load")
     given = arguments.parse_args()
+    sys.path.insert(0, str(ROOT / "test"))  # for the robots that the tests use
     failed = False
     print(f"{'row':15} {'load':>5} {'lost':>5} {'hung':>5} {'crashed':>7} {'s':>6}  faults")
     for name in given.rows or ROWS:
