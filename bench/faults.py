@@ -909,6 +909,7 @@ def killed_controllers(desk: Any, n: int) -> int:
     from parallel_cal.nodes.client import NodeError
 
     desk.robot.close()
+    desk.robot.close = lambda: None  # the desk closes it again
     script, space = ROOT / "test" / "action_robot.py", desk.client._node.get_namespace()
     hung = 0
     for i in range(n):

@@ -212,3 +212,4 @@ class ActionRobot:
 
 if __name__ == "__main__":
     ActionRobot(sys.argv[1])
+    Event().wait()
