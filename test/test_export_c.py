@@ -276,7 +276,7 @@ def test_the_rate_of_the_jacobian_is_its_difference_along_the_motion(name):
     # Joints of a redundant robot cannot move independently: take a motion of its platform.
     _, answer = exported.direct(q)
     ways = exported.jacobian(answer, "inverse_jacobian").reshape(n, 6)
-    velocity, step = ways @ rng.standard_normal(6), 1e-5
+    velocity, step = ways @ rng.standard_normal(6), 1e-6  # s: a screw turns by little in it
     ahead, back = (
         exported.jacobian(exported.direct(q + sign * step * velocity)[1]).reshape(6, n)
         for sign in (1, -1)

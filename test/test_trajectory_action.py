@@ -280,7 +280,7 @@ def test_a_controller_that_ends_in_the_middle_fails_the_motion(desk):
     end = desk.until(MotionStatus.FAILED, MotionStatus.ARRIVED)
     desk.robot.serve()
     assert end.state == MotionStatus.FAILED
-    assert f"{NAME}: no node provides the action any more" in end.message
+    assert "no node provides the action any more" in end.message
 
 
 @pytest.mark.wide

@@ -134,12 +134,12 @@ class TrajectoryAction:
             if goal.gone > MAX_CHECKS_GONE:
                 why = "no node provides the action any more: has the controller ended?"
             elif goal.silent > MAX_CHECKS_SILENT and (goal.errors or goal.handle is None):
-                why = f"no {expected} for {WATCH_INTERVAL_S * MAX_CHECKS_SILENT:.0f} s"
+                why = f"the controller sent no {expected} for "
+                why += f"{WATCH_INTERVAL_S * MAX_CHECKS_SILENT:.0f} s"
             else:
                 continue
             self._cancel(goal)
-            why = f"{self._name}: {why}; the robot may still move"
-            self._end(goal, MotionStatus.FAILED, message=why)
+            self._end(goal, MotionStatus.FAILED, message=f"{why}; the robot may still move")
 
     def _on_answer(self, goal: _Goal, answer: Future) -> None:
         handle = answer.result()
