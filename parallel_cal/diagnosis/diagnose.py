@@ -79,6 +79,7 @@ from parallel_cal.identification.registration import (
 )
 from parallel_cal.model.effect import format_effect
 from parallel_cal.model.model import Model
+from parallel_cal.model.shelf import load_effect
 from parallel_cal.recordings.dataset import Dataset
 
 if TYPE_CHECKING:
@@ -669,10 +670,13 @@ class _Catalogue:
         """Candidates that the trial does not contain, best first, untestable ones last."""
         key = frozenset(replace(c, unusual=False) for c in trial.chosen)
         if key not in self._ranked:
-            taken, scored = {c.name for c in trial.chosen}, []
-            for k, name in enumerate(n for n in self._names if n not in taken):
+            taken, scored = {c.name for c in trial.chosen}, list[Candidate]()
+            # Special cases come before the effects that generalize them.
+            left = (name for name in self._names if name not in taken)
+            ordered = sorted(left, key=lambda name: bool(load_effect(name).generalizes))
+            for k, name in enumerate(ordered):
                 self._report(f"testing {name}", 0.1 + 0.3 * k / len(self._names))
-                scored.append(candidate(trial.scene, name))
+                scored.append(candidate(trial.scene, name, scored))
             self._ranked[key] = sorted(scored, key=lambda c: (not c.testable, c.log_p))
         return self._ranked[key]
 

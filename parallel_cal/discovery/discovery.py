@@ -85,7 +85,7 @@ if TYPE_CHECKING:
 
 
 # Families of drivers whose values a person cannot choose for a pose at rest.
-NOT_CHOSEN = ("time", "session", "velocity", "settling")
+NOT_CHOSEN = ("time", "session", "velocity", "acceleration", "settling")
 A_STATION = (
     "a second station: measure the same poses with the device moved and turned, about an axis that "
     "the error does not surround, and give all recordings; an error of the device goes with it"
