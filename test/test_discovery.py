@@ -273,7 +273,7 @@ def test_the_page_shows_the_counts_of_the_kept_study(monkeypatch):
 def test_every_effect_of_the_robot_in_the_catalogue_can_be_hidden():
     effects = {name: load_effect(name) for name in list_plugins("effects")}
     of_robot = {name for name, one in effects.items() if not one.of_device and not one.reads}
-    assert of_robot == {*cs.EFFECTS, *cs.NOT_STUDIED}
+    assert of_robot == {*cs.EFFECTS}
 
 
 # ------------------------------------------------------------------------ the effect of a law
