@@ -633,6 +633,23 @@ def test_a_scanned_constant_makes_a_formula_less_simple_than_a_line(scene):
     assert line.complexity < step.complexity
 
 
+def test_with_the_reading_of_another_joint_a_joint_errs_rather_than_a_part_of_its_chain(scene):
+    """Both laws are often the same function. With its own reading, too, the joint comes first."""
+    places = {one.name: one for one in list_places(scene)}
+    drivers = {one.name: one for one in list_drivers(scene)}
+    columns = np.zeros((len(scene.residual), 1))
+
+    def judge(place, driver):
+        hypothesis = Hypothesis(Site(place, (places[place],)), ((drivers[driver],),))
+        line = (Term(((0, Factor("power", (1.0,))),)),)
+        one = np.ones((1, 1))
+        return Formula(hypothesis, line, one, one, 0.0, columns).complexity
+
+    assert judge("joint2", "joint1") < judge("chain2.La_y", "joint1")
+    assert judge("joint2", "joint2") < judge("chain2.La_y", "joint2")
+    assert judge("chain2.La_y", "joint2") < judge("joint2", "joint1")
+
+
 @pytest.mark.wide
 def test_a_leg_errs_with_the_platforms_rotation_about_z_and_the_effect_computes_it():
     machine = cs.MACHINES["hexapod"]
