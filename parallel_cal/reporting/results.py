@@ -428,8 +428,9 @@ def candidate_table(diagnosis: Diagnosis, entries: Sequence[Entry]) -> Table:
         apart = f"distinguished by {effect.separated_by}" if effect.separated_by else ""
         fall, estimates = "", ""
         if alone is not None:
-            sides = (number(e.rms(kind), factor) for e in (alone.before, alone.after))
-            fall, estimates = f"{' → '.join(sides)} {unit}", _format_estimates(alone.parameters)
+            then, now = (number(e.rms(kind), factor) for e in (alone.before, alone.after))
+            fall = f"{then} → {now} {unit}" if then != now else f"{now} {unit}, unchanged"
+            estimates = _format_estimates(alone.parameters)
         rows.append(
             (
                 str(entry.rank),

@@ -50,7 +50,13 @@ MAX_PRELIMINARY_SAMPLES = 2000
 # pattern with 5 % of the noise stands out by 0.05 * sqrt(10^4) = 5 sigmas. What only more samples
 # could show changes the rms error by less than 0.2 %.
 MAX_DIAGNOSED_SAMPLES = 10_000
-NUMBERS_ONLY: View = {"effects": [], "candidates": [], "together": None, "untested": []}
+NUMBERS_ONLY: View = {
+    "effects": [],
+    "ambiguous": {},
+    "candidates": [],
+    "together": None,
+    "untested": [],
+}
 FIT_TILES = ("before this step", "now", "noise floor")
 AMBER, GREEN, GREY = "amber", "green", "grey"
 
@@ -204,6 +210,7 @@ def _make_comparison_view(found: Comparison) -> View:
         "pictures": list(_pictures(residuals, found.scene, None)),
         "samples": _samples(samples, residuals, kinds or ["joint"], units),
         "effects": _list_effects(found.model),
+        "ambiguous": {},
         "candidates": [],
         "together": None,
         "untested": [],
@@ -254,6 +261,7 @@ def _make_report_view(found: Report) -> View:
         "pictures": list(_pictures(residuals, diagnosis.base.scene, first_pattern)),
         "samples": _samples(found.samples, residuals, found.errors.kinds, units),
         "effects": _list_effects(diagnosis.model),
+        "ambiguous": {one.effect: one.names for one in diagnosis.ambiguous},
         "candidates": [
             row
             | {
