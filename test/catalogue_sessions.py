@@ -21,13 +21,15 @@ import virtual_sessions as days
 from test_virtual_robots import CABLE
 from twins import hexapod
 from virtual_cable import Line, WoundCable
+from virtual_lines import Creep, LinedRobot, Pulleys, Tension
+from virtual_small import Cable
 from virtual_struts import UniversalJoints
 
 from parallel_cal.diagnosis import catalogue
 from parallel_cal.identification.fit import fit
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model, new_model
-from parallel_cal.model.shelf import list_plugins, load_effect
+from parallel_cal.model.shelf import list_plugins, load_effect, load_mechanism
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.virtual import joint_effects as ve
 from parallel_cal.virtual import load_effects as vl
@@ -71,6 +73,12 @@ def _cable_places(n: int, seed: int) -> vr.Array:
     return np.random.default_rng([seed, 9]).uniform(low, high, (n, 3))
 
 
+def _taut_places(n: int, seed: int) -> vr.Array:
+    """Where no line that holds the platform becomes slack."""
+    low, high = (-0.35, -0.35, 0.1), (0.35, 0.35, 0.6)
+    return np.random.default_rng([seed, 9]).uniform(low, high, (n, 3))
+
+
 def _measure_with(built: Any) -> Callable[..., Any]:
     def measure(effect: Any, reading: vr.Array, at: Visit) -> Any:
         _, r, R = vr.truth(built, [effect] if effect else [], reading, at)
@@ -82,6 +90,27 @@ def _measure_with(built: Any) -> Callable[..., Any]:
 def _measure_cable(line: Any, places: vr.Array, at: Visit) -> Any:
     robot = WoundCable(CABLE, line or Line())
     return robot.motors(places), robot.hangs(places, at.payload), None
+
+
+# With a high anchor that is beside the home pose: a line above it has no direction to sag in.
+BESIDE = CABLE | {"line4.A_x": 0.2, "line4.A_y": 0.1}
+
+
+def _model_lines() -> Model:
+    anchors = [[BESIDE[f"line{i}.A_{axis}"] for axis in "xyz"] for i in range(1, 5)]
+    advantages = [BESIDE[f"line{i}.advantage"] for i in range(1, 5)]
+    options = {"anchors": anchors, "advantages": advantages, "spools": (1, 1, 1, 2)}
+    return new_model(load_mechanism("cable", **options))
+
+
+def _with_lines(**physics: Any) -> LinedRobot:
+    """The cable robot with lines that are more than straight distances."""
+    straight = Cable(BESIDE)
+    return LinedRobot(straight.anchors, straight.way, **physics)
+
+
+def _measure_lines(robot: Any, places: vr.Array, at: Visit) -> Any:
+    return (robot or _with_lines()).readings(places, at.time), places, None
 
 
 MACHINES = {
@@ -112,6 +141,13 @@ MACHINES = {
         50.0,
         _cable_places,
         _measure_cable,
+    ),
+    "lines": Machine(
+        _model_lines,
+        vr.Noise(joint=0.02, position=0.1e-3),
+        50.0,
+        _taut_places,
+        _measure_lines,
     ),
 }
 
@@ -166,6 +202,8 @@ def _stiffening(soft: tuple[float, ...], torque: float) -> Any:
 
 
 JOINTS = frozenset({"joint", "leg", "motor"})
+# A line's length is that at its spool, or the distance to its anchor.
+LINES = JOINTS | {"spool", "offset", "A_"}
 # The length of an arm moves the platform as the reading next to it does.
 ARMS = JOINTS | {"La_x", "La_y"}
 PLACE = frozenset({"x", "y", "z", "radius", "tilt_x", "tilt_y", "yaw"})
@@ -190,12 +228,26 @@ def _condition(name: str, places: frozenset[str], machine: str, make: Any, size:
     return Hidden(machine, make, size, places, frozenset({name}), frozenset({name}))
 
 
+def _of_lines(make: Callable[..., Any], size: float) -> Hidden:
+    """An error of every line's length that depends on where the platform is."""
+    return Hidden("lines", make, size, LINES, PLACE | READING, PLACE | READING)
+
+
+def _list_pulleys(radius: float) -> Pulleys:
+    """Pulleys of the low lines, which come from below, and of the high one, from the side."""
+    return Pulleys(radius, [(0, 0, -1.0)] * 3 + [(1.0, 0, 0)])
+
+
 # Errors of the pose alone, as a device may have them: `robot_or_device` is the right answer.
-OF_POSE_ALONE = ("strut_rotation", "universal_joint_offset")
+OF_POSE_ALONE = (
+    "line_flex",
+    "line_sag",
+    "pulley_radius",
+    "strut_rotation",
+    "universal_joint_offset",
+)
 # No law of one place: a larger model is the right answer.
 OF_LARGER_MODEL = ("parallelogram_errors",)
-# Newer than docs/discover_study.jsonl, which counts whether the law of a hidden effect is found.
-NOT_STUDIED = ("line_creep", "line_flex", "line_sag", "pulley_radius")
 EFFECTS = {
     "acceleration_lag": _condition(
         "acceleration",
@@ -249,6 +301,23 @@ EFFECTS = {
         lambda s, rng: hidden.JointCompliance(_positive(s, rng, 3)), 0.5e-3
     ),
     "latency": _condition("velocity", JOINTS, "delta", lambda s, rng: more.LateStamp(s), 1e-3),
+    "line_creep": Hidden(
+        "lines",
+        lambda s, rng: _with_lines(creep=Creep((s, 2 * s), (180.0, 1800.0))),
+        1e-4,
+        LINES,
+        frozenset({"time"}) | PLACE | READING,
+        frozenset({"time"}),
+    ),
+    "line_flex": _of_lines(
+        lambda s, rng: _with_lines(tension=Tension(EA=10 / s, platform=10.0, pretension=30.0)), 1e-3
+    ),
+    "line_sag": _of_lines(
+        lambda s, rng: _with_lines(
+            tension=Tension(weight_per_metre=50 * np.sqrt(s), pretension=50.0)
+        ),
+        1e-3,
+    ),
     "line_stretch": _of_load(
         lambda s, rng: Line(EA=1 / s), 1e-4, "cable", frozenset({"pose", "offset", "motor"})
     ),
@@ -269,6 +338,7 @@ EFFECTS = {
         PLACE | READING,
     ),
     "payload_sag": _of_load(lambda s, rng: vl.SoftFrame(s, 8 * s), 2e-6, places=CARRIED),
+    "pulley_radius": _of_lines(lambda s, rng: _with_lines(pulleys=_list_pulleys(s)), 20e-3),
     "rod_compliance": _of_load(lambda s, rng: vl.SoftRods(s), 3e-6),
     "screw_pitch_error": _of_reading(
         "hexapod",

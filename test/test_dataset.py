@@ -326,7 +326,7 @@ def test_an_unknown_option_or_mode_names_those_that_exist(tmp_path):
 )
 def test_an_option_of_a_wrong_value_is_named_with_what_is_expected(tmp_path, wrong):
     bag = write_bag(tmp_path / "bag", joint_states(ROBOT) + poses(ROBOT))
-    with pytest.raises(DatasetError, match=rf"{next(iter(wrong))}=.*expected"):
+    with pytest.raises(DatasetError, match=rf"{next(iter(wrong))}(=| is ).*expected"):
         load_dataset(bag, **wrong)
 
 

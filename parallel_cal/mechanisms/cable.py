@@ -28,18 +28,22 @@ HP4_SPOOLS = (1, 1, 1, 2)
 class Cable(Mechanism):
     """Cable robot: lines from the anchors A_i hold the end point P.
 
-    The joint readings are zero if P is at the origin. They are the angles of motors that turn
-    spools (rad), or, for a robot with anchors of its own, lengths of line (m).
+    Options: without any, the robot is the Hangprinter HP4.
 
-    Options: `anchors` (n, 3), m; `advantages` (n,), the mechanical advantages of the pulleys;
-    `spools` (n,), the number of the spool of each line: lines with the same number share one spool
-    radius; `radius`, the radius of the spools, m; `gear`, turns of the motor per turn of the spool.
-    `radius` and `gear` are one number, or (n,), one for each line. With `spools`,
-    `radius` or `gear` the readings are angles of motors; the defaults of `radius` and `gear` are
-    those of the Hangprinter HP4. Gear ratio and advantage have the same influence as the radius.
-    They are known exactly and therefore fixed by default. With `zero: anchors` a reading is the
-    whole line from the anchor to P. If a motor with a spool makes a reading in m, state this spool
-    as the `drive` of the joint in the model file. Without options the robot is the Hangprinter HP4.
+    - `anchors` (n, 3): positions of the anchors, m.
+    - `advantages` (n,): mechanical advantages of the pulleys. Default 1.
+    - `spools` (n,): number of the spool of each line. Lines with the same number share one spool
+      radius.
+    - `radius`: radius of the spools, m. One number, or (n,), one for each line.
+    - `gear`: turns of the motor per turn of the spool. One number, or (n,), one for each line.
+    - `zero`: `origin` (default): readings are zero if P is at the origin. `anchors`: a reading is
+      the whole length of the line from the anchor to P.
+
+    With `spools`, `radius` or `gear`, the joint readings are angles of the motors that turn the
+    spools (rad); a missing `radius` or `gear` is that of the Hangprinter HP4. With `anchors` alone,
+    the readings are lengths of line (m). If a motor with a spool measures this length, state the
+    spool as the `drive` of the joint in the model file. Gear ratio and advantage have the same
+    influence as the radius. They are known exactly and therefore fixed by default.
 
     `second_anchors` (n,), a point E in m or null for each line: with a point, the line does not end
     at P. It runs over a pulley there and on to E, once or, with `second_strands` (n,), several
