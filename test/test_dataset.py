@@ -284,6 +284,10 @@ def test_a_moving_robot_is_sampled_at_every_pose_message(tmp_path):
     speed = np.gradient(dataset.q[:, 0], dataset.time)
     velocity = dataset.conditions["velocity.joint1"]
     np.testing.assert_allclose(velocity[1:-1], speed[1:-1], atol=0.05)
+    rise = np.gradient(velocity, dataset.time)
+    acceleration = dataset.conditions["acceleration.joint1"]
+    assert np.ptp(rise) > 5
+    assert np.abs(acceleration - rise)[5:-5].max() < 0.1 * np.ptp(rise)
     fast = np.abs(speed) > 0.1
     np.testing.assert_array_equal(
         dataset.conditions["direction.joint1"][fast], np.sign(speed[fast])

@@ -85,7 +85,7 @@ if TYPE_CHECKING:
 
 
 # Families of drivers whose values a person cannot choose for a pose at rest.
-NOT_CHOSEN = ("time", "session", "velocity", "settling")
+NOT_CHOSEN = ("time", "session", "velocity", "acceleration", "settling")
 A_STATION = (
     "a second station: measure the same poses with the device moved and turned, about an axis that "
     "the error does not surround, and give all recordings; an error of the device goes with it"
@@ -659,7 +659,8 @@ def _prove(
     sentence, tested = describe_law(hypothesis), _list_ranges(hypothesis)
     where = _describe_data(dataset, tested)
     name = load_text(write_effect(formula, sentence, where))
-    step = add(model, name, dataset, force=True, options=options)
+    # With the samples in which the law was found.
+    step = add(model, name, dataset, force=True, knocked=(), options=options)
     refitted = step.result.parameters()
     coefficients = []
     for c in list_coefficients(formula):

@@ -165,7 +165,7 @@ def export_into(
         old_height = rms_height(robot, replace(found, firmware=now), touches, "the file's")
         if _takes_touches(module):
             projection, found = _project(target, module, robot, Present(now, touches))
-    texts: dict[Path, str] = {}
+    groups = list[tuple[dict[str, str], list[Path]]]()
     written = {field for numbers in projection.settings.values() for field in numbers}
     cleared = [field for field in getattr(module, "CLEARED", ()) if field in stated]
     for file, numbers in projection.settings.items():
@@ -178,8 +178,9 @@ def export_into(
             )
         if hasattr(module, "adapt"):
             numbers = module.adapt(stated, numbers)
-        texts |= edit_files(stated, {**numbers, **dict.fromkeys(cleared, "0")}, its)
+        groups.append(({**numbers, **dict.fromkeys(cleared, "0")}, its))
         cleared = []
+    texts = edit_files(stated, groups)
     old, new = (
         replace(found, firmware=firmware) for firmware in (now, _read(module, files, texts))
     )

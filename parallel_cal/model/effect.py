@@ -22,6 +22,7 @@ CONDITIONS: dict[str, tuple[str, float, bool]] = {
     "payload": ("kg", 0.0, False),
     "direction": ("1", 0.0, True),
     "velocity": ("rad/s", 0.0, True),
+    "acceleration": ("rad/s^2", 0.0, True),
     "travel": ("rad", 0.0, True),
     "session": ("1", 0.0, False),
 }
@@ -122,6 +123,9 @@ class Effect(ABC):
         Measurements that distinguish it from its lookalikes.
     family : str
         Name, in words, of a group of effects that data rarely distinguish. Default empty.
+    generalizes : tuple of str
+        Names of effects that are special cases of it. A diagnosis considers it only if it explains
+        significantly more than each of them. Default none.
     told_from : dict of str
         Maps the name of a lookalike to a measurement that distinguishes this effect from it better
         than `separated_by` does. Default empty.
@@ -142,6 +146,7 @@ class Effect(ABC):
     lookalikes: ClassVar[tuple[str, ...]] = ()
     separated_by: ClassVar[str] = ""
     family: ClassVar[str] = ""
+    generalizes: ClassVar[tuple[str, ...]] = ()
     told_from: ClassVar[Mapping[str, str]] = {}
 
     @abstractmethod

@@ -72,7 +72,8 @@ class Dataset:
         Numbers of readings that were averaged.
     conditions : dict of array (N,)
         time, temperature, payload, direction.JOINT (-1, 0, 1), travel.JOINT (distance since the
-        last reversal), velocity.JOINT; for several recordings also session, counted from 0.
+        last reversal), velocity.JOINT, in motion also acceleration.JOINT; for several recordings
+        also session, counted from 0.
         reading.SENSOR.CHANNEL: a reading of another sensor, such as the pixels of a corner.
     pose_id : array of int (N,)
         Number of the commanded pose.

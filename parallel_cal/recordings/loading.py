@@ -317,7 +317,8 @@ def match_joint_units(dataset: Dataset, mechanism: Mechanism) -> Dataset:
         factors[i] = drive.travel
     conditions = dict(dataset.conditions)
     for joint, factor in zip(mechanism.joints, factors, strict=True):
-        for name, by in (("travel", factor), ("velocity", factor), ("direction", np.sign(factor))):
+        moves = dict.fromkeys(("travel", "velocity", "acceleration"), factor)
+        for name, by in (moves | {"direction": np.sign(factor)}).items():
             if (key := f"{name}.{joint}") in conditions:
                 conditions[key] = conditions[key] * by
     size, sigma = np.abs(factors), dataset.joint_sigma

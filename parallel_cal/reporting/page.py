@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable, Mapping
 from datetime import datetime, timezone
 from html import escape
 from importlib.resources import files
+from pathlib import PurePath
 from string import Template
 from typing import Any
 
@@ -45,13 +47,25 @@ def page(report: Report, library: str = "") -> str:
     True
     """
     drawn = PageBuilder()
-    p, samples = report.provenance, len(report.diagnosis.dataset)
+    p, data = report.provenance, report.diagnosis.dataset
+    used = [entry.get("dataset") for entry in report.diagnosis.model.history]
+    sources = {data.source, *(str(one.get("source")) for one in used if isinstance(one, Mapping))}
     return drawn.page(
-        f"{p.mechanism} on {report.diagnosis.dataset.source}",
-        f"{day(p.made)}, {samples} samples, model {p.model_sha256[:12]}",
-        body(report, drawn.plot),
+        name_files(f"{p.mechanism} on {data.source}", sources),
+        f"{day(p.made)}, {len(data)} samples, model {p.model_sha256[:12]}",
+        name_files(body(report, drawn.plot), map(escape, sources)),
         library,
     )
+
+
+def name_files(text: str, sources: Iterable[str]) -> str:
+    """Replace the paths of recordings by their names: a page is read on other computers. The
+    document of the report has the paths. `sources` are paths, joined by `, ` or ` + `."""
+    paths = {path for source in sources for path in re.split(r", | \+ ", source)}
+    for path in sorted(paths, key=len, reverse=True):  # a path may be the beginning of another
+        if "/" in path:
+            text = text.replace(path, PurePath(path).name)
+    return text
 
 
 class PageBuilder:

@@ -74,6 +74,11 @@ def describe(result: Any) -> Iterator[Block]:
 def describe_step(step: Step) -> Iterator[Block]:
     """Describe a step's fit; the fit without an added effect is its reference."""
     yield from describe_fit(step.result, step.rival if step.name == "add" else None)
+    if step.knocked:
+        yield (
+            f"excluded from both fits: sample {', '.join(map(str, step.knocked))}, "
+            "far from all others as if somebody knocked the device"
+        )
     if shift := step.platform_shift:
         measured, anywhere, worth = (
             format_fixed(distance, 1e6, 0)
@@ -423,8 +428,9 @@ def candidate_table(diagnosis: Diagnosis, entries: Sequence[Entry]) -> Table:
         apart = f"distinguished by {effect.separated_by}" if effect.separated_by else ""
         fall, estimates = "", ""
         if alone is not None:
-            sides = (number(e.rms(kind), factor) for e in (alone.before, alone.after))
-            fall, estimates = f"{' → '.join(sides)} {unit}", _format_estimates(alone.parameters)
+            then, now = (number(e.rms(kind), factor) for e in (alone.before, alone.after))
+            fall = f"{then} → {now} {unit}" if then != now else f"{now} {unit}, unchanged"
+            estimates = _format_estimates(alone.parameters)
         rows.append(
             (
                 str(entry.rank),

@@ -17,6 +17,7 @@ from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.files import write_atomically
 from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
+from parallel_cal.diagnosis.patterns import KNOCKED
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.effect import parse_effects
 from parallel_cal.model.file.modelfile import read_model, write_model
@@ -205,11 +206,20 @@ class Session(History):
     ) -> State:
         """Add an effect and fit again; FitError if the validation error does not fall, unless
         forced. The histories of the session and of the model record the `reason` of a forced
-        step."""
-        step = add(self.model, effect, self.dataset, force, options=self.options, progress=progress)
+        step.
+
+        Both fits exclude the samples that the diagnosis of this state excluded because they are far
+        from all others. They stay excluded until they are included again."""
+        how: dict[str, Any] = {"options": self.options, "progress": progress}
+        step = add(self.model, effect, self.dataset, force, self.state.knocked, **how)
         laws = [name for name, _ in parse_effects(effect) if load_effect(name).found_in_data]
         cause = " (found in data, cause unknown)" if laws else ""
-        return self._commit_judged(f"add {effect}{cause}", step, reason)
+        words = f"add {effect}{cause}"
+        if not step.knocked:
+            return self._commit_judged(words, step, reason)
+        words = f"{words} without sample {_format_numbers(step.knocked)}"
+        excluded = {**self.state.excluded, **dict.fromkeys(step.knocked, KNOCKED)}
+        return self._commit_judged(words, step, reason, excluded=excluded)
 
     @check_arguments(SessionError)
     def remove(
@@ -226,12 +236,12 @@ class Session(History):
         )
         return self._commit_judged(f"remove {effect}", step, reason)
 
-    def _commit_judged(self, words: str, step: Step, reason: str) -> State:
+    def _commit_judged(self, words: str, step: Step, reason: str, **changes: Any) -> State:
         """Append a step that was accepted, or forced for a `reason`."""
         if not step.acceptance.against:
-            return self._commit(words, step)
+            return self._commit(words, step, **changes)
         step = step.with_reason(reason) if reason else step
-        return self._commit(f"{words}, forced", step, reason=reason)
+        return self._commit(f"{words}, forced", step, reason=reason, **changes)
 
     @check_arguments(SessionError)
     def exclude(self, samples: Mapping[int, str], progress: Progress | None = None) -> State:
@@ -391,7 +401,8 @@ class Session(History):
         at = self.state
         how: dict[str, Any] = {"options": self.options, "progress": progress} | options
         found = diagnose(self.model, self.dataset, **how)
-        self.record_verdict(at, found.verdict.word, found.verdict.summary)
+        knocked = [one.sample for one in found.knocked]
+        self.record_verdict(at, found.verdict.word, found.verdict.summary, knocked)
         return found
 
     def signals(self, sample: int) -> Signals:
