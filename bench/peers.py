@@ -1,6 +1,7 @@
-"""Every peer in one run: MuJoCo, Pinocchio, scipy and ODRPACK give the same answers, at what cost.
+"""Every peer in one run: MuJoCo, Pinocchio, FIGAROH, scipy and ODRPACK give the same answers, at
+what cost.
 
-    .venv/bin/pip install -e '.[peers]' && .venv/bin/parallel-cal bench peers
+    .venv/bin/pip install -e '.[peers]' figaroh && .venv/bin/parallel-cal bench peers
 
 The first row of a table of kinematics is the limit: the generated C of one solution, without any
 Python around it. A peer that is not installed has a row that says so.
@@ -8,19 +9,24 @@ Python around it. A peer that is not installed has a row that says so.
 MuJoCo is a cross-check only. Each robot is six rods between its arms (or the base) and its
 platform: the balls of Argos lie on circles, that is at given distances from two points of the
 circle's axis. Newton's method closes the rods with MuJoCo's site positions and Jacobians. The
-geometry is that of the tests' virtual robots, so no formula of the package takes part. The arm is
-built in MuJoCo and Pinocchio from its rows of Denavit and Hartenberg; Pinocchio has no solver for
-closed chains with other unknowns than its own, and no identification, so it has rows for the arm
-only.
+geometry is that of the tests' virtual robots, so no formula of the package takes part.
+
+The arm is built in MuJoCo and Pinocchio from its rows of Denavit and Hartenberg. Pinocchio has no
+identification, and no direct problem of a closed chain. FIGAROH identifies serial chains: it fits
+the positions that a tracker saw of the arm, and must be as exact at poses of another session.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import redirect_stdout
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 from direct import NumpyNewton, fsolve_peer
@@ -34,6 +40,8 @@ import virtual_arm
 from parallel_cal.base.compiled import Single, compile_function
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.threads import single_threaded
+from parallel_cal.diagnosis.comparison import compare
+from parallel_cal.identification.fit import fit
 from parallel_cal.kinematics import solving
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.kinematics.newton import newton_functions
@@ -247,6 +255,7 @@ def main() -> None:
     show("identification of a Delta", beside_scipy())
     with single_threaded():
         show("identification of one chain", beside_odr())
+        show("identification of the arm, 120 positions", arm_fit_rows())
 
 
 def array_peers(case: Case) -> list[Row]:
@@ -285,6 +294,77 @@ def arm_rows() -> list[Row]:
     return rows
 
 
+def arm_fit_rows() -> list[Row]:
+    """Geometry, device frame and target of a UR5, from positions; by FIGAROH from the same file."""
+    robot, model = virtual_arm.arm("ur5", 4), arms.nominal("ur5")
+    known, unseen = (virtual_arm.session(robot, n, seed) for n, seed in ((120, 5), (60, 6)))
+    data = arms.seen(known, False, "tracker")
+    found = fit(model, data, hold_out=0)
+    again = compare(found.model, arms.seen(unseen, False, "tracker"))
+    error = again.errors.summary.position_rms
+    assert error is not None
+    rows = [
+        Row(
+            f"fit(hold_out=0): {1e6 * error:.1f} um at 60 poses of another session",
+            processor_each(lambda: fit(model, data, hold_out=0), least=1, repeats=3),
+        )
+    ]
+    try:
+        import figaroh  # noqa: F401
+    except ModuleNotFoundError:
+        return [*rows, Row("FIGAROH", None)]
+    with TemporaryDirectory() as folder, redirect_stdout(StringIO()), catch_warnings():
+        simplefilter("ignore")
+        peer = figaroh_fit(Path(folder), known)
+        theirs = peer()(unseen)
+        assert 0.9 < theirs / error < 1.1, f"{theirs} m, ours {error} m"
+        seconds = processor_each(peer, least=1, repeats=3)
+    rows.append(Row(f"FIGAROH: {1e6 * theirs:.1f} um at the same poses", seconds))
+    return rows
+
+
+def figaroh_fit(folder: Path, session: virtual_arm.Session) -> Callable[[], Any]:
+    """Return a function that calibrates the UR5 by FIGAROH. It returns a function of a session: the
+    rms position error (m) of the calibrated arm."""
+    import yaml
+    from figaroh.calibration.base_calibration import BaseCalibration
+    from figaroh.calibration.calibration_tools import calc_updated_fkm
+
+    names = ["x1", "y1", "z1", *(f"joint{k + 1}" for k in range(session.q.shape[1]))]
+    table = np.hstack([session.r, session.q])
+    np.savetxt(folder / "data.csv", table, delimiter=",", header=",".join(names), comments="")
+    task = {
+        "type": "kinematic_calibration",
+        "kinematics": {"base_frame": "universe", "tool_frame": "tool"},
+        "measurements": {"markers": [{"measurable_dof": [True] * 3 + [False] * 3}]},
+        "data": {"source_file": str(folder / "data.csv"), "number_of_samples": len(table)},
+    }
+    config = {"robot": {"name": "ur5"}, "tasks": {"calibration": task}}
+    (folder / "config.yaml").write_text(yaml.safe_dump(config))
+
+    class Positions(BaseCalibration):  # type: ignore[misc]
+        def predict(self, var: np.ndarray, q: np.ndarray) -> np.ndarray:
+            settings = {**self.calib_config, "NbSample": len(q)}
+            return np.asarray(calc_updated_fkm(self.model, self.data, var, q, settings))
+
+        def cost_function(self, var: np.ndarray) -> np.ndarray:
+            return np.asarray(self.PEE_measured - self.predict(var, self.q_measured))
+
+    def calibrate() -> Callable[[virtual_arm.Session], float]:
+        calibration = Positions(pinocchio_robot(virtual_arm.UR5), str(folder / "config.yaml"))
+        calibration.calib_config |= {"known_baseframe": False, "known_tipframe": False}
+        calibration.initialize()
+        found = calibration.solve(enable_logging=False).x
+
+        def error(other: virtual_arm.Session) -> float:
+            left = calibration.predict(found, other.q).reshape(3, -1).T - other.r
+            return float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
+
+        return error
+
+    return calibrate
+
+
 def after_joint(row: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
     """Rotation and translation (m) from a joint's frame to the next one's: along z by d, along x by
     a, then about x by alpha."""
@@ -293,19 +373,29 @@ def after_joint(row: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray
     return np.array([[1, 0, 0], [0, c, -s], [0, s, c]]), np.array([a, 0.0, d])
 
 
-def pinocchio_arm(table: Sequence[tuple[float, float, float]]) -> Any:
-    """Return a function q -> (position, rotation) of Pinocchio's forward kinematics."""
+def pinocchio_robot(table: Sequence[tuple[float, float, float]]) -> Any:
+    """Return the arm in Pinocchio, with the end as its last frame, `tool`."""
     import pinocchio as pin
 
     model, joint, placement = pin.Model(), 0, pin.SE3.Identity()
     for k, row in enumerate(table):
         joint = model.addJoint(joint, pin.JointModelRZ(), placement, f"joint{k + 1}")
         placement = pin.SE3(*after_joint(row))
-    data = model.createData()
+    model.addFrame(pin.Frame("tool", joint, placement, pin.FrameType.OP_FRAME))
+    model.lowerPositionLimit, model.upperPositionLimit = np.full((2, model.nq), [[-3.0], [3.0]])
+    return pin.RobotWrapper(model)
+
+
+def pinocchio_arm(table: Sequence[tuple[float, float, float]]) -> Any:
+    """Return a function q -> (position, rotation) of Pinocchio's forward kinematics."""
+    import pinocchio as pin
+
+    robot = pinocchio_robot(table)
+    model, data, tool = robot.model, robot.data, robot.model.getFrameId("tool")
 
     def solve(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         pin.forwardKinematics(model, data, q)
-        found = data.oMi[joint].act(placement)
+        found = pin.updateFramePlacement(model, data, tool)
         return found.translation, found.rotation
 
     return solve
