@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.base.arguments import require_model
+from parallel_cal.base.arguments import check_arguments
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import BACKUP_SUFFIX, write_atomically
 from parallel_cal.base.options import convert_options, split_options
@@ -60,6 +60,7 @@ class ExportResult:
     movement: Movement | None = None
 
 
+@check_arguments(ModelError)
 @single_threaded()
 def export(
     model: Model, target: str, folder: str | Path, touches: Touches | None = None
@@ -101,7 +102,6 @@ def export(
     >>> sorted(path.suffix for path in done.paths)
     ['', '.c', '.c', '.c', '.csv', '.h', '.txt']
     """
-    require_model(model)
     name, given = split_options(target, "target", ModelError)
     module, robot = load_module(SHELF, name), model.robot()
     made: dict[str, str] = {}
