@@ -801,7 +801,7 @@ def target_with_fault(desk: Any, fault: str, joint: int, place: Any, delay: floa
         return f"state {end.state}: {end.message}"
     gone = float(np.linalg.norm(desk.here() - HOME))
     whole = float(np.linalg.norm(np.subtract(place, HOME)))
-    # A late answer to a goal that was given up is cancelled; the robot may move a little until then.
+    # A late answer to a goal that was given up is cancelled: the robot moves a little until then.
     if gone > {"rejected": 0.01, "mute": 0.2, "refused": 0.9}.get(fault, 1.1) * whole:
         return f"the robot moved by {gone:.5f} of {whole:.5f} m"
     return ""
@@ -879,7 +879,7 @@ def campaign_action(n: int, folder: Path) -> Row:
             desk.wait(lambda: time.monotonic() > until, "a moment")
             desk.robot.answers.set()
         else:
-            desk.wait(result.done, "the end of the campaign", 120.0)
+            desk.wait(result.done, "the end of the campaign")
             message = result.result().result.message
             if ACTION_FAULTS[fault].format(joint=joint) not in message:
                 return str(message)
@@ -926,6 +926,7 @@ def killed_controllers(desk: Any, n: int) -> int:
 
     for i in range(n):
         desk.states.clear()
+        desk.motions.clear()
         with subprocess.Popen([sys.executable, str(script), space, str(SLOW_RATE / 2)]) as robot:
             try:
                 desk.wait(lambda: bool(desk.states), "the robot")
@@ -945,7 +946,6 @@ def killed_controllers(desk: Any, n: int) -> int:
                 sys.stderr.write(f"kill {i}: {error}\n")
             finally:
                 robot.kill()
-        desk.motions.clear()
     return hung
 
 
