@@ -195,6 +195,12 @@ def _larger_delta(size: float, rng: np.random.Generator) -> Any:
     return vr.Delta(own)
 
 
+def _stiffening(soft: tuple[float, ...], torque: float) -> Any:
+    """Gears of the compliance `soft` (rad/Nm) at no load, half as stiff again at `torque` (Nm)."""
+    k1 = 1 / np.array(soft)
+    return more.StiffeningGears(tuple(k1), tuple(k1**3 / torque**2))
+
+
 JOINTS = frozenset({"joint", "leg", "motor"})
 # A line's length is that at its spool, or the distance to its anchor.
 LINES = JOINTS | {"spool", "offset", "A_"}
@@ -243,6 +249,13 @@ OF_POSE_ALONE = (
 # No law of one place: a larger model is the right answer.
 OF_LARGER_MODEL = ("parallelogram_errors",)
 EFFECTS = {
+    "acceleration_lag": _condition(
+        "acceleration",
+        JOINTS,
+        "delta",
+        lambda s, rng: more.BentByInertia(tuple(np.array(_positive(s, rng, 3)) ** -0.5)),
+        0.2e-3,
+    ),
     "backlash": _condition(
         "direction", ARMS, "delta", lambda s, rng: vr.Backlash(_positive(s, rng, 3)), 3e-4
     ),
@@ -263,6 +276,11 @@ EFFECTS = {
         "delta",
         lambda s, rng: more.LobedRing(int(rng.integers(3, 9)), _signed(s, rng, 3), _phases(rng, 3)),
         1e-3,
+    ),
+    "encoder_interpolation": _of_reading(
+        "hexapod",
+        lambda s, rng: more.UnevenPitch(6e-3, _signed(s, rng, 6), _phases(rng, 6)),
+        5e-6,
     ),
     "encoder_second_harmonic": _of_reading(
         "delta", lambda s, rng: ve.OvalDisc(_signed(s, rng, 3), _phases(rng, 3)), 3e-3
@@ -303,6 +321,14 @@ EFFECTS = {
     "line_stretch": _of_load(
         lambda s, rng: Line(EA=1 / s), 1e-4, "cable", frozenset({"pose", "offset", "motor"})
     ),
+    "load_friction": Hidden(
+        "delta",
+        lambda s, rng: more.RubbingGears(0.2, _positive(5 * s, rng, 3)),
+        0.2e-3,
+        ARMS,
+        LOADS | PLACE | READING | {"direction"},
+        frozenset({"direction"}),
+    ),
     "parallelogram_errors": Hidden(
         "simple delta",
         _larger_delta,
@@ -338,6 +364,16 @@ EFFECTS = {
         ARMS | {"L0"},
         PLACE | READING,
         PLACE | READING,
+    ),
+    "strain_wave_compliance": _of_load(
+        lambda s, rng: _stiffening(_positive(s, rng, 3), 0.5), 0.5e-3
+    ),
+    "strain_wave_ripple": _of_reading(
+        "delta",
+        lambda s, rng: more.BeatingGears(
+            50.0, _signed(s, rng, 3), _phases(rng, 3), _phases(rng, 3)
+        ),
+        0.3e-3,
     ),
     "thermal_expansion": _condition(
         "temperature",
@@ -383,18 +419,21 @@ def without_effects(names: set[str]) -> Iterator[None]:
         yield
 
 
-def draw_visits(machine: Machine, n: int, joints: int, seed: int) -> Visit:
+def draw_visits(machine: Machine, n: int, joints: int, seed: int) -> more.Motion:
     """What happened before each of n samples, the air and the load."""
     at = vd.visits(n, joints, seed, machine.reach)
     payload = np.where(np.arange(n) * 6 // n % 2, 1.2, 0.2)
-    return replace(at, temperature=days.wandering(at.time / 2), payload=payload)
+    at = replace(at, temperature=days.wandering(at.time / 2), payload=payload)
+    return more.Motion.of(at, 10 * machine.reach, seed)
 
 
 def list_conditions(joints: tuple[str, ...], at: Visit, effect: Any) -> dict[str, vr.Array]:
-    """What was recorded at each sample; of an effect of warm parts, their temperatures, too."""
+    """What was recorded at each sample; of an effect of warm parts, their temperatures, too, and of
+    inertia the accelerations."""
+    kinds = ("direction", "travel", "velocity")
     known = {
         f"{kind}.{joint}": getattr(at, kind)[:, i]
-        for kind in ("direction", "travel", "velocity")
+        for kind in (*kinds, *["acceleration"] * isinstance(effect, more.BentByInertia))
         for i, joint in enumerate(joints)
     }
     common = {name: getattr(at, name) for name in ("time", "temperature", "payload")}
