@@ -273,7 +273,7 @@ def test_the_page_shows_the_counts_of_the_kept_study(monkeypatch):
 def test_every_effect_of_the_robot_in_the_catalogue_can_be_hidden():
     effects = {name: load_effect(name) for name in list_plugins("effects")}
     of_robot = {name for name, one in effects.items() if not one.of_device and not one.reads}
-    assert of_robot == {*cs.EFFECTS, *cs.NOT_STUDIED}
+    assert of_robot == {*cs.EFFECTS}
 
 
 # ------------------------------------------------------------------------ the effect of a law
@@ -631,6 +631,23 @@ def test_a_scanned_constant_makes_a_formula_less_simple_than_a_line(scene):
         for factor in (Factor("power", (1.0,)), Factor("step", (0.5, 0.1)))
     )
     assert line.complexity < step.complexity
+
+
+def test_with_the_reading_of_another_joint_a_joint_errs_rather_than_a_part_of_its_chain(scene):
+    """Both laws are often the same function. With its own reading, too, the joint comes first."""
+    places = {one.name: one for one in list_places(scene)}
+    drivers = {one.name: one for one in list_drivers(scene)}
+    columns = np.zeros((len(scene.residual), 1))
+
+    def judge(place, driver):
+        hypothesis = Hypothesis(Site(place, (places[place],)), ((drivers[driver],),))
+        line = (Term(((0, Factor("power", (1.0,))),)),)
+        one = np.ones((1, 1))
+        return Formula(hypothesis, line, one, one, 0.0, columns).complexity
+
+    assert judge("joint2", "joint1") < judge("chain2.La_y", "joint1")
+    assert judge("joint2", "joint2") < judge("chain2.La_y", "joint2")
+    assert judge("chain2.La_y", "joint2") < judge("joint2", "joint1")
 
 
 @pytest.mark.wide

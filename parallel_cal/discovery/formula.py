@@ -178,10 +178,12 @@ class Formula:
 
 
 def _is_of_other_joint(site: Site, own: Sequence[Driver]) -> bool:
-    """Whether joints err with the readings of other joints: rarer than with their own."""
-    if site.kind != JOINT or own[0].family not in (READING, NEXT, PREVIOUS):
+    """Whether joints, or parts of their chains, err with the readings of other joints: rarer than
+    with their own."""
+    if own[0].family not in (READING, NEXT, PREVIOUS):
         return False
-    return any(one.joint != place.joint for one, place in zip(own, site.members, strict=True))
+    joints = [place.joint for place in site.members]
+    return any(joint not in (None, one.joint) for one, joint in zip(own, joints, strict=True))
 
 
 def find_formula(targets: Targets, hypothesis: Hypothesis) -> Formula | None:

@@ -23,6 +23,7 @@ from parallel_cal.reporting.markup import (
     table,
     tabs,
 )
+from parallel_cal.reporting.overview import LABELS
 from parallel_cal.reporting.readable import (
     day,
     error_unit,
@@ -133,11 +134,13 @@ def certificate(report: Report) -> str:
         rows["Temperature"] = f"{low:.1f} to {high:.1f} °C (recorded with the samples)"
     errors = report.errors
     counts = describe_counts(errors.samples, errors.poses, True)
+    verdict = report.diagnosis.verdict
     rows |= {
         "Model": f"{p.mechanism}, effects: {', '.join(p.effects) or 'none'}; sha256 "
         f"{p.model_sha256}",
         "Data": f"{data.source}; {counts}; sha256 {data.sha256 or 'not known'}",
         "Excluded samples": _describe_excluded(data),
+        "Verdict": sentence(f"{LABELS[verdict.word]}: {verdict.summary}"),
         "Software": f"parallel_cal {p.version}",
         "Date of this certificate": day(p.made),
     }

@@ -50,7 +50,13 @@ MAX_PRELIMINARY_SAMPLES = 2000
 # pattern with 5 % of the noise stands out by 0.05 * sqrt(10^4) = 5 sigmas. What only more samples
 # could show changes the rms error by less than 0.2 %.
 MAX_DIAGNOSED_SAMPLES = 10_000
-NUMBERS_ONLY: View = {"effects": [], "candidates": [], "together": None, "untested": []}
+NUMBERS_ONLY: View = {
+    "effects": [],
+    "ambiguous": {},
+    "candidates": [],
+    "together": None,
+    "untested": [],
+}
 FIT_TILES = ("before this step", "now", "noise floor")
 AMBER, GREEN, GREY = "amber", "green", "grey"
 
@@ -142,7 +148,8 @@ def view(session: Session, progress: Progress) -> View:
     found = report(session.model, data, progress=progress, options=how, hold_out=how.hold_out)
     verdict, made = found.diagnosis.verdict, _make_report_view(found)
     remark = "" if part is None else f" (diagnosis of {_describe_part(len(part), session)})"
-    session.record_verdict(session.state, verdict.word, f"{verdict.summary}{remark}")
+    knocked = None if part is not None else [one.sample for one in found.diagnosis.knocked]
+    session.record_verdict(session.state, verdict.word, f"{verdict.summary}{remark}", knocked)
     return made if part is None else made | _make_numbers_of_all(session, made["verdict"], remark)
 
 
@@ -203,6 +210,7 @@ def _make_comparison_view(found: Comparison) -> View:
         "pictures": list(_pictures(residuals, found.scene, None)),
         "samples": _samples(samples, residuals, kinds or ["joint"], units),
         "effects": _list_effects(found.model),
+        "ambiguous": {},
         "candidates": [],
         "together": None,
         "untested": [],
@@ -253,6 +261,7 @@ def _make_report_view(found: Report) -> View:
         "pictures": list(_pictures(residuals, diagnosis.base.scene, first_pattern)),
         "samples": _samples(found.samples, residuals, found.errors.kinds, units),
         "effects": _list_effects(diagnosis.model),
+        "ambiguous": {one.effect: one.names for one in diagnosis.ambiguous},
         "candidates": [
             row
             | {
