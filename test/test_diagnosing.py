@@ -21,9 +21,11 @@ from parallel_cal.diagnosis.scene import Scene, columns
 from parallel_cal.diagnosis.scoring import canonical_correlation, f_test, log_p_of, score
 from parallel_cal.diagnosis.search import Chosen, Search, Trial
 from parallel_cal.diagnosis.statistics import holm, morans_i, runs_test
-from parallel_cal.identification.fit import fit
+from parallel_cal.identification.estimate import NoSolutionError
+from parallel_cal.identification.fit import UnjudgedFit, fit, fit_unjudged
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import observe
+from parallel_cal.identification.options import FitOptions
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model import structure
 from parallel_cal.model.model import new_model
@@ -255,24 +257,48 @@ def test_a_noise_that_nobody_states_is_taken_from_replicates():
 # ------------------------------------------------------------------------------------- refits
 
 
-def test_an_effect_is_removed_by_refits_without_validation_errors():
-    data, judged, unjudged = measured(1), [], []
+def test_an_effect_is_removed_by_refits_without_validation_errors(monkeypatch):
+    play = vr.Backlash((3e-4, 2.5e-4, 2e-4))
+    data, refitted, judged = measured(1, effects=[play]), [], []
 
     def refit(model, insist):
-        judged.append([effect.name for effect in model.effects])
-        return fit(model, data, insist=insist)
+        refitted.append([effect.name for effect in model.effects])
+        return fit_unjudged(model, data, FitOptions(insist=insist))
 
-    def refit_unjudged(model, insist):
-        unjudged.append([effect.name for effect in model.effects])
-        return fit(model, data, insist=insist, hold_out=0)
+    def judge(unjudged, progress=None):
+        judged.append([effect.name for effect in unjudged.result.model.effects])
+        return validate(unjudged, progress)
 
-    search = Search(new_model("delta54"), refit, lambda *_: None, refit_unjudged=refit_unjudged)
+    validate = UnjudgedFit.judge
+    monkeypatch.setattr(UnjudgedFit, "judge", judge)
+    search = Search(new_model("delta54"), refit, lambda *_: None)
     both = search.fit(Chosen("backlash"), Chosen("encoder_eccentricity"))
-    left = search.backward(both)  # the robot has neither
-    assert len(left.chosen) == 1
+    left = search.backward(both)  # the robot has no eccentricity
+    assert left.names == ("backlash",)
     assert left.fitted.held_out.judged.any()
-    assert unjudged == [["encoder_eccentricity"]]
-    assert judged == [["backlash", "encoder_eccentricity"], ["encoder_eccentricity"]]
+    pair = ["backlash", "encoder_eccentricity"]
+    assert refitted == [pair, ["encoder_eccentricity"], ["backlash"]]  # each once
+    assert judged == [pair, ["backlash"]]
+    alone = fit(new_model("delta54").with_effect("backlash"), data)
+    assert left.fitted.estimate.chi2 == pytest.approx(alone.estimate.chi2)
+    assert left.fitted.held_out.summary == alone.held_out.summary
+
+
+def test_a_fit_whose_validation_fails_is_no_trial(monkeypatch):
+    data = measured(1, n_poses=30, n_replicates=0)
+
+    def fail(unjudged, progress=None):
+        raise NoSolutionError("a fold has no solution")
+
+    search = Search(
+        new_model("delta54"),
+        lambda model, insist: fit_unjudged(model, data, FitOptions()),
+        lambda *_: None,
+    )
+    assert search.fit(judged=False).result is not None
+    monkeypatch.setattr(UnjudgedFit, "judge", fail)
+    failed = search.fit()
+    assert (failed.result, failed.reason, failed.unsolved) == (None, "a fold has no solution", True)
 
 
 def test_effects_that_need_each_other_are_ordered_last_and_together(monkeypatch):
