@@ -13,10 +13,10 @@ from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.search import Search
-from parallel_cal.identification.acceptance import IN_SAMPLE, acceptance
+from parallel_cal.identification.acceptance import IN_SAMPLE, acceptance, format_errors
 from parallel_cal.identification.fit import fit, fit_registered, fit_unjudged
 from parallel_cal.identification.options import FitOptions
-from parallel_cal.identification.prediction_errors import Errors
+from parallel_cal.identification.prediction_errors import Errors, Summary
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.session.goals import Request, propose_model, write_proposal
@@ -87,6 +87,12 @@ def test_a_rise_is_refused_with_its_factor(identified):
     assert found.against == (
         "the error at held-out poses does not fall with 'x' (from 40 to 50 um; factor 1.250)"
     )
+
+
+def test_a_figure_that_does_not_change_is_not_written_as_a_fall():
+    then, now = (Summary(position_rms=r, orientation_rms=4e-5) for r in (4e-5, 3e-5))
+    assert format_errors(now, then) == "from 40 to 30 um, 0.138 arcmin before and after"
+    assert format_errors(now) == "30 um, 0.138 arcmin"
 
 
 def test_a_fall_of_one_pose_that_the_others_do_not_share_is_luck(identified):

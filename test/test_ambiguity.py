@@ -1,5 +1,7 @@
 """An effect of the model that another effect would replace without loss stays ambiguous."""
 
+import re
+
 import pytest
 
 import parallel_cal as pc
@@ -9,10 +11,14 @@ from parallel_cal.session.steps import add
 MODEL = "config/delta_mockup_nominal.yaml"
 
 
-def diagnose_with(effect, bag):
+def add_to(effect, bag):
     model = pc.read_model(MODEL)
     data = pc.load_dataset(bag, joints=model.joints)
-    return diagnose(add(model, effect, data).model, data)
+    return add(model, effect, data).model, data
+
+
+def diagnose_with(effect, bag):
+    return diagnose(*add_to(effect, bag))
 
 
 @pytest.mark.wide
@@ -36,3 +42,11 @@ def test_an_effect_without_a_lookalike_is_not_ambiguous():
     found = diagnose_with("thermal_expansion", "bags/delta_thermal")
     assert found.ambiguous == ()
     assert "do not tell which" not in found.verdict.summary
+
+
+@pytest.mark.wide
+def test_the_signed_part_of_the_report_keeps_the_ambiguity():
+    text = pc.page(pc.report(*add_to("backlash", "bags/delta_backlash")))
+    signed = text.split('<section id="certificate">')[1].split("</section>")[0]
+    assert "backlash or hysteresis: the samples do not tell which of them the robot has" in signed
+    assert re.search(r"\d+ planned poses would (not yet )?tell", signed)

@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from pathlib import Path
 
 import pytest
 
@@ -212,6 +213,11 @@ def test_the_certificate_of_a_session_states_excluded_samples_with_reasons_and_c
     assert "<dd>D-0042</dd>" in certificate
     assert "91 samples" in certificate
     assert document["provenance"]["dataset"]["excluded"]["3"] == "the table was bumped"
+    # A page is read on other computers: it names files, and only the document has their paths.
+    path = str(Path(BAG).resolve())
+    assert document["provenance"]["dataset"]["source"] == path
+    assert path not in output.read_text()
+    assert "<dt>Data</dt><dd>delta_backlash; 91 samples" in certificate
 
 
 @pytest.mark.wide

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from parallel_cal.base.arguments import require_names
+from parallel_cal.base.arguments import check_arguments
 from parallel_cal.base.documents import to_json_value
-from parallel_cal.base.errors import FitError, ModelError
+from parallel_cal.base.errors import FitError
 from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress, ignore_progress
@@ -79,7 +79,8 @@ from parallel_cal.identification.registration import (
 )
 from parallel_cal.model.effect import format_effect
 from parallel_cal.model.model import Model
-from parallel_cal.recordings.dataset import Dataset, check_inputs
+from parallel_cal.model.shelf import load_effect
+from parallel_cal.recordings.dataset import Dataset
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -245,6 +246,7 @@ class Diagnosis(ShownInNotebook):
         return {key: to_json_value(value) for key, value in document.items()}
 
 
+@check_arguments(FitError)
 @single_threaded()
 def diagnose(
     model: Model,
@@ -301,10 +303,8 @@ def diagnose(
     >>> diagnosis.verdict.word, diagnosis.effects
     ('explained', ('backlash',))
     """
-    check_inputs(model, dataset)
-    require_names("effects", effects, ModelError)
     report = progress or ignore_progress
-    options = with_changes(options or FitOptions(), changes, FitError)
+    options = with_changes(options, FitOptions, changes, FitError)
     # The search refits with unusual sizes in any case: they are evidence against other effects.
     usual_only, options = options.usual_only, replace(options, usual_only=False)
     given = GivenModel.of(model, dataset, options.joint_sigma, options.insist)
@@ -672,10 +672,13 @@ class _Catalogue:
         """Candidates that the trial does not contain, best first, untestable ones last."""
         key = frozenset(replace(c, unusual=False) for c in trial.chosen)
         if key not in self._ranked:
-            taken, scored = {c.name for c in trial.chosen}, []
-            for k, name in enumerate(n for n in self._names if n not in taken):
+            taken, scored = {c.name for c in trial.chosen}, list[Candidate]()
+            # Special cases come before the effects that generalize them.
+            left = (name for name in self._names if name not in taken)
+            ordered = sorted(left, key=lambda name: bool(load_effect(name).generalizes))
+            for k, name in enumerate(ordered):
                 self._report(f"testing {name}", 0.1 + 0.3 * k / len(self._names))
-                scored.append(candidate(trial.scene, name))
+                scored.append(candidate(trial.scene, name, scored))
             self._ranked[key] = sorted(scored, key=lambda c: (not c.testable, c.log_p))
         return self._ranked[key]
 

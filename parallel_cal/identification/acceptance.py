@@ -39,7 +39,7 @@ class Acceptance:
 
     @property
     def description(self) -> str:
-        """`error at held-out poses from 37.6 to 32.2 um, from 0.457 to 0.457 arcmin`."""
+        """`error at held-out poses from 37.6 to 32.2 um, 0.457 arcmin before and after`."""
         return f"error {self.basis} {format_errors(self.after, self.before)}"
 
     @property
@@ -129,13 +129,17 @@ def _squared(result: FitResult, found: Errors) -> np.ndarray:
 
 
 def format_errors(after: Summary, before: Summary | None = None) -> str:
-    """Format rms errors, `before` to `after`."""
+    """Format rms errors, `before` to `after`; equal figures are not written as a fall."""
     parts = []
     for kind, (unit, factor) in ERROR_UNITS.items():
         now, then = after.rms(kind), before.rms(kind) if before else None
-        if now is not None:
-            was = "" if then is None else f"from {_digits(then * factor)} to "
-            parts.append(f"{was}{_digits(now * factor)} {unit}")
+        if now is None:
+            continue
+        shown, was = _digits(now * factor), "" if then is None else _digits(then * factor)
+        if was == shown:
+            parts.append(f"{shown} {unit} before and after")
+        else:
+            parts.append(f"{was and f'from {was} to '}{shown} {unit}")
     return ", ".join(parts) or "not known"
 
 

@@ -23,6 +23,7 @@ from parallel_cal.reporting.markup import (
     table,
     tabs,
 )
+from parallel_cal.reporting.overview import LABELS
 from parallel_cal.reporting.readable import (
     day,
     error_unit,
@@ -60,13 +61,14 @@ def parameters(report: Report, plot: Plot) -> str:
     free = sum(not p.fixed for p in shown.values())
     note = (
         f"{of}{free} free parameters; {far or 'none'} moved more than "
-        f"{MAX_MOVED_TOLERANCES:g} tolerances from nominal. Click a column header to sort."
+        f"{MAX_MOVED_TOLERANCES:g} tolerances from nominal."
     )
-    pages = {"values": as_html([parameter_table(shown)])}
+    how = paragraph("Click a column header to sort.", "note on-screen")
+    pages = {"values": how + as_html([parameter_table(shown)])}
     drawn = drawings.drawing(report.diagnosis.best.fitted.model, None, report.parameters)
     if drawn is not None:
         about = "Point at a line to see its parameters and their values."
-        pages["on the mechanism"] = paragraph(about, "note") + plot(drawn)
+        pages["on the mechanism"] = paragraph(about, "note on-screen") + plot(drawn)
     return paragraph(note, "note") + tabs(pages)
 
 
@@ -133,11 +135,13 @@ def certificate(report: Report) -> str:
         rows["Temperature"] = f"{low:.1f} to {high:.1f} °C (recorded with the samples)"
     errors = report.errors
     counts = describe_counts(errors.samples, errors.poses, True)
+    verdict = report.diagnosis.verdict
     rows |= {
         "Model": f"{p.mechanism}, effects: {', '.join(p.effects) or 'none'}; sha256 "
         f"{p.model_sha256}",
         "Data": f"{data.source}; {counts}; sha256 {data.sha256 or 'not known'}",
         "Excluded samples": _describe_excluded(data),
+        "Verdict": sentence(f"{LABELS[verdict.word]}: {verdict.summary}"),
         "Software": f"parallel_cal {p.version}",
         "Date of this certificate": day(p.made),
     }

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable, Mapping
 from datetime import datetime, timezone
 from html import escape
 from importlib.resources import files
+from pathlib import PurePath
 from string import Template
 from typing import Any
 
 from parallel_cal import __version__
+from parallel_cal.base.arguments import check_arguments
+from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.reporting.readable import day
 from parallel_cal.reporting.report import Report
 from parallel_cal.reporting.sections import body
 
 
+@check_arguments(ParallelCalError)
 @single_threaded()
 def page(report: Report, library: str = "") -> str:
     """Make one HTML page of a report.
@@ -42,13 +47,25 @@ def page(report: Report, library: str = "") -> str:
     True
     """
     drawn = PageBuilder()
-    p, samples = report.provenance, len(report.diagnosis.dataset)
+    p, data = report.provenance, report.diagnosis.dataset
+    used = [entry.get("dataset") for entry in report.diagnosis.model.history]
+    sources = {data.source, *(str(one.get("source")) for one in used if isinstance(one, Mapping))}
     return drawn.page(
-        f"{p.mechanism} on {report.diagnosis.dataset.source}",
-        f"{day(p.made)}, {samples} samples, model {p.model_sha256[:12]}",
-        body(report, drawn.plot),
+        name_files(f"{p.mechanism} on {data.source}", sources),
+        f"{day(p.made)}, {len(data)} samples, model {p.model_sha256[:12]}",
+        name_files(body(report, drawn.plot), map(escape, sources)),
         library,
     )
+
+
+def name_files(text: str, sources: Iterable[str]) -> str:
+    """Replace the paths of recordings by their names: a page is read on other computers. The
+    document of the report has the paths. `sources` are paths, joined by `, ` or ` + `."""
+    paths = {path for source in sources for path in re.split(r", | \+ ", source)}
+    for path in sorted(paths, key=len, reverse=True):  # a path may be the beginning of another
+        if "/" in path:
+            text = text.replace(path, PurePath(path).name)
+    return text
 
 
 class PageBuilder:

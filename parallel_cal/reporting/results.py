@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from parallel_cal.base.arguments import describe_argument
+from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.units import ARCMIN
 from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.budget import Budget, Iso9283
@@ -51,7 +53,7 @@ PATTERN_SIGNIFICANCE_LEVEL = 0.05  # below it a pattern of the errors is shown
 
 
 def describe(result: Any) -> Iterator[Block]:
-    """Describe a result; TypeError if it is not one of those below."""
+    """Describe a result; ParallelCalError if it is not one of those below."""
     # By name: the classes of a diagnosis need not be imported to show a fit.
     describers: dict[str, Callable[[Any], Iterator[Block]]] = {
         "Step": describe_step,
@@ -62,9 +64,9 @@ def describe(result: Any) -> Iterator[Block]:
     }
     kind = type(result).__name__
     if kind not in describers:
-        raise TypeError(
-            f"show: got {kind}, expected the result of fit, add, remove, compare, diagnose or "
-            "discover"
+        raise ParallelCalError(
+            f"{describe_argument('result', result)}; expected the result of fit, add, remove, "
+            "compare, diagnose or discover"
         )
     return describers[kind](result)
 
@@ -122,11 +124,8 @@ def describe_fit(result: FitResult, without: FitResult | None = None) -> Iterato
 def budget_table(budget: Budget) -> Table:
     """Describe the error budget of the nominal model."""
     unit, factor = ascii_unit(budget.kind)
-    sigma = "" if budget.sigma is None else f" +- {format_fixed(budget.sigma, factor)}"
-    total = (
-        f"{budget.kind} error of the nominal model: "
-        f"{format_fixed(budget.total, factor)}{sigma} {unit}"
-    )
+    shown = with_sigma(budget.total, budget.sigma, factor).replace("±", "+-")
+    total = f"{budget.kind} error of the nominal model: {shown} {unit}"
     columns = (Column(total, "part"), "removes", "sigma", "moves the platform by", "unit")
     rows = [
         (
@@ -426,8 +425,9 @@ def candidate_table(diagnosis: Diagnosis, entries: Sequence[Entry]) -> Table:
         apart = f"distinguished by {effect.separated_by}" if effect.separated_by else ""
         fall, estimates = "", ""
         if alone is not None:
-            sides = (number(e.rms(kind), factor) for e in (alone.before, alone.after))
-            fall, estimates = f"{' → '.join(sides)} {unit}", _format_estimates(alone.parameters)
+            then, now = (number(e.rms(kind), factor) for e in (alone.before, alone.after))
+            fall = f"{then} → {now} {unit}" if then != now else f"{now} {unit}, unchanged"
+            estimates = _format_estimates(alone.parameters)
         rows.append(
             (
                 str(entry.rank),

@@ -14,7 +14,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from parallel_cal.base.arguments import require_path
+from parallel_cal.base.arguments import require
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.files import read_text, write_atomically
@@ -110,7 +110,7 @@ class History:
 
     def __init__(self, folder: str | Path):
         """Open a session; SessionError if the folder has none, or an unreadable one."""
-        require_path("folder", folder, SessionError)
+        require("folder", folder, "str | Path", SessionError)
         self.folder = Path(folder)
         self.record = self._read()
 

@@ -12,6 +12,7 @@ from uuid import uuid4
 
 import numpy as np
 
+from parallel_cal.base.arguments import check_arguments
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.files import write_atomically
 from parallel_cal.base.progress import Progress
@@ -80,6 +81,7 @@ class Session(History):
         self._models: dict[str, Model] = {}
 
     @classmethod
+    @check_arguments(SessionError)
     def new(
         cls,
         folder: str | Path,
@@ -173,6 +175,7 @@ class Session(History):
 
     # ------------------------------------------------------------------ steps
 
+    @check_arguments(SessionError)
     def fit(self, progress: Progress | None = None, effects: Sequence[str] = ()) -> State:
         """Identify the free parameters.
 
@@ -193,6 +196,7 @@ class Session(History):
         words = f"fit with {' and '.join(effects)}" if effects else "fit"
         return self._refit(words, progress, effects)
 
+    @check_arguments(SessionError)
     def add(
         self,
         effect: str,
@@ -217,6 +221,7 @@ class Session(History):
         excluded = {**self.state.excluded, **dict.fromkeys(step.knocked, KNOCKED)}
         return self._commit_judged(words, step, reason, excluded=excluded)
 
+    @check_arguments(SessionError)
     def remove(
         self,
         effect: str,
@@ -238,6 +243,7 @@ class Session(History):
         step = step.with_reason(reason) if reason else step
         return self._commit(f"{words}, forced", step, reason=reason, **changes)
 
+    @check_arguments(SessionError)
     def exclude(self, samples: Mapping[int, str], progress: Progress | None = None) -> State:
         """Exclude samples, each with a reason, and fit again."""
         known = {int(n) for n in self.samples.numbers}
@@ -246,6 +252,7 @@ class Session(History):
         excluded = {**self.state.excluded, **samples}
         return self._refit(f"exclude {_format_numbers(samples)}", progress, excluded=excluded)
 
+    @check_arguments(SessionError)
     def include(self, samples: Sequence[int], progress: Progress | None = None) -> State:
         """Include excluded samples again, and fit again."""
         if missing := [n for n in samples if n not in self.state.excluded]:
@@ -403,6 +410,7 @@ class Session(History):
         reading = ReadOptions(**self.record.reading)
         return signals(self.samples, sample, self.recordings, reading)
 
+    @check_arguments(SessionError)
     def plan(self, poses: int, progress: Progress | None = None) -> Path:
         """Plan poses for the free parameters of this state; return the path of their CSV file (m,
         quaternions and joints)."""
@@ -415,6 +423,7 @@ class Session(History):
         write_atomically(file, found.csv())
         return file
 
+    @check_arguments(SessionError)
     def save(
         self,
         file: Path,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from parallel_cal.base.arguments import require_text
+from parallel_cal.base.arguments import check_arguments, require
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.base.notebook import ShownInNotebook
@@ -44,7 +44,7 @@ from parallel_cal.identification.thresholds import MAX_NEGLIGIBLE_ERROR_RISE
 from parallel_cal.model.effect import parse_effects
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
-from parallel_cal.recordings.dataset import Dataset, check_inputs
+from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.lagged import add_lagged_conditions
 
 if TYPE_CHECKING:
@@ -161,6 +161,7 @@ def fitted(
     return _step("fit", result, _check_proven(acceptance(result), force), effect=added or None)
 
 
+@check_arguments(ModelError)
 @single_threaded()
 def add(
     model: Model,
@@ -218,8 +219,6 @@ def add(
     >>> step.model.effects[-1].name
     'backlash'
     """
-    check_inputs(model, dataset)
-    require_text("effect", effect, ModelError)
     asked, larger = parse_effects(effect), model
     for name, _ in asked:  # report a wrong name before a search
         larger = larger.with_effect(name)
@@ -367,6 +366,7 @@ def _fits_as_well(
     return is_as_good(Trial((), result), Trial((), other))
 
 
+@check_arguments(ModelError)
 @single_threaded()
 def remove(
     model: Model,
@@ -415,8 +415,6 @@ def remove(
     >>> pc.remove(with_backlash, "backlash", data, force=True).model.effects
     ()
     """
-    check_inputs(model, dataset)
-    require_text("effect", effect, ModelError)
     smaller = model.without_effect(effect)  # report a wrong name before a fit
     how, progress = _collect_options(options)
     with_it = fit(model, dataset, how, progress)
@@ -432,7 +430,8 @@ def _collect_options(options: StepKeywords) -> tuple[FitOptions, Progress | None
     """Return the options of a fit as one object, and the progress function."""
     changes = dict(options)
     given, progress = changes.pop("options", None), changes.pop("progress", None)
-    return with_changes(given or FitOptions(), changes, FitError), progress  # type: ignore[type-var,return-value]
+    require("options", given, "FitOptions | None", FitError)
+    return with_changes(given, FitOptions, changes, FitError), progress  # type: ignore[arg-type,return-value]
 
 
 class UnprovenStepError(FitError):

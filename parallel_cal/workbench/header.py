@@ -201,7 +201,8 @@ def _headline(tiles: Sequence[dict[str, Any]]) -> tuple[str, str]:
         return "", ""
     comparable = {k: tile for k, tile in by_name.items() if tile["about"] == now["about"]}
     texts = {k: " ".join(tile["values"][0][:2]) for k, tile in comparable.items()}
-    fall = " → ".join(texts[k] for k in ("nominal model", "now") if k in texts)
+    known = (texts[k] for k in ("nominal model", "now") if k in texts)
+    fall = " → ".join(dict.fromkeys(known))  # an error that did not change is written once
     noise = texts.get("noise floor")
     return now["about"], f"{fall} · noise {noise}" if noise else fall
 

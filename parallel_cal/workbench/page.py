@@ -161,6 +161,9 @@ class Window:
                     ui.label("in the model:").classes("quiet")
                     for name in effects:
                         ui.label(name).classes("font-bold")
+                        if rivals := view["ambiguous"].get(name):
+                            words = f"or {' or '.join(rivals)}: the samples do not tell"
+                            ui.label(words).classes("ambiguous")
                         remove = partial(self.bench.begin, "remove", name)
                         button = ui.button("Remove", on_click=remove)
                         button.props(f'dense outline aria-label="remove {name}"')

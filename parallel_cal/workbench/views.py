@@ -43,14 +43,20 @@ from parallel_cal.session.steps import fitted
 
 View = dict[str, Any]
 # Samples on a page. A browser needs seconds to draw more, and more hide each other.
-MAX_SHOWN_SAMPLES, MAX_WORST_SAMPLES = 1000, 300
+MAX_SHOWN_SAMPLES, MAX_WORST_SAMPLES = 600, 200
 # Samples from which a preliminary view of many is made: their numbers come in seconds.
 MAX_PRELIMINARY_SAMPLES = 2000
 # Samples that are diagnosed: a diagnosis of 10^5 takes a quarter of an hour. In 10^4 samples, a
 # pattern with 5 % of the noise stands out by 0.05 * sqrt(10^4) = 5 sigmas. What only more samples
 # could show changes the rms error by less than 0.2 %.
 MAX_DIAGNOSED_SAMPLES = 10_000
-NUMBERS_ONLY: View = {"effects": [], "candidates": [], "together": None, "untested": []}
+NUMBERS_ONLY: View = {
+    "effects": [],
+    "ambiguous": {},
+    "candidates": [],
+    "together": None,
+    "untested": [],
+}
 FIT_TILES = ("before this step", "now", "noise floor")
 AMBER, GREEN, GREY = "amber", "green", "grey"
 
@@ -204,6 +210,7 @@ def _make_comparison_view(found: Comparison) -> View:
         "pictures": list(_pictures(residuals, found.scene, None)),
         "samples": _samples(samples, residuals, kinds or ["joint"], units),
         "effects": _list_effects(found.model),
+        "ambiguous": {},
         "candidates": [],
         "together": None,
         "untested": [],
@@ -254,6 +261,7 @@ def _make_report_view(found: Report) -> View:
         "pictures": list(_pictures(residuals, diagnosis.base.scene, first_pattern)),
         "samples": _samples(found.samples, residuals, found.errors.kinds, units),
         "effects": _list_effects(diagnosis.model),
+        "ambiguous": {one.effect: one.names for one in diagnosis.ambiguous},
         "candidates": [
             row
             | {
