@@ -11,13 +11,14 @@ from scipy import stats
 from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL, SIGNIFICANCE_LEVEL
 from parallel_cal.base.errors import ModelError
 from parallel_cal.diagnosis import catalogue
+from parallel_cal.diagnosis import scene as scenes
 from parallel_cal.diagnosis import search as searching
 from parallel_cal.diagnosis.catalogue import candidate, list_effects_to_test
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import lack_of_fit, smooth_map
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.patterns import compute_residual_profiles, odd_samples, regions
-from parallel_cal.diagnosis.scene import Scene, columns
+from parallel_cal.diagnosis.scene import Scene, SharedDerivatives, columns
 from parallel_cal.diagnosis.scoring import canonical_correlation, f_test, log_p_of, score
 from parallel_cal.diagnosis.search import Chosen, Search, Trial
 from parallel_cal.diagnosis.statistics import holm, morans_i, runs_test
@@ -282,6 +283,45 @@ def test_an_effect_is_removed_by_refits_without_validation_errors(monkeypatch):
     alone = fit(new_model("delta54").with_effect("backlash"), data)
     assert left.fitted.estimate.chi2 == pytest.approx(alone.estimate.chi2)
     assert left.fitted.held_out.summary == alone.held_out.summary
+
+
+def test_shared_derivatives_are_computed_once_and_returned_whole(monkeypatch):
+    computed = []
+
+    def compute(scale):
+        computed.append(scale)
+        return scale * np.array([[0.0, 1.0, 0.0], [0.0, 2.0, 3.0]])
+
+    shared = SharedDerivatives()
+    for _ in range(2):
+        found = shared.get(("backlash", 1), lambda: compute(1.0))
+        assert found.tolist() == [[0, 1, 0], [0, 2, 3]]
+    assert shared.get(("backlash", 2), lambda: compute(2.0))[1, 2] == 6
+    assert computed == [1.0, 2.0]
+    # What does not fit into the memory is computed anew.
+    monkeypatch.setattr(scenes, "MAX_SHARED_BYTES", 8 * 4 - 1)
+    small = SharedDerivatives()
+    for _ in range(2):
+        assert small.get("lag", lambda: compute(3.0))[0, 1] == 3
+    assert computed == [1.0, 2.0, 3.0, 3.0]
+
+
+@pytest.mark.wide
+def test_a_scan_that_shares_derivatives_finds_the_same_setting():
+    """The scene with backlash takes the derivatives of a scan from the one without it."""
+    data = measured(0, effects=[vr.Backlash((3e-4, 2.5e-4, 2e-4))])
+    search = Search(
+        new_model("delta54"),
+        lambda model, insist: fit_unjudged(model, data, FitOptions()),
+        lambda *_: None,
+    )
+    candidate(search.fit(judged=False).scene, "gear_transmission_error")
+    scene = search.fit(Chosen("backlash"), judged=False).scene
+    assert scene.shared is not None
+    alone = dataclasses.replace(scene, shared=None)
+    one, other = (candidate(s, "gear_transmission_error") for s in (scene, alone))
+    assert one.settings == pytest.approx(other.settings)
+    assert one.log_p == pytest.approx(other.log_p)
 
 
 def test_a_fit_whose_validation_fails_is_no_trial(monkeypatch):
