@@ -13,7 +13,7 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.diagnosis import catalogue
 from parallel_cal.diagnosis import scene as scenes
 from parallel_cal.diagnosis import search as searching
-from parallel_cal.diagnosis.catalogue import candidate, list_effects_to_test
+from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_to_test
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import lack_of_fit, smooth_map
 from parallel_cal.diagnosis.noise import NoiseLevel
@@ -339,6 +339,20 @@ def test_a_fit_whose_validation_fails_is_no_trial(monkeypatch):
     monkeypatch.setattr(UnjudgedFit, "judge", fail)
     failed = search.fit()
     assert (failed.result, failed.reason, failed.unsolved) == (None, "a fold has no solution", True)
+
+
+@pytest.mark.parametrize(("ratio", "is_extended"), [(2.66, True), (33.0, False)])
+def test_an_alternative_ends_where_it_leads_back_to_the_best(monkeypatch, ratio, is_extended):
+    """A gear ratio that was found before another effect was known is another explanation."""
+    gear = Candidate("gear_transmission_error", None, {"ratio": 33.0})
+    asked = []
+    monkeypatch.setattr(Search, "_find_next", lambda search, before, *_: asked.append(before))
+    start = Trial((Chosen("encoder_eccentricity"),), None)
+    known = Trial((Chosen("gear_transmission_error", (("ratio", ratio),), unusual=True),), None)
+    search = Search(None, None, None)
+    found, _ = search.forward(start, lambda _: [gear], lambda _: [gear], known)
+    assert found is start
+    assert bool(asked) is is_extended
 
 
 def test_effects_that_need_each_other_are_ordered_last_and_together(monkeypatch):

@@ -92,6 +92,11 @@ class Trial:
         return tuple(c.name for c in self.chosen)
 
     @property
+    def kinds(self) -> frozenset[Chosen]:
+        """The chosen effects with their settings, whatever size they may have."""
+        return frozenset(replace(c, unusual=False) for c in self.chosen)
+
+    @property
     def fitted(self) -> FitResult:
         """The refit; FitError if it failed."""
         if self.result is None and self.implausible is not None:
@@ -231,14 +236,14 @@ class Search:
         """Add effects one by one while one is significant and has no objection. `rank` returns the
         significant ones, `rank_all` all of the catalogue.
 
-        It ends where the best next effect leads back to the effects of a trial that is `known`:
-        that trial was extended before.
+        It ends where the best next effect leads back to the effects, with the same settings, of a
+        trial that is `known`: that trial was extended before.
         """
         trial: Trial = start
         against: dict[str, str] = {}
         while len(trial.chosen) < MAX_EFFECTS:
             best = rank(trial)[:1] if known else []
-            if known and best and {*known.names} <= {*trial.names, best[0].name}:
+            if known and best and known.kinds <= trial.kinds | {Chosen.of(best[0])}:
                 break
             more = self._find_next(trial, rank, rank_all, against)
             if more is None:
