@@ -38,7 +38,7 @@ class SharedDerivatives:
             whole[:, used] = values
             return whole
         whole = compute()
-        used = whole.any(axis=0)
+        used = np.asarray(whole.any(axis=0))
         values = whole[:, used]
         if self._bytes + values.nbytes <= MAX_SHARED_BYTES:
             self._known[key] = used, values
