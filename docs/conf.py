@@ -86,7 +86,9 @@ def mark_drawings_for_both_modes(app: Sphinx, doctree: nodes.document) -> None:
     """Tell the theme which drawings have colours for the dark mode, so it gives them no ground."""
     for image in doctree.findall(nodes.image):
         file = Path(app.srcdir) / image["uri"]
-        if file.suffix == ".svg" and "prefers-color-scheme" in file.read_text(encoding="utf-8"):
+        # rosdoc2 repeats the README in a folder without its pictures.
+        is_drawing = file.suffix == ".svg" and file.exists()
+        if is_drawing and "prefers-color-scheme" in file.read_text(encoding="utf-8"):
             image["classes"].append("dark-light")
 
 

@@ -35,21 +35,26 @@ LINK = re.compile(r"(\]\()([^)#:\s]+)((?:#[^)]*)?\))")
 
 
 def find_repository(start: Path) -> Path:
-    """Find the repository: the nearest folder above `start` that holds our package.xml.
+    """Find the repository: the nearest folder above `start` that holds package.xml and the code.
 
     Where rosdoc2 builds outside the repository, the imported package leads to it.
     """
-    import parallel_cal
-
-    for folder in (*start.resolve().parents, Path(parallel_cal.__file__).resolve().parents[1]):
-        file = folder / "package.xml"
-        if file.exists() and "<name>parallel_cal</name>" in file.read_text(encoding="utf-8"):
+    for folder in (*start.resolve().parents, *_find_imported_package()):
+        # rosdoc2 puts copies of package.xml, but not the code, into folders of its own.
+        if (folder / "package.xml").exists() and (folder / "parallel_cal/__init__.py").exists():
             return folder
     raise SystemExit(
-        f"{start}: no folder above it holds the package.xml of parallel_cal, and the imported "
-        f"parallel_cal ({parallel_cal.__file__}) is not in the repository. Put the repository on "
-        "PYTHONPATH."
+        f"{start}: neither a folder above it nor the folder of the imported parallel_cal holds our "
+        "package.xml. Put the repository on PYTHONPATH"
     )
+
+
+def _find_imported_package() -> list[Path]:
+    try:
+        import parallel_cal
+    except ImportError:
+        return []
+    return [Path(parallel_cal.__file__).resolve().parents[1]]
 
 
 def write_pages(folder: Path, root: Path) -> None:

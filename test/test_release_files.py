@@ -113,4 +113,14 @@ def test_the_page_on_stability_names_every_extra_for_users():
     parser.read(ROOT / "setup.cfg", encoding="utf-8")
     page = (ROOT / "docs" / "stability.md").read_text(encoding="utf-8")
     shown = set(re.findall(r"parallel_cal\[(\w+)\]", page))
-    assert shown == set(parser["options.extras_require"]) - {"peers", "colcon"}
+    assert shown == set(parser["options.extras_require"]) - {"peers", "colcon", "test"}
+
+
+def test_colcon_finds_the_declaration_of_pytest():
+    """Without pytest in the extra `test`, `colcon test` runs nothing, and passes."""
+    parser = ConfigParser()
+    parser.read(ROOT / "setup.cfg", encoding="utf-8")
+    extras = parser["options.extras_require"]
+    declared = [line for line in extras["test"].splitlines() if line]
+    assert "pytest" in {re.split("[<>=]", line)[0] for line in declared}
+    assert set(declared) <= set(extras["dev"].splitlines())
