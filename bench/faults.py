@@ -36,7 +36,7 @@ from parallel_cal.recordings.loading import load_dataset
 
 ROOT = Path(__file__).parents[1]
 BAG, MODEL = ROOT / "bags" / "delta_clean", ROOT / "config" / "delta_mockup_nominal.yaml"
-PATIENCE = 20.0  # s; what takes longer hangs
+PATIENCE = 200.0  # s; what takes longer hangs. A busy computer needs 20 s to start a process
 IDLE = 0.1  # share of the machine that other work may take, and it is called idle
 
 
