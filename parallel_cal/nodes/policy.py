@@ -58,8 +58,8 @@ def policy(arguments: Sequence[str] = ()) -> str:
     # Each time in a process of its own: ROS does not discover a second node of the same name.
     with get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
         both = [(*given, *arguments) for given in (WITH_CAMERA, WITH_CAMERA + WITH_ACTION)]
-        for space, node, right, name in chain.from_iterable(pool.map(_list_uses, both, 1)):
-            names[space, node][right].add(name)
+        for space, node, use, name in chain.from_iterable(pool.map(_list_uses, both, 1)):
+            names[space, node][use].add(name)
     root = ElementTree.Element("policy", version="0.2.0")
     enclaves = ElementTree.SubElement(root, "enclaves")
     for (space, node), rights in names.items():
