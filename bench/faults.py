@@ -19,7 +19,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -147,7 +148,6 @@ def sample_files(n: int, folder: Path) -> Row:
 
 
 def channel_messages() -> list[tuple[str, int, Any]]:
-    sys.path.insert(0, str(ROOT / "test"))
     from test_collector import messages_of
 
     return messages_of(BAG)
@@ -713,6 +713,245 @@ def file_names(n: int, folder: Path) -> Row:
     return Row(n, words, lost=wrong, hung=hung)
 
 
+# ---------------------------------------------------------------------- a controller's action
+
+
+@contextmanager
+def action_desk(folder: Path) -> Iterator[Any]:
+    """The robot of test/action_robot.py, both nodes with its action, and a client of all."""
+    from action_robot import HOME
+    from parallel_cal_msgs.msg import CommandStatus
+    from test_trajectory_action import Desk
+
+    desk = Desk(folder)
+    try:
+        # Refused until the node knows from a joint state where the robot is.
+        desk.wait(lambda: desk.go(HOME).status != CommandStatus.REFUSED, "the node")
+        yield desk
+    finally:
+        desk.close()  # AssertionError if a node crashed
+
+
+# The faults of a controller: what is done to the robot's server, and what is said of the motion.
+# In the middle of a motion are those of MIDDLE; `late` and `refused` do not end in FAILED.
+ACTION_FAULTS = {
+    "rejected": "the controller rejected the trajectory",
+    "path": "path tolerance violated (joint{joint} is off by",
+    "goal": "goal tolerance violated",
+    "mute": "no answer to the goal for 10 s",
+    "late": "",
+    "silent": "no feedback for 10 s",
+    "gone": "no node provides the action any more",
+    "refused": "",
+}
+MIDDLE = ("silent", "gone", "refused")
+SLOW_RATE = 0.2  # of the robot's clock, so that a fault comes in the middle of a motion
+
+
+def break_controller(robot: Any, fault: str, joint: int) -> None:
+    """Let a fault begin; `robot.repair()` and `restore` end it."""
+    robot.accepts = fault != "rejected"
+    robot.stuck = joint if fault == "path" else 0
+    robot.lag = 0.015 if fault == "goal" else 0.0  # rad: between the two tolerances
+    robot.obeys = fault != "refused"
+    if fault in ("mute", "late"):
+        robot.answers.clear()
+    if fault == "silent":
+        robot.reports.clear()
+    if fault == "gone":
+        robot.server.destroy()
+
+
+def restore(desk: Any, fault: str) -> None:
+    desk.robot.repair()
+    desk.robot.rate = 2.0
+    if fault == "gone":
+        desk.robot.serve()
+
+
+def target_with_fault(desk: Any, fault: str, joint: int, place: Any, delay: float) -> str:
+    """Send a target to a controller with a fault; return what was wrong, or nothing."""
+    from action_robot import HOME
+    from parallel_cal_msgs.msg import CommandStatus, MotionStatus
+
+    ended = MotionStatus.ARRIVED, MotionStatus.FAILED
+    for heard in (desk.motions, desk.robot.goals):
+        heard.clear()
+    if fault not in MIDDLE:
+        break_controller(desk.robot, fault, joint)
+    else:
+        desk.robot.rate = SLOW_RATE
+    if desk.go(place).status == CommandStatus.REFUSED:
+        return f"refused: {desk.commands[-1].message}"
+    if fault in MIDDLE:
+        desk.wait(lambda: any(motion.errors for motion in desk.motions), "the motion")
+        break_controller(desk.robot, fault, joint)
+    if fault == "late":
+        until = time.monotonic() + delay
+        desk.wait(lambda: time.monotonic() > until, "a moment")
+        desk.robot.answers.set()
+    if fault == "refused":
+        desk.stop()
+        desk.wait(lambda: desk.motions[-1].source == "stop", "the trajectory that stops")
+        desk.robot.rate = 2.0
+    end = desk.until(*ended)
+    restore(desk, fault)
+    wanted = ACTION_FAULTS[fault].format(joint=joint)
+    if (end.state == MotionStatus.FAILED) != bool(wanted) or wanted not in end.message:
+        return f"state {end.state}: {end.message}"
+    gone = float(np.linalg.norm(desk.here() - HOME))
+    whole = float(np.linalg.norm(np.subtract(place, HOME)))
+    # A late answer to a goal that was given up is cancelled: the robot moves a little until then.
+    if gone > {"rejected": 0.01, "mute": 0.2, "refused": 0.9}.get(fault, 1.1) * whole:
+        return f"the robot moved by {gone:.5f} of {whole:.5f} m"
+    return ""
+
+
+def go_home(desk: Any) -> str:
+    """Return what kept the robot from its home, or nothing."""
+    from action_robot import HOME
+    from parallel_cal_msgs.msg import MotionStatus
+
+    desk.motions.clear()  # an older one may have arrived
+    desk.go(HOME)
+    desk.wait(lambda: bool(desk.motions), "the motion")
+    end = desk.until(MotionStatus.ARRIVED, MotionStatus.FAILED)
+    return "" if end.state == MotionStatus.ARRIVED else f"on the way home: {end.message}"
+
+
+def trajectory_action(n: int, folder: Path) -> Row:
+    """Faults of a controller's action while kinematics_node moves the robot to targets: each
+    motion must end with the reason, and the next one must arrive."""
+    from action_robot import HOME
+
+    from parallel_cal.nodes.client import NodeError
+
+    rng, lost, hung, kills = np.random.default_rng(14), 0, 0, max(1, n // 8)
+    with action_desk(folder) as desk:
+        for i in range(n):
+            fault, joint = list(ACTION_FAULTS)[i % len(ACTION_FAULTS)], int(rng.integers(1, 4))
+            place = HOME + rng.choice([-1, 1], 3) * rng.uniform(0.02, 0.04, 3)
+            delay = float(rng.uniform(0, 5))
+            try:
+                wrong = go_home(desk) or target_with_fault(desk, fault, joint, place, delay)
+                wrong = wrong or go_home(desk)
+            except NodeError as error:
+                hung += 1
+                sys.stderr.write(f"trajectory_action {i} {fault}: {error}\n")
+                restore(desk, fault)
+                continue
+            if wrong:
+                lost += 1
+                sys.stderr.write(f"trajectory_action {i} {fault}: {wrong}\n")
+        hung += killed_controllers(desk, kills)
+    return Row(n + kills, f"eight faults of a controller, and {kills} kill -9", lost, hung)
+
+
+def campaign_action(n: int, folder: Path) -> Row:
+    """The same faults in campaigns: each ends with the reason and goes on with the next goal."""
+    from parallel_cal_msgs.action import Calibrate
+
+    from parallel_cal.nodes.client import NodeError
+
+    rng, lost, hung = np.random.default_rng(15), 0, 0
+
+    def begin(desk: Any, afresh: bool) -> tuple[Any, Any]:
+        handle = desk.client.send_goal(
+            Calibrate, "calibration_node/calibrate", lambda _: None, enough=1e-9, afresh=afresh
+        )
+        return handle, handle.get_result_async()
+
+    def measure(desk: Any, result: Any, poses: int) -> bool:
+        """Wait for poses; False if the campaign ended before."""
+        ready = lambda: desk.status[0].poses >= poses and desk.status[0].state == "moving"  # noqa: E731
+        desk.wait(lambda: result.done() or ready(), f"{poses} poses")
+        return not result.done()
+
+    def run(desk: Any, fault: str, joint: int, poses: int, delay: float) -> str:
+        handle, result = begin(desk, afresh=True)
+        if not measure(desk, result, poses):
+            return str(result.result().result.message)
+        break_controller(desk.robot, fault, joint)
+        if fault == "refused":
+            handle.cancel_goal_async()
+        if fault == "late":
+            until = time.monotonic() + delay
+            desk.wait(lambda: time.monotonic() > until, "a moment")
+            desk.robot.answers.set()
+        else:
+            desk.wait(result.done, "the end of the campaign")
+            message = result.result().result.message
+            reasons = [ACTION_FAULTS[fault].format(joint=joint)]
+            if fault == "silent":  # a motion may be late on the robot's clock before
+                reasons.append("the controller's action has not ended its goal")
+            if not any(reason in message for reason in reasons):
+                return str(message)
+            if fault == "refused":
+                desk.here()  # NodeError if it does not come to rest
+            restore(desk, fault)
+            handle, result = begin(desk, afresh=False)
+        if not measure(desk, result, poses + 1):
+            return str(result.result().result.message)
+        handle.cancel_goal_async()
+        desk.wait(result.done, "the cancel")
+        return ""
+
+    with action_desk(folder) as desk:
+        for i in range(n):
+            fault, joint = list(ACTION_FAULTS)[i % len(ACTION_FAULTS)], int(rng.integers(1, 4))
+            poses, delay = int(rng.integers(1, 4)), float(rng.uniform(0, 5))
+            try:
+                wrong = run(desk, fault, joint, poses, delay)
+            except NodeError as error:
+                hung += 1
+                sys.stderr.write(f"campaign_action {i} {fault}: {error}\n")
+                break
+            if wrong:
+                lost += 1
+                sys.stderr.write(f"campaign_action {i} {fault}: {wrong}\n")
+            desk.robot.repair()
+    return Row(n, "eight faults of a controller in campaigns", lost, hung)
+
+
+def killed_controllers(desk: Any, n: int) -> int:
+    """Kill the robot's process in the middle of motions; count those that nobody gave up."""
+    from parallel_cal_msgs.msg import CommandStatus, MotionStatus
+
+    from parallel_cal.nodes.client import NodeError
+
+    desk.robot.close()
+    desk.robot.close = lambda: None  # the desk closes it again
+    script, space = ROOT / "test" / "action_robot.py", desk.client._node.get_namespace()
+    hung = 0
+
+    def moves() -> bool:
+        return any(motion.errors for motion in desk.motions)
+
+    for i in range(n):
+        desk.states.clear()
+        desk.motions.clear()
+        with subprocess.Popen([sys.executable, str(script), space, str(SLOW_RATE / 2)]) as robot:
+            try:
+                desk.wait(lambda: bool(desk.states), "the robot")
+                # DDS may lose an answer to a node that the server has not discovered yet.
+                while not moves():
+                    desk.motions.clear()
+                    while desk.go((0.03, 0.02, 0.21)).status == CommandStatus.REFUSED:
+                        pass
+                    desk.wait(
+                        lambda: moves() or bool(desk.motions and desk.motions[-1].message),
+                        "the motion",
+                    )
+                robot.kill()
+                desk.until(MotionStatus.FAILED)
+            except NodeError as error:
+                hung += 1
+                sys.stderr.write(f"kill {i}: {error}\n")
+            finally:
+                robot.kill()
+    return hung
+
+
 def answers(pair: Pair) -> bool:
     from parallel_cal_msgs.msg import JointConfiguration
     from parallel_cal_msgs.srv import ComputeFK
@@ -747,6 +986,8 @@ ROWS: dict[str, tuple[Callable[[int, Path], Row], int]] = {
     "best_effort": (best_effort, 6),
     "journal_of_two": (journal_of_two, 50),
     "file_names": (file_names, 300),
+    "trajectory_action": (trajectory_action, 40),
+    "campaign_action": (campaign_action, 16),
 }
 
 
@@ -755,6 +996,7 @@ def main() -> int:
     arguments.add_argument("rows", nargs="*", help=", ".join(ROWS))
     arguments.add_argument("--share", type=float, default=1.0, help="of each load")
     given = arguments.parse_args()
+    sys.path.insert(0, str(ROOT / "test"))  # for the robots that the tests use
     failed = False
     print(f"{'row':15} {'load':>5} {'lost':>5} {'hung':>5} {'crashed':>7} {'s':>6}  faults")
     for name in given.rows or ROWS:

@@ -19,10 +19,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
 
+import virtual_arm as va
 import virtual_day as vd
 import virtual_effects_more as more
 import virtual_findings as vf
 import virtual_setups as vs
+from arms import nominal
 from twins import hexapod
 from virtual_lines import Creep, LinedRobot, Pulleys, Tension
 from virtual_struts import UniversalJoints
@@ -55,17 +57,16 @@ class Robot:
         """120 poses and 30 of them again, ten seconds each; `loud` 0 is without errors."""
         reading, pose = self.readings(seed)
         n, joints = reading.shape
-        came = np.sign(np.diff(reading, axis=0, prepend=reading[-1:]))
-        warm = 20 + 4 * np.sin(np.arange(n) / 17 + seed)
-        at = vr.SampleConditions(
-            10.0 * np.arange(n), warm, np.where(np.arange(n) * 6 // n % 2, 1.2, 0.2), came
-        )
+        at = self.visits(reading, seed)
         gauges = [e for e in effects if isinstance(e, vs.Gauge)]
         _, r, R = vr.truth(self.twin, [e for e in effects if e not in gauges], reading, at)
         q_error, r_error, w_error = vd.errors(self.noise, n, joints, seed)
         names = self.model().joints
         sigma = np.repeat([self.noise.position, self.noise.orientation], 3)
-        conditions = {f"direction.{j}": came[:, i] for i, j in enumerate(names)}
+        kinds = ("direction", *(("velocity", "acceleration") if hasattr(at, "velocity") else ()))
+        conditions = {
+            f"{kind}.{j}": getattr(at, kind)[:, i] for kind in kinds for i, j in enumerate(names)
+        }
         conditions |= {"time": at.time, "temperature": at.temperature, "payload": at.payload}
         if self.model().sensors:
             shown = (gauges or [vs.Gauge(PLATE)])[0].reads(r, R)
@@ -81,6 +82,51 @@ class Robot:
             conditions=conditions,
             pose_id=pose,
         )
+
+    def visits(self, reading: Any, seed: int) -> Any:
+        """What happened before each sample; half of the time with a load, in turns."""
+        n = len(reading)
+        came = np.sign(np.diff(reading, axis=0, prepend=reading[-1:]))
+        warm = 20 + 4 * np.sin(np.arange(n) / 17 + seed)
+        load = np.where(np.arange(n) * 6 // n % 2, 1.2, 0.2)
+        return vr.SampleConditions(10.0 * np.arange(n), warm, load, came)
+
+
+@dataclass(frozen=True)
+class LiftingRobot(Robot):
+    """Under five loads in turns, up to `heaviest` kg."""
+
+    heaviest: float = 2.0
+
+    def visits(self, reading: Any, seed: int) -> Any:
+        load = self.heaviest * np.array([0.0, 0.5, 0.1, 1.0, 0.25])[np.arange(len(reading)) % 5]
+        return replace(super().visits(reading, seed), payload=load)
+
+
+@dataclass(frozen=True)
+class MovingRobot(Robot):
+    """Measured while it moves."""
+
+    reach: float = 0.6  # rad/s or m/s, at most
+
+    def visits(self, reading: Any, seed: int) -> Any:
+        n, joints = reading.shape
+        drawn = vd.visits(n, joints, seed, self.reach)
+        still = vars(super().visits(reading, seed)) | {"direction": drawn.direction}
+        at = replace(drawn, **still)
+        return more.Motion.of(at, 10 * self.reach, seed)
+
+
+class LinkArm:
+    """A serial arm that the virtual effects of joints and loads can be hidden in."""
+
+    def __init__(self, parameters: Any) -> None:
+        self.parameters = parameters  # the arm itself: no effect of lengths is hidden in it
+
+    def forward(self, angle: Any, start: Any = None) -> tuple[Any, Any]:
+        flat = self.parameters.matrix(np.reshape(angle, (-1, np.shape(angle)[-1])))
+        T = flat.reshape(*np.shape(angle)[:-1], 4, 4)
+        return T[..., :3, 3], T[..., :3, :3]
 
 
 @dataclass(frozen=True)
@@ -161,7 +207,13 @@ def rails() -> LinearDelta:
     return LinearDelta(model.table.mapping(model.values + np.where(model.fixed, 0, off)))
 
 
+def arm_poses(seed: int) -> Any:
+    rng = np.random.default_rng([seed, 9])
+    return visited(np.array(va.HOME["ur5"]) + rng.uniform(-0.9, 0.9, (120, 6)), seed)
+
+
 HEXAPOD, RAILS = hexapod(), rails()
+ARM = LinkArm(va.arm("ur5", 1))
 FOUR_LINES = [[0, -1.6, -0.1], [1.3, 1.2, -0.1], [-1.4, 0.7, -0.1], [0.3, 0.2, 2.3]]
 EIGHT_LINES = [[x, y, z] for x in (-1.5, 1.6) for y in (-1.3, 1.2) for z in (-0.3, 2.1)]
 DELTA = Robot(lambda: new_model("delta54"), vr.MOCK_UP, vr.THESIS_NOISE, delta_poses)
@@ -170,6 +222,19 @@ ROBOTS = {
     "fine delta": replace(DELTA, noise=vf.FINEST),
     "stewart": Robot(lambda: new_model("stewart42"), HEXAPOD, LEGS, leg_poses),
     "gauged stewart": Robot(gauged, HEXAPOD, LEGS, plate_poses),
+    "lifting delta": LiftingRobot(lambda: new_model("delta54"), vr.MOCK_UP, vf.FINE, delta_poses),
+    "lifting stewart": LiftingRobot(
+        lambda: new_model("stewart42"), HEXAPOD, LEGS, leg_poses, heaviest=40.0
+    ),
+    "lifting arm": LiftingRobot(
+        lambda: nominal("ur5"), ARM, vr.Noise(1e-5, 20e-6, 50e-6), arm_poses, heaviest=5.0
+    ),
+    "moving delta": MovingRobot(
+        lambda: new_model("delta54"), vr.MOCK_UP, vr.THESIS_NOISE, delta_poses
+    ),
+    "moving stewart": MovingRobot(
+        lambda: new_model("stewart42"), HEXAPOD, LEGS, leg_poses, reach=0.08
+    ),
     "linear delta": Robot(lambda: new_model("linear_delta"), RAILS, LEGS, carriage_poses),
     "four lines": cable_robot(FOUR_LINES, (-0.35, -0.35, 0.1), (0.35, 0.35, 0.6)),
     "eight lines": cable_robot(EIGHT_LINES, (-0.5, -0.5, 0.2), (0.5, 0.5, 1.2)),
@@ -178,12 +243,14 @@ ROBOTS = {
 
 @dataclass(frozen=True)
 class Kind:
-    """Hidden physics: the robots to try it on, its names, and how a size and a draw make one."""
+    """Hidden physics: the robots to try it on, its names, and how a size and a draw make one. Its
+    size is that of what the geometry and the effect `special`, a special case of it, leave."""
 
     names: tuple[str, ...]
     robots: tuple[str, ...]
     make: Callable[[float, np.random.Generator, int], Any]
     size: float
+    special: str = ""
 
 
 def some(size: float, rng: np.random.Generator, n: int = 3) -> tuple[float, ...]:
@@ -262,6 +329,30 @@ def creeping(size: float, rng: np.random.Generator, n: int) -> Any:
     return {"creep": Creep((fast, slow), (rng.uniform(300, 900), rng.uniform(3000, 12000)))}
 
 
+def rubbing(size: float, rng: np.random.Generator, n: int) -> Any:
+    return more.RubbingGears(0.2, tuple(5 * np.abs(some(size, rng, n))))
+
+
+def stiffening(size: float, rng: np.random.Generator, n: int) -> Any:
+    """Gears that twist half as far again under small loads as under those that are usual here."""
+    k1 = 1 / np.abs(some(size, rng, n))
+    torque = 1.0 if n == 3 else 20.0
+    return more.StiffeningGears(tuple(k1), tuple(k1**3 / torque**2))
+
+
+def beating(size: float, rng: np.random.Generator, n: int) -> Any:
+    ratio = float(rng.choice([30, 50, 80, 100]))
+    return more.BeatingGears(ratio, some(size, rng, n), phases(rng, n), phases(rng, n))
+
+
+def notched(size: float, rng: np.random.Generator, n: int) -> Any:
+    return more.UnevenPitch(rng.uniform(2e-3, 30e-3), some(size, rng, n), phases(rng, n))
+
+
+def bending(size: float, rng: np.random.Generator, n: int) -> Any:
+    return more.BentByInertia(tuple(np.abs(some(size, rng, n)) ** -0.5))
+
+
 def bed(size: float, rng: np.random.Generator, n: int) -> Any:
     xx, xy, yy = some(size, rng)
     return vs.Gauge(PLATE, shape=((2, 0, xx), (1, 1, xy), (0, 2, yy), (3, 0, 5 * xx)))
@@ -296,6 +387,24 @@ KINDS = {
     "taut lines": Kind(("line_flex",), ("four lines", "eight lines"), taut, 0.3e-3),
     "sagging lines": Kind(("line_sag",), ("four lines", "eight lines"), hanging, 1e-4),
     "creep": Kind(("line_creep",), ("four lines", "eight lines"), creeping, 0.1e-3),
+    "rubbing gears": Kind(
+        ("load_friction",),
+        ("lifting delta", "lifting stewart", "lifting arm"),
+        rubbing,
+        1e-5,
+    ),
+    "stiffening gears": Kind(
+        ("strain_wave_compliance",),
+        ("lifting delta", "lifting arm"),
+        stiffening,
+        1e-4,
+        "joint_compliance",
+    ),
+    "beating gears": Kind(("strain_wave_ripple",), ("delta", "lifting arm"), beating, 0.3e-3),
+    "uneven pitch": Kind(("encoder_interpolation",), ("stewart", "linear delta"), notched, 10e-6),
+    "bending by inertia": Kind(
+        ("acceleration_lag",), ("moving delta", "moving stewart"), bending, 0.1e-3
+    ),
     "bed": Kind(("bed_shape",), ("gauged stewart",), bed, 1e-3),
     "probe beside": Kind(("probe_offset",), ("gauged stewart",), beside, 0.1e-3),
     "probe slanted": Kind(("probe_tilt",), ("gauged stewart",), slanted, 5e-3),
@@ -318,8 +427,11 @@ def sized(robot: Robot, kind: Kind, wanted: float, seed: int) -> Any:
     def effect() -> Any:
         return kind.make(size, np.random.default_rng(seed), joints)
 
+    model = robot.model()
+    if kind.special:
+        model = model.with_effect(kind.special)
     for _ in range(2):
-        still = fit(robot.model(), robot.measured([effect()], seed, loud=0.0), hold_out=0)
+        still = fit(model, robot.measured([effect()], seed, loud=0.0), hold_out=0, insist=True)
         size *= wanted / float(np.sqrt(still.estimate.chi2_per_dof))
     return effect()
 

@@ -43,7 +43,7 @@ POSES, FINE = 160, 0.2  # its instruments have a fifth of the usual noise
 HOURS = 2.0  # of a session
 LARGER, PLAIN = (1.0, 3.0, 10.0), 0.4  # tolerances that are tried, share of the residuals wanted
 PLATFORM_KNOWN = ("target_offset",)  # where its points are free they hide it
-GIVEN = {"device_bump": {"time": 3000.0}}
+GIVEN = {"device_bump": {"time": 3000.0}, "strain_wave_compliance": {"torque": 0.3}}
 WIDTH, HEIGHT, LEFT, TOP, FOOT = 240, 168, 36, 22, 30
 STYLE = """
 text { font: 11px sans-serif; fill: #57606a } .name { font-weight: bold; fill: #24292f }
@@ -65,8 +65,8 @@ of this effect. The next panels show how well the lookalikes fit these residuals
 
 The robots are simulated. Each has {POSES} poses. Every parameter of the effect has the size of one
 tolerance, or of three or ten if one tolerance would hardly be visible. The noise is a fifth of the
-usual noise. All conditions are recorded: direction, travel, velocity, temperature (also that of
-each part), payload, time and session.
+usual noise. All conditions are recorded: direction, travel, velocity, acceleration,
+temperature (also that of each part), payload, time and session.
 
 `parallel-cal report` draws these patterns over your own data. `make gallery` writes this page.
 """
@@ -91,6 +91,7 @@ def session(robot: Model, seed: int = 0) -> Dataset:
         at[f"direction.{joint}"] = way[:, j]
         at[f"travel.{joint}"] = way[:, j] * rng.exponential(0.01, n)
         at[f"velocity.{joint}"] = way[:, j] * rng.uniform(0.1, 1.0, n)
+        at[f"acceleration.{joint}"] = np.random.default_rng([seed, j]).uniform(-10.0, 10.0, n)
     k, known = Kinematics(robot), {c: at[c] for c in robot.conditions}
     joints = k.inverse(*poses_in_workspace(m, n, rng), known).joints
     found = k.direct(joints, known)

@@ -3,9 +3,13 @@
 All of it keeps one clock, which runs slower on a busy computer. The controller judges as
 joint_trajectory_controller does: a joint too far from its path, or from its goal when it should be
 there, ends the goal with the code of the action. A goal replaces the one before it.
+
+    python test/action_robot.py NAMESPACE RATE    # runs until it is killed
 """
 
+import sys
 import time
+from contextlib import suppress
 from threading import Event, Lock, Thread
 
 import numpy as np
@@ -15,6 +19,7 @@ from control_msgs.action import FollowJointTrajectory
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import MultiThreadedExecutor
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
@@ -58,13 +63,17 @@ class Goal:
 
 
 class ActionRobot:
-    """`stuck` is the number of a joint that does not move, `accepts` whether goals are accepted.
+    """Faults are attributes: `stuck` is the number of a joint that does not move, `lag` (rad) how
+    far the joints stay behind, `accepts` and `obeys` whether goals and cancels are accepted. Goals
+    are answered while `answers` is set, followed and reported while `reports` is set.
 
     `goals` are the trajectories so far, `rate` is how fast its clock is.
     """
 
     def __init__(self, namespace, rate=2.0):
-        self.accepts, self.stuck, self.goals, self.rate = True, 0, [], rate
+        self.goals, self.rate = [], rate
+        self.answers, self.reports = Event(), Event()
+        self.repair()
         self._body = MACHINES["delta"].make_nominal()
         self._q, self._speed = self._body.inverse(HOME[None])[0][0], np.zeros(3)
         self._clock, self._active, self._lock = 100.0, None, Lock()
@@ -74,22 +83,33 @@ class ActionRobot:
         self._node = rclpy.create_node("arm", namespace=namespace, context=self._context)
         self._states = self._node.create_publisher(JointState, "joint_states", 100)
         self._poses = self._node.create_publisher(PoseWithCovarianceStamped, "measured_pose", 100)
-        self.server = ActionServer(
-            self._node,
-            FollowJointTrajectory,
-            NAME,
-            self._execute,
-            goal_callback=lambda goal: (GoalResponse.REJECT, GoalResponse.ACCEPT)[self.accepts],
-            cancel_callback=lambda goal: CancelResponse.ACCEPT,
-            callback_group=ReentrantCallbackGroup(),
-        )
+        self.serve()
         self._executor = MultiThreadedExecutor(6, context=self._context)
         self._executor.add_node(self._node)
         self._threads = [Thread(target=self._spin), Thread(target=self._live)]
         for thread in self._threads:
             thread.start()
 
+    def repair(self):
+        """Set all attributes as they are without a fault."""
+        self.stuck, self.lag, self.accepts, self.obeys = 0, 0.0, True, True
+        self.answers.set()
+        self.reports.set()
+
+    def serve(self):
+        """Provide the action, again after its `server` was destroyed."""
+        self.server = ActionServer(
+            self._node,
+            FollowJointTrajectory,
+            NAME,
+            self._execute,
+            goal_callback=self._judge,
+            cancel_callback=lambda goal: (CancelResponse.REJECT, CancelResponse.ACCEPT)[self.obeys],
+            callback_group=ReentrantCallbackGroup(),
+        )
+
     def close(self):
+        self.repair()
         self._stop.set()
         if self._active:
             self._active.done.set()
@@ -101,7 +121,12 @@ class ActionRobot:
 
     def _spin(self):
         while not self._stop.is_set():
-            self._executor.spin_once(timeout_sec=0.05)
+            with suppress(InvalidHandle):  # of a server that was destroyed in the middle of a goal
+                self._executor.spin_once(timeout_sec=0.05)
+
+    def _judge(self, goal):
+        self.answers.wait()
+        return (GoalResponse.REJECT, GoalResponse.ACCEPT)[self.accepts]
 
     def _execute(self, handle):
         trajectory = handle.request.trajectory
@@ -118,7 +143,9 @@ class ActionRobot:
                 feedback = FollowJointTrajectory.Feedback(joint_names=JOINTS)
                 feedback.desired.positions, feedback.actual.positions = list(want), list(self._q)
                 feedback.error.positions = list(want - self._q)
-            handle.publish_feedback(feedback)
+            if self.reports.is_set():
+                handle.publish_feedback(feedback)
+        self.reports.wait()
         getattr(handle, {"aborted": "abort"}.get(goal.status, goal.status))()
         return Result(error_code=goal.code, error_string=goal.text)
 
@@ -146,7 +173,7 @@ class ActionRobot:
             return
         want, self._speed = goal.desired(self._clock)
         free = np.arange(1, 4) != self.stuck
-        self._q = np.where(free, want, self._q)
+        self._q = np.where(free, want - self.lag, self._q)
         off = want - self._q
         worst = int(np.argmax(np.abs(off)))
         text = f"{JOINTS[worst]} is off by {off[worst]:.3f}"
@@ -181,3 +208,8 @@ class ActionRobot:
         at.orientation.x, at.orientation.y, at.orientation.z, at.orientation.w = map(float, turn)
         message.pose.covariance = np.diag([SIGHT**2] * 3 + [TURN**2] * 3).ravel()
         self._poses.publish(message)
+
+
+if __name__ == "__main__":
+    ActionRobot(sys.argv[1], float(sys.argv[2]))
+    Event().wait()

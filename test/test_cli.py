@@ -179,6 +179,21 @@ def test_help_names_the_commands_that_exist_and_no_other():
     ]
 
 
+@pytest.mark.parametrize("columns", [80, 100])
+@pytest.mark.parametrize("group", ["", "session", "study", "board"])
+def test_no_summary_in_a_list_of_commands_is_cut(run, monkeypatch, group, columns):
+    monkeypatch.setenv("COLUMNS", str(columns))
+    code, shown, _ = run(*filter(None, [group]), "--help")
+    assert code == 0
+    listed = shown.split("Commands:\n")[1].split("\n\n")[0].splitlines()
+    assert len(listed) >= {"": 30, "session": 15, "study": 2, "board": 1}[group]
+    for line in listed:
+        summary = line.strip().partition("  ")[2]  # empty if a summary continues on this line
+        assert summary.endswith("."), line
+        assert not summary.endswith(".."), line
+        assert len(line) <= columns
+
+
 def test_version_is_that_of_the_package(run):
     assert run("--version")[1] == f"parallel-cal {__version__}\n"
     assert f"version = {__version__}\n" in (ROOT / "setup.cfg").read_text()
@@ -259,7 +274,8 @@ def test_new_takes_options_of_a_mechanism(document, tmp_path):
 
 def test_the_options_of_a_mechanism_are_listed(run):
     listed = run("mechanisms", "cable")[1]
-    assert "Options: `anchors` (n, 3), m; `advantages` (n,)" in listed
+    assert "Options: without any" in listed
+    assert "\n- `anchors` (n, 3): positions of the anchors, m.\n" in listed
     assert "If one coordinate of every anchor is 0, the robot is planar" in listed
     assert "Options" not in run("mechanisms", "delta24")[1]
 
@@ -650,7 +666,9 @@ def test_look_prints_what_a_recording_holds(document, run):
     assert document("look", BAG)["samples"] == 94
     assert document("look", BAG, "--data", "mode=continuous")["mode"] == "continuous"
     assert "94 samples" in run("look", BAG)[1].replace("\n", " ")
-    fails(run("look", BAG, "--data", "min_dwell=abc"), "min_dwell=abc: expected a number")
+    fails(
+        run("look", BAG, "--data", "min_dwell=abc"), "min_dwell is 'abc' (str); expected a number"
+    )
     tolerances = "still_tolerance=1e-3,2e-3,1e-3"
     assert document("look", BAG, "--data", tolerances, "--data", "exclude=3")["samples"] == 93
     fails(run("look", BAG, "--data", "mood=good"), "expected KEY=VALUE", "measured_pose")

@@ -25,7 +25,10 @@ MECHANISMS = (
 SAMPLES = 12
 PROBE = load_sensor("probe", height=0.2, tip=(0.01, 0.02, 0.0), mounted=True)
 # What a session may bring, around the value that means "nothing special".
-SPREAD = {"time": 3000.0, "temperature": 8.0, "payload": 2.0, "velocity": 0.5, "travel": 0.1}
+SPREAD = {
+    **{"time": 3000.0, "temperature": 8.0, "payload": 2.0},
+    **{"velocity": 0.5, "acceleration": 5.0, "travel": 0.1},
+}
 
 
 def accepted(mechanism):
@@ -159,7 +162,8 @@ def test_numbers_have_a_physical_range_around_no_effect(mechanism, name):
 def test_a_search_tries_only_numbers_that_are_not_identified(mechanism, name):
     model, rng = without(mechanism, name), np.random.default_rng(4)
     q = configurations(model.mechanism, rng)[:, : len(model.joints)]
-    recorded = {"time": 10.0 * np.arange(SAMPLES), **dict(zip(model.joints, q.T, strict=True))}
+    recorded = {"time": 10.0 * np.arange(SAMPLES), "payload": np.ones(SAMPLES)}
+    recorded |= dict(zip(model.joints, q.T, strict=True))
     settings = list(load_effect(name).scan(model.mechanism, recorded))
     assert settings
     for setting in (settings[0], settings[-1]):

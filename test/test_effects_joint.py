@@ -100,6 +100,51 @@ def test_a_drive_of_200_per_second_is_5_ms_behind_its_command():
     np.testing.assert_allclose(q, [0.4975, 0.502, 0.5], atol=1e-15)
 
 
+def test_a_drive_of_100_rad_per_s_is_a_tenth_of_a_milliradian_behind_per_rad_per_s2():
+    """1 / 100^2 = 0.1e-3 s^2."""
+    rise = {"acceleration.joint1": 5.0, "acceleration.joint2": -2.0, "acceleration.joint3": 0.0}
+    lags = {"joint1.lag": 1e-4, "joint2.lag": 2e-4, "joint3.lag": 1.0}
+    q, _, _ = sees("acceleration_lag", "delta24", lags, rise, [0.5, 0.5, 0.5])
+    np.testing.assert_allclose(q, [0.5 - 5e-4, 0.5 + 4e-4, 0.5], atol=1e-15)
+
+
+def test_a_strain_wave_gear_ripples_twice_per_turn_relative_to_each_spline():
+    numbers = {"ratio": 6.0, "joint1.cos_c": 1e-3, "joint1.sin_f": 2e-3, "joint2.sin_c": 4e-3}
+    q, _, _ = sees("strain_wave_ripple", "delta24", numbers, {}, [np.pi / 12, np.pi / 24, 0.7])
+    # 12 and 14 times 15 degrees: -cos 0 and -sin 30; 12 times 7.5 degrees: sin 90
+    np.testing.assert_allclose(q, [np.pi / 12 - 2e-3, np.pi / 24 + 4e-3, 0.7], atol=1e-15)
+
+
+def test_a_scale_whose_signals_have_an_offset_and_unequal_sizes_errs_once_and_twice_per_period():
+    """The interpolator reads atan2((1 + g) sin + a, cos + b): to first order it is ahead by
+    a cos - b sin + g/2 sin 2."""
+    a, b, g, period = 2e-3, -1e-3, 3e-3, 2e-3
+    true = 0.1 + np.linspace(0, period, 6, endpoint=False)
+    angle = 2 * np.pi * true / period
+    shown = np.arctan2((1 + g) * np.sin(angle) + a, np.cos(angle) + b)
+    reading = true + ((shown - angle + np.pi) % (2 * np.pi) - np.pi) * period / (2 * np.pi)
+    size = period / (2 * np.pi)
+    numbers = {"period": period}
+    for leg in HEXAPOD.joints:
+        numbers |= {f"{leg}.cos1": -a * size, f"{leg}.sin1": b * size, f"{leg}.sin2": -g / 2 * size}
+    q, _, _ = sees("encoder_interpolation", "stewart42", numbers, {}, reading)
+    assert np.abs(reading - true).max() > 0.8e-6
+    np.testing.assert_allclose(q, true, atol=20e-9 / 2)
+
+
+@pytest.mark.parametrize(
+    ("turned", "largest"), [(0, 2.0), (np.pi / 4, np.sqrt(2)), (np.pi / 2, 0.0), (np.pi, 2.0)]
+)
+def test_two_equal_waves_beat_twice_per_turn_of_the_joint(turned, largest):
+    """cos 100 q + cos 102 q = 2 cos q cos 101 q."""
+    numbers = {"ratio": 50.0, "joint1.cos_c": 1e-3, "joint1.cos_f": 1e-3}
+    near = turned + np.linspace(-1, 1, 81) * np.pi / 101
+    errors = [
+        sees("strain_wave_ripple", "delta24", numbers, {}, [q, 0.0, 0.0])[0][0] - q for q in near
+    ]
+    assert max(errors) == pytest.approx(1e-3 * largest, abs=0.04e-3)
+
+
 @pytest.mark.parametrize(
     ("session", "shift"), [(0, 0), (1, 1e-3), (2, 3e-3), (3, -1e-3), (4, -1e-3)]
 )
@@ -249,7 +294,7 @@ def test_a_base_may_lean_away_from_the_weight():
 def test_effects_that_repeat_every_turn_apply_to_revolute_joints_only():
     scara, hexapod = load_mechanism("scara16"), load_mechanism("stewart42")
     once_a_turn = ("encoder_eccentricity", "encoder_second_harmonic", "encoder_harmonic")
-    for name in (*once_a_turn, "gear_transmission_error"):
+    for name in (*once_a_turn, "gear_transmission_error", "strain_wave_ripple"):
         effect = load_effect(name)
         joints = {p.name.split(".")[0] for p in effect.parameters(scara)} - {"ratio", "order"}
         assert joints == {"joint1", "joint2"}
@@ -287,6 +332,7 @@ def test_device_and_base_have_the_numbers_that_the_platform_can_feel(effect, mec
         ("base_compliance", "planar_stewart", "does not move across gravity"),
         ("base_compliance", "argos9", "does not move across gravity"),
         ("screw_pitch_error", "delta54", "it has no prismatic joint"),
+        ("encoder_interpolation", "delta54", "gear_transmission_error describes revolute ones"),
         ("target_offset", "delta24", "does not rotate"),
         ("target_offset", "argos9", "only rotates"),
     ],
@@ -319,14 +365,14 @@ HEXAPOD = Robot("stewart42", hexapod(), tuple(f"leg{i}" for i in range(1, 7)), H
 def measured(robot, hidden, n=100, seed=1, errorless=False):
     """A dataset of the robot with its hidden physics; `errorless` instruments claim 1e-6 of it."""
     reading, nq = robot.poses(n, seed), len(robot.joints)
-    at = vd.visits(n, nq, seed, robot.reach)
+    at = more.Motion.of(vd.visits(n, nq, seed, robot.reach), 10 * robot.reach, seed)
     _, r, R = vr.truth(robot.twin, hidden, reading, at)
     q_error, r_error, w_error = vd.errors(robot.noise, n, nq, seed)
     factor, size = (0.0, 1e-6) if errorless else (1.0, 1.0)
     sigma = np.repeat([robot.noise.position * size, robot.noise.orientation * size], 3)
     conditions = {"time": at.time, "session": at.session}
     for k, joint in enumerate(robot.joints):
-        for name in ("direction", "travel", "velocity"):
+        for name in ("direction", "travel", "velocity", "acceleration"):
             conditions[f"{name}.{joint}"] = getattr(at, name)[:, k]
     return Dataset.from_arrays(
         robot.joints,
@@ -361,6 +407,7 @@ def a_joint(robot, part, values):
 
 OVAL, AT = (2e-3, -1e-3, 1.5e-3), (0.3, -0.5, 1.0)
 RIPPLE, PHASE = (4e-4, 3e-4, -5e-4), (0.4, 1.1, -0.8)
+BEAT, FAST, SLOW = (8e-4, 6e-4, 7e-4), (0.3, -1.2, 2.0), (0.9, 0.2, -0.7)
 SIX = (60e-6, -40e-6, 50e-6, 30e-6, -70e-6, 20e-6)
 PITCH = tuple(2 * v for v in SIX)
 SLIDE, SPIN = (5e-8, -8e-8, 4e-8), (1e-7, -2e-7, 1.5e-7)
@@ -446,6 +493,28 @@ CASES = [
     ),
     Case(
         DELTA,
+        "acceleration_lag",
+        more.BentByInertia((40.0, 60.0, 50.0)),
+        a_joint(DELTA, "lag", (1 / 1600, 1 / 3600, 1 / 2500)),
+    ),
+    Case(
+        HEXAPOD,
+        "acceleration_lag",
+        more.BentByInertia((30.0, 40.0, 50.0, 60.0, 45.0, 35.0)),
+        a_joint(HEXAPOD, "lag", 1 / np.array([30.0, 40.0, 50.0, 60.0, 45.0, 35.0]) ** 2),
+    ),
+    Case(
+        DELTA,
+        "strain_wave_ripple",
+        more.BeatingGears(50.0, BEAT, FAST, SLOW),
+        a_joint(DELTA, "sin_c", np.array(BEAT) / 2 * np.sin(np.subtract(FAST, SLOW)))
+        | a_joint(DELTA, "cos_c", np.array(BEAT) / 2 * np.cos(np.subtract(FAST, SLOW)))
+        | a_joint(DELTA, "sin_f", np.array(BEAT) / 2 * np.sin(np.add(FAST, SLOW)))
+        | a_joint(DELTA, "cos_f", np.array(BEAT) / 2 * np.cos(np.add(FAST, SLOW))),
+        {"ratio": 50.0},
+    ),
+    Case(
+        DELTA,
         "zero_shift",
         more.HomedAnew((1e-3, -5e-4, 7e-4)),
         a_joint(DELTA, "since1", (1e-3, -5e-4, 7e-4)),
@@ -478,6 +547,16 @@ CASES = [
         | a_joint(HEXAPOD, "cos", np.array(WOBBLE) * np.sin(ANGLE))
         | a_joint(HEXAPOD, "bend", GROWING),
         {"lead": 5e-3},
+    ),
+    Case(
+        HEXAPOD,
+        "encoder_interpolation",
+        more.UnevenPitch(5e-3, WOBBLE, ANGLE),
+        a_joint(HEXAPOD, "sin1", np.array(WOBBLE) * np.sin(ANGLE))
+        | a_joint(HEXAPOD, "cos1", np.array(WOBBLE) * np.cos(ANGLE))
+        | a_joint(HEXAPOD, "sin2", np.array(WOBBLE) / 2 * np.sin(2 * np.array(ANGLE)))
+        | a_joint(HEXAPOD, "cos2", np.array(WOBBLE) / 2 * np.cos(2 * np.array(ANGLE))),
+        {"period": 5e-3},
     ),
     *[
         Case(

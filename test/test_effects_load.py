@@ -71,6 +71,35 @@ def test_a_horizontal_bar_twists_its_shaft_by_compliance_times_m_g_l():
     assert hanging == pytest.approx(0.0, abs=1e-15)
 
 
+@pytest.mark.parametrize(
+    ("direction", "payload", "behind"), [(1, 2.0, 1), (-1, 2.0, -1), (0, 2.0, 0), (1, 0.0, 0)]
+)
+def test_a_horizontal_bar_stays_behind_by_lag_times_m_g_l(direction, payload, behind):
+    """Its weight of 2 kg pulls at 0.95 m. Without a load, nothing rubs."""
+    at = {"direction.joint1": direction, "payload": payload}
+    q, *_ = sees(
+        "load_friction",
+        "parallelogram_simple",
+        {"joint1.lag": 1e-5},
+        at,
+        [np.pi / 2],
+        [0.95, -0.1, 0],
+    )
+    assert q == pytest.approx(np.pi / 2 - behind * 1e-5 * 2 * G * 0.95, abs=1e-12)
+
+
+def test_a_strain_wave_gear_twists_by_the_root_of_its_cubic():
+    """At twice `torque`, y + y^3 = 2 has the root 1: half the twist of a gear that stays soft."""
+    load = 2 * G * 0.95
+    numbers = {"joint1.compliance": 1e-4, "torque": load / 2}
+    at, q, r = {"payload": 2.0}, [np.pi / 2], [0.95, -0.1, 0]
+    found, *_ = sees("strain_wave_compliance", "parallelogram_simple", numbers, at, q, r)
+    twist = found - np.pi / 2
+    assert twist == pytest.approx(-1e-4 * load / 2, abs=1e-12)
+    k1, k3 = 1e4, 1e12 / (load / 2) ** 2
+    assert k1 * twist + k3 * twist**3 == pytest.approx(-load, rel=1e-9)
+
+
 def test_horizontal_delta_arms_weigh_half_their_length_times_their_mass():
     numbers = {"mass.arm": 0.5, "joint2.compliance": 1e-3}
     r = [0.0, 0.0, 0.19]
@@ -152,6 +181,10 @@ def test_a_frame_sinks_and_leans_towards_the_load():
         ("joint_compliance", "cable", "more joints than degrees of freedom"),
         ("joint_compliance", "planar_stewart", "no joint carries any of the payload's weight"),
         ("joint_compliance", "argos27", "no joint carries any of the payload's weight"),
+        ("load_friction", "cable", "more joints than degrees of freedom"),
+        ("load_friction", "argos27", "no joint carries any of the payload's weight"),
+        ("strain_wave_compliance", "stewart42", "no revolute joint carries any of the weight"),
+        ("strain_wave_compliance", "planar_stewart", "no joint carries any of the payload's"),
         ("rod_compliance", "stewart42", "it has no rods"),
         ("ball_joint_clearance", "scara16", "it has no rods"),
         ("thermal_expansion", "argos9", "no lengths"),
@@ -290,6 +323,7 @@ class Case:
 
 SIDE = (0.0, -G, 0.0)  # on a wall rods are pushed and pulled
 HUNG = replace(WEIGHTS, gravity=SIDE)
+K1 = (1000.0, 1250.0, 800.0)
 LEGS = (3e-7, 2e-7, 4e-7, 3e-7, 1e-7, 3e-7)
 CASES = [
     Case(
@@ -328,6 +362,30 @@ CASES = [
     ),
     Case(
         DELTA,
+        "load_friction",
+        more.RubbingGears(0.2, (1e-3, 0.8e-3, 1.2e-3), WEIGHTS),
+        {"joint1.lag": 2e-4, "joint2.lag": 1.6e-4, "joint3.lag": 2.4e-4},
+        MASSES,
+        1e-6,
+    ),
+    Case(
+        HEXAPOD,
+        "load_friction",
+        more.RubbingGears(0.15, tuple(10 * c for c in LEGS), vl.Weights(platform=10.0)),
+        {f"leg{i}.lag": 1.5 * c for i, c in enumerate(LEGS, 1)},
+        {"mass.platform": 10.0},
+        1e-8,
+    ),
+    Case(
+        DELTA,
+        "strain_wave_compliance",
+        more.StiffeningGears(K1, tuple(np.array(K1) ** 3 / 0.8**2), WEIGHTS),
+        {f"joint{i}.compliance": 1 / k for i, k in enumerate(K1, 1)},
+        {"torque": 0.8, **MASSES},
+        1e-6,
+    ),
+    Case(
+        DELTA,
         "thermal_expansion",
         vl.Warmth({"La": 23e-6, "Lb": 1e-6, "dLb": 1e-6, "D": 11.7e-6, "b": 11.7e-6}),
         {"arms.alpha": 23e-6, "rods.alpha": 1e-6, "base.alpha": 11.7e-6},
@@ -354,12 +412,25 @@ CASES = [
 each = pytest.mark.parametrize("case", CASES, ids=str)
 
 
+def circumstances(case, n, seed):
+    """n samples under four payloads, each joint from either side."""
+    joints = len(load_mechanism(case.robot.mechanism).joints)
+    direction = np.random.default_rng([seed, 13]).choice([-1.0, 1.0], (n, joints))
+    return replace(vd.circumstances(n, joints, seed, case.robot.heaviest), direction=direction)
+
+
+def conditions_of(case, at):
+    joints = load_mechanism(case.robot.mechanism).joints
+    came = {f"direction.{joint}": at.direction[:, k] for k, joint in enumerate(joints)}
+    return {"payload": at.payload, "temperature": at.temperature, **came}
+
+
 def measured(case, n=80, seed=1, errorless=False):
     """A dataset of the robot with its hidden physics; `errorless` instruments claim 1e-6 of it."""
     robot, factor = case.robot, 1e-6 if errorless else 1.0
     reading = robot.poses(n, seed)
     nq = reading.shape[1]
-    at = vd.circumstances(n, nq, seed, robot.heaviest)
+    at = circumstances(case, n, seed)
     _, r, R = vr.truth(robot.twin, [case.hidden], reading, at)
     errors = robot.noise.draw(np.random.default_rng([seed, 10]), n, nq)
     q_error, r_error, w_error = (error * (0.0 if errorless else 1.0) for error in errors)
@@ -371,7 +442,7 @@ def measured(case, n=80, seed=1, errorless=False):
         vr.turn(w_error) @ R,
         pose_cov=np.diag(sigma**2),
         joint_sigma=factor * robot.noise.joint,
-        conditions={"payload": at.payload, "temperature": at.temperature},
+        conditions=conditions_of(case, at),
         pose_id=np.arange(n),
     )
 
@@ -395,11 +466,10 @@ def true_model(case):
 @each
 def test_the_direct_problem_under_load_agrees_with_the_virtual_robot(case):
     reading = case.robot.poses(20, seed=2)
-    at = vd.circumstances(20, reading.shape[1], 2, case.robot.heaviest)
+    at = circumstances(case, 20, 2)
     _, r, R = vr.truth(case.robot.twin, [case.hidden], reading, at)
     _, plain, _ = vr.truth(case.robot.twin, [], reading, at)
-    conditions = {"payload": at.payload, "temperature": at.temperature}
-    answer = Kinematics(true_model(case)).direct(reading, conditions)
+    answer = Kinematics(true_model(case)).direct(reading, conditions_of(case, at))
     assert answer.ok.all()
     away = np.linalg.norm(answer.position - r, axis=1)
     assert away.max() < case.apart

@@ -262,7 +262,97 @@ WRONG_CALLS = {  # of functions that take a model, a dataset or a path
     ],
     r"paths is 'bag' \(str\); expected a list": [lambda model, data: pc.load_sessions("bag")],
     r"session is Dataset.* expected a Simulation": [lambda model, data: pc.write_bag(data, "bag")],
+    r"result is Model.* expected the result of fit": [
+        lambda model, data: pc.show(model),
+        lambda model, data: pc.figure(result=model),
+    ],
+    r"report is None \(NoneType\); expected a Report": [lambda model, data: pc.page(None)],
+    r"dataset is None \(NoneType\); expected a Dataset": [
+        lambda model, data: pc.report(model, None)
+    ],
+    r"model is Dataset": [lambda model, data: pc.report(data), lambda model, data: pc.fit(data)],
+    r"mechanism is 3 \(int\); expected a Mechanism or a string": [
+        lambda model, data: pc.new_model(3)
+    ],
+    r"model is 3 \(int\); expected a Model": [lambda model, data: pc.model_hash(3)],
+    r"q is 'a' \(str\); expected an array of numbers": [
+        lambda model, data: pc.Kinematics(model).direct("a")
+    ],
+    r"rotation has the shape \(2, 2\); expected": [
+        lambda model, data: pc.Kinematics(model).inverse([0, 0, 0.3], np.eye(2))
+    ],
+    r"r has the shape \(3,\); expected \(2, 3\)": [
+        lambda model, data: pc.Dataset.from_arrays(["a"], [[1], [2]], [1, 2, 3])
+    ],
 }
+
+
+def sound_arguments(results, folder):
+    """For each public function, arguments with which it works; a test replaces one of them."""
+    model, data, fitted = results["Model"], results["Dataset"], results["FitResult"].model
+    (folder / "bag").mkdir()
+    some = {"model": model, "dataset": data}
+    with_backlash = model.with_effect("backlash")
+    pc.write_model(model, folder / "robot.yaml")
+    kinematics = pc.Kinematics(with_backlash)
+    return [
+        (pc.fit, some),
+        (pc.compare, some),
+        (pc.diagnose, some),
+        (pc.discover, some),
+        (pc.report, some),
+        (pc.add, some | {"effect": "backlash"}),
+        (pc.remove, {"model": with_backlash, "effect": "backlash", "dataset": data}),
+        (pc.plan, {"model": model, "n": 30}),
+        (pc.simulate, {"model": model, "poses": 3}),
+        (pc.export, {"model": model, "target": "c", "folder": folder / "c"}),
+        (pc.new_model, {"mechanism": "delta24"}),
+        (pc.model_hash, {"model": model}),
+        (pc.read_model, {"path": folder / "robot.yaml"}),
+        (pc.write_model, {"model": model, "path": folder / "copy.yaml"}),
+        (pc.load_dataset, {"path": folder / "bag"}),
+        (pc.load_sessions, {"paths": [folder / "bag"]}),
+        (pc.info, {"path": folder / "bag"}),
+        (pc.write_bag, {"session": results["Simulation"], "path": folder / "new"}),
+        (pc.show, {"result": fitted}),
+        (pc.figure, {"result": fitted}),
+        (pc.page, {"report": fitted}),
+        (kinematics.direct, {"q": [0.3] * 3}),
+        (kinematics.inverse, {"position": [0, 0, 0.3]}),
+        (kinematics.direct_covariance, {"solution": kinematics.direct([0.3] * 3)}),
+        (kinematics.inverse_covariance, {"solution": kinematics.inverse([0, 0, 0.3])}),
+        (
+            pc.Dataset.from_arrays,
+            {"joint_names": ["a"], "q": np.ones((2, 1)), "r": np.ones((2, 3))},
+        ),
+        (model.value, {"name": "chain1.Lb"}),
+        (model.with_values, {"values": model.values}),
+        (model.with_effects, {"effects": ()}),
+        (model.with_sensors, {"sensors": ()}),
+    ]
+
+
+OPTIONAL = {"run", "options", "effects", "also", "at", "start", "certificate", "values", "sensors"}
+
+
+def test_no_public_function_answers_a_wrong_kind_with_an_error_of_python(results, tmp_path):
+    """An object that is of no kind at all, in place of each argument that has none as a default."""
+    functions = sound_arguments(results, tmp_path)
+    assert {f.__name__ for f, _ in functions} >= set(PUBLIC_FUNCTIONS)
+    for function, sound in functions:
+        for name in sound.keys() | (OPTIONAL & inspect.signature(function).parameters.keys()):
+            with pytest.raises(pc.ParallelCalError, match=rf"^{name} is <object.*; expected "):
+                function(**sound | {name: object()})
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [(FitOptions, pc.FitError), (PlanOptions, pc.FitError), (ReadOptions, pc.DatasetError)],
+)
+def test_every_option_refuses_what_is_of_no_kind(options, error):
+    for field in dataclasses.fields(options):
+        with pytest.raises(error, match=rf"^{field.name} is <object.*; expected "):
+            options(**{field.name: object()})
 
 
 @pytest.mark.parametrize("words", WRONG_CALLS)

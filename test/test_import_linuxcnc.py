@@ -195,6 +195,36 @@ def test_numbers_go_back_into_a_file_in_inches_in_inches(kind, tmp_path):
         assert "sets sl 18.00" in files[0].read_text()
 
 
+@pytest.mark.parametrize("joint", ["JOINT", "AXIS"])
+def test_pins_may_lead_to_keys_of_the_ini_file_and_joints_may_be_axes(joint, tmp_path):
+    """As machines in use have it; before version 2.8, [AXIS_0] was the section of joint 0."""
+    hal, ini = tmp_path / "machine.hal", tmp_path / "machine.ini"
+    hal.write_text(
+        "setp lineardeltakins.R [MACHINE]TOWERS\nsetp lineardeltakins.L [MACHINE](ROD)\n"
+    )
+    switches = "".join(f"[{joint}_{i}]\nHOME_OFFSET = {300 + i}\n" for i in range(3))
+    ini.write_text(
+        f"[MACHINE]\nTOWERS = 150.5  # mm\nROD = 250\n[TRAJ]\nLINEAR_UNITS = mm\n{switches}"
+    )
+    model = configured([hal, ini]).model
+    towers = linuxcnc.kinematics(linuxcnc.settings([hal, ini]))
+    np.testing.assert_allclose(towers.radius, 0.1505)
+    np.testing.assert_allclose(towers.rods, 0.25)
+    np.testing.assert_allclose(towers.homed, [0.3, 0.301, 0.302])
+    before = hal.read_text(), ini.read_text()
+    assert export_into(model, "linuxcnc", [hal, ini]).loss["position_max"] < 5e-9
+    assert (hal.read_text(), ini.read_text()) == before
+    longer = model.values.copy()
+    for i in range(3):
+        longer[model.table.index_of(f"chain{i + 1}.Lb")] += 1e-3
+    export_into(model.with_values(longer), "linuxcnc", [hal, ini])
+    assert hal.read_text() == before[0]
+    assert "ROD = 251.00000\n" in ini.read_text()
+    assert "TOWERS = 150.5  # mm\n" in ini.read_text()
+    with pytest.raises(ParallelCalError, match=r"hal:1: lineardeltakins.R is '\[MACHINE\]TOWERS'"):
+        configured([hal])
+
+
 @pytest.mark.wide
 @pytest.mark.parametrize("name", ["stewart42", "delta24", "linear_delta"])
 def test_what_was_exported_for_its_own_kinematics_is_read_again(name, tmp_path):

@@ -8,6 +8,7 @@ import pytest
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.cli import main as cli
+from parallel_cal.exporting.export import export_into
 from parallel_cal.importing.controller_files import configured, samples
 from parallel_cal.importing.deltas import Shoulders, Towers
 from parallel_cal.kinematics.kinematics import Kinematics
@@ -140,6 +141,39 @@ def test_later_settings_count_and_maps_of_one_grid_are_visits_of_the_same_places
     assert model.value("chain2.Lb") == 0.25
     high = 0.241 + np.sqrt(0.25**2 - 0.149**2)
     assert model.mechanism.joint_limits[0][1] == pytest.approx(high - 0.5e-3)
+
+
+GLOBALS = """\
+global towers = 150         ; (R) 155 with rails
+global rods = 250
+if exists(global.other)
+  set global.towers = 1
+M665 L{global.rods} R{ global.towers } H240 B80 ; Delta
+"""
+
+
+def test_a_word_may_lead_to_a_global_variable(tmp_path):
+    """As a maker of printers has it; its calibration calls M665 with the variables again."""
+    file = tmp_path / "config.g"
+    file.write_text(GLOBALS.replace("{ global.towers }", "{global.towers}"))
+    model = configured([file]).model
+    assert model.value("chain2.D_x") == pytest.approx(0.150)
+    assert model.value("chain2.Lb") == pytest.approx(0.250)
+    before = file.read_text()
+    assert export_into(model, "rrf", [file]).loss["position_max"] < 5e-9
+    assert sorted({*file.read_text().splitlines()} - {*before.splitlines()}) == [
+        "M665 L{global.rods} R{global.towers} H240 B80 X0.00000 Y0.00000 Z0.00000 ; Delta",
+        "M666 X0.0000 Y0.0000 Z0.0000 A0.00000 B0.00000",
+    ]
+    values = model.values.copy()
+    for i in (1, 2, 3):
+        values[model.table.index_of(f"chain{i}.D_x")] += 1e-3
+    wider = model.with_values(values)
+    export_into(wider, "rrf", [file])
+    assert "global towers = 151.0000         ; (R) 155 with rails\n" in file.read_text()
+    values[model.table.index_of("chain3.Lb")] += 1e-3
+    with pytest.raises(ParallelCalError, match=r"'global rods = 250.*M665 L needs several numbers"):
+        export_into(wider.with_values(values), "rrf", [file])
 
 
 FIVE = "M669 K9 X-50:50 Y0 L2 P100 D150 B180:0 C60:180:0:120\n"

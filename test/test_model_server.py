@@ -331,3 +331,15 @@ def test_missing_conditions_of_the_model_are_listed():
     assert memory.unheard(model) == []
     assert memory.conditions(model) == {f"direction.{j}": 1.0 for j in model.joints}
     assert memory.heard["velocity.joint1"] == 1.0
+
+
+def test_only_a_driver_that_sends_velocities_makes_accelerations_known():
+    model = new_model("delta24", effects=["acceleration_lag"])
+    memory, unknown = Memory(1e-4), [f"acceleration.{j}" for j in model.joints]
+    memory.on_joint_state(model, np.zeros(3), 0.0, np.zeros(3))
+    assert memory.unheard(model) == unknown
+    memory.on_joint_state(model, np.ones(3), 0.5, np.array([1.0, -2.0, 0.0]))
+    expected = dict(zip(unknown, (2.0, -4.0, 0.0), strict=True))
+    assert memory.conditions(model) == expected
+    memory.on_joint_state(model, np.ones(3), 1.0, None)
+    assert memory.unheard(model) == unknown

@@ -335,7 +335,9 @@ def test_a_result_has_the_text_that_the_command_line_prints(made, data, files, c
     assert any(line.startswith("zero_shift: cannot be tested") for line in said)
     parameters = pc.show(made.diagnosis.best.fitted).splitlines()
     assert sum("backlash.joint" in line and line.endswith("deg") for line in parameters) == 3
-    with pytest.raises(TypeError, match="got Model"):
+    with pytest.raises(
+        pc.ParallelCalError, match=r"^result is Model\(.*; expected the result of fit"
+    ):
         pc.show(made.diagnosis.model)
 
 

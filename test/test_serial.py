@@ -1,6 +1,7 @@
 """Serial arms: hand-worked numbers, plain homogeneous matrices, the inverse problem, refusals."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,15 +10,19 @@ import pytest
 import yaml
 
 from parallel_cal.base.errors import ModelError
+from parallel_cal.base.rotation import quaternion_to_matrix, rotation_matrix
 from parallel_cal.identification import completeness
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.kinematics.all_solutions import inverse_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.file.modelfile import read_model, write_model
+from parallel_cal.model.mechanism import Home, Workspace
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
+from parallel_cal.planning.plan import plan
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.simulate import with_noise
 
 QUARTER = np.pi / 2
 
@@ -307,6 +312,85 @@ def test_an_arm_is_described_in_its_model_file(tmp_path):
     assert again.mechanism.home == model.mechanism.home
     q = np.array(PUMA["home"]) + 0.1
     assert (Kinematics(again).direct(q).position == Kinematics(model).direct(q).position).all()
+
+
+def arm_towards(turn):
+    """A PUMA whose last link is turned so that home has the rotation vector `turn`."""
+    mechanism = load_mechanism("serial", **PUMA)
+    R = rotation_matrix(np.array([turn]))[0]
+    # Euler angles of the tool: R_home Rz Rx Ry = R
+    tool = quaternion_to_matrix(mechanism.home.quaternion).T @ R
+    alpha = np.arcsin(tool[2, 1])
+    theta = np.arctan2(-tool[0, 1], tool[1, 1])
+    beta = np.arctan2(-tool[2, 0], tool[2, 2])
+    *others, last = PUMA["links"]
+    last = {**last, "theta": theta, "alpha": alpha, "beta": beta}
+    free = ["theta", "d", "a", "b"]
+    return load_mechanism("serial", **{**PUMA, "links": [*others, {**last, "free": free}]})
+
+
+# A tool that points down is half a turn about a horizontal axis from {B}: there the rotation
+# vector of a pose jumps to the other side.
+TURNS_OF_HOME = [(0.0, 0.0, 0.0), (1.8, 1.4, 1.0), (np.pi, 0.0, 0.0), (0.0, -np.pi + 0.05, 0.0)]
+
+
+@pytest.mark.parametrize("turn", TURNS_OF_HOME)
+def test_the_workspace_of_an_arm_is_around_its_home(turn):
+    mechanism = arm_towards(turn)
+    low, high = np.array(mechanism.workspace.low), np.array(mechanism.workspace.high)
+    home = np.array([*mechanism.home.position, *mechanism.home.rotation_vector])
+    assert rotation_matrix(home[None, 3:])[0] == pytest.approx(
+        rotation_matrix(np.array([turn]))[0], abs=1e-12
+    )
+    assert (low + high) / 2 == pytest.approx(home, abs=1e-12)
+    drawn = mechanism.sample(200, np.random.default_rng(0))
+    assert mechanism.controlled_coordinates(*mechanism.poses(drawn)) == pytest.approx(drawn)
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("turn", TURNS_OF_HOME)
+def test_poses_are_planned_for_an_arm_whatever_its_orientation(turn):
+    model = with_noise(new_model(arm_towards(turn)))
+    assert len(plan(model, 40, free=["link2.*"], seed=0, pool=100).poses) == 40
+
+
+def test_a_pose_between_both_sides_of_half_a_turn_is_inside_the_workspace():
+    """Rotations by pi + 0.1 and pi - 0.1 about x differ by 0.2 rad, their vectors by 6 rad."""
+    mechanism = arm_towards((np.pi - 0.02, 0.0, 0.0))
+    sides = rotation_matrix(np.array([[np.pi - 0.1, 0, 0], [np.pi + 0.1, 0, 0]]))
+    at = np.tile(mechanism.home.position, (2, 1))
+    found = mechanism.controlled_coordinates(at, sides)[:, 3:]
+    assert found == pytest.approx(np.array([[np.pi - 0.1, 0, 0], [np.pi + 0.1, 0, 0]]), abs=1e-12)
+    # A workspace on the other side, with the same rotations, has the other vectors.
+    mechanism.workspace = Workspace(
+        (*mechanism.workspace.low[:3], -np.pi - 0.2, -0.2, -0.2),
+        (*mechanism.workspace.high[:3], -np.pi + 0.2, 0.2, 0.2),
+    )
+    found = mechanism.controlled_coordinates(at, sides)[:, 3:]
+    assert found[:, 0] == pytest.approx([-np.pi - 0.1, -np.pi + 0.1], abs=1e-12)
+
+
+def test_an_older_file_with_orientations_around_none_gets_those_around_home(tmp_path):
+    """Until version 1.0.0 the default workspace had the orientations -0.2 to 0.2 rad, wherever
+    the arm works; a workspace of the owner's own is read as it is written."""
+    model = new_model(arm_towards((1.8, 1.4, 1.0)))
+    file = tmp_path / "arm.yaml"
+    box = model.mechanism.workspace
+
+    def read_with(low, high):
+        model.mechanism.workspace = Workspace((*box.low[:3], *low), (*box.high[:3], *high))
+        write_model(model, file)
+        return read_model(file).mechanism.workspace
+
+    older = read_with((-0.2, -0.2, -0.2), (0.2, 0.2, 0.2))
+    assert older.low == pytest.approx(box.low)
+    assert older.high == pytest.approx(box.high)
+    own = (1.0, 1.0, 0.5), (2.0, 2.0, 1.5)
+    found = read_with(*own)
+    assert (found.low[3:], found.high[3:]) == own
+    # A home that the box contains needs no other box.
+    model.mechanism.home = replace(model.mechanism.home, quaternion=Home(()).quaternion)
+    assert read_with((-0.2, -0.2, -0.2), (0.2, 0.2, 0.2)).low[3:] == (-0.2, -0.2, -0.2)
 
 
 @pytest.mark.parametrize(

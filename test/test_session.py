@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import virtual_findings as vf
+from findings import hiding
 
 from parallel_cal.base.errors import (
     BagError,
@@ -19,6 +21,7 @@ from parallel_cal.base.errors import (
 from parallel_cal.cli.main import main
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import model_hash, read_model
+from parallel_cal.model.model import new_model
 from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.session.saving import SaveRefused
 from parallel_cal.session.session import Session, SessionError
@@ -289,6 +292,47 @@ def test_a_verdict_stays_with_its_state(session, run_cli):
     assert "  explained: backlash" in run_cli("session", "show", session.folder)
     run_cli("session", "add", session.folder, "backlash")
     assert Session(session.folder).state.verdict == ""
+
+
+@pytest.fixture(scope="module")
+def knocked(tmp_path_factory):
+    """A fitted session in which somebody knocked the device at sample 17."""
+    data, _ = hiding([vf.KINDS["backlash"]], 0.8, seed=40)
+    data.r[17] += 2e-3 * np.array([0.7, -0.5, 0.5])
+    folder = tmp_path_factory.mktemp("knocked")
+    data.to_json(folder / "data.json")
+    session = Session.new(folder / "s", new_model("delta54"), [folder / "data.json"])
+    session.fit()
+    return folder / "s"
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("diagnosed", [True, False])
+def test_add_excludes_the_sample_that_the_verdict_excluded(knocked, tmp_path, diagnosed):
+    shutil.copytree(knocked, tmp_path / "s")
+    session = Session(tmp_path / "s")
+    if diagnosed:
+        found = session.diagnose(effects=["backlash", "base_drift"])
+        assert [one.sample for one in found.knocked] == [17]
+        assert Session(tmp_path / "s").state.knocked == [17]
+    state = session.add("backlash")
+    assert state.samples == 149
+    assert state.step == "add backlash without sample 17"
+    assert list(state.excluded) == [17]
+    assert "far from all others" in state.excluded[17]
+    assert state.knocked is None  # of a diagnosis that is not made yet
+    assert len(session.dataset) == 149
+    assert session.undo().excluded == {}
+
+
+@pytest.mark.wide
+def test_add_uses_all_samples_if_the_verdict_did(knocked, tmp_path):
+    shutil.copytree(knocked, tmp_path / "s")
+    session = Session(tmp_path / "s")
+    session.record_verdict(session.state, "unexplained", "no effect explains this", [])
+    state = session.add("backlash", force=True)
+    assert state.samples == 150
+    assert not state.excluded
 
 
 # ------------------------------------------------------------------ over the model in use

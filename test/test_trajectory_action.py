@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 from unittest import mock
 
 import numpy as np
@@ -36,24 +37,55 @@ def test_without_the_package_of_the_action_the_parameter_is_refused(tmp_path, no
 
 pytest.importorskip("control_msgs")
 
+from action_msgs.srv import CancelGoal
 from action_robot import HOME, NAME, ActionRobot, Result
 from campaign_cells import model_of
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from nav_msgs.msg import Path
 from parallel_cal_msgs.action import Calibrate
 from parallel_cal_msgs.msg import CalibrationStatus, CommandStatus, MotionStatus
+from rclpy.task import Future
 from ros_helpers import NodeProcess
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
 
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import write_model
 from parallel_cal.nodes.client import Client, use_private_domain
+from parallel_cal.nodes.trajectory_action import TrajectoryAction
 
 PATIENCE_S = 150.0  # on a busy computer a node takes a minute to start
 MADE = MotionStatus.SENT, MotionStatus.MOVING
 ABORTED, CANCELED = 6, 5
 ASIDE = (0.03, 0.02, 0.21)
+
+
+def test_a_refusal_is_noticed_also_if_the_first_answer_is_lost():
+    """rclpy ignores an answer that comes before the thread that asked has noted the request."""
+    later, sent = [], []
+    node = SimpleNamespace(
+        executor=SimpleNamespace(create_task=lambda *call: later.append(call)),
+        get_logger=lambda: SimpleNamespace(error=print),
+    )
+    action = object.__new__(TrajectoryAction)
+    action._node, action._name, action._status, action._goals = node, "follow", None, []
+    action._client = SimpleNamespace(
+        server_is_ready=lambda: True,
+        send_goal_async=lambda goal, feedback: sent.append(goal.trajectory) or Future(),
+    )
+    moving, halt = JointTrajectory(), JointTrajectory(joint_names=["halt"])
+    action.send(moving)
+    answers = [Future(), Future()]
+    action._goals[-1].handle = SimpleNamespace(cancel_goal_async=iter(answers).__next__)
+    action.stop(lambda: halt)
+    (_, *_), (cancel, *goal) = later
+    later.clear()
+    cancel(*goal)
+    answers[1].set_result(CancelGoal.Response(return_code=CancelGoal.Response.ERROR_REJECTED))
+    ((begin, *goal),) = later
+    begin(*goal)
+    assert sent == [halt]
 
 
 class Desk:
@@ -150,7 +182,8 @@ def running(tmp_path_factory):
 @pytest.fixture
 def desk(running):
     """The desk with the robot at home and nothing said of its motions."""
-    running.robot.accepts, running.robot.stuck, running.robot.rate = True, 0, 2.0
+    running.robot.repair()
+    running.robot.rate = 2.0
     running.motions.clear()
     # Refused until the node knows from a joint state where the robot is.
     running.wait(lambda: running.go(HOME).status != CommandStatus.REFUSED, "the node")
@@ -219,6 +252,84 @@ def test_a_rejected_motion_is_told_and_the_robot_stays(desk):
     assert (end.state, end.error_code) == (MotionStatus.FAILED, Result.INVALID_GOAL)
     assert "rejected" in end.message
     np.testing.assert_allclose(desk.here(), HOME, atol=1e-4)
+
+
+@pytest.mark.wide
+def test_a_joint_that_stays_beside_its_goal_ends_the_motion(desk):
+    desk.robot.lag = 0.015  # rad: more than the goal's tolerance, less than the path's
+    desk.go(ASIDE)
+    end = desk.until(MotionStatus.FAILED, MotionStatus.ARRIVED)
+    assert (end.state, end.error_code) == (MotionStatus.FAILED, Result.GOAL_TOLERANCE_VIOLATED)
+    assert "goal tolerance violated (joint" in end.message
+
+
+@pytest.mark.wide
+def test_a_goal_that_is_never_answered_is_given_up_and_a_late_answer_does_not_move_the_robot(desk):
+    desk.robot.answers.clear()
+    desk.go(ASIDE)
+    end = desk.until(MotionStatus.FAILED, MotionStatus.ARRIVED)
+    assert end.state == MotionStatus.FAILED
+    assert "no answer to the goal for 10 s; the robot may still move" in end.message
+    assert not desk.robot.goals
+    desk.robot.rate = 0.01  # the cancel comes before the robot has moved far
+    desk.robot.answers.set()
+    desk.wait(lambda: bool(desk.robot.goals), "the late answer")
+    time.sleep(1.0)
+    desk.robot.rate = 2.0
+    assert np.linalg.norm(desk.here() - HOME) < 0.1 * np.linalg.norm(np.subtract(ASIDE, HOME))
+    assert desk.arrive(ASIDE).state == MotionStatus.ARRIVED
+
+
+@pytest.mark.wide
+def test_a_late_answer_within_the_time_is_no_fault(desk):
+    desk.robot.answers.clear()
+    desk.go(ASIDE)
+    time.sleep(2.0)
+    desk.robot.answers.set()
+    assert desk.until(MotionStatus.FAILED, MotionStatus.ARRIVED).state == MotionStatus.ARRIVED
+
+
+@pytest.mark.wide
+def test_a_controller_that_falls_silent_in_the_middle_is_given_up_and_cancelled(desk):
+    desk.robot.rate = 0.05
+    desk.go(ASIDE)
+    desk.wait(lambda: any(motion.errors for motion in desk.motions), "the motion")
+    desk.robot.reports.clear()
+    end = desk.until(MotionStatus.FAILED, MotionStatus.ARRIVED)
+    assert end.state == MotionStatus.FAILED
+    assert "no feedback for 10 s" in end.message
+    desk.robot.repair()
+    gone = np.linalg.norm(desk.here() - HOME)
+    assert 0 < gone < 0.9 * np.linalg.norm(np.subtract(ASIDE, HOME))
+
+
+@pytest.mark.wide
+def test_a_controller_that_ends_in_the_middle_fails_the_motion(desk):
+    desk.robot.rate = 0.1
+    desk.go(ASIDE)
+    desk.wait(lambda: any(motion.errors for motion in desk.motions), "the motion")
+    desk.robot.server.destroy()
+    end = desk.until(MotionStatus.FAILED, MotionStatus.ARRIVED)
+    desk.robot.serve()
+    assert end.state == MotionStatus.FAILED
+    assert "no node provides the action any more" in end.message
+
+
+@pytest.mark.wide
+def test_a_refused_cancel_is_followed_by_a_trajectory_that_stops_the_robot(desk):
+    desk.robot.rate, desk.robot.obeys = 0.1, False
+    desk.go(ASIDE)
+    desk.wait(lambda: any(motion.errors for motion in desk.motions), "the motion")
+    assert desk.stop().success
+    desk.wait(lambda: desk.motions[-1].source == "stop", "the trajectory that stops")
+    desk.robot.rate = 2.0
+    desk.until(MotionStatus.ARRIVED, MotionStatus.FAILED)
+    states = [motion.state for motion in desk.motions if motion.state not in MADE]
+    assert states == [MotionStatus.REPLACED, MotionStatus.ARRIVED]
+    told = next(motion for motion in desk.motions if motion.state == MotionStatus.REPLACED)
+    assert told.message == "the controller refused to cancel the motion"
+    gone = np.linalg.norm(desk.here() - HOME)
+    assert 0 < gone < 0.9 * np.linalg.norm(np.subtract(ASIDE, HOME))
 
 
 @pytest.mark.wide

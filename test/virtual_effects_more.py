@@ -56,6 +56,105 @@ class LateDrives(Effect):
 
 
 @dataclass(frozen=True)
+class Motion(Visit):
+    """Visits in motion, with the acceleration of each joint (rad/s^2 or m/s^2)."""
+
+    acceleration: Array
+
+    @classmethod
+    def of(cls, at: Visit, fastest: float, seed: int) -> Motion:
+        """Accelerations up to `fastest`, whatever the velocities are."""
+        drawn = np.random.default_rng([seed, 12]).uniform(-fastest, fastest, at.velocity.shape)
+        return cls(**vars(at), acceleration=drawn)
+
+
+@dataclass(frozen=True)
+class BentByInertia(Effect):
+    """An arm of the inertia J behind a spring k with a damper, of the natural frequencies sqrt(k/J)
+    (rad/s): the reading, before the spring, has speeded up evenly for a long time."""
+
+    frequency: tuple[float, ...]
+
+    def arm(self, reading: Array, robot: Any, at: Motion) -> Array:  # type: ignore[override]
+        step, damping = 0.01, 1.0  # step in units of 1 / frequency
+        push = at.acceleration / np.array(self.frequency) ** 2
+        behind, rate = np.zeros_like(push), np.zeros_like(push)
+        for _ in range(3000):
+            # The arm's own acceleration is what spring and damper give it.
+            rate = rate + step * (push - behind - 2 * damping * rate)
+            behind = behind + step * rate
+        return reading - behind
+
+
+@dataclass(frozen=True)
+class RubbingGears(Effect):
+    """Gears whose friction is the share `mu` of their load, before shafts of the compliance `soft`
+    (rad/Nm or m/N): the arm stops where the shaft's twist is balanced by the friction."""
+
+    mu: float
+    soft: tuple[float, ...]
+    weights: Weights = field(default_factory=Weights)
+
+    def arm(self, reading: Array, robot: Any, at: SampleConditions) -> Array:
+        angle = reading
+        for _ in range(4):  # fixed point: the load depends on where the arm stops
+            pressed = np.abs(self.weights.torques(robot, angle, at.payload))
+            angle = reading - np.array(self.soft) * self.mu * pressed * at.direction
+        return angle
+
+
+@dataclass(frozen=True)
+class StiffeningGears(Effect):
+    """Gears that twist by e under the load k1 e + k3 e^3 (Nm/rad, Nm/rad^3)."""
+
+    k1: tuple[float, ...]
+    k3: tuple[float, ...]
+    weights: Weights = field(default_factory=Weights)
+
+    def arm(self, reading: Array, robot: Any, at: SampleConditions) -> Array:
+        k1, k3 = np.array(self.k1), np.array(self.k3)
+        angle = reading
+        for _ in range(4):  # fixed point: the load depends on the twist
+            load = self.weights.torques(robot, angle, at.payload)
+            low, high = -np.abs(load) / k1, np.abs(load) / k1
+            for _ in range(60):
+                middle = (low + high) / 2
+                over = k1 * middle + k3 * middle**3 > load
+                low, high = np.where(over, low, middle), np.where(over, middle, high)
+            angle = reading + (low + high) / 2
+        return angle
+
+
+@dataclass(frozen=True)
+class BeatingGears(Effect):
+    """Strain-wave gears of a ratio: both ends of the wave generator pass an error of the same size
+    on either spline. What they show is a fast wave whose size rises and falls with the arm."""
+
+    ratio: float
+    size: tuple[float, ...]
+    fast: tuple[float, ...]
+    slow: tuple[float, ...]
+
+    def arm(self, reading: Array, robot: Any, at: SampleConditions) -> Array:
+        envelope = np.array(self.size) * np.cos(reading - np.array(self.slow))
+        return reading + envelope * np.cos((2 * self.ratio + 1) * reading - np.array(self.fast))
+
+
+@dataclass(frozen=True)
+class UnevenPitch(Effect):
+    """Poles or teeth at a `pitch` (m): the joint runs ahead by `size` (m) at `phase` (rad), and
+    half as much, there and in the middle of the pitch, by the next wave."""
+
+    pitch: float
+    size: tuple[float, ...]
+    phase: tuple[float, ...]
+
+    def arm(self, reading: Array, robot: Any, at: SampleConditions) -> Array:
+        turned = 2 * np.pi * reading / self.pitch - np.array(self.phase)
+        return reading + np.array(self.size) * (np.cos(turned) + np.cos(2 * turned) / 2)
+
+
+@dataclass(frozen=True)
 class HomedAnew(Effect):
     """Joints homed again before the second recording: their zeros are off by `by` (rad or m)."""
 

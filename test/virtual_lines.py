@@ -85,6 +85,19 @@ class LinedRobot:
         return hanging_length(chords, pull, self.tension)
 
 
+def routed_length(r: ArrayLike, stops: list[list[ArrayLike | None]]) -> Array:
+    """Length (N, n) of lines that go from stop to stop; None is a pulley on the platform, at r."""
+    r = np.atleast_2d(np.asarray(r, float))
+    lengths = []
+    for line in stops:
+        points = [
+            r if stop is None else np.broadcast_to(np.asarray(stop), r.shape) for stop in line
+        ]
+        pieces = np.diff(points, axis=0)
+        lengths.append(np.linalg.norm(pieces, axis=2).sum(axis=0))
+    return np.stack(lengths, axis=1)
+
+
 def taut_length(r: Array, anchor: Array, axis: Array, radius: float) -> Array:
     """Line (N,) m from the anchor over the pulley to the points: where it leaves, it is tangent."""
     axis = axis / np.linalg.norm(axis)

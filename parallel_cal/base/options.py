@@ -18,22 +18,26 @@ def option(help: str, *, min: float | None = None, max: float | None = None) -> 
 
 
 def with_changes(
-    options: Options, changes: Mapping[str, Any], error: type[ParallelCalError]
+    options: Options | None,
+    kind: type[Options],
+    changes: Mapping[str, Any],
+    error: type[ParallelCalError],
 ) -> Options:
-    """Return the options (a dataclass) with some fields changed.
+    """Return the options (a dataclass of this kind, by default without arguments) with some fields
+    changed.
 
     Raises
     ------
     ParallelCalError
         Of the class `error`, for an unknown option.
     """
-    known = [field.name for field in fields(options)]  # type: ignore[arg-type]
+    known = [field.name for field in fields(kind)]  # type: ignore[arg-type]
     for name in changes:
         if name not in known:
             raise error(
                 f"unknown option {name}{format_suggestion(name, known)}; known: {', '.join(known)}"
             )
-    return replace(options, **changes)  # type: ignore[type-var]
+    return replace(kind() if options is None else options, **changes)  # type: ignore[type-var]
 
 
 def split_options(

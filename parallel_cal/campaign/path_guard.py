@@ -15,7 +15,6 @@ from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
 from parallel_cal.model.mechanism import Box
 from parallel_cal.model.model import Model
-from parallel_cal.planning.approach import controlled_coordinates
 from parallel_cal.planning.posepool import find_clear_poses
 from parallel_cal.planning.visibility import find_seen_poses, list_planned_sensors
 
@@ -159,7 +158,7 @@ class Guard:
         workspace = self.model.mechanism.workspace
         low, high = np.array(workspace.low), np.array(workspace.high)
         slack = ((self.reach - 1) / 2 + MAX_WORKSPACE_OVERSHOOT) * (high - low)
-        here = controlled_coordinates(self.model, at)
+        here = self.model.mechanism.controlled_coordinates(at.position, at.rotation)
         outside = np.any((here < low - slack) | (here > high + slack), axis=1)
         found: list[tuple[np.ndarray, str]] = [
             (at.status == status, STATUS_WORDS.get(status, "out of reach"))

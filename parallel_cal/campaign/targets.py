@@ -21,7 +21,7 @@ from parallel_cal.diagnosis.separate import (
 )
 from parallel_cal.diagnosis.thresholds import MIN_SEPARATION_SIGMAS
 from parallel_cal.model.shelf import load_effect
-from parallel_cal.planning.approach import approaches, controlled_coordinates
+from parallel_cal.planning.approach import approaches
 from parallel_cal.planning.plan import equations_per_pose, plan
 from parallel_cal.planning.posepool import Pool, make_pool
 from parallel_cal.planning.visibility import stand_in_pose_device
@@ -71,7 +71,9 @@ def first_targets(guard: Guard, most: int, seed: int = 0) -> list[Target]:
             f"only {len(pool)} of {len(drawn)} random poses in the workspace are allowed: "
             f"{guard.summarise_violations(drawn.joints)}"
         )
-    unseen = select_spread_out(controlled_coordinates(model, pool), N_VALIDATION_POSES)
+    unseen = select_spread_out(
+        model.mechanism.controlled_coordinates(pool.position, pool.rotation), N_VALIDATION_POSES
+    )
     free = int((~np.asarray(model.fixed)).sum())
     least = int(np.ceil(MIN_EQUATION_RATIO * free / equations_per_pose(model)))
     if most < least + N_VALIDATION_POSES + N_REPEATED_POSES:

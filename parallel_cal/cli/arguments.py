@@ -53,27 +53,32 @@ EffectsInModel = Annotated[
     ),
 ]
 IMPLAUSIBLE = (
-    "joint readings are implausible, or an effect's values are physically impossible in combination"
+    "if the joint readings are implausible, or if the values of an effect are physically "
+    "impossible together"
 )
 ForceFit = Annotated[
     bool,
     typer.Option(
-        "--force", help=f"write even if the validation error does not fall, {IMPLAUSIBLE}"
+        "--force",
+        help="write the model even if it is refused. It is refused if the validation error does "
+        f"not fall, {IMPLAUSIBLE}",
     ),
 ]
 ForceAdd = Annotated[
     bool,
     typer.Option(
         "--force",
-        help="write even if the validation error does not fall, the measuring device may cause the "
-        f"error that the effect explains, {IMPLAUSIBLE}",
+        help="write the model even if it is refused. It is refused if the validation error does "
+        "not fall, if the measuring device may cause the error that the effect explains, "
+        f"{IMPLAUSIBLE}",
     ),
 ]
 ForceRemove = Annotated[
     bool,
     typer.Option(
         "--force",
-        help=f"write even if the validation error rises by 1 % or more, {IMPLAUSIBLE}",
+        help="write the model even if it is refused. It is refused if the validation error rises "
+        f"by 1 % or more, {IMPLAUSIBLE}",
     ),
 ]
 Tested = Annotated[

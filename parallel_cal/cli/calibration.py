@@ -142,8 +142,8 @@ def compare(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Show the errors of a model at every sample of a recording, worst first. No parameter of the
-    robot is fitted; only the registration of the device is estimated if it is needed."""
+    """Show the errors of a model at every sample. The worst sample comes first. No parameter of the
+    robot is fitted. Only the registration of the device is estimated, if it is needed."""
     from parallel_cal.diagnosis import comparison
 
     judged, dataset = read_model_and_data(model, bags, data)

@@ -27,7 +27,8 @@ def diagnose(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Find the physical effect that the model lacks, its certainty, and what to measure next."""
+    """Find the physical effect that the model lacks. The verdict states how certain this is, and
+    what to measure next."""
     from parallel_cal.diagnosis import diagnose as diagnosis
 
     judged, dataset = read_model_and_data(model, bags, data)

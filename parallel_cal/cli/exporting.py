@@ -53,13 +53,13 @@ def export(
         bool,
         typer.Option(
             "--force",
-            help="write even if the height error at the touches increases, or if x and y change "
-            "by more than a measurement of x and y supports",
+            help="write the file even if the height error at the touches rises, or if the shape of "
+            "a printed part changes by more than 0.5 mm in x and y and nothing measured x and y",
         ),
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Write the calibrated model for a controller: the robot with its effects."""
+    """Write the calibrated model for a controller."""
     from parallel_cal.exporting import export as exporting
     from parallel_cal.model.file.modelfile import read_model
 
@@ -229,7 +229,8 @@ def export_residuals(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Write the residuals at the times of the samples as MCAP for RViz, Foxglove, PlotJuggler."""
+    """Write the residuals as a recording (MCAP). RViz, Foxglove and PlotJuggler show it, at the
+    times of the samples."""
     from parallel_cal.diagnosis.comparison import compare
     from parallel_cal.model.file.modelfile import read_model
     from parallel_cal.recordings.loading import load_stamped

@@ -34,8 +34,8 @@ def import_(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Convert a controller's files, a tracker's table and a joint log, or images of a printed board
-    and their joint readings, to a samples file."""
+    """Convert files of a controller or device to samples. The files are those of a controller, a
+    table of a tracker and a joint log, or images of a printed board and their joint readings."""
     from parallel_cal.importing.controller_files import samples
     from parallel_cal.recordings.info import info_of
 

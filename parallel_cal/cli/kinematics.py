@@ -74,7 +74,7 @@ def direct(
     output: Output = None,
     as_json: Json = False,
 ) -> None:
-    """Compute the pose for given joint readings (forward kinematics)."""
+    """Compute the pose for joints (forward kinematics)."""
     q = _numbers(joints, "--joints")
     _check_one_input(q, table, "--joints", output, every or covariance)
     import numpy as np
@@ -111,7 +111,7 @@ def inverse(
     output: Output = None,
     as_json: Json = False,
 ) -> None:
-    """Compute the joint readings for a given pose (inverse kinematics)."""
+    """Compute the joints for a pose (inverse kinematics)."""
     place = _numbers(position, "--position", 3)
     quaternion = _numbers(orientation, "--orientation", 4)
     _check_one_input(place or quaternion, table, "--position", output, every or covariance)

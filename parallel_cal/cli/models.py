@@ -64,7 +64,8 @@ def new(
     ] = "industrial",
     as_json: Json = False,
 ) -> None:
-    """Write a model file: nominal values of a mechanism, or the values of a controller or URDF."""
+    """Write a model file. Its values are nominal, or those of a controller's configuration or of a
+    URDF (--from)."""
     from parallel_cal.importing.deltas import PROBE_NOISE_UNKNOWN
     from parallel_cal.model.file.modelfile import model_hash, replace_model
     from parallel_cal.model.machine_class import DEFAULT_CLASS, check_class
@@ -280,7 +281,8 @@ def _sentence(doc: str | None) -> str:
 
 
 def effects(as_json: Json = False) -> None:
-    """List the physical effects with the conditions they need and their lookalikes."""
+    """List the physical effects. The tables state the conditions that they need, and their
+    lookalikes."""
     rows = _rows("effects", _effect_row)
     if as_json:
         return console.emit({"effects": rows})
@@ -316,7 +318,7 @@ def _effect_row(name: str) -> dict[str, Any]:
 
 
 def sensors(as_json: Json = False) -> None:
-    """List the measuring set-ups with their options. A device that measures poses needs none of
+    """List the measuring set-ups and their options. A device that measures poses needs none of
     them."""
     rows = _rows("sensors", _sensor_row)
     if as_json:

@@ -31,8 +31,8 @@ def info(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Show a recording (its topics, samples, dropped messages with reasons, and noise), or what a
-    model file contains."""
+    """Show what a recording or a model file contains. For a recording: its topics, its samples, its
+    dropped messages with the reasons, and its noise."""
     if bag.suffix in (".yaml", ".yml") and bag.is_file() and bag.name != "metadata.yaml":
         from parallel_cal.model.file.modelfile import model_hash, read_model
         from parallel_cal.model.region import IdentifiedRegion
@@ -84,8 +84,8 @@ def import_csv(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Convert one table, or several joined tables, to a samples file. All commands that read a
-    recording accept this file."""
+    """Convert a table to a samples file. Several tables are joined. All commands that read a
+    recording accept a samples file."""
     from parallel_cal.recordings import csv_import
     from parallel_cal.recordings.info import info_of
 
@@ -145,7 +145,7 @@ def replay(
     bag: Annotated[Path, typer.Argument(help="rosbag2 folder or file")],
     rate: Annotated[float, typer.Option(min=0.001, help="speed as a multiple of real time")] = 1.0,
 ) -> None:
-    """Publish a recording on its topics, as the robot and the device did. Needs ROS 2."""
+    """Publish a recording again on its topics. Needs ROS 2."""
     import json
     import subprocess
 

@@ -64,8 +64,8 @@ def report(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Write the diagnosis as one offline page: errors, residuals, effects, parameters, and a
-    certificate."""
+    """Write the diagnosis as one offline page. It shows errors, residuals, effects, parameters, and
+    a certificate."""
     from parallel_cal.model.file.modelfile import read_model
     from parallel_cal.reporting import report as reports
 

@@ -41,8 +41,8 @@ if TYPE_CHECKING:
 app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Work with a calibration kept in a folder: steps, undo and redo, branches, excluded "
-    "samples.",
+    help="Calibrate in steps, which can be undone. A folder keeps the steps, the branches and the "
+    "excluded samples.",
 )
 Folder = Annotated[Path, typer.Argument(metavar="FOLDER", help="the session's folder")]
 Reason = Annotated[

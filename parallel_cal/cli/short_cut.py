@@ -29,11 +29,12 @@ def short_cut(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Identify a Delta without a measuring device, from loops of two arms and one rod.
+    """Identify a Delta without a measuring device.
 
-    The topic `constraint` names the loop as BALL:BALL:ROD. 12:21:11 means: ball 2 of arm 1 and
-    ball 1 of arm 2, connected by rod 1 of chain 1. Angles do not determine the size of the robot.
-    Fix lengths that you measured: --fix chain1.Lb --fix chain1.dLb.
+    In this set-up, one rod connects two arms to a closed loop. The topic `constraint` names the
+    loop as BALL:BALL:ROD. 12:21:11 means: ball 2 of arm 1 and ball 1 of arm 2, connected by rod 1
+    of chain 1. Angles do not determine the size of the robot. Fix lengths that you measured:
+    --fix chain1.Lb --fix chain1.dLb.
     """
     from parallel_cal.model.file.modelfile import model_hash, replace_model
     from parallel_cal.short_cut import identify

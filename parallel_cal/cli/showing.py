@@ -21,7 +21,7 @@ def demo(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Let a simulated robot calibrate itself from beginning to end. Needs ROS 2."""
+    """Let a simulated robot calibrate itself. Needs ROS 2."""
     try:
         module = import_module("parallel_cal.nodes.demo")
     except ModuleNotFoundError as error:

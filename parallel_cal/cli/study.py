@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Predict the accuracy of a design, and what a measurement plan can detect, by simulation.",
+    help="Predict results by simulation. `tolerance` predicts the accuracy of a design, `power` "
+    "what a measurement plan can detect.",
 )
 Seed = Annotated[int, typer.Option(min=0, help="seed of all random numbers")]
 

@@ -37,7 +37,7 @@ def _check_columns(
         also = f" (and may have {', '.join(optional)})" if optional else ""
         raise SolveError(
             f"{table.path}:1: header '{','.join(header)}'; expected the columns "
-            f"{','.join(wanted)}{also}"
+            f"{','.join(wanted)}{also}, in SI units"
         )
     return table
 

@@ -56,7 +56,8 @@ def workbench(
     options: Fitting,
     data: Data = None,
 ) -> None:
-    """Open the live page: see where the model fails, add the missing effect, check the error."""
+    """Open the live page. It shows where the model fails, adds the missing effect and checks the
+    error."""
     if find_spec("nicegui") is None:
         raise ParallelCalError("the workbench needs NiceGUI: pip install 'parallel_cal[workbench]'")
     from parallel_cal.workbench.server import LOOPBACK, serve

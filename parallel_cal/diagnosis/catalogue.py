@@ -137,8 +137,13 @@ def list_effects_to_test(
     return [name for name in wanted if name not in has]
 
 
-def candidate(scene: Scene, name: str) -> Candidate:
-    """The score of one effect, the best of its settings where it has any to scan."""
+def candidate(scene: Scene, name: str, scored: Iterable[Candidate] = ()) -> Candidate:
+    """The score of one effect, the best of its settings where it has any to scan.
+
+    An effect that has special cases among those `scored` is not scored if one of them explains
+    nothing, and has no score unless it explains significantly more than each of them: simpler
+    effects come first.
+    """
     effect = load_effect(name)
     if reason := effect.applies(scene.model.mechanism):
         return Candidate(name, effect, reason=f"does not apply: {reason}", applies=False)
@@ -155,6 +160,11 @@ def candidate(scene: Scene, name: str) -> Candidate:
         return Candidate(name, effect, missing=missing, reason=reason)
     if plain.mechanism is not scene.model.mechanism:
         return _score_larger_model(scene, name, effect, plain)
+    special = [c for c in scored if c.name in effect.generalizes and c.score is not None]
+    for one in special:
+        if one.log_p > np.log(EFFECT_SIGNIFICANCE_LEVEL):
+            reason = f"not tested: {one.name}, a special case of it, explains nothing"
+            return Candidate(name, effect, reason=reason)
     a = conditions(plain, scene.dataset)
     settings = list(effect.scan(scene.model.mechanism, collect_recorded_values(scene.dataset)))
     if not settings:
@@ -179,7 +189,12 @@ def candidate(scene: Scene, name: str) -> Candidate:
         sigma = {} if peak.sigma is None else {peak.key: peak.sigma}
     highest = score(scene, compute_effect_columns(scene, plain, setting, a))
     reason = _explain_invisible(highest, len(settings))
-    return Candidate(name, effect, setting, highest, scene, len(settings), (), reason, sigma)
+    found = Candidate(name, effect, setting, highest, scene, len(settings), (), reason, sigma)
+    for one in special:
+        if found.log_p > one.log_p - EQUAL_FIT_LOG_P:
+            reason = f"explains no more than {one.name}, a special case of it"
+            return Candidate(name, effect, reason=reason)
+    return found
 
 
 def compute_effect_columns(

@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.arguments import check_arguments
 from parallel_cal.base.documents import to_json_value
+from parallel_cal.base.errors import FitError
 from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.rotation import matrix_to_quaternion
 from parallel_cal.base.threads import single_threaded
@@ -38,7 +40,7 @@ from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.model.region import IdentifiedRegion, describe_untested_conditions
 from parallel_cal.recordings.configuration import explain_other_configuration
-from parallel_cal.recordings.dataset import Dataset, check_inputs
+from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.residuals import Residuals
 
 
@@ -233,6 +235,7 @@ class Comparison(ShownInNotebook):
         return {key: to_json_value(value) for key, value in document.items()}
 
 
+@check_arguments(FitError)
 @single_threaded()
 def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) -> Comparison:
     """Compare the predictions of a model with measurements.
@@ -269,7 +272,6 @@ def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) ->
     >>> bool(comparison.errors.summary.position_rms > 5e-4)
     True
     """
-    check_inputs(model, dataset)
     given = GivenModel.of(model, dataset, joint_sigma, insist=True)
     dataset = add_registration_warning(given.dataset, given.registration)
     if other := explain_other_configuration(model, dataset.configuration, dataset.source):

@@ -45,6 +45,7 @@ def find_doubtful_effects(
                 *find_device_lookalikes(scene, chosen, ranked, fitted),
                 *find_position_only_effects(scene, chosen, fitted),
                 *find_joint_lookalikes(scene, chosen, fitted),
+                *find_effects_of_load(scene, chosen, fitted),
             ]
         )
     )
@@ -177,6 +178,38 @@ def find_joint_lookalikes(scene: Scene, chosen: Sequence[Candidate], fitted: Mod
     own = _list_lasting(chosen, scene, of_device=True)
     fields = list(_joint_fields(_shared_scene(scene, chosen))) if own else []
     return _find_replaced(own, scene, chosen, fitted, fields)
+
+
+def find_effects_of_load(scene: Scene, chosen: Sequence[Candidate], fitted: Model) -> list[str]:
+    """Names of the device's effects among `chosen` that go with the payload, which no device knows:
+    the robot deflects.
+
+    The data are clearly likelier if the same error is proportional to the payload, and the error
+    that is the same under every payload is then no longer needed. A payload that never changed
+    decides nothing.
+    """
+    payload = scene.dataset.conditions.get("payload")
+    own = _list_lasting(chosen, scene, of_device=True)
+    if not own or payload is None or np.ptp(payload) == 0:
+        return []
+    shared = _shared_scene(scene, chosen)
+    known = {c.name: _columns(scene, shared, c, fitted) for c in chosen}
+    share = np.repeat(payload / np.sqrt(np.mean(payload**2)), shared.rows)[:, None]
+    nothing = np.zeros((len(shared.residual), 0))
+
+    def likely(*some: np.ndarray) -> float:
+        return log_evidence(
+            shared, shared.project_off_geometry(np.hstack([nothing, *some])), nothing
+        )
+
+    plain, found = likely(*known.values()), []
+    for one in own:
+        others = [columns for name, columns in known.items() if name != one.name]
+        loaded = likely(*others, share * known[one.name])
+        both = likely(*known.values(), share * known[one.name])
+        if loaded > max(plain + MIN_LOG_EVIDENCE_GAIN, both - MIN_LOG_EVIDENCE_GAIN):
+            found.append(one.name)
+    return found
 
 
 def _find_replaced(

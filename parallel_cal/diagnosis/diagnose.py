@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from parallel_cal.base.arguments import require_names
+from parallel_cal.base.arguments import check_arguments
 from parallel_cal.base.documents import to_json_value
-from parallel_cal.base.errors import FitError, ModelError
+from parallel_cal.base.errors import FitError
 from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress, ignore_progress
@@ -22,7 +22,7 @@ from parallel_cal.diagnosis.ambiguity import (
     find_ambiguous_effects,
 )
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_to_test
-from parallel_cal.diagnosis.device import find_doubtful_effects
+from parallel_cal.diagnosis.device import find_doubtful_effects, find_effects_of_load
 from parallel_cal.diagnosis.drift import compute_drift_p_value
 from parallel_cal.diagnosis.entries import (
     Entry,
@@ -39,13 +39,14 @@ from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.patterns import (
+    KNOCKED,
     OddSample,
+    confirm_knocked_samples,
     describe_knocked_samples,
     find_knocked_samples,
     odd_samples,
 )
 from parallel_cal.diagnosis.remaining import RemainingCondition, find_remaining_condition
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.search import (
     Chosen,
     Search,
@@ -68,7 +69,7 @@ from parallel_cal.diagnosis.verdict import UNEXPLAINED_VERDICTS, Findings, Verdi
 from parallel_cal.identification.added_effects import limit_patterns
 from parallel_cal.identification.fit import FitResult, fit, fit_registered
 from parallel_cal.identification.given_model import GivenModel
-from parallel_cal.identification.observations import Observations, conditions
+from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.platform_shift import explain_unseparated_device
 from parallel_cal.identification.registration import (
@@ -78,10 +79,14 @@ from parallel_cal.identification.registration import (
 )
 from parallel_cal.model.effect import format_effect
 from parallel_cal.model.model import Model
-from parallel_cal.recordings.dataset import Dataset, check_inputs
+from parallel_cal.model.shelf import load_effect
+from parallel_cal.recordings.dataset import Dataset
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+LIKE_DRIFT = "indistinguishable from drift: neighbours in time explain each other as well"
+OF_LOAD = "its error goes with the payload, which no device knows: the robot deflects"
 
 
 @dataclass(frozen=True)
@@ -241,6 +246,7 @@ class Diagnosis(ShownInNotebook):
         return {key: to_json_value(value) for key, value in document.items()}
 
 
+@check_arguments(FitError)
 @single_threaded()
 def diagnose(
     model: Model,
@@ -297,10 +303,8 @@ def diagnose(
     >>> diagnosis.verdict.word, diagnosis.effects
     ('explained', ('backlash',))
     """
-    check_inputs(model, dataset)
-    require_names("effects", effects, ModelError)
     report = progress or ignore_progress
-    options = with_changes(options or FitOptions(), changes, FitError)
+    options = with_changes(options, FitOptions, changes, FitError)
     # The search refits with unusual sizes in any case: they are evidence against other effects.
     usual_only, options = options.usual_only, replace(options, usual_only=False)
     given = GivenModel.of(model, dataset, options.joint_sigma, options.insist)
@@ -353,16 +357,11 @@ def _set_knocked_samples_aside(
     knocked, others = find_knocked_samples(found.base.scene), found
     while knocked:
         try:
-            others = without([one.sample for one in knocked], "because it is far from all others")
-            # The other model with all samples; no parameter follows them.
-            other, base = others.best.fitted.model, found.base.fitted
-            observations = replace(base.observations, a=conditions(other, base.dataset))
-            fixed = np.zeros(len(other.values), dtype=bool)
-            still = find_knocked_samples(Scene.of(other, base.dataset, observations, fixed))
+            others = without([one.sample for one in knocked], f"because it is {KNOCKED}")
+            best = others.best.fitted.model
+            confirmed = confirm_knocked_samples(knocked, found.base.fitted, best)
         except FitError:
             return found
-        numbers = {one.sample for one in knocked}
-        confirmed = [one for one in still if one.sample in numbers]
         if len(confirmed) == len(knocked):
             break
         knocked = confirmed
@@ -371,6 +370,7 @@ def _set_knocked_samples_aside(
     verdict = replace(
         others.verdict, summary=f"{describe_knocked_samples(confirmed)}{others.verdict.summary}"
     )
+    numbers = {one.sample for one in confirmed}
     odd = [one for one in others.odd_samples if one.sample not in numbers]
     return replace(
         others, verdict=verdict, odd_samples=(*confirmed, *odd), knocked=tuple(confirmed)
@@ -545,9 +545,14 @@ def _find_robot_or_device(
 def _find_doubtful(
     before: Trial, chosen: tuple[Chosen, ...], after: Trial, ranked: list[Candidate]
 ) -> list[str]:
-    settings = {one.name: one.settings for one in chosen}
-    added = [replace(c, settings=settings[c.name]) for c in ranked if c.name in settings]
+    added = _list_added(chosen, ranked)
     return find_doubtful_effects(before.scene, added, ranked, after.fitted.model)
+
+
+def _list_added(chosen: tuple[Chosen, ...], ranked: list[Candidate]) -> list[Candidate]:
+    """The candidates of the chosen effects, with the settings that were chosen."""
+    settings = {one.name: one.settings for one in chosen}
+    return [replace(c, settings=settings[c.name]) for c in ranked if c.name in settings]
 
 
 def find_better_lookalikes(best: Trial, search: Search, catalogue: _Catalogue) -> list[str]:
@@ -581,7 +586,8 @@ def _search_effects(search: Search, catalogue: _Catalogue) -> tuple[Trial, dict[
     """Find the effects that explain most, and the objections to the others.
 
     If neighbours in time are similar, the noise drifts, and it may imitate effects of time or
-    temperature. The search then names them only if they explain more than drift can.
+    temperature. The search then names them only if they explain more than drift can. Effects of the
+    device that go with the payload are none of the device.
     """
     base = search.fit()
 
@@ -604,12 +610,25 @@ def _search_effects(search: Search, catalogue: _Catalogue) -> tuple[Trial, dict[
         return best, against
 
     best, against = found()
-    while imitated := _find_imitated_by_drift(search, best, catalogue):
-        words = "indistinguishable from drift: neighbours in time explain each other as well"
+    while True:
+        imitated = {
+            **dict.fromkeys(sorted(_find_imitated_by_drift(search, best, catalogue)), LIKE_DRIFT),
+            **dict.fromkeys(_find_effects_of_load(search, best, catalogue), OF_LOAD),
+        }
+        if imitated.keys() <= catalogue.imitated.keys():
+            break
         catalogue.imitated |= imitated
         best, more = found()
-        against = more | dict.fromkeys(sorted(catalogue.imitated), words)
+        against = more | catalogue.imitated
     return best, against
+
+
+def _find_effects_of_load(search: Search, best: Trial, catalogue: _Catalogue) -> list[str]:
+    """Find the chosen effects of the device that go with the payload, so that the robot causes
+    them."""
+    base = search.fit()
+    chosen = _list_added(best.chosen, catalogue.rank(base)) if best.chosen else []
+    return find_effects_of_load(base.scene, chosen, best.fitted.model)
 
 
 def _find_imitated_by_drift(search: Search, best: Trial, catalogue: _Catalogue) -> set[str]:
@@ -643,17 +662,21 @@ class _Catalogue:
 
     def __init__(self, names: list[str], report: Progress):
         self._names, self._report = names, report
-        self.imitated = set[str]()  # slow effects that noise which drifts explains as well
+        # Effects that something else imitates, with the reason: the search leaves them out.
+        self.imitated = dict[str, str]()
         self._ranked: dict[frozenset[Chosen], list[Candidate]] = {}
 
     def rank(self, trial: Trial) -> list[Candidate]:
         """Candidates that the trial does not contain, best first, untestable ones last."""
         key = frozenset(replace(c, unusual=False) for c in trial.chosen)
         if key not in self._ranked:
-            taken, scored = {c.name for c in trial.chosen}, []
-            for k, name in enumerate(n for n in self._names if n not in taken):
+            taken, scored = {c.name for c in trial.chosen}, list[Candidate]()
+            # Special cases come before the effects that generalize them.
+            left = (name for name in self._names if name not in taken)
+            ordered = sorted(left, key=lambda name: bool(load_effect(name).generalizes))
+            for k, name in enumerate(ordered):
                 self._report(f"testing {name}", 0.1 + 0.3 * k / len(self._names))
-                scored.append(candidate(trial.scene, name))
+                scored.append(candidate(trial.scene, name, scored))
             self._ranked[key] = sorted(scored, key=lambda c: (not c.testable, c.log_p))
         return self._ranked[key]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +24,11 @@ from parallel_cal.diagnosis.thresholds import (
     OUTLIER_SIGNIFICANCE_LEVEL,
     WINDOW,
 )
+from parallel_cal.identification.fit import FitResult
+from parallel_cal.identification.observations import conditions
+from parallel_cal.model.model import Model
+
+KNOCKED = "far from all others, as if somebody knocked the device"
 
 
 @dataclass(frozen=True)
@@ -185,6 +190,18 @@ def find_knocked_samples(scene: Scene) -> list[OddSample]:
         one for one in odd_samples(scene, Field.of(scene)) if one.p_value < KNOCK_SIGNIFICANCE_LEVEL
     ]
     return far if len(far) <= max(1, MAX_KNOCKED_SHARE * len(scene.dataset)) else []
+
+
+def confirm_knocked_samples(
+    knocked: Sequence[OddSample], base: FitResult, other: Model
+) -> list[OddSample]:
+    """Return those of the knocked samples of a fit that are also far from what another model
+    predicts, which was fitted without them."""
+    observations = replace(base.observations, a=conditions(other, base.dataset))
+    fixed = np.zeros(len(other.values), dtype=bool)  # no parameter follows the samples
+    still = find_knocked_samples(Scene.of(other, base.dataset, observations, fixed))
+    numbers = {one.sample for one in knocked}
+    return [one for one in still if one.sample in numbers]
 
 
 def describe_knocked_samples(knocked: Sequence[OddSample]) -> str:

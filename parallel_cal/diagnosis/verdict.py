@@ -284,7 +284,10 @@ def robot_or_device(name: str) -> str:
     effect of the device describes, and which measurement decides."""
     cause = f"the measuring device may cause {name}: usual errors of such a device explain as much"
     if load_effect(name).of_device:
-        cause = f"the robot may cause {name}: errors of its joints explain as much"
+        cause = (
+            f"the robot may cause {name}: errors of its joints, or its deflection under the "
+            "payload, explain as much"
+        )
     return (
         f"robot or device: {cause} (measure the same poses with the device turned or moved aside, "
         "measure them with a second device, measure an artefact of known length, or state the "

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from parallel_cal.base.arguments import check_arguments
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.notebook import ShownInNotebook
@@ -75,7 +76,7 @@ from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
-from parallel_cal.recordings.dataset import Dataset, check_inputs
+from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.lagged import add_lagged_conditions
 from parallel_cal.session.steps import Step, add
 
@@ -84,7 +85,7 @@ if TYPE_CHECKING:
 
 
 # Families of drivers whose values a person cannot choose for a pose at rest.
-NOT_CHOSEN = ("time", "session", "velocity", "settling")
+NOT_CHOSEN = ("time", "session", "velocity", "acceleration", "settling")
 A_STATION = (
     "a second station: measure the same poses with the device moved and turned, about an axis that "
     "the error does not surround, and give all recordings; an error of the device goes with it"
@@ -299,6 +300,7 @@ class _Winner:
         return [(self, threshold), *((one, MIN_TERM_EVIDENCE) for one in parts)]
 
 
+@check_arguments(FitError)
 @single_threaded()
 def discover(
     model: Model,
@@ -352,9 +354,8 @@ def discover(
     >>> pc.discover(model, data).laws[0].drivers
     ('direction',)
     """
-    check_inputs(model, dataset)
     report = never_falling(progress or ignore_progress)
-    options = with_changes(options or FitOptions(), changes, FitError)
+    options = with_changes(options, FitOptions, changes, FitError)
     report("identifying the geometry", 0.0)
     dataset = add_lagged_conditions(name_lags(dataset), dataset)
     base = fit(model, dataset, options)
@@ -658,7 +659,8 @@ def _prove(
     sentence, tested = describe_law(hypothesis), _list_ranges(hypothesis)
     where = _describe_data(dataset, tested)
     name = load_text(write_effect(formula, sentence, where))
-    step = add(model, name, dataset, force=True, options=options)
+    # With the samples in which the law was found.
+    step = add(model, name, dataset, force=True, knocked=(), options=options)
     refitted = step.result.parameters()
     coefficients = []
     for c in list_coefficients(formula):

@@ -69,6 +69,7 @@ WORDS = {  # of drivers of the whole robot, and of those of a member's own joint
     "direction": "the approach direction of its own joint",
     "travel": "the travel of its own joint since the reversal",
     "velocity": "the velocity of its own joint",
+    "acceleration": "the acceleration of its own joint",
 }
 JOINT_WORDS = {  # of drivers of one named joint or rod
     LOAD: "the load on {}",
@@ -79,6 +80,7 @@ JOINT_WORDS = {  # of drivers of one named joint or rod
     "direction": "the approach direction of {}",
     "travel": "the travel of {} since the reversal",
     "velocity": "the velocity of {}",
+    "acceleration": "the acceleration of {}",
 }
 # Physics rarely depends on the last ones: they order only laws that explain the data equally well.
 PLAUSIBILITY = (
@@ -96,6 +98,7 @@ PLAUSIBILITY = (
     PREVIOUS,
     "radius",
     "velocity",
+    "acceleration",
     "z",
     "x",
     "y",

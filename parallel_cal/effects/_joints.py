@@ -21,6 +21,12 @@ def find_revolute_joints(mechanism: Mechanism) -> list[str]:
     return [joint for joint, unit in joints if unit == "rad"]
 
 
+def find_prismatic_joints(mechanism: Mechanism) -> list[str]:
+    """Return the prismatic joints, whatever drives them."""
+    joints = zip(mechanism.joints, mechanism.joint_units, strict=True)
+    return [joint for joint, unit in joints if unit == "m"]
+
+
 def needs_turning(mechanism: Mechanism) -> str:
     """Return why an effect of revolute joints does not apply; empty if it does."""
     return "" if find_revolute_joints(mechanism) else "it has no revolute joint"

@@ -16,7 +16,11 @@ from parallel_cal.model.parameters import Named
 
 def needs_lines(mechanism: Mechanism) -> str:
     """Return why an effect of lines does not apply; empty if it does."""
-    return "" if isinstance(mechanism, Cable) else "no line holds the platform"
+    if not isinstance(mechanism, Cable):
+        return "no line holds the platform"
+    if any(mechanism.moving_pulleys):
+        return "its lines run over pulleys on the platform"
+    return ""
 
 
 def has_redundant_lines(mechanism: Mechanism) -> bool:

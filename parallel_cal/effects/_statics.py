@@ -57,8 +57,15 @@ def rods(mechanism: Mechanism) -> tuple[list[str], np.ndarray]:
 
 def find_loaded_joints(mechanism: Mechanism) -> list[str]:
     """Return the joints that carry weight of the payload."""
+    loads = zip(mechanism.joints, estimate_joint_loads(mechanism), strict=True)
+    return [joint for joint, load in loads if abs(load) > MIN_WEIGHT_FORCE]
+
+
+def estimate_joint_loads(mechanism: Mechanism) -> tuple[float, ...]:
+    """Return the load of a payload of 1 kg on each joint (Nm or N) of the nominal robot, a little
+    away from home."""
     m = mechanism
-    return [m.joints[i] for i in _find_loaded_indices(m, m.gravity, m.home, m.parameters)]
+    return _estimate_loads(m, m.gravity, m.home, m.parameters)
 
 
 def needs_weight(mechanism: Mechanism) -> str:
@@ -79,10 +86,10 @@ def needs_rods(mechanism: Mechanism) -> str:
 
 
 @lru_cache(maxsize=64)
-def _find_loaded_indices(
+def _estimate_loads(
     mechanism: Mechanism, gravity: tuple[float, ...], home: Home, table: ParameterTable
-) -> list[int]:
-    """Find the loaded joints by applying 1 kg to the nominal robot a little away from home.
+) -> tuple[float, ...]:
+    """Apply 1 kg to the nominal robot a little away from home.
 
     What a model file sets is passed as an argument, so that the cache stays valid.
     """
@@ -92,7 +99,7 @@ def _find_loaded_indices(
     e = Named([kind.name for kind in kinds], ca.SX.zeros(len(kinds)))
     at = Named([PAYLOAD], ca.SX(1))
     forces = ca.DM(joint_forces(Seen(q, ca.SX(r), ca.SX(R), p), e, at, mechanism))
-    return [i for i in range(n) if abs(float(forces[i])) > MIN_WEIGHT_FORCE]
+    return tuple(float(forces[i]) for i in range(n))
 
 
 def _forces(loose: Seen, u: Any, given: Any, e: Named, at: Named, mechanism: Mechanism) -> Any:

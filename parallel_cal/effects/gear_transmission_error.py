@@ -32,6 +32,9 @@ class GearTransmissionError(Effect):
     harmonic. From there, a fit can refine the ratio together with the amplitudes (`--free`). If the
     readings are angles of motors that turn spools, the ratio is the angle of the spool per angle of
     the motor: a spool that is out of round errs once per turn of its own.
+
+    The interpolation error of an encoder and the cogging of a motor have the same form, with the
+    number of periods per turn of the joint as `ratio`.
     """
 
     fixed = ("ratio",)

@@ -16,7 +16,7 @@ class ServoLag(Effect):
 
     The reading is the commanded position, or a position ahead of an elastic drive. A position loop
     of the gain K_v (1/s) follows a ramp with the lag 1 / K_v. A lag that all joints have in common
-    is `latency`. The acceleration's share, qdd / K_a, is not modelled.
+    is `latency`. The acceleration's share, qdd / K_a, is `acceleration_lag`.
     """
 
     needs = ("velocity",)

@@ -12,6 +12,10 @@ from parallel_cal.base.files import read_text
 from parallel_cal.importing.sections import SAVE_CONFIG_PREFIX
 from parallel_cal.importing.settings import Settings
 
+# A line may state a value under another name: a signal that leads to the pin, or a key of an .ini
+# file (LinuxCNC), or a global variable (RepRapFirmware).
+VARIABLE = re.compile(r"\s*sets\s+(\S+)|(?:set\s+)?global[\s.]\s*(\w+)\s*=|\s*([A-Za-z_]\w*)\s*=")
+
 
 def format_settings(settings: Mapping[str, str]) -> str:
     """Format a file of settings; fields are `M665 L`, `[section] key`, `$641` or `pin.name`."""
@@ -27,32 +31,36 @@ def format_settings(settings: Mapping[str, str]) -> str:
 
 
 def edit_files(
-    stated: Settings, settings: Mapping[str, str], files: Sequence[Path]
+    stated: Settings, groups: Sequence[tuple[Mapping[str, str], Sequence[Path]]]
 ) -> dict[Path, str]:
-    """Return the texts of `files` with new settings.
+    """Return the texts of files with new settings; each group has the files for its new ones.
 
-    A setting replaces its last value, unless this is the same number in other digits. A new one is
-    inserted next to settings of the same command or section, or at the end of the last file.
+    A setting replaces its last value, in whatever file, unless this is the same number in other
+    digits. A new one is inserted next to settings of the same command or section, or at the end of
+    the group's last file.
     """
-    lines = {path: read_verbatim(path).splitlines(keepends=True) for path in files}
     places = {field: (place.path, place.line - 1) for field, (_, place) in stated.texts.items()}
-    for field, value in settings.items():
-        if field in stated and _are_same_numbers(stated.texts[field][0], value):
-            continue
-        near = [place for other, place in places.items() if _head(other) == _head(field)]
-        path, k = places.get(field) or (near[-1] if near else (None, 0))
-        if path is None:
-            end = lines[files[-1]]
-            end.append(
-                ("" if not end or end[-1].endswith("\n") else "\n")
-                + format_settings({field: value})
-            )
-            path, k = files[-1], len(end) - 1
-        elif field in stated:
-            lines[path][k] = _replace_value(lines[path][k], field, stated.texts[field][0], value)
-        else:
-            lines[path][k] = _insert_setting(lines[path][k], field, value)
-        places[field] = (path, k)
+    lines = {path: read_verbatim(path).splitlines(keepends=True) for path in stated.paths}
+    for settings, files in groups:
+        for field, value in settings.items():
+            if field in stated and _are_same_numbers(stated.texts[field][0], value):
+                continue
+            near = [place for other, place in places.items() if _head(other) == _head(field)]
+            path, k = places.get(field) or (near[-1] if near else (None, 0))
+            if path is None:
+                end = lines[files[-1]]
+                end.append(
+                    ("" if not end or end[-1].endswith("\n") else "\n")
+                    + format_settings({field: value})
+                )
+                path, k = files[-1], len(end) - 1
+            elif field in stated:
+                lines[path][k] = _replace_value(
+                    lines[path][k], field, stated.texts[field][0], value
+                )
+            else:
+                lines[path][k] = _insert_setting(lines[path][k], field, value)
+            places[field] = (path, k)
     return {path: "".join(text) for path, text in lines.items()}
 
 
@@ -84,21 +92,28 @@ def _line(field: str, value: str) -> str:
 
 
 def _are_same_numbers(old: str, new: str) -> bool:
-    """Return whether two texts are the same numbers: one, `1:2:3` or `{ 1, 2, 3 }`."""
+    """Return whether two texts are the same numbers, such as `1:2:3`; `1` stands for `1:1:1`."""
     try:
         before, after = (
             [float(word) for word in re.split("[:,]", text.strip("{} "))] for text in (old, new)
         )
     except ValueError:
         return False
-    return before == after
+    return (before * len(after) if len(before) == 1 else before) == after
 
 
 def _replace_value(line: str, field: str, old: str, new: str) -> str:
     """Replace a field's value at its last place in a line outside comments."""
     begins = "" if field[0] == "$" else r"(?<![\w.])"
-    signal = re.match(r"\s*sets\s+(\S+)", line)  # of LinuxCNC, connected to the pin
-    key = re.escape(signal[1] if signal else _key(field))
+    stated = VARIABLE.match(line)
+    if stated and stated[2]:
+        if len({*new.split(":")}) > 1:
+            raise ModelError(
+                f"'{line.strip()}': {field} needs several numbers, {new}; write {old} in place of "
+                "the variable first"
+            )
+        new = new.split(":")[0]
+    key = re.escape(next(filter(None, stated.groups())) if stated else _key(field))
     pattern = rf"(?i){begins}{key}(\s*[:=]?\s*){re.escape(old)}(?![\w.])"
     comment = r"\([^)]*\)|;.*" if field[0] in "GM" else r"(?<=\s)[#;].*"
     if field.startswith("DELTA_"):

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.base.arguments import require_model
+from parallel_cal.base.arguments import check_arguments
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import BACKUP_SUFFIX, write_atomically
 from parallel_cal.base.options import convert_options, split_options
@@ -60,6 +60,7 @@ class ExportResult:
     movement: Movement | None = None
 
 
+@check_arguments(ModelError)
 @single_threaded()
 def export(
     model: Model, target: str, folder: str | Path, touches: Touches | None = None
@@ -101,7 +102,6 @@ def export(
     >>> sorted(path.suffix for path in done.paths)
     ['', '.c', '.c', '.c', '.csv', '.h', '.txt']
     """
-    require_model(model)
     name, given = split_options(target, "target", ModelError)
     module, robot = load_module(SHELF, name), model.robot()
     made: dict[str, str] = {}
@@ -165,7 +165,7 @@ def export_into(
         old_height = rms_height(robot, replace(found, firmware=now), touches, "the file's")
         if _takes_touches(module):
             projection, found = _project(target, module, robot, Present(now, touches))
-    texts: dict[Path, str] = {}
+    groups = list[tuple[dict[str, str], list[Path]]]()
     written = {field for numbers in projection.settings.values() for field in numbers}
     cleared = [field for field in getattr(module, "CLEARED", ()) if field in stated]
     for file, numbers in projection.settings.items():
@@ -178,8 +178,9 @@ def export_into(
             )
         if hasattr(module, "adapt"):
             numbers = module.adapt(stated, numbers)
-        texts |= edit_files(stated, {**numbers, **dict.fromkeys(cleared, "0")}, its)
+        groups.append(({**numbers, **dict.fromkeys(cleared, "0")}, its))
         cleared = []
+    texts = edit_files(stated, groups)
     old, new = (
         replace(found, firmware=firmware) for firmware in (now, _read(module, files, texts))
     )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from parallel_cal.base.arguments import check_arguments
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.base.notebook import ShownInNotebook
@@ -85,7 +86,7 @@ from parallel_cal.identification.unusual import UnusualSize, describe_by_effect
 from parallel_cal.identification.variance_components import estimate_noise
 from parallel_cal.model.model import Model
 from parallel_cal.model.region import IdentifiedRegion
-from parallel_cal.recordings.dataset import Dataset, check_inputs
+from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import fingerprint
 from parallel_cal.recordings.lagged import add_lagged_conditions
 
@@ -460,6 +461,7 @@ def summarise_parameters(
     }
 
 
+@check_arguments(FitError)
 @single_threaded()
 def fit(
     model: Model,
@@ -539,8 +541,7 @@ def fit(
     >>> result.held_out.summary.position_rms < result.before.summary.position_rms / 5
     True
     """
-    check_inputs(model, dataset)
-    options = with_changes(options or FitOptions(), changes, FitError)
+    options = with_changes(options, FitOptions, changes, FitError)
     if not dataset.sha256:  # so that another fit of these samples knows that the first used them
         dataset = replace(dataset, sha256=fingerprint(dataset))
     given = GivenModel.of(model, dataset, options.joint_sigma, options.insist)

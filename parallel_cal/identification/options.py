@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypedDict
 
-from parallel_cal.base.arguments import require_names, require_number
+from parallel_cal.base.arguments import require_fields
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.options import option
 
@@ -16,11 +16,13 @@ if TYPE_CHECKING:  # the command line shows its help without numpy
 
 # Options that a measurement plan has, too.
 FREE = option(
-    "identify the parameters that match this wildcard, such as 'chain1.*'; if a parameter matches "
-    "both --free and --fix, the option that matches fewer parameters decides (all of them must "
-    "match the other option, too)"
+    "identify the parameters that match this wildcard, such as 'chain1.*'. With --fix '*', only "
+    "these are identified: where both options match, the one that matches fewer parameters decides"
 )
-FIX = option("do not identify the parameters that match this wildcard")
+FIX = option(
+    "do not identify the parameters that match this wildcard. Where --free matches, too, the one "
+    "that matches fewer parameters decides"
+)
 PRIOR = option("use tolerances as priors of all parameters, not only of weakly determined ones")
 
 
@@ -34,10 +36,10 @@ class FitOptions:
         Method of identification. Default `implicit`.
     free, fix : sequence of str
         Wildcards for parameter names (`chain1.*`). `free` adds parameters to the free ones of the
-        model file, `fix` removes some. If a parameter matches both, the one that matches
-        fewer parameters decides (all of them must match the other, too): `fix=["*"],
-        free=["chain1.Lb"]` identifies `chain1.Lb` only. FitError is raised if neither contains the
-        other. Default none.
+        model file, `fix` removes some. Where both match, the option that matches fewer
+        parameters decides: `fix=["*"], free=["chain1.Lb"]` identifies `chain1.Lb` only. All
+        parameters that this option matches must match the other one, too; otherwise FitError is
+        raised. Default none.
     refit : sequence of str
         Wildcards for the names of the parameters to identify again. All other parameters keep their
         values and covariance. Use it if only some parameters changed, for example after re-homing
@@ -115,11 +117,7 @@ class FitOptions:
     def __post_init__(self) -> None:
         """Raise FitError for a wrong kind of value or a negative share; a share that is too large
         is refused later."""
-        for name in ("free", "fix", "refit"):
-            require_names(name, getattr(self, name), FitError)
-        require_number("hold_out", self.hold_out, FitError)
-        if self.joint_sigma is not None:
-            require_number("joint_sigma", self.joint_sigma, FitError)
+        require_fields(self, FitError)
         if not self.hold_out >= 0:
             raise FitError(f"hold_out {self.hold_out}: expected 0 (no validation) to 0.5")
 

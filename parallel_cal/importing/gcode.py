@@ -8,15 +8,26 @@ from pathlib import Path
 
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines
 
+GLOBAL = re.compile(r"(?:set\s+)?global[\s.]\s*(\w+)\s*=\s*([^\s;]+)")  # of RepRapFirmware
+USE = re.compile(r"\{\s*global\.(\w+)\s*\}")
 COMMAND = re.compile(r"\s*(?:N\d+\s*)?([GM]\d+)(?![\d.])(.*)", re.IGNORECASE)
 
 
 def settings(paths: Sequence[Path], codes: Sequence[str]) -> Settings:
-    """Read the words of some commands in G-code files, by fields such as `M665 L`."""
+    """Read the words of some commands in G-code files, by fields such as `M665 L`.
+
+    A word such as `R{global.radius}` has the value and the line of the global variable.
+    """
     texts: dict[str, tuple[str, SourceLine]] = {}
+    variables: dict[str, tuple[str, SourceLine]] = {}
     for path in paths:
         for place, line in read_lines(path):
             parse_settings_line(texts, place, line, codes)
+            if found := GLOBAL.match(line):  # an indented line may never be reached
+                variables[found[1]] = (found[2], place)
+    for field, (text, _) in texts.items():
+        if (used := USE.fullmatch(text)) and used[1] in variables:
+            texts[field] = variables[used[1]]
     return Settings(texts, paths)
 
 

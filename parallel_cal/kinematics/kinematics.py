@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from parallel_cal.base.arguments import require_model
+from parallel_cal.base.arguments import require, require_model
 from parallel_cal.base.compiled import Single
+from parallel_cal.base.errors import SolveError
 from parallel_cal.kinematics.problem import Problem
 from parallel_cal.kinematics.rows import joint_rows, pose_rows
 from parallel_cal.kinematics.solutions import (
@@ -105,6 +106,7 @@ class Kinematics:
             found = self._solve_fast(self.direct_problem, self._joints, q, None, at)
             if found is not None:
                 return found
+        require("start", start, "Solutions | None", SolveError)
         return self._solve(self.direct_problem, joint_rows(self.model, q), q, at, start)
 
     def inverse(
@@ -140,6 +142,7 @@ class Kinematics:
             found = self._solve_fast(self.inverse_problem, self._position, position, rotation, at)
             if found is not None:
                 return found
+        require("start", start, "Solutions | None", SolveError)
         given = pose_rows(self.model, position, rotation)
         return self._solve(self.inverse_problem, given, position, at, start)
 
@@ -233,11 +236,14 @@ class Kinematics:
         one = problem.single_solver
         with one.lock:
             row, a, k = one.arguments
-            row[place] = given
-            if rotation is not None:
-                row[self._turn] = np.asarray(rotation, dtype=float).reshape(9)
-            elif problem.unknown_joints:
-                row[self._turn] = self._home_rotation
+            try:
+                row[place] = given
+                if rotation is not None:
+                    row[self._turn] = np.asarray(rotation, dtype=float).reshape(9)
+                elif problem.unknown_joints:
+                    row[self._turn] = self._home_rotation
+            except (TypeError, ValueError):
+                return None  # no numbers: the way of many samples says what was expected
             if len(a):
                 a[:] = problem.neutral if at is None else self.model.condition_rows(at, 1)[0]
             one.evaluate()
@@ -319,6 +325,8 @@ class Kinematics:
         answer_size: int,
         joint_sigma: ArrayLike,
     ) -> np.ndarray:
+        require("solution", solution, "Solutions", SolveError)
+        require("joint_sigma", joint_sigma, "ArrayLike", SolveError)
         n, x = self._n, solution.configuration.rows
         rows, m = np.atleast_2d(x), self.model.structure.phi.shape[0]
         a = self.model.condition_rows(at, len(rows))
@@ -368,4 +376,7 @@ def _wrap_towards_home(q: np.ndarray, unknown: bool, model: Model) -> np.ndarray
 
 def _shape(given: Any) -> tuple[int, ...]:
     """Shape of an array or sequence: np.shape alone takes a third of the time of a solution."""
-    return given.shape if isinstance(given, np.ndarray) else np.shape(given)
+    try:
+        return given.shape if isinstance(given, np.ndarray) else np.shape(given)
+    except ValueError:  # rows of different lengths
+        return ()

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from parallel_cal.base.arguments import require
 from parallel_cal.base.errors import SolveError
 from parallel_cal.model.model import Model
 
 
 def joint_rows(model: Model, q: np.ndarray) -> np.ndarray:
     """Build configurations (N, nq + 12) with joints (nq,) or (N, nq) and the platform at home."""
+    require("q", q, "ArrayLike", SolveError)
     q = np.atleast_2d(np.asarray(q, dtype=float))
     n = len(model.joints)
     if q.shape[1] != n:
@@ -25,6 +27,8 @@ def joint_rows(model: Model, q: np.ndarray) -> np.ndarray:
 
 def pose_rows(model: Model, position: np.ndarray, rotation: np.ndarray | None) -> np.ndarray:
     """Build configurations (N, nq + 12) with the given poses and the joints at home."""
+    require("position", position, "ArrayLike", SolveError)
+    require("rotation", rotation, "ArrayLike | None", SolveError)
     r = np.atleast_2d(np.asarray(position, dtype=float))
     if r.shape[1] != 3:
         raise SolveError(f"a position has 3 coordinates (m), but {r.shape[1]} are given")
@@ -33,5 +37,11 @@ def pose_rows(model: Model, position: np.ndarray, rotation: np.ndarray | None) -
     rows[:] = model.mechanism.home.configuration
     rows[:, n : n + 3] = r
     if rotation is not None:
-        rows[:, n + 3 :] = np.asarray(rotation, dtype=float).reshape(-1, 9)
+        R = np.asarray(rotation, dtype=float)
+        if R.shape not in ((3, 3), (len(r), 3, 3)):
+            raise SolveError(
+                f"rotation has the shape {R.shape}; expected (3, 3) or ({len(r)}, 3, 3), as there "
+                f"are {len(r)} positions"
+            )
+        rows[:, n + 3 :] = R.reshape(-1, 9)
     return rows

@@ -28,18 +28,26 @@ HP4_SPOOLS = (1, 1, 1, 2)
 class Cable(Mechanism):
     """Cable robot: lines from the anchors A_i hold the end point P.
 
-    The joint readings are zero if P is at the origin. They are the angles of motors that turn
-    spools (rad), or, for a robot with anchors of its own, lengths of line (m).
+    Options: without any, the robot is the Hangprinter HP4.
 
-    Options: `anchors` (n, 3), m; `advantages` (n,), the mechanical advantages of the pulleys;
-    `spools` (n,), the number of the spool of each line: lines with the same number share one spool
-    radius; `radius`, the radius of the spools, m; `gear`, turns of the motor per turn of the spool.
-    `radius` and `gear` are one number, or (n,), one for each line. With `spools`,
-    `radius` or `gear` the readings are angles of motors; the defaults of `radius` and `gear` are
-    those of the Hangprinter HP4. Gear ratio and advantage have the same influence as the radius.
-    They are known exactly and therefore fixed by default. With `zero: anchors` a reading is the
-    whole line from the anchor to P. If a motor with a spool makes a reading in m, state this spool
-    as the `drive` of the joint in the model file. Without options the robot is the Hangprinter HP4.
+    - `anchors` (n, 3): positions of the anchors, m.
+    - `advantages` (n,): mechanical advantages of the pulleys. Default 1.
+    - `spools` (n,): number of the spool of each line. Lines with the same number share one spool
+      radius.
+    - `radius`: radius of the spools, m. One number, or (n,), one for each line.
+    - `gear`: turns of the motor per turn of the spool. One number, or (n,), one for each line.
+    - `zero`: `origin` (default): readings are zero if P is at the origin. `anchors`: a reading is
+      the whole length of the line from the anchor to P.
+
+    With `spools`, `radius` or `gear`, the joint readings are angles of the motors that turn the
+    spools (rad); a missing `radius` or `gear` is that of the Hangprinter HP4. With `anchors` alone,
+    the readings are lengths of line (m). If a motor with a spool measures this length, state the
+    spool as the `drive` of the joint in the model file. Gear ratio and advantage have the same
+    influence as the radius. They are known exactly and therefore fixed by default.
+
+    `second_anchors` (n,), a point E in m or null for each line: with a point, the line does not end
+    at P. It runs over a pulley there and on to E, once or, with `second_strands` (n,), several
+    times: the line let out is advantage |P - A| + strands |P - E|.
 
     If one coordinate of every anchor is 0, the robot is planar: P moves in this plane, and a
     measured third coordinate is ignored. `anchors` (n, 2) are x and y. A planar robot has at least
@@ -59,6 +67,8 @@ class Cable(Mechanism):
         radius: float | Sequence[float] | None = None,
         gear: float | Sequence[float] | None = None,
         zero: str = "origin",
+        second_anchors: Sequence[Sequence[float] | None] | None = None,
+        second_strands: Sequence[float] | None = None,
     ):
         hp4 = anchors is None
         anchors = HP4_ANCHORS if anchors is None else anchors
@@ -66,6 +76,10 @@ class Cable(Mechanism):
         points = _check_anchors(anchors)
         used = np.flatnonzero(points.any(axis=0))
         self.moves = self.controls = tuple("xyz"[axis] for axis in used)
+        ends = _check_second_anchors(points, second_anchors, second_strands)
+        self.moving_pulleys = tuple(end is not None for end in ends)
+        if any(self.moving_pulleys):
+            self.closed_forms = ("inverse",)
         if zero not in ("origin", "anchors"):
             raise ModelError(f"zero '{zero}': expected 'origin' or 'anchors'")
         self.whole = zero == "anchors"
@@ -86,12 +100,18 @@ class Cable(Mechanism):
         if motors:  # line (m) per rad of the motor
             self.length = radii[0] / gears[0] / 2
         self.fixed = ("*.gear", "*.advantage") if motors else ("*.advantage",)
-        self.bodies = {"base": ("*.A_?",), **({"spools": ("*.R",)} if motors else {})}
+        self.fixed += ("*.strands",) * any(self.moving_pulleys)
+        self.bodies = {"base": ("*.A_?", "*.E_?"), **({"spools": ("*.R",)} if motors else {})}
         places = [dict(zip(self.moves, point, strict=True)) for point in points[:, used]]
         lines = [
             _line(i + 1, place, advantages[i], gears[i] if motors else None)
             for i, place in enumerate(places)
         ]
+        strands = second_strands or (1.0,) * n
+        for i, end in enumerate(ends):
+            if end is not None:
+                place = dict(zip(self.moves, end[used], strict=True))
+                lines[i] += _second_part(i + 1, place, strands[i])
         shared = {k: radii[self.spools.index(k)] for k in sorted({*self.spools})}
         spooled = [
             Parameter(f"spool{k}.R", "m", size, 1 * MM, "spool", low=0, label="radius")
@@ -125,18 +145,32 @@ class Cable(Mechanism):
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """Compute |P - A| - |A| - (line let out + offset): length error of each line, in metres;
-        without |A| if readings are zero at the anchors."""
-        A, P = self.anchors(p), self.place(r)
+        without |A| if readings are zero at the anchors. A line over a pulley at P has |P - A| +
+        strands / advantage |P - E| in place of |P - A|."""
+        P = self.place(r)
         let_out = [
             q[i] * self.per_reading(p, i) + p[f"line{i + 1}"].offset
             for i in range(len(self.joints))
         ]
+        ways, at_zero = self._ways(P, p), self._ways(0 * P, p)
         return ca.vertcat(
             *[
-                ca.norm_2(P - a) - (0 if self.whole else ca.norm_2(a)) - l
-                for a, l in zip(A, let_out, strict=True)
+                way - (0 if self.whole else way0) - l
+                for way, way0, l in zip(ways, at_zero, let_out, strict=True)
             ]
         )
+
+    def _ways(self, P: Any, p: Named) -> list[Any]:
+        """Return the length of each line that holds P, over its advantage (m)."""
+        ways = [ca.norm_2(P - a) for a in self.anchors(p)]
+        for i, goes_on in enumerate(self.moving_pulleys):
+            if goes_on:
+                c = p[f"line{i + 1}"]
+                ways[i] += c.strands / c.advantage * ca.norm_2(P - self._second_anchor(c))
+        return ways
+
+    def _second_anchor(self, line: Named) -> Any:
+        return line.vector(*[f"E_{axis}" for axis in self.moves])
 
     def anchors(self, p: Named) -> list[Any]:
         """Return the anchors in the coordinates that move, (3, 1) or (2, 1) m."""
@@ -167,19 +201,40 @@ class Cable(Mechanism):
 
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
         """Draw the lines from the end point to their anchors."""
-        return [
+        lines = [
             Line("rod", (r, self.in_base(a)), (f"line{i}.A_?", f"line{i}.offset"))
             for i, a in enumerate(self.anchors(p), start=1)
         ]
+        for i, goes_on in enumerate(self.moving_pulleys, start=1):
+            if goes_on:
+                end = self.in_base(self._second_anchor(p[f"line{i}"]))
+                lines.append(Line("rod", (r, end), (f"line{i}.E_?", f"line{i}.offset")))
+        return lines
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
         """Intersect the spheres or circles about the anchors: two points of as many lines as there
-        are freedoms, one point of one line more."""
-        more = -self.closure(q, ca.DM.zeros(3), ca.DM.eye(3), p)  # than the distance of the origin
-        A, n = self.anchors(p), len(self.moves)
-        squares = [(ca.norm_2(a) + more[i]) ** 2 for i, a in enumerate(A)]
+        are freedoms, one point of one line more. A line over a pulley at P makes an ellipsoid; the
+        sphere about the mean of its anchors is near enough to begin a search."""
+        origin, n = ca.DM.zeros(3), len(self.moves)
+        more = -self.closure(q, origin, ca.DM.eye(3), p)  # than the distance of the origin
+        centres, squares = [], []
+        for i, way in enumerate(self._ways(self.place(origin), p)):
+            centre, ends, share = self.anchors(p)[i], 0, 0
+            if self.moving_pulleys[i]:
+                c = p[f"line{i + 1}"]
+                share = c.strands / c.advantage
+                apart = self._second_anchor(c) - centre
+                centre += share / (1 + share) * apart
+                # The mean square of the two distances exceeds that to the centre by this.
+                ends = share / (1 + share) ** 2 * ca.sumsqr(apart)
+            centres.append(centre)
+            squares.append(((way + more[i]) / (1 + share)) ** 2 - ends)
         two_points = three_spheres if n == 3 else two_circles
-        points = [_one_point(A, squares)] if self._spans() else two_points(A[:n], squares[:n])
+        points = (
+            [_one_point(centres, squares)]
+            if self._spans()
+            else two_points(centres[:n], squares[:n])
+        )
         return [(self.in_base(point), ca.DM.eye(3)) for point in points]
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
@@ -249,6 +304,62 @@ def _check_anchors(anchors: Sequence[Any]) -> np.ndarray:
             "the point there"
         )
     return points
+
+
+def _check_second_anchors(
+    anchors: np.ndarray,
+    given: Sequence[Sequence[float] | None] | None,
+    strands: Sequence[float] | None,
+) -> list[np.ndarray | None]:
+    """Return the second anchor (3,) m of each line, None of a line without one, or ModelError."""
+    n = len(anchors)
+    for name, values in (("second_anchors", given), ("second_strands", strands)):
+        if values is not None and len(values) != n:
+            raise ModelError(f"{len(values)} {name} for {n} anchors, expected one for each")
+    if strands is not None and not all(value > 0 for value in strands):
+        raise ModelError(f"second_strands {list(strands)}, expected numbers above 0")
+    return [
+        None if end is None else _place(end, anchors.any(axis=0)) for end in given or [None] * n
+    ]
+
+
+def _place(end: Sequence[float], moving: np.ndarray) -> np.ndarray:
+    """Return a second anchor (3,) m, in the plane of a planar robot, or ModelError."""
+    point = np.zeros(3)
+    if len(end) not in (2, 3):
+        raise ModelError(f"second anchor {list(end)}: expected [x, y, z] or [x, y], in m")
+    point[: len(end)] = np.array(end, dtype=float)
+    if point[~moving].any():
+        raise ModelError(
+            f"second anchor {list(end)} is outside the plane of the anchors, which the lines of a "
+            "planar robot do not leave"
+        )
+    if not point.any():
+        raise ModelError(
+            "a second anchor is at the origin, where readings are zero: its strands have no length"
+        )
+    return point
+
+
+def _second_part(number: int, end: Mapping[str, float], strands: float) -> list[Parameter]:
+    name = f"line{number}."
+    return [
+        *[
+            Parameter(
+                f"{name}E_{axis}", "m", float(v), 20 * MM, "anchor", label=f"second anchor's {axis}"
+            )
+            for axis, v in end.items()
+        ],
+        Parameter(
+            f"{name}strands",
+            "1",
+            float(strands),
+            1e-3,
+            "drive",
+            low=0,
+            label="strands to the second anchor",
+        ),
+    ]
 
 
 def _line(

@@ -31,6 +31,7 @@ TOPOLOGY = {
 }
 KEYS = {*UNITS, "joint", "axes", "free", "low", "high", "name"}
 EXAMPLE = "[{joint: R, axes: parallel, a: 0.3}, {joint: R, a: 0.2}]"
+MAX_TURN = 0.2  # rad, of each component of the default workspace, to both sides of home
 DEFAULT_LIMITS = {"R": (-170 * DEGREE, 170 * DEGREE), "P": (-0.5, 0.5)}
 
 
@@ -105,10 +106,23 @@ class Serial(Mechanism):
         ]
         reach = max(float(sum(lengths)), 0.1)
         self.length = 0.3 * reach
-        # A tenth of the reach around home's position, 0.2 rad around its orientation
-        centre = np.array([*self.home.position, 0.0, 0.0, 0.0])[self.controlled]
-        half = np.array([0.1 * reach] * 3 + [0.2] * 3)[self.controlled]
+        # A tenth of the reach around home's position, MAX_TURN around its orientation
+        centre = np.array([*self.home.position, *self.home.rotation_vector])[self.controlled]
+        half = np.array([0.1 * reach] * 3 + [MAX_TURN] * 3)[self.controlled]
         self.workspace = Workspace(tuple((centre - half).tolist()), tuple((centre + half).tolist()))
+
+    def complete_workspace(self, workspace: Workspace) -> Workspace:
+        """Move orientations that an older version wrote around no rotation, where the arm does not
+        work, to home's orientation."""
+        low, high = np.array(workspace.low), np.array(workspace.high)
+        turns = np.array(self.controlled) >= 3
+        home = np.array([*self.home.position, *self.home.rotation_vector])[self.controlled]
+        around_zero = bool(turns.any() and (low == -MAX_TURN)[turns].all())
+        around_zero &= bool((high == MAX_TURN)[turns].all())
+        if not around_zero or (np.abs(home) <= MAX_TURN)[turns].all():
+            return workspace
+        shift = np.where(turns, home, 0.0)
+        return Workspace(tuple((low + shift).tolist()), tuple((high + shift).tolist()))
 
     @property
     def joint_units(self) -> tuple[str, ...]:

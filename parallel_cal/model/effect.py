@@ -22,6 +22,7 @@ CONDITIONS: dict[str, tuple[str, float, bool]] = {
     "payload": ("kg", 0.0, False),
     "direction": ("1", 0.0, True),
     "velocity": ("rad/s", 0.0, True),
+    "acceleration": ("rad/s^2", 0.0, True),
     "travel": ("rad", 0.0, True),
     "session": ("1", 0.0, False),
 }
@@ -103,8 +104,9 @@ class Effect(ABC):
         Whether adding it replaces the mechanism by one with more geometric parameters.
         Default False.
     refines : bool
-        Whether the parameter whose values the method `scan` tries in turn is continuous. False
-        for an integer, such as the order of a harmonic. Default True.
+        Whether a fit may refine the value that `scan` found. The method `scan` tries values of one
+        parameter and keeps the best. True for a continuous parameter (the ratio of a gear), False
+        for an integer (the order of a harmonic). Default True.
     title : str
         What messages and tables call it, if its name means nothing to a user. Default: its name.
     found_in_data : bool
@@ -121,6 +123,9 @@ class Effect(ABC):
         Measurements that distinguish it from its lookalikes.
     family : str
         Name, in words, of a group of effects that data rarely distinguish. Default empty.
+    generalizes : tuple of str
+        Names of effects that are special cases of it. A diagnosis considers it only if it explains
+        significantly more than each of them. Default none.
     told_from : dict of str
         Maps the name of a lookalike to a measurement that distinguishes this effect from it better
         than `separated_by` does. Default empty.
@@ -141,6 +146,7 @@ class Effect(ABC):
     lookalikes: ClassVar[tuple[str, ...]] = ()
     separated_by: ClassVar[str] = ""
     family: ClassVar[str] = ""
+    generalizes: ClassVar[tuple[str, ...]] = ()
     told_from: ClassVar[Mapping[str, str]] = {}
 
     @abstractmethod

@@ -50,6 +50,13 @@ class Home:
         row.setflags(write=False)
         return row
 
+    @cached_property
+    def rotation_vector(self) -> np.ndarray:
+        """Rotation vector (3,) of the orientation, rad; read-only."""
+        w = rotation_vector(quaternion_to_matrix(self.quaternion))
+        w.setflags(write=False)
+        return w
+
 
 @dataclass(frozen=True)
 class Workspace:
@@ -167,6 +174,11 @@ class Mechanism(ABC):
         """Return the options of a model file, with those that an older file, which has these
         parameters, does not state."""
         return dict(options)
+
+    def complete_workspace(self, workspace: Workspace) -> Workspace:
+        """Return the workspace of a model file, with what an older version wrote wrongly put
+        right."""
+        return workspace
 
     @abstractmethod
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
@@ -303,10 +315,25 @@ class Mechanism(ABC):
 
         `controlled` has the shape (n, n_controlled). The other coordinates are those of home.
         """
-        home = rotation_vector(quaternion_to_matrix(np.array(self.home.quaternion)))
-        rows = np.tile([*self.home.position, *home], (len(controlled), 1))
+        rows = np.tile([*self.home.position, *self.home.rotation_vector], (len(controlled), 1))
         rows[:, self.controlled] = controlled
         return rows[:, :3], rotation_matrix(rows[:, 3:])
+
+    def controlled_coordinates(self, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+        """Return the controlled coordinates (n, n_controlled) of poses, as in `workspace`.
+
+        position (n, 3) in m, rotation (n, 3, 3). Of the two rotation vectors of a rotation (of w
+        and of w minus a full turn), the one nearer to the middle of the workspace is returned:
+        near half a turn, neighbouring poses would otherwise be far from each other.
+        """
+        middle = np.array([*self.home.position, *self.home.rotation_vector])
+        middle[self.controlled] = np.add(self.workspace.low, self.workspace.high) / 2
+        w = rotation_vector(rotation)
+        angle = np.linalg.norm(w, axis=1, keepdims=True)
+        other = w * (1 - 2 * np.pi / np.where(angle > 0, angle, 2 * np.pi))
+        away, other_away = (np.linalg.norm(v - middle[3:], axis=1) for v in (w, other))
+        w = np.where((other_away < away)[:, None], other, w)
+        return np.asarray(np.hstack([position, w])[:, self.controlled])
 
     def sample(self, n: int, rng: np.random.Generator) -> np.ndarray:
         """Draw controlled coordinates (n, n_controlled) uniformly from the workspace."""

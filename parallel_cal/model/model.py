@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.base.arguments import require_names
+from parallel_cal.base.arguments import check_arguments, describe_argument, require
 from parallel_cal.base.errors import ModelError
 from parallel_cal.model.effect import Effect, list_substitutes
 from parallel_cal.model.machine_class import DEFAULT_CLASS, MachineClass, check_class
@@ -79,8 +79,9 @@ class Model:
         scales the tolerances of all effects of the robot, except those in `tolerances`. Default
         `industrial`.
     usual_tolerances : dict of float
-        Original tolerances, by full name, of the parameters whose values are larger than usual. A
-        fit has replaced them by larger ones in `tolerances`. Default none.
+        If a fit finds a value that is larger than usual, it replaces the tolerance of this
+        parameter in `tolerances` by a larger one. The original tolerance is kept here, by the full
+        name of the parameter. Default none.
 
     Raises
     ------
@@ -114,6 +115,7 @@ class Model:
 
     def __post_init__(self) -> None:
         check_class(self.machine_class)
+        require("values", self.values, "ArrayLike", ModelError)
         values = np.array(self.values, dtype=float)
         values.setflags(write=False)
         object.__setattr__(self, "values", values)
@@ -124,10 +126,12 @@ class Model:
                 self.table.matching(pattern) if pattern else np.zeros(len(self.table), dtype=bool)
             )
             object.__setattr__(self, "fixed", mask)
-        if len(values) != len(self.table):
-            raise ModelError(
-                f"found {len(values)} values, expected {len(self.table)}, one for each parameter"
-            )
+        n = len(self.table)
+        if values.shape != (n,):
+            raise ModelError(f"found {values.size} values, expected {n}, one for each parameter")
+        if self.covariance is not None and np.shape(self.covariance) != (n, n):
+            shape = np.shape(self.covariance)
+            raise ModelError(f"the covariance has the shape {shape}; expected {(n, n)}")
 
     def __repr__(self) -> str:
         effects = "".join(f" + {effect.name}" for effect in self.effects)
@@ -188,6 +192,7 @@ class Model:
 
     def value(self, name: str) -> float:
         """Return the value of a parameter in SI units; ModelError if the name is unknown."""
+        require("name", name, "str", ModelError)
         return float(self.values[self.table.index_of(name)])
 
     def with_effect(self, name: str, settings: Mapping[str, float] | None = None) -> Model:
@@ -263,6 +268,7 @@ class Model:
             raise ModelError(f"the model has no effect '{name}'; it has {text}")
         return self.with_effects(kept)
 
+    @check_arguments(ModelError)
     def with_effects(self, effects: tuple[Effect, ...]) -> Model:
         """Return the model with these effects.
 
@@ -270,6 +276,7 @@ class Model:
         """
         return self._with_parts(effects, self.sensors)
 
+    @check_arguments(ModelError)
     def with_sensors(self, sensors: tuple[Sensor, ...]) -> Model:
         """Return the model with these sensors.
 
@@ -345,16 +352,26 @@ class Model:
         condition that is not given is settled: it equals the condition that it follows. A part
         whose temperature is not given has the general temperature.
         """
+        if at is not None and not isinstance(at, Mapping):  # else the check costs microseconds
+            require("at", at, "Mapping[str, Any] | None", ModelError)
         rows = np.empty((n, len(self.conditions)))
         given = at or {}
         for k, (name, neutral) in enumerate(
             zip(self.conditions, self.structure.neutral, strict=True)
         ):
             known = (given[one] for one in (name, *list_substitutes(name)) if one in given)
-            rows[:, k] = next(known, neutral)
+            value = next(known, neutral)
+            try:
+                rows[:, k] = value
+            except (TypeError, ValueError):
+                raise ModelError(
+                    f"{describe_argument(f'condition {name}', value)}; expected a number"
+                    + (f" or {n} numbers, one for each sample" if n > 1 else "")
+                ) from None
         return rows
 
 
+@check_arguments(ModelError)
 def new_model(
     mechanism: Mechanism | str,
     values: Mapping[str, float] | None = None,
@@ -395,7 +412,6 @@ def new_model(
     """
     if isinstance(mechanism, str):
         mechanism = load_mechanism(mechanism)
-    require_names("effects", effects, ModelError)
     loaded = tuple(load_effect(name) for name in effects)
     table = structure_of(mechanism, loaded, tuple(sensors)).table
     return Model(

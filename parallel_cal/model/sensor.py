@@ -34,9 +34,10 @@ class Sensor(ABC):
     Write a subclass that is a frozen dataclass, in a file of its own. The file name is the
     sensor's name. The fields of the dataclass are the options in the model file (nominal geometry,
     uncertainty).
-    A sensor adds its parameters to the model, and one row for each channel to the closure: the
-    reading by the model at the pose, minus the recorded reading. (A reading error has the opposite
-    sign.) If a sample has no reading of a channel, its row has no influence on the fit.
+
+    A sensor adds its parameters to the model. It also adds one equation for each channel to the
+    closure: the reading that the model predicts at the pose, minus the recorded reading, is zero.
+    If a sample has no reading of a channel, this equation has no influence on the fit.
 
     Attributes
     ----------
@@ -48,20 +49,20 @@ class Sensor(ABC):
         Name patterns of its parameters that are known constants. A fit does not identify them.
         Default none.
     sigma : float, optional
-        Standard deviation of one reading, in its unit. If None, it is not stated: `guessed_sigma`
-        is then the weight of the readings, and a fit scales it with the rms of the residuals.
-        Default 0.
+        Standard deviation of one reading, in the unit of the readings. None: unknown. Default 0.
     guessed_sigma : float
-        Standard deviation of one reading that is assumed if `sigma` is None, in its unit.
+        Standard deviation with which the readings are weighted if `sigma` is None, in the unit of
+        the readings. A fit then corrects it by the rms of the residuals. Default 2e-5.
     unit : str
         Unit of the readings, `m` or `px`. Default `m`.
     shows_pose : bool
-        Whether the readings of one sample show a pose, as those of an image do. If True: a sample
-        may lack some channels. Start values that the options do not state come from `views`. The
-        errors of the pose are estimated from the readings. Default False.
+        Whether the readings of one sample determine the pose of the platform, as the corners in
+        one image do. If True, a sample may lack some channels, the start values that the options
+        do not state come from `views`, and pose errors are estimated from the readings.
+        Default False.
     base_part, platform_part : str
-        Name patterns of the parameters that state where its part on the base and its part on the
-        platform are. Default none.
+        A measuring set-up has a part on the base and a part on the platform (camera and board, for
+        example). Name patterns of the parameters that state the place of each part. Default none.
     """
 
     physics: ClassVar[str]
@@ -86,12 +87,15 @@ class Sensor(ABC):
         return ca.SX(0, 1)
 
     def points(self, r: Any, R: Any, s: Named) -> Any:
-        """Return the coordinates, as a column, from which `show` computes the readings; None if
-        `readings` does it alone. This split makes the derivatives of many readings cheaper."""
+        """Return a column of intermediate coordinates, from which `show` computes the readings.
+
+        Implement `points` and `show` if there are many readings: the derivatives then need less
+        time. None (default): `readings` computes the readings in one step.
+        """
         return None
 
     def show(self, points: Any, s: Named) -> Any:
-        """Return the readings of `points`."""
+        """Return the readings for the intermediate coordinates that `points` returned."""
         raise NotImplementedError
 
     def find_visible(self, readings: np.ndarray) -> np.ndarray:
@@ -111,27 +115,29 @@ class Sensor(ABC):
 
     @property
     def is_placed(self) -> bool:
-        """Whether its options contain all start values; if not, `views` and `placed` find them."""
+        """Whether its options contain all start values. If False, a fit finds them with `views` and
+        `placed`."""
         return True
 
     def views(self, reading: np.ndarray) -> Iterator[View]:
-        """Yield the poses that readings (N, n_channels) show, for each possible set of options.
+        """Yield a View for each set of options that may be true: the poses that the readings
+        (N, n_channels) show with these options.
 
-        The set whose poses fit the robot's best is the start of a fit.
+        A fit starts from the set whose poses agree best with the poses of the robot.
         """
         return iter(())
 
     def variants(self) -> Iterator[tuple[str, Sensor]]:
-        """Yield pairs (text, sensor) of settings that are often confused with the present ones.
+        """Yield sensors with options that are often confused with the present ones.
 
-        The text describes the settings, and the sensor has them. If the readings then show the
-        robot's poses much better, a fit refuses the present sensor.
+        Each comes as a pair (text, sensor): the text describes its options. If the readings agree
+        much better with it, a fit refuses the present sensor and shows the text.
         """
         return iter(())
 
     def placed(self, f: np.ndarray, F: np.ndarray, t: np.ndarray, T: np.ndarray) -> Sensor:
-        """Return the sensor with the pose (f, F) of its part on the base in {B}, and the pose
-        (t, T) of its part on the platform in {P}."""
+        """Return a copy of the sensor whose parts have these start poses: position f and rotation F
+        of the part on the base, in {B}; t and T of the part on the platform, in {P}."""
         return self
 
     def pose(self, r: Any, R: Any, s: Named) -> tuple[Any, Any]:
@@ -139,13 +145,13 @@ class Sensor(ABC):
         return r, R
 
     def shown(self, r: Any, R: Any, s: Named) -> tuple[Any, Any]:
-        """Return what the pose device shows if {P} is at (r, R) in {B}: the inverse of `pose`."""
+        """Return the pose that the device shows if {P} is at (r, R) in {B}; inverse of `pose`."""
         return r, R
 
     def tolerances(self, table: ParameterTable, mechanism: Mechanism) -> Mapping[str, float]:
-        """Return tolerances that replace the defaults of effects, by full parameter name.
+        """Return tolerances that replace those of the catalogue, by full parameter name.
 
-        They come, for example, from the certificate of the pose device.
+        Example: the certificate of a pose device states how large errors of the device can be.
         """
         return {}
 

@@ -38,8 +38,8 @@ class Motion(Protocol):
     def stop(self, make_halt: Callable[[], JointTrajectory]) -> None:
         """Stop the robot; `make_halt` makes a trajectory that does so, if one is needed."""
 
-    def withdraw(self) -> None:
-        """Cancel what was sent, if the controller can do that."""
+    def withdraw(self, make_halt: Callable[[], JointTrajectory]) -> None:
+        """Cancel what was sent, if the controller can do that, as `stop` does."""
 
 
 class TopicMotion:
@@ -63,7 +63,7 @@ class TopicMotion:
     def stop(self, make_halt: Callable[[], JointTrajectory]) -> None:
         self._publisher.publish(make_halt())
 
-    def withdraw(self) -> None:
+    def withdraw(self, make_halt: Callable[[], JointTrajectory]) -> None:
         return
 
 

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.base.errors import SolveError
-from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
 from parallel_cal.kinematics.singularity import distances
 from parallel_cal.model.mechanism import Mechanism
@@ -131,7 +130,7 @@ def _part(i: int) -> str:
 
 def _check_workspace(mechanism: Mechanism, found: Solutions) -> None:
     """Refuse a path that leaves the workspace, or that leads further out if it begins outside."""
-    poses = np.hstack([found.position, rotation_vector(found.rotation)])[:, mechanism.controlled]
+    poses = mechanism.controlled_coordinates(found.position, found.rotation)
     low, high = np.array(mechanism.workspace.low), np.array(mechanism.workspace.high)
     out = np.maximum(low - poses, poses - high).max(axis=1)
     bad = out > max(SLACK, float(out[0]) + SLACK)

@@ -75,14 +75,20 @@ class Memory:
             Velocities (nq,); None: difference quotient with the readings before.
         """
         now = dict(zip(model.joints, q.tolist(), strict=True))
+        lapse = 0.0 if self._time is None else stamp - self._time
+        before = self._motion if lapse > 0 and self._motion.keys() == now.keys() else {}
+        # Second differences of readings are mostly noise: only the driver's velocities have a rise.
+        rises = {} if velocity is None else before
         if velocity is None:
-            lapse = 0.0 if self._time is None else stamp - self._time
             velocity = np.zeros(len(now))
-            if lapse > 0 and self._motion.keys() == now.keys():
-                velocity = (q - [self._motion[joint][0] for joint in now]) / lapse
+            if before:
+                velocity = (q - [before[joint][0] for joint in now]) / lapse
         self.tracker.follow(now)
-        for joint, value in zip(model.joints, velocity, strict=True):
-            self.heard[f"velocity.{joint}"] = float(value)
+        for joint, value in zip(model.joints, velocity.tolist(), strict=True):
+            self.heard[f"velocity.{joint}"] = value
+            self.heard.pop(f"acceleration.{joint}", None)
+            if joint in rises:
+                self.heard[f"acceleration.{joint}"] = (value - rises[joint][1]) / lapse
         self._motion = dict(zip(model.joints, zip(q, velocity, strict=True), strict=True))
         self._time, self.received = stamp, time.monotonic()
 

@@ -172,7 +172,7 @@ class Streams:
 
     def withdraw(self) -> None:
         """Cancel what a controller that has an action still follows."""
-        self._motion.withdraw()
+        self._motion.withdraw(self._make_halt)
 
     def _make_halt(self) -> JointTrajectory:
         """Make a trajectory that stops the robot where it is now."""

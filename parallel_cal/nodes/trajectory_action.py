@@ -17,8 +17,10 @@ from rclpy.node import Node
 from rclpy.task import Future
 from trajectory_msgs.msg import JointTrajectory
 
+from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.campaign.cell import CellError
 from parallel_cal.nodes.parameters import RELIABLE
+from parallel_cal.nodes.run import create_steady_timer
 
 Result = FollowJointTrajectory.Result
 ERRORS = {
@@ -29,6 +31,13 @@ ERRORS = {
     Result.GOAL_TOLERANCE_VIOLATED: "goal tolerance violated",
 }
 UNENDED = (MotionStatus.SENT, MotionStatus.MOVING)
+WATCH_INTERVAL_S = 1.0  # s between two checks of whether the controller still answers
+# Checks in a row, counted in the thread that spins: a busy computer, on which no message is read,
+# delays the checks as well.
+MAX_CHECKS_SILENT = 10  # without an answer to a goal, or without feedback after the first one
+MAX_CHECKS_GONE = 3  # without a server: DDS may lose a participant for a moment
+
+MakeHalt = Callable[[], JointTrajectory]
 
 
 @dataclass
@@ -42,7 +51,9 @@ class _Goal:
     message: str = ""
     errors: Mapping[str, float] = field(default_factory=dict)  # desired minus actual, by joint
     handle: Any = None  # of the goal, once the controller has accepted it
-    stop: bool = False  # whether it is to be cancelled
+    make_halt: MakeHalt | None = None  # how to stop the robot, once the goal is to be cancelled
+    silent: int = 0  # checks since the controller last answered
+    gone: int = 0  # checks since there was a controller
 
 
 class TrajectoryAction:
@@ -57,6 +68,7 @@ class TrajectoryAction:
         """`group` must be called by the thread that spins."""
         self._node, self._name = node, name
         self._client = ActionClient(node, FollowJointTrajectory, name, callback_group=group)
+        create_steady_timer(WATCH_INTERVAL_S, node, self._watch, group)
         self._goals: list[_Goal] = []  # the newest one, and others that have not ended
         self._status = None
         if publish_status:
@@ -83,26 +95,29 @@ class TrajectoryAction:
             raise CellError(goal.message or "the motion was stopped")
         return True
 
-    def stop(self, make_halt: Callable[[], JointTrajectory]) -> None:
-        self.withdraw()
-
-    def withdraw(self) -> None:
+    def stop(self, make_halt: MakeHalt) -> None:
         """Cancel all goals; the controller then stops the robot and holds its position.
 
-        This is done at once, in the calling thread: the node may be about to end.
+        This is done at once, in the calling thread: the node may be about to end. It is done again
+        in the thread that spins, which loses no answer. If the controller refuses, a goal with the
+        trajectory of `make_halt` takes the place of the present one.
         """
         for goal in self._goals:
-            goal.stop = True
+            goal.make_halt = make_halt
             self._cancel(goal)
+            self._node.executor.create_task(self._cancel, goal)
+
+    withdraw = stop
 
     def _cancel(self, goal: _Goal) -> None:
         if goal.handle is not None and goal.state in UNENDED:
-            goal.handle.cancel_goal_async().add_done_callback(self._on_cancelled)
+            answer = goal.handle.cancel_goal_async()
+            answer.add_done_callback(partial(self._on_cancelled, goal))
 
     # ------------------------------------------------------------------ in the thread that spins
 
     def _begin(self, goal: _Goal) -> None:
-        if goal.stop:
+        if goal.make_halt:
             self._end(goal, MotionStatus.STOPPED)
             return
         self._report(goal)
@@ -111,42 +126,77 @@ class TrajectoryAction:
         )
         answer.add_done_callback(partial(self._on_answer, goal))
 
+    def _watch(self) -> None:
+        """Give up the goals of a controller that is gone or has fallen silent."""
+        goals = [goal for goal in self._goals if goal.state in UNENDED]
+        ready = not goals or self._client.server_is_ready()
+        for goal in goals:
+            goal.silent, goal.gone = goal.silent + 1, 0 if ready else goal.gone + 1
+            expected = "answer to the goal" if goal.state == MotionStatus.SENT else "feedback"
+            if goal.gone > MAX_CHECKS_GONE:
+                why = "no node provides the action any more: has the controller ended?"
+            elif goal.silent > MAX_CHECKS_SILENT and (goal.errors or goal.handle is None):
+                why = f"the controller sent no {expected} for "
+                why += f"{WATCH_INTERVAL_S * MAX_CHECKS_SILENT:.0f} s"
+            else:
+                continue
+            self._cancel(goal)
+            self._end(goal, MotionStatus.FAILED, message=f"{why}; the robot may still move")
+
     def _on_answer(self, goal: _Goal, answer: Future) -> None:
         handle = answer.result()
+        if goal.state not in UNENDED:  # it was given up
+            if handle.accepted:
+                handle.cancel_goal_async()
+            return
         if not handle.accepted:
             why = "the controller rejected the trajectory; its log has the reason"
             self._end(goal, MotionStatus.FAILED, Result.INVALID_GOAL, why)
             return
-        goal.handle, goal.state = handle, MotionStatus.MOVING
+        goal.handle, goal.state, goal.silent = handle, MotionStatus.MOVING, 0
         self._report(goal)
         handle.get_result_async().add_done_callback(partial(self._on_result, goal))
-        if goal.stop:
+        if goal.make_halt:
             self._cancel(goal)
 
     def _on_feedback(self, goal: _Goal, message: Any) -> None:
-        feedback = message.feedback
+        feedback, goal.silent = message.feedback, 0
         goal.errors = dict(zip(feedback.joint_names, feedback.error.positions, strict=False))
         if goal.state == MotionStatus.MOVING:
             self._report(goal)
 
     def _on_result(self, goal: _Goal, answer: Future) -> None:
+        if goal.state not in UNENDED:  # it was given up
+            return
         status, result = answer.result().status, answer.result().result
         code = result.error_code
         if status == GoalStatus.STATUS_SUCCEEDED and code == Result.SUCCESSFUL:
             self._end(goal, MotionStatus.ARRIVED)
-        elif goal.stop and status == GoalStatus.STATUS_CANCELED:
+        elif goal.make_halt and status == GoalStatus.STATUS_CANCELED:
             self._end(goal, MotionStatus.STOPPED, code)
         elif goal is not self._goals[-1]:
-            self._end(goal, MotionStatus.REPLACED, code)
+            self._end(goal, MotionStatus.REPLACED, code, goal.message)
         else:
             self._end(goal, MotionStatus.FAILED, code, _describe_failure(goal, status, result))
 
-    def _on_cancelled(self, answer: Future) -> None:
-        if answer.result().return_code == CancelGoal.Response.ERROR_REJECTED:
-            self._node.get_logger().error(
-                f"{self._name}: the controller refused to cancel the motion; stop the robot by "
-                "other means"
-            )
+    def _on_cancelled(self, goal: _Goal, answer: Future) -> None:
+        """Stop the robot by another goal if the controller refuses to cancel the present one."""
+        response = answer.result()
+        # Servers of rclcpp state the refusal; those of rclpy only name no goal.
+        refused = response.return_code == CancelGoal.Response.ERROR_REJECTED or not (
+            response.return_code or response.goals_canceling
+        )
+        if not refused or goal.state not in UNENDED or goal is not self._goals[-1]:
+            return
+        goal.message = "the controller refused to cancel the motion"
+        self._report(goal)
+        log = self._node.get_logger()
+        try:
+            assert goal.make_halt is not None  # only a goal that is to stop is cancelled
+            self.send(goal.make_halt(), "stop")
+            log.error(f"{self._name}: {goal.message}; sent a trajectory that stops the robot")
+        except ParallelCalError as error:
+            log.error(f"{self._name}: {goal.message}; stop the robot by other means ({error})")
 
     def _end(self, goal: _Goal, state: int, code: int = 0, message: str = "") -> None:
         goal.state, goal.code, goal.message = state, code, message

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.solutions import Solutions
 from parallel_cal.model.model import Model
@@ -64,7 +63,7 @@ def approaches(
     side = rng.uniform(-1, 1, (n, len(m.controlled)))
     side /= np.abs(side).max(axis=1, keepdims=True)
     away = np.concatenate([step * side * (high - low) for step in STEPS])
-    here = np.tile(controlled_coordinates(model, poses), (len(STEPS), 1))
+    here = np.tile(m.controlled_coordinates(poses.position, poses.rotation), (len(STEPS), 1))
     furthest = np.abs(here - (low + high) / 2) + np.abs(away)
     inside = (furthest <= reach * (high - low) / 2 + POSE_TOLERANCE).all(axis=1)
     past, turn = (robot.inverse(*m.poses(here + sign * away)) for sign in (1, -1))
@@ -75,12 +74,6 @@ def approaches(
     # Select one of the drivable approaches at random; `ok` is false if there is none.
     rows = np.argmax(ok.reshape(-1, n) * rng.uniform(0.5, 1, (len(STEPS), n)), axis=0) * n
     return Approaches(past, turn, ways, ok)[rows + np.arange(n)]
-
-
-def controlled_coordinates(model: Model, poses: Solutions) -> np.ndarray:
-    """The coordinates (N, n_controlled) of poses that the robot controls, as in `Workspace`."""
-    coordinates = np.concatenate([poses.position, rotation_vector(poses.rotation)], axis=1)
-    return np.asarray(coordinates[:, model.mechanism.controlled])
 
 
 def fill(a: np.ndarray, model: Model, ways: np.ndarray, speed: np.ndarray | float = 0.0) -> None:

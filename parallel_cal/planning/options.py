@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypedDict
 
+from parallel_cal.base.arguments import require_fields
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.options import option
 from parallel_cal.identification.options import FIX, FREE, PRIOR
@@ -91,6 +92,7 @@ class PlanOptions:
     seed: int = field(default=0, metadata=option("seed of the candidates", min=0))
 
     def __post_init__(self) -> None:
+        require_fields(self, FitError)
         if self.criterion not in CRITERIA:
             raise FitError(f"no criterion '{self.criterion}'; there are {', '.join(CRITERIA)}")
         if self.chosen_method not in METHODS:

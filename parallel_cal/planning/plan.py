@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from parallel_cal.base.arguments import require_count, require_model
+from parallel_cal.base.arguments import check_arguments
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.options import with_changes
@@ -169,6 +169,7 @@ def _errors(e: Expectation) -> dict[str, float | None]:
     return {k: float(v) if np.isfinite(v) else None for k, v in values.items()}
 
 
+@check_arguments(FitError)
 @single_threaded()
 def plan(
     model: Model,
@@ -224,9 +225,7 @@ def plan(
     >>> bool(plan.expected.position_rms < plan.random.position_rms)
     True
     """
-    require_model(model)
-    require_count("n", n, FitError)
-    options = with_changes(options or PlanOptions(), changes, FitError)
+    options = with_changes(options, PlanOptions, changes, FitError)
     model = stand_in_pose_device(model)
     measured = _measured(model)
     sought = EstimationProblem(model, free_mask(model, options.free, options.fix), options.prior)

@@ -17,7 +17,6 @@ from parallel_cal.planning.approach import (
     POSE_TOLERANCE,
     Approaches,
     approaches,
-    controlled_coordinates,
     fill,
     needs_approach,
 )
@@ -129,8 +128,10 @@ def find_clear_poses(model: Model, poses: Solutions) -> np.ndarray:
 def find_inside_poses(model: Model, poses: Solutions, reach: float = 1.0) -> np.ndarray:
     """Return the mask (N,) of the poses with controlled coordinates inside the workspace's box,
     `reach` times as large."""
-    low, high = np.array(model.mechanism.workspace.low), np.array(model.mechanism.workspace.high)
-    away = np.abs(controlled_coordinates(model, poses) - (low + high) / 2)
+    m = model.mechanism
+    low, high = np.array(m.workspace.low), np.array(m.workspace.high)
+    here = m.controlled_coordinates(poses.position, poses.rotation)
+    away = np.abs(here - (low + high) / 2)
     return np.asarray((away <= reach * (high - low) / 2 + POSE_TOLERANCE).all(axis=1))
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from parallel_cal.base.arguments import require_dataset, require_model
+from parallel_cal.base.arguments import check_arguments
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.files import write_atomically
@@ -33,7 +33,7 @@ from parallel_cal.recordings.samplefile import (
 )
 
 if TYPE_CHECKING:
-    from parallel_cal.model.model import Model
+    pass
 
 NUMBER = "number"  # the condition that keeps the numbers of samples after others were excluded
 
@@ -72,7 +72,8 @@ class Dataset:
         Numbers of readings that were averaged.
     conditions : dict of array (N,)
         time, temperature, payload, direction.JOINT (-1, 0, 1), travel.JOINT (distance since the
-        last reversal), velocity.JOINT; for several recordings also session, counted from 0.
+        last reversal), velocity.JOINT, in motion also acceleration.JOINT; for several recordings
+        also session, counted from 0.
         reading.SENSOR.CHANNEL: a reading of another sensor, such as the pixels of a corner.
     pose_id : array of int (N,)
         Number of the commanded pose.
@@ -127,6 +128,7 @@ class Dataset:
         )
 
     @classmethod
+    @check_arguments(DatasetError)
     def from_arrays(
         cls,
         joint_names: Sequence[str],
@@ -169,6 +171,11 @@ class Dataset:
         -------
         Dataset
 
+        Raises
+        ------
+        DatasetError
+            If an array has another shape.
+
         Examples
         --------
         >>> import parallel_cal as pc
@@ -176,27 +183,27 @@ class Dataset:
         >>> len(data), data.measured[0].tolist()
         (2, [True, True, True, False, False, False])
         """
-        q, r = np.array(q, float), np.array(r, float)
-        n, nq = q.shape
-        shown = np.arange(6) < (3 if R is None else 6)
-        measured = np.broadcast_to(shown if measured is None else np.array(measured, bool), (n, 6))
-        R = np.broadcast_to(np.eye(3), (n, 3, 3)) if R is None else np.array(R, float)
-        cov = np.full((6, 6), np.nan) if pose_cov is None else np.array(pose_cov, float)
-        given = {k: np.array(v, float) for k, v in (conditions or {}).items()}
+        n, nq = len(np.atleast_1d(q)), len(joint_names)
+        q, r = _fill("q", q, (n, nq)), _fill("r", r, (n, 3))
+        shown = np.arange(6) < (3 if R is None else 6) if measured is None else measured
+        which = _fill("measured", shown, (n, 6), (6,)).astype(bool)
+        R = np.tile(np.eye(3), (n, 1, 1)) if R is None else _fill("R", R, (n, 3, 3))
+        cov = _fill("pose_cov", np.nan if pose_cov is None else pose_cov, (n, 6, 6), (6, 6), ())
+        given = {k: _fill(k, v, (n,)) for k, v in (conditions or {}).items()}
         time = given.get(
             "time", np.arange(n, dtype=float)
         )  # without times, the order only; it is no condition
         scatter, one = np.full((n, nq), np.nan), np.ones(n, np.int64)
         if pose_id is None:
-            pose_id = replicate_ids(Configuration(q, r, R), measured, scatter)
-        sigma = None if joint_sigma is None else np.broadcast_to(joint_sigma, (nq,)).astype(float)
+            pose_id = replicate_ids(Configuration(q, r, R), which, scatter)
+        sigma = None if joint_sigma is None else _fill("joint_sigma", joint_sigma, (nq,), ())
         return cls(
             tuple(joint_names),
             q,
             r,
-            R.copy(),
-            measured.copy(),
-            np.broadcast_to(cov, (n, 6, 6)).copy(),
+            R,
+            which,
+            cov,
             sigma,
             time,
             np.zeros(n),
@@ -317,7 +324,10 @@ class Dataset:
             raise DatasetError(f"{name}: not a complete sample file: {error}") from None
 
 
-def check_inputs(model: Model, dataset: Dataset) -> None:
-    """Raise ModelError or DatasetError if an argument has the wrong type, such as a path."""
-    require_model(model)
-    require_dataset(dataset)
+def _fill(name: str, value: ArrayLike, *shapes: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return an array of the first shape. A value of another allowed shape is repeated."""
+    found = np.array(value, dtype=float)
+    if found.shape not in shapes:
+        allowed = " or ".join(map(str, shapes))
+        raise DatasetError(f"{name} has the shape {found.shape}; expected {allowed}")
+    return np.broadcast_to(found, shapes[0]).copy()

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.base.arguments import require_path
+from parallel_cal.base.arguments import check_arguments
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.progress import Progress
@@ -25,6 +25,7 @@ from parallel_cal.recordings.samples import READING
 from parallel_cal.recordings.table import is_table
 
 
+@check_arguments(DatasetError)
 @single_threaded()
 def info(
     path: str | Path, options: ReadOptions | None = None, progress: Progress | None = None
@@ -57,7 +58,6 @@ def info(
     >>> pc.info("bags/delta_backlash")["samples"]
     94
     """
-    require_path("path", path, DatasetError)
     options = options or ReadOptions()
     if holds_samples(Path(path)):
         return info_of(Dataset.from_json(path).excluding(options.exclude))

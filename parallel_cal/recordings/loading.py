@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from parallel_cal.base.arguments import require_names, require_path
+from parallel_cal.base.arguments import check_arguments
 from parallel_cal.base.errors import DatasetError, UnfitError
 from parallel_cal.base.keyed_warning import KeyedWarning
 from parallel_cal.base.progress import Progress
@@ -49,6 +49,7 @@ LENGTH_CURE = "Correct the unit in the header or in the column map"
 MAX_JOINT_TRAVEL_RAD = 4.0 * np.pi  # joints that travel further look like degrees
 
 
+@check_arguments(DatasetError)
 def load_dataset(
     path: str | Path,
     options: ReadOptions | None = None,
@@ -103,7 +104,6 @@ def load_stamped(
     **given: Unpack[ReadKeywords],
 ) -> tuple[Dataset, int]:
     """Read samples and the stamp (ns) of their time zero; 0 for a file of samples."""
-    require_path("path", path, DatasetError)
     options = (options or ReadOptions()).with_values(**given)
     start = 0
     if holds_samples(Path(path)):
@@ -154,6 +154,7 @@ def load_tables(
     )
 
 
+@check_arguments(DatasetError)
 @single_threaded()
 def load_sessions(
     paths: Sequence[str | Path],
@@ -187,7 +188,6 @@ def load_sessions(
     >>> sorted(set(data.conditions["session"].tolist()))
     [0.0, 1.0]
     """
-    require_names("paths", paths, DatasetError)
     options = (options or ReadOptions()).with_values(**given)
     datasets = [load_dataset(path, options.with_values(exclude=()), progress) for path in paths]
     return (join_datasets(datasets) if len(datasets) > 1 else datasets[0]).excluding(
@@ -317,7 +317,8 @@ def match_joint_units(dataset: Dataset, mechanism: Mechanism) -> Dataset:
         factors[i] = drive.travel
     conditions = dict(dataset.conditions)
     for joint, factor in zip(mechanism.joints, factors, strict=True):
-        for name, by in (("travel", factor), ("velocity", factor), ("direction", np.sign(factor))):
+        moves = dict.fromkeys(("travel", "velocity", "acceleration"), factor)
+        for name, by in (moves | {"direction": np.sign(factor)}).items():
             if (key := f"{name}.{joint}") in conditions:
                 conditions[key] = conditions[key] * by
     size, sigma = np.abs(factors), dataset.joint_sigma

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 
+from parallel_cal.base.arguments import require_fields
 from parallel_cal.base.errors import BagError, DatasetError
 from parallel_cal.base.options import with_changes
 from parallel_cal.recordings.channels import CHANNELS, CORNERS, list_channels
@@ -75,15 +76,13 @@ class SampleOptions:
     replicate_tolerance: float | None = None
 
     def __post_init__(self) -> None:
+        require_fields(self, DatasetError)
         if self.mode not in MODES:
             raise DatasetError(f"mode='{self.mode}'; expected one of {', '.join(MODES)}")
         for name, least in MIN_VALUES.items():
             value = getattr(self, name)
-            is_number = isinstance(value, int | float) and not isinstance(value, bool)
-            if value is not None and not (is_number and least <= value < np.inf):
+            if value is not None and not least <= value < np.inf:
                 raise DatasetError(f"{name}={value}: expected a number of at least {least:g}")
-        if not isinstance(self.assume_units, bool):
-            raise DatasetError(f"assume_units={self.assume_units}: expected true or false")
 
 
 @dataclass(frozen=True)
@@ -177,7 +176,7 @@ class ReadOptions(SampleOptions):
 
     def with_values(self, **given: Any) -> ReadOptions:
         """Return the options with some values changed; DatasetError for an unknown name."""
-        return with_changes(self, given, DatasetError)
+        return with_changes(self, ReadOptions, given, DatasetError)
 
 
 class ReadKeywords(TypedDict, total=False):

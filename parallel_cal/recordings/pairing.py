@@ -9,6 +9,8 @@ from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.recording import Array, Bools, Dropped, JointStream, Recording
 from parallel_cal.recordings.samples import Sample, Samples, max_gap
 
+ACCELERATION_PERIODS = 5  # of the joint readings, to each side of a sample
+
 
 def paired_samples(recording: Recording, options: SampleOptions, tolerance: Array) -> Samples:
     """Return one sample per pose message, with the joints interpolated to its time."""
@@ -36,6 +38,7 @@ def paired_samples(recording: Recording, options: SampleOptions, tolerance: Arra
             "together, or set max_gap"
         )
     columns = _interpolate_joints(joints, pose.time[at])
+    acceleration = compute_acceleration(joints, pose.time[at])
     nowhere = np.full(len(joints.names), np.nan)
     reading = np.searchsorted(joints.time, pose.time[at])
     for k, i in enumerate(at):
@@ -56,6 +59,7 @@ def paired_samples(recording: Recording, options: SampleOptions, tolerance: Arra
                 count_q=1,
                 count_pose=1,
                 first_reading=int(reading[k]),
+                acceleration=acceleration[k],
             )
         )
     return found
@@ -74,7 +78,7 @@ def _interpolate_joints(joints: JointStream, time: Array) -> tuple[Array, Array,
     """Return joint position, effort and velocity (m, nq) at the given times."""
 
     def at(values: Array, when: Array) -> Array:
-        return np.stack([np.interp(when, joints.time, c) for c in values.T], axis=1)
+        return interpolate(joints.time, values, when)
 
     # At the ends of the recording the difference spans less time.
     late = np.minimum(time + 2 * joints.period, joints.time[-1])
@@ -82,3 +86,22 @@ def _interpolate_joints(joints: JointStream, time: Array) -> tuple[Array, Array,
     span = np.maximum(late - early, 1e-9)[:, None]
     velocity = (at(joints.position, late) - at(joints.position, early)) / span
     return at(joints.position, time), at(joints.effort, time), velocity
+
+
+def compute_acceleration(joints: JointStream, time: Array) -> Array:
+    """Return the acceleration (m, nq) at the given times: the curvature of the parabola through
+    eleven periods of readings. Fewer would mean more noise, which grows with their spacing to the
+    power -2; at the ends of the recording the periods are the last ones within it."""
+    k = np.arange(-ACCELERATION_PERIODS, ACCELERATION_PERIODS + 1)
+    weights = k**2 - np.mean(k**2)
+    weights *= 2 / (weights @ weights)
+    reach = ACCELERATION_PERIODS * joints.period
+    first, last = joints.time[0] + reach, joints.time[-1] - reach
+    middle = np.minimum(np.maximum(time, first), max(last, first))
+    positions = [interpolate(joints.time, joints.position, middle + i * joints.period) for i in k]
+    return np.tensordot(weights, positions, axes=1) / max(joints.period, 1e-9) ** 2
+
+
+def interpolate(time: Array, values: Array, when: Array) -> Array:
+    """Return values (n, nq), given at the times (n,), at other times (m,)."""
+    return np.stack([np.interp(when, time, column) for column in values.T], axis=1)

@@ -47,6 +47,7 @@ class Sample:
     count_pose: int
     first_reading: int  # of the untrimmed interval; motion before it determines the direction
     readings: dict[str, float] = field(default_factory=dict)
+    acceleration: Array | None = None  # None at a standstill
 
 
 @dataclass

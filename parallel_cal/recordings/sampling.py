@@ -75,6 +75,8 @@ def conditions_of(
         conditions[f"direction.{name}"] = direction[:, j].astype(float)
         conditions[f"travel.{name}"] = distance[:, j]
         conditions[f"velocity.{name}"] = np.array([s.velocity[j] for s in kept])
+        if moving := [s.acceleration[j] for s in kept if s.acceleration is not None]:
+            conditions[f"acceleration.{name}"] = np.array(moving)
         if np.isfinite(effort[:, j]).all():
             conditions[f"effort.{name}"] = effort[:, j]
     return conditions | reading_columns(kept)

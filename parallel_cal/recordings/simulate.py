@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.base.arguments import require_count, require_model, require_names
-from parallel_cal.base.errors import ModelError, SolveError
+from parallel_cal.base.arguments import check_arguments
+from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import matrix_to_quaternion, rotation_matrix
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.base.units import ARCSEC
@@ -87,6 +87,7 @@ def with_effects(model: Model, effects: Iterable[tuple[str, Mapping[str, float]]
     return model
 
 
+@check_arguments(SolveError)
 @single_threaded()
 def simulate(
     model: Model,
@@ -137,9 +138,11 @@ def simulate(
     >>> len(simulation.dataset())
     12
     """
-    require_model(model)
-    require_count("poses", poses, SolveError)
-    require_names("effects", effects, ModelError)
+    if targets is not None and np.shape(targets) != (poses, len(model.joints)):
+        raise SolveError(
+            f"targets have the shape {np.shape(targets)}; expected {(poses, len(model.joints))}, "
+            "a row of joint readings for each pose"
+        )
     if poses < 1 or not 0 <= replicates <= poses:
         raise SolveError(f"{replicates} replicates of {poses} poses: expected at most one each")
     model = with_effects(model, map(parse_effect, effects))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from parallel_cal.base.arguments import describe_argument
+from parallel_cal.base.arguments import check_arguments
 from parallel_cal.base.errors import BagError
 from parallel_cal.recordings.channels import CHANNELS
 
@@ -23,6 +23,7 @@ STORAGES = ("mcap", "sqlite3")
 WRITTEN_CHANNELS = ("payload", "temperature", "joint_states", "measured_pose")
 
 
+@check_arguments(BagError)
 def write_bag(session: Simulation, path: str | Path, storage: str = "mcap") -> None:
     """Write a simulated session as a rosbag2 folder.
 
@@ -48,9 +49,6 @@ def write_bag(session: Simulation, path: str | Path, storage: str = "mcap") -> N
     >>> len(pc.load_dataset(path))
     5
     """
-    if not hasattr(session, "recording"):
-        found = describe_argument("session", session)
-        raise BagError(f"{found}; expected a Simulation, as parallel_cal.simulate returns it")
     if storage not in STORAGES:
         raise BagError(f"storage '{storage}' unknown; expected {' or '.join(STORAGES)}")
     messages = _Session()

@@ -13,12 +13,15 @@ from string import Template
 from typing import Any
 
 from parallel_cal import __version__
+from parallel_cal.base.arguments import check_arguments
+from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.reporting.readable import day
 from parallel_cal.reporting.report import Report
 from parallel_cal.reporting.sections import body
 
 
+@check_arguments(ParallelCalError)
 @single_threaded()
 def page(report: Report, library: str = "") -> str:
     """Make one HTML page of a report.

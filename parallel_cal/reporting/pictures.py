@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import singledispatch
 from typing import TYPE_CHECKING, Any
 
+from parallel_cal.base.arguments import describe_argument
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.diagnosis.comparison import Comparison
 from parallel_cal.diagnosis.diagnose import Diagnosis
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 
-@singledispatch
 def figure(result: Any) -> Figure:
     """Draw a result as a Plotly figure.
 
@@ -34,9 +34,7 @@ def figure(result: Any) -> Figure:
     Raises
     ------
     ParallelCalError
-        If there is nothing to draw, for example no measured pose.
-    TypeError
-        For another kind of result.
+        If there is nothing to draw, for example no measured pose. Also for another kind of result.
 
     Examples
     --------
@@ -46,9 +44,14 @@ def figure(result: Any) -> Figure:
     >>> len(pc.figure(pc.compare(model, data)).data) > 0
     True
     """
-    kind = type(result).__name__
-    raise TypeError(
-        f"figure: expected the result of fit, compare, diagnose or discover, found {kind}"
+    return _draw(result)
+
+
+@singledispatch
+def _draw(result: Any) -> Figure:
+    raise ParallelCalError(
+        f"{describe_argument('result', result)}; expected the result of fit, compare, diagnose or "
+        "discover"
     )
 
 
@@ -58,7 +61,7 @@ def _make_figure(spec: figures.Spec) -> Figure:
     return Figure(spec)
 
 
-@figure.register
+@_draw.register
 def _(comparison: Comparison) -> Any:
     field, kind = comparison.field, comparison.field.kind
     if kind is None:
@@ -67,7 +70,7 @@ def _(comparison: Comparison) -> Any:
     return _make_figure(spaces.residual_arrows(places, [field.vectors], kind, numbers)[0])
 
 
-@figure.register
+@_draw.register
 def _(diagnosis: Diagnosis) -> Any:
     errors, mechanism = contents.HeldOutErrors.of(diagnosis), diagnosis.model.mechanism
     if not errors.kinds:
@@ -77,7 +80,7 @@ def _(diagnosis: Diagnosis) -> Any:
     return _make_figure(figures.history(rows, errors.noise, errors.kinds[0], unit))
 
 
-@figure.register
+@_draw.register
 def _(found: Discovery) -> Any:
     shapes = [law.shape for law in (*found.laws, *found.suspected) if law.shape is not None]
     if not shapes:
@@ -85,6 +88,6 @@ def _(found: Discovery) -> Any:
     return _make_figure(figures.law_over_shape(shapes[0]))
 
 
-@figure.register
+@_draw.register
 def _(result: FitResult) -> Any:
     return _make_figure(figures.parameter_bars(contents.parameters(result)))

@@ -8,6 +8,7 @@ from datetime import datetime, timezone
 from typing import TYPE_CHECKING, Any
 
 from parallel_cal import __version__
+from parallel_cal.base.arguments import check_arguments
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.options import with_changes
@@ -138,6 +139,7 @@ class Report:
         return to_json_value(vars(self))
 
 
+@check_arguments(FitError)
 @single_threaded()
 def report(
     model: Model,
@@ -184,7 +186,7 @@ def report(
     >>> "<html" in pc.page(report)
     True
     """
-    fitting = with_changes(options or FitOptions(), changes, FitError)
+    fitting = with_changes(options, FitOptions, changes, FitError)
     found = diagnose(model, dataset, effects=effects, also=also, options=fitting, progress=progress)
     versus = None
     if against is not None:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from parallel_cal.base.arguments import describe_argument
+from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.units import ARCMIN
 from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.budget import Budget, Iso9283
@@ -51,7 +53,7 @@ PATTERN_SIGNIFICANCE_LEVEL = 0.05  # below it a pattern of the errors is shown
 
 
 def describe(result: Any) -> Iterator[Block]:
-    """Describe a result; TypeError if it is not one of those below."""
+    """Describe a result; ParallelCalError if it is not one of those below."""
     # By name: the classes of a diagnosis need not be imported to show a fit.
     describers: dict[str, Callable[[Any], Iterator[Block]]] = {
         "Step": describe_step,
@@ -62,9 +64,9 @@ def describe(result: Any) -> Iterator[Block]:
     }
     kind = type(result).__name__
     if kind not in describers:
-        raise TypeError(
-            f"show: got {kind}, expected the result of fit, add, remove, compare, diagnose or "
-            "discover"
+        raise ParallelCalError(
+            f"{describe_argument('result', result)}; expected the result of fit, add, remove, "
+            "compare, diagnose or discover"
         )
     return describers[kind](result)
 
@@ -72,6 +74,11 @@ def describe(result: Any) -> Iterator[Block]:
 def describe_step(step: Step) -> Iterator[Block]:
     """Describe a step's fit; the fit without an added effect is its reference."""
     yield from describe_fit(step.result, step.rival if step.name == "add" else None)
+    if step.knocked:
+        yield (
+            f"excluded from both fits: sample {', '.join(map(str, step.knocked))}, "
+            "far from all others as if somebody knocked the device"
+        )
     if shift := step.platform_shift:
         measured, anywhere, worth = (
             format_fixed(distance, 1e6, 0)

@@ -24,7 +24,7 @@ def show(result: Any, html: bool = False) -> str:
 
     Raises
     ------
-    TypeError
+    ParallelCalError
         For anything else.
 
     Examples

@@ -14,7 +14,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from parallel_cal.base.arguments import require_path
+from parallel_cal.base.arguments import require
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.files import read_text, write_atomically
@@ -43,6 +43,8 @@ class State(_Part):
     until changed, as `excluded` does. `verdict` is the word
     of the diagnosis (empty: not diagnosed), `summary` its sentence. `sigmas` is by kind the
     standard deviation of the rms in `errors`. `reason` is the owner's reason for a forced step.
+    `knocked` are the samples that the diagnosis excluded because they are far from all others; None
+    if these samples were not diagnosed, or only a part of them.
     """
 
     number: int
@@ -62,6 +64,7 @@ class State(_Part):
     samples: int | None = None
     sigmas: Mapping[str, float] = {}
     reason: str = ""
+    knocked: Sequence[int] | None = None
 
     @property
     def verdict_text(self) -> str:
@@ -107,7 +110,7 @@ class History:
 
     def __init__(self, folder: str | Path):
         """Open a session; SessionError if the folder has none, or an unreadable one."""
-        require_path("folder", folder, SessionError)
+        require("folder", folder, "str | Path", SessionError)
         self.folder = Path(folder)
         self.record = self._read()
 
@@ -202,12 +205,15 @@ class History:
 
     # ------------------------------------------------------------------ on disk
 
-    def record_verdict(self, at: State, verdict: str, summary: str) -> None:
-        """Store the word of a verdict and its sentence with the state `at`."""
+    def record_verdict(
+        self, at: State, verdict: str, summary: str, knocked: Sequence[int] | None = None
+    ) -> None:
+        """Store the word of a verdict, its sentence and the samples that it excluded with the state
+        `at`."""
         with self._lock_record() as record:
             states = list(record.states)
             states[at.number] = states[at.number].model_copy(
-                update={"verdict": verdict, "summary": summary}
+                update={"verdict": verdict, "summary": summary, "knocked": knocked}
             )
             self._write(record.model_copy(update={"states": states}))
 

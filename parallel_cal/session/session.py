@@ -12,10 +12,12 @@ from uuid import uuid4
 
 import numpy as np
 
+from parallel_cal.base.arguments import check_arguments
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.files import write_atomically
 from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
+from parallel_cal.diagnosis.patterns import KNOCKED
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.effect import parse_effects
 from parallel_cal.model.file.modelfile import read_model, write_model
@@ -79,6 +81,7 @@ class Session(History):
         self._models: dict[str, Model] = {}
 
     @classmethod
+    @check_arguments(SessionError)
     def new(
         cls,
         folder: str | Path,
@@ -172,6 +175,7 @@ class Session(History):
 
     # ------------------------------------------------------------------ steps
 
+    @check_arguments(SessionError)
     def fit(self, progress: Progress | None = None, effects: Sequence[str] = ()) -> State:
         """Identify the free parameters.
 
@@ -192,6 +196,7 @@ class Session(History):
         words = f"fit with {' and '.join(effects)}" if effects else "fit"
         return self._refit(words, progress, effects)
 
+    @check_arguments(SessionError)
     def add(
         self,
         effect: str,
@@ -201,12 +206,22 @@ class Session(History):
     ) -> State:
         """Add an effect and fit again; FitError if the validation error does not fall, unless
         forced. The histories of the session and of the model record the `reason` of a forced
-        step."""
-        step = add(self.model, effect, self.dataset, force, options=self.options, progress=progress)
+        step.
+
+        Both fits exclude the samples that the diagnosis of this state excluded because they are far
+        from all others. They stay excluded until they are included again."""
+        how: dict[str, Any] = {"options": self.options, "progress": progress}
+        step = add(self.model, effect, self.dataset, force, self.state.knocked, **how)
         laws = [name for name, _ in parse_effects(effect) if load_effect(name).found_in_data]
         cause = " (found in data, cause unknown)" if laws else ""
-        return self._commit_judged(f"add {effect}{cause}", step, reason)
+        words = f"add {effect}{cause}"
+        if not step.knocked:
+            return self._commit_judged(words, step, reason)
+        words = f"{words} without sample {_format_numbers(step.knocked)}"
+        excluded = {**self.state.excluded, **dict.fromkeys(step.knocked, KNOCKED)}
+        return self._commit_judged(words, step, reason, excluded=excluded)
 
+    @check_arguments(SessionError)
     def remove(
         self,
         effect: str,
@@ -221,13 +236,14 @@ class Session(History):
         )
         return self._commit_judged(f"remove {effect}", step, reason)
 
-    def _commit_judged(self, words: str, step: Step, reason: str) -> State:
+    def _commit_judged(self, words: str, step: Step, reason: str, **changes: Any) -> State:
         """Append a step that was accepted, or forced for a `reason`."""
         if not step.acceptance.against:
-            return self._commit(words, step)
+            return self._commit(words, step, **changes)
         step = step.with_reason(reason) if reason else step
-        return self._commit(f"{words}, forced", step, reason=reason)
+        return self._commit(f"{words}, forced", step, reason=reason, **changes)
 
+    @check_arguments(SessionError)
     def exclude(self, samples: Mapping[int, str], progress: Progress | None = None) -> State:
         """Exclude samples, each with a reason, and fit again."""
         known = {int(n) for n in self.samples.numbers}
@@ -236,6 +252,7 @@ class Session(History):
         excluded = {**self.state.excluded, **samples}
         return self._refit(f"exclude {_format_numbers(samples)}", progress, excluded=excluded)
 
+    @check_arguments(SessionError)
     def include(self, samples: Sequence[int], progress: Progress | None = None) -> State:
         """Include excluded samples again, and fit again."""
         if missing := [n for n in samples if n not in self.state.excluded]:
@@ -384,7 +401,8 @@ class Session(History):
         at = self.state
         how: dict[str, Any] = {"options": self.options, "progress": progress} | options
         found = diagnose(self.model, self.dataset, **how)
-        self.record_verdict(at, found.verdict.word, found.verdict.summary)
+        knocked = [one.sample for one in found.knocked]
+        self.record_verdict(at, found.verdict.word, found.verdict.summary, knocked)
         return found
 
     def signals(self, sample: int) -> Signals:
@@ -392,6 +410,7 @@ class Session(History):
         reading = ReadOptions(**self.record.reading)
         return signals(self.samples, sample, self.recordings, reading)
 
+    @check_arguments(SessionError)
     def plan(self, poses: int, progress: Progress | None = None) -> Path:
         """Plan poses for the free parameters of this state; return the path of their CSV file (m,
         quaternions and joints)."""
@@ -404,6 +423,7 @@ class Session(History):
         write_atomically(file, found.csv())
         return file
 
+    @check_arguments(SessionError)
     def save(
         self,
         file: Path,

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from parallel_cal.base.arguments import require_text
+from parallel_cal.base.arguments import check_arguments, require
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.base.notebook import ShownInNotebook
@@ -19,6 +19,11 @@ from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_
 from parallel_cal.diagnosis.device import find_doubtful_effects, is_needed
 from parallel_cal.diagnosis.entries import are_confused, is_clearly_better
 from parallel_cal.diagnosis.first_effect import proposing_first_effect
+from parallel_cal.diagnosis.patterns import (
+    KNOCKED,
+    confirm_knocked_samples,
+    find_knocked_samples,
+)
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.search import Trial, is_as_good, is_superfluous
 from parallel_cal.diagnosis.stations import exclude_device
@@ -39,7 +44,7 @@ from parallel_cal.identification.thresholds import MAX_NEGLIGIBLE_ERROR_RISE
 from parallel_cal.model.effect import parse_effects
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
-from parallel_cal.recordings.dataset import Dataset, check_inputs
+from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.lagged import add_lagged_conditions
 
 if TYPE_CHECKING:
@@ -76,6 +81,9 @@ class Step(ShownInNotebook):
     rival : FitResult, optional
         The fit with which the new model is compared: of the same samples without the added effect,
         or with the removed one. None for `fit`, which is compared with the given model.
+    knocked : tuple of int
+        Numbers of samples that `add` excluded because they are far from all others, as if somebody
+        knocked the device.
 
     Examples
     --------
@@ -92,6 +100,7 @@ class Step(ShownInNotebook):
     result: FitResult
     acceptance: Acceptance
     rival: FitResult | None = None
+    knocked: tuple[int, ...] = ()
 
     def __repr__(self) -> str:
         return f"Step({self.name}, {self.result!r})"
@@ -127,6 +136,8 @@ class Step(ShownInNotebook):
             key = {"add": "held_out_without_effect", "remove": "held_out_with_effect"}[self.name]
             document[key] = self.rival.held_out.document()
             document["moves_robot"] = to_json_value(self.platform_shift)
+        if self.name == "add":
+            document["knocked"] = list(self.knocked)
         return document
 
 
@@ -150,18 +161,22 @@ def fitted(
     return _step("fit", result, _check_proven(acceptance(result), force), effect=added or None)
 
 
+@check_arguments(ModelError)
 @single_threaded()
 def add(
     model: Model,
     effect: str,
     dataset: Dataset,
     force: bool = False,
+    knocked: Sequence[int] | None = None,
     **options: Unpack[StepKeywords],
 ) -> Step:
     """Add an effect to a model and identify all free parameters again.
 
     Both models, with and without the effect, are fitted to the same samples and compared. The
-    improvement by the geometry alone is therefore not attributed to the effect.
+    improvement by the geometry alone is therefore not attributed to the effect. Single samples that
+    are far from all others, such as those at which somebody knocked the device, are excluded from
+    both, as `diagnose` excludes them.
 
     Parameters
     ----------
@@ -173,6 +188,9 @@ def add(
     force : bool, optional
         Return the result even if the validation error does not fall, or if the measuring device
         may be the cause of the error.
+    knocked : sequence of int, optional
+        Numbers of the samples to exclude for this reason: `knocked` of the diagnosis that named the
+        effect. By default `add` finds them itself, unless a robust `loss` is used.
     **options
         Keyword arguments of `fit`: `options` (a FitOptions), `progress`, or single fields of
         FitOptions by name.
@@ -201,33 +219,83 @@ def add(
     >>> step.model.effects[-1].name
     'backlash'
     """
-    check_inputs(model, dataset)
-    require_text("effect", effect, ModelError)
     asked, larger = parse_effects(effect), model
     for name, _ in asked:  # report a wrong name before a search
         larger = larger.with_effect(name)
     dataset = add_lagged_conditions(larger.conditions, dataset)
     how, progress = _collect_options(options)
-    base = fit(model, dataset, limit_patterns(how, model, larger), progress)
-    scene = Scene.of(base.model, base.dataset, base.observations, base.free)
-    # Start where the base started, so that the device's frame is the one registered there.
-    more, extended = list[Candidate](), base.start
-    for name, settings in asked:
-        one = candidate(scene, name)  # with the settings that fit the residuals of the base best
-        more.append(replace(one, settings=settings or one.settings))
-        extended = extended.with_effect(name, more[-1].settings)
-    result = _with_given_model_of(fit(extended, base.dataset, how, progress), base)
-    name = "+".join(one.name for one in more)
-    found = acceptance(result, base, f" with '{name}'")
-    if not found.against:
+
+    def fit_both(aside: Sequence[int]) -> _Addition:
+        limited = limit_patterns(how, model, larger)
+        kept = dataset.excluding(aside, f"because it is {KNOCKED}")
+        base = fit(model, kept, limited, progress)
+        scene = Scene.of(base.model, base.dataset, base.observations, base.free)
+        # Start where the base started, so that the device's frame is the one registered there.
+        more, extended = list[Candidate](), base.start
+        for name, settings in asked:
+            one = candidate(scene, name)  # with the settings that fit the residuals best
+            more.append(replace(one, settings=settings or one.settings))
+            extended = extended.with_effect(name, more[-1].settings)
+        result = fit(extended, base.dataset, how, progress)
+        return _Addition(scene, more, base, _with_given_model_of(result, base), tuple(aside))
+
+    both = fit_both(knocked or ())
+    if knocked is None and how.loss == "linear":
+        both = _exclude_knocked_samples(both, fit_both)
+    found = both.judge()
+    if found.against and both.knocked:
+        numbers = ", ".join(map(str, both.knocked))
+        found = replace(found, against=f"{found.against} (judged without sample {numbers})")
+    found = _check_proven(found, force)
+    return _step("add", both.result, found, both.base, both.names, both.knocked)
+
+
+@dataclass(frozen=True)
+class _Addition:
+    """Effects that may be added, as candidates in a scene, with the fits without and with them;
+    `knocked` are the samples that both leave out."""
+
+    scene: Scene
+    effects: list[Candidate]
+    base: FitResult
+    result: FitResult
+    knocked: tuple[int, ...]
+
+    @property
+    def names(self) -> str:
+        return "+".join(one.name for one in self.effects)
+
+    def judge(self) -> Acceptance:
+        """Judge whether the effects may be added, with the reason against them if not."""
+        scene, base, result = self.scene, self.base, self.result
+        found = acceptance(result, base, f" with '{self.names}'")
+        if found.against:
+            return found
         if is_superfluous(_with_noise_of(result, base).estimate, result.estimate):
-            found = replace(found, against=f"the improvement by '{name}' may be chance")
-        elif not exclude_device(scene, dataset, more, result.model) and (
-            doubt := explain_unseparated_device(base, result)
-            or _explain_doubt(scene, more, base, result)
-        ):
-            found = replace(found, against=doubt, device_may_err=True)
-    return _step("add", result, _check_proven(found, force), base, name)
+            return replace(found, against=f"the improvement by '{self.names}' may be chance")
+        if exclude_device(scene, base.dataset, self.effects, result.model):
+            return found
+        doubt = explain_unseparated_device(base, result)
+        if doubt := doubt or _explain_doubt(scene, self.effects, base, result):
+            return replace(found, against=doubt, device_may_err=True)
+        return found
+
+
+def _exclude_knocked_samples(
+    both: _Addition, fit_both: Callable[[Sequence[int]], _Addition]
+) -> _Addition:
+    """Fit without single samples that are far from all others, with and without the effects."""
+    knocked = find_knocked_samples(both.scene)
+    while knocked:
+        try:
+            others = fit_both([one.sample for one in knocked])
+            confirmed = confirm_knocked_samples(knocked, both.base, others.result.model)
+        except FitError:
+            return both
+        if len(confirmed) == len(knocked):
+            return others
+        knocked = confirmed
+    return both
 
 
 def _with_noise_of(result: FitResult, rival: FitResult) -> FitResult:
@@ -298,6 +366,7 @@ def _fits_as_well(
     return is_as_good(Trial((), result), Trial((), other))
 
 
+@check_arguments(ModelError)
 @single_threaded()
 def remove(
     model: Model,
@@ -346,8 +415,6 @@ def remove(
     >>> pc.remove(with_backlash, "backlash", data, force=True).model.effects
     ()
     """
-    check_inputs(model, dataset)
-    require_text("effect", effect, ModelError)
     smaller = model.without_effect(effect)  # report a wrong name before a fit
     how, progress = _collect_options(options)
     with_it = fit(model, dataset, how, progress)
@@ -363,7 +430,8 @@ def _collect_options(options: StepKeywords) -> tuple[FitOptions, Progress | None
     """Return the options of a fit as one object, and the progress function."""
     changes = dict(options)
     given, progress = changes.pop("options", None), changes.pop("progress", None)
-    return with_changes(given or FitOptions(), changes, FitError), progress  # type: ignore[type-var,return-value]
+    require("options", given, "FitOptions | None", FitError)
+    return with_changes(given, FitOptions, changes, FitError), progress  # type: ignore[arg-type,return-value]
 
 
 class UnprovenStepError(FitError):
@@ -387,6 +455,7 @@ def _step(
     found: Acceptance,
     rival: FitResult | None = None,
     effect: str | None = None,
+    knocked: tuple[int, ...] = (),
 ) -> Step:
     """Make the step and add it to its model's history, without a date so that it is repeatable."""
     entry: dict[str, Any] = {"step": name}
@@ -400,6 +469,7 @@ def _step(
     unusual = {
         "loss": result.options.loss if result.options.loss != "linear" else None,
         "refit": list(result.refitted_parameters),
+        "knocked": list(knocked),
         "down_weighted": [doubted.sample for doubted in result.down_weighted],
         "registered": result.registration.description if result.registration else None,
     }
@@ -410,4 +480,4 @@ def _step(
     # Stations belong to these recordings, not to the robot.
     robot = without_stations(result.model)
     model = replace(robot, history=(*robot.history, entry))
-    return Step(name, model, result, found, rival)
+    return Step(name, model, result, found, rival, knocked)

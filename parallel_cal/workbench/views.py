@@ -148,7 +148,8 @@ def view(session: Session, progress: Progress) -> View:
     found = report(session.model, data, progress=progress, options=how, hold_out=how.hold_out)
     verdict, made = found.diagnosis.verdict, _make_report_view(found)
     remark = "" if part is None else f" (diagnosis of {_describe_part(len(part), session)})"
-    session.record_verdict(session.state, verdict.word, f"{verdict.summary}{remark}")
+    knocked = None if part is not None else [one.sample for one in found.diagnosis.knocked]
+    session.record_verdict(session.state, verdict.word, f"{verdict.summary}{remark}", knocked)
     return made if part is None else made | _make_numbers_of_all(session, made["verdict"], remark)
 
 

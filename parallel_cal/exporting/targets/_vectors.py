@@ -19,6 +19,7 @@ CONDITION_SIGMAS = {
     "payload": 0.0,
     "time": 100.0,
     "velocity": 0.5,
+    "acceleration": 5.0,
     "travel": 0.1,
 }
 N_UNREACHABLE_POSES = 20

@@ -152,7 +152,7 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
         "followed": _lines(
             f"memcpy(at->{kind}, motion->{kind}, sizeof at->{kind});"
             for kind, (_, _, by_joint) in members.items()
-            if by_joint
+            if by_joint and kind != "acceleration"  # differences of readings are mostly noise
         ),
         "neutral": ", ".join(neutral or ["0.0"]),
         "generated": _generate_functions(model, newton),

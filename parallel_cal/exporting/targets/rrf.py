@@ -151,6 +151,10 @@ def _cable(model: Model) -> Projection:
     if not cable.spools or len(cable.moves) < 3:
         kind = "lengths of line" if cable.spools == () else "a planar robot"
         raise ModelError(f"rrf: {kind}, expected angles of motors of a robot in space")
+    if any(cable.moving_pulleys):
+        raise ModelError(
+            "rrf: its lines run over pulleys on the platform, expected lines that end there"
+        )
     rows = range(1, n + 1)
     anchors = np.array([[model.value(f"line{i}.A_{axis}") for axis in "xyz"] for i in rows])
     gears, advantages = (

@@ -38,6 +38,7 @@ HOMED = "[JOINT_{}] HOME_OFFSET"  # in the .ini file: the joint at its switch
 HOME = "[JOINT_{}] HOME"  # where the joint goes when it is homed
 UNIT = "[TRAJ] LINEAR_UNITS"
 LINEAR_UNITS = {"mm": "mm", "metric": "mm", "inch": "in", "in": "in", "imperial": "in"}
+INI_VALUE = re.compile(r"\[(\w+)\]\(?(\w+)\)?")  # in a .hal file
 BEYOND_SWITCHES = (
     "the switches (HOME_OFFSET) are the upper joint limits in the model file, because an export "
     "takes them from there, but the struts move beyond them to HOME: plan with other limits"
@@ -170,16 +171,22 @@ def towers(stated: Settings, unit: str) -> Towers:
 def settings(paths: Sequence[Path]) -> Settings:
     """Read the values of pins in .hal files by name, and of .ini files by `[section] key`.
 
-    A pin's value comes from `setp`, or from `sets` of the signal that `net` connects to it.
+    A pin's value comes from `setp`, or from `sets` of the signal that `net` connects to it. A value
+    such as `[MACHINE]RADIUS` is that of the .ini file. Versions before 2.8 call a joint an axis.
     """
     setups = [path for path in paths if path.suffix == ".ini"]
-    texts = dict(sections.settings(setups).texts)
+    stated = sections.settings(setups).texts
+    texts = {re.sub(r"^\[AXIS_(?=\d)", "[JOINT_", field): value for field, value in stated.items()}
+    texts |= stated
     signals: dict[str, tuple[str, SourceLine]] = {}
     nets: dict[str, str] = {}
     for path in paths:
         for place, line in () if path in setups else read_lines(path):
             if found := re.match(r"\s*(setp|sets)\s+([\w.-]+)\s*=?\s*([^\s#]*)", line):
-                (texts if found[1] == "setp" else signals)[found[2]] = (found[3], place)
+                named = INI_VALUE.fullmatch(found[3])
+                value = stated.get(f"[{named[1]}] {named[2]}") if named else None
+                into = texts if found[1] == "setp" else signals
+                into[found[2]] = value or (found[3], place)
             elif found := re.match(r"\s*net\s+([\w.-]+)([^#]*)", line):
                 nets |= dict.fromkeys(found[2].split(), found[1])
     connected = {pin: signals[name] for pin, name in nets.items() if name in signals}

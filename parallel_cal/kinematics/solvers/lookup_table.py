@@ -18,7 +18,6 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.errors import SolveError
-from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
 from parallel_cal.kinematics.solvers._common import match_shape, with_status
 from parallel_cal.model.model import Model
@@ -89,8 +88,7 @@ def inverse(
     """Find nominal joints + table at controlled coordinates; NOT_CONVERGED outside the table."""
     table = table_for(model, "inverse", at, size, order)
     nominal = table.nominal.inverse(np.atleast_2d(position), rotation, at)
-    pose = np.hstack([nominal.position, rotation_vector(nominal.rotation)])
-    given = pose[:, model.mechanism.controlled]
+    given = model.mechanism.controlled_coordinates(nominal.position, nominal.rotation)
     return match_shape(_apply_corrections(model, table, nominal, given, at), position)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
-from parallel_cal.base.arguments import require_model, require_path
-from parallel_cal.base.errors import ModelFileError
+from parallel_cal.base.arguments import check_arguments, require
+from parallel_cal.base.errors import ModelError, ModelFileError
 from parallel_cal.base.files import BACKUP_SUFFIX, MEGABYTE, read_text, write_atomically
 from parallel_cal.model.file.writer import dump_model
 from parallel_cal.model.file.yamltext import parse_yaml
@@ -28,6 +28,7 @@ __all__ = [
 MAX_MODEL_FILE_BYTES = 4 * MEGABYTE  # a node takes 1 s per MB, and its streams wait
 
 
+@check_arguments(ModelFileError)
 def read_model(path: str | Path) -> Model:
     """Read a model file.
 
@@ -50,7 +51,6 @@ def read_model(path: str | Path) -> Model:
     >>> pc.read_model("config/delta_mockup_nominal.yaml").mechanism.name
     'delta54'
     """
-    require_path("path", path, ModelFileError)
     return parse_model(model_text(path), str(path))
 
 
@@ -71,6 +71,7 @@ def parse_model(text: str, name: str = "model") -> Model:
     return Reader(parse_yaml(text, name)).model()
 
 
+@check_arguments(ModelFileError)
 def write_model(model: Model, path: str | Path) -> None:
     """Write a model file atomically: the old file stays until the new one is complete.
 
@@ -93,7 +94,6 @@ def write_model(model: Model, path: str | Path) -> None:
     >>> pc.read_model(path)
     Model(delta24, 24 parameters)
     """
-    require_model(model)
     write_text(path, readable_text(model, path))
 
 
@@ -159,5 +159,6 @@ def model_hash(model: Model | str | bytes) -> str:
     >>> len(pc.model_hash(pc.new_model("delta24")))
     64
     """
+    require("model", model, "Model | str | bytes", ModelError)
     text = dump_model(model) if isinstance(model, Model) else model
     return hashlib.sha256(text.encode() if isinstance(text, str) else text).hexdigest()

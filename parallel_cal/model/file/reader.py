@@ -155,7 +155,8 @@ class Reader:
                 what = f"one for each of {', '.join(controls)}"
                 checks.length(self._document, ("workspace", key), values, len(controls), what)
             checks.box(self._document, ("workspace",), file.workspace.low, file.workspace.high)
-            mechanism.workspace = Workspace(*(tuple(v) for _, v in file.workspace))
+            stated = Workspace(*(tuple(v) for _, v in file.workspace))
+            mechanism.workspace = mechanism.complete_workspace(stated)
         for k, box in enumerate(file.keep_out):
             checks.box(self._document, ("keep_out", k), box.low, box.high)
         mechanism.keep_out = tuple(Box(*(tuple(v) for _, v in box)) for box in file.keep_out)

@@ -1,0 +1,88 @@
+"""Scales, motors and belts with teeth: an error once and twice per pitch of a linear joint."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.effects._joints import WAVE, find_prismatic_joints, shift_joints
+from parallel_cal.model.effect import Effect, Seen
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named, Parameter
+
+PERIODS = (1e-3, 60e-3)  # m; of magnetic scales, belts, racks and linear motors
+
+
+class EncoderInterpolation(Effect):
+    """q_ideal = q + sum over k = 1, 2 of sin_k * sin(2 pi k q / period) + cos_k * cos(2 pi k q /
+    period) (m).
+
+    For every prismatic joint, with one `period` (m) for all: known (the pole pitch of the scale or
+    of the motor, the pitch of the belt), or found by `scan`. Unequal offsets of an encoder's two
+    signals err once per period, unequal amplitudes and a wrong phase twice. For revolute joints,
+    `gear_transmission_error` has the same form, with the period 2 pi / ratio. An error once per
+    turn of a screw is `screw_pitch_error`.
+    """
+
+    fixed = ("period",)
+    generalizes = ("screw_pitch_error",)
+    physics = (
+        "The two signals of a scale are no perfect sine and cosine, and the magnets of a linear "
+        "motor pull it from pole to pole."
+    )
+    remedy = "adjust offset, gain and phase of the signals, or keep the correction in the model"
+    source = "TI TIDUA05B: 0.1-1 % of the period; magnetic scales of 1-5 mm: 5-20 um"
+    lookalikes = ("screw_pitch_error", "encoder_gain")
+    separated_by = "poses over the whole stroke whose distances are not multiples of the period"
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        return [
+            Parameter("period", "m", 10e-3, 6e-3, low=10e-6, high=0.5, label="pitch"),
+            *[
+                Parameter(
+                    f"{joint}.{part}{k}",
+                    "m",
+                    0.0,
+                    10e-6,
+                    low=-0.1e-3,
+                    high=0.1e-3,
+                    label=f"{label}, {'once' if k == 1 else 'twice'} per period",
+                )
+                for joint in find_prismatic_joints(mechanism)
+                for k in (1, 2)
+                for part, label in WAVE.items()
+            ],
+        ]
+
+    def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
+        def error(joint: str, q: Any) -> Any:
+            own, turned = e[joint], 2 * ca.pi * q / e.period
+            once = own.sin1 * ca.sin(turned) + own.cos1 * ca.cos(turned)
+            return once + own.sin2 * ca.sin(2 * turned) + own.cos2 * ca.cos(2 * turned)
+
+        return shift_joints(seen, mechanism, find_prismatic_joints(mechanism), error)
+
+    def applies(self, mechanism: Mechanism) -> str:
+        if find_prismatic_joints(mechanism):
+            return ""
+        return "it has no prismatic joint: gear_transmission_error describes revolute ones"
+
+    def scan(
+        self, mechanism: Mechanism, recorded: Mapping[str, Any]
+    ) -> Iterator[Mapping[str, float]]:
+        """Return periods 1 / (2 travel) apart per metre: half a peak's width, as for a screw."""
+        travel = max(np.ptp(recorded[joint]) for joint in find_prismatic_joints(mechanism))
+        short, long = PERIODS
+        for waves in np.arange(1 / long, 1 / short, 1 / (2 * travel)):
+            yield {"period": float(1 / waves)}
+
+    def multiples(self, setting: Mapping[str, float]) -> Iterator[Mapping[str, float]]:
+        """Return half of the period: an error once per period is its second harmonic."""
+        if setting["period"] >= 2 * PERIODS[0]:
+            yield {"period": setting["period"] / 2}
+
+    def period(self, setting: Mapping[str, float]) -> float:
+        return setting["period"]

@@ -1,0 +1,87 @@
+"""Strain-wave gears: a ripple twice per turn of the wave generator, whose size beats."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.effects._joints import (
+    SMOOTH,
+    WAVE,
+    find_revolute_joints,
+    needs_turning,
+    shift_joints,
+)
+from parallel_cal.model.effect import Effect, Seen
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named, Parameter
+
+RATIOS = (30.0, 50.0, 80.0, 100.0, 120.0)  # of catalogues
+SPLINES = {"c": "circular spline", "f": "flexspline"}
+
+
+class StrainWaveRipple(Effect):
+    """q_ideal = q + sum over s = c, f of sin_s * sin(2 n_s q) + cos_s * cos(2 n_s q) (rad).
+
+    Per turn of the joint, the wave generator turns n_c = `ratio` times relative to the one spline
+    and n_f = `ratio` + 1 times, the other way, relative to the other spline. It passes each tooth
+    twice per turn, with both of its ends, so that an error of either spline repeats twice per turn
+    relative to it. The two waves beat: together they are largest and least twice per turn of the
+    joint. On a travel far below half a turn they are one wave: that is `gear_transmission_error` of
+    twice the ratio. All joints have one `ratio`: known, or the best of usual ones.
+    """
+
+    fixed = ("ratio",)
+    generalizes = ("gear_transmission_error",)
+    refines = False
+    family = SMOOTH
+    physics = "Errors of both splines of a strain-wave gear repeat at nearly one rate, and beat."
+    remedy = "keep the correction in the model; it stays valid until the gear is taken apart"
+    source = "Jia et al., MMT 155 (2021) 104122; Tuttle, MIT AI-TR 1365 (1992): 0.1-0.5 mrad"
+    lookalikes = ("gear_transmission_error", "encoder_harmonic")
+    separated_by = "poses over half a turn of every joint, or more"
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        return [
+            Parameter("ratio", "1", 100.0, 40.0, low=10.0, high=400.0, label="gear ratio"),
+            *[
+                Parameter(
+                    f"{joint}.{part}_{spline}",
+                    "rad",
+                    0.0,
+                    0.2e-3,
+                    low=-2e-3,
+                    high=2e-3,
+                    label=f"{label}, {words}",
+                )
+                for joint in find_revolute_joints(mechanism)
+                for spline, words in SPLINES.items()
+                for part, label in WAVE.items()
+            ],
+        ]
+
+    def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
+        def error(joint: str, q: Any) -> Any:
+            own, c, f = e[joint], 2 * e.ratio * q, 2 * (e.ratio + 1) * q
+            circular = own.sin_c * ca.sin(c) + own.cos_c * ca.cos(c)
+            return circular + own.sin_f * ca.sin(f) + own.cos_f * ca.cos(f)
+
+        return shift_joints(seen, mechanism, find_revolute_joints(mechanism), error)
+
+    def applies(self, mechanism: Mechanism) -> str:
+        if mechanism.winds:
+            return "its motors turn spools: gear_transmission_error describes their gears"
+        return needs_turning(mechanism)
+
+    def scan(
+        self, mechanism: Mechanism, recorded: Mapping[str, Any]
+    ) -> Iterator[Mapping[str, float]]:
+        """Return the ratios of catalogues."""
+        return ({"ratio": ratio} for ratio in RATIOS)
+
+    def period(self, setting: Mapping[str, float]) -> float:
+        """Return half a turn of the wave generator."""
+        return np.pi / setting["ratio"]
