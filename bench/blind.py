@@ -4,9 +4,10 @@ Robots, sessions, physics and noise come from the independent virtual robots. A 
 `diagnose`, and, where it names something, `add` on the command line; the truth is the error of
 the served robot at poses that nobody measured, before and after. With `--results` every outcome is
 kept as a line of a file, and a case that stands there already is not run again: a long study can
-be made in slices (`--minutes`). Usage: `PYTHONPATH=. python bench/blind.py [--draws N]
-[--first SEED] [--jobs N] [--see WHAT,WHAT] [--results FILE] [--minutes M] [FAMILY ...]`; WHAT is
-pose, position, orientation, plane or ball_bar.
+be made in slices (`--minutes`). `--page` only writes the table of docs/judge_your_calibration.md
+from docs/blind_study.jsonl, to which such lines are added. Usage: `PYTHONPATH=. python
+bench/blind.py [--draws N] [--first SEED] [--jobs N] [--see WHAT,WHAT] [--results FILE]
+[--minutes M] [--page] [FAMILY ...]`; WHAT is pose, position, orientation, plane or ball_bar.
 """
 
 from __future__ import annotations
@@ -35,8 +36,30 @@ import virtual_blind as vb
 import virtual_findings as vf
 from printers import PRINTERS
 
+from parallel_cal.base.files import write_atomically
 from parallel_cal.fleet.cluster import cluster, run_each
 from parallel_cal.virtual import robot as vr
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE, STUDY = ROOT / "docs" / "judge_your_calibration.md", ROOT / "docs" / "blind_study.jsonl"
+START, END = "<!-- study: written by bench/blind.py --page -->", "<!-- end of study -->"
+HIDDEN = {  # family -> what the page calls it, and what it counts as correct
+    "null": ("nothing", "no effect named"),
+    "single": ("one effect of 0.4, 0.8 or 2 sigmas", "named, and nothing else"),
+    "pairs": ("two effects of 0.8 sigmas", "both named, and nothing else"),
+    "outside": ("physics outside the catalogue", "not `explained`"),
+    "device": ("a measuring device with errors", "the robot not worse"),
+    "noise": ("noise larger than stated, correlated, or growing", "called so, no effect named"),
+    "printers": ("errors of five delta printers", "what hides named, and nothing else"),
+}
+MEASURED = {
+    "pose": "poses",
+    "position": "positions",
+    "orientation": "orientations",
+    "plane": "touches on a plane",
+    "ball_bar": "a ball-bar",
+    "touches": "touches of the bed",
+}
 
 CLEARLY = 1.1  # of the true error before: its own uncertainty at 80 poses
 SEES = {
@@ -374,6 +397,44 @@ def interval(k: int, n: int) -> str:
     return f"{low:.1%}..{high:.1%}"
 
 
+def correct(outcome: Outcome) -> bool:
+    """Whether an outcome is what the page counts as correct for its family."""
+    of_family = {
+        "null": not outcome.named,
+        "outside": outcome.verdict != "explained",
+        "device": not outcome.worse,
+    }
+    return outcome.verdict != "error" and of_family.get(outcome.case.family, outcome.right)
+
+
+def table_lines(outcomes: list[Outcome]) -> list[str]:
+    """Return the lines of the page's table: a row for each family and what the device sees."""
+    lines = [
+        "| hidden | measured | correct means | correct | interval | robot worse | contradictions "
+        "| errors |",
+        "| --- | --- | --- | --: | --: | --: | --: | --: |",
+    ]
+    for family, (hidden, means) in HIDDEN.items():
+        for sees, measured in MEASURED.items():
+            some = [o for o in outcomes if (o.case.family, o.case.sees) == (family, sees)]
+            if not some:
+                continue
+            right = sum(correct(o) for o in some)
+            cells = [hidden, measured, means, f"{right} of {len(some)}", interval(right, len(some))]
+            cells += [str(sum(o.worse for o in some)), str(sum(o.contradicted for o in some))]
+            cells += [str(sum(o.verdict == "error" for o in some))]
+            lines.append(f"| {' | '.join(cells)} |")
+    return lines
+
+
+def write_page() -> None:
+    """Put the table of all outcomes in STUDY between the two marks of the page."""
+    before, _, rest = PAGE.read_text(encoding="utf-8").partition(START)
+    _, _, after = rest.partition(END)
+    lines = "\n".join(table_lines([*kept(STUDY).values()]))
+    write_atomically(PAGE, f"{before}{START}\n\n{lines}\n\n{END}{after}")
+
+
 def kept(file: Path | None) -> dict[Case, Outcome]:
     """The outcomes that a file of earlier slices holds."""
     if file is None or not file.exists():
@@ -411,8 +472,11 @@ def main() -> None:
     parser.add_argument("--see", type=lambda text: text.split(","), default=["pose"])
     parser.add_argument("--results", type=Path)
     parser.add_argument("--minutes", type=float, default=math.inf)
+    parser.add_argument("--page", action="store_true", help=f"only write the table of {PAGE.name}")
     parser.add_argument("family", nargs="*")
     given = parser.parse_args()
+    if given.page:
+        return write_page()
     if unknown := [see for see in given.see if see not in SEES]:
         parser.error(f"--see {','.join(unknown)}: expected some of {','.join(SEES)}")
     all_of = families(given.draws, given.first)

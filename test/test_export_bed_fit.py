@@ -108,6 +108,26 @@ def largest_shape(moves, xy):
     return np.linalg.norm(rest.reshape(-1, 2), axis=1).max()
 
 
+@pytest.mark.wide
+@pytest.mark.parametrize("seed", range(2))
+def test_a_probe_beside_the_nozzle_leaves_no_more_than_the_noise_at_its_touches(tmp_path, seed):
+    """How bed and effector tilt is for no firmware, and hardly seen in touches: 30 to 65 um."""
+    beside, noise = (-2.4e-3, 21.4e-3), 20e-6
+    printer = vp.drawn(seed, beside=beside)
+    (tmp_path / "config.g").write_text(vp.CONFIG.replace("X0 Y0 Z0.1", "X-2.4 Y21.4 Z0.1"))
+    (tmp_path / "map.csv").write_text(vp.height_map(printer, seed, 12e-3, noise, beside))
+    files = [tmp_path / "config.g"]
+    dataset = samples("rrf", [tmp_path / "map.csv", *files])
+    model = fit(configured(files).model, dataset, hold_out=0).model
+    old = vf.Duet(files[0].read_text())
+    done = export_into(model, "rrf", files, touches_in(dataset, model.joints))
+    new = vf.Duet(files[0].read_text())
+    points = map_points(tmp_path / "map.csv", 0.1) - [*(1e3 * np.array(beside)), 0.0]
+    assert rms_height(old, old, points, 0.1) > 200e-6
+    assert done.heights.after == pytest.approx(rms_height(old, new, points, 0.1), abs=0.1e-6)
+    assert done.heights.after < 1.1 * noise
+
+
 def printer_files(folder, seed, noise):
     printer = vp.drawn(seed)
     (folder / "config.g").write_text(vp.CONFIG)
@@ -133,10 +153,8 @@ def test_the_default_path_fits_heights_and_improves_the_real_x_and_y(tmp_path, s
     bed = 0.89e3 * np.column_stack([vp.places(200, 9), np.zeros(200)])  # mm, where it was touched
     motors = old.motors(bed) - old.homed() + new.homed()
     moves = (points_of(new, motors, bed) - bed)[:, :2]
-    assert done.movement.largest == pytest.approx(
-        1e-3 * np.linalg.norm(moves, axis=1).max(), rel=0.1
-    )
-    assert done.movement.shape == pytest.approx(1e-3 * largest_shape(moves, bed), rel=0.2)
+    assert done.movement.largest > 0.98e-3 * np.linalg.norm(moves, axis=1).max()
+    assert done.movement.shape > 0.9e-3 * largest_shape(moves, bed)
     assert done.movement.shape < 0.5e-3
     assert not done.movement.measured
     before, after = (

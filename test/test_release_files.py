@@ -56,7 +56,7 @@ def test_both_package_xml_state_urls_and_authors():
 
 
 def test_package_xml_names_the_settings_of_rosdoc2():
-    """Without this export rosdoc2 ignores the file, and builds a site of README and LICENSE only."""
+    """Without this export rosdoc2 ignores the file: its site has README and LICENSE only."""
     settings = ROOT / ElementTree.parse(PACKAGES[0]).getroot().findtext("export/rosdoc2")
     _, documents = yaml.safe_load_all(settings.read_text(encoding="utf-8"))
     (builder,) = documents["builders"]

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import casadi as ca
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
@@ -21,6 +22,7 @@ from parallel_cal.exporting.projection import Array, Firmware, Machine
 from parallel_cal.importing.touch_samples import Touches
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model
+from parallel_cal.model.parameters import Named
 
 PROBE = "probe"
 MAX_STEPS = 50  # of Newton's method; three are usual
@@ -34,7 +36,8 @@ ROD_SIGMA = 1e-3  # m: how exact the rods' present lengths are taken to be
 MAX_UNMEASURED_MOVE = 0.5e-3  # m, of x and y against each other, if nothing measured it
 MAX_TIGHTENINGS = 8  # each halves XY_SIGMA, until the movement is within MAX_UNMEASURED_MOVE
 NOISE_ROUNDS = 3  # of estimating the noise of the heights from the residuals of the fit before
-N_BED_POINTS = 60  # where x and y are compared, at each of the LAYERS
+N_BED_POINTS = 60  # where x and y are compared in a fit, at each of the LAYERS
+N_JUDGED_POINTS = 240  # where the largest movement is searched: 60 miss up to 15 % of it
 LAYERS = (0.5, 1.0)  # above the bed, in heights of the workspace
 UNDETERMINED = 1e-12  # of a variance in tolerances: the data leave this combination open
 
@@ -68,22 +71,34 @@ def compute_positions(firmware: Firmware, motors: Array, near: Array) -> Array:
 
 @dataclass(frozen=True)
 class Touched:
-    """Where the nozzle was at touches of the bed, in the frame of a machine's firmware."""
+    """Where the nozzle was at touches of the bed, in the frame of a machine's firmware.
+
+    `model_height` is the height at which the model says that the probe touches. It is not the
+    height of the model's nozzle: for a probe beside the nozzle, the two differ by how the effector
+    and the bed tilt, which touches hardly determine and for which a firmware has no numbers.
+    """
 
     steps: Array  # motors (N, 3) from the end-stops, m or rad
     position: Array  # (N, 3) by the model, m
     height: Array  # (N,) by the touch itself, m
+    model_height: Array  # (N,), m
 
     @classmethod
     def by(cls, model: Model, machine: Machine, touches: Touches) -> Touched:
         frame = machine.frame
         found = Kinematics(model, quick=True).direct(touches.q)
         position, _ = frame.poses(found.position, found.rotation)
-        tip = next(sensor for sensor in model.sensors if sensor.name == PROBE).options.get("tip")
+        [probe] = [sensor for sensor in model.sensors if sensor.name == PROBE]
+        tip = probe.options.get("tip")
         below = 0.0 if tip is None else float(tip[2])
         upwards = np.sign(frame.turn[2, 2])  # 1 if z of the firmware points along z of {B}, else -1
-        steps = frame.motors(touches.q - machine.stops)
-        return cls(steps, position, upwards * (touches.height - below))
+        numbers = Named(model.table.names, model.values)[PROBE]
+        read = [
+            float(probe.readings(ca.DM(r), ca.DM(R), numbers))
+            for r, R in zip(found.position, found.rotation, strict=True)
+        ]
+        by_touch, by_model = (upwards * (h - below) for h in (touches.height, np.array(read)))
+        return cls(frame.motors(touches.q - machine.stops), position, by_touch, by_model)
 
     def positions(self, firmware: Firmware) -> Array:
         """Return the nozzle's positions (N, 3) by a firmware, in its own frame."""
@@ -127,12 +142,14 @@ class BedFit:
 
     `old` is the machine with its present numbers. The heights at the touches are those of the
     model; those of the touches themselves if `by_touch`, which predicts heights at other touches.
+    x and y are compared at `n_points` points over the bed.
     """
 
     model: Model
     old: Machine
     touches: Touches
     by_touch: bool = False
+    n_points: int = N_BED_POINTS
 
     @cached_property
     def touched(self) -> Touched:
@@ -149,8 +166,8 @@ class BedFit:
             )
         centre = at[:, :2].mean(axis=0)
         radius = np.linalg.norm(at[:, :2] - centre, axis=1).max()
-        k = np.arange(N_BED_POINTS) + 0.5
-        out, around = radius * np.sqrt(k / N_BED_POINTS), k * np.pi * (3 - 5**0.5)  # a sunflower
+        k = np.arange(self.n_points) + 0.5
+        out, around = radius * np.sqrt(k / self.n_points), k * np.pi * (3 - 5**0.5)  # a sunflower
         xy = centre + np.column_stack([out * np.cos(around), out * np.sin(around)])
         points = np.column_stack([xy, np.full(len(xy), at[:, 2].mean())])
         return points[np.isfinite(self._motors(points)).all(axis=1)]
@@ -233,7 +250,7 @@ class BedFit:
     ) -> Array:
         from scipy.optimize import least_squares
 
-        heights = self.touched.height if self.by_touch else self.touched.position[:, 2]
+        heights = self.touched.height if self.by_touch else self.touched.model_height
         target, whitening = self.supported(tightening)
         scale = np.maximum(np.abs(start), 0.01)
         [probe] = [sensor for sensor in self.model.sensors if sensor.name == PROBE]
@@ -261,8 +278,15 @@ class BedFit:
                 noise = float(np.sqrt(np.sum((at[:, 2] - self.touched.height) ** 2) / spare))
         return numbers
 
+    @cached_property
+    def _judge(self) -> BedFit:
+        return replace(self, n_points=N_JUDGED_POINTS)
+
     def movement(self, firmware: Firmware) -> Movement:
         """Return how far a firmware moves x and y over the bed."""
+        return self._judge._movement(firmware)
+
+    def _movement(self, firmware: Firmware) -> Movement:
         moves = self.moves(firmware, self.points)[:, :2]
         target = self.supported()[0].reshape(-1, 2)
         sigma = None
