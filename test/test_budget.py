@@ -13,6 +13,7 @@ from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.loading import load_dataset
+from parallel_cal.recordings.simulate import simulate
 from parallel_cal.reporting.results import iso_sentence
 from parallel_cal.virtual import robot as vr
 
@@ -158,3 +159,19 @@ def test_the_command_prints_both(run_cli, tmp_path):
     document = json.loads(run_cli(*asked, "--hold-out", "0", "--json"))
     assert document["budget"][0]["parts"][0]["name"] == "geometry"
     assert document["iso_9283"][0]["poses"] == 74
+
+
+@pytest.mark.wide
+def test_the_nominal_model_has_one_error_before_and_after_its_fit():
+    """Nothing states where the device stands: the nominal model is judged registered, also where
+    the budget of a fitted model states its error."""
+    nominal = new_model("stewart42")
+    errors = np.random.default_rng(3).normal(size=len(nominal.values)) * nominal.table.tolerance
+    data = simulate(nominal.with_values(nominal.values + errors), 50, seed=1).dataset()
+    first = fit(nominal, data)
+    again = fit(first.model, data)
+    expected = first.held_out_before.summary.position_rms
+    assert first.given.errors_as_given.summary.position_rms > 2 * expected
+    for result in (first, again):
+        assert result.nominal_errors.summary.position_rms == pytest.approx(expected)
+        assert result.budgets[0].total == pytest.approx(expected)

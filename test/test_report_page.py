@@ -183,6 +183,7 @@ def opened(text, tmp_path_factory):
 
         def at(width, scheme="light"):
             window = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
+            window.set_default_timeout(240e3)  # ms, for a busy machine
             window.failed, window.asked = [], []
             window.on("pageerror", lambda e: window.failed.append(str(e)))
             window.on("request", lambda r: window.asked.append(r.url))

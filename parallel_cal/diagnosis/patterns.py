@@ -138,6 +138,11 @@ class OddSample:
     place: np.ndarray
 
     @property
+    def size(self) -> str:
+        """Its residual in words: `19 sigmas, 0.324 mm`."""
+        return f"{self.sigmas:.0f} sigmas, {np.linalg.norm(self.position_error) / MM:.3g} mm"
+
+    @property
     def label(self) -> str:
         return "outlier" if self.outlier else "influential"
 
@@ -201,16 +206,9 @@ def confirm_knocked_samples(
 
 def describe_knocked_samples(knocked: Sequence[OddSample]) -> str:
     """Name the samples that a verdict leaves out, to be put before it."""
-    several = len(knocked) > 1
-    names = " and ".join(
-        f"sample {one.sample} ({one.sigmas:.0f} sigmas, "
-        f"{np.linalg.norm(one.position_error) / MM:.3g} mm)"
-        for one in knocked
-    )
-    exclude = ",".join(str(one.sample) for one in knocked)
+    names = " and ".join(f"sample {one.sample} ({one.size})" for one in knocked)
+    verb, them = ("are", "them") if len(knocked) > 1 else ("is", "it")
     return (
-        f"{names} {'are' if several else 'is'} far from what all others show, as if somebody "
-        f"knocked the device: check {'them' if several else 'it'}, or exclude "
-        f"{'them' if several else 'it'} (--data exclude={exclude}). Without "
-        f"{'them' if several else 'it'}: "
+        f"{names} {verb} far from what all others show, as if somebody knocked the device: check "
+        f"{them}, or exclude {them}. Without {them}: "
     )

@@ -70,6 +70,7 @@ from parallel_cal.identification.registration import (
     Registration,
     add_registration_warning,
     is_identified,
+    is_registrable,
     prepared_for_fit,
     registered_by,
     shows_pose,
@@ -293,8 +294,14 @@ class FitResult(ShownInNotebook):
         values = np.where(part, self.model.table.nominal, self.model.values)
         model = self.model.with_values(values)
         held_out = self.held_out.judged.any()
-        # Frames that a fit found belong to its geometry: the nominal one gets its own.
-        registers = self.given.is_registered or is_identified(self.model) or shows_pose(self.model)
+        # Frames that a fit found belong to its geometry: the nominal one gets its own. It is
+        # registered as it was before that fit.
+        registers = (
+            self.given.is_registered
+            or is_identified(self.model)
+            or shows_pose(self.model)
+            or is_registrable(model, self.observations)
+        )
         placed = registered_by(model, self.observations) if registers else None
         given = GivenModel(
             model, placed or model, self.dataset, self.options.joint_sigma, self.options.insist

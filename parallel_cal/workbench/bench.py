@@ -250,7 +250,7 @@ class Bench:
         self.version += 1
 
 
-VIEW_VERSION = 14  # of the stored views; a view of another version is computed again
+VIEW_VERSION = 15  # of the stored views; a view of another version is computed again
 
 
 def view_path(session: History, state: int | None = None) -> Path:

@@ -338,6 +338,8 @@ class Window:
                 self.open.tooltip("show the readings that the first marked sample averages")
                 self._import_button()
             self._show_count(set())
+            for number, size in view["knocked"].items():
+                self._offer_exclusion(int(number), size)
             excluded = bench.session.state.excluded
             if len(excluded) > 1:
                 with ui.row().classes("items-center"):
@@ -347,6 +349,15 @@ class Window:
                 with ui.row().classes("items-center"):
                     ui.label(f"sample {number} is excluded: {reason or 'no reason given'}")
                     self._include("Include", [number])
+
+    def _offer_exclusion(self, number: int, size: str) -> None:
+        """Offer to exclude a sample that the verdict set aside: no view shows it."""
+        why = f"far from what all others show ({size})"
+        with ui.row().classes("items-center"):
+            ui.label(f"sample {number} is {why}; the verdict does not use it")
+            step = partial(self.bench.begin, "exclude", {number: why})
+            button = ui.button(f"Exclude sample {number}", on_click=step).props("dense outline")
+            button.set_enabled(not self.bench.busy)
 
     def _include(self, words: str, numbers: list[int]) -> None:
         """Make a button that includes excluded samples again, in one step."""

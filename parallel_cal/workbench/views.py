@@ -211,6 +211,7 @@ def _make_comparison_view(found: Comparison) -> View:
         "samples": _samples(samples, residuals, kinds or ["joint"], units),
         "effects": _list_effects(found.model),
         "ambiguous": {},
+        "knocked": {},
         "candidates": [],
         "together": None,
         "untested": [],
@@ -262,6 +263,7 @@ def _make_report_view(found: Report) -> View:
         "samples": _samples(found.samples, residuals, found.errors.kinds, units),
         "effects": _list_effects(diagnosis.model),
         "ambiguous": {one.effect: one.names for one in diagnosis.ambiguous},
+        "knocked": {one.sample: one.size for one in diagnosis.knocked},
         "candidates": [
             row
             | {
