@@ -211,7 +211,9 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
         assert "backlash" in page.locator("#budget").inner_text()
         # What the samples do not tell stays on the page, in the verdict and beside the effect.
         verdict = page.locator("#verdict-words").inner_text()
-        assert re.search(r"backlash or hysteresis: .* \d+ planned poses would (not yet )?tell", verdict)
+        assert re.search(
+            r"backlash or hysteresis: .* \d+ planned poses would (not yet )?tell", verdict
+        )
         assert page.locator(".ambiguous").inner_text() == "or hysteresis: the samples do not tell"
         page.get_by_role("button", name="Save", exact=True).click()
         page.locator("#message").get_by_text("written").wait_for()
