@@ -110,14 +110,15 @@ def beside_odr() -> list[Row]:
     ]
 
 
-def main() -> None:
+def beside_scipy() -> list[Row]:
+    """The fit of 42 parameters, and scipy's least_squares on the same residuals."""
     model, data = new_model("delta54", vr.TABLE_5_12), measured(0)
     observations, free = observe(model, data), ~model.fixed
     with single_threaded():
         ours = estimate(model, observations, free, weighted=False).values[free]
         apart = (scipy_fit(model, observations, free) - ours) / model.table.tolerance[free]
         assert np.abs(apart).max() < 5e-3  # as near as finite differences come
-        rows = [
+        return [
             Row(
                 "weighted fit, 42 parameters, 94 poses, with sigmas and rank",
                 processor_each(lambda: estimate(model, observations, free), least=10),
@@ -143,8 +144,12 @@ def main() -> None:
                 processor_each(lambda: fit(model, data), least=3, repeats=3),
             ),
         ]
+
+
+def main() -> None:
+    show("Identification", beside_scipy())
+    with single_threaded():
         chain = beside_odr()
-    show("Identification", rows)
     show("Beside orthogonal distance regression", chain)
 
 

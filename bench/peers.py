@@ -1,28 +1,50 @@
-"""Delta 54, Argos 27 and Stewart 42 beside MuJoCo's kinematics: the same answers, at what cost.
+"""Every peer in one run: MuJoCo, Pinocchio, FIGAROH, scipy and ODRPACK give the same answers, at
+what cost.
 
-    .venv/bin/pip install -e '.[peers]' && .venv/bin/parallel-cal bench peers
+    .venv/bin/pip install -e '.[peers]' figaroh && .venv/bin/parallel-cal bench peers
+
+The first row of a table of kinematics is the limit: the generated C of one solution, without any
+Python around it. A peer that is not installed has a row that says so.
 
 MuJoCo is a cross-check only. Each robot is six rods between its arms (or the base) and its
 platform: the balls of Argos lie on circles, that is at given distances from two points of the
 circle's axis. Newton's method closes the rods with MuJoCo's site positions and Jacobians. The
 geometry is that of the tests' virtual robots, so no formula of the package takes part.
+
+The arm is built in MuJoCo and Pinocchio from its rows of Denavit and Hartenberg. Pinocchio has no
+identification, and no direct problem of a closed chain. FIGAROH identifies serial chains: it fits
+the positions that a tracker saw of the arm, and must be as exact at poses of another session.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import redirect_stdout
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
-from timing import Row, seconds_each, show
+from direct import NumpyNewton, fsolve_peer
+from fit import beside_odr, beside_scipy
+from timing import Row, processor_each, show
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
+import arms
+import virtual_arm
+
+from parallel_cal.base.compiled import Single, compile_function
 from parallel_cal.base.errors import SolveError
+from parallel_cal.base.threads import single_threaded
+from parallel_cal.diagnosis.comparison import compare
+from parallel_cal.identification.fit import fit
 from parallel_cal.kinematics import solving
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
+from parallel_cal.kinematics.newton import newton_functions
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.virtual import argos as va
@@ -134,7 +156,7 @@ class MuJoCo:
         return length, np.einsum("ki,kij->kj", rod / length[:, None], J[1] - J[0])
 
 
-def _text(vector: np.ndarray) -> str:
+def _text(vector: np.ndarray | Sequence[float]) -> str:
     return " ".join(f"{v:.17g}" for v in vector)
 
 
@@ -183,13 +205,25 @@ def disagreement(case: Case, peer: MuJoCo, problem: str) -> float:
     return worst
 
 
+def compiled_limit(model: Model, one: Solutions, problem: str) -> Row:
+    """One solution by the generated C, from buffer to buffer."""
+    functions = newton_functions(model.structure, problem)
+    k = Single(functions.tables)(model.values)[0]
+    single = Single(compile_function(functions.solve))
+    single(np.concatenate([one.joints, one.position, one.rotation.ravel()]), np.zeros(0), k)
+    return Row("limit: compiled C, buffer to buffer", processor_each(single.evaluate))
+
+
 def ours(case: Case, problem: str) -> list[Row]:
     """One public call, and every solver that serves, on a batch with its set-up."""
     kinematics, truth, one = Kinematics(case.model, compile=True), case.truth, case.truth[0]
     direct = problem == "direct"
     given = (one.joints,) if direct else (one.position, one.rotation)
     call = kinematics.direct if direct else kinematics.inverse
-    rows = [Row("parallel_cal, compiled, public call", seconds_each(lambda: call(*given)))]
+    rows = [
+        compiled_limit(case.model, one, problem),
+        Row("parallel_cal, compiled, public call", processor_each(lambda: call(*given))),
+    ]
     table = (truth.joints,) if direct else (truth.position, truth.rotation)
     solve = solving.direct if direct else solving.inverse
     for solver in SOLVERS[case.model.mechanism.name]:
@@ -200,7 +234,7 @@ def ours(case: Case, problem: str) -> list[Row]:
         assert np.abs(found.joints - truth.joints).max() < 1e-7, solver
         assert np.abs(found.position - truth.position).max() < 1e-7, solver
         run = lambda s=solver: solve(case.model, *table, {}, solver=s)  # noqa: E731
-        seconds = seconds_each(run, least=1, repeats=3) / len(truth)
+        seconds = processor_each(run, least=1, repeats=3) / len(truth)
         rows.append(Row(f"--solver {solver}, {len(truth)} at a time", seconds))
     return rows
 
@@ -214,23 +248,195 @@ def main() -> None:
     for one in cases:
         for problem in ("direct", "inverse"):
             rows = ours(one, problem) + peers(one, problem)
+            if one is cases[0] and problem == "direct":
+                rows += array_peers(one)
             show(f"{one.model.mechanism.name}, {problem} problem", rows)
+    show("arm of six joints (UR5), direct problem", arm_rows())
+    show("identification of a Delta", beside_scipy())
+    with single_threaded():
+        show("identification of one chain", beside_odr())
+        show("identification of the arm, 120 positions", arm_fit_rows())
+
+
+def array_peers(case: Case) -> list[Row]:
+    """The Delta of table 5.18 in NumPy and scipy, as in bench/direct.py."""
+    newton, one = NumpyNewton(vr.TABLE_5_18), case.truth[0]
+    q, start = one.joints, one.position + [1e-3, -1e-3, 1e-3]
+    scipy = fsolve_peer(newton, q, start)
+    for found in (newton.solve(q[None], start[None], 4)[0], scipy()[:3]):
+        assert np.abs(found - one.position).max() < 1e-8
+    return [
+        Row("NumPy, Newton's method", processor_each(lambda: newton.solve(q[None], start[None]))),
+        Row("scipy fsolve, finite differences", processor_each(scipy, least=50)),
+    ]
+
+
+def arm_rows() -> list[Row]:
+    """A UR5, which Pinocchio and MuJoCo compute from the same rows of Denavit and Hartenberg."""
+    model = arms.nominal("ur5")
+    kinematics = Kinematics(model, compile=True)
+    q = np.array(virtual_arm.HOME["ur5"])
+    one = kinematics.direct(q)
+    rows = [
+        compiled_limit(model, one, "direct"),
+        Row("parallel_cal, compiled, public call", processor_each(lambda: kinematics.direct(q))),
+    ]
+    for name, build in (("Pinocchio", pinocchio_arm), ("MuJoCo", mujoco_arm)):
+        try:
+            peer = build(virtual_arm.UR5)
+        except ModuleNotFoundError:
+            rows.append(Row(name, None))
+            continue
+        position, rotation = peer(q)
+        assert np.abs(position - one.position).max() < AGREE, name
+        assert np.abs(rotation - one.rotation).max() < AGREE, name
+        rows.append(Row(name, processor_each(lambda f=peer: f(q))))
+    return rows
+
+
+def arm_fit_rows() -> list[Row]:
+    """Geometry, device frame and target of a UR5, from positions; by FIGAROH from the same file."""
+    robot, model = virtual_arm.arm("ur5", 4), arms.nominal("ur5")
+    known, unseen = (virtual_arm.session(robot, n, seed) for n, seed in ((120, 5), (60, 6)))
+    data = arms.seen(known, False, "tracker")
+    found = fit(model, data, hold_out=0)
+    again = compare(found.model, arms.seen(unseen, False, "tracker"))
+    error = again.errors.summary.position_rms
+    assert error is not None
+    rows = [
+        Row(
+            f"fit(hold_out=0): {1e6 * error:.1f} um at 60 poses of another session",
+            processor_each(lambda: fit(model, data, hold_out=0), least=1, repeats=3),
+        )
+    ]
+    try:
+        import figaroh  # noqa: F401
+    except ModuleNotFoundError:
+        return [*rows, Row("FIGAROH", None)]
+    with TemporaryDirectory() as folder, redirect_stdout(StringIO()), catch_warnings():
+        simplefilter("ignore")
+        peer = figaroh_fit(Path(folder), known)
+        theirs = peer()(unseen)
+        assert 0.9 < theirs / error < 1.1, f"{theirs} m, ours {error} m"
+        seconds = processor_each(peer, least=1, repeats=3)
+    rows.append(Row(f"FIGAROH: {1e6 * theirs:.1f} um at the same poses", seconds))
+    return rows
+
+
+def figaroh_fit(folder: Path, session: virtual_arm.Session) -> Callable[[], Any]:
+    """Return a function that calibrates the UR5 by FIGAROH. It returns a function of a session: the
+    rms position error (m) of the calibrated arm."""
+    import yaml
+    from figaroh.calibration.base_calibration import BaseCalibration
+    from figaroh.calibration.calibration_tools import calc_updated_fkm
+
+    names = ["x1", "y1", "z1", *(f"joint{k + 1}" for k in range(session.q.shape[1]))]
+    table = np.hstack([session.r, session.q])
+    np.savetxt(folder / "data.csv", table, delimiter=",", header=",".join(names), comments="")
+    task = {
+        "type": "kinematic_calibration",
+        "kinematics": {"base_frame": "universe", "tool_frame": "tool"},
+        "measurements": {"markers": [{"measurable_dof": [True] * 3 + [False] * 3}]},
+        "data": {"source_file": str(folder / "data.csv"), "number_of_samples": len(table)},
+    }
+    config = {"robot": {"name": "ur5"}, "tasks": {"calibration": task}}
+    (folder / "config.yaml").write_text(yaml.safe_dump(config))
+
+    class Positions(BaseCalibration):  # type: ignore[misc]
+        def predict(self, var: np.ndarray, q: np.ndarray) -> np.ndarray:
+            settings = {**self.calib_config, "NbSample": len(q)}
+            return np.asarray(calc_updated_fkm(self.model, self.data, var, q, settings))
+
+        def cost_function(self, var: np.ndarray) -> np.ndarray:
+            return np.asarray(self.PEE_measured - self.predict(var, self.q_measured))
+
+    def calibrate() -> Callable[[virtual_arm.Session], float]:
+        calibration = Positions(pinocchio_robot(virtual_arm.UR5), str(folder / "config.yaml"))
+        calibration.calib_config |= {"known_baseframe": False, "known_tipframe": False}
+        calibration.initialize()
+        found = calibration.solve(enable_logging=False).x
+
+        def error(other: virtual_arm.Session) -> float:
+            left = calibration.predict(found, other.q).reshape(3, -1).T - other.r
+            return float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
+
+        return error
+
+    return calibrate
+
+
+def after_joint(row: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation and translation (m) from a joint's frame to the next one's: along z by d, along x by
+    a, then about x by alpha."""
+    a, d, alpha = row
+    s, c = np.sin(alpha), np.cos(alpha)
+    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]]), np.array([a, 0.0, d])
+
+
+def pinocchio_robot(table: Sequence[tuple[float, float, float]]) -> Any:
+    """Return the arm in Pinocchio, with the end as its last frame, `tool`."""
+    import pinocchio as pin
+
+    model, joint, placement = pin.Model(), 0, pin.SE3.Identity()
+    for k, row in enumerate(table):
+        joint = model.addJoint(joint, pin.JointModelRZ(), placement, f"joint{k + 1}")
+        placement = pin.SE3(*after_joint(row))
+    model.addFrame(pin.Frame("tool", joint, placement, pin.FrameType.OP_FRAME))
+    model.lowerPositionLimit, model.upperPositionLimit = np.full((2, model.nq), [[-3.0], [3.0]])
+    return pin.RobotWrapper(model)
+
+
+def pinocchio_arm(table: Sequence[tuple[float, float, float]]) -> Any:
+    """Return a function q -> (position, rotation) of Pinocchio's forward kinematics."""
+    import pinocchio as pin
+
+    robot = pinocchio_robot(table)
+    model, data, tool = robot.model, robot.data, robot.model.getFrameId("tool")
+
+    def solve(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        pin.forwardKinematics(model, data, q)
+        found = pin.updateFramePlacement(model, data, tool)
+        return found.translation, found.rotation
+
+    return solve
+
+
+def mujoco_arm(table: Sequence[tuple[float, float, float]]) -> Any:
+    """Return a function q -> (position, rotation) of MuJoCo's kinematics."""
+    import mujoco
+
+    geom, place = '<geom size=".01" mass="1"/>', 'pos="0 0 0"'
+    bodies, ends = "", ""
+    for row in table:
+        bodies += f'<body {place}><joint type="hinge" axis="0 0 1"/>{geom}'
+        ends += "</body>"
+        half, (_, shift) = row[2] / 2, after_joint(row)
+        place = f'pos="{_text(shift)}" quat="{_text([np.cos(half), np.sin(half), 0, 0])}"'
+    text = f'<mujoco><worldbody>{bodies}<site name="end" {place}/>{ends}</worldbody></mujoco>'
+    model = mujoco.MjModel.from_xml_string(text)
+    data, end = mujoco.MjData(model), model.site("end").id
+
+    def solve(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        data.qpos[:] = q
+        mujoco.mj_kinematics(model, data)
+        return data.site_xpos[end], data.site_xmat[end].reshape(3, 3)
+
+    return solve
 
 
 def peers(case: Case, problem: str) -> list[Row]:
-    """MuJoCo, after it has given the same answers; none where it is not installed."""
+    """MuJoCo, after it has given the same answers; None where it is not installed."""
     if problem == "inverse" and not len(case.rods.axes):
         return []  # a Stewart platform's inverse is six distances
     try:
         peer = MuJoCo(case.rods)
     except ModuleNotFoundError:
-        print("mujoco is not installed: no peer (pip install -e '.[peers]')")
-        return []
+        return [Row("MuJoCo, eight Newton steps", None)]
     worst = disagreement(case, peer, problem)
     assert worst < AGREE, f"MuJoCo differs by {worst:.1e}"
     print(f"{len(case.truth)} answers differ from MuJoCo's by {worst:.0e} m or rad at most")
     pose = case.truth[0]
-    seconds = seconds_each(lambda: case.peer_solve(peer, pose, problem), least=300)
+    seconds = processor_each(lambda: case.peer_solve(peer, pose, problem), least=300)
     return [Row("MuJoCo, eight Newton steps", seconds)]
 
 

@@ -14,8 +14,10 @@ from rich.table import Table
 
 @dataclass(frozen=True)
 class Row:
+    """A time; None for a peer that is not installed."""
+
     name: str
-    seconds: float
+    seconds: float | None
 
 
 def seconds_each(call: Callable[[], Any], least: int = 2000, repeats: int = 5) -> float:
@@ -44,8 +46,12 @@ def _each(
 def show(title: str, rows: list[Row]) -> None:
     """One table; ratios are to the first row, measured in the same run."""
     table = Table("what", "time", "ratio", title=title)
+    first = rows[0].seconds
     for row in rows:
-        table.add_row(row.name, _readable(row.seconds), f"{row.seconds / rows[0].seconds:.2f}")
+        if row.seconds is None or first is None:
+            table.add_row(row.name, "not installed", "-")
+        else:
+            table.add_row(row.name, _readable(row.seconds), f"{row.seconds / first:.2f}")
     Console().print(table)
 
 

@@ -4,7 +4,7 @@ All of it keeps one clock, which runs slower on a busy computer. The controller 
 joint_trajectory_controller does: a joint too far from its path, or from its goal when it should be
 there, ends the goal with the code of the action. A goal replaces the one before it.
 
-    python test/action_robot.py NAMESPACE    # runs until it is killed
+    python test/action_robot.py NAMESPACE RATE    # runs until it is killed
 """
 
 import sys
@@ -211,5 +211,5 @@ class ActionRobot:
 
 
 if __name__ == "__main__":
-    ActionRobot(sys.argv[1])
+    ActionRobot(sys.argv[1], float(sys.argv[2]))
     Event().wait()

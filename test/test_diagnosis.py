@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import virtual_day as vd
 import virtual_effects_hidden as hidden
+import virtual_effects_more as more
 import virtual_findings as vf
 from datasets import JOINTS, measured
 from findings import clean, dataset, hiding
@@ -175,6 +176,23 @@ def test_an_unknown_gear_ratio_is_found_and_add_finds_it_too():
     step = add(MODEL, "gear_transmission_error", data)
     ratio = step.document()["parameters"]["gear_transmission_error.ratio"]["value"]
     assert ratio == pytest.approx(best["settings"]["ratio"], rel=1e-6)
+
+
+@pytest.mark.wide
+def test_of_an_effect_and_its_special_case_the_simpler_one_is_named_alone_unless_it_explains_less():
+    def reason(found):
+        return entry(found.document(), "strain_wave_compliance")["reason"]
+
+    quiet = diagnose(MODEL, clean(1))
+    assert reason(quiet) == "not tested: joint_compliance, a special case of it, explains nothing"
+    line = diagnose(MODEL, hiding([vf.KINDS["joint compliance"]], 0.6, seed=1)[0])
+    assert reason(line) == "explains no more than joint_compliance, a special case of it"
+    assert "strain_wave_compliance" not in (n for swaps in line.swaps.values() for n in swaps)
+    k1 = np.array([800.0, 1000.0, 700.0])
+    curved = more.StiffeningGears(tuple(k1), tuple(k1**3 / 0.25**2))
+    kind = vf.Kind((), lambda s, rng: curved, 1.0, vf.FINE)
+    found = diagnose(MODEL, hiding([kind], 1, seed=1)[0])
+    assert found.effects == ("strain_wave_compliance",)
 
 
 @pytest.mark.wide

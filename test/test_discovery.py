@@ -4,6 +4,7 @@ import importlib
 import json
 import pickle
 import sys
+import tracemalloc
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -28,7 +29,15 @@ from parallel_cal.discovery.discovery import discover, find_winner
 from parallel_cal.discovery.drivers import list_drivers
 from parallel_cal.discovery.effect_file import load_text, write_effect, write_effect_file
 from parallel_cal.discovery.folds import choose_in_folds
-from parallel_cal.discovery.formula import Factor, Formula, Term, find_formula
+from parallel_cal.discovery.formula import (
+    Factor,
+    Formula,
+    Term,
+    _iterate_groups,
+    _Selection,
+    build_columns,
+    find_formula,
+)
 from parallel_cal.discovery.nulls import characterise_noise, compute_threshold, draw_residuals
 from parallel_cal.discovery.parts import find_parts
 from parallel_cal.discovery.places import Site, list_places, list_sites
@@ -631,6 +640,61 @@ def test_a_scanned_constant_makes_a_formula_less_simple_than_a_line(scene):
         for factor in (Factor("power", (1.0,)), Factor("step", (0.5, 0.1)))
     )
     assert line.complexity < step.complexity
+
+
+def _joints_by_reading(scene, each):
+    """The hypothesis that joints err with their own readings, and targets with such an error."""
+    places = [one for one in list_places(scene) if one.kind == "joint"]
+    drivers = [one for one in list_drivers(scene) if one.family == "reading"]
+    laws = [
+        (place, 1e-3 * np.sin(7 * driver.values + k * each))
+        for k, (place, driver) in enumerate(zip(places, drivers, strict=True))
+    ]
+    return Hypothesis(Site("joints", tuple(places), each), (tuple(drivers),)), _leave(scene, laws)
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("each", [False, True])
+def test_a_term_gains_what_least_squares_over_all_rows_explain(scene, each):
+    """Sums over samples choose the same term, beside none and beside a first one."""
+    hypothesis, targets = _joints_by_reading(scene, each)
+    groups = list(_iterate_groups(hypothesis, len(scene.x)))
+    search = _Selection(targets, hypothesis, groups)
+    for chosen in ([], [1]):
+
+        def explain(numbers):
+            B = [build_columns(hypothesis, groups[n].terms) for n in numbers]
+            B = np.hstack([np.zeros((len(scene.residual), 0)), *B])
+            B = targets.directions @ (targets.directions.T @ B) - B
+            B /= np.maximum(np.linalg.norm(B, axis=0), 1e-300)
+            left = targets.residuals[:, 0] - B @ np.linalg.lstsq(B, targets.residuals[:, 0])[0]
+            return left @ left, np.linalg.matrix_rank(B) + sum(groups[n].scanned for n in numbers)
+
+        before, rank = explain(chosen)
+        gains = []
+        for n in range(len(groups)):
+            after, more = explain([*chosen, n])
+            gain = targets.dof / 2 * np.log(before / after)
+            gains.append(gain - (more - rank) / 2 * np.log(targets.dof))
+        best, gain = search._find_best(chosen)
+        assert best == int(np.argmax(gains))
+        assert gain == pytest.approx(max(gains), rel=1e-6)
+
+
+@pytest.mark.wide
+def test_a_formula_is_found_without_the_columns_of_all_terms_in_memory(scene):
+    hypothesis, targets = _joints_by_reading(scene, True)
+    groups = list(_iterate_groups(hypothesis, len(scene.x)))
+    terms = sum(len(group.terms) for group in groups)
+    all_columns = 8 * terms * len(hypothesis.site.members) * len(scene.residual)
+    tracemalloc.start()
+    try:
+        found = find_formula(targets, hypothesis)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert [term.word for term in found.terms][:2] == ["sin", "cos"]
+    assert peak < 0.75 * all_columns
 
 
 def test_with_the_reading_of_another_joint_a_joint_errs_rather_than_a_part_of_its_chain(scene):

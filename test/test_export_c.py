@@ -30,7 +30,7 @@ EFFECTS = {
     "delta54": ("encoder_eccentricity", "backlash", "thermal_expansion"),
     "stewart42": ("strut_rotation", "hysteresis", "screw_pitch_error"),
     "argos27": ("backlash", "encoder_second_harmonic", "joint_compliance"),
-    "linear_delta": ("rod_compliance", "encoder_gain"),
+    "linear_delta": ("rod_compliance", "encoder_gain", "acceleration_lag"),
 }
 WITH_EFFECTS = ("delta54", "stewart42", "argos27")
 ROBOTS = [

@@ -48,6 +48,7 @@ def test_the_page_has_every_robot_and_why_a_recording_failed(folder):
     path, fleet = folder
     text = (path / "fleet.html").read_text()
     assert "5 robots, 6 recordings" in text
+    assert "_" not in part(text, "verdicts")  # words, not the keys of a document
     robots = part(text, "robots-by-error")
     rows = [unescape(cell) for cell in re.findall(r'data-label="robot"[^>]*>(.*?)</td>', robots)]
     assert sorted(re.sub("<a.*?>|</a>", "", row) for row in rows) == sorted(NAMES)

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 from datasets import measured, quiet
 
-from parallel_cal.base.rotation import nearest_rotation, rotation_matrix
+from parallel_cal.base.rotation import (
+    nearest_rotation,
+    quaternion_to_matrix,
+    rotation_matrix,
+    rotation_vector,
+)
 from parallel_cal.campaign.judging import JudgementRequest, judge_samples
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
@@ -17,8 +22,9 @@ from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.identification.registration import register_device
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import dump_model
-from parallel_cal.model.model import new_model
+from parallel_cal.model.model import Noise, new_model
 from parallel_cal.model.shelf import load_sensor
+from parallel_cal.recordings.simulate import simulate
 from parallel_cal.reporting.contents import HeldOutErrors
 from parallel_cal.session.steps import add
 
@@ -53,6 +59,30 @@ def test_a_delta_before_a_tracker_that_stands_anywhere_is_as_good_as_before_its_
     assert np.abs(np.array(where.position) - SHIFT).max() < 5e-3
     assert np.abs(np.array(where.target_position)).max() < 1e-3
     assert "does not turn enough to determine it" in where.description
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("turned", [(0, 0, 0), (0.3, -0.5, 1.0)])
+def test_how_a_target_is_turned_on_a_platform_that_never_turns_is_no_error_of_the_robot(turned):
+    """delta24 holds no orientation. A fit without the backlash tilts its base by milliradians: that
+    was taken for an error of orientation, and parallelogram_errors for its cause."""
+    rng = np.random.default_rng(4)
+    drawn = replace(new_model("delta24"), noise=Noise(1e-5, 1e-5, 4e-5))
+    built = new_model("delta24", effects=["backlash"])
+    off = built.table.nominal + 0.3 * built.table.tolerance * rng.standard_normal(len(built.table))
+    values = np.where(built.fixed, built.table.nominal, off)
+    for i, width in enumerate((0.0, 2e-3, 0.0), start=1):
+        values[built.table.index_of(f"backlash.joint{i}.width")] = width
+    built = replace(built.with_values(values), noise=drawn.noise)
+    data = seen_by_a_tracker(simulate(built, poses=40, seed=4).dataset(), turned=turned)
+    found = fit(drawn, data)
+    assert found.held_out.summary.orientation_rms < 1e-4
+    assert found.before.summary.orientation_rms < 1e-4
+    theirs = rotation_matrix(np.array(turned, float))
+    ours = quaternion_to_matrix(found.registration.target_quaternion)
+    assert np.linalg.norm(rotation_vector(ours.T @ theirs)) < 0.02
+    diagnosis = diagnose(found.model, data, effects=["backlash", "parallelogram_errors"])
+    assert [one.name for one in diagnosis.best.fitted.model.effects] == ["backlash"]
 
 
 def test_a_fit_finds_a_target_at_its_stated_position():

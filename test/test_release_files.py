@@ -55,6 +55,14 @@ def test_both_package_xml_state_urls_and_authors():
         assert root.findtext("author") == root.findtext("maintainer")
 
 
+def test_package_xml_names_the_settings_of_rosdoc2():
+    """Without this export rosdoc2 ignores the file: its site has README and LICENSE only."""
+    settings = ROOT / ElementTree.parse(PACKAGES[0]).getroot().findtext("export/rosdoc2")
+    _, documents = yaml.safe_load_all(settings.read_text(encoding="utf-8"))
+    (builder,) = documents["builders"]
+    assert (ROOT / builder["sphinx"]["sphinx_sourcedir"] / "conf.py").is_file()
+
+
 def test_the_ros_packages_that_the_code_imports_are_declared():
     declared = {e.text for e in ElementTree.parse(PACKAGES[0]).getroot().iter("exec_depend")}
     imported = set()

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 from unittest import mock
 
 import numpy as np
@@ -36,24 +37,55 @@ def test_without_the_package_of_the_action_the_parameter_is_refused(tmp_path, no
 
 pytest.importorskip("control_msgs")
 
+from action_msgs.srv import CancelGoal
 from action_robot import HOME, NAME, ActionRobot, Result
 from campaign_cells import model_of
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from nav_msgs.msg import Path
 from parallel_cal_msgs.action import Calibrate
 from parallel_cal_msgs.msg import CalibrationStatus, CommandStatus, MotionStatus
+from rclpy.task import Future
 from ros_helpers import NodeProcess
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
 
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import write_model
 from parallel_cal.nodes.client import Client, use_private_domain
+from parallel_cal.nodes.trajectory_action import TrajectoryAction
 
 PATIENCE_S = 150.0  # on a busy computer a node takes a minute to start
 MADE = MotionStatus.SENT, MotionStatus.MOVING
 ABORTED, CANCELED = 6, 5
 ASIDE = (0.03, 0.02, 0.21)
+
+
+def test_a_refusal_is_noticed_also_if_the_first_answer_is_lost():
+    """rclpy ignores an answer that comes before the thread that asked has noted the request."""
+    later, sent = [], []
+    node = SimpleNamespace(
+        executor=SimpleNamespace(create_task=lambda *call: later.append(call)),
+        get_logger=lambda: SimpleNamespace(error=print),
+    )
+    action = object.__new__(TrajectoryAction)
+    action._node, action._name, action._status, action._goals = node, "follow", None, []
+    action._client = SimpleNamespace(
+        server_is_ready=lambda: True,
+        send_goal_async=lambda goal, feedback: sent.append(goal.trajectory) or Future(),
+    )
+    moving, halt = JointTrajectory(), JointTrajectory(joint_names=["halt"])
+    action.send(moving)
+    answers = [Future(), Future()]
+    action._goals[-1].handle = SimpleNamespace(cancel_goal_async=iter(answers).__next__)
+    action.stop(lambda: halt)
+    (_, *_), (cancel, *goal) = later
+    later.clear()
+    cancel(*goal)
+    answers[1].set_result(CancelGoal.Response(return_code=CancelGoal.Response.ERROR_REJECTED))
+    ((begin, *goal),) = later
+    begin(*goal)
+    assert sent == [halt]
 
 
 class Desk:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import reduce
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -117,10 +119,8 @@ class Term:
 
     def value(self, drivers: Sequence[np.ndarray]) -> np.ndarray:
         """The term (N,) at driver values (N,) each."""
-        out = np.ones(len(drivers[0]))
-        for number, factor in self.factors:
-            out = out * factor.value(drivers[number])
-        return out
+        values = [factor.value(drivers[number]) for number, factor in self.factors]
+        return np.asarray(reduce(np.multiply, values))
 
     @property
     def word(self) -> str:
@@ -205,34 +205,135 @@ def find_formula(targets: Targets, hypothesis: Hypothesis) -> Formula | None:
     return search.formula(chosen) if chosen else None
 
 
+class _Columns(NamedTuple):
+    """Columns (n, k) of groups: as they are, what scales them to length 1, and scaled columns
+    without what the model can imitate."""
+
+    raw: np.ndarray
+    scale: np.ndarray
+    projected: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Alike:
+    """Groups of as many terms each, compared by sums over samples.
+
+    `values` (members, groups, terms, N) are the terms, `gram` (groups, k, k) the products of the
+    columns of each group, and `along` (groups, k, p) their parts along what the model can imitate.
+    """
+
+    numbers: list[int]
+    values: np.ndarray
+    each: bool
+    gram: np.ndarray
+    along: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        hypothesis: Hypothesis,
+        groups: Sequence[Group],
+        numbers: list[int],
+        along: np.ndarray,
+        weights: np.ndarray,
+    ) -> _Alike:
+        members, each = len(hypothesis.site.members), hypothesis.site.each
+        common = all(one is own[0] for own in hypothesis.drivers for one in own)
+        drivers = [
+            np.concatenate([one.values for one in (own[:1] if common else own)])
+            for own in hypothesis.drivers
+        ]
+        every = np.array([[term.value(drivers) for term in group.terms] for group in groups])
+        values = every.reshape(*every.shape[:2], -1, weights.shape[2]).transpose(2, 0, 1, 3)
+        values = np.broadcast_to(values, (members, *values.shape[1:]))
+        _, g, terms, _ = values.shape
+        gram = np.empty((g, terms, members, terms, members))
+        for i in range(members):
+            for j in range(i, members):
+                block = (values[i] * weights[i, j]) @ values[j].transpose(0, 2, 1)
+                gram[:, :, i, :, j] = block
+                gram[:, :, j, :, i] = block.transpose(0, 2, 1)
+        k = terms * members if each else terms
+        gram = gram.reshape(g, k, k) if each else gram.sum(axis=(2, 4))
+        one = cls(numbers, values, each, gram, np.zeros((g, k, 0)))
+        return replace(one, along=one.project(along))
+
+    def project(self, along: np.ndarray) -> np.ndarray:
+        """Products (groups, k, p) of the columns with vectors, of which each member at each sample
+        has `along` (members, N, p) in common with an error."""
+        by_member = [own @ part for own, part in zip(self.values, along, strict=True)]
+        if self.each:
+            return np.stack(by_member, axis=2).reshape(*self.gram.shape[:2], along.shape[2])
+        return np.asarray(sum(by_member))
+
+    def explain(self, along: np.ndarray, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Squares (groups,) that each group explains of a residual, and its rank, beside columns
+        that were chosen; `along` and `left` are what errors have in common with these and with the
+        residual."""
+        Z = np.concatenate([self.along, self.project(along)], axis=2)
+        onto = self.project(left)[:, :, 0]
+        lengths = np.sqrt(np.diagonal(self.gram, axis1=1, axis2=2))
+        scale = np.where(lengths > 1e-12, 1 / np.maximum(lengths, 1e-12), 0.0)
+        rest = (self.gram - Z @ Z.transpose(0, 2, 1)) * scale[:, :, None] * scale[:, None, :]
+        squares, V = np.linalg.eigh(rest)
+        visible = squares > MIN_COLUMN_REMAINDER**2
+        inverse = np.where(visible, np.maximum(squares, 1e-300) ** -0.5, 0.0)
+        g = np.einsum("gij,gi->gj", V, onto * scale) * inverse
+        return np.sum(g**2, axis=1), visible.sum(axis=1)
+
+
+def _multiply_rows(J: np.ndarray) -> np.ndarray:
+    """Products (members, members, N) of what errors of the members change at each sample."""
+    return np.einsum("inr,jnr->ijn", J, J, optimize=True)
+
+
 class _Selection:
-    """Forward selection of groups of terms, on columns without what the model can imitate."""
+    """Forward selection of groups of terms, on columns without what the model can imitate.
+
+    Groups are compared by sums over samples. Columns over all rows are built for chosen groups
+    only: those of all groups would fill the memory.
+    """
 
     def __init__(self, targets: Targets, hypothesis: Hypothesis, groups: Sequence[Group]):
         self.hypothesis, self.groups, self.targets = hypothesis, list(groups), targets
-        columns = [build_columns(hypothesis, group.terms) for group in groups]
-        self._widths = [own.shape[1] for own in columns]
-        self._starts = np.r_[0, np.cumsum(self._widths)]
-        self.raw = np.hstack(columns)
-        Q = targets.directions
-        lengths = np.linalg.norm(self.raw, axis=0)
-        self._scale = np.where(lengths > 1e-12, 1 / np.maximum(lengths, 1e-12), 0.0)
-        unit = self.raw * self._scale
-        self.projected = unit - Q @ (Q.T @ unit)
+        self._built: dict[int, _Columns] = {}
         self._r = targets.residuals[:, 0]
         self._total = float(self._r @ self._r)
+        self._J = np.array([place.columns for place in hypothesis.site.members])
+        along, weights = self._sum_rows(targets.directions), _multiply_rows(self._J)
+        numbers_of: dict[int, list[int]] = {}
+        for number, group in enumerate(groups):
+            numbers_of.setdefault(len(group.terms), []).append(number)
+        self._alike = [
+            _Alike.of(hypothesis, [groups[n] for n in numbers], numbers, along, weights)
+            for numbers in numbers_of.values()
+        ]
 
-    def columns_of(self, chosen: Sequence[int]) -> np.ndarray:
-        """Numbers of the columns of some groups."""
-        return np.concatenate(
-            [np.arange(self._starts[g], self._starts[g + 1]) for g in chosen] or [np.zeros(0, int)]
-        )
+    def _sum_rows(self, vectors: np.ndarray) -> np.ndarray:
+        """What an error of each member at each sample has in common with vectors (n, k):
+        (members, N, k)."""
+        by_sample = vectors.reshape(*self._J.shape[1:], vectors.shape[1])
+        return np.einsum("mnr,nrk->mnk", self._J, by_sample, optimize=True)
+
+    def build(self, chosen: Sequence[int]) -> _Columns:
+        """The columns of some groups."""
+        for number in chosen:
+            if number not in self._built:
+                raw = build_columns(self.hypothesis, self.groups[number].terms)
+                lengths, Q = np.linalg.norm(raw, axis=0), self.targets.directions
+                scale = np.where(lengths > 1e-12, 1 / np.maximum(lengths, 1e-12), 0.0)
+                unit = raw * scale
+                self._built[number] = _Columns(raw, scale, unit - Q @ (Q.T @ unit))
+        nothing = np.zeros((len(self._r), 0))
+        parts = [_Columns(nothing, np.zeros(0), nothing), *(self._built[n] for n in chosen)]
+        raw, scale, projected = (np.concatenate(own, axis=-1) for own in zip(*parts, strict=True))
+        return _Columns(raw, scale, projected)
 
     def judge(self, chosen: Sequence[int]) -> float:
         """Evidence of some groups together."""
         if not chosen:
             return 0.0
-        B = self.projected[:, self.columns_of(chosen)]
+        B = self.build(chosen).projected
         squares, V = np.linalg.eigh(B.T @ B)
         visible = squares > MIN_COLUMN_REMAINDER**2
         g = (V[:, visible].T @ (B.T @ self._r)) / np.sqrt(squares[visible])
@@ -245,42 +346,33 @@ class _Selection:
 
     def forward(self) -> list[int]:
         chosen: list[int] = []
-        left, r, best = self.projected.copy(), self._r.copy(), 0.0
         while len(chosen) < MAX_TERMS:
-            number, gain = self._find_best(left, r, chosen, best)
+            number, gain = self._find_best(chosen)
             if number is None or gain < MIN_TERM_EVIDENCE:
                 break
             chosen.append(self._refine(number, chosen))
-            best = self.judge(chosen)
-            B = self.projected[:, self.columns_of(chosen)]
-            U, sizes, _ = np.linalg.svd(B, full_matrices=False)
-            U = U[:, sizes > MIN_COLUMN_REMAINDER]
-            left = self.projected - U @ (U.T @ self.projected)
-            r = self._r - U @ (U.T @ self._r)
         return chosen
 
-    def _find_best(
-        self, left: np.ndarray, r: np.ndarray, chosen: list[int], before: float
-    ) -> tuple[int | None, float]:
+    def _span(self, chosen: Sequence[int]) -> np.ndarray:
+        """Orthonormal directions (n, k) of some groups, without what the model can imitate."""
+        U, sizes, _ = np.linalg.svd(self.build(chosen).projected, full_matrices=False)
+        return np.asarray(U[:, sizes > MIN_COLUMN_REMAINDER])
+
+    def _find_best(self, chosen: Sequence[int]) -> tuple[int | None, float]:
         """The group that makes the data likeliest next to those chosen, and its gain."""
-        onto = left.T @ r
+        U = self._span(chosen)
+        r = self._r - U @ (U.T @ self._r)
+        rest = np.array(float(r @ r))
+        along, left = self._sum_rows(U), self._sum_rows(r[:, None])
         best: tuple[int | None, float] = (None, 0.0)
-        rest = float(r @ r)
-        for width in set(self._widths):
-            numbers = [g for g, own in enumerate(self._widths) if own == width and g not in chosen]
-            if not numbers:
-                continue
-            at = np.array([np.arange(self._starts[g], self._starts[g + 1]) for g in numbers])
-            B = left[:, at].transpose(1, 0, 2)
-            squares, V = np.linalg.eigh(B.transpose(0, 2, 1) @ B)
-            visible = squares > MIN_COLUMN_REMAINDER**2
-            inverse = np.where(visible, np.maximum(squares, 1e-300) ** -0.5, 0.0)
-            g = np.einsum("gij,gi->gj", V, onto[at]) * inverse
-            rank = visible.sum(axis=1) + [self.groups[n].scanned for n in numbers]
-            gains = evidence(np.sum(g**2, axis=1), np.array(rest), rank, self.targets.dof)
+        for alike in self._alike:
+            explained, rank = alike.explain(along, left)
+            rank = rank + [self.groups[n].scanned for n in alike.numbers]
+            gains = evidence(explained, rest, rank, self.targets.dof)
+            gains[np.isin(alike.numbers, chosen)] = -np.inf
             k = int(np.argmax(gains))
             if gains[k] > best[1]:
-                best = numbers[k], float(gains[k])
+                best = alike.numbers[k], float(gains[k])
         return best
 
     def _refine(self, number: int, others: Sequence[int]) -> int:
@@ -295,8 +387,7 @@ class _Selection:
         start = np.array(factor.constants)
         steps = _scan_steps(self.hypothesis.drivers[driver], factor)
         Q = self.targets.directions
-        U, sizes, _ = np.linalg.svd(self.projected[:, self.columns_of(others)], full_matrices=False)
-        U = U[:, sizes > MIN_COLUMN_REMAINDER]
+        U = self._span(others)
 
         def left_over(away: np.ndarray) -> float:
             constants = start + steps * away
@@ -316,20 +407,8 @@ class _Selection:
             method="Nelder-Mead",
             options={"initial_simplex": simplex, "xatol": 0.01, "fatol": 1e-3, "maxfev": 60},
         )
-        self._append(_with_constants(group, start + steps * found.x))
+        self.groups.append(_with_constants(group, start + steps * found.x))
         return len(self.groups) - 1
-
-    def _append(self, group: Group) -> None:
-        self.groups.append(group)
-        columns = build_columns(self.hypothesis, group.terms)
-        self._widths.append(columns.shape[1])
-        self._starts = np.r_[0, np.cumsum(self._widths)]
-        lengths = np.linalg.norm(columns, axis=0)
-        scale = np.where(lengths > 1e-12, 1 / np.maximum(lengths, 1e-12), 0.0)
-        Q, unit = self.targets.directions, columns * scale
-        self.raw = np.hstack([self.raw, columns])
-        self._scale = np.r_[self._scale, scale]
-        self.projected = np.hstack([self.projected, unit - Q @ (Q.T @ unit)])
 
     def backward(self, chosen: list[int]) -> list[int]:
         """Remove groups without which the data are about as likely."""
@@ -345,12 +424,10 @@ class _Selection:
 
     def solve(self, chosen: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients of the chosen columns, and their covariance."""
-        at = self.columns_of(chosen)
-        B = self.projected[:, at]
+        _, scale, B = self.build(chosen)
         inverse = np.linalg.pinv(B.T @ B, rcond=MIN_COLUMN_REMAINDER**2, hermitian=True)
         found = -inverse @ (B.T @ self._r)  # the error cancels the residual
-        rest = float(np.sum((self._r + B @ found) ** 2)) / max(self.targets.dof - len(at), 1)
-        scale = self._scale[at]
+        rest = float(np.sum((self._r + B @ found) ** 2)) / max(self.targets.dof - len(scale), 1)
         return found * scale, inverse * np.outer(scale, scale) * max(rest, 1e-300)
 
     def formula(self, chosen: Sequence[int]) -> Formula:
@@ -364,7 +441,7 @@ class _Selection:
             values.reshape(shape),
             np.sqrt(np.diag(covariance)).reshape(shape),
             self.judge(chosen),
-            self.raw[:, self.columns_of(chosen)],
+            self.build(chosen).raw,
         )
 
 
@@ -464,13 +541,13 @@ def _find_unstable(search: _Selection, chosen: Sequence[int]) -> int | None:
     group = search.targets.group
     names = np.unique(group)
     rng = np.random.default_rng(0)
-    at = search.columns_of(chosen)
-    Z = np.column_stack([search.projected[:, at], search.targets.residuals[:, 0]])
+    B = search.build(chosen).projected
+    Z = np.column_stack([B, search.targets.residuals[:, 0]])
     rows = Z.reshape(-1, search.targets.rows, Z.shape[1])
     grams = np.array(
         [np.einsum("nri,nrj->ij", rows[group == name], rows[group == name]) for name in names]
     )
-    k, found = len(at), []
+    k, found = B.shape[1], []
     for _ in range(REDRAWS):
         count = np.bincount(rng.integers(len(names), size=len(names)), minlength=len(names))
         G = np.tensordot(count, grams, axes=1)
@@ -478,7 +555,7 @@ def _find_unstable(search: _Selection, chosen: Sequence[int]) -> int | None:
     signs = np.abs(np.mean(np.sign(found), axis=0))
     start, worst, least = 0, None, 2 * MIN_SIGN_SHARE - 1
     for number in chosen:
-        width = len(search.columns_of([number]))
+        width = len(search.build([number]).scale)
         stable = float(np.max(signs[start : start + width]))
         if stable < least:
             worst, least = number, stable

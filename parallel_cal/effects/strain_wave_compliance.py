@@ -19,7 +19,8 @@ from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
-TORQUE_RATIOS = (1 / 3, 1.0)  # of `torque` over the largest recorded load; above, it is a line
+# of `torque` over the largest recorded load: far above, it is a line; between them, nearly the same
+TORQUE_RATIOS = (1 / 4, 1 / 2, 1.0)
 
 
 class StrainWaveCompliance(Effect):
@@ -36,6 +37,7 @@ class StrainWaveCompliance(Effect):
     needs = ("payload",)
     fixed = ("mass.*", "torque")
     generalizes = ("joint_compliance",)
+    refines = False
     physics = (
         "More teeth of a flexspline engage under load, so that the gear is soft at first and then "
         "ever stiffer."

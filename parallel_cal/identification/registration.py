@@ -398,6 +398,17 @@ class DevicePoses:
     def _target_is_free(self) -> bool:
         return self.tilts and not self.target_known
 
+    @property
+    def _target_turn_is_free(self) -> bool:
+        """Whether the orientations tell how the target is turned: on a platform that never turns,
+        only if the positions tell how the device's frame is turned."""
+        return self.turns or int(self.placed.sum()) >= 3
+
+    def find_target_turn(self, F: Array, used: Array) -> Array:
+        """Rotation of the target on the platform that fits the orientations of the `used` poses."""
+        R, seen = self.R[used], self.seen_R[used]
+        return nearest_rotation((R.transpose(0, 2, 1) @ F @ seen).sum(axis=0))
+
     def is_free(self, name: str) -> bool:
         """Whether a parameter of the sensor can be fitted: no pose determines the target of a
         platform that does not tilt, and an effect may state it."""
@@ -464,7 +475,7 @@ class DevicePoses:
         J[:, :3, 3:6] = -np.moveaxis(cross, -1, 0)
         J[:, :3, 6:9] = -R if self._target_is_free else 0.0
         J[:, 3:, 3:6] = self.length * np.eye(3)
-        J[:, 3:, 9:] = -self.length * R if self.turns else 0.0
+        J[:, 3:, 9:] = -self.length * R if self._target_turn_is_free else 0.0
         J[:, :3] *= self.placed[:, None, None]
         J[:, 3:] *= self.turned[:, None, None]
         return J
@@ -511,9 +522,8 @@ class DevicePoses:
     def _complete_frames(self, F: Array, t: Array | None = None) -> Frames:
         """Complete the frames for a given F (and t)."""
         T = np.eye(3)
-        if self.turned.any() and self.turns:
-            R, seen = self.R[self.turned], self.seen_R[self.turned]
-            T = nearest_rotation((R.transpose(0, 2, 1) @ F @ seen).sum(axis=0))
+        if self.turned.any() and self._target_turn_is_free:
+            T = self.find_target_turn(F, self.turned)
         if not self.placed.any():
             return Frames(np.zeros(3), F, np.zeros(3), T)
         away = (self.r - self.seen_r @ F.T)[self.placed]
@@ -558,7 +568,18 @@ def _with_fitted_frames(
     except FitError:
         return placed
     fitted = placed.with_values(values, placed.covariance)
-    return _with_frames(fitted, frames_of(fitted))
+    return _with_frames(fitted, _turn_target(fitted, observations))
+
+
+def _turn_target(model: Model, observations: Observations) -> Frames:
+    """The frames of the model, with the target turned as the orientations show if the platform
+    never turns: the robot's equations then hold no orientation, and no fit turns the target."""
+    frames, there = frames_of(model), DevicePoses.of(model, observations)
+    if there is None or there.turns or not there.turned.any() or there.placed.sum() < 3:
+        return frames
+    T = there.find_target_turn(frames.F, there.turned)
+    near = there.find_near(replace(frames, T=T))  # without those that are far off
+    return replace(frames, T=there.find_target_turn(frames.F, near[there.turned[near]]))
 
 
 def shows_pose(model: Model) -> bool:
@@ -607,7 +628,7 @@ def _fit_frames(model: Model, observations: Observations, options: FitOptions) -
     found = implicit.estimate(model, observations, free, prior=_robot_prior(model))
     views = model.table.matching(f"{s.name}.*" for s in model.sensors if s.shows_pose)
     if _device(model) is not None:
-        model = _with_frames(model, frames_of(model.with_values(found.values)))
+        model = _with_frames(model, _turn_target(model.with_values(found.values), observations))
     model = model.with_values(np.where(views, found.values, model.values), model.covariance)
     device = _numbers(model)
     if not (free & device).any():

@@ -38,16 +38,16 @@ class Cable(Mechanism):
     - `gear`: turns of the motor per turn of the spool. One number, or (n,), one for each line.
     - `zero`: `origin` (default): readings are zero if P is at the origin. `anchors`: a reading is
       the whole length of the line from the anchor to P.
+    - `second_anchors` (n,): for each line a point E, m, or null. A line with such a point does not
+      end at P: it runs over a pulley there, and on to E. Its length is advantage |P - A| + strands
+      |P - E|.
+    - `second_strands` (n,): how often each line runs between P and E. Default 1.
 
     With `spools`, `radius` or `gear`, the joint readings are angles of the motors that turn the
     spools (rad); a missing `radius` or `gear` is that of the Hangprinter HP4. With `anchors` alone,
     the readings are lengths of line (m). If a motor with a spool measures this length, state the
     spool as the `drive` of the joint in the model file. Gear ratio and advantage have the same
     influence as the radius. They are known exactly and therefore fixed by default.
-
-    `second_anchors` (n,), a point E in m or null for each line: with a point, the line does not end
-    at P. It runs over a pulley there and on to E, once or, with `second_strands` (n,), several
-    times: the line let out is advantage |P - A| + strands |P - E|.
 
     If one coordinate of every anchor is 0, the robot is planar: P moves in this plane, and a
     measured third coordinate is ignored. `anchors` (n, 2) are x and y. A planar robot has at least

@@ -98,12 +98,14 @@ class TrajectoryAction:
     def stop(self, make_halt: MakeHalt) -> None:
         """Cancel all goals; the controller then stops the robot and holds its position.
 
-        This is done at once, in the calling thread: the node may be about to end. If the controller
-        refuses, a goal with the trajectory of `make_halt` takes the place of the present one.
+        This is done at once, in the calling thread: the node may be about to end. It is done again
+        in the thread that spins, which loses no answer. If the controller refuses, a goal with the
+        trajectory of `make_halt` takes the place of the present one.
         """
         for goal in self._goals:
             goal.make_halt = make_halt
             self._cancel(goal)
+            self._node.executor.create_task(self._cancel, goal)
 
     withdraw = stop
 

@@ -18,6 +18,7 @@ from parallel_cal.reporting.readable import error_unit, number, value_unit
 
 Spec = dict[str, Any]
 LEGEND = {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0}
+GAP = 0.11  # between panels side by side, part of the width: for the numbers and title of an axis
 MAX_MOVED_TOLERANCES = 5.0  # tolerances from which a parameter is marked
 
 
@@ -39,13 +40,13 @@ def side_by_side(
     data: list[Spec] = []
     layout: Spec = {}
     rows, wide = -(-len(panels) // columns), min(columns, max(len(panels), 1))
-    width, height = (1 - 0.07 * (wide - 1)) / wide, (1 - 0.25 * (rows - 1) / rows) / rows
+    width, height = (1 - GAP * (wide - 1)) / wide, (1 - 0.25 * (rows - 1) / rows) / rows
     for k, (traces, (across, up)) in enumerate(zip(panels, axes, strict=True)):
         mark, (row, column) = str(k + 1) if k else "", divmod(k, columns)
         data += [
             {"showlegend": not k} | t | {"xaxis": f"x{mark}", "yaxis": f"y{mark}"} for t in traces
         ]
-        left, low = column * (width + 0.07), 1 - row * (height + 0.25 / rows) - height
+        left, low = column * (width + GAP), 1 - row * (height + 0.25 / rows) - height
         layout[f"xaxis{mark}"] = {
             "domain": [left, min(left + width, 1.0)],
             "anchor": f"y{mark}",

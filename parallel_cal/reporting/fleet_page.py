@@ -15,6 +15,7 @@ from parallel_cal.fleet.findings import Change, Deviation, Drift, Findings
 from parallel_cal.fleet.fleet import Fleet
 from parallel_cal.fleet.judging import Row, sort_recordings
 from parallel_cal.fleet.rows import KINDS
+from parallel_cal.reporting.axes import log_axis
 from parallel_cal.reporting.blocks import Cell
 from parallel_cal.reporting.colours import ACCENT, MEASURED, QUIET, WARNING
 from parallel_cal.reporting.figures import LEGEND, Spec
@@ -61,8 +62,9 @@ def fleet_page(fleet: Fleet, reports: Collection[str]) -> str:
     if failed:
         rows = [(row["robot"], row["recording"], row["reason"]) for row in failed]
         failures = table(("robot", "recording", "reason"), rows)
+    verdicts = verdicts_in_words(fleet, LABELS.__getitem__)
     parts = [
-        section("Verdicts", paragraph(sentence(verdicts_in_words(fleet)), "verdict")),
+        section("Verdicts", paragraph(sentence(verdicts), "verdict")),
         section("Findings", _render_findings(found)),
         section("Robots by error", _by_error(fleet, drawn.plot) + _robots(fleet, reports)),
         section("Robots over time", _over_time(fleet, drawn.plot)),
@@ -120,7 +122,7 @@ def _by_error(fleet: Fleet, plot: Plot) -> str:
         "legend": LEGEND,
         "margin": {"t": 40},
         "xaxis": {"type": "category", "nticks": 20},
-        "yaxis": {"type": "log", "title": {"text": f"{kind} error, rms [{unit}]"}},
+        "yaxis": log_axis([v for t in traces for v in t["y"]], f"{kind} error, rms [{unit}]"),
     }
     return paragraph(note, "note") + plot({"data": traces, "layout": layout})
 
@@ -223,7 +225,7 @@ def _render_effects(fleet: Fleet, plot: Plot) -> str:
     layout = {
         "height": 90 + 30 * len(upwards),
         "xaxis": {"title": {"text": "number of robots"}, "range": [0, len(found.robots)]},
-        "yaxis": {"dtick": 1},
+        "yaxis": {"dtick": 1, "ticks": "outside", "tickcolor": "rgba(0,0,0,0)"},
         "bargap": 0.4,
     }
     rows = []

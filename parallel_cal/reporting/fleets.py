@@ -35,9 +35,9 @@ def format_fleet(fleet: Fleet) -> str:
     )
 
 
-def verdicts_in_words(fleet: Fleet) -> str:
-    """Count the recordings with each verdict."""
-    verdicts = Counter(row["verdict"] for row in fleet.judged)
+def verdicts_in_words(fleet: Fleet, name: Callable[[str], str] = str) -> str:
+    """Count the recordings with each verdict; `name` translates the word of a verdict."""
+    verdicts = Counter(name(row["verdict"]) for row in fleet.judged)
     return (
         ", ".join(f"{word}: {n}" for word, n in verdicts.most_common()) or "no recording was judged"
     )

@@ -61,13 +61,14 @@ def parameters(report: Report, plot: Plot) -> str:
     free = sum(not p.fixed for p in shown.values())
     note = (
         f"{of}{free} free parameters; {far or 'none'} moved more than "
-        f"{MAX_MOVED_TOLERANCES:g} tolerances from nominal. Click a column header to sort."
+        f"{MAX_MOVED_TOLERANCES:g} tolerances from nominal."
     )
-    pages = {"values": as_html([parameter_table(shown)])}
+    how = paragraph("Click a column header to sort.", "note on-screen")
+    pages = {"values": how + as_html([parameter_table(shown)])}
     drawn = drawings.drawing(report.diagnosis.best.fitted.model, None, report.parameters)
     if drawn is not None:
         about = "Point at a line to see its parameters and their values."
-        pages["on the mechanism"] = paragraph(about, "note") + plot(drawn)
+        pages["on the mechanism"] = paragraph(about, "note on-screen") + plot(drawn)
     return paragraph(note, "note") + tabs(pages)
 
 

@@ -22,7 +22,7 @@ MAX_LINE_ROUGHNESS = 0.5  # of a pattern's variance: neighbours that differ by m
 # points of a curve a period, samples that one is the mean of
 POINTS_PER_PERIOD = 40
 SAMPLES_PER_MEAN = 5
-MAX_POINTS_PER_JOINT = 600  # more hide each other, and a browser needs a second to draw them
+MAX_POINTS_PER_JOINT = 300  # more hide each other, and a browser needs half a second to draw them
 SECTOR_MARGIN_DEG = 5.0  # margin of a sector around the measured range
 
 

@@ -17,10 +17,11 @@ from parallel_cal.reporting.figures import (
     side_by_side,
 )
 from parallel_cal.reporting.readable import with_unit
-from parallel_cal.reporting.spaces import MAX_ARROWS, SI
+from parallel_cal.reporting.spaces import SI
 
 VIEWS = {"plan": (0, 1), "front": (0, 2), "side": (1, 2)}
 CORNERS = 37  # points of an ellipse
+MAX_ARROWS = 150  # in each of the three views, which are smaller than one view in space
 
 
 def residuals(

@@ -124,11 +124,8 @@ def describe_fit(result: FitResult, without: FitResult | None = None) -> Iterato
 def budget_table(budget: Budget) -> Table:
     """Describe the error budget of the nominal model."""
     unit, factor = ascii_unit(budget.kind)
-    sigma = "" if budget.sigma is None else f" +- {format_fixed(budget.sigma, factor)}"
-    total = (
-        f"{budget.kind} error of the nominal model: "
-        f"{format_fixed(budget.total, factor)}{sigma} {unit}"
-    )
+    shown = with_sigma(budget.total, budget.sigma, factor).replace("±", "+-")
+    total = f"{budget.kind} error of the nominal model: {shown} {unit}"
     columns = (Column(total, "part"), "removes", "sigma", "moves the platform by", "unit")
     rows = [
         (

@@ -11,20 +11,47 @@ from parallel_cal.reporting.colours import PATTERN
 from parallel_cal.workbench.widgets import draw_figure
 
 # Marks samples in every view as Plotly marks its own selection. Its 'restyle' redraws each view,
-# which takes twenty times as long.
+# which takes twenty times as long. A view out of sight is drawn anew when it comes into sight: to
+# draw all of them takes a second.
 SCRIPT = """<script>
+let marked = new Set();
 function markSamples(numbers) {
-  const marked = new Set(numbers);
-  for (const view of document.querySelectorAll(".js-plotly-plot"))
-    for (const points of view.calcdata ?? []) {
-      const trace = points[0].trace, told = trace.customdata;
-      if (!told || !points[0].node3) continue;
-      const which = [...told.keys()].filter(i => marked.has(told[i]));
-      trace.selectedpoints = trace._input.selectedpoints = marked.size ? which : undefined;
-      for (const point of points) point.selected = marked.has(told[point.i]) ? 1 : 0;
-      trace._module.styleOnSelect(view, points, points[0].node3);
-    }
+  marked = new Set(numbers);
+  for (const view of document.querySelectorAll(".js-plotly-plot")) markView(view);
 }
+function markView(view) {
+  for (const points of view.calcdata ?? []) {
+    const trace = points[0].trace, told = trace.customdata;
+    if (!told || !points[0].node3) continue;
+    const which = [...told.keys()].filter(i => marked.has(told[i]));
+    trace.selectedpoints = trace._input.selectedpoints = marked.size ? which : undefined;
+    for (const point of points) point.selected = marked.has(told[point.i]) ? 1 : 0;
+    trace._module.styleOnSelect(view, points, points[0].node3);
+  }
+}
+</script>
+<script type="module">
+const { Plotly } = await import("nicegui-plotly");
+const react = Plotly.react, postponed = new WeakMap(), margin = 200;  // px
+const coming = new IntersectionObserver(views => {
+  for (const { isIntersecting, target } of views) {
+    if (!isIntersecting) continue;
+    coming.unobserve(target);
+    const figure = postponed.get(target);
+    postponed.delete(target);
+    if (figure) react(target, ...figure).then(() => markView(target));
+  }
+}, { rootMargin: `${margin}px` });
+Plotly.react = (view, ...figure) => {
+  const box = view.getBoundingClientRect();
+  if (box.height && box.bottom > -margin && box.top < innerHeight + margin) {
+    postponed.delete(view);
+    return react(view, ...figure);
+  }
+  postponed.set(view, figure);
+  coming.observe(view);
+  return Promise.resolve(view);
+};
 </script>"""
 SELECTION_HANDLER = "event => emit((event?.points ?? []).map(point => point.customdata))"
 MARKED_STYLE = {
