@@ -387,12 +387,8 @@ KINDS = {
     "taut lines": Kind(("line_flex",), ("four lines", "eight lines"), taut, 0.3e-3),
     "sagging lines": Kind(("line_sag",), ("four lines", "eight lines"), hanging, 1e-4),
     "creep": Kind(("line_creep",), ("four lines", "eight lines"), creeping, 0.1e-3),
-    "rubbing gears": Kind(
-        ("load_friction",),
-        ("lifting delta", "lifting stewart", "lifting arm"),
-        rubbing,
-        1e-5,
-    ),
+    "rubbing gears": Kind(("load_friction",), ("lifting delta", "lifting arm"), rubbing, 1e-5),
+    "rubbing screws": Kind(("load_friction",), ("lifting stewart",), rubbing, 1e-8),
     "stiffening gears": Kind(
         ("strain_wave_compliance",),
         ("lifting delta", "lifting arm"),

@@ -14,7 +14,7 @@ from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.search import Search
 from parallel_cal.identification.acceptance import IN_SAMPLE, acceptance, format_errors
-from parallel_cal.identification.fit import fit, fit_registered
+from parallel_cal.identification.fit import fit, fit_registered, fit_unjudged
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import Errors, Summary
 from parallel_cal.model.file.modelfile import read_model, write_model
@@ -142,7 +142,12 @@ def test_without_held_out_poses_nothing_is_proven_and_only_force_writes(face, an
 
 @pytest.mark.wide
 def test_command_line_python_and_page_report_an_absent_effect_alike(clean, identified, answer):
-    search = Search(identified.model, lambda model, insist: fit(model, clean), lambda *_: None)
+    options = FitOptions()
+    search = Search(
+        identified.model,
+        lambda model, insist: fit_unjudged(model, clean, options),
+        lambda *_: None,
+    )
     base = search.fit()
     _, against = search.try_adding(base, candidate(base.scene, "encoder_gain"))
     told = against.replace("fall (", "fall with 'encoder_gain' (")

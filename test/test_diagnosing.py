@@ -11,19 +11,22 @@ from scipy import stats
 from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL, SIGNIFICANCE_LEVEL
 from parallel_cal.base.errors import ModelError
 from parallel_cal.diagnosis import catalogue
+from parallel_cal.diagnosis import scene as scenes
 from parallel_cal.diagnosis import search as searching
-from parallel_cal.diagnosis.catalogue import candidate, list_effects_to_test
+from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_to_test
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import lack_of_fit, smooth_map
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.patterns import compute_residual_profiles, odd_samples, regions
-from parallel_cal.diagnosis.scene import Scene, columns
+from parallel_cal.diagnosis.scene import Scene, SharedDerivatives, columns
 from parallel_cal.diagnosis.scoring import canonical_correlation, f_test, log_p_of, score
 from parallel_cal.diagnosis.search import Chosen, Search, Trial
 from parallel_cal.diagnosis.statistics import holm, morans_i, runs_test
-from parallel_cal.identification.fit import fit
+from parallel_cal.identification.estimate import NoSolutionError
+from parallel_cal.identification.fit import UnjudgedFit, fit, fit_unjudged
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import observe
+from parallel_cal.identification.options import FitOptions
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model import structure
 from parallel_cal.model.model import new_model
@@ -255,24 +258,101 @@ def test_a_noise_that_nobody_states_is_taken_from_replicates():
 # ------------------------------------------------------------------------------------- refits
 
 
-def test_an_effect_is_removed_by_refits_without_validation_errors():
-    data, judged, unjudged = measured(1), [], []
+def test_an_effect_is_removed_by_refits_without_validation_errors(monkeypatch):
+    play = vr.Backlash((3e-4, 2.5e-4, 2e-4))
+    data, refitted, judged = measured(1, effects=[play]), [], []
 
     def refit(model, insist):
-        judged.append([effect.name for effect in model.effects])
-        return fit(model, data, insist=insist)
+        refitted.append([effect.name for effect in model.effects])
+        return fit_unjudged(model, data, FitOptions(insist=insist))
 
-    def refit_unjudged(model, insist):
-        unjudged.append([effect.name for effect in model.effects])
-        return fit(model, data, insist=insist, hold_out=0)
+    def judge(unjudged, progress=None):
+        judged.append([effect.name for effect in unjudged.result.model.effects])
+        return validate(unjudged, progress)
 
-    search = Search(new_model("delta54"), refit, lambda *_: None, refit_unjudged=refit_unjudged)
+    validate = UnjudgedFit.judge
+    monkeypatch.setattr(UnjudgedFit, "judge", judge)
+    search = Search(new_model("delta54"), refit, lambda *_: None)
     both = search.fit(Chosen("backlash"), Chosen("encoder_eccentricity"))
-    left = search.backward(both)  # the robot has neither
-    assert len(left.chosen) == 1
+    left = search.backward(both)  # the robot has no eccentricity
+    assert left.names == ("backlash",)
     assert left.fitted.held_out.judged.any()
-    assert unjudged == [["encoder_eccentricity"]]
-    assert judged == [["backlash", "encoder_eccentricity"], ["encoder_eccentricity"]]
+    pair = ["backlash", "encoder_eccentricity"]
+    assert refitted == [pair, ["encoder_eccentricity"], ["backlash"]]  # each once
+    assert judged == [pair, ["backlash"]]
+    alone = fit(new_model("delta54").with_effect("backlash"), data)
+    assert left.fitted.estimate.chi2 == pytest.approx(alone.estimate.chi2)
+    assert left.fitted.held_out.summary == alone.held_out.summary
+
+
+def test_shared_derivatives_are_computed_once_and_returned_whole(monkeypatch):
+    computed = []
+
+    def compute(scale):
+        computed.append(scale)
+        return scale * np.array([[0.0, 1.0, 0.0], [0.0, 2.0, 3.0]])
+
+    shared = SharedDerivatives()
+    for _ in range(2):
+        found = shared.get(("backlash", 1), lambda: compute(1.0))
+        assert found.tolist() == [[0, 1, 0], [0, 2, 3]]
+    assert shared.get(("backlash", 2), lambda: compute(2.0))[1, 2] == 6
+    assert computed == [1.0, 2.0]
+    # What does not fit into the memory is computed anew.
+    monkeypatch.setattr(scenes, "MAX_SHARED_BYTES", 8 * 4 - 1)
+    small = SharedDerivatives()
+    for _ in range(2):
+        assert small.get("lag", lambda: compute(3.0))[0, 1] == 3
+    assert computed == [1.0, 2.0, 3.0, 3.0]
+
+
+@pytest.mark.wide
+def test_a_scan_that_shares_derivatives_finds_the_same_setting():
+    """The scene with backlash takes the derivatives of a scan from the one without it."""
+    data = measured(0, effects=[vr.Backlash((3e-4, 2.5e-4, 2e-4))])
+    search = Search(
+        new_model("delta54"),
+        lambda model, insist: fit_unjudged(model, data, FitOptions()),
+        lambda *_: None,
+    )
+    candidate(search.fit(judged=False).scene, "gear_transmission_error")
+    scene = search.fit(Chosen("backlash"), judged=False).scene
+    assert scene.shared is not None
+    alone = dataclasses.replace(scene, shared=None)
+    one, other = (candidate(s, "gear_transmission_error") for s in (scene, alone))
+    assert one.settings == pytest.approx(other.settings)
+    assert one.log_p == pytest.approx(other.log_p)
+
+
+def test_a_fit_whose_validation_fails_is_no_trial(monkeypatch):
+    data = measured(1, n_poses=30, n_replicates=0)
+
+    def fail(unjudged, progress=None):
+        raise NoSolutionError("a fold has no solution")
+
+    search = Search(
+        new_model("delta54"),
+        lambda model, insist: fit_unjudged(model, data, FitOptions()),
+        lambda *_: None,
+    )
+    assert search.fit(judged=False).result is not None
+    monkeypatch.setattr(UnjudgedFit, "judge", fail)
+    failed = search.fit()
+    assert (failed.result, failed.reason, failed.unsolved) == (None, "a fold has no solution", True)
+
+
+@pytest.mark.parametrize(("ratio", "is_extended"), [(2.66, True), (33.0, False)])
+def test_an_alternative_ends_where_it_leads_back_to_the_best(monkeypatch, ratio, is_extended):
+    """A gear ratio that was found before another effect was known is another explanation."""
+    gear = Candidate("gear_transmission_error", None, {"ratio": 33.0})
+    asked = []
+    monkeypatch.setattr(Search, "_find_next", lambda search, before, *_: asked.append(before))
+    start = Trial((Chosen("encoder_eccentricity"),), None)
+    known = Trial((Chosen("gear_transmission_error", (("ratio", ratio),), unusual=True),), None)
+    search = Search(None, None, None)
+    found, _ = search.forward(start, lambda _: [gear], lambda _: [gear], known)
+    assert found is start
+    assert bool(asked) is is_extended
 
 
 def test_effects_that_need_each_other_are_ordered_last_and_together(monkeypatch):

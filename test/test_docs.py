@@ -146,7 +146,7 @@ TUTORIALS = {
     "start.md": 7,
     "hexapod.md": 7,
     "argos.md": 6,
-    "cable_robot.md": 9,
+    "cable_robot.md": 10,
     "serial_arm.md": 4,
 }
 

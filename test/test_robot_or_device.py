@@ -28,7 +28,8 @@ from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.search import Chosen, Search
 from parallel_cal.diagnosis.thresholds import EFFECT_SIZES, FIELD_SIZES
-from parallel_cal.identification.fit import fit
+from parallel_cal.identification.fit import fit, fit_unjudged
+from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.platform_shift import explain_unseparated_device
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import new_model
@@ -439,7 +440,7 @@ def test_an_effect_that_only_the_larger_model_can_have_fails_without_it_and_says
     data = measured(0, effects=[PLAY])
     search = Search(
         new_model("delta24"),
-        lambda model, insist: fit(model, data, insist=insist),
+        lambda model, insist: fit_unjudged(model, data, FitOptions(insist=insist)),
         lambda stage, fraction: None,
     )
     both = search.fit(Chosen("parallelogram_errors"), Chosen("target_offset"))

@@ -10,7 +10,7 @@ from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.search import Chosen, Search
 from parallel_cal.diagnosis.separate import rank_rival_pairs
-from parallel_cal.identification.fit import fit
+from parallel_cal.identification.fit import fit_unjudged
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.effect import parse_effects
 from parallel_cal.planning.posepool import make_pool
@@ -103,7 +103,7 @@ def test_a_rival_that_would_turn_a_joint_back_is_no_doubt():
 def test_a_setting_that_was_found_without_the_other_effect_is_found_again_beside_it():
     model, data = visited(400, ["screw_wobble", "backlash"], 30)
     options = FitOptions()
-    search = Search(model, lambda extended, insist: fit(extended, data, options), lambda *_: None)
+    search = Search(model, lambda one, insist: fit_unjudged(one, data, options), lambda *_: None)
     astray = Chosen("screw_pitch_error", (("lead", 4.99e-3),))
     trial = search.rescan_settings(
         search.fit(Chosen("backlash"), astray),

@@ -20,7 +20,8 @@ from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.search import Chosen, Search
 from parallel_cal.diagnosis.verdict import judge
-from parallel_cal.identification.fit import fit
+from parallel_cal.identification.fit import fit, fit_unjudged
+from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.unusual import UnusualSize, describe_by_effect
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import new_model
@@ -134,7 +135,7 @@ def test_a_superfluous_effect_is_not_named_to_keep_another_one_in_its_usual_rang
     data = dataset(vf.samples(vf.session(0), [play], vr.THESIS_NOISE, 0), vr.THESIS_NOISE)
     search = Search(
         new_model("delta54"),
-        lambda model, insist: fit(model, data, insist=insist),
+        lambda model, insist: fit_unjudged(model, data, FitOptions(insist=insist)),
         lambda stage, fraction: None,
     )
     width = candidate(search.fit().scene, "hysteresis")

@@ -170,9 +170,12 @@ def candidate(scene: Scene, name: str, scored: Iterable[Candidate] = ()) -> Cand
     if not settings:
         reason = f"cannot be tested: {', '.join(effect.needs)} never changed"
         return Candidate(name, effect, reason=reason)
-    many = [
-        quick_log_p(scene, compute_effect_columns(scene, plain, setting, a)) for setting in settings
-    ]
+    many = [0.0]
+    if len(settings) > 1:
+        many = [
+            quick_log_p(scene, compute_effect_columns(scene, plain, setting, a, share=True))
+            for setting in settings
+        ]
     best = int(np.argmin(many))
     setting = settings[best]
     sigma: Mapping[str, float] = {}
@@ -198,11 +201,12 @@ def candidate(scene: Scene, name: str, scored: Iterable[Candidate] = ()) -> Cand
 
 
 def compute_effect_columns(
-    scene: Scene, plain: Model, settings: Mapping[str, float], a: np.ndarray
+    scene: Scene, plain: Model, settings: Mapping[str, float], a: np.ndarray, share: bool = False
 ) -> np.ndarray:
-    """Columns of a model's last effect with these settings, conditions a (N, n_conditions)."""
+    """Columns of a model's last effect with these settings, under the recorded conditions a (N,
+    n_conditions); see `columns` for `share`."""
     extended = plain.with_settings(plain.effects[-1].name, settings)
-    return columns(extended, scene, find_new_parameters(scene.model, extended), a)
+    return columns(extended, scene, find_new_parameters(scene.model, extended), a, share)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -52,6 +51,7 @@ from parallel_cal.diagnosis.search import (
     Search,
     Trial,
     improvement_log_p,
+    is_more_informative,
     is_preferable,
 )
 from parallel_cal.diagnosis.separate import NextMeasurement, next_measurement
@@ -67,7 +67,7 @@ from parallel_cal.diagnosis.thresholds import (
 from parallel_cal.diagnosis.unusual import UnusualEffect, find_unusual_effects
 from parallel_cal.diagnosis.verdict import UNEXPLAINED_VERDICTS, Findings, Verdict, judge
 from parallel_cal.identification.added_effects import limit_patterns
-from parallel_cal.identification.fit import FitResult, fit, fit_registered
+from parallel_cal.identification.fit import FitResult, UnjudgedFit, fit, fit_unjudged
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitKeywords, FitOptions
@@ -390,18 +390,17 @@ def _diagnose_trusted(
     dataset = given.dataset
     noise_of_base: Observations | None = None
 
-    def refit(extended: Model, insist: bool, judged: bool = True) -> FitResult:
+    def refit(extended: Model, insist: bool) -> UnjudgedFit:
         nonlocal noise_of_base
-        hold_out = least_squares.hold_out if judged else 0.0
-        asked = replace(least_squares, insist=insist or least_squares.insist, hold_out=hold_out)
+        asked = replace(least_squares, insist=insist or least_squares.insist)
         asked = limit_patterns(asked, extended, model)
-        result = fit_registered(extended, dataset, asked, given=given, noise=noise_of_base)
+        unjudged = fit_unjudged(extended, dataset, asked, given=given, noise=noise_of_base)
         # Only with equal weights can the residuals of two models be compared.
         if noise_of_base is None:
-            noise_of_base = result.observations
-        return result
+            noise_of_base = unjudged.result.observations
+        return unjudged
 
-    search = Search(model, refit, report, usual_only, partial(refit, judged=False))
+    search = Search(model, refit, report, usual_only)
     report("identifying the geometry", 0.0)
     base = search.fit()
     catalogue = _Catalogue(names, report)
@@ -421,7 +420,7 @@ def _diagnose_trusted(
     ambiguous = find_ambiguous_effects(
         model,
         best,
-        lambda smaller: Search(smaller, refit, report, usual_only, partial(refit, judged=False)),
+        lambda smaller: Search(smaller, refit, report, usual_only),
         lambda effect: _Catalogue([effect, *names], report).rank,
     )
     report("computing the weights of the observations", 0.8)
@@ -591,8 +590,8 @@ def _search_effects(search: Search, catalogue: _Catalogue) -> tuple[Trial, dict[
     """
     base = search.fit()
 
-    def grown(start: Trial) -> tuple[Trial, dict[str, str]]:
-        more, against = search.forward(start, catalogue.select_significant, catalogue.rank)
+    def grown(start: Trial, known: Trial | None = None) -> tuple[Trial, dict[str, str]]:
+        more, against = search.forward(start, catalogue.select_significant, catalogue.rank, known)
         return search.rescan_settings(search.backward(more), catalogue.rank), against
 
     def found() -> tuple[Trial, dict[str, str]]:
@@ -603,9 +602,12 @@ def _search_effects(search: Search, catalogue: _Catalogue) -> tuple[Trial, dict[
             against |= more
         # The first pick is greedy: a lookalike in its place may lead to a better explanation.
         for start in search.alternatives(best, rivals_of(best, catalogue.rank(base))):
-            other, more = grown(start)
+            other, more = grown(start, best)
             # More effects than the best has were objected to when it was extended.
-            if not {*best.chosen} < {*other.chosen} and is_preferable(best, other):
+            if {*best.chosen} < {*other.chosen} or not is_more_informative(best, other):
+                continue
+            other = search.fit(*other.chosen)
+            if is_preferable(best, other):
                 best, against = other, against | more
         return best, against
 

@@ -2,17 +2,48 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
+from parallel_cal.diagnosis.thresholds import MAX_SHARED_BYTES
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import Observations, blocks, conditions
 from parallel_cal.identification.predictions import predict_configurations, reading_residuals
 from parallel_cal.identification.thresholds import MIN_SIGMAS_PER_TOLERANCE, RELATIVE_RANK
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
+
+
+class SharedDerivatives:
+    """Derivatives of what the closure sees by the parameters of effects, computed once for all
+    models of the same samples.
+
+    They depend on the joint readings, the conditions and the pose. From one model to another the
+    predicted pose changes by the errors of the robot, which hardly changes them. What is zero at
+    all samples is not kept.
+    """
+
+    def __init__(self) -> None:
+        self._known: dict[Hashable, tuple[np.ndarray, np.ndarray]] = {}
+        self._bytes = 0
+
+    def get(self, key: Hashable, compute: Callable[[], np.ndarray]) -> np.ndarray:
+        """Return the derivatives (N, k) of a key; compute them if they are not known."""
+        if key in self._known:
+            used, values = self._known[key]
+            whole = np.zeros((len(values), len(used)))
+            whole[:, used] = values
+            return whole
+        whole = compute()
+        used = whole.any(axis=0)
+        values = whole[:, used]
+        if self._bytes + values.nbytes <= MAX_SHARED_BYTES:
+            self._known[key] = used, values
+            self._bytes += values.nbytes
+        return whole
 
 
 @dataclass(frozen=True)
@@ -37,12 +68,19 @@ class Scene:
     basis: np.ndarray = field(repr=False)
     rows: int
     dof: int
+    shared: SharedDerivatives | None = field(default=None, repr=False)
 
     @classmethod
     def of(
-        cls, model: Model, dataset: Dataset, observations: Observations, free: np.ndarray
+        cls,
+        model: Model,
+        dataset: Dataset,
+        observations: Observations,
+        free: np.ndarray,
+        shared: SharedDerivatives | None = None,
     ) -> Scene:
-        """Make the scene of a fitted model; the residual is what its free parameters leave."""
+        """Make the scene of a fitted model; the residual is what its free parameters leave. Scenes
+        of other models of the same samples may have the same `shared` derivatives."""
         x = predict_configurations(model, observations)
         linearise = Linearisation(model, observations, free, True)
         system, T = linearise(model.values, x), linearise.whiteners(model.values, x)
@@ -55,7 +93,18 @@ class Scene:
         dof = int(system.informative.sum()) - basis.shape[1]
         rows = system.residual.shape[1]
         return cls(
-            model, dataset, observations, free, x, T, system.informative, residual, basis, rows, dof
+            model,
+            dataset,
+            observations,
+            free,
+            x,
+            T,
+            system.informative,
+            residual,
+            basis,
+            rows,
+            dof,
+            shared,
         )
 
     @property
@@ -114,11 +163,16 @@ class Scene:
 
 
 def columns(
-    extended: Model, scene: Scene, new: np.ndarray, a: np.ndarray | None = None
+    extended: Model,
+    scene: Scene,
+    new: np.ndarray,
+    a: np.ndarray | None = None,
+    share: bool = False,
 ) -> np.ndarray:
     """d residual / d (new parameters, in tolerances), (n, n_new), of a model with one more effect
     at zero, under conditions a (N, n_conditions), else those recorded; its mechanism and sensors
-    are those of the scene. FitError where a condition lacks."""
+    are those of the scene. With `share`, under the conditions recorded, the derivatives of another
+    scene of the same samples are taken if they are known. FitError where a condition lacks."""
     a = conditions(extended, scene.dataset) if a is None else a
     s, n, which = extended.structure, len(scene.x), np.flatnonzero(new)
     name = extended.effects[-1].name if extended.effects else ""
@@ -127,7 +181,13 @@ def columns(
     if extended.mechanism is scene.model.mechanism and set(which) <= set(own) and not reads:
         seen_by, moved = s.ideal.effect_jacobian(name, tuple(np.searchsorted(own, which).tolist()))
         at = a[:, [s.conditions.index(c) for c in extended.effects[-1].conditions(s.mechanism)]]
-        by_number = seen_by(scene.seen, at, extended.values[own])[0]
+        values = extended.values[own]
+
+        def compute() -> np.ndarray:
+            return np.asarray(seen_by(scene.seen, at, values)[0])
+
+        key = name, id(extended.mechanism), tuple(which - own[0]), values.tobytes()
+        by_number = scene.shared.get(key, compute) if share and scene.shared else compute()
         J = scene.seen_jacobian[:, :, moved] @ by_number.reshape(n, len(which), -1).transpose(
             0, 2, 1
         )

@@ -11,7 +11,7 @@ import numpy as np
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.catalogue import Candidate, find_new_parameters
-from parallel_cal.diagnosis.scene import Scene, columns
+from parallel_cal.diagnosis.scene import Scene, SharedDerivatives, columns
 from parallel_cal.diagnosis.scoring import log_p_of
 from parallel_cal.diagnosis.thresholds import (
     EFFECT_SIGNIFICANCE_LEVEL,
@@ -33,14 +33,14 @@ from parallel_cal.identification.checks import (
     WrongSignError,
 )
 from parallel_cal.identification.estimate import Estimate, NoSolutionError
-from parallel_cal.identification.fit import FitResult
+from parallel_cal.identification.fit import FitResult, UnjudgedFit
 from parallel_cal.identification.platform_shift import explain_unseparated_device
 from parallel_cal.identification.prediction_errors import held_out_ratio
 from parallel_cal.identification.unusual import describe_by_effect
 from parallel_cal.model.model import Model
 from parallel_cal.model.parameters import Parameter
 
-Refit = Callable[[Model, bool], FitResult]  # of a model; whether contradictions are accepted
+Refit = Callable[[Model, bool], UnjudgedFit]  # of a model; whether contradictions are accepted
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,8 @@ class Trial:
     """A refit of the model with some effects, or the reason why it has none; `wrong_sign` if the
     reason is a sign that physics forbids, `contradicts` if it is a contradiction that a caller may
     insist on, `unsolved` if the refit found no solution. `implausible` is the chi2/dof of a refit
-    whose geometry no robot has. `scenes` keeps the scene once it is made.
+    whose geometry no robot has. `scenes` keeps the scene once it is made; it shares derivatives
+    with other trials. `unjudged` is the fit if its validation errors are not computed yet.
     """
 
     chosen: tuple[Chosen, ...]
@@ -83,10 +84,17 @@ class Trial:
     unsolved: bool = False
     implausible: float | None = None
     scenes: list[Scene] = field(default_factory=list, repr=False, compare=False)
+    shared: SharedDerivatives | None = field(default=None, repr=False, compare=False)
+    unjudged: UnjudgedFit | None = field(default=None, repr=False, compare=False)
 
     @property
     def names(self) -> tuple[str, ...]:
         return tuple(c.name for c in self.chosen)
+
+    @property
+    def kinds(self) -> frozenset[Chosen]:
+        """The chosen effects with their settings, whatever size they may have."""
+        return frozenset(replace(c, unusual=False) for c in self.chosen)
 
     @property
     def fitted(self) -> FitResult:
@@ -102,8 +110,27 @@ class Trial:
         """The scene of the refit, made once for all trials that share it."""
         if not self.scenes:
             r = self.fitted
-            self.scenes.append(Scene.of(r.model, r.dataset, r.observations, r.free))
+            scene = Scene.of(r.model, r.dataset, r.observations, r.free, self.shared)
+            self.scenes.append(scene)
         return self.scenes[0]
+
+
+def _fail(chosen: tuple[Chosen, ...], error: FitError) -> Trial:
+    """Make the trial of a refit that failed."""
+    wrong_sign = isinstance(error, WrongSignError)
+    contradicts = isinstance(error, ContradictionError)
+    unsolved = isinstance(error, NoSolutionError)
+    absurd = error.chi2_per_dof if isinstance(error, ImplausibleGeometryError) else None
+    return Trial(chosen, None, str(error), wrong_sign, contradicts, unsolved, absurd)
+
+
+def _judge(trial: Trial) -> Trial:
+    """Compute the validation errors of a trial; one that failed if they cannot be computed."""
+    assert trial.unjudged is not None
+    try:
+        return replace(trial, result=trial.unjudged.judge(), unjudged=None)
+    except FitError as error:
+        return _fail(trial.chosen, error)
 
 
 Rank = Callable[[Trial], list[Candidate]]  # what may be added to it, the best first
@@ -111,10 +138,8 @@ Rivals = Mapping[str, list[Candidate]]  # of each effect, what the data confuse 
 
 
 class Search:
-    """The refits of one diagnosis, each made once.
-
-    `refit_unjudged` refits without validation errors; by default they are computed always.
-    """
+    """The refits of one diagnosis, each made once. Validation errors cost several fits: they are
+    computed for those refits only that must be judged."""
 
     def __init__(
         self,
@@ -122,13 +147,11 @@ class Search:
         refit: Refit,
         progress: Progress,
         usual_only: bool = False,
-        refit_unjudged: Refit | None = None,
     ):
-        self._model, self._progress = model, progress
-        self._refit, self._refit_unjudged = refit, refit_unjudged or refit
+        self._model, self._progress, self._refit = model, progress, refit
         self._usual_only = usual_only
+        self._shared = SharedDerivatives()
         self._known: dict[tuple[Collection[Chosen], bool], Trial] = {}
-        self._unjudged: dict[tuple[Collection[Chosen], bool], Trial] = {}
 
     def fit(self, *chosen: Chosen, insist: bool = False, judged: bool = True) -> Trial:
         """Fit the baseline with these effects on all poses and, if `judged`, judge it at held-out
@@ -160,28 +183,25 @@ class Search:
         order they were chosen."""
         ordered = tuple(replace(one, unusual=False) for one in chosen)
         for key in ((frozenset(ordered), insist), (ordered, insist)):
-            for known in (self._known, *(() if judged else (self._unjudged,))):
-                if key in known:
-                    return replace(known[key], chosen=chosen)
+            if (known := self._known.get(key)) is None:
+                continue
+            if judged and known.unjudged is not None:
+                known = self._known[key] = _judge(known)
+            return replace(known, chosen=chosen)
         self._progress(f"refitting with {', '.join(c.name for c in chosen) or 'nothing'}", 0.5)
         key = frozenset(ordered), insist
         model = self._model
         try:
             for one in chosen:
                 model = model.with_effect(one.name, one.settings)
-            refit = self._refit if judged else self._refit_unjudged
-            trial = Trial(chosen, refit(model, insist))
+            unjudged = self._refit(model, insist)
+            trial = Trial(chosen, unjudged.result, shared=self._shared, unjudged=unjudged)
         except ModelError as error:  # an effect of the larger model, before it: the order matters
             key, trial = (ordered, insist), Trial(chosen, None, str(error))
         except FitError as error:
-            wrong_sign = isinstance(error, WrongSignError)
-            contradicts = isinstance(error, ContradictionError)
-            unsolved = isinstance(error, NoSolutionError)
-            absurd = error.chi2_per_dof if isinstance(error, ImplausibleGeometryError) else None
-            trial = Trial(chosen, None, str(error), wrong_sign, contradicts, unsolved, absurd)
-        # Without a fit there is nothing to judge.
-        (self._known if judged or trial.result is None else self._unjudged)[key] = trial
-        return trial
+            trial = _fail(chosen, error)
+        self._known[key] = _judge(trial) if judged and trial.unjudged is not None else trial
+        return replace(self._known[key], chosen=chosen)
 
     def try_adding(self, before: Trial, one: Candidate) -> tuple[Trial, str]:
         """Refit with one more effect; return the trial and the objection to it (empty: none)."""
@@ -210,12 +230,21 @@ class Search:
             or _compute_oversize_ratio(before.fitted, after.result) > 1
         )
 
-    def forward(self, start: Trial, rank: Rank, rank_all: Rank) -> tuple[Trial, dict[str, str]]:
+    def forward(
+        self, start: Trial, rank: Rank, rank_all: Rank, known: Trial | None = None
+    ) -> tuple[Trial, dict[str, str]]:
         """Add effects one by one while one is significant and has no objection. `rank` returns the
-        significant ones, `rank_all` all of the catalogue."""
+        significant ones, `rank_all` all of the catalogue.
+
+        It ends where the best next effect leads back to the effects, with the same settings, of a
+        trial that is `known`: that trial was extended before.
+        """
         trial: Trial = start
         against: dict[str, str] = {}
         while len(trial.chosen) < MAX_EFFECTS:
+            best = rank(trial)[:1] if known else []
+            if known and best and known.kinds <= trial.kinds | {Chosen.of(best[0])}:
+                break
             more = self._find_next(trial, rank, rank_all, against)
             if more is None:
                 break
@@ -232,6 +261,10 @@ class Search:
         """
         usual: Trial | None = None
         larger: list[Candidate] = []
+        if rank(before):
+            before = self.fit(*before.chosen)
+        if before.result is None:
+            return None
         for one in rank(before):
             after, reason = self.try_adding(before, one)
             if not reason:
@@ -391,13 +424,14 @@ class Search:
         """The chosen effects, with one of them exchanged for a rival, wherever it can be fitted.
 
         A rival that is larger than usual must predict about as well: refits of such sizes are slow.
+        Only those are judged that must be.
         """
         found = [other for *_, other in self._iterate_swaps(trial, rivals) if other.result]
         return [
             other
             for other in found
             if not any(one.unusual for one in other.chosen)
-            or (ratio_of(trial, other) or np.inf) <= MAX_UNUSUAL_START_RATIO
+            or (ratio_of(trial, self.fit(*other.chosen)) or np.inf) <= MAX_UNUSUAL_START_RATIO
         ]
 
     def list_equals(self, trial: Trial, rivals: Rivals) -> list[Trial]:
@@ -425,7 +459,11 @@ class Search:
                 if rival.unusual and self.fit(rival).result is None:
                     continue
                 swapped = (*trial.chosen[:i], rival, *trial.chosen[i + 1 :])
-                yield one.name, other.name, self.fit(*swapped)
+                exchanged = self.fit(*swapped, judged=False)
+                # Nobody asks for the validation error of one that fits clearly worse.
+                if _fits_as_well(trial, exchanged):
+                    exchanged = self.fit(*swapped)
+                yield one.name, other.name, exchanged
 
 
 def _is_pair_unusual(before: Trial, one: Candidate, other: Candidate) -> bool:
@@ -494,9 +532,14 @@ def _sizes(result: FitResult) -> np.ndarray:
 def is_as_good(trial: Trial, other: Trial) -> bool:
     """Whether other effects explain the data as well, within the validation error and chance."""
     ratio = ratio_of(trial, other)
-    if ratio is None or ratio >= MAX_SWAP_ERROR_RATIO:
+    return ratio is not None and ratio < MAX_SWAP_ERROR_RATIO and _fits_as_well(trial, other)
+
+
+def _fits_as_well(trial: Trial, other: Trial) -> bool:
+    """Whether other effects explain the same samples as well, within chance."""
+    if trial.result is None or other.result is None:
         return False
-    own, its = trial.fitted.estimate, other.fitted.estimate
+    own, its = trial.result.estimate, other.result.estimate
     return its.chi2 - own.chi2 < MIN_SEPARATION_SIGMAS**2 * max(own.chi2_per_dof, 1e-300)
 
 
@@ -513,11 +556,18 @@ def _is_clearly_better(trial: Trial, other: Trial) -> bool:
 
 def is_preferable(trial: Trial, other: Trial) -> bool:
     """Whether other effects explain the data better, or as well with fewer parameters."""
-    if other.result is None:
+    if not is_more_informative(trial, other):
         return False
     ratio = ratio_of(trial, other)
-    worse = ratio is not None and ratio > MAX_SWAP_ERROR_RATIO
-    return not worse and information_gain(trial, other) > 2 * MIN_LOG_EVIDENCE_GAIN
+    return ratio is None or ratio <= MAX_SWAP_ERROR_RATIO
+
+
+def is_more_informative(trial: Trial, other: Trial) -> bool:
+    """Whether other effects explain the same samples clearly better, or as well with fewer
+    parameters; the validation errors are not compared."""
+    if other.result is None:
+        return False
+    return information_gain(trial, other) > 2 * MIN_LOG_EVIDENCE_GAIN
 
 
 def information_gain(trial: Trial, other: Trial) -> float:

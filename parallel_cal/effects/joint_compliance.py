@@ -18,6 +18,9 @@ class JointCompliance(Effect):
 
     The payload and `mass.platform` act at the origin of {P}. With phi(q, x, p) = 0 the torque is
     -(dphi/dq)^T lambda, (dphi/dx)^T lambda = the wrench of the weights; parts act on q and x.
+
+    A leg that is shortened by the weight it carries is the same. That it sags under its own weight
+    shortens its chord by 8 sag^2 / (3 length), far less: 0.24 um if a leg of 1 m sags by 0.3 mm.
     """
 
     needs = ("payload",)

@@ -552,6 +552,22 @@ def fit(
     return replace(result, registration=registration, base_motion=motion, warnings=warnings)
 
 
+@dataclass(frozen=True)
+class UnjudgedFit:
+    """A fit without its validation errors, and what computes them: several fits."""
+
+    result: FitResult
+    fit_fold: Judged = field(repr=False)
+
+    def judge(self, progress: Progress | None = None) -> FitResult:
+        """Compute the validation errors; FitError if a fit without held-out poses fails."""
+        result = self.result
+        folds = _folds(result.dataset, result.options)
+        report = progress or ignore_progress
+        held_out = _cross_validate(folds, self.fit_fold, result.after, report)
+        return replace(result, held_out=held_out)
+
+
 def fit_registered(
     model: Model,
     dataset: Dataset,
@@ -563,6 +579,18 @@ def fit_registered(
     """Fit a model that describes where its device stands; `given` is the model to compare with, by
     default the model itself. `noise` are the same samples with noise that another fit estimated, if
     this fit must use the same weights."""
+    return fit_unjudged(model, dataset, options, progress, given, noise).judge(progress)
+
+
+def fit_unjudged(
+    model: Model,
+    dataset: Dataset,
+    options: FitOptions,
+    progress: Progress | None = None,
+    given: GivenModel | None = None,
+    noise: Observations | None = None,
+) -> UnjudgedFit:
+    """Fit as `fit_registered` does, but leave the validation errors for later."""
     given = given or GivenModel(model, model, dataset, options.joint_sigma, options.insist)
     report = progress or ignore_progress
     mask, is_partial = chosen_parameters(model, options)
@@ -617,15 +645,14 @@ def fit_registered(
     )
     after = errors(fitted, observations)
     check_joint_errors(fitted, after)
-    held_out = _cross_validate(_folds(dataset, options), judged, after, report)
-    return FitResult(
+    result = FitResult(
         model=replace(fitted, fixed=usual.fixed if is_partial else ~mask),
         start=usual,
         options=options,
         estimate=replace(estimate, system=None),  # of the size of the data
         free=mask,
         after=after,
-        held_out=held_out,
+        held_out=after.blank(),
         observations=observations,
         dataset=dataset,
         warnings=(
@@ -648,6 +675,7 @@ def fit_registered(
         given=given,
         unusual=unusual,
     )
+    return UnjudgedFit(result, judged)
 
 
 def _identify(
