@@ -108,7 +108,10 @@ def test_angles_in_degrees_are_refused_though_whole_turns_change_nothing():
 def test_the_unit_is_guessed_from_the_limits_where_no_pose_tells():
     data = legs(1e3)
     unseen = replace(data, measured=np.zeros_like(data.measured))
-    with pytest.raises(FitError, match="In mm the readings would be near the limits: state it"):
+    with pytest.raises(
+        FitError,
+        match=r"In mm the readings would be near the limits.*a motor's revolutions: leg.*rev",
+    ):
         observe(stewart(), unseen)
     counts = replace(unseen, q=1e9 * data.q)
     with pytest.raises(FitError, match="Are the readings in mm or cm or um, a motor's revolutions"):

@@ -130,6 +130,15 @@ def test_a_larger_robot_of_the_same_kind_brings_its_own_nominal_values(text):
     assert new_model("delta24").table["chain1.D_x"].nominal == 0.076
 
 
+def test_a_drawing_states_each_value_once(text):
+    """A value without a nominal one is the drawing's own, and its plausible range goes with it."""
+    once = text.replace(LINK, "chain1.D_x: {value: 0.0961, unit: m, tolerance: 0.001}")
+    model = parse_model(once, "robot.yaml")
+    assert model.value("chain1.D_x") == 0.0961
+    assert model.table["chain1.D_x"].nominal == 0.0961
+    refused(text.replace(LINK, LINK.replace("0.0761", "0.0961")), "tolerances from its nominal")
+
+
 def test_a_model_file_gives_the_robot_that_was_written(tmp_path):
     model = new_model("delta54", {"chain2.Lb": 0.2411})
     write_model(model, tmp_path / "m.yaml")
@@ -396,7 +405,7 @@ def test_a_missing_parameter_of_an_effect_is_named(text):
     refused(re.sub(r"    joint2\.width:.*\n", "", text), "effects.0.parameters", "joint2.width")
 
 
-@pytest.mark.parametrize("key", ["value", "unit", "nominal", "tolerance"])
+@pytest.mark.parametrize("key", ["value", "unit", "tolerance"])
 def test_a_missing_key_of_a_parameter_is_named_with_its_line(text, key):
     bad = text.replace(LINK, re.sub(rf"{key}: [^,}}]+(, )?", "", LINK))
     line = line_of(text, LINK)

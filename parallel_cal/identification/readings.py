@@ -174,7 +174,11 @@ def _guess(model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray, i: 
     for name in USUAL_UNITS[unit] if np.isfinite(margin) else ():
         there = read * UNITS[name]
         if low - margin <= there.min() and there.max() <= high + margin:
-            return f"In {name} the readings would be near the limits: {cure.format(name, unit)}"
+            revolutions = entry.format("rev, per_rev: ...")
+            return (
+                f"In {name} the readings would be near the limits: {cure.format(name, unit)}. If "
+                f"they are a motor's revolutions: {revolutions}"
+            )
     other = " or ".join(USUAL_UNITS[unit])
     return (
         f"Are the readings in {other}, a motor's revolutions or encoder counts? Then "

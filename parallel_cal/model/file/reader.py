@@ -170,7 +170,8 @@ class Reader:
         for parameter in mechanism.parameters:
             entry = file.parameters[parameter.name]
             checks.unit(self._document, ("parameters", parameter.name), parameter, entry.unit)
-            own.append(replace(parameter, nominal=entry.nominal, tolerance=entry.tolerance))
+            nominal = entry.value if entry.nominal is None else entry.nominal
+            own.append(replace(parameter, nominal=nominal, tolerance=entry.tolerance))
         mechanism.parameters = ParameterTable(own)
 
     def _own_tolerances(self, mechanism: Mechanism, file: FilePart) -> dict[str, float]:

@@ -140,9 +140,9 @@ class OwnNumberPart(NumberPart):
 
 
 class ParameterPart(NumberPart):
-    """One parameter of the mechanism."""
+    """One parameter of the mechanism; `nominal` if it differs from the value."""
 
-    nominal: float
+    nominal: float | None = None
     tolerance: Positive
 
 
