@@ -247,14 +247,14 @@ class _Alike:
         values = every.reshape(*every.shape[:2], -1, weights.shape[2]).transpose(2, 0, 1, 3)
         values = np.broadcast_to(values, (members, *values.shape[1:]))
         _, g, terms, _ = values.shape
-        gram = np.empty((g, terms, members, terms, members))
+        products = np.empty((g, terms, members, terms, members))
         for i in range(members):
             for j in range(i, members):
                 block = (values[i] * weights[i, j]) @ values[j].transpose(0, 2, 1)
-                gram[:, :, i, :, j] = block
-                gram[:, :, j, :, i] = block.transpose(0, 2, 1)
+                products[:, :, i, :, j] = block
+                products[:, :, j, :, i] = block.transpose(0, 2, 1)
         k = terms * members if each else terms
-        gram = gram.reshape(g, k, k) if each else gram.sum(axis=(2, 4))
+        gram = products.reshape(g, k, k) if each else np.asarray(products.sum(axis=(2, 4)))
         one = cls(numbers, values, each, gram, np.zeros((g, k, 0)))
         return replace(one, along=one.project(along))
 
