@@ -247,14 +247,14 @@ class _Alike:
         values = every.reshape(*every.shape[:2], -1, weights.shape[2]).transpose(2, 0, 1, 3)
         values = np.broadcast_to(values, (members, *values.shape[1:]))
         _, g, terms, _ = values.shape
-        gram = np.empty((g, terms, members, terms, members))
+        products = np.empty((g, terms, members, terms, members))
         for i in range(members):
             for j in range(i, members):
                 block = (values[i] * weights[i, j]) @ values[j].transpose(0, 2, 1)
-                gram[:, :, i, :, j] = block
-                gram[:, :, j, :, i] = block.transpose(0, 2, 1)
+                products[:, :, i, :, j] = block
+                products[:, :, j, :, i] = block.transpose(0, 2, 1)
         k = terms * members if each else terms
-        gram = gram.reshape(g, k, k) if each else gram.sum(axis=(2, 4))
+        gram = products.reshape(g, k, k) if each else np.asarray(products.sum(axis=(2, 4)))
         one = cls(numbers, values, each, gram, np.zeros((g, k, 0)))
         return replace(one, along=one.project(along))
 
@@ -282,11 +282,6 @@ class _Alike:
         return np.sum(g**2, axis=1), visible.sum(axis=1)
 
 
-def _multiply_rows(J: np.ndarray) -> np.ndarray:
-    """Products (members, members, N) of what errors of the members change at each sample."""
-    return np.einsum("inr,jnr->ijn", J, J, optimize=True)
-
-
 class _Selection:
     """Forward selection of groups of terms, on columns without what the model can imitate.
 
@@ -300,7 +295,9 @@ class _Selection:
         self._r = targets.residuals[:, 0]
         self._total = float(self._r @ self._r)
         self._J = np.array([place.columns for place in hypothesis.site.members])
-        along, weights = self._sum_rows(targets.directions), _multiply_rows(self._J)
+        along = self._sum_rows(targets.directions)
+        # Products of what errors of two members change at each sample.
+        weights = np.einsum("inr,jnr->ijn", self._J, self._J, optimize=True)
         numbers_of: dict[int, list[int]] = {}
         for number, group in enumerate(groups):
             numbers_of.setdefault(len(group.terms), []).append(number)
