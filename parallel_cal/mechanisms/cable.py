@@ -56,7 +56,7 @@ class Cable(Mechanism):
     """
 
     periodic = False
-    closed_forms = ("direct", "inverse")
+    closed_forms: tuple[str, ...] = ("direct", "inverse")
     workspace = Workspace(low=(-0.5, -0.5, 0.0), high=(0.5, 0.5, 0.8))
 
     def __init__(
@@ -318,9 +318,8 @@ def _check_second_anchors(
             raise ModelError(f"{len(values)} {name} for {n} anchors, expected one for each")
     if strands is not None and not all(value > 0 for value in strands):
         raise ModelError(f"second_strands {list(strands)}, expected numbers above 0")
-    return [
-        None if end is None else _place(end, anchors.any(axis=0)) for end in given or [None] * n
-    ]
+    moving = np.any(anchors != 0, axis=0)
+    return [None if end is None else _place(end, moving) for end in given or [None] * n]
 
 
 def _place(end: Sequence[float], moving: np.ndarray) -> np.ndarray:
