@@ -230,7 +230,7 @@ def test_a_study_ends_where_it_knows_goes_on_where_it_was_and_counts_false_alarm
 
 def test_what_cannot_be_planted_is_named(question, tmp_path):
     with pytest.raises(
-        ModelError, match=r"effect 'rust' does not exist.*available effects: backlash"
+        ModelError, match=r"effect 'rust' does not exist.*available effects: .*backlash"
     ):
         power(question, ["rust"], 2, folder=tmp_path / "out")
 

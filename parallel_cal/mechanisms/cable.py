@@ -101,7 +101,8 @@ class Cable(Mechanism):
             self.length = radii[0] / gears[0] / 2
         self.fixed = ("*.gear", "*.advantage") if motors else ("*.advantage",)
         self.fixed += ("*.strands",) * any(self.moving_pulleys)
-        self.bodies = {"base": ("*.A_?", "*.E_?"), **({"spools": ("*.R",)} if motors else {})}
+        base = ("*.A_?", "*.E_?") if any(self.moving_pulleys) else ("*.A_?",)
+        self.bodies = {"base": base, **({"spools": ("*.R",)} if motors else {})}
         places = [dict(zip(self.moves, point, strict=True)) for point in points[:, used]]
         lines = [
             _line(i + 1, place, advantages[i], gears[i] if motors else None)
