@@ -738,9 +738,9 @@ ACTION_FAULTS = {
     "rejected": "the controller rejected the trajectory",
     "path": "path tolerance violated (joint{joint} is off by",
     "goal": "goal tolerance violated",
-    "mute": "no answer to the goal for 10 s",
+    "mute": "no answer to the goal for",
     "late": "",
-    "silent": "no feedback for 10 s",
+    "silent": "no feedback for",
     "gone": "no node provides the action",
     "refused": "",
 }
@@ -882,7 +882,7 @@ def campaign_action(n: int, folder: Path) -> Row:
             desk.wait(result.done, "the end of the campaign")
             message = result.result().result.message
             reasons = [ACTION_FAULTS[fault].format(joint=joint)]
-            if fault == "silent":  # a motion may be late on the robot's clock before
+            if fault == "silent":  # before the first feedback: some controllers never send any
                 reasons.append("the controller's action has not ended its goal")
             if fault == "refused":
                 desk.here()  # NodeError if it does not come to rest

@@ -35,6 +35,9 @@ class Motion(Protocol):
     def has_ended(self) -> bool:
         """Whether nothing more is to be heard of the last trajectory; CellError if it failed."""
 
+    def explain_silence(self) -> str:
+        """Explain why nothing is heard of the last trajectory; empty if the controller answers."""
+
     def stop(self, make_halt: Callable[[], JointTrajectory]) -> None:
         """Stop the robot; `make_halt` makes a trajectory that does so, if one is needed."""
 
@@ -59,6 +62,9 @@ class TopicMotion:
 
     def has_ended(self) -> bool:
         return True
+
+    def explain_silence(self) -> str:
+        return ""
 
     def stop(self, make_halt: Callable[[], JointTrajectory]) -> None:
         self._publisher.publish(make_halt())

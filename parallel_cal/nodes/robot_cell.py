@@ -139,12 +139,15 @@ class RobotCell:
                 self._moving = None
                 return
             if elapsed > trajectory.seconds + ARRIVAL_TIMEOUT_S:
+                if ended:
+                    raise CellError(
+                        f"the robot did not stop within {ARRIVAL_TIMEOUT_S:.0f} s after the "
+                        "planned end of its motion"
+                    )
+                why = self._motion.explain_silence()
                 raise CellError(
-                    f"the robot did not stop within {ARRIVAL_TIMEOUT_S:.0f} s after the "
-                    "planned end of its motion"
-                    if ended
-                    else f"{ARRIVAL_TIMEOUT_S:.0f} s after the planned end of the motion, the "
-                    "controller's action has not ended its goal"
+                    f"{ARRIVAL_TIMEOUT_S:.0f} s after the planned end of the motion, the "
+                    f"controller's action has not ended its goal{why and f': {why}'}"
                 )
             time.sleep(POLL_INTERVAL_S)
 

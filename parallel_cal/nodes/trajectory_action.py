@@ -55,6 +55,11 @@ class _Goal:
     silent: int = 0  # checks since the controller last answered
     gone: int = 0  # checks since there was a controller
 
+    @property
+    def owes_answer(self) -> bool:
+        """Whether an answer or feedback is due; some controllers never send feedback."""
+        return self.handle is None or bool(self.errors)
+
 
 class TrajectoryAction:
     """Sends trajectories as goals, of which the controller reports the end.
@@ -95,6 +100,11 @@ class TrajectoryAction:
             raise CellError(goal.message or "the motion was stopped")
         return True
 
+    def explain_silence(self) -> str:
+        goal = self._goals[-1]
+        heard = goal.silent <= 1 or not goal.owes_answer
+        return "" if heard and not goal.gone else _describe_silence(goal)
+
     def stop(self, make_halt: MakeHalt) -> None:
         """Cancel all goals; the controller then stops the robot and holds its position.
 
@@ -132,16 +142,12 @@ class TrajectoryAction:
         ready = not goals or self._client.server_is_ready()
         for goal in goals:
             goal.silent, goal.gone = goal.silent + 1, 0 if ready else goal.gone + 1
-            expected = "answer to the goal" if goal.state == MotionStatus.SENT else "feedback"
-            if goal.gone > MAX_CHECKS_GONE:
-                why = "no node provides the action any more: has the controller ended?"
-            elif goal.silent > MAX_CHECKS_SILENT and (goal.errors or goal.handle is None):
-                why = f"the controller sent no {expected} for "
-                why += f"{WATCH_INTERVAL_S * MAX_CHECKS_SILENT:.0f} s"
-            else:
-                continue
-            self._cancel(goal)
-            self._end(goal, MotionStatus.FAILED, message=f"{why}; the robot may still move")
+            if goal.gone > MAX_CHECKS_GONE or (
+                goal.silent > MAX_CHECKS_SILENT and goal.owes_answer
+            ):
+                message = f"{_describe_silence(goal)}; the robot may still move"
+                self._cancel(goal)
+                self._end(goal, MotionStatus.FAILED, message=message)
 
     def _on_answer(self, goal: _Goal, answer: Future) -> None:
         handle = answer.result()
@@ -221,6 +227,13 @@ class TrajectoryAction:
                 errors=[goal.errors[name] for name in names] if known else [],
             )
         )
+
+
+def _describe_silence(goal: _Goal) -> str:
+    if goal.gone:
+        return "no node provides the action any more: has the controller ended?"
+    expected = "answer to the goal" if goal.state == MotionStatus.SENT else "feedback"
+    return f"the controller sent no {expected} for {WATCH_INTERVAL_S * (goal.silent - 1):.0f} s"
 
 
 def _describe_failure(goal: _Goal, status: int, result: Any) -> str:
