@@ -24,6 +24,7 @@ class LoadFriction(Effect):
 
     needs = ("direction", "payload")
     fixed = ("mass.*",)
+    generalizes = ("backlash",)  # which it is if the load hardly changes
     physics = (
         "Teeth, screws and bearings press harder under load, so that their friction holds an "
         "elastic drive further back."
