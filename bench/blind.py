@@ -49,8 +49,11 @@ HIDDEN = {  # family -> what the page calls it, and what it counts as correct
     "pairs": ("two effects of 0.8 sigmas", "both named, and nothing else"),
     "outside": ("physics outside the catalogue", "not `explained`"),
     "device": ("a measuring device with errors", "the robot not worse"),
-    "noise": ("noise larger than stated, correlated, or growing", "called so, no effect named"),
-    "printers": ("errors of five delta printers", "what hides named, and nothing else"),
+    "noise": (
+        "noise larger than stated, correlated, or growing",
+        "this noise reported, no effect named",
+    ),
+    "printers": ("errors of five delta printers", "the hidden error named, and nothing else"),
 }
 MEASURED = {
     "pose": "poses",

@@ -50,12 +50,12 @@ PAGE, STUDY = ROOT / "docs" / "discover.md", ROOT / "docs" / "discover_study.jso
 START, END = "<!-- study: written by bench/discover.py --page -->", "<!-- end of study -->"
 SHOWN = {  # family -> its sessions in words, and what is counted in words
     "catalogue": (
-        "an effect of the catalogue hidden, it and its lookalikes taken out",
+        "a hidden effect of the catalogue; it and its lookalikes were removed from the catalogue",
         {"place": "place right", "driver": "driver right", "as good": "error at most 1.25 times"},
     ),
     "pose": (
         "an effect that depends on the pose alone, as an error of a device does, hidden",
-        {"said": "robot or device said, or place and driver right"},
+        {"said": "verdict `robot_or_device`, or place and driver right"},
     ),
     "larger": (
         "unequal parallelograms hidden from the model that has equal ones",

@@ -53,8 +53,9 @@ def export(
         bool,
         typer.Option(
             "--force",
-            help="write the file even if the height error at the touches rises, or if the shape of "
-            "a printed part changes by more than 0.5 mm in x and y and nothing measured x and y",
+            help="write the file even if it is refused. It is refused if the height error at the "
+            "touches rises, or if printed parts would change by more than 0.5 mm in x or y "
+            "although no measurement covers x and y",
         ),
     ] = False,
     as_json: Json = False,

@@ -23,7 +23,10 @@ def import_(
     ],
     files: Annotated[
         list[Path],
-        typer.Argument(help="files of the controller, and its configuration; or folders of images"),
+        typer.Argument(
+            help="files of the controller, and its configuration; a tracker's table and a joint "
+            "log; or folders of images"
+        ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="samples to write (.json)")],
     option: Annotated[
@@ -34,8 +37,9 @@ def import_(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Convert files of a controller or device to samples. The files are those of a controller, a
-    table of a tracker and a joint log, or images of a printed board and their joint readings."""
+    """Convert files of a controller or device to samples. The files are one of these: those of a
+    controller; a tracker's table and a joint log; images of a printed board, with --joints. For
+    tables with any other columns, use import-csv."""
     from parallel_cal.importing.controller_files import samples
     from parallel_cal.recordings.info import info_of
 

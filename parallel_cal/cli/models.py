@@ -44,7 +44,8 @@ def new(
     ] = None,
     from_link: Annotated[str, typer.Option(help="first link of the URDF [default: its root]")] = "",
     to_link: Annotated[
-        str, typer.Option(help="last link of the URDF [default: the leaf that its joints move]")
+        str,
+        typer.Option(help="last link of the chain [default: the end link (leaf) that joints move]"),
     ] = "",
     option: Option = None,
     sensor: Annotated[

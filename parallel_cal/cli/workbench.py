@@ -33,7 +33,9 @@ def workbench(
     ros: Annotated[
         bool,
         typer.Option(
-            "--ros", help="use the running nodes; if none run, start both on a copy of the model"
+            "--ros",
+            help="use the running kinematics_node and calibration_node; if none run, start them "
+            "on a copy of the model",
         ),
     ] = False,
     namespace: Annotated[str, typer.Option(help="namespace of the nodes, with --ros")] = "",

@@ -126,8 +126,8 @@ class FitResult(ShownInNotebook):
     registration : Registration, optional
         The estimated frame of the measuring device; None if none was needed.
     base_motion : BaseMotion, optional
-        Displacement of the identified robot from its nominal place in {B}; None without a
-        registration.
+        How far the identified geometry moves the base {B} and the platform {P} as a whole against
+        those of the nominal robot; None without a registration.
     unusual : dict of str to UnusualSize
         Parameters of effects that are larger than usual for the machine's class, by name.
     """
@@ -192,7 +192,8 @@ class FitResult(ShownInNotebook):
         return self.simulated_noise.summary
 
     def rms_sigmas(self, found: Errors) -> dict[str, float]:
-        """Standard deviation of the rms of errors at the samples of this fit, by kind."""
+        """Standard deviations of the rms errors at the samples of this fit, for each kind of
+        error (position, orientation, ...)."""
         return compute_rms_sigmas(found, blocks(self.dataset))
 
     @cached_property
@@ -474,8 +475,9 @@ def fit(
 ) -> FitResult:
     """Identify the free parameters of a model from measurements.
 
-    Weighted least squares on the closure phi(q, x, p) = 0: each row is weighted by the noise that
-    it inherits from the measured quantities. If the poses are measured in the device's own frame,
+    Weighted least squares on the closure equations phi(q, x, p) = 0 of the joint readings q, the
+    measured pose x and the parameters p. The noise of q and x, propagated to each equation, gives
+    its weight. If the poses are measured in the device's own frame,
     the model is registered first. Cross-validation gives the errors at held-out poses; the
     estimates use all samples.
 
@@ -505,9 +507,9 @@ def fit(
           keep.
         - `refit`: name patterns. Only these are identified, and the others keep the covariance
           that the model has.
-        - `prior`: None (a tolerance is a prior only for combinations of parameters that the data
-          determine less precisely than the tolerance), True (for all parameters), False (for none)
-          or a Prior.
+        - `prior`: where tolerances act as priors. None (the default): only for combinations of
+          parameters that the data determine less precisely than the tolerances. True: for all
+          parameters. False: for none. A Prior states mean and covariance instead.
         - `method` (default `"implicit"`), `loss` (`"linear"`, or a robust one such as `"huber"`),
           `seed` of the folds, `insist` (accept implausible joint readings, and combinations of an
           effect's values that are physically impossible), `usual_only` (refuse effects that are

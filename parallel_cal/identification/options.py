@@ -16,12 +16,13 @@ if TYPE_CHECKING:  # the command line shows its help without numpy
 
 # Options that a measurement plan has, too.
 FREE = option(
-    "identify the parameters that match this wildcard, such as 'chain1.*'. With --fix '*', only "
-    "these are identified: where both options match, the one that matches fewer parameters decides"
+    "identify the parameters that match this wildcard, such as 'chain1.*'. If --fix matches a "
+    "parameter, too, the option that matches fewer parameters decides: --fix '*' --free 'chain1.*' "
+    "identifies only chain 1"
 )
 FIX = option(
-    "do not identify the parameters that match this wildcard. Where --free matches, too, the one "
-    "that matches fewer parameters decides"
+    "do not identify the parameters that match this wildcard. If --free matches a parameter, too, "
+    "the option that matches fewer parameters decides"
 )
 PRIOR = option("use tolerances as priors of all parameters, not only of weakly determined ones")
 

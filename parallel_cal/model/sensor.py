@@ -32,8 +32,8 @@ class Sensor(ABC):
     """Base class of a measuring set-up (chapter 4 of the thesis).
 
     Write a subclass that is a frozen dataclass, in a file of its own. The file name is the
-    sensor's name. The fields of the dataclass are the options in the model file (nominal geometry,
-    uncertainty).
+    name of the class in a model file, and by default the name of the sensor. The fields of the
+    dataclass are the options in the model file (nominal geometry, uncertainty).
 
     A sensor adds its parameters to the model. It also adds one equation for each channel to the
     closure: the reading that the model predicts at the pose, minus the recorded reading, is zero.
@@ -49,7 +49,8 @@ class Sensor(ABC):
         Name patterns of its parameters that are known constants. A fit does not identify them.
         Default none.
     sigma : float, optional
-        Standard deviation of one reading, in the unit of the readings. None: unknown. Default 0.
+        Standard deviation of one reading, in the unit of the readings. None: unknown. 0 (default):
+        the reading is exact.
     guessed_sigma : float
         Standard deviation with which the readings are weighted if `sigma` is None, in the unit of
         the readings. A fit then corrects it by the rms of the residuals. Default 2e-5.
@@ -57,9 +58,9 @@ class Sensor(ABC):
         Unit of the readings, `m` or `px`. Default `m`.
     shows_pose : bool
         Whether the readings of one sample determine the pose of the platform, as the corners in
-        one image do. If True, a sample may lack some channels, the start values that the options
-        do not state come from `views`, and pose errors are estimated from the readings.
-        Default False.
+        one image do. If True: (1) a recording may lack some of the channels altogether;
+        (2) `views` supplies the start values that the options do not state; (3) pose errors are
+        estimated from the readings. Default False.
     base_part, platform_part : str
         A measuring set-up has a part on the base and a part on the platform (camera and board, for
         example). Name patterns of the parameters that state the place of each part. Default none.
@@ -120,10 +121,11 @@ class Sensor(ABC):
         return True
 
     def views(self, reading: np.ndarray) -> Iterator[View]:
-        """Yield a View for each set of options that may be true: the poses that the readings
-        (N, n_channels) show with these options.
+        """Yield a View for each set of options that may be true.
 
-        A fit starts from the set whose poses agree best with the poses of the robot.
+        Several sets of options may fit the readings (N, n_channels). Each View has one set, and the
+        poses that the readings show with it. A fit starts from the set whose poses agree best with
+        the poses of the robot.
         """
         return iter(())
 
@@ -141,7 +143,7 @@ class Sensor(ABC):
         return self
 
     def pose(self, r: Any, R: Any, s: Named) -> tuple[Any, Any]:
-        """Return the pose of {P} in {B} if the pose device shows (r, R)."""
+        """Return the pose of {P} in {B} if a device that measures poses shows (r, R)."""
         return r, R
 
     def shown(self, r: Any, R: Any, s: Named) -> tuple[Any, Any]:

@@ -187,10 +187,12 @@ def add(
     dataset : Dataset
     force : bool, optional
         Return the result even if the validation error does not fall, or if the measuring device
-        may be the cause of the error.
+        may be the cause of the error. To accept implausible joint readings, or values that are
+        impossible together, too, pass `insist=True` (`--force` of the command does both).
     knocked : sequence of int, optional
-        Numbers of the samples to exclude for this reason: `knocked` of the diagnosis that named the
-        effect. By default `add` finds them itself, unless a robust `loss` is used.
+        Numbers of the samples to exclude because they are far from all others: pass `knocked` of
+        the diagnosis that named the effect. By default `add` finds them itself, unless a robust
+        `loss` is used.
     **options
         Keyword arguments of `fit`: `options` (a FitOptions), `progress`, or single fields of
         FitOptions by name.
