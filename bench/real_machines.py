@@ -189,7 +189,7 @@ def arm(kind: str, title: str, folder: Path) -> Machine:
     machine = Machine(
         kind,
         title,
-        f"{len(ROWS[kind])} lines of Denavit-Hartenberg parameters, and a column map of "
+        f"the Denavit-Hartenberg parameters of {len(ROWS[kind])} joints, and a column map of "
         f"{len(ROWS[kind]) + 2} lines",
         "um",
     )
@@ -247,7 +247,7 @@ def d300vs(folder: Path) -> Machine:
     machine = Machine(
         "d300vs",
         "UltiBots D300VS, delta printer and its own bed probe",
-        "nothing; four commands",
+        "four commands; no drawing and no table to write",
         "um",
     )
     for name in ("config.g", "config-override.g", "heightmap.csv"):
@@ -358,10 +358,13 @@ the answer for each data set in [real/](../real/README.md) and compares it with 
 
 Each set is divided once: three quarters of the poses are for fitting, one quarter is for judging.
 Neither the tool nor the independent fit sees the poses for judging. All errors in the table are rms
-position errors at the poses for judging; the sections also state the mean. The printer is an
+position errors at the poses for judging; the sections also state their mean. The printer is an
 exception: its errors are height errors at the touches of the bed, computed by the firmware's
-formula. Each touch is judged once, in a four-fold cross-validation. The errors that `diagnose`
-states are at other poses: it cross-validates within the poses for fitting.
+formula. Each touch is judged once, in a four-fold cross-validation.
+
+The sections quote the messages of `diagnose` and `add`. The "held-out poses" in these messages are
+not the poses for judging: `diagnose` holds them out of the poses for fitting, in a cross-validation
+of its own. Its errors therefore differ from those in the table.
 
 - **registered**: the dimensions that the maker states; only the frames of device and target are
   estimated. For the printer: the values in its firmware configuration.
@@ -421,7 +424,7 @@ def _section(machine: Machine) -> str:
     seconds = ", ".join(f"{name} {value:.0f} s" for name, value in machine.seconds.items())
     said = "\n".join(f"{i}. {note}" for i, note in enumerate(machine.notes, start=1))
     means = ", ".join(f"{name} {_length(machine, value)}" for name, value in machine.means.items())
-    mean = f"Mean error at the held-out poses: {means}. " if means else ""
+    mean = f"Mean error at the poses for judging: {means}. " if means else ""
     diagnosed = (
         f"\n\nMessages of `diagnose` and `add`, in order:\n\n{said}"
         if machine.effects

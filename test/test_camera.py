@@ -266,6 +266,39 @@ def test_a_model_file_keeps_two_cameras_apart():
     assert {"camera.k3", "camera2.k4"} <= set(again.table.names)
 
 
+def test_a_fit_identifies_all_four_coefficients_of_a_fisheye():
+    """With k3 fixed, no other coefficients show a lens of 170 degrees to half a pixel."""
+    angles = np.radians(np.linspace(1.0, 85.0, 85))
+    series = 1 + angles**2 * (0.08 + angles**2 * (-0.05 + angles**2 * (0.03 - 0.008 * angles**2)))
+
+    def largest_misfit(**options):
+        camera = Camera(8, 6, 0.03, (1280, 1024), model="fisheye", **options)
+        model = pc.new_model("delta24", sensors=[camera])
+        known = dict(zip(model.table.names, model.fixed, strict=True))
+        free = [name for name in ("k1", "k2", "k3", "k4") if not known[f"camera.{name}"]]
+        columns = [angles ** (2 * int(name[1]) + 1) for name in free]
+        design = 620.0 * np.stack([angles, *columns], axis=1)
+        image = 620.0 * angles * series
+        return np.abs(design @ np.linalg.lstsq(design, image, rcond=None)[0] - image).max()
+
+    assert largest_misfit() < 1e-6
+    assert largest_misfit(fixed=("k3", "scale")) > 0.5
+
+
+def test_a_stated_list_of_fixed_parameters_replaces_the_default():
+    def fixed(**options):
+        sensor = Camera(8, 6, 0.03, (1280, 1024), **options)
+        model = parse_model(dump_model(pc.new_model("delta24", sensors=[sensor])))
+        assert model.sensors == (sensor,)
+        names = np.array(model.table.names)[model.fixed]
+        return {name.removeprefix("camera.") for name in names if name.startswith("camera.")}
+
+    assert fixed() == {"k3", "scale"}
+    assert fixed(model="fisheye") == {"scale"}
+    assert fixed(model="fisheye", fixed=("k4", "scale")) == {"k4", "scale"}
+    assert fixed(fixed=()) == set()
+
+
 def test_two_cameras_of_one_name_are_refused():
     text = dump_model(pc.new_model("delta24", sensors=[SENSOR]))
     entry = "- name: camera\n  options: {columns: 8, rows: 6, square: 0.03, image_size: [9, 9]}\n"

@@ -276,7 +276,7 @@ def test_the_options_of_a_mechanism_are_listed(run):
     listed = run("mechanisms", "cable")[1]
     assert "Options: without any" in listed
     assert "\n- `anchors` (n, 3): positions of the anchors, m.\n" in listed
-    assert "If one coordinate of every anchor is 0, the robot is planar" in listed
+    assert "If the same coordinate is 0 for all anchors, the robot is planar" in listed
     assert "Options" not in run("mechanisms", "delta24")[1]
 
 

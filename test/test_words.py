@@ -49,7 +49,7 @@ def test_parameters_that_several_chains_share_are_named_once():
     )
     cable = new_model("cable").table
     assert parameters_in_words(["line1.offset", "spool2.R"], cable) == (
-        "line's length at reading zero of line 1 and radius of spool 2"
+        "error of the line's length at reading zero of line 1 and radius of spool 2"
     )
     assert parameters_in_words(["La", "Lb"], new_model("delta_nominal").table) == (
         "arm length, rod length"

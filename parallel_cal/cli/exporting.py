@@ -150,7 +150,8 @@ def _heights(heights: BedHeights) -> str:
         f"{before}{1e6 * heights.after:.1f} um"
     )
     if heights.held_out is not None:
-        words += f"; at touches held out of the numbers' fit: {1e6 * heights.held_out:.1f} um"
+        words += "; at touches that this fit of the firmware's parameters did not use: "
+        words += f"{1e6 * heights.held_out:.1f} um"
     return words
 
 
@@ -160,9 +161,10 @@ def _format_movement(movement: Movement) -> str:
         known = "the measurements of x and y show all of it but"
         known += f" {1e3 * movement.unsupported:.2f} mm"
     else:
-        known = "nothing measured x and y"
+        known = "no measurement determines x and y"
     if movement.sigma is not None:
-        known += f"; the model knows x and y to {1e3 * movement.sigma:.2f} mm (1 sigma)"
+        source = "" if movement.measured else "from its tolerances and the touches, "
+        known += f"; {source}the model knows them to {1e3 * movement.sigma:.2f} mm (1 sigma)"
     return (
         "x and y over the bed, at the same motor positions, move by at most "
         f"{1e3 * movement.largest:.2f} mm, and by {1e3 * movement.shape:.2f} mm without their "

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 from parallel_cal.base.units import ARCMIN
 from parallel_cal.cli.arguments import (
     Bags,
-    Data,
-    Fix,
     JointSigma,
     Json,
     ModelFile,
@@ -24,17 +24,26 @@ def short_cut(
     model: ModelFile,
     bags: Bags,
     output: OptionalOut = None,
-    fix: Fix = None,
+    fix: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--fix", help="do not identify the parameters that match this wildcard (chain1.*)"
+        ),
+    ] = None,
     joint_sigma: JointSigma = None,
-    data: Data = None,
+    data: Annotated[
+        list[str] | None,
+        typer.Option("--data", help="option for reading the recording, KEY=VALUE (exclude=3,17)"),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Identify a Delta without a measuring device.
 
-    In this set-up, one rod connects two arms to a closed loop. The topic `constraint` names the
-    loop as BALL:BALL:ROD. 12:21:11 means: ball 2 of arm 1 and ball 1 of arm 2, connected by rod 1
-    of chain 1. Angles do not determine the size of the robot. Fix lengths that you measured:
-    --fix chain1.Lb --fix chain1.dLb.
+    In this set-up, one rod joins two arms, so that they form a closed loop. The topic `constraint`
+    names the loop as BALL:BALL:ROD. Each of the three is the number of a chain, then 1 or 2 for the
+    first or second ball or rod of this chain. So 12:21:11 means: ball 2 on the arm of chain 1 and
+    ball 1 on the arm of chain 2, joined by rod 1 of chain 1. Angles do not determine the size of
+    the robot. Fix lengths that you measured: --fix chain1.Lb --fix chain1.dLb.
     """
     from parallel_cal.model.file.modelfile import model_hash, replace_model
     from parallel_cal.short_cut import identify

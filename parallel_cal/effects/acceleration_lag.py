@@ -1,4 +1,4 @@
-"""Drives that bend by inertia: when it speeds up, a joint stays behind its reading."""
+"""Drives that bend under inertia: a joint that speeds up stays behind its reading."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from parallel_cal.model.parameters import Named, Parameter
 
 
 class AccelerationLag(Effect):
-    """q_ideal = q - lag * acceleration for every joint, with a lag (s^2) of its own: 1 / K_a.
+    """q_ideal = q - lag * acceleration for every joint, with a lag (s^2) of its own.
 
     A transmission of the stiffness k that accelerates the inertia J bends by J / k times the
-    acceleration. A position loop without acceleration feed-forward follows a parabola with such a
-    lag, too. The share of the velocity is `servo_lag` or `latency`.
+    acceleration: its lag is J / k. A position loop without acceleration feed-forward lags in the
+    same way: its lag is 1 / K_a, where K_a (1/s^2) is its acceleration constant. An error in
+    proportion to the velocity is `servo_lag` or `latency`.
     """
 
     needs = ("acceleration",)
@@ -24,7 +25,9 @@ class AccelerationLag(Effect):
     remedy = "lower the acceleration, set its feed-forward in the drives, or measure at rest"
     source = "1 / (2 pi f)^2, f the natural frequency of drive and arm: 10 Hz 0.25e-3, 30 Hz 28e-6"
     lookalikes = ("servo_lag", "latency")
-    separated_by = "the same path at two speeds, of which the accelerations differ fourfold"
+    separated_by = (
+        "the same path at two speeds, one twice the other: the accelerations differ fourfold"
+    )
     told_from: ClassVar[Mapping[str, str]] = {
         "latency": "constant speeds in some parts of the path, rising and falling ones in others"
     }

@@ -1,4 +1,5 @@
-"""Scales, motors and belts with teeth: an error once and twice per pitch of a linear joint."""
+"""Linear joints: an error with one and two periods per pitch of the scale, the linear motor, the
+rack or the toothed belt."""
 
 from __future__ import annotations
 
@@ -20,9 +21,10 @@ class EncoderInterpolation(Effect):
     """q_ideal = q + sum over k = 1, 2 of sin_k * sin(2 pi k q / period) + cos_k * cos(2 pi k q /
     period) (m).
 
-    For every prismatic joint, with one `period` (m) for all: known (the pole pitch of the scale or
-    of the motor, the pitch of the belt), or found by `scan`. Unequal offsets of an encoder's two
-    signals err once per period, unequal amplitudes and a wrong phase twice. For revolute joints,
+    For every prismatic joint. All have the same `period` (m): state it (the pole pitch of the scale
+    or of the motor, the pitch of the belt), or let `scan` find it. Offsets of an encoder's two
+    signals cause an error with one period per `period`. Unequal amplitudes and a wrong phase
+    between the signals cause one with two. For revolute joints,
     `gear_transmission_error` has the same form, with the period 2 pi / ratio. An error once per
     turn of a screw is `screw_pitch_error`.
     """
@@ -73,14 +75,14 @@ class EncoderInterpolation(Effect):
     def scan(
         self, mechanism: Mechanism, recorded: Mapping[str, Any]
     ) -> Iterator[Mapping[str, float]]:
-        """Return periods 1 / (2 travel) apart per metre: half a peak's width, as for a screw."""
+        """Return periods whose reciprocals (1/m) are 1 / (2 travel) apart: half a peak's width."""
         travel = max(np.ptp(recorded[joint]) for joint in find_prismatic_joints(mechanism))
         short, long = PERIODS
         for waves in np.arange(1 / long, 1 / short, 1 / (2 * travel)):
             yield {"period": float(1 / waves)}
 
     def multiples(self, setting: Mapping[str, float]) -> Iterator[Mapping[str, float]]:
-        """Return half of the period: an error once per period is its second harmonic."""
+        """Return half of the period: twice the true period fits as well, by its second harmonic."""
         if setting["period"] >= 2 * PERIODS[0]:
             yield {"period": setting["period"] / 2}
 

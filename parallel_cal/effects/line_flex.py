@@ -30,8 +30,8 @@ class LineFlex(Effect):
     """
 
     physics = (
-        "A line under tension is longer than the length that its spool let out, in proportion to "
-        "this length and to the tension."
+        "The tension that holds the unloaded platform makes a line longer than the length that its "
+        "spool let out, in proportion to this length and to the tension."
     )
     remedy = "measure the tension of the lines and correct their lengths, or take stiffer lines"
     source = "Hooke's law; 1 mm of braided line has an EA of 10-50 kN: 20 N give 0.4e-3 to 2e-3"

@@ -27,17 +27,21 @@ class LineSag(Effect):
     """q_ideal = q - (L - L_home - |P - A| + |A|) / k for every line, k in m of line per unit of q.
 
     L is the unstretched length of the catenary from the anchor A to the end point P, and L_home is
-    its value at home. The point at s (m of unstretched line from the anchor) of a line of weight w
-    (N/m) is at the horizontal distance
-    x(s) = H s / EA + H / w (asinh(V / H) - asinh((V - w s) / H)) from the anchor, and below it by
-    z(s) = s (V - w s / 2) / EA + (sqrt(H^2 + V^2) - sqrt(H^2 + (V - w s)^2)) / w.
-    At s = L it is P. H and V are the horizontal and the vertical force at the anchor. H is that of
-    a straight line with the tension t. The tensions follow from the equilibrium of the platform,
-    W t = weight; the columns of W are the directions of the lines (as in `line_flex`).
+    its value at home. A line has the weight w (N/m) and the axial stiffness EA (N). Its point s (m
+    of unstretched line from the anchor) is at the horizontal distance x(s) from the anchor, and
+    lower than the anchor by z(s):
 
-    `sag` is (w / T)^2 (1/m^2). T is the pretension of redundant lines, otherwise the weight of the
-    platform. `load` is this weight over T, and `strain` is T / EA: two known constants. That the
-    lines' own weight hangs on the platform, too, is neglected.
+    x(s) = H s / EA + H / w (asinh(V / H) - asinh((V - w s) / H)),
+    z(s) = s (V - w s / 2) / EA + (sqrt(H^2 + V^2) - sqrt(H^2 + (V - w s)^2)) / w.
+
+    The point s = L is P. H and V are the horizontal and the vertical force at the anchor. H is the
+    horizontal force that a straight line with the tension t would have. The tensions follow from
+    the equilibrium of the platform, W t = weight; the columns of W are the directions of the lines
+    (as in `line_flex`).
+
+    `sag` is (w / T)^2 (1/m^2). T is the pretension if there are more lines than degrees of freedom,
+    and the weight of the platform if there are not. `load` is this weight over T, and `strain` is
+    T / EA: two known constants. The weight of the lines that the platform carries is neglected.
     """
 
     fixed = ("load", "strain")
@@ -45,7 +49,9 @@ class LineSag(Effect):
     remedy = "raise the tension, take lighter lines, or keep the correction in the model"
     source = "Irvine, Cable structures (1981); 3 m of chain of 3 N/m under 50 N: 4 mm longer"
     lookalikes = ("line_flex", "pulley_radius", "spool_buildup", "encoder_gain")
-    separated_by = "poses with long and short lines under another tension: the sag falls as 1/t^2"
+    separated_by = (
+        "the same poses under two tensions, with long and short lines: the sag falls as 1/t^2"
+    )
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         # The square, because the length grows with it: its slope at no effect is not 0.
@@ -79,8 +85,9 @@ class LineSag(Effect):
 def _slack(chord: Any, height: Any, t: Any, sag: Any, strain: Any) -> Any:
     """Return by how much a catenary's unstretched length L exceeds its chord (m); t in units of T.
 
-    An elastic catenary is an inextensible one over a span that is shorter by H L / EA and
-    lower by L V_mean / EA, and that has the length sqrt(z^2 + (x sinh(u) / u)^2), u = w x / (2 H).
+    An elastic catenary has the shape of an inextensible one whose span is shorter by H L / EA and
+    lower by L V_mean / EA. With the span x and the height z, the inextensible one has the length
+    sqrt(z^2 + (x sinh(u) / u)^2), u = w x / (2 H).
     """
     flat = chord**2 - height**2
     more: Any = 0
@@ -97,7 +104,7 @@ def _slack(chord: Any, height: Any, t: Any, sag: Any, strain: Any) -> Any:
 
 
 def _sinhc(u2: Any) -> Any:
-    """sinh(u) / u of u^2, smooth where u is 0; to 1e-12 for u up to 1."""
+    """Return sinh(u) / u, given u^2: smooth at u = 0, exact to 1e-12 for u up to 1."""
     return _series(u2, (6, 20, 42, 72, 110, 156, 210))
 
 
@@ -106,7 +113,7 @@ def _cosh(u2: Any) -> Any:
 
 
 def _series(x: Any, ratios: tuple[int, ...]) -> Any:
-    """1 + x / a (1 + x / b (1 + ...))"""
+    """Return 1 + x / a (1 + x / b (1 + ...)) for the ratios a, b, ..."""
     value: Any = 1
     for ratio in reversed(ratios):
         value = 1 + x / ratio * value

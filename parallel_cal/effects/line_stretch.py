@@ -23,7 +23,7 @@ class LineStretch(Effect):
 
     needs = ("payload",)
     fixed = ("mass",)
-    physics = "A loaded line is longer than an unloaded line, in proportion to its length."
+    physics = "A payload makes each line longer, in proportion to its length: the platform sags."
     remedy = "enter the payload in the model; a stiffer line reduces the error"
     source = "Hooke's law; braided line of 1 mm, EA of 10-50 kN: 2 m under 1 kg give 2-0.4 mm"
     lookalikes = ("payload_sag", "joint_compliance", "device_axes")

@@ -16,10 +16,11 @@ SIZE = {"rad": ("rad/(N m)", 2e-4, 2e-3), "m": ("m/N", 2e-7, 2e-6)}
 class LoadFriction(Effect):
     """q_ideal = q - lag * |torque| * direction for every joint that carries weight.
 
-    The direction is that of the joint's last motion, the torque (N m or N) that of
+    The direction is that of the joint's last motion. The torque (N m or N) is computed as in
     `joint_compliance`. A drive of the compliance c whose gear has the friction mu * |torque| has
-    the lag c mu. Friction that does not depend on the load winds the drive up as far everywhere:
-    that is `backlash` or, after short moves, `hysteresis`. A drive with both has both effects.
+    the lag c mu. Friction that does not depend on the load winds the drive up equally far at every
+    load. Its error has the form of `backlash` or, after short moves, of `hysteresis`. For a drive
+    with both kinds of friction, add both effects.
     """
 
     needs = ("direction", "payload")

@@ -24,14 +24,15 @@ TORQUE_RATIOS = (1 / 4, 1 / 2, 1.0)
 
 
 class StrainWaveCompliance(Effect):
-    """q_ideal = q + e, where e is the twist under which torque = k1 e + k3 e^3.
+    """q_ideal = q + e, where e is the twist under which k1 e + k3 e^3 = load.
 
-    For every loaded revolute joint: k1 = 1 / `compliance`, the stiffness under no load (N m/rad),
-    and k3 = k1^3 / `torque`^2. In closed form, e = compliance * torque * y with y + y^3 = u, u =
-    (torque of the weights) / `torque`, so y = 2 / sqrt(3) sinh(asinh(3 sqrt(3) u / 2) / 3). At the
-    load `torque` the gear twists by 0.68 of what it would with k1 alone. One `torque`
-    for all joints is known from the stiffness curve of the gear, or found by `scan`. Loads far
-    below it twist the gear in proportion: that is `joint_compliance`.
+    The load (N m) is the moment of the weights about a loaded revolute joint. The gear of each such
+    joint has the stiffness k1 = 1 / `compliance` under no load (N m/rad), and k3 = k1^3 /
+    `torque`^2. In closed form, e = compliance * torque * y with y + y^3 = u, u = load / `torque`,
+    so y = 2 / sqrt(3) sinh(asinh(3 sqrt(3) u / 2) / 3). At the load `torque`, the gear twists by
+    0.68 of what it would with k1 alone. All joints have the same `torque`: take it from the
+    stiffness curve of the gear, or let `scan` find it. Loads far below it twist the gear in
+    proportion: that is `joint_compliance`.
     """
 
     needs = ("payload",)
@@ -77,7 +78,7 @@ class StrainWaveCompliance(Effect):
     def scan(
         self, mechanism: Mechanism, recorded: Mapping[str, Any]
     ) -> Iterator[Mapping[str, float]]:
-        """Return torques about the largest load that the recorded payload puts on a gear."""
+        """Return 1/4, 1/2 and 1 times the largest load that the recorded payload puts on a gear."""
         loads = estimate_joint_loads(mechanism)
         per_kg = max(abs(loads[mechanism.joints.index(gear)]) for gear in _find_gears(mechanism))
         largest = float(np.max(recorded["payload"])) * per_kg

@@ -1,4 +1,5 @@
-"""Strain-wave gears: a ripple twice per turn of the wave generator, whose size beats."""
+"""Strain-wave gears: two ripples, each with two periods per turn of the wave generator relative to
+one of the splines. Their sum beats."""
 
 from __future__ import annotations
 
@@ -26,12 +27,13 @@ SPLINES = {"c": "circular spline", "f": "flexspline"}
 class StrainWaveRipple(Effect):
     """q_ideal = q + sum over s = c, f of sin_s * sin(2 n_s q) + cos_s * cos(2 n_s q) (rad).
 
-    Per turn of the joint, the wave generator turns n_c = `ratio` times relative to the one spline
-    and n_f = `ratio` + 1 times, the other way, relative to the other spline. It passes each tooth
-    twice per turn, with both of its ends, so that an error of either spline repeats twice per turn
-    relative to it. The two waves beat: together they are largest and least twice per turn of the
-    joint. On a travel far below half a turn they are one wave: that is `gear_transmission_error` of
-    twice the ratio. All joints have one `ratio`: known, or the best of usual ones.
+    Per turn of the joint, the wave generator turns n_c = `ratio` times relative to the circular
+    spline (c) and n_f = `ratio` + 1 times relative to the flexspline (f). In each of these turns,
+    both ends of the generator pass every tooth of this spline once, so that an error of the spline
+    has two periods. The two waves beat: their sum is largest, and smallest, twice per turn of the
+    joint. If a joint moves far less than half a turn, the two waves look like one: use
+    `gear_transmission_error` with twice the ratio. All joints have the same `ratio`: state it, or
+    `scan` tries usual ones.
     """
 
     fixed = ("ratio",)

@@ -228,9 +228,9 @@ def _moves_too_far(files: Sequence[Path], movement: Movement) -> ModelError:
     """Return the error for new parameters that move x and y without a measurement of them."""
     known = "" if movement.sigma is None else f" (the data leave {1e3 * movement.sigma:.2g} mm)"
     words = (
-        f"x and y move by up to {1e3 * movement.unsupported:.2f} mm against each other over the "
-        f"bed with the new parameters, and no measurement shows this{known}: expected at most "
-        f"{1e3 * MAX_UNMEASURED_MOVE:g} mm"
+        f"points on the bed move by up to {1e3 * movement.unsupported:.2f} mm relative to each "
+        f"other in x and y with the new parameters, and no measurement shows this{known}: expected "
+        f"at most {1e3 * MAX_UNMEASURED_MOVE:g} mm"
     )
     cure = (
         "measure one printed length (import --option printed_x=[sent, measured]) and fit again, "

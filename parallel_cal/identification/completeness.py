@@ -57,8 +57,8 @@ class Completeness:
             return f"{counted}; {missing} more would let every such robot stand anywhere"
         if self.frames == 2:
             return (
-                f"{counted}. They describe every geometric error, wherever the frames of base and "
-                "platform are"
+                f"{counted}. They describe every geometric error, and any place of the frames of "
+                "base and platform"
             )
         where = ("both frames are", "one frame is")[self.frames]
         return (

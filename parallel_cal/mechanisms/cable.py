@@ -45,11 +45,12 @@ class Cable(Mechanism):
 
     With `spools`, `radius` or `gear`, the joint readings are angles of the motors that turn the
     spools (rad); a missing `radius` or `gear` is that of the Hangprinter HP4. With `anchors` alone,
-    the readings are lengths of line (m). If a motor with a spool measures this length, state the
-    spool as the `drive` of the joint in the model file. Gear ratio and advantage have the same
-    influence as the radius. They are known exactly and therefore fixed by default.
+    the readings are lengths of line (m). If the encoder of a motor that turns a spool measures this
+    length, state the spool as the `drive` of the joint in the model file. The gear ratio and the
+    advantage have the same influence as the radius of the spool. They are counted, not measured,
+    and therefore fixed by default: their tolerance matters only if you free them.
 
-    If one coordinate of every anchor is 0, the robot is planar: P moves in this plane, and a
+    If the same coordinate is 0 for all anchors, the robot is planar: P moves in this plane, and a
     measured third coordinate is ignored. `anchors` (n, 2) are x and y. A planar robot has at least
     two lines. A robot in space has at least three, and its first three anchors must not be
     collinear.
@@ -129,8 +130,10 @@ class Cable(Mechanism):
     def complete_options(
         cls, options: Mapping[str, Any], parameters: Collection[str]
     ) -> dict[str, Any]:
-        """Add the spools that an older file has among its parameters only: they belonged to every
-        robot, and four anchors in space had those of the Hangprinter HP4."""
+        """Add the options that older files lack: these list spools among their parameters only.
+
+        Every cable robot had spools then. One with four anchors in space had those of the HP4.
+        """
         motors = options.keys() & {"spools", "radius", "gear"} or "anchors" not in options
         if motors or "spool1.R" not in parameters:
             return dict(options)
@@ -213,9 +216,12 @@ class Cable(Mechanism):
         return lines
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
-        """Intersect the spheres or circles about the anchors: two points of as many lines as there
-        are freedoms, one point of one line more. A line over a pulley at P makes an ellipsoid; the
-        sphere about the mean of its anchors is near enough to begin a search."""
+        """Intersect the spheres or circles about the anchors.
+
+        In n dimensions, n lines give two points, and n + 1 lines give one. A line over a pulley at
+        P makes an ellipsoid; the sphere about the mean of its anchors is near enough to begin a
+        search.
+        """
         origin, n = ca.DM.zeros(3), len(self.moves)
         more = -self.closure(q, origin, ca.DM.eye(3), p)  # than the distance of the origin
         centres, squares = [], []
@@ -244,7 +250,7 @@ class Cable(Mechanism):
         return [(missing[i] / self.per_reading(p, i),) for i in range(len(self.joints))]
 
     def _spans(self) -> bool:
-        """Whether the first anchors, one more than freedoms, span space or the plane clearly."""
+        """Whether the first n + 1 anchors (n: degrees of freedom) clearly span space or plane."""
         n = len(self.moves)
         if len(self.joints) <= n:
             return False
@@ -376,7 +382,12 @@ def _line(
             for axis, value in anchor.items()
         ],
         Parameter(
-            f"{name}offset", "m", 0.0, 5 * MM, "offset", label="line's length at reading zero"
+            f"{name}offset",
+            "m",
+            0.0,
+            5 * MM,
+            "offset",
+            label="error of the line's length at reading zero",
         ),
         *drive,
         Parameter(

@@ -1,4 +1,5 @@
-"""Delta robot by its joint points, 51 parameters (Savoure et al. 2006, eqs 2-22).
+"""Delta robot described by the points of its joints: 51 parameters of Savoure et al. (2006, eqs
+2-22), and 9 coordinates of the motor axes.
 
 Like model 54, it describes the balls of an arm and of the platform, the lengths of the six rods
 and the directions of the motor axes. One rotation per chain (of the arm about its own axis) is in

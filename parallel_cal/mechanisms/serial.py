@@ -63,9 +63,9 @@ class Serial(Mechanism):
 
     Each link has a `joint` (R, P or null), `axes` (the direction of the next axis relative to this
     one: parallel, perpendicular or coincident; not for the last link), the numbers theta, d, a, b,
-    alpha, beta (m, rad), and the joint limits `low` and `high`. `free` lists those of these numbers
-    that are parameters of the link: a fit can identify them. Give it only if you want another
-    selection than that of table 3.5 of Vischer (1996).
+    alpha, beta (m, rad), and the joint limits `low` and `high`. `free` lists which of theta, d,
+    a, b, alpha and beta a fit identifies. Give it only if you want another selection than that of
+    table 3.5 of Vischer (1996).
     """
 
     moves = POSE
@@ -112,8 +112,10 @@ class Serial(Mechanism):
         self.workspace = Workspace(tuple((centre - half).tolist()), tuple((centre + half).tolist()))
 
     def complete_workspace(self, workspace: Workspace) -> Workspace:
-        """Move orientations that an older version wrote around no rotation, where the arm does not
-        work, to home's orientation."""
+        """Centre the orientations of the workspace on that of home.
+
+        An older version centred them on the zero rotation, where the arm may not work.
+        """
         low, high = np.array(workspace.low), np.array(workspace.high)
         turns = np.array(self.controlled) >= 3
         home = np.array([*self.home.position, *self.home.rotation_vector])[self.controlled]
@@ -231,7 +233,7 @@ def _number(name: str, key: str, value: Any) -> float:
 
 
 def _check_regular(name: str, free: Sequence[str], nominal: Mapping[str, float]) -> None:
-    """Refuse parameters that do not follow small changes of the geometry (3.2.2)."""
+    """Refuse parameters that would jump at a small change of the geometry (section 3.2.2)."""
     polar = {"theta", "a", "beta"} <= set(free) and "b" not in free
     if polar and abs(nominal["a"]) < 1e-6:
         raise ModelError(

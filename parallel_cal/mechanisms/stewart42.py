@@ -87,16 +87,20 @@ BODIES = {"base": ("*.C_?",), "platform": ("*.B_?",), "legs": ("*.L0",)}
 class Stewart42(Mechanism):
     """Stewart platform: six legs with measured lengths (6-SPS).
 
-    Leg i connects the point B of the platform with the point C of the base (`legI.B_x`, `legI.C_x`,
-    ...).
+    Leg i connects the point B on the platform with the point C on the base (`legI.B_x`, `legI.C_x`,
+    ...). The points B are stated in {P}, the frame of the platform, and the points C in {B}, the
+    frame of the base.
 
     Options: `base` and `platform`, the six points C in {B} and B in {P}: (6, 3) in m, or a radius
     in m and six angles in degrees, such as `{radius: 0.25, angles: [-10, 10, 110, 130, 230, 250]}`;
     `height` in m of the platform above the base at home; `retracted`, the length in m of a leg at
     reading zero (default: its length at home, so that the readings at home are 0); `limits` of the
-    readings in m (default: 0 to 0.2, or as much travel about home, in proportion to `height`, if
-    the readings at home are 0); `tolerance` in m of all these numbers. Without options, the nominal
-    robot has two flat hexagons.
+    readings in m; `tolerance` in m of all these numbers. Without options, the nominal robot has two
+    flat hexagons.
+
+    The default of `limits` is 0 to 0.2 m. If you state `base` or `platform` without `retracted`, so
+    that the readings at home are 0, it is -L to L, with L = 0.1 m at the default `height`, and in
+    proportion to `height`.
     """
 
     joints = tuple(f"leg{i + 1}" for i in range(6))

@@ -25,6 +25,9 @@ COEFFICIENTS = {
     "pinhole": ("k1", "k2", "p1", "p2", "k3"),  # Brown and Conrady, as OpenCV orders them
     "fisheye": ("k1", "k2", "k3", "k4"),  # Kannala and Brandt
 }
+# What no fit identifies unless `fixed` is stated. An image hardly tells a pinhole's k3 from k1 and
+# k2. A fisheye's image reaches so far from the axis that four coefficients are needed.
+FIXED = {"pinhole": ("k3", "scale"), "fisheye": ("scale",)}
 LENS_TOLERANCE = {"k": 0.3, "p": 5e-3}
 FISHEYE_TOLERANCE = 0.05
 FOCAL_TOLERANCE, CENTRE_TOLERANCE = 0.1, 0.03  # shares of focal length and width, if not stated
@@ -84,6 +87,9 @@ class Camera(Sensor):
         Pose of the board in {P}, or in {B} if the camera is on the platform.
     sigma : float, optional
         Standard deviation of a corner's coordinate, px. Default: estimated from the residuals.
+    fixed : tuple of str, optional
+        Parameters that a fit does not identify. Default: `k3` and `scale` of a pinhole, `scale` of
+        a fisheye.
     """
 
     columns: int
@@ -102,7 +108,7 @@ class Camera(Sensor):
     board_position: Vector | None = None
     board_quaternion: Quaternion | None = None
     sigma: float | None = None
-    fixed: tuple[str, ...] = ("k3", "scale")
+    fixed: tuple[str, ...] | None = None  # type: ignore[assignment]
 
     physics = "a lens projects the corners of a flat printed board onto the image"
     source = "Zhang 2000; Brown 1966; Kannala and Brandt 2006"
@@ -184,6 +190,10 @@ class Camera(Sensor):
                 found.append(Parameter(f"{part}.{c}", unit, 0.0, POSE_TOLERANCE[unit]))
         found += [Parameter(f"bend.{a}", "m", 0.0, BEND_TOLERANCE_M) for a in ("x", "y", "xy")]
         return [*found, Parameter("scale", "1", 1.0, SCALE_TOLERANCE)]
+
+    def fixed_patterns(self) -> list[str]:
+        fixed = FIXED[self.model] if self.fixed is None else self.fixed
+        return [f"{self.name}.{pattern}" for pattern in fixed]
 
     @property
     def _nominal_focal_length(self) -> Pair:

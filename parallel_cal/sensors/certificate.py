@@ -44,7 +44,7 @@ class Certificate(Sensor):
     volumetric_accuracy: float | None = None
     scale: float | None = None
 
-    physics = "a device errs by as much as its certificate allows, and seldom by more"
+    physics = "the errors of a device are about as large as its certificate allows, seldom larger"
     source = "ISO 10360, VDI 2634"
 
     def __post_init__(self) -> None:
