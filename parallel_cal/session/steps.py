@@ -239,7 +239,8 @@ def add(
             more.append(replace(one, settings=settings or one.settings))
             extended = extended.with_effect(name, more[-1].settings)
         result = fit(extended, base.dataset, how, progress)
-        return _Addition(scene, more, base, _with_given_model_of(result, base), tuple(aside))
+        result = _with_given_model_of(result, base)
+        return _Addition(kept, scene, more, base, result, tuple(aside))
 
     both = fit_both(knocked or ())
     if knocked is None and how.loss == "linear":
@@ -255,8 +256,10 @@ def add(
 @dataclass(frozen=True)
 class _Addition:
     """Effects that may be added, as candidates in a scene, with the fits without and with them;
-    `knocked` are the samples that both leave out."""
+    `recorded` are the samples in the frames in which each recording has them, and `knocked` those
+    that both fits leave out."""
 
+    recorded: Dataset
     scene: Scene
     effects: list[Candidate]
     base: FitResult
@@ -275,7 +278,7 @@ class _Addition:
             return found
         if is_superfluous(_with_noise_of(result, base).estimate, result.estimate):
             return replace(found, against=f"the improvement by '{self.names}' may be chance")
-        if exclude_device(scene, base.dataset, self.effects, result.model):
+        if exclude_device(scene, self.recorded, self.effects, result.model):
             return found
         doubt = explain_unseparated_device(base, result)
         if doubt := doubt or _explain_doubt(scene, self.effects, base, result):
