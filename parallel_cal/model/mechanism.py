@@ -176,13 +176,12 @@ class Mechanism(ABC):
         return dict(options)
 
     def complete_workspace(self, workspace: Workspace) -> Workspace:
-        """Return the workspace of a model file, with what an older version wrote wrongly put
-        right."""
+        """Return the workspace of a model file, corrected if an older version wrote it wrongly."""
         return workspace
 
     @abstractmethod
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
-        """Return the closure phi(q, x, p), a CasADi column (m or rad) that is zero at a valid pose.
+        """Return the closure phi(q, r, R, p): a CasADi column (m or rad), zero at a valid pose.
 
         Parameters
         ----------

@@ -287,7 +287,8 @@ class Model:
 
     def with_covariance_of(self, other: Model) -> Model:
         """Return the model with the covariance of another one for the parameters that both have;
-        that of all further parameters is zero. None if the other one has no covariance."""
+        that of all further parameters is zero. If the other one has no covariance, the returned
+        model has none either."""
         if other.covariance is None:
             return replace(self, covariance=None)
         own, names = other.table.names, self.table.names

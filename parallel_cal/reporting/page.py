@@ -30,8 +30,8 @@ def page(report: Report, library: str = "") -> str:
     ----------
     report : Report
     library : str, optional
-        Path of Plotly's file next to the page, for pages that share one. The default puts Plotly
-        into the page, which then needs no other file.
+        Path, relative to the page, of a copy of Plotly that several pages share. The default puts
+        Plotly into the page, which then needs no other file.
 
     Returns
     -------
