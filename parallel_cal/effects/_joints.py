@@ -57,6 +57,12 @@ def shift_joints(
     return seen.with_q(ca.vertcat(*rows))
 
 
+def wave(own: Named, number: str, angle: Any) -> Any:
+    """Return sin * sin(angle) + cos * cos(angle) with the amplitudes of one joint; `number` is the
+    ending of their names, and empty if the joint has one wave."""
+    return own[f"sin{number}"] * ca.sin(angle) + own[f"cos{number}"] * ca.cos(angle)
+
+
 class Harmonic(Effect):
     """q_ideal = q + sin * sin(k q) + cos * cos(k q) for every revolute joint; k is its `order`."""
 
@@ -77,7 +83,7 @@ class Harmonic(Effect):
         k = e.get("order", self.order)
 
         def error(joint: str, q: Any) -> Any:
-            return e[joint].sin * ca.sin(k * q) + e[joint].cos * ca.cos(k * q)
+            return wave(e[joint], "", k * q)
 
         return shift_joints(seen, mechanism, find_revolute_joints(mechanism), error)
 

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.effects._joints import WAVE, find_prismatic_joints, shift_joints
+from parallel_cal.effects._joints import WAVE, find_prismatic_joints, shift_joints, wave
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -62,8 +62,7 @@ class EncoderInterpolation(Effect):
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         def error(joint: str, q: Any) -> Any:
             own, turned = e[joint], 2 * ca.pi * q / e.period
-            once = own.sin1 * ca.sin(turned) + own.cos1 * ca.cos(turned)
-            return once + own.sin2 * ca.sin(2 * turned) + own.cos2 * ca.cos(2 * turned)
+            return wave(own, "1", turned) + wave(own, "2", 2 * turned)
 
         return shift_joints(seen, mechanism, find_prismatic_joints(mechanism), error)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from parallel_cal.effects._joints import (
@@ -15,6 +14,7 @@ from parallel_cal.effects._joints import (
     needs_turning,
     shift_joints,
     sizes,
+    wave,
 )
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
@@ -67,8 +67,7 @@ class GearTransmissionError(Effect):
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         def ripple(joint: str, q: Any, k: int) -> Any:
-            angle = k * e.ratio * q
-            return e[joint][f"sin{k}"] * ca.sin(angle) + e[joint][f"cos{k}"] * ca.cos(angle)
+            return wave(e[joint], str(k), k * e.ratio * q)
 
         def error(joint: str, q: Any) -> Any:
             return ripple(joint, q, 1) + ripple(joint, q, 2)

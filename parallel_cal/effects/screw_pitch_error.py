@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.effects._joints import WAVE, shift_joints
+from parallel_cal.effects._joints import WAVE, shift_joints, wave
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -45,7 +45,7 @@ class ScrewPitchError(Effect):
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         def error(joint: str, q: Any) -> Any:
             own, turned = e[joint], 2 * ca.pi * q / e.lead
-            return own.sin * ca.sin(turned) + own.cos * ca.cos(turned) + own.bend * q**2
+            return wave(own, "", turned) + own.bend * q**2
 
         return shift_joints(seen, mechanism, _find_prismatic_joints(mechanism), error)
 

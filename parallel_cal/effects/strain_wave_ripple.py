@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from parallel_cal.effects._joints import (
@@ -15,6 +14,7 @@ from parallel_cal.effects._joints import (
     find_revolute_joints,
     needs_turning,
     shift_joints,
+    wave,
 )
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
@@ -68,8 +68,7 @@ class StrainWaveRipple(Effect):
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         def error(joint: str, q: Any) -> Any:
             own, c, f = e[joint], 2 * e.ratio * q, 2 * (e.ratio + 1) * q
-            circular = own.sin_c * ca.sin(c) + own.cos_c * ca.cos(c)
-            return circular + own.sin_f * ca.sin(f) + own.cos_f * ca.cos(f)
+            return wave(own, "_c", c) + wave(own, "_f", f)
 
         return shift_joints(seen, mechanism, find_revolute_joints(mechanism), error)
 
