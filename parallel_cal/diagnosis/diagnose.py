@@ -40,10 +40,9 @@ from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.patterns import (
     KNOCKED,
     OddSample,
-    confirm_knocked_samples,
     describe_knocked_samples,
-    find_knocked_samples,
     odd_samples,
+    set_knocked_samples_aside,
 )
 from parallel_cal.diagnosis.remaining import RemainingCondition, find_remaining_condition
 from parallel_cal.diagnosis.search import (
@@ -354,19 +353,15 @@ def _set_knocked_samples_aside(
     as far from what the model predicts that describes the others. If no model does, a sample that
     is far from it may show what the model lacks.
     """
-    knocked, others = find_knocked_samples(found.base.scene), found
-    while knocked:
-        try:
-            others = without([one.sample for one in knocked], f"because it is {KNOCKED}")
-            best = others.best.fitted.model
-            confirmed = confirm_knocked_samples(knocked, found.base.fitted, best)
-        except FitError:
-            return found
-        if len(confirmed) == len(knocked):
-            break
-        knocked = confirmed
-    if not knocked or others.verdict.word in ("unexplained", "partly_explained"):
+    aside = set_knocked_samples_aside(
+        found.base.scene,
+        found.base.fitted,
+        lambda samples: without(samples, f"because it is {KNOCKED}"),
+        lambda others: others.best.fitted.model,
+    )
+    if aside is None or aside[1].verdict.word in ("unexplained", "partly_explained"):
         return found
+    confirmed, others = aside
     verdict = replace(
         others.verdict, summary=f"{describe_knocked_samples(confirmed)}{others.verdict.summary}"
     )

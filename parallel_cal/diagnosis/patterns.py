@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
 from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL
+from parallel_cal.base.errors import FitError
 from parallel_cal.base.units import MM
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import find_varying_coordinates, regressors
@@ -27,6 +29,8 @@ from parallel_cal.diagnosis.thresholds import (
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.observations import conditions
 from parallel_cal.model.model import Model
+
+Fitted = TypeVar("Fitted")
 
 KNOCKED = "far from all others, as if somebody knocked the device"
 
@@ -192,9 +196,32 @@ def find_knocked_samples(scene: Scene) -> list[OddSample]:
     return far if len(far) <= max(1, MAX_KNOCKED_SHARE * len(scene.dataset)) else []
 
 
-def confirm_knocked_samples(
-    knocked: Sequence[OddSample], base: FitResult, other: Model
-) -> list[OddSample]:
+def set_knocked_samples_aside(
+    scene: Scene,
+    base: FitResult,
+    fit_without: Callable[[list[int]], Fitted],
+    model_of: Callable[[Fitted], Model],
+) -> tuple[list[OddSample], Fitted] | None:
+    """Return the knocked samples of the fit `base`, with what was found without them; None if there
+    are none, or if a fit without them fails.
+
+    Only those count that are also far from what the model without them predicts: a sample that is
+    far from the first fit may be so because of another one.
+    """
+    knocked = find_knocked_samples(scene)
+    while knocked:
+        try:
+            others = fit_without([one.sample for one in knocked])
+            confirmed = _find_still_far(knocked, base, model_of(others))
+        except FitError:
+            return None
+        if len(confirmed) == len(knocked):
+            return confirmed, others
+        knocked = confirmed
+    return None
+
+
+def _find_still_far(knocked: Sequence[OddSample], base: FitResult, other: Model) -> list[OddSample]:
     """Return those of the knocked samples of a fit that are also far from what another model
     predicts, which was fitted without them."""
     observations = replace(base.observations, a=conditions(other, base.dataset))

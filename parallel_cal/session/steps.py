@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,11 +19,7 @@ from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_
 from parallel_cal.diagnosis.device import find_doubtful_effects, is_needed
 from parallel_cal.diagnosis.entries import are_confused, is_clearly_better
 from parallel_cal.diagnosis.first_effect import proposing_first_effect
-from parallel_cal.diagnosis.patterns import (
-    KNOCKED,
-    confirm_knocked_samples,
-    find_knocked_samples,
-)
+from parallel_cal.diagnosis.patterns import KNOCKED, set_knocked_samples_aside
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.search import Trial, is_as_good, is_superfluous
 from parallel_cal.diagnosis.stations import exclude_device
@@ -244,7 +240,10 @@ def add(
 
     both = fit_both(knocked or ())
     if knocked is None and how.loss == "linear":
-        both = _exclude_knocked_samples(both, fit_both)
+        without = set_knocked_samples_aside(
+            both.scene, both.base, fit_both, lambda others: others.result.model
+        )
+        both = without[1] if without else both
     found = both.judge()
     if found.against and both.knocked:
         numbers = ", ".join(map(str, both.knocked))
@@ -284,23 +283,6 @@ class _Addition:
         if doubt := doubt or _explain_doubt(scene, self.effects, base, result):
             return replace(found, against=doubt, device_may_err=True)
         return found
-
-
-def _exclude_knocked_samples(
-    both: _Addition, fit_both: Callable[[Sequence[int]], _Addition]
-) -> _Addition:
-    """Fit without single samples that are far from all others, with and without the effects."""
-    knocked = find_knocked_samples(both.scene)
-    while knocked:
-        try:
-            others = fit_both([one.sample for one in knocked])
-            confirmed = confirm_knocked_samples(knocked, both.base, others.result.model)
-        except FitError:
-            return both
-        if len(confirmed) == len(knocked):
-            return others
-        knocked = confirmed
-    return both
 
 
 def _with_noise_of(result: FitResult, rival: FitResult) -> FitResult:
