@@ -347,15 +347,17 @@ def _place(end: Sequence[float], moving: np.ndarray) -> np.ndarray:
     return point
 
 
+def _anchor(name: str, label: str, point: Mapping[str, float]) -> list[Parameter]:
+    return [
+        Parameter(f"{name}_{axis}", "m", float(v), 20 * MM, "anchor", label=f"{label}'s {axis}")
+        for axis, v in point.items()
+    ]
+
+
 def _second_part(number: int, end: Mapping[str, float], strands: float) -> list[Parameter]:
     name = f"line{number}."
     return [
-        *[
-            Parameter(
-                f"{name}E_{axis}", "m", float(v), 20 * MM, "anchor", label=f"second anchor's {axis}"
-            )
-            for axis, v in end.items()
-        ],
+        *_anchor(f"{name}E", "second anchor", end),
         Parameter(
             f"{name}strands",
             "1",
@@ -375,12 +377,7 @@ def _line(
     if gear is not None:
         drive = [Parameter(f"{name}gear", "1", gear, 1e-3, "drive", low=0, label="gear ratio")]
     return [
-        *[
-            Parameter(
-                f"{name}A_{axis}", "m", float(value), 20 * MM, "anchor", label=f"anchor's {axis}"
-            )
-            for axis, value in anchor.items()
-        ],
+        *_anchor(f"{name}A", "anchor", anchor),
         Parameter(
             f"{name}offset",
             "m",
