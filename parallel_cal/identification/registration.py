@@ -574,8 +574,11 @@ def _with_fitted_frames(
 def _turn_target(model: Model, observations: Observations) -> Frames:
     """The frames of the model, with the target turned as the orientations show if the platform
     never turns: the robot's equations then hold no orientation, and no fit turns the target."""
-    frames, there = frames_of(model), DevicePoses.of(model, observations)
-    if there is None or there.turns or not there.turned.any() or there.placed.sum() < 3:
+    frames = frames_of(model)
+    if max(model.mechanism.moved) >= 3:  # the platform turns
+        return frames
+    there = DevicePoses.of(model, observations)
+    if there is None or not there.turned.any() or there.placed.sum() < 3:
         return frames
     T = there.find_target_turn(frames.F, there.turned)
     near = there.find_near(replace(frames, T=T))  # without those that are far off
