@@ -848,7 +848,8 @@ def trajectory_action(n: int, folder: Path) -> Row:
 
 
 def campaign_action(n: int, folder: Path) -> Row:
-    """The same faults in campaigns: each ends with the reason and goes on with the next goal."""
+    """The faults of a controller in campaigns: each campaign ends with the reason and goes on with
+    the next goal."""
     from parallel_cal_msgs.action import Calibrate
 
     from parallel_cal.nodes.client import NodeError
