@@ -23,6 +23,10 @@ TRAJECTORY_ACTION = {
 }
 
 
+class UnansweredError(CellError):
+    """The controller has not answered a trajectory, which may be lost."""
+
+
 class Motion(Protocol):
     """The way to a controller, which follows one trajectory at a time."""
 
@@ -32,8 +36,14 @@ class Motion(Protocol):
     def send(self, trajectory: JointTrajectory, source: str = "") -> None:
         """Send a trajectory that replaces the present one; `source` names what asked for it."""
 
+    def is_answered(self) -> bool:
+        """Whether the controller has answered the last trajectory, if it does that at all."""
+
     def has_ended(self) -> bool:
-        """Whether nothing more is to be heard of the last trajectory; CellError if it failed."""
+        """Whether nothing more is to be heard of the last trajectory.
+
+        CellError if it failed, UnansweredError if it was given up without an answer.
+        """
 
     def explain_silence(self) -> str:
         """Explain why nothing is heard of the last trajectory; empty if the controller answers."""
@@ -59,6 +69,9 @@ class TopicMotion:
 
     def send(self, trajectory: JointTrajectory, source: str = "") -> None:
         self._publisher.publish(trajectory)
+
+    def is_answered(self) -> bool:
+        return True
 
     def has_ended(self) -> bool:
         return True
