@@ -23,7 +23,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 from parallel_cal.base.errors import DatasetError
-from parallel_cal.campaign.cell import CellError, Sample, UnseenError
+from parallel_cal.campaign.cell import CellError, Sample, UnansweredError, UnseenError
 from parallel_cal.campaign.trajectory import Trajectory, plan_trajectory
 from parallel_cal.model.file.modelfile import write_model
 from parallel_cal.nodes import robot_cell
@@ -33,7 +33,6 @@ from parallel_cal.nodes.collector import Collector
 from parallel_cal.nodes.conversions import STOPPING_TIME_S
 from parallel_cal.nodes.inbox import Snapshot
 from parallel_cal.nodes.inflow import Inflow
-from parallel_cal.nodes.motion import UnansweredError
 from parallel_cal.nodes.robot_cell import RobotCell
 from parallel_cal.nodes.run import FrontExecutor
 

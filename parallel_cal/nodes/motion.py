@@ -23,10 +23,6 @@ TRAJECTORY_ACTION = {
 }
 
 
-class UnansweredError(CellError):
-    """The controller has not answered a trajectory, which may be lost."""
-
-
 class Motion(Protocol):
     """The way to a controller, which follows one trajectory at a time."""
 

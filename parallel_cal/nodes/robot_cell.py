@@ -13,7 +13,7 @@ import numpy as np
 from trajectory_msgs.msg import JointTrajectory
 
 from parallel_cal.base.errors import DatasetError, SolveError
-from parallel_cal.campaign.cell import CellError, Sample, UnseenError
+from parallel_cal.campaign.cell import CellError, Sample, UnansweredError, UnseenError
 from parallel_cal.campaign.checking import ARRIVAL_TOLERANCE, LIMIT_SWITCH_ADVICE
 from parallel_cal.campaign.deviation import (
     MAX_PATH_DEVIATION,
@@ -25,7 +25,7 @@ from parallel_cal.campaign.trajectory import Trajectory
 from parallel_cal.model.model import Model
 from parallel_cal.nodes.conversions import match_joints, stop_message, trajectory_message
 from parallel_cal.nodes.inflow import Inflow
-from parallel_cal.nodes.motion import Motion, UnansweredError
+from parallel_cal.nodes.motion import Motion
 
 POLL_INTERVAL_S = 0.01  # s between two checks; an unwanted motion ends that soon
 DISCOVERY_TIMEOUT_S = 5.0  # s in which a node that has just started must receive joint states

@@ -18,8 +18,7 @@ from rclpy.task import Future
 from trajectory_msgs.msg import JointTrajectory
 
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.campaign.cell import CellError
-from parallel_cal.nodes.motion import UnansweredError
+from parallel_cal.campaign.cell import CellError, UnansweredError
 from parallel_cal.nodes.parameters import RELIABLE
 from parallel_cal.nodes.run import create_steady_timer
 
