@@ -34,11 +34,11 @@ import virtual_effects_more as more
 import virtual_findings as vf
 import virtual_setups as vs
 from arms import nominal
-from blind import interval
 from twins import hexapod
 from virtual_lines import Creep, LinedRobot, Pulleys, Tension
 from virtual_struts import UniversalJoints
 
+from bench.blind import interval
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.files import write_atomically
 from parallel_cal.diagnosis.diagnose import diagnose
@@ -58,6 +58,7 @@ START = "<!-- study of effects: written by bench/new_effects.py --page -->"
 END = "<!-- end of the study of effects -->"
 SIZE = 1.0  # sigmas of the residual that the geometry leaves of an effect
 ROUND = 5  # draws of every row before the next draws of any
+HOWS = {"alone": "alone", "or": "in A or B", "not": "not"}  # how an effect is named
 OTHER = 10_000  # added to a seed for the poses at which a model is judged
 PLATE = 0.3  # m, under the gauge
 LEGS = vr.Noise(joint=2e-6, position=5e-6, orientation=10 * vr.ARCSEC)
@@ -300,6 +301,25 @@ ROBOTS = {
 }
 
 
+WORDS = {  # what the page calls the robots
+    "delta": "Delta",
+    "fine delta": "Delta, finer instruments",
+    "stewart": "hexapod",
+    "gauged stewart": "hexapod with a gauge over a plate",
+    "lifting delta": "Delta under five loads",
+    "lifting stewart": "hexapod under five loads",
+    "lifting arm": "arm of six joints under five loads",
+    "moving delta": "Delta in motion",
+    "moving stewart": "hexapod in motion",
+    "moving arm": "arm of six joints in motion",
+    "warmed stewart": "hexapod with a thermometer on each part",
+    "linear delta": "linear Delta",
+    "warmed linear delta": "linear Delta with a thermometer on each part",
+    "four lines": "cable robot, four lines",
+    "eight lines": "cable robot, eight lines",
+}
+
+
 @dataclass(frozen=True)
 class Kind:
     """Hidden physics: the robots to try it on, its names, and how a size and a draw make one. Its
@@ -416,7 +436,8 @@ def trailing(size: float, rng: np.random.Generator, n: int) -> Any:
 
 def warm_legs(size: float, rng: np.random.Generator, n: int) -> Any:
     rates = np.abs(some(size, rng, 3))
-    return WarmParts({k: (a, f) for k, a, (_, f) in zip(("C", "B", "L0"), rates, LEG_PARTS)})
+    parts = zip(("C", "B", "L0"), rates, LEG_PARTS, strict=True)
+    return WarmParts({name: (rate, cycles) for name, rate, (_, cycles) in parts})
 
 
 def warm_rods(size: float, rng: np.random.Generator, n: int) -> Any:
@@ -476,9 +497,10 @@ KINDS = {
         ("four lines", "eight lines"),
         creeping,
         0.1e-3,
-        constants=lambda found: dict(
-            zip(("ratio", "tau"), (lambda t: (t[1] / t[0], t[1]))(found["creep"].times))
-        ),
+        constants=lambda found: {
+            "ratio": found["creep"].times[1] / found["creep"].times[0],
+            "tau": found["creep"].times[1],
+        },
     ),
     "rubbing gears": Kind(("load_friction",), ("lifting delta", "lifting arm"), rubbing, 1e-5),
     "rubbing screws": Kind(("load_friction",), ("lifting stewart",), rubbing, 1e-8),
@@ -536,7 +558,7 @@ def sized(robot: Robot, kind: Kind, seed: int) -> Any:
 
 @dataclass(frozen=True)
 class Case:
-    """One session: the robot, what hides in it (a key of KINDS; empty for nothing), and its seed."""
+    """One session: the robot, what hides in it (a key of KINDS, empty for nothing), the seed."""
 
     robot: str
     hidden: str
@@ -651,29 +673,68 @@ def grouped(outcomes: list[Outcome]) -> dict[tuple[str, str], list[Outcome]]:
 def ratio_to_best(some: list[Outcome]) -> float:
     """Rms true error after `add`, over that of the best possible models."""
     errors = np.array([(o.after, o.best) for o in some if o.best is not None]).reshape(-1, 2)
-    after, best = np.sqrt(np.mean(errors**2, axis=0)) if len(errors) else (np.nan, np.nan)
+    if not len(errors):
+        return np.nan
+    after, best = np.sqrt(np.mean(errors**2, axis=0))
     return float(after / best)
 
 
 def describe(some: list[Outcome]) -> str:
     """Return a row in words, with what was named besides what hides."""
-    verdicts = dict(Counter(o.verdict for o in some))
-    case = some[0].case
-    if not case.hidden:
-        named = Counter(n for o in some for n in o.named)
-        return f"{case.row}: named in {sum(not o.right for o in some)} of {len(some)}; {verdicts}; {dict(named)}"
-    names = {*KINDS[case.hidden].names}
-    how = Counter(o.how for o in some)
-    others = Counter(n for o in some for n in o.named if not {*n.split(" or ")} <= names)
-    errors = [
-        1e6 * np.sqrt(np.mean([getattr(o, side) ** 2 for o in some]))
-        for side in ("before", "after")
-    ]
+    case, hows = some[0].case, count_hows(some)
+    errors = [1e6 * rms([getattr(o, side) for o in some]) for side in ("before", "after")]
+    named = ", ".join(f"{words} {hows[how]}" for how, words in HOWS.items())
     return (
-        f"{case.row}: alone {how['alone']}, in A or B {how['or']}, not {how['not']}; {verdicts}; "
-        f"otherwise {dict(others)}; true error {errors[0]:.1f} -> {errors[1]:.1f} um, "
+        f"{case.row}, {len(some)}: {named}; {dict(Counter(o.verdict for o in some))}; otherwise "
+        f"{dict(list_others(some))}; true error {errors[0]:.1f} -> {errors[1]:.1f} um, "
         f"{ratio_to_best(some):.2f} of the best; {np.mean([o.seconds for o in some]):.1f} s"
     )
+
+
+def count_hows(some: list[Outcome]) -> Counter[str]:
+    """Return how often what hides was named; nothing that hides counts as not named."""
+    return Counter(o.how if o.case.hidden else "not" for o in some)
+
+
+def list_others(some: list[Outcome]) -> Counter[str]:
+    """Return what was named besides what hides, in how many sessions."""
+    hidden = some[0].case.hidden
+    names = {*KINDS[hidden].names} if hidden else set()
+    return Counter(n for o in some for n in o.named if not {*n.split(" or ")} & names)
+
+
+def rms(values: list[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def table_lines(outcomes: list[Outcome]) -> list[str]:
+    """Return the lines of the page's table: a row for each robot and what hides in it."""
+    lines = [
+        "| hidden | robot | sessions | named alone | in an `A or B` | not named | interval | other "
+        "names | true error | over the best |",
+        "| --- | --- | --: | --: | --: | --: | --: | --: | --: | --: |",
+    ]
+    for (robot, hidden), some in grouped(outcomes).items():
+        hows, right = count_hows(some), sum(o.right for o in some)
+        what = f"{hidden} (`{'` or `'.join(KINDS[hidden].names)}`)" if hidden else "nothing"
+        before, after = (
+            1e6 * rms([getattr(o, side) for o in some]) for side in ("before", "after")
+        )
+        cells = [what, WORDS[robot], str(len(some))]
+        cells += [str(hows[how]) if hidden else "-" for how in ("alone", "or")] + [str(hows["not"])]
+        cells += [interval(right, len(some)), str(sum(list_others(some).values()))]
+        ratio = ratio_to_best(some)
+        cells += [f"{before:.3g} -> {after:.3g} um", f"{ratio:.2f}" if np.isfinite(ratio) else "-"]
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
+
+
+def write_page() -> None:
+    """Put the table of all outcomes in STUDY between the two marks of the page."""
+    before, _, rest = PAGE.read_text(encoding="utf-8").partition(START)
+    _, _, after = rest.partition(END)
+    lines = "\n".join(table_lines([*kept(STUDY).values()]))
+    write_atomically(PAGE, f"{before}{START}\n\n{lines}\n\n{END}{after}")
 
 
 def main() -> None:
@@ -681,8 +742,11 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=10)
     parser.add_argument("--results", type=Path)
     parser.add_argument("--minutes", type=float, default=math.inf)
+    parser.add_argument("--page", action="store_true", help=f"only write the table of {PAGE.name}")
     parser.add_argument("row", nargs="*")
     given = parser.parse_args()
+    if given.page:
+        return write_page()
     cases = list_cases(given.draws, given.row)
     outcomes = kept(given.results) if given.results else {}
     until = time.monotonic() + 60 * given.minutes
