@@ -28,11 +28,13 @@ from parallel_cal.identification.budget import (
     list_sides,
 )
 from parallel_cal.identification.checks import (
+    ImplausibleGeometryError,
     check_joint_errors,
     check_plausible,
     chosen_parameters,
     explain_too_few_poses,
 )
+from parallel_cal.identification.common_scale import CommonScale
 from parallel_cal.identification.estimators import Estimator, check_convergent_method, estimator
 from parallel_cal.identification.fit_warnings import (
     DownWeightedSample,
@@ -644,9 +646,15 @@ def fit_unjudged(
     if is_partial:
         estimate = add_consider_covariance(model, observations, mask, estimate)
     fitted = usual.with_values(estimate.values, estimate.covariance)
-    fitted, unusual, insisted = check_plausible(
-        fitted, estimate, mask, options.insist, options.usual_only
-    )
+    scaled = CommonScale.find(fitted, observations, mask)
+    try:
+        fitted, unusual, insisted = check_plausible(
+            fitted, estimate, mask, options.insist, options.usual_only
+        )
+    except ImplausibleGeometryError as error:
+        if scaled is None:
+            raise
+        raise ImplausibleGeometryError(f"{scaled}. {error}", error.chi2_per_dof) from None
     after = errors(fitted, observations)
     check_joint_errors(fitted, after)
     result = FitResult(
@@ -668,6 +676,7 @@ def fit_unjudged(
             ),
             *describe_by_effect(unusual.values()).values(),
             *insisted,
+            *([] if scaled is None else [str(scaled)]),
             *list_parameter_warnings(fitted, estimate, mask),
             *on_priors(fitted, estimate),
             *list_noise_warnings(fitted, estimate, observations, inseparable),
