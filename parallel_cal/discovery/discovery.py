@@ -65,6 +65,7 @@ from parallel_cal.discovery.thresholds import (
     MAX_FORMULAS,
     MAX_LAWS,
     MAX_SCREENED_SAMPLES,
+    MAX_SIMPLER_EVIDENCE,
     MAX_SPLITS,
     MIN_RIVAL_EVIDENCE_SHARE,
     MIN_TERM_EVIDENCE,
@@ -506,15 +507,26 @@ def find_winner(
                 found[key] = reduced
     if not found:
         return None
-    limit = max(formula.evidence for formula in found.values()) - MAX_EQUAL_EVIDENCE
-    equal = sorted(
-        (formula for formula in found.values() if formula.evidence >= limit),
-        key=lambda formula: (*formula.complexity, -formula.evidence),
-    )
-    best = equal[0]
+    best, *equal = sort_by_preference(list(found.values()))
     limit = MIN_RIVAL_EVIDENCE_SHARE * scored[0][0]
     robots = (one for e, one in scored if e >= limit and one.site.kind != DEVICE)
-    return _Winner(best, tuple(equal[1:]), max(scored[0][0], best.evidence), next(robots, None))
+    return _Winner(best, tuple(equal), max(scored[0][0], best.evidence), next(robots, None))
+
+
+def sort_by_preference(formulas: Sequence[Formula]) -> list[Formula]:
+    """The formulas that are about equally good, the preferred one first.
+
+    Fewer quantities count more than the evidence. The number of coefficients hardly does: the
+    evidence already counts them, and what a simpler law of the same quantities leaves out is an
+    error of the robot.
+    """
+    best = max(one.evidence for one in formulas)
+    equal = [one for one in formulas if one.evidence >= best - MAX_EQUAL_EVIDENCE]
+    equal.sort(key=lambda one: one.preference)
+    alike = [one for one in equal if one.quantities == equal[0].quantities]
+    limit = max(one.evidence for one in alike) - MAX_SIMPLER_EVIDENCE
+    first = next(one for one in alike if one.evidence >= limit)
+    return [first, *(one for one in equal if one is not first)]
 
 
 def _find_parts(search: _Search, best: _Best, limit: int) -> Parts | None:
