@@ -61,6 +61,7 @@ from parallel_cal.discovery.shape import Shape, find_shape
 from parallel_cal.discovery.thresholds import (
     LAGS_PER_OCTAVE,
     MAX_EQUAL_EVIDENCE,
+    MAX_EQUAL_MEMBERS_P,
     MAX_FORMULA_LAG,
     MAX_FORMULAS,
     MAX_LAWS,
@@ -581,17 +582,24 @@ def _refine_lag(targets: Targets, formula: Formula, search: _Search) -> Formula:
 
 
 def refine_members(targets: Targets, formula: Formula, screening: Screening) -> Formula:
-    """The formula with coefficients of each member's own, if the data are likelier with them.
+    """The formula with coefficients of each member's own, if the members differ significantly.
 
     Of equally good laws, that with one coefficient for all members is simpler, and says the place
-    and the drivers. But by what the members differ, the robot would still err, and the evidence
-    already counts the coefficients.
+    and the drivers. But by what the members differ, the robot would still err.
     """
+    from scipy.special import chdtrc
+
     hypothesis = screening.give_own_coefficients(formula.hypothesis)
     own = find_formula(targets, hypothesis) if hypothesis else None
-    if own is None or own.evidence <= formula.evidence:
+    if own is None or own.used_drivers != formula.used_drivers:
         return formula
-    return own if own.used_drivers == formula.used_drivers else formula
+    added = own.numbers - formula.numbers
+    gained = own.evidence - formula.evidence
+    if added <= 0:
+        return own if gained > 0 else formula
+    # The evidence without what it subtracts for each coefficient: twice of it is chi2 by chance.
+    fall = 2 * gained + added * np.log(targets.dof)
+    return own if chdtrc(added, max(fall, 0.0)) < MAX_EQUAL_MEMBERS_P else formula
 
 
 def _select_for_formulas(scored: Sequence[tuple[float, Hypothesis]]) -> list[Hypothesis]:

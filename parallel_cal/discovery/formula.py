@@ -163,9 +163,13 @@ class Formula:
     def complexity(self) -> tuple[int, int, int]:
         """What makes a formula of the same quantities preferable: fewer coefficients and scanned
         constants, the more usual place, more plausible drivers."""
-        numbers = self.coefficients.size + self.scanned
         plausible = sum(own[0].rank for own in self._drivers)
-        return numbers, PLACE_KINDS.index(self.hypothesis.site.kind), plausible
+        return self.numbers, PLACE_KINDS.index(self.hypothesis.site.kind), plausible
+
+    @property
+    def numbers(self) -> int:
+        """The number of coefficients and of scanned constants."""
+        return self.coefficients.size + self.scanned
 
     @property
     def preference(self) -> tuple[float, ...]:
