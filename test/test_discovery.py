@@ -455,11 +455,16 @@ def test_a_formula_takes_the_term_that_made_the_error_and_its_coefficient(scene)
         ("time", "settling", lambda t: 1 - np.exp(-t / 400)),
         ("radius", "saturating", lambda r: np.tanh(r / 0.03)),
         ("travel.joint1", "saturating", lambda way: np.tanh(way / 0.2)),
+        ("travel.joint1", "absolute", np.abs),
         ("velocity.joint1", "linear", lambda speed: speed),
+        ("velocity.joint1", "sign", np.sign),
         ("session", "linear", lambda number: number),
+        ("joint1", "sin", lambda q: np.sin(11 * q)),
+        ("x", "cubic", lambda x: (x / 0.06) ** 3),
+        ("radius", "quadratic", lambda r: (r / 0.06) ** 2),
     ],
 )
-def test_a_formula_has_a_term_for_lags_saturation_speed_and_sessions(scene, driver, word, law):
+def test_a_formula_has_a_term_for_each_form_of_an_error(scene, driver, word, law):
     n = len(scene.dataset)
     speed = np.random.default_rng(0).uniform(-0.5, 0.5, n)
     known = scene.dataset.conditions | {
