@@ -9,6 +9,7 @@ import virtual_camera as vc
 from arms import nominal
 from scipy.optimize import least_squares
 
+from parallel_cal.identification.position_uncertainty import compute_shape_covariance
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.recordings.dataset import Dataset
@@ -140,6 +141,14 @@ class Cell:
     def error_at_unseen_poses(self, model: Model, n: int = 200) -> float:
         """Rms distance (m) of predicted and true positions of poses that no fit has seen, after the
         best frames of base and platform: no measurement of poses determines these."""
+        return float(
+            np.sqrt(np.mean(np.sum(self.errors_at_unseen_poses(model, n)[0] ** 2, axis=1)))
+        )
+
+    def errors_at_unseen_poses(
+        self, model: Model, n: int = 200
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return these differences (n, 3) m, and the sigmas (n, 3) m that the model states."""
         at = self.draw_poses(n, np.random.default_rng([self.seed, 99]))
         sides = {f"direction.{j}": at.direction[:, i] for i, j in enumerate(model.joints)}
         reached = Kinematics(model).direct(at.q, sides)
@@ -149,4 +158,7 @@ class Cell:
             return (shown - reached.position).ravel()
 
         left = away(least_squares(away, np.zeros(9), x_scale="jac").x).reshape(-1, 3)
-        return float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
+        spread = compute_shape_covariance(model, at.q, sides)
+        if spread is None:
+            return left, None
+        return left, np.sqrt(np.diagonal(spread, axis1=1, axis2=2))

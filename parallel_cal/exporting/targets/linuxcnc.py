@@ -26,8 +26,9 @@ from parallel_cal.exporting.projection import (
     fit_numbers,
 )
 from parallel_cal.exporting.targets import c
+from parallel_cal.importing.deltas import HANGING_ANGLES
 from parallel_cal.importing.importers import linuxcnc
-from parallel_cal.importing.importers.linuxcnc import HEXAPOD, HOMED, ROTARY_PINS, SHOULDERS
+from parallel_cal.importing.importers.linuxcnc import HEXAPOD, HOMED, ROTARY_PINS
 from parallel_cal.importing.settings import Settings
 from parallel_cal.importing.struts import Struts
 from parallel_cal.model.model import Model
@@ -100,7 +101,7 @@ def project(model: Model, present: Refinement | None = None) -> Projection:
         pins = {"lineardeltakins.R": tall.radius[0], "lineardeltakins.L": tall.rods[0]}
         homed = tall.homed / MM
     elif name in ROTARY:
-        turned, found = fit_equal_shoulders(model, SHOULDERS, one_stop=False, present=present)
+        turned, found = fit_equal_shoulders(model, HANGING_ANGLES, one_stop=False, present=present)
         sizes = (turned.radius, turned.arms[0], turned.rods[0], 0.0)
         pins = {f"rotarydeltakins.{p}": size for p, size in zip(ROTARY_PINS, sizes, strict=True)}
         homed = -turned.homed / DEGREE
