@@ -25,7 +25,7 @@ from parallel_cal.cli import main as cli
 from parallel_cal.diagnosis.catalogue import find_new_parameters
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.scene import columns as compute_effect_columns
-from parallel_cal.discovery.discovery import discover, find_winner
+from parallel_cal.discovery.discovery import discover, find_winner, refine_members
 from parallel_cal.discovery.drivers import list_drivers
 from parallel_cal.discovery.effect_file import load_text, write_effect, write_effect_file
 from parallel_cal.discovery.folds import choose_in_folds
@@ -55,6 +55,7 @@ from parallel_cal.virtual import robot as vr
 SIZES = {
     "delta": {
         laws.spring: 3.8e-4,
+        laws.gap: 9.6e-4,
         laws.lag: 1.05e-4,
         laws.friction: 3.1e-4,
         laws.cross: 2.3e-3,
@@ -67,6 +68,9 @@ SIZES = {
         laws.sag: 1.5e-4,
         laws.soft_column: 2.3e-4,
         laws.rod_play: 6e-5,
+        laws.thick_grease: 9.9e-4,
+        laws.stretched_belt: 1.6e-3,
+        laws.new_zero: 1.2e-3,
     },
     "hexapod": {laws.spring: 3.6e-4, laws.lag: 6.9e-6},
     "arm": {laws.cross: 2.4e-4, laws.coupling: 2.3e-4, laws.dent: 1.1e-3},
@@ -79,7 +83,8 @@ def hiding(name, kind, seed=0, visits=(90, 20)):
     robot = ls.ROBOTS[name]
     hidden = kind(robot.kin, np.random.default_rng([seed, 3]))
     day, effect = robot.day(seed, *visits), hidden.make(SIZES[name][kind])
-    return ls.measured(robot, day, [effect], robot.noise, seed), hidden, effect, day.end
+    data = ls.measured(robot, day, [effect], robot.noise, seed, hidden.needs)
+    return data, hidden, effect, day.end
 
 
 @pytest.fixture(scope="module")
@@ -551,6 +556,42 @@ def test_of_equally_good_laws_that_of_a_joints_own_reading_comes_first(scene):
     winner = find_winner(targets, [(100.0, one) for one in rivals])
     assert winner.formula.hypothesis is rivals[1]
     assert [one.hypothesis for one in winner.equal] == [rivals[0]]
+
+
+@pytest.mark.parametrize(("shares", "each"), [((1.0, 1.0, 1.0), False), ((1.0, 0.8, 1.2), True)])
+def test_members_get_coefficients_of_their_own_if_they_differ(scene, shares, each):
+    screening = Screening(scene, list_sites(list_places(scene)), list_drivers(scene))
+    (site,) = _find_sites(scene, ("joints", False))
+    own = tuple(one for one in list_drivers(scene) if one.family == "direction")
+    laws = [
+        (place, 2e-4 * share * one.values)
+        for place, share, one in zip(site.members, shares, own, strict=True)
+    ]
+    targets = _leave(scene, laws)
+    common = find_formula(targets, Hypothesis(site, (own,)))
+    found = refine_members(targets, common, screening)
+    assert common.hypothesis.site.each is False
+    assert found.hypothesis.site.each is each
+    assert refine_members(targets, found, screening) is found
+    if each:
+        off = found.coefficients[0] - 2e-4 * np.array(shares)
+        assert np.all(np.abs(off) < 4 * found.sigma[0])
+
+
+def test_an_error_that_depends_on_a_reading_is_one_of_the_reading(scene):
+    """One wave of an offset of all chains has fewer coefficients than one of each joint."""
+    offset, joints = _find_sites(scene, ("b_z", False), ("joints", True))
+    drivers = tuple(one for one in list_drivers(scene) if one.family == "reading")
+    loads = (next(one for one in list_drivers(scene) if one.name == "payload"),) * 3
+    wave = tuple(Term(((0, Factor(kind, (1.0,))),)) for kind in ("sin", "cos"))
+    columns = np.zeros((len(scene.residual), 1))
+
+    def judge(site, own):
+        values = np.ones((2, 3 if site.each else 1))
+        return Formula(Hypothesis(site, (own,)), wave, values, values, 0.0, columns).complexity
+
+    assert judge(joints, drivers) < judge(offset, drivers)
+    assert judge(offset, loads) < judge(joints, loads)
 
 
 def _column_of(scene, effect, parameter):

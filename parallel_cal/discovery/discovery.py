@@ -486,7 +486,9 @@ def _find_best(search: _Search, columns: np.ndarray) -> _Best | None:
     if winner is None:
         return None
     formula = _refine_lag(targets, winner.formula, search)
-    return _Best(replace(winner, formula=formula), targets, scored)
+    formula = refine_members(targets, formula, search.screening)
+    equal = tuple(one for one in winner.equal if one.hypothesis.key != formula.hypothesis.key)
+    return _Best(replace(winner, formula=formula, equal=equal), targets, scored)
 
 
 def find_winner(
@@ -564,6 +566,20 @@ def _refine_lag(targets: Targets, formula: Formula, search: _Search) -> Formula:
     ]
     with running(search.run, find_formula, targets, hypotheses) as found:
         return max([formula, *filter(None, found)], key=lambda one: one.evidence)
+
+
+def refine_members(targets: Targets, formula: Formula, screening: Screening) -> Formula:
+    """The formula with coefficients of each member's own, if the data are likelier with them.
+
+    Of equally good laws, that with one coefficient for all members is simpler, and says the place
+    and the drivers. But by what the members differ, the robot would still err, and the evidence
+    already counts the coefficients.
+    """
+    hypothesis = screening.give_own_coefficients(formula.hypothesis)
+    own = find_formula(targets, hypothesis) if hypothesis else None
+    if own is None or own.evidence <= formula.evidence:
+        return formula
+    return own if own.used_drivers == formula.used_drivers else formula
 
 
 def _select_for_formulas(scored: Sequence[tuple[float, Hypothesis]]) -> list[Hypothesis]:
