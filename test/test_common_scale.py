@@ -43,6 +43,24 @@ def test_a_board_of_the_stated_size_is_not_questioned(kind):
     assert "square is about" not in fit_with_square(kind, 1.0)
 
 
+@pytest.mark.wide
+def test_legs_that_read_lengths_correct_the_size_of_the_board():
+    cell = Cell("stewart", 1)
+    sensor = dataclasses.replace(cell.sensor(), square=0.98 * 0.03)
+    model = cell.drawn.with_sensors((sensor,))
+    data = cell.seen_by_camera(30)
+    scale = pc.fit(model, data, hold_out=0, free=["camera.scale"]).parameters()["camera.scale"]
+    assert abs(scale.value - 1 / 0.98) < 4 * scale.sigma < 4e-3
+
+
+def test_a_robot_without_free_lengths_is_no_ruler():
+    cell = Cell("stewart", 1)
+    model, data = cell.drawn.with_sensors((cell.sensor(),)), cell.seen_by_camera(12)
+    free = ~np.asarray(model.fixed)
+    free[: len(model.mechanism.parameters)] = False
+    assert CommonScale.find(model, observe(model, data), free) is None
+
+
 def test_only_a_stated_length_that_the_fit_keeps_is_questioned():
     cell = Cell("ur5", 1)
     model, data = cell.drawn.with_sensors((cell.sensor(),)), cell.seen_by_camera(12)

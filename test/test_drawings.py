@@ -137,6 +137,42 @@ def test_every_mechanism_draws_itself_and_shows_parameters(name):
     assert len(labels) == len(set(labels))
 
 
+def label_boxes(drawn, width=700, height=460):
+    """The boxes (n, 4) [px] of the labels as Plotly's camera shows them at first."""
+    words = next(t for t in drawn["data"] if t["name"] == "parameters")
+    scene = drawn["layout"]["scene"]
+    low, high = np.array([scene[f"{axis}axis"]["range"] for axis in "xyz"]).T
+    at = (np.array([words[axis] for axis in "xyz"]).T - (low + high) / 2) / (high - low)
+    given = {"center": (0, 0, 0), "up": (0, 0, 1)} | {
+        name: tuple(value.values()) for name, value in scene["camera"].items()
+    }
+    eye = np.array(given["eye"])
+    back = eye - given["center"]
+    back /= np.linalg.norm(back)
+    right = np.cross(given["up"], back)
+    right /= np.linalg.norm(right)
+    up = np.cross(back, right)
+    boxes = []
+    for point, text, place in zip(at - eye, words["text"], words["textposition"], strict=True):
+        scale = height / 2 / np.tan(np.radians(22.5)) / -(point @ back)
+        x, y = width / 2 + scale * (point @ right), height / 2 - scale * (point @ up)
+        long, high = 6 * len(text), 13  # of text of 11 px
+        vertical, horizontal = place.split()
+        x -= {"left": long, "center": long / 2, "right": 0}[horizontal]
+        y -= {"top": high, "middle": high / 2, "bottom": 0}[vertical]
+        boxes.append((x, y, x + long, y + high))
+    return np.array(boxes)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_label_of_a_drawing_covers_another(name):
+    boxes = label_boxes(drawings.drawing(model_of(name)))
+    for i, a in enumerate(boxes):
+        for b in boxes[:i]:
+            shared = np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2])
+            assert shared.min() <= 0
+
+
 def test_a_mechanism_without_lines_has_no_drawing(monkeypatch):
     model = new_model("slider_crank")
     monkeypatch.setattr(type(model.mechanism), "drawing", lambda *_: [])

@@ -1,6 +1,7 @@
 """The layout of the workbench's page, by the boxes of its parts in a real browser."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -240,6 +241,24 @@ def _rows(view):
     return view["parameters"]["rows"]
 
 
+def test_every_class_of_the_page_has_a_style():
+    nicegui = Path(pytest.importorskip("nicegui").__file__).parent
+    from parallel_cal.workbench import widgets
+
+    rules = widgets.UTILITIES + widgets.CSS
+    for file in ("quasar.unimportant.prod.css", "quasar.important.prod.css", "nicegui.css"):
+        rules += (nicegui / "static" / file).read_text()
+    used = {
+        name
+        for file in Path(widgets.__file__).parent.glob("*.py")
+        for given in re.findall(r'\.classes\(\s*"([^"]+)"', file.read_text())
+        for name in given.split()
+    }
+    assert {"w-full", "candidate", "items-center"} <= used
+    unknown = {name for name in used if not re.search(rf"\.{re.escape(name)}[\s,.:>{{]", rules)}
+    assert unknown <= {"ambiguous"}  # by which tests find it
+
+
 # ------------------------------------------------------------------ in a browser
 
 
@@ -305,6 +324,25 @@ def test_the_verdict_comes_first_then_what_is_missing_then_where_it_fails(page, 
         button = page.get_by_role("button", name=name, exact=True).bounding_box()
         assert button["x"] + button["width"] <= width
         assert button["y"] + button["height"] <= 0.15 * height
+
+
+@pytest.mark.wide
+def test_a_change_of_the_page_leaves_its_style_sheets_alone(page):
+    # After a change of a style sheet, a browser computes the styles of all elements again.
+    page.evaluate(
+        """() => {
+          window.styleChanges = 0;
+          const count = changes => { window.styleChanges += changes.length };
+          const all = { childList: true, subtree: true, characterData: true };
+          new MutationObserver(count).observe(document.head, all);
+        }"""
+    )
+    page.get_by_role("tab", name="sides", exact=True).click()
+    page.get_by_role("figure", name="residuals from three sides").wait_for()
+    page.get_by_role("tab", name="joints", exact=True).click()
+    page.get_by_role("figure", name="encoder reading minus").wait_for()
+    page.wait_for_timeout(500)  # a style sheet would be written after the figure
+    assert page.evaluate("window.styleChanges") == 0
 
 
 @pytest.mark.wide

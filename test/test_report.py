@@ -430,6 +430,11 @@ def test_numbers_have_as_many_digits_as_tell_something():
     assert vector([0.1, None], "m") == "100.00 –"
 
 
+def test_a_number_that_rounds_to_zero_has_no_sign():
+    assert with_sigma(-6.4e-5, 0.012) == "0.000 ± 0.012"
+    assert vector([-1e-7, 1e-7, -0.1], "m") == "0.00 0.00 -100.00"
+
+
 def test_arrows_reach_from_the_place_to_the_magnified_error():
     places, field = (
         np.array([[0.1, 0.2, 0.3], [0.0, 0.0, 0.1]]),

@@ -329,7 +329,7 @@ def diagnose(
     def without(aside: list[int], why: str = f"by --loss {options.loss}") -> Diagnosis:
         kept = dataset.excluding(aside, why)
         least_squares = replace(options, loss="linear")
-        judged = replace(given, dataset=kept)
+        judged = given.with_dataset(kept)
         return _diagnose_trusted(
             model, judged, names, least_squares, registration, report, usual_only
         )

@@ -14,7 +14,7 @@ from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
 from parallel_cal.discovery.basis import frequencies
 from parallel_cal.discovery.drivers import NEXT, PREVIOUS, READING, TIME, Driver
 from parallel_cal.discovery.places import BASE, DEVICE, JOINT, PARAMETER, PLATFORM, ROD, Site
-from parallel_cal.discovery.screening import Hypothesis, Targets, evidence
+from parallel_cal.discovery.screening import DriverSet, Hypothesis, Targets, evidence
 from parallel_cal.discovery.thresholds import (
     MAX_TERMS,
     MIN_SIGN_SHARE,
@@ -150,17 +150,35 @@ class Formula:
     columns: np.ndarray = field(repr=False)
 
     @property
-    def complexity(self) -> tuple[int, int, bool, int, int, int]:
+    def quantities(self) -> tuple[int, int, bool]:
         """What makes one of two equally good formulas preferable: fewer readings of other joints,
-        fewer drivers, a joint if a reading is a driver, fewer coefficients and scanned constants,
-        the more usual place, more plausible drivers."""
-        drivers = [self.hypothesis.drivers[number] for number in self.used_drivers]
-        site, numbers = self.hypothesis.site, self.coefficients.size + self.scanned
+        fewer drivers, and a joint as the place if a reading is a driver."""
+        site, drivers = self.hypothesis.site, self._drivers
         foreign = sum(_is_of_other_joint(site, own) for own in drivers)
-        plausible = sum(own[0].rank for own in drivers)
         # Encoders and gears err with the angle of a joint; lengths and offsets hardly do.
         unusual = site.kind != JOINT and any(_is_reading(own) for own in drivers)
-        return foreign, len(drivers), unusual, numbers, PLACE_KINDS.index(site.kind), plausible
+        return foreign, len(drivers), unusual
+
+    @property
+    def complexity(self) -> tuple[int, int, int]:
+        """What makes a formula of the same quantities preferable: fewer coefficients and scanned
+        constants, the more usual place, more plausible drivers."""
+        plausible = sum(own[0].rank for own in self._drivers)
+        return self.numbers, PLACE_KINDS.index(self.hypothesis.site.kind), plausible
+
+    @property
+    def numbers(self) -> int:
+        """The number of coefficients and of scanned constants."""
+        return self.coefficients.size + self.scanned
+
+    @property
+    def preference(self) -> tuple[float, ...]:
+        """What equally good formulas are sorted by, the preferred one first."""
+        return *self.quantities, *self.complexity, -self.evidence
+
+    @property
+    def _drivers(self) -> list[DriverSet]:
+        return [self.hypothesis.drivers[number] for number in self.used_drivers]
 
     @property
     def scanned(self) -> int:

@@ -85,10 +85,10 @@ def _may_differ(model: Model, free: np.ndarray) -> bool:
 
     Where joints read lengths, the data may hold the others near nominal.
     """
-    if "m" in model.mechanism.joint_units:
-        return True
     own = np.arange(len(free)) < len(model.mechanism.parameters)
     lengths = own & free & np.array([p.unit == "m" for p in model.table])
+    if "m" in model.mechanism.joint_units:
+        return bool(lengths.any())
     nominal, tolerance = model.table.nominal[lengths], model.table.tolerance[lengths]
     moved, along = (model.values[lengths] - nominal) / tolerance, nominal / tolerance
     return abs(float(along @ moved)) > MIN_COMMON_SCALE * float(along @ along) > 0

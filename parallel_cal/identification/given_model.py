@@ -9,7 +9,7 @@ sample as those of the fit.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -97,6 +97,12 @@ class GivenModel:
             lacked_start=started,
             unregistered_observations=observations,
         )
+
+    def with_dataset(self, dataset: Dataset) -> GivenModel:
+        """Return this model, judged by some of its samples, or by all with other warnings."""
+        same = np.array_equal(dataset.numbers, self.dataset.numbers)
+        known = self.unregistered_observations if same else None
+        return replace(self, dataset=dataset, unregistered_observations=known)
 
     @property
     def is_registered(self) -> bool:

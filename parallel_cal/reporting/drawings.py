@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from html import escape
@@ -30,8 +30,24 @@ COLOURS = {
     "rod": "#009e73",
     "platform": "#cc79a7",
 }
-# Labels of neighbouring lines take turns, so that they do not cover each other.
-LABEL_POSITIONS = ("top center", "bottom center", "middle right", "middle left")
+# Where a label may stand, in Plotly's words, and where the lower left corner of its box then is,
+# in widths and heights of the box from the labelled point.
+LABEL_POSITIONS = {
+    "top center": (-0.5, 0.0),
+    "bottom center": (-0.5, -1.0),
+    "middle right": (0.0, -0.5),
+    "middle left": (-1.0, -0.5),
+    "top right": (0.0, 0.0),
+    "top left": (-1.0, 0.0),
+    "bottom right": (0.0, -1.0),
+    "bottom left": (-1.0, -1.0),
+}
+# Width of a letter and height of a line, in parts of the height of the figure.
+LABEL_SIZE = np.array([6.5, 16.0]) / 460
+LABEL_ROUNDS = 3  # in which each label moves away from the others
+# Plotly's camera.
+FIELD_OF_VIEW = np.pi / 4
+ORIGIN, UPWARDS = {"x": 0, "y": 0, "z": 0}, {"x": 0, "y": 0, "z": 1}
 WIDTHS = {"base": 4, "axis": 2, "driven": 8, "rod": 5, "platform": 7}
 
 
@@ -107,7 +123,6 @@ def drawing(
         "y": round_values(at[:, 1]),
         "z": round_values(at[:, 2]),
         "text": [escape(part.label) for part in named],
-        "textposition": [LABEL_POSITIONS[k % len(LABEL_POSITIONS)] for k in range(len(named))],
         "textfont": {"size": 11},
     }
     points = 1e3 * np.vstack([part.points for part in parts])
@@ -120,6 +135,7 @@ def drawing(
     if flat(parts):
         axes["zaxis"]["visible"] = False
         camera = {"eye": {"x": 0, "y": 0, "z": 1.6}, "up": {"x": 0, "y": 1, "z": 0}}
+    words["textposition"] = _place_labels((at - middle) / (2 * half), words["text"], camera)
     layout = {
         "height": 460,
         "showlegend": True,
@@ -128,6 +144,32 @@ def drawing(
         "scene": axes | {"aspectmode": "cube", "camera": camera},
     }
     return {"data": [*traces, words | {"showlegend": False}], "layout": layout}
+
+
+def _place_labels(at: np.ndarray, texts: Sequence[str], camera: Spec) -> list[str]:
+    """Choose for each label where it covers the others least, as `camera` first shows them.
+
+    The labels are at (n, 3) in the cube of the axes, whose side is 1.
+    """
+    eye = np.array([camera["eye"][axis] for axis in "xyz"])
+    centre = np.array([camera.get("center", ORIGIN)[axis] for axis in "xyz"])
+    up = np.array([camera.get("up", UPWARDS)[axis] for axis in "xyz"])
+    ahead = (centre - eye) / np.linalg.norm(centre - eye)
+    right = np.cross(ahead, up) / np.linalg.norm(np.cross(ahead, up))
+    seen = (at - eye) @ np.column_stack([right, np.cross(right, ahead), ahead])
+    places = seen[:, :2] / seen[:, 2:] / (2 * np.tan(FIELD_OF_VIEW / 2))
+    boxes, chosen = np.full((len(texts), 2, 2), np.inf), [""] * len(texts)
+    for k in [*range(len(texts))] * LABEL_ROUNDS:
+        size = LABEL_SIZE * [len(texts[k]), 1]
+        low = places[k] + size * np.array([*LABEL_POSITIONS.values()])
+        possible = np.stack([low, low + size], axis=1)
+        others = np.delete(boxes, k, axis=0)
+        shared = np.minimum(possible[:, None, 1], others[:, 1]) - np.maximum(
+            possible[:, None, 0], others[:, 0]
+        )
+        best = int(np.argmin(shared.clip(0).prod(axis=2).sum(axis=1)))
+        boxes[k], chosen[k] = possible[best], [*LABEL_POSITIONS][best]
+    return chosen
 
 
 def flat(parts: list[DrawnLine]) -> bool:

@@ -96,7 +96,8 @@ def with_unit(value: float | None, unit: str, scale: Any = error_unit) -> str:
 def vector(values: Iterable[float | None], unit: str, digits: int = 2) -> str:
     """Format several values of one unit with fixed digits, so that columns line up."""
     factor = value_unit(unit)[1]
-    shown = [f"{v * factor:.{digits}f}" if is_known(v) else MISSING for v in values]
+    rounded = (round(v * factor, digits) + 0.0 if is_known(v) else None for v in values)
+    shown = [MISSING if v is None else f"{v:.{digits}f}" for v in rounded]  # never -0.00
     return " ".join(shown) if set(shown) != {MISSING} else MISSING
 
 

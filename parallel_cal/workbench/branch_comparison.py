@@ -51,7 +51,7 @@ class BranchComparison:
                 rows,
                 "branch",
             )
-            with ui.row().classes("w-full no-wrap max-lg:flex-wrap"):
+            with ui.row().classes("w-full no-wrap side-by-side"):
                 self.plots = self._plots(fields) if fields else []
             self.differences = ui.column().classes("w-full gap-2")
             for name in sorted(set(states) - set(fields)):

@@ -102,7 +102,7 @@ class Notice:
         self.bench = bench
         self._key = ""  # key of the question that is shown
         self._dismissed = ""
-        with ui.footer(value=False).classes("shadow-up") as self.footer:
+        with ui.footer(value=False) as self.footer:
             with ui.row().classes("w-full items-center gap-2") as self.asked:
                 self.question = ui.label().props("id=question role=alert").classes("grow basis-64")
                 self.question.style(f"color: {COLOURS['amber']}")

@@ -24,6 +24,7 @@ from parallel_cal.workbench.widgets import (
     CSS,
     HEAD,
     HEADER_HEIGHT,
+    UTILITIES,
     card,
     draw_figure,
     table,
@@ -62,9 +63,9 @@ class Window:
         ui.dark_mode(None)  # use the setting of the browser
         ui.colors(primary=MEASURED)
         ui.add_head_html(HEAD + HEADER_HEIGHT + SCRIPT)
-        ui.add_css(CSS)
+        ui.add_css(UTILITIES + CSS)
         self.header, self.notice = Header(bench), Notice(bench)
-        with ui.column().classes("w-full max-w-[2200px] mx-auto gap-3") as content:
+        with ui.column().classes("w-full mx-auto gap-3") as content:
             content.props("id=content tabindex=-1")
             ui.label(f"Session {bench.session.folder.name}").classes("text-sm font-bold").props(
                 "role=heading aria-level=1"

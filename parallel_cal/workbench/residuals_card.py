@@ -28,7 +28,7 @@ class ResidualsCard:
         with card("Where it fails"):
             ui.label(HINT).classes("text-sm quiet")
             self.shown = ui.label().props("id=shown").classes("text-sm")
-            with ui.row().classes("w-full no-wrap gap-2 max-md:flex-wrap"):
+            with ui.row().classes("w-full no-wrap gap-2 side-by-side"):
                 self.arrows = FigureSlot()
                 self.map = FigureSlot(marking)
             self.tabs = ui.tabs(on_change=self._turn).props("dense inline-label no-caps")

@@ -93,6 +93,7 @@ def serve(
         favicon="📐",
         show_welcome_message=False,
         dark=None,
+        tailwind=False,
         reconnect_timeout=RECONNECT_TIMEOUT_S,
         uvicorn_logging_level="warning",
     )

@@ -21,8 +21,61 @@ FIGURE_LAYOUT = {
         "layout": {axis: {"gridcolor": BAND, "zerolinecolor": QUIET} for axis in ("xaxis", "yaxis")}
     },
 }
-# Width [px] from which the page has two columns, and width below which the header omits numbers.
-TWO_COLUMNS_PX, NARROW_PX = 1600, 760
+# Width [px] from which the page has two columns, and width up to which the header omits numbers
+# and figures stand one below the other.
+TWO_COLUMNS_PX, NARROW_PX = 1600, 767
+# The utility classes that the page uses, with Tailwind's names and values. Tailwind itself rewrites
+# its style sheet whenever an element appears, and the browser then computes all styles again.
+UTILITIES = """
+@layer base {
+  *, ::before, ::after { box-sizing: border-box }
+  html { line-height: 1.5 }
+  svg, canvas { display: block; vertical-align: middle }
+}
+@layer utilities {
+  .w-full { width: 100% }
+  .w-24 { width: 6rem }
+  .w-28 { width: 7rem }
+  .w-32 { width: 8rem }
+  .w-36 { width: 9rem }
+  .w-40 { width: 10rem }
+  .w-48 { width: 12rem }
+  .w-64 { width: 16rem }
+  .max-w-2xl { max-width: 42rem }
+  .max-w-4xl { max-width: 56rem }
+  .max-w-5xl { max-width: 64rem }
+  .min-w-0 { min-width: 0 }
+  .mx-auto { margin-inline: auto }
+  .gap-0 { gap: 0 }
+  .gap-1 { gap: 0.25rem }
+  .gap-2 { gap: 0.5rem }
+  .gap-3 { gap: 0.75rem }
+  .gap-x-2 { column-gap: 0.5rem }
+  .gap-x-3 { column-gap: 0.75rem }
+  .gap-x-4 { column-gap: 1rem }
+  .gap-y-0 { row-gap: 0 }
+  .gap-y-1 { row-gap: 0.25rem }
+  .items-start { align-items: flex-start }
+  .items-center { align-items: center }
+  .items-end { align-items: flex-end }
+  .flex-1 { flex: 1 1 0% }
+  .grow { flex-grow: 1 }
+  .shrink { flex-shrink: 1 }
+  .shrink-0 { flex-shrink: 0 }
+  .basis-0 { flex-basis: 0 }
+  .basis-64 { flex-basis: 16rem }
+  .text-xs { font-size: 0.75rem; line-height: 1rem }
+  .text-sm { font-size: 0.875rem; line-height: 1.25rem }
+  .text-base { font-size: 1rem; line-height: 1.5rem }
+  .text-lg { font-size: 1.125rem; line-height: 1.75rem }
+  .leading-tight { line-height: 1.25 }
+  .font-bold { font-weight: 700 }
+  .break-all { word-break: break-all }
+  .whitespace-nowrap { white-space: nowrap }
+  .shadow { box-shadow: 0 1px 3px 0 rgb(0 0 0 / 0.1), 0 1px 2px -1px rgb(0 0 0 / 0.1) }
+  .truncate { overflow: hidden; text-overflow: ellipsis; white-space: nowrap }
+}
+"""
 CSS = f"""
 :root {{ --nicegui-default-gap: 0.75rem }}
 .q-header, .q-footer {{ background: #fff; color: #1f2328 }}
@@ -35,7 +88,9 @@ CSS = f"""
 @media (min-width: {TWO_COLUMNS_PX}px) {{
   .columns.paired {{ grid-template-columns: repeat(2, minmax(0, 1fr)) }} }}
 @media (max-width: {TWO_COLUMNS_PX - 1}px) {{ .headline-about {{ display: none }} }}
-@media (max-width: {NARROW_PX}px) {{ .headline {{ display: none }} }}
+@media (max-width: {NARROW_PX}px) {{
+  .headline {{ display: none }}
+  .side-by-side {{ flex-wrap: wrap }} }}
 .candidate {{ display: grid; grid-template-columns: auto minmax(0, 1fr) auto; gap: 0 12px;
   align-items: start; width: 100% }}
 .candidate > .wide {{ grid-column: 1 / -1 }}
@@ -52,6 +107,7 @@ CSS = f"""
   background: inherit }}
 .skip-link:focus {{ left: 16px }}
 :is(a, button, input, [tabindex]):focus-visible {{ box-shadow: 0 0 0 3px #3b7dd8 !important }}
+#content {{ max-width: 2200px }}
 #content:focus {{ outline: none; box-shadow: none !important }}
 .q-header.at-robot {{ z-index: 7000 }}
 body:has(.q-header.at-robot) :is(.q-dialog__inner, .q-dialog__backdrop) {{
