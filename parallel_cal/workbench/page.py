@@ -457,7 +457,8 @@ class Window:
             for key, patterns in (("fix", asked.fix), ("free", asked.free))
         }
         kept["fix" if fix else "free"] += names
-        self.bench.begin("choose", nominal=names if at_nominal else [], **kept)
+        changed = {k: v for k, v in kept.items() if v != list(getattr(asked, k))}
+        self.bench.begin("choose", nominal=names if at_nominal else [], **changed)
 
 
 def _columns() -> Any:
