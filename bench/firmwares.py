@@ -43,7 +43,7 @@ HEAD = (
     "| robot | target | stated error, mean / max | by the firmware's inverse | "
     "forward minus inverse | homed pose |"
 )
-TARGET_OF = {".cfg": "klipper", ".hal": "linuxcnc", ".g": "rrf", ".h": "marlin"}
+TARGET_OF = {".cfg": "klipper", ".hal": "linuxcnc", ".g": "rrf", ".h": "marlin", ".txt": "grblhal"}
 
 
 def robots() -> dict[str, tuple[Model, tuple[str, ...]]]:
@@ -185,7 +185,7 @@ def send_round(paths: list[Path]) -> tuple[float, int]:
 
 
 WRITTEN = (
-    r"M66[569]|DELTA_|HOME_OFFSET|kins\.|sets |global |"
+    r"M66[569]|\$64[1-6]|DELTA_|HOME_OFFSET|kins\.|sets |global |"
     r"delta_radius|shoulder|arm_length|angle|position_endstop"
 )
 

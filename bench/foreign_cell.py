@@ -255,11 +255,13 @@ def main():
     cell = ForeignCell()
     spinning = threading.Thread(target=cell.run, daemon=True)
     spinning.start()
-    with suppress(KeyboardInterrupt, ExternalShutdownException):
-        rclpy.spin(cell)
-    rclpy.try_shutdown()
-    spinning.join()
-    cell.tell()
+    try:
+        with suppress(KeyboardInterrupt, ExternalShutdownException):
+            rclpy.spin(cell)
+        rclpy.try_shutdown()
+        spinning.join()
+    finally:  # Python may raise a KeyboardInterrupt after rclpy has ended the spinning
+        cell.tell()
 
 
 if __name__ == "__main__":

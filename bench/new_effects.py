@@ -1,17 +1,26 @@
-"""Whether a diagnosis names each of the effects that joined the catalogue late, and no other.
+"""The blind study of the effects of lines, struts and drives, on the machines that have them.
 
 Robots, physics and noise come from the independent virtual robots; every draw has its own poses.
-Effects are sized in sigmas of what the geometry leaves of them.
-Usage: `PYTHONPATH=. python bench/new_effects.py [draws] [kind ...]`.
+A hidden effect is so large that the geometry (with the effect that it generalizes) leaves one sigma
+of it. A case is a diagnosis and, if it names something, `add`. It is judged by the true position
+error at 150 other poses, beside that of the best possible model: the fit of the true effect, with
+its true constants. With `--results` every outcome becomes a line of a file, and a case that stands
+there already is not run again: a long study can be made in slices (`--minutes`). `--page` only
+writes the table of docs/judge_your_calibration.md from docs/blind_effects.jsonl.
+Usage: `PYTHONPATH=. python bench/new_effects.py [--draws N] [--results FILE] [--minutes M]
+[--page] [ROW ...]`; a ROW is a part of the name of a row, such as `creep on four`.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
+import math
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
-from itertools import product
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,16 +38,28 @@ from twins import hexapod
 from virtual_lines import Creep, LinedRobot, Pulleys, Tension
 from virtual_struts import UniversalJoints
 
-from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
+from bench.blind import interval
+from parallel_cal.base.errors import FitError
+from parallel_cal.base.files import write_atomically
+from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.fit import fit
+from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.model.shelf import load_mechanism, load_sensor
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.session.steps import add
 from parallel_cal.virtual import joint_effects as ve
 from parallel_cal.virtual import robot as vr
 from parallel_cal.virtual.linear_delta import LinearDelta
 
-SIZES = (0.8, 1.4, 2.0)  # sigmas of the residual
+ROOT = Path(__file__).resolve().parents[1]
+PAGE, STUDY = ROOT / "docs" / "judge_your_calibration.md", ROOT / "docs" / "blind_effects.jsonl"
+START = "<!-- study of effects: written by bench/new_effects.py --page -->"
+END = "<!-- end of the study of effects -->"
+SIZE = 1.0  # sigmas of the residual that the geometry leaves of an effect
+ROUND = 5  # draws of every row before the next draws of any
+HOWS = {"alone": "alone", "or": "in A or B", "not": "not"}  # how an effect is named
+OTHER = 10_000  # added to a seed for the poses at which a model is judged
 PLATE = 0.3  # m, under the gauge
 LEGS = vr.Noise(joint=2e-6, position=5e-6, orientation=10 * vr.ARCSEC)
 
@@ -68,6 +89,7 @@ class Robot:
             f"{kind}.{j}": getattr(at, kind)[:, i] for kind in kinds for i, j in enumerate(names)
         }
         conditions |= {"time": at.time, "temperature": at.temperature, "payload": at.payload}
+        conditions |= self.further_conditions(at)
         if self.model().sensors:
             shown = (gauges or [vs.Gauge(PLATE)])[0].reads(r, R)
             errors = np.random.default_rng([seed, 4]).normal(0, 2e-6, n)
@@ -90,6 +112,36 @@ class Robot:
         warm = 20 + 4 * np.sin(np.arange(n) / 17 + seed)
         load = np.where(np.arange(n) * 6 // n % 2, 1.2, 0.2)
         return vr.SampleConditions(10.0 * np.arange(n), warm, load, came)
+
+    def further_conditions(self, at: Any) -> dict[str, Any]:
+        """Further conditions that this robot records, by name."""
+        return {}
+
+
+@dataclass(frozen=True)
+class WarmedRobot(Robot):
+    """A thermometer on each of some parts: (name, cycles of its temperature in a session)."""
+
+    parts: tuple[tuple[str, float], ...] = ()
+
+    def further_conditions(self, at: Any) -> dict[str, Any]:
+        return {f"temperature.{part}": part_temperature(at, f) for part, f in self.parts}
+
+
+def part_temperature(at: Any, cycles: float) -> Any:
+    """Temperature (degC) of a part that warms and cools `cycles` times in the session."""
+    return 20 + 8 * np.sin(2 * np.pi * cycles * at.time / np.max(at.time))
+
+
+@dataclass(frozen=True)
+class WarmParts(vr.Effect):
+    """Parts of a `WarmedRobot` that grow by a rate (1/K) each: {"Lb": (rate, cycles)}."""
+
+    growth: dict[str, tuple[float, float]]
+
+    def geometry(self, parameters: Any, at: vr.SampleConditions) -> Any:
+        warm = {name: (a, part_temperature(at, f)) for name, (a, f) in self.growth.items()}
+        return more.PartsWarmth(warm).geometry(parameters, at)
 
 
 @dataclass(frozen=True)
@@ -214,6 +266,9 @@ def arm_poses(seed: int) -> Any:
 
 HEXAPOD, RAILS = hexapod(), rails()
 ARM = LinkArm(va.arm("ur5", 1))
+ARM_NOISE = vr.Noise(1e-5, 20e-6, 50e-6)
+LEG_PARTS = (("base", 1.0), ("platform", 1.7), ("legs", 2.6))
+RAIL_PARTS = (("base", 1.0), ("rods", 2.6))
 FOUR_LINES = [[0, -1.6, -0.1], [1.3, 1.2, -0.1], [-1.4, 0.7, -0.1], [0.3, 0.2, 2.3]]
 EIGHT_LINES = [[x, y, z] for x in (-1.5, 1.6) for y in (-1.3, 1.2) for z in (-0.3, 2.1)]
 DELTA = Robot(lambda: new_model("delta54"), vr.MOCK_UP, vr.THESIS_NOISE, delta_poses)
@@ -226,31 +281,57 @@ ROBOTS = {
     "lifting stewart": LiftingRobot(
         lambda: new_model("stewart42"), HEXAPOD, LEGS, leg_poses, heaviest=40.0
     ),
-    "lifting arm": LiftingRobot(
-        lambda: nominal("ur5"), ARM, vr.Noise(1e-5, 20e-6, 50e-6), arm_poses, heaviest=5.0
-    ),
+    "lifting arm": LiftingRobot(lambda: nominal("ur5"), ARM, ARM_NOISE, arm_poses, heaviest=5.0),
     "moving delta": MovingRobot(
         lambda: new_model("delta54"), vr.MOCK_UP, vr.THESIS_NOISE, delta_poses
     ),
     "moving stewart": MovingRobot(
         lambda: new_model("stewart42"), HEXAPOD, LEGS, leg_poses, reach=0.08
     ),
+    "moving arm": MovingRobot(lambda: nominal("ur5"), ARM, ARM_NOISE, arm_poses),
+    "warmed stewart": WarmedRobot(
+        lambda: new_model("stewart42"), HEXAPOD, LEGS, leg_poses, parts=LEG_PARTS
+    ),
     "linear delta": Robot(lambda: new_model("linear_delta"), RAILS, LEGS, carriage_poses),
+    "warmed linear delta": WarmedRobot(
+        lambda: new_model("linear_delta"), RAILS, LEGS, carriage_poses, parts=RAIL_PARTS
+    ),
     "four lines": cable_robot(FOUR_LINES, (-0.35, -0.35, 0.1), (0.35, 0.35, 0.6)),
     "eight lines": cable_robot(EIGHT_LINES, (-0.5, -0.5, 0.2), (0.5, 0.5, 1.2)),
+}
+
+
+WORDS = {  # what the page calls the robots
+    "delta": "Delta",
+    "fine delta": "Delta, finer instruments",
+    "stewart": "hexapod",
+    "gauged stewart": "hexapod with a gauge over a plate",
+    "lifting delta": "Delta under five loads",
+    "lifting stewart": "hexapod under five loads",
+    "lifting arm": "arm of six joints under five loads",
+    "moving delta": "Delta in motion",
+    "moving stewart": "hexapod in motion",
+    "moving arm": "arm of six joints in motion",
+    "warmed stewart": "hexapod with a thermometer on each part",
+    "linear delta": "linear Delta",
+    "warmed linear delta": "linear Delta with a thermometer on each part",
+    "four lines": "cable robot, four lines",
+    "eight lines": "cable robot, eight lines",
 }
 
 
 @dataclass(frozen=True)
 class Kind:
     """Hidden physics: the robots to try it on, its names, and how a size and a draw make one. Its
-    size is that of what the geometry and the effect `special`, a special case of it, leave."""
+    size is that of what the geometry and the effect `special`, a special case of it, leave.
+    `constants` are those of the true effect, which a program that knows it would be given."""
 
     names: tuple[str, ...]
     robots: tuple[str, ...]
     make: Callable[[float, np.random.Generator, int], Any]
     size: float
     special: str = ""
+    constants: Callable[[Any], dict[str, float]] = lambda effect: {}
 
 
 def some(size: float, rng: np.random.Generator, n: int = 3) -> tuple[float, ...]:
@@ -349,6 +430,23 @@ def notched(size: float, rng: np.random.Generator, n: int) -> Any:
     return more.UnevenPitch(rng.uniform(2e-3, 30e-3), some(size, rng, n), phases(rng, n))
 
 
+def trailing(size: float, rng: np.random.Generator, n: int) -> Any:
+    return more.LateDrives(tuple(1 / np.abs(some(size, rng, n))))
+
+
+def warm_legs(size: float, rng: np.random.Generator, n: int) -> Any:
+    rates = np.abs(some(size, rng, 3))
+    parts = zip(("C", "B", "L0"), rates, LEG_PARTS, strict=True)
+    return WarmParts({name: (rate, cycles) for name, rate, (_, cycles) in parts})
+
+
+def warm_rods(size: float, rng: np.random.Generator, n: int) -> Any:
+    base, rods = np.abs(some(size, rng, 2))
+    (_, slow), (_, fast) = RAIL_PARTS
+    growth = {"D": (base, slow), "b": (base, slow), "Lb": (rods, fast), "dLb": (rods, fast)}
+    return WarmParts(growth)
+
+
 def bending(size: float, rng: np.random.Generator, n: int) -> Any:
     return more.BentByInertia(tuple(np.abs(some(size, rng, n)) ** -0.5))
 
@@ -368,14 +466,22 @@ def slanted(size: float, rng: np.random.Generator, n: int) -> Any:
     return vs.Gauge(PLATE, slant=(x, y))
 
 
-def known(kind: vf.Kind) -> Callable[..., Any]:
-    return lambda size, rng, n: kind.make(size, rng)
-
-
 KINDS = {
-    "screw, periodic": Kind(("screw_pitch_error",), ("stewart", "linear delta"), wobble, 10e-6),
+    "screw, periodic": Kind(
+        ("screw_pitch_error",),
+        ("stewart", "linear delta"),
+        wobble,
+        10e-6,
+        constants=lambda screw: {"lead": screw.lead},
+    ),
     "screw, growing": Kind(("screw_pitch_error",), ("stewart", "linear delta"), growing, 10e-6),
-    "lobed ring": Kind(("encoder_harmonic",), ("delta",), lobes, 0.3e-3),
+    "lobed ring": Kind(
+        ("encoder_harmonic",),
+        ("delta",),
+        lobes,
+        0.3e-3,
+        constants=lambda ring: {"order": ring.lobes},
+    ),
     "cross-talk": Kind(("encoder_crosstalk",), ("delta", "stewart"), dragged, 1e-3),
     "knock": Kind(("device_bump",), ("delta", "stewart"), knock, 20e-6),
     "bent space": Kind(("device_field",), ("fine delta", "stewart"), bent, 1e-3),
@@ -386,7 +492,16 @@ KINDS = {
     "pulleys": Kind(("pulley_radius",), ("four lines", "eight lines"), pulleys, 5e-3),
     "taut lines": Kind(("line_flex",), ("four lines", "eight lines"), taut, 0.3e-3),
     "sagging lines": Kind(("line_sag",), ("four lines", "eight lines"), hanging, 1e-4),
-    "creep": Kind(("line_creep",), ("four lines", "eight lines"), creeping, 0.1e-3),
+    "creep": Kind(
+        ("line_creep",),
+        ("four lines", "eight lines"),
+        creeping,
+        0.1e-3,
+        constants=lambda found: {
+            "ratio": found["creep"].times[1] / found["creep"].times[0],
+            "tau": found["creep"].times[1],
+        },
+    ),
     "rubbing gears": Kind(("load_friction",), ("lifting delta", "lifting arm"), rubbing, 1e-5),
     "rubbing screws": Kind(("load_friction",), ("lifting stewart",), rubbing, 1e-8),
     "stiffening gears": Kind(
@@ -395,29 +510,38 @@ KINDS = {
         stiffening,
         1e-4,
         "joint_compliance",
+        constants=lambda gears: {"torque": float(np.sqrt(gears.k1[0] ** 3 / gears.k3[0]))},
     ),
-    "beating gears": Kind(("strain_wave_ripple",), ("delta", "lifting arm"), beating, 0.3e-3),
-    "uneven pitch": Kind(("encoder_interpolation",), ("stewart", "linear delta"), notched, 10e-6),
+    "beating gears": Kind(
+        ("strain_wave_ripple",),
+        ("delta", "lifting arm"),
+        beating,
+        0.3e-3,
+        constants=lambda gears: {"ratio": gears.ratio},
+    ),
+    "uneven pitch": Kind(
+        ("encoder_interpolation",),
+        ("stewart", "linear delta"),
+        notched,
+        10e-6,
+        constants=lambda scale: {"period": scale.pitch},
+    ),
     "bending by inertia": Kind(
-        ("acceleration_lag",), ("moving delta", "moving stewart"), bending, 0.1e-3
+        ("acceleration_lag",), ("moving delta", "moving stewart", "moving arm"), bending, 0.1e-3
     ),
+    "late drives": Kind(
+        ("servo_lag",), ("moving stewart", "moving delta", "moving arm"), trailing, 1e-3
+    ),
+    "warm legs": Kind(("thermal_expansion_by_part",), ("warmed stewart",), warm_legs, 2e-6),
+    "warm rods": Kind(("thermal_expansion_by_part",), ("warmed linear delta",), warm_rods, 2e-6),
     "bed": Kind(("bed_shape",), ("gauged stewart",), bed, 1e-3),
     "probe beside": Kind(("probe_offset",), ("gauged stewart",), beside, 0.1e-3),
     "probe slanted": Kind(("probe_tilt",), ("gauged stewart",), slanted, 5e-3),
-    **{
-        name: Kind(
-            kind.names,
-            ("fine delta" if kind.noise != vr.THESIS_NOISE else "delta",),
-            known(kind),
-            kind.size,
-        )
-        for name, kind in vf.KINDS.items()
-    },
 }
 
 
-def sized(robot: Robot, kind: Kind, wanted: float, seed: int) -> Any:
-    """The effect so large that the geometry leaves `wanted` sigmas of it."""
+def sized(robot: Robot, kind: Kind, seed: int) -> Any:
+    """The effect so large that the geometry leaves SIZE sigmas of it."""
     size, joints = kind.size, len(robot.model().joints)
 
     def effect() -> Any:
@@ -428,63 +552,216 @@ def sized(robot: Robot, kind: Kind, wanted: float, seed: int) -> Any:
         model = model.with_effect(kind.special)
     for _ in range(2):
         still = fit(model, robot.measured([effect()], seed, loud=0.0), hold_out=0, insist=True)
-        size *= wanted / float(np.sqrt(still.estimate.chi2_per_dof))
+        size *= SIZE / float(np.sqrt(still.estimate.chi2_per_dof))
     return effect()
 
 
-@dataclass
-class Tally:
-    """What became of the draws of one kind."""
+@dataclass(frozen=True)
+class Case:
+    """One session: the robot, what hides in it (a key of KINDS, empty for nothing), the seed."""
 
-    named: Counter[str] = field(default_factory=Counter)
-    verdicts: Counter[str] = field(default_factory=Counter)
-    others: Counter[str] = field(default_factory=Counter)
+    robot: str
+    hidden: str
+    seed: int
 
-    def add(self, found: Diagnosis, names: tuple[str, ...]) -> None:
-        self.verdicts[found.verdict.word] += 1
-        groups = [{name, *found.swaps.get(name, [])} for name in found.effects]
-        right = [g for g in groups if g & {*names}]
-        how = "or" if right else "not"
-        if any(g <= {*names} for g in right):
-            how = "alone"
-        self.named[how] += 1
-        self.others.update("/".join(sorted(g)) for g in groups if not g <= {*names})
-
-    def words(self) -> str:
-        alone, either, missed = (self.named[k] for k in ("alone", "or", "not"))
-        counts = f"alone {alone}, in A or B {either}, not {missed}"
-        return f"{counts}; {dict(self.verdicts)}; otherwise {dict(self.others)}"
+    @property
+    def row(self) -> str:
+        return f"{self.hidden or 'nothing'} on {self.robot}"
 
 
-def hidden(robot: Robot, kind: Kind, draws: int) -> str:
-    tally = Tally()
-    for seed in range(draws):
-        effect = sized(robot, kind, SIZES[seed % len(SIZES)], seed)
-        tally.add(diagnose(robot.model(), robot.measured([effect], seed)), kind.names)
-    return tally.words()
+@dataclass(frozen=True)
+class Outcome:
+    """What the program said, and true rms position errors (m) of the fitted geometry, of the model
+    that `add` made, and of the best possible one. `best` is None for an error of the device."""
+
+    case: Case
+    verdict: str
+    named: tuple[str, ...]  # "a" or "a or b"
+    before: float
+    after: float
+    best: float | None
+    refused: str = ""
+    seconds: float = 0.0  # of the processor
+
+    @property
+    def how(self) -> str:
+        """Whether what hides was named `alone`, in an `or`, or `not`."""
+        names = {*KINDS[self.case.hidden].names}
+        groups = [g for n in self.named if (g := {*n.split(" or ")}) & names]
+        return "not" if not groups else "alone" if any(g <= names for g in groups) else "or"
+
+    @property
+    def right(self) -> bool:
+        return not self.named if not self.case.hidden else self.how != "not"
 
 
-def nothing(robot: Robot, draws: int) -> str:
-    tally = Tally()
-    for seed in range(draws):
-        tally.add(diagnose(robot.model(), robot.measured([], seed)), ())
-    return tally.words()
+def true_error(model: Model, robot: Robot, effects: list[Any], seed: int) -> float:
+    """Rms position error (m) at other poses of the same robot."""
+    own = [e for e in effects if isinstance(e, dict) or type(e).device is vr.Effect.device]
+    other = robot.measured(own, seed + OTHER, loud=0.0)
+    found = Kinematics(model.robot()).direct(other.q, other.conditions)
+    return float(np.sqrt(np.mean(np.sum((found.position - other.r) ** 2, axis=1))))
 
 
-def studies(draws: int) -> Iterator[tuple[str, Callable[[], str]]]:
-    for at, robot in ROBOTS.items():
-        yield f"nothing on {at}", lambda robot=robot: nothing(robot, 2 * draws)
-    for (name, kind), at in product(KINDS.items(), ROBOTS):
-        if at in kind.robots:
-            yield f"{name} on {at}", lambda k=kind, r=ROBOTS[at]: hidden(r, k, draws)
+def run(case: Case) -> Outcome:
+    """Diagnose a session as a user does, add what was found, and judge the result by the truth."""
+    begin = time.process_time()
+    robot, effects = ROBOTS[case.robot], []
+    if case.hidden:
+        effects = [sized(robot, KINDS[case.hidden], case.seed)]
+    data, model = robot.measured(effects, case.seed), robot.model()
+    found = diagnose(model, data)
+    named = tuple(" or ".join([name, *found.swaps.get(name, ())]) for name in found.effects)
+    plain = fit(model, data, insist=True).model
+    served, refused = plain, ""
+    if found.additions:
+        try:
+            served = add(plain, "+".join(found.additions), data).model
+        except FitError as error:
+            refused = str(error)
+    errors = [true_error(m, robot, effects, case.seed) for m in (plain, served)]
+    seconds = round(time.process_time() - begin, 2)
+    best = best_error(case, model, data, effects)
+    return Outcome(case, found.verdict.word, named, *errors, best, refused, seconds)
+
+
+def best_error(case: Case, model: Model, data: Dataset, effects: list[Any]) -> float | None:
+    """True error of the model with what truly hides, fitted to the same samples."""
+    if case.hidden:
+        kind = KINDS[case.hidden]
+        if not isinstance(effects[0], dict) and type(effects[0]).device is not vr.Effect.device:
+            return None
+        model = model.with_effect(kind.names[0], kind.constants(effects[0]))
+    best = fit(model, data, insist=True).model
+    return true_error(best, ROBOTS[case.robot], effects, case.seed)
+
+
+def rows() -> Iterator[tuple[str, str]]:
+    """Yield (robot, what hides) of every row, first those of nothing."""
+    yield from ((at, "") for at in ROBOTS)
+    yield from ((at, name) for name, kind in KINDS.items() for at in kind.robots)
+
+
+def list_cases(draws: int, wanted: list[str]) -> list[Case]:
+    """Cases in the order in which to run them; twice as many draws with nothing hidden."""
+    cases = []
+    for first in range(0, draws, ROUND):
+        for at, name in rows():
+            times = 1 if name else 2
+            seeds = range(times * first, times * min(first + ROUND, draws))
+            cases += [Case(at, name, seed) for seed in seeds]
+    return [c for c in cases if not wanted or any(w in c.row for w in wanted)]
+
+
+def kept(file: Path) -> dict[Case, Outcome]:
+    """The outcomes that a file of earlier slices holds."""
+    if not file.exists():
+        return {}
+    lines = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
+    found = [Outcome(**(a | {"case": Case(**a["case"]), "named": (*a["named"],)})) for a in lines]
+    return {outcome.case: outcome for outcome in found}
+
+
+def grouped(outcomes: list[Outcome]) -> dict[tuple[str, str], list[Outcome]]:
+    """Outcomes by row, in the order of the rows."""
+    groups: dict[tuple[str, str], list[Outcome]] = {row: [] for row in rows()}
+    for outcome in outcomes:
+        groups[outcome.case.robot, outcome.case.hidden].append(outcome)
+    return {row: some for row, some in groups.items() if some}
+
+
+def ratio_to_best(some: list[Outcome]) -> float:
+    """Rms true error after `add`, over that of the best possible models."""
+    errors = np.array([(o.after, o.best) for o in some if o.best is not None]).reshape(-1, 2)
+    if not len(errors):
+        return np.nan
+    after, best = np.sqrt(np.mean(errors**2, axis=0))
+    return float(after / best)
+
+
+def describe(some: list[Outcome]) -> str:
+    """Return a row in words, with what was named besides what hides."""
+    case, hows = some[0].case, count_hows(some)
+    errors = [1e6 * rms([getattr(o, side) for o in some]) for side in ("before", "after")]
+    named = ", ".join(f"{words} {hows[how]}" for how, words in HOWS.items())
+    return (
+        f"{case.row}, {len(some)}: {named}; {dict(Counter(o.verdict for o in some))}; otherwise "
+        f"{dict(list_others(some))}; true error {errors[0]:.1f} -> {errors[1]:.1f} um, "
+        f"{ratio_to_best(some):.2f} of the best; {np.mean([o.seconds for o in some]):.1f} s"
+    )
+
+
+def count_hows(some: list[Outcome]) -> Counter[str]:
+    """Return how often what hides was named; nothing that hides counts as not named."""
+    return Counter(o.how if o.case.hidden else "not" for o in some)
+
+
+def list_others(some: list[Outcome]) -> Counter[str]:
+    """Return what was named besides what hides, in how many sessions."""
+    hidden = some[0].case.hidden
+    names = {*KINDS[hidden].names} if hidden else set()
+    return Counter(n for o in some for n in o.named if not {*n.split(" or ")} & names)
+
+
+def rms(values: list[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def table_lines(outcomes: list[Outcome]) -> list[str]:
+    """Return the lines of the page's table: a row for each robot and what hides in it."""
+    lines = [
+        "| hidden | robot | sessions | named alone | in an `A or B` | not named | interval | other "
+        "names | true error | over the best |",
+        "| --- | --- | --: | --: | --: | --: | --: | --: | --: | --: |",
+    ]
+    for (robot, hidden), some in grouped(outcomes).items():
+        hows, right = count_hows(some), sum(o.right for o in some)
+        what = f"{hidden} (`{'` or `'.join(KINDS[hidden].names)}`)" if hidden else "nothing"
+        before, after = (
+            1e6 * rms([getattr(o, side) for o in some]) for side in ("before", "after")
+        )
+        cells = [what, WORDS[robot], str(len(some))]
+        cells += [str(hows[how]) if hidden else "-" for how in ("alone", "or")] + [str(hows["not"])]
+        cells += [interval(right, len(some)), str(sum(list_others(some).values()))]
+        ratio = ratio_to_best(some)
+        cells += [f"{before:.3g} -> {after:.3g} um", f"{ratio:.2f}" if np.isfinite(ratio) else "-"]
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
+
+
+def write_page() -> None:
+    """Put the table of all outcomes in STUDY between the two marks of the page."""
+    before, _, rest = PAGE.read_text(encoding="utf-8").partition(START)
+    _, _, after = rest.partition(END)
+    lines = "\n".join(table_lines([*kept(STUDY).values()]))
+    write_atomically(PAGE, f"{before}{START}\n\n{lines}\n\n{END}{after}")
 
 
 def main() -> None:
-    draws = int(sys.argv[1]) if len(sys.argv) > 1 else 10
-    wanted = sys.argv[2:]
-    for name, study in studies(draws):
-        if not wanted or any(w in name for w in wanted):
-            print(f"{name}: {study()}", flush=True)
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--draws", type=int, default=10)
+    parser.add_argument("--results", type=Path)
+    parser.add_argument("--minutes", type=float, default=math.inf)
+    parser.add_argument("--page", action="store_true", help=f"only write the table of {PAGE.name}")
+    parser.add_argument("row", nargs="*")
+    given = parser.parse_args()
+    if given.page:
+        return write_page()
+    cases = list_cases(given.draws, given.row)
+    outcomes = kept(given.results) if given.results else {}
+    until = time.monotonic() + 60 * given.minutes
+    for case in cases:
+        if case in outcomes:
+            continue
+        if time.monotonic() > until:
+            break
+        outcomes[case] = run(case)
+        if given.results:
+            with given.results.open("a", encoding="utf-8") as lines:
+                lines.write(json.dumps(asdict(outcomes[case])) + "\n")
+    done = [outcomes[c] for c in cases if c in outcomes]
+    for some in grouped(done).values():
+        print(describe(some))
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import MultiThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
@@ -65,14 +66,15 @@ class Goal:
 class ActionRobot:
     """Faults are attributes: `stuck` is the number of a joint that does not move, `lag` (rad) how
     far the joints stay behind, `accepts` and `obeys` whether goals and cancels are accepted. Goals
-    are answered while `answers` is set, followed and reported while `reports` is set.
+    are answered while `answers` is set, followed and reported while `reports` is set. The next
+    `losses` goals are not answered until the robot is repaired.
 
     `goals` are the trajectories so far, `rate` is how fast its clock is.
     """
 
     def __init__(self, namespace, rate=2.0):
         self.goals, self.rate = [], rate
-        self.answers, self.reports = Event(), Event()
+        self.answers, self.reports, self.losses, self._found = Event(), Event(), 0, Event()
         self.repair()
         self._body = MACHINES["delta"].make_nominal()
         self._q, self._speed = self._body.inverse(HOME[None])[0][0], np.zeros(3)
@@ -93,8 +95,12 @@ class ActionRobot:
     def repair(self):
         """Set all attributes as they are without a fault."""
         self.stuck, self.lag, self.accepts, self.obeys = 0, 0.0, True, True
-        self.answers.set()
-        self.reports.set()
+        for event in (self.answers, self.reports, self._found):
+            event.set()
+
+    def lose(self, n):
+        """Lose the next n goals."""
+        self.losses, self._found = n, Event()
 
     def serve(self):
         """Provide the action, again after its `server` was destroyed."""
@@ -120,12 +126,18 @@ class ActionRobot:
         rclpy.try_shutdown(context=self._context)
 
     def _spin(self):
+        # Raised if the server is destroyed while one of its requests is taken.
+        destroyed = InvalidHandle, rclpy_implementation.RCLError
         while not self._stop.is_set():
-            with suppress(InvalidHandle):  # of a server that was destroyed in the middle of a goal
+            with suppress(*destroyed):
                 self._executor.spin_once(timeout_sec=0.05)
 
     def _judge(self, goal):
         self.answers.wait()
+        if self.losses:
+            self.losses -= 1
+            self._found.wait()
+            return GoalResponse.REJECT
         return (GoalResponse.REJECT, GoalResponse.ACCEPT)[self.accepts]
 
     def _execute(self, handle):

@@ -9,6 +9,7 @@ import virtual_camera as vc
 from arms import nominal
 from scipy.optimize import least_squares
 
+from parallel_cal.identification.position_uncertainty import compute_shape_covariance
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.recordings.dataset import Dataset
@@ -22,12 +23,14 @@ TRACKER = 30e-6  # m
 
 @dataclass(frozen=True)
 class Visits:
-    """Joint readings (N, nq) without noise, directions (N, nq), and true poses of the platform."""
+    """Joint readings (N, nq) without noise, directions (N, nq), true poses of the platform, and
+    payloads (N,) in kg."""
 
     q: np.ndarray
     direction: np.ndarray
     r: np.ndarray
     R: np.ndarray
+    payload: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,7 @@ class Cell:
     board: vc.Board = field(default_factory=vc.Board)
     sigma: float = 0.3
     name: str = "camera"
+    payloads: tuple[float, ...] = ()  # kg, one after the other; empty: none, and none recorded
 
     @property
     def drawn(self) -> Model:
@@ -56,7 +60,7 @@ class Cell:
             q = np.array(arm.home) + rng.uniform(-0.25, 0.25, (n, 6))
             direction = np.sign(np.diff(q, axis=0, prepend=np.array(arm.home)[None]))
             T = arm.reached(q, direction)
-            return Visits(q, direction, T[:, :3, 3], T[:, :3, :3])
+            return Visits(q, direction, T[:, :3, 3], T[:, :3, :3], np.zeros(n))
         robot = MACHINES[self.kind].make_built(self.seed)
         drawn = MACHINES[self.kind].make_nominal()
         if self.kind == "delta":
@@ -68,10 +72,15 @@ class Cell:
             q, *start = drawn.inverse(r, R)
             start = (r, R)
         direction = np.sign(np.diff(q, axis=0, prepend=q[-1:]))
-        none = np.zeros(n)
-        at = SampleConditions(none, none + 20.0, none, direction)
+        none, payload = np.zeros(n), np.resize(self.payloads or (0.0,), n)
+        at = SampleConditions(none, none + 20.0, payload, direction)
         _, r, R = solve_true_pose(robot, self.effects, q, at, start)
-        return Visits(q, direction, r, R)
+        return Visits(q, direction, r, R, payload)
+
+    def _record(self, at: Visits) -> dict[str, np.ndarray]:
+        """Return the conditions that the controller records."""
+        sides = {f"direction.{j}": at.direction[:, i] for i, j in enumerate(self.drawn.joints)}
+        return sides | ({"payload": at.payload} if self.payloads else {})
 
     def camera(self) -> vc.Camera:
         """Place a camera 0.6 m from the board in the middle of the poses, tilted against it."""
@@ -124,7 +133,6 @@ class Cell:
         self, at: Visits, rng: np.random.Generator, readings: dict, r: np.ndarray | None = None
     ) -> Dataset:
         joints = self.drawn.joints
-        sides = {f"direction.{j}": at.direction[:, i] for i, j in enumerate(joints)}
         return Dataset.from_arrays(
             joints,
             at.q + ENCODER[self.kind] * rng.standard_normal(at.q.shape),
@@ -132,7 +140,7 @@ class Cell:
             measured=[r is not None] * 3 + [False] * 3,
             pose_cov=np.diag([TRACKER**2] * 3 + [1.0] * 3),
             joint_sigma=[ENCODER[self.kind]] * len(joints),
-            conditions=readings | sides,
+            conditions=readings | self._record(at),
             source="virtual camera" if r is None else "virtual tracker",
             frame="" if r is None else "tracker",
         )
@@ -140,13 +148,24 @@ class Cell:
     def error_at_unseen_poses(self, model: Model, n: int = 200) -> float:
         """Rms distance (m) of predicted and true positions of poses that no fit has seen, after the
         best frames of base and platform: no measurement of poses determines these."""
+        return float(
+            np.sqrt(np.mean(np.sum(self.errors_at_unseen_poses(model, n)[0] ** 2, axis=1)))
+        )
+
+    def errors_at_unseen_poses(
+        self, model: Model, n: int = 200
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return these differences (n, 3) m, and the sigmas (n, 3) m that the model states."""
         at = self.draw_poses(n, np.random.default_rng([self.seed, 99]))
-        sides = {f"direction.{j}": at.direction[:, i] for i, j in enumerate(model.joints)}
-        reached = Kinematics(model).direct(at.q, sides)
+        recorded = self._record(at)
+        reached = Kinematics(model).direct(at.q, recorded)
 
         def away(u: np.ndarray) -> np.ndarray:
             shown = (at.r + at.R @ u[6:]) @ turn(u[:3]).T + u[3:6]
             return (shown - reached.position).ravel()
 
         left = away(least_squares(away, np.zeros(9), x_scale="jac").x).reshape(-1, 3)
-        return float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
+        spread = compute_shape_covariance(model, at.q, recorded)
+        if spread is None:
+            return left, None
+        return left, np.sqrt(np.diagonal(spread, axis1=1, axis2=2))

@@ -19,6 +19,7 @@ from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.virtual import robot as vr
+from parallel_cal.virtual.joint_effects import Visit
 
 FIRST_SIZE = 1.0  # times the noise of a joint: the sizes of laws are scaled from here
 
@@ -141,24 +142,40 @@ ROBOTS = {
 
 
 def _conditions(
-    robot: Robot, day: vd.Session, reading: vr.Array
-) -> tuple[vr.SampleConditions, dict[str, vr.Array]]:
+    robot: Robot, day: vd.Session, needs: frozenset[str] = frozenset()
+) -> tuple[Visit, dict[str, vr.Array]]:
+    """What happened at each sample, and what of it was recorded: what a law `needs`, too.
+
+    The speed of each joint is drawn, in its direction. The second half of the samples is another
+    session.
+    """
     at = day.at(day.arrive + day.dwell / 2)
-    ways = np.diff(reading, axis=0, prepend=day.home[None])
-    known = {f"direction.{j}": at.direction[:, i] for i, j in enumerate(robot.kin.joints)}
-    known |= {f"travel.{j}": findings.travel(ways[:, i]) for i, j in enumerate(robot.kin.joints)}
-    return at, known | {
-        "time": at.time,
-        "temperature": at.temperature,
-        "payload": np.asarray(at.payload),
+    n, joints = len(at.time), robot.kin.joints
+    travel = np.column_stack([findings.travel(way) for way in day.ways.T])
+    drawn = np.random.default_rng([n, len(joints)]).uniform(0, 1, (n, len(joints)))
+    session = np.arange(n) * 2 // n
+    at = Visit(
+        **vars(at), travel=travel, velocity=at.direction * drawn * robot.kin.span, session=session
+    )
+    known = {
+        f"{kind}.{joint}": getattr(at, kind)[:, i]
+        for kind in ("direction", "travel", *sorted(needs & {"velocity"}))
+        for i, joint in enumerate(joints)
     }
+    common = {"time", "temperature", "payload", *(needs & {"session"})}
+    return at, known | {name: np.asarray(getattr(at, name), float) for name in sorted(common)}
 
 
 def measured(
-    robot: Robot, day: vd.Session, effects: list[vr.Effect], noise: vr.Noise, seed: int
+    robot: Robot,
+    day: vd.Session,
+    effects: list[vr.Effect],
+    noise: vr.Noise,
+    seed: int,
+    needs: frozenset[str] = frozenset(),
 ) -> Dataset:
     """What is measured on such a day, as a Dataset with every condition recorded."""
-    at, known = _conditions(robot, day, day.reading)
+    at, known = _conditions(robot, day, needs)
     _, r, R = vr.truth(robot.built, effects, day.reading, at)
     q_error, r_error, w_error = noise.draw(
         np.random.default_rng([seed, 9]), len(r), len(robot.kin.joints)
@@ -198,7 +215,7 @@ def hiding(
     hidden = kind(robot.kin, np.random.default_rng([seed, 3]))
     day = robot.day(seed, **visits)
     effect = sized(robot, hidden.make, day, sigmas)
-    return measured(robot, day, [effect], robot.noise, seed), hidden, effect
+    return measured(robot, day, [effect], robot.noise, seed, hidden.needs), hidden, effect
 
 
 def compute_true_error(name: str, model: Model, effect: vr.Effect, seed: int, end: float) -> float:
@@ -206,7 +223,7 @@ def compute_true_error(name: str, model: Model, effect: vr.Effect, seed: int, en
     session, which took until `end` (s)."""
     robot = ROBOTS[name]
     day = robot.day(seed + 10_000, 60, 0)
-    at, known = _conditions(robot, day, day.reading)
+    at, known = _conditions(robot, day, frozenset({"velocity", "session"}))
     known["time"] = known["time"] * end / known["time"].max()
     at = replace(at, time=known["time"])
     _, r, _ = vr.truth(robot.built, [effect], day.reading, at)

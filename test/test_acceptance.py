@@ -14,7 +14,7 @@ from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.search import Search
 from parallel_cal.identification.acceptance import IN_SAMPLE, acceptance, format_errors
-from parallel_cal.identification.fit import fit, fit_registered, fit_unjudged
+from parallel_cal.identification.fit import fit, fit_unjudged
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import Errors, Summary
 from parallel_cal.model.file.modelfile import read_model, write_model
@@ -233,7 +233,7 @@ def test_samples_without_a_file_are_known_again_by_their_numbers(recorded):
 @pytest.mark.wide
 def test_a_fit_of_more_numbers_beats_the_fewer_ones_identified_in_the_same_folds(first, recorded):
     more = fitted(first.model, recorded, free=["chain*.D_*"])
-    fewer = fit_registered(first.model, recorded, FitOptions())
+    fewer = fit_unjudged(first.model, recorded, FitOptions()).judge()
     assert np.array_equal(fewer.free, ~first.model.fixed)
     found, told = more.result.held_out_before, fewer.held_out
     assert found.position == pytest.approx(told.position, abs=1e-9)

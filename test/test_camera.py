@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import virtual_camera as vc
 from camera_cells import Cell
+from scipy.optimize import least_squares
 
 import parallel_cal as pc
 from parallel_cal.base.errors import FitError, ModelError, ModelFileError
@@ -16,7 +17,9 @@ from parallel_cal.identification.placement import place_sensors
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.parameters import Named
-from parallel_cal.reporting.images import list_images, residual_arrows
+from parallel_cal.reporting.image_figures import draw_cameras, residual_arrows
+from parallel_cal.reporting.images import list_images
+from parallel_cal.reporting.projection_uncertainty import ProjectionUncertainty
 from parallel_cal.reporting.text import show
 from parallel_cal.sensors.camera import Camera
 from parallel_cal.virtual.robot import Backlash
@@ -98,6 +101,75 @@ def test_the_report_draws_residuals_as_arrows_over_the_image(hexapod_fit):
     assert figure["layout"]["yaxis"]["range"] == [1023.5, -0.5]  # v points down
     ends = np.array([v for line in figure["data"][:-1] for v in line["x"] if v is not None])
     assert len(ends) == 2 * 2100
+
+
+@pytest.mark.wide
+def test_pictures_of_what_a_camera_saw_say_what_they_show(hexapod_fit):
+    _, found = hexapod_fit
+    corners, worst, lens = draw_cameras(found)
+    assert corners.name == "corners"
+    assert "at poses that were held out, magnified" in corners.words
+    # Six images, with measured and predicted corners and the lines between them.
+    assert len(worst.figure["data"]) == 18
+    sizes = [
+        float(re.search(r"(\d\.\d\d) px rms", axis["title"]["text"])[1])
+        for name, axis in worst.figure["layout"].items()
+        if name.startswith("xaxis")
+    ]
+    assert sizes == sorted(sizes, reverse=True)
+    assert 0.45 < sizes[0] < 0.9
+    colours = lens.figure["data"][0]
+    sigma = np.array(colours["z"], dtype=float)
+    assert sigma[len(sigma) // 2, 16] < 0.05 < 1 < sigma[0, 0]  # corners were seen in the middle
+    assert f"the colours end at {colours['zmax']:.2g} px" in lens.words
+
+
+@pytest.mark.wide
+def test_the_uncertainty_of_the_projection_is_that_of_an_independent_camera(hexapod_fit):
+    """Lenses drawn from the covariance, each moved to where it shows the corners seen best."""
+    _, found = hexapod_fit
+    [one] = list_images(found)
+    known = ProjectionUncertainty.of(found, one.camera, one.corners)
+    names = [f"camera.{name}" for name in (*LENS, "k2", "p2")]
+    index = [found.model.table.index_of(name) for name in names]
+    values, spread = found.model.values[index], found.model.covariance[np.ix_(index, index)]
+
+    def project(numbers, points, motion=None):
+        fx, fy, cx, cy, k1, p1, k2, p2 = numbers
+        lens = vc.Lens(fx, fy, cx, cy, (k1, k2, p1, p2), size=(9999, 9999))
+        moved = points if motion is None else points + motion[:3] + np.cross(motion[3:], points)
+        return lens.project(moved)
+
+    def place(pixels):
+        """Find the points that the fitted lens shows at these pixels."""
+        return np.stack(
+            [
+                least_squares(
+                    lambda x, at=pixel: (
+                        project(values, np.array([[*x, 1.0]]))[0] - at if max(abs(x)) < 2 else x
+                    ),
+                    (pixel - values[2:4]) / values[:2],
+                ).x
+                for pixel in pixels
+            ]
+        )
+
+    cells = [(13, 16), (10, 14), (17, 20), (5, 16)]  # rows and columns, the last without corners
+    wanted = np.array([(known.u[column], known.v[row]) for row, column in cells])
+    rays = np.append(place(np.vstack([wanted, one.corners[::4]])), np.ones((4 + 525, 1)), axis=1)
+    points = known.distance * rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    steps = 1e-6 * np.eye(6)
+    slopes = np.stack(
+        [(project(values, points, s) - project(values, points, -s)).ravel() / 2e-6 for s in steps],
+        axis=1,
+    )
+    changes = []
+    for numbers in np.random.default_rng(0).multivariate_normal(values, spread, 400):
+        change = (project(numbers, points) - project(values, points)).ravel()
+        motion = np.linalg.lstsq(slopes[8:], change[8:], rcond=None)[0]
+        changes.append((change - slopes @ motion)[:8].reshape(4, 2))
+    sizes = [np.linalg.eigvalsh(np.cov(np.array(changes)[:, k].T))[-1] ** 0.5 for k in range(4)]
+    assert [known.sigma[cell] for cell in cells] == pytest.approx(sizes, rel=0.25)
 
 
 @pytest.mark.wide

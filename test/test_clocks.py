@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from parallel_cal.recordings.bag import read_bag
-from parallel_cal.recordings.clocks import MAX_DRIVER_DELAY_S, clock_offset
+from parallel_cal.recordings.clocks import MAX_DRIVER_DELAY_S, clock_offset, describe_offset
 from parallel_cal.recordings.loading import dataset_from_recording
 from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.recording import JointStream, PoseStream
@@ -53,6 +53,20 @@ def test_motion_is_paired_as_if_there_were_one_clock():
     fastest = max(np.abs(plain.conditions[f"velocity.{j}"]).max() for j in plain.joint_names)
     assert np.abs(apart).max() < 3e-3 * fastest  # 3 ms of motion
     assert sum("two clocks" in w for w in found.warnings) == 1
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.02, 0.07])
+def test_stamps_of_arrival_are_recognised_by_their_delay_and_their_irregular_intervals(spread):
+    """60 to 200 ms late: the time that a network needs, which varies from message to message."""
+    there = late("delta_crosstalk", 0.13)
+    wait = spread * np.random.default_rng(1).uniform(-1, 1, len(there.pose.time))
+    time = np.maximum.accumulate(there.pose.time + wait)  # messages arrive in their order
+    there = dataclasses.replace(there, pose=dataclasses.replace(there.pose, time=time))
+    found = clock_offset(there.joints, there.pose)
+    assert found.delay == pytest.approx(0.13, abs=6e-3)
+    assert found.jitter == pytest.approx(spread / 3**0.5, rel=0.3, abs=1e-6)
+    words = describe_offset(found, "pose", "joints")
+    assert ("probably times of arrival" in str(words)) == (spread > 0)
 
 
 @pytest.mark.parametrize("name", ["delta_crosstalk", "argos_gear_ripple"])

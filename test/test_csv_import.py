@@ -535,7 +535,7 @@ def test_a_table_is_read_by_the_map_beside_it_or_by_the_stated_one(files, tmp_pa
     assert json.loads(capsys.readouterr().out)["samples"] == 3
     (tmp_path / "t.columns.yaml").unlink()
     assert run("info", table, "--json") == 1
-    assert "no columns the names of the joints" in capsys.readouterr().err
+    assert "nothing states which columns are joints" in capsys.readouterr().err
     assert run("info", table, "--data", f"columns={columns}", "--json") == 0
 
 

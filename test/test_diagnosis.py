@@ -53,7 +53,7 @@ def test_refits_look_for_no_frame_again_and_judge_no_start(monkeypatch, there, r
     """Where the device stands is settled before the first of them, and nobody reads the rest; what
     is chance is not refitted."""
     data = hiding([vf.KINDS["backlash"]], 1.0, 0)[0] if there else clean(0)
-    asked = {"register_device": 0, "errors": 0}
+    asked = {"register_observed": 0, "errors": 0}
 
     def counted(function):
         def call(*arguments):
@@ -62,11 +62,11 @@ def test_refits_look_for_no_frame_again_and_judge_no_start(monkeypatch, there, r
 
         return call
 
-    for module, name in ((given_model, "register_device"), (fitting, "errors")):
+    for module, name in ((given_model, "register_observed"), (fitting, "errors")):
         monkeypatch.setattr(module, name, counted(getattr(module, name)))
     found = diagnose(MODEL, data, effects=["backlash"])
     folds = len(found.dataset.folds(0.25, 0))
-    assert asked == {"register_device": 1, "errors": refits * (folds + 1)}
+    assert asked == {"register_observed": 1, "errors": refits * (folds + 1)}
     assert (found.entries[0].alone is not None) is there
 
 

@@ -1,6 +1,7 @@
 """Noise that is not white, or not as stated, is said to be that, and named as nothing else."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,8 +9,10 @@ import virtual_blind as vb
 import virtual_findings as vf
 from findings import dataset, quiet, sized
 
+from parallel_cal.diagnosis import verdict
 from parallel_cal.diagnosis.diagnose import diagnose
-from parallel_cal.diagnosis.noise import PureError
+from parallel_cal.diagnosis.noise import NoiseLevel, PureError
+from parallel_cal.diagnosis.remaining import RemainingCondition
 from parallel_cal.model.model import new_model
 from parallel_cal.virtual import robot as vr
 
@@ -38,6 +41,32 @@ def test_visits_that_differ_by_more_than_the_stated_noise_may_be_noise_or_motion
     assert found.remaining is None
     assert found.noise.misstated == pytest.approx(2.0, abs=0.2)
     assert found.base.fitted.estimate.chi2_per_dof > 3
+
+
+@pytest.mark.parametrize(
+    ("remaining", "word"),
+    [(None, "at_noise"), (RemainingCondition("payload", 1e-28), "unexplained")],
+)
+def test_what_depends_on_a_condition_is_no_noise_though_revisited_poses_differ_as_much(
+    remaining, word, monkeypatch
+):
+    """Visits under other loads differ by what the load does: without a stated noise, that passed
+    for noise, and the verdict was `at_noise`."""
+    seen = PureError(1.0, 132)
+    found = SimpleNamespace(
+        final_estimate=SimpleNamespace(chi2_per_dof=1.0, dof=850),
+        noise=NoiseLevel(1.0, seen.dof, "replicates", seen),
+        remaining=remaining,
+        refused=("the compliance would have to be negative",),
+        shape=SimpleNamespace(remarks=()),
+        best=SimpleNamespace(fitted=None),
+        structure=SimpleNamespace(has_structure=False),
+    )
+    monkeypatch.setattr(verdict.Region, "of", lambda fitted: None)
+    monkeypatch.setattr(verdict, "_uncertainty", lambda found: "")
+    judged = verdict._nothing_found(found, "error 15.1 um")
+    assert judged.word == word
+    assert "the compliance would have to be negative" in judged.summary
 
 
 @pytest.mark.wide

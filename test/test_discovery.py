@@ -25,7 +25,12 @@ from parallel_cal.cli import main as cli
 from parallel_cal.diagnosis.catalogue import find_new_parameters
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.scene import columns as compute_effect_columns
-from parallel_cal.discovery.discovery import discover, find_winner
+from parallel_cal.discovery.discovery import (
+    discover,
+    find_winner,
+    refine_members,
+    sort_by_preference,
+)
 from parallel_cal.discovery.drivers import list_drivers
 from parallel_cal.discovery.effect_file import load_text, write_effect, write_effect_file
 from parallel_cal.discovery.folds import choose_in_folds
@@ -55,6 +60,7 @@ from parallel_cal.virtual import robot as vr
 SIZES = {
     "delta": {
         laws.spring: 3.8e-4,
+        laws.gap: 9.6e-4,
         laws.lag: 1.05e-4,
         laws.friction: 3.1e-4,
         laws.cross: 2.3e-3,
@@ -67,6 +73,9 @@ SIZES = {
         laws.sag: 1.5e-4,
         laws.soft_column: 2.3e-4,
         laws.rod_play: 6e-5,
+        laws.thick_grease: 9.9e-4,
+        laws.stretched_belt: 1.6e-3,
+        laws.new_zero: 1.2e-3,
     },
     "hexapod": {laws.spring: 3.6e-4, laws.lag: 6.9e-6},
     "arm": {laws.cross: 2.4e-4, laws.coupling: 2.3e-4, laws.dent: 1.1e-3},
@@ -79,7 +88,8 @@ def hiding(name, kind, seed=0, visits=(90, 20)):
     robot = ls.ROBOTS[name]
     hidden = kind(robot.kin, np.random.default_rng([seed, 3]))
     day, effect = robot.day(seed, *visits), hidden.make(SIZES[name][kind])
-    return ls.measured(robot, day, [effect], robot.noise, seed), hidden, effect, day.end
+    data = ls.measured(robot, day, [effect], robot.noise, seed, hidden.needs)
+    return data, hidden, effect, day.end
 
 
 @pytest.fixture(scope="module")
@@ -445,11 +455,16 @@ def test_a_formula_takes_the_term_that_made_the_error_and_its_coefficient(scene)
         ("time", "settling", lambda t: 1 - np.exp(-t / 400)),
         ("radius", "saturating", lambda r: np.tanh(r / 0.03)),
         ("travel.joint1", "saturating", lambda way: np.tanh(way / 0.2)),
+        ("travel.joint1", "absolute", np.abs),
         ("velocity.joint1", "linear", lambda speed: speed),
+        ("velocity.joint1", "sign", np.sign),
         ("session", "linear", lambda number: number),
+        ("joint1", "sin", lambda q: np.sin(11 * q)),
+        ("x", "cubic", lambda x: (x / 0.06) ** 3),
+        ("radius", "quadratic", lambda r: (r / 0.06) ** 2),
     ],
 )
-def test_a_formula_has_a_term_for_lags_saturation_speed_and_sessions(scene, driver, word, law):
+def test_a_formula_has_a_term_for_each_form_of_an_error(scene, driver, word, law):
     n = len(scene.dataset)
     speed = np.random.default_rng(0).uniform(-0.5, 0.5, n)
     known = scene.dataset.conditions | {
@@ -551,6 +566,62 @@ def test_of_equally_good_laws_that_of_a_joints_own_reading_comes_first(scene):
     winner = find_winner(targets, [(100.0, one) for one in rivals])
     assert winner.formula.hypothesis is rivals[1]
     assert [one.hypothesis for one in winner.equal] == [rivals[0]]
+
+
+@pytest.mark.parametrize(("shares", "each"), [((1.0, 1.0, 1.0), False), ((1.0, 0.8, 1.2), True)])
+def test_members_get_coefficients_of_their_own_if_they_differ(scene, shares, each):
+    screening = Screening(scene, list_sites(list_places(scene)), list_drivers(scene))
+    (site,) = _find_sites(scene, ("joints", False))
+    own = tuple(one for one in list_drivers(scene) if one.family == "direction")
+    laws = [
+        (place, 2e-4 * share * one.values)
+        for place, share, one in zip(site.members, shares, own, strict=True)
+    ]
+    targets = _leave(scene, laws)
+    common = find_formula(targets, Hypothesis(site, (own,)))
+    found = refine_members(targets, common, screening)
+    assert common.hypothesis.site.each is False
+    assert found.hypothesis.site.each is each
+    assert refine_members(targets, found, screening) is found
+    if each:
+        off = found.coefficients[0] - 2e-4 * np.array(shares)
+        assert np.all(np.abs(off) < 4 * found.sigma[0])
+
+
+def test_an_error_that_depends_on_a_reading_is_one_of_the_reading(scene):
+    """One wave of an offset of all chains has fewer coefficients than one of each joint."""
+    offset, joints = _find_sites(scene, ("b_z", False), ("joints", True))
+    drivers = tuple(one for one in list_drivers(scene) if one.family == "reading")
+    loads = (next(one for one in list_drivers(scene) if one.name == "payload"),) * 3
+    wave = tuple(Term(((0, Factor(kind, (1.0,))),)) for kind in ("sin", "cos"))
+    columns = np.zeros((len(scene.residual), 1))
+
+    def judge(site, own):
+        values = np.ones((2, 3 if site.each else 1))
+        return Formula(Hypothesis(site, (own,)), wave, values, values, 0.0, columns).preference
+
+    assert judge(joints, drivers) < judge(offset, drivers)
+    assert judge(offset, loads) < judge(joints, loads)
+
+
+@pytest.mark.parametrize(("gained", "first"), [(1.0, "D_x"), (4.0, "joints")])
+def test_of_laws_of_the_same_quantity_a_clearly_likelier_one_comes_first(scene, gained, first):
+    """Though it has more coefficients: the evidence counts them already."""
+    columns = np.zeros((len(scene.residual), 1))
+    loads = tuple(one for one in list_drivers(scene) if one.family == "load")
+
+    def write(name, each, factor, evidence):
+        (site,) = _find_sites(scene, (name, each))
+        values = np.ones((1, 3 if each else 1))
+        hypothesis, terms = Hypothesis(site, (loads,)), (Term(((0, factor),)),)
+        return Formula(hypothesis, terms, values, values, evidence, columns)
+
+    simple = write("D_x", False, Factor("power", (1.0,)), 290.0)
+    exact = write("joints", True, Factor("saturating", (0.3,)), 290.0 + gained)
+    poor = write("La_x", False, Factor("power", (1.0,)), 280.0)
+    found = sort_by_preference([simple, exact, poor])
+    assert found[0].hypothesis.site.name == first
+    assert {one.hypothesis.site.name for one in found} == {"D_x", "joints"}
 
 
 def _column_of(scene, effect, parameter):
@@ -707,7 +778,7 @@ def test_with_the_reading_of_another_joint_a_joint_errs_rather_than_a_part_of_it
         hypothesis = Hypothesis(Site(place, (places[place],)), ((drivers[driver],),))
         line = (Term(((0, Factor("power", (1.0,))),)),)
         one = np.ones((1, 1))
-        return Formula(hypothesis, line, one, one, 0.0, columns).complexity
+        return Formula(hypothesis, line, one, one, 0.0, columns).preference
 
     assert judge("joint2", "joint1") < judge("chain2.La_y", "joint1")
     assert judge("joint2", "joint2") < judge("chain2.La_y", "joint2")

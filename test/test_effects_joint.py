@@ -18,6 +18,7 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.methods.implicit import estimate
 from parallel_cal.identification.observations import observe
+from parallel_cal.model.drive import Drive
 from parallel_cal.model.effect import Seen
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.model import new_model
@@ -689,3 +690,11 @@ def test_a_joint_that_runs_on_a_spool_has_no_screw():
     hexapod = read_model(root / "real" / "jugglebot" / "model.yaml").mechanism
     reason = load_effect("screw_pitch_error").applies(hexapod)
     assert reason == "no screw moves its joints: the model file states other drives"
+
+
+def test_a_line_has_a_screw_only_if_the_model_file_states_one():
+    lines = load_mechanism("cable", anchors=[[-1, 1], [1, 1], [1, -1], [-1, -1]])
+    effect = load_effect("screw_pitch_error")
+    assert effect.applies(lines).startswith("its lines wind onto spools")
+    lines.drives = (Drive("screw", per_rev=5e-3),) * 4
+    assert effect.applies(lines) == ""

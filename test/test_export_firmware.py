@@ -55,7 +55,7 @@ def told_frame(remarks):
     """Origin (m) and axes that a remark tells, and the motors' order."""
     origin, axes, order = np.zeros(3), np.eye(3), [0, 1, 2]
     for remark in remarks:
-        if remark.startswith("the origin"):
+        if remark.startswith("frame of the firmware"):
             numbers = np.array([w.strip(",") for w in remark.split() if _is_number(w)], float)
             origin, x, z = numbers[:3] * MM, numbers[3:6], numbers[6:9]
             axes = np.column_stack([x, np.cross(z, x), z])
@@ -531,8 +531,8 @@ def test_a_leaning_bed_is_the_firmwares_zero(tmp_path):
     np.testing.assert_allclose(touched[:, 2], xy @ [0.003, -0.002], atol=0.2e-6)
     assert done.loss["position_max"] < 0.2e-6
     assert done.remarks[0].startswith(
-        "the origin of the firmware's frame is at x 0 y 0 z 0 mm in {B}, its x-axis is 1 0 0.003, "
-        "its y-axis is 0 1 -0.002, its z-axis is 0 0 1. The axes are not orthogonal"
+        "frame of the firmware in {B}: origin x 0 y 0 z 0 mm, x-axis 1 0 0.003, "
+        "y-axis 0 1 -0.002, z-axis 0 0 1. The axes are not orthogonal"
     )
 
 

@@ -111,8 +111,7 @@ def test_an_export_says_which_joint_each_stepper_drives(tmp_path):
     assert done.remarks == [
         "Klipper requires its steppers in counter-clockwise order, seen from above. Enter the pins "
         "of joint3 in [stepper_b] and the pins of joint2 in [stepper_c]",
-        "the origin of the firmware's frame is at x 0 y 0 z 275 mm in {B}, its x-axis is 1 0 0, "
-        "its z-axis is 0 0 -1",
+        "frame of the firmware in {B}: origin x 0 y 0 z 275 mm, x-axis 1 0 0, z-axis 0 0 -1",
         "the firmware's motors are joint1, joint3, joint2, in this order",
     ]
     text = (tmp_path / "printer.cfg").read_text()

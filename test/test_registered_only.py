@@ -11,6 +11,7 @@ from arms import nominal, seen
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.fit import fit
+from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.registration import register_device
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.model import Model
@@ -155,3 +156,15 @@ def test_real_arms_with_an_unknown_reflector_reach_an_independent_fit(kind, inde
     assert shown.registration is not None
     assert result.document()["before"] == shown.errors.document()
     assert result.held_out.summary.position_mean < 1.05 * independent
+
+
+def test_a_model_that_is_judged_by_some_of_its_samples_observes_only_these(arm_in_its_base):
+    """A diagnosis sets knocked samples aside: it must not use what was observed at all samples."""
+    given = GivenModel.of(nominal("ur5"), arm_in_its_base)
+
+    def observed(numbers):
+        judged = given.with_dataset(given.dataset.excluding(numbers))
+        return judged.observe(given.unregistered, judged.dataset, None, False)
+
+    assert len(observed([3])) == len(arm_in_its_base) - 1
+    assert observed([]) is given.unregistered_observations

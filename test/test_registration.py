@@ -16,6 +16,7 @@ from parallel_cal.campaign.judging import JudgementRequest, judge_samples
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.fleet import judging as fleet_judging
+from parallel_cal.identification import observations, registration
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.prediction_errors import errors
@@ -149,3 +150,27 @@ def test_report_and_fleet_show_the_registered_model_before_at_held_out_poses(far
     expected = fit(model, far).held_out_before.summary
     assert HeldOutErrors.of(found).before == expected
     assert fleet_judging._make_row(found)["before"] == expected
+
+
+@pytest.mark.parametrize("far_away", [False, True])
+def test_a_fit_examines_readings_and_predicts_poses_once_for_one_model(monkeypatch, far_away):
+    """Registration, comparison and identification share what the given model says."""
+    data = seen_by_a_tracker(measured(0)) if far_away else measured(0)
+    asked = {"predicted": [], "examined": []}
+
+    def counted(function, name):
+        def call(model, *arguments):
+            asked[name].append(model)
+            return function(model, *arguments)
+
+        return call
+
+    of = staticmethod(counted(registration.DevicePoses.of, "predicted"))
+    monkeypatch.setattr(registration.DevicePoses, "of", of)
+    monkeypatch.setattr(
+        observations, "doubt_readings", counted(observations.doubt_readings, "examined")
+    )
+    fit(new_model("delta54"), data, hold_out=0)
+    for models in asked.values():
+        assert models
+        assert len({id(model) for model in models}) == len(models)

@@ -23,7 +23,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 from parallel_cal.base.errors import DatasetError
-from parallel_cal.campaign.cell import CellError, Sample, UnseenError
+from parallel_cal.campaign.cell import CellError, Sample, UnansweredError, UnseenError
 from parallel_cal.campaign.trajectory import Trajectory, plan_trajectory
 from parallel_cal.model.file.modelfile import write_model
 from parallel_cal.nodes import robot_cell
@@ -192,6 +192,75 @@ def test_a_motion_takes_as_long_as_on_the_robots_own_clock(monkeypatch):
     begun = time.monotonic()
     drive(desk.cell, motion, 0.2)
     assert time.monotonic() - begun > motion.seconds + 0.4
+
+
+class Losing:
+    """A controller's action that loses its first goals, which are given up after a while."""
+
+    def __init__(self, losses, patience):
+        self.losses, self.patience, self.sent = losses, patience, []
+
+    def require_controller(self):
+        pass
+
+    def send(self, trajectory):
+        self.sent.append(time.monotonic())
+
+    def is_answered(self):
+        return len(self.sent) > self.losses
+
+    def has_ended(self):
+        if not self.is_answered() and time.monotonic() > self.sent[-1] + self.patience:
+            raise UnansweredError("no answer to the goal for 10 s")
+        return self.is_answered()
+
+
+class Obeying(Desk):
+    """A desk whose robot follows the motions of a controller that loses the first of them."""
+
+    def __init__(self, motion, losses, starts_at_loss=False):
+        super().__init__(no_dwell)
+        self.cell._motion = self.motion = Losing(losses, motion.seconds + 1.0)
+        self.path = np.vstack([HOME, motion.positions])
+        self.times, self.starts_at_loss = np.append(0.0, motion.time), starts_at_loss
+        self.go_on()
+
+    def go_on(self):
+        sent, begun = self.motion.sent, 1 if self.starts_at_loss else self.motion.losses + 1
+        elapsed = time.monotonic() - sent[begun - 1] if len(sent) >= begun else 0.0
+        q = [float(np.interp(elapsed, self.times, column)) for column in self.path.T]
+        state, now = JointState(name=list(MODEL.joints), position=q), time.monotonic() - self.begun
+        state.header.stamp = Time(sec=100 + int(now), nanosec=int(1e9 * (now % 1)))
+        self.cell.on_joint_state(state)
+
+
+@pytest.mark.wide
+def test_a_motion_that_the_controller_does_not_answer_is_sent_again(monkeypatch):
+    monkeypatch.setattr(robot_cell, "ARRIVAL_TIMEOUT_S", 0.5)  # counts from the answer on
+    motion = a_motion()
+    desk = Obeying(motion, losses=2)
+    desk.cell.move(motion, desk.go_on)
+    assert len(desk.motion.sent) == 3
+    np.testing.assert_allclose(desk.cell.joints(), motion.positions[-1])
+    assert desk.said == ["no answer to the goal for 10 s; sending the motion again"] * 2
+
+
+@pytest.mark.wide
+def test_a_controller_that_answers_no_motion_ends_the_campaign():
+    motion = a_motion()
+    desk = Obeying(motion, losses=3)
+    with pytest.raises(CellError, match=r"^the motion was sent 3 times: no answer to the goal"):
+        desk.cell.move(motion, desk.go_on)
+    assert len(desk.motion.sent) == 3
+
+
+@pytest.mark.wide
+def test_a_motion_is_not_sent_again_to_a_robot_that_has_left_its_start():
+    motion = a_motion()
+    desk = Obeying(motion, losses=1, starts_at_loss=True)
+    with pytest.raises(UnansweredError):
+        desk.cell.move(motion, desk.go_on)
+    assert len(desk.motion.sent) == 1
 
 
 def test_joint_states_that_are_not_read_yet_are_not_missing(monkeypatch):

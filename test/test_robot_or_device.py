@@ -269,6 +269,8 @@ def test_axes_that_lean_by_a_milliradian_keep_their_name(seed):
     assert found.verdict.word == "partly_explained"
     assert len(found.verdict.against) == 1
     assert "the samples do not separate errors of the device" in found.verdict.against[0]
+    assert found.unseparated == ("device_axes",)
+    assert found.next_steps[0].startswith("once you know whether the robot or the device errs")
 
 
 @pytest.mark.wide

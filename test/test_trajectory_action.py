@@ -373,6 +373,19 @@ def test_a_campaign_moves_by_the_action_alone_and_its_cancel_stops_the_robot(des
 
 
 @pytest.mark.wide
+def test_a_campaign_sends_a_lost_goal_again(desk):
+    handle, result = begin_campaign(desk, afresh=True)
+    desk.wait(lambda: desk.status[0].poses >= 1 or result.done(), "a pose")
+    desk.robot.lose(1)
+    desk.wait(lambda: not desk.robot.losses or result.done(), "the loss")
+    known = desk.status[0].poses
+    desk.wait(lambda: desk.status[0].poses > known + 1 or result.done(), "the next poses")
+    assert not result.done(), result.result().result.message
+    handle.cancel_goal_async()
+    assert desk.client.await_result(result, "the result", PATIENCE_S).status == CANCELED
+
+
+@pytest.mark.wide
 def test_a_campaign_ends_with_the_controllers_reason(desk):
     _, result = begin_campaign(desk, afresh=True)
     desk.wait(lambda: desk.status[0].poses >= 1 or result.done(), "a pose")

@@ -11,6 +11,7 @@ import virtual_findings as vf
 import virtual_laws
 from datasets import measured
 from findings import dataset
+from scipy.spatial.transform import Rotation
 from twins import hexapod
 
 from parallel_cal.base.errors import FitError
@@ -235,3 +236,33 @@ def test_pairs_that_would_be_far_larger_than_usual_are_not_refitted():
     assert found.effects == ("encoder_gain",)
     assert found.best.fitted.model.value("encoder_gain.leg1.gain") == pytest.approx(0.012, abs=2e-3)
     assert sum(stage.startswith("refitting") for stage in stages) < 15
+
+
+@pytest.mark.wide
+def test_the_gain_of_an_unusual_effect_is_stated_alone_if_the_others_do_not_fit_without_it():
+    """One leg has a gain of 0.4 %, another one backlash. Without the gain, only a negative
+    backlash would fit."""
+    robot, rng = hexapod(), np.random.default_rng(3)
+    n = 100
+    r = robot.home + rng.uniform(-0.05, 0.05, (n, 3))
+    R = Rotation.from_rotvec(rng.uniform(-0.2, 0.2, (n, 3))).as_matrix()
+    q = robot.inverse(r, R)[0]
+    direction = np.sign(np.diff(q, axis=0, prepend=0.0))
+    q = (q + np.eye(6)[1] * 40e-6 * direction) / (1 + np.eye(6)[2] * 4e-3)
+    data = Dataset.from_arrays(
+        [f"leg{i}" for i in range(1, 7)],
+        q + rng.normal(0, 4e-6, q.shape),
+        r + rng.normal(0, 12e-6, r.shape),
+        Rotation.from_rotvec(rng.normal(0, 6e-5, r.shape)).as_matrix() @ R,
+        pose_cov=np.diag([12e-6**2] * 3 + [6e-5**2] * 3),
+        joint_sigma=[4e-6] * 6,
+        conditions={f"direction.leg{i + 1}": direction[:, i] for i in range(6)},
+    )
+    found = diagnose(new_model("stewart42"), data, effects=["encoder_gain", "backlash"])
+    assert set(found.effects) == {"encoder_gain", "backlash"}
+    [gain] = found.unusual
+    assert gain.is_alone
+    assert gain.ratio < 0.7
+    assert gain.sizes[0].value == pytest.approx(4e-3, abs=0.3e-3)
+    assert "alone, this effect changes the error at held-out poses from" in gain.description
+    assert gain.description in found.verdict.summary

@@ -9,14 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from parallel_cal.virtual.joint_effects import Visit
 from parallel_cal.virtual.load_effects import Weights
 from parallel_cal.virtual.robot import Array, Effect, Parameters, SampleConditions
 
-Law = Callable[[Array, Array, SampleConditions], Array]
+Law = Callable[[Array, Array, Any], Array]
 AT_PAYLOAD = 1.0  # kg, at which a law of the payload has its size
 
 
@@ -95,6 +97,7 @@ class Hidden:
     make: Callable[[float], Effect]
     places: frozenset[str]
     drivers: frozenset[str]
+    needs: frozenset[str] = frozenset()  # what is recorded beside direction, travel, time and loads
 
 
 @dataclass(frozen=True)
@@ -139,6 +142,19 @@ def spring(kin: Kin, rng: np.random.Generator) -> Hidden:
 
     name = kin.joints[k]
     return Hidden("spring", lambda s: JointLaw(s, law), _one(kin, k), frozenset({f"load.{name}"}))
+
+
+def gap(kin: Kin, rng: np.random.Generator) -> Hidden:
+    """A shaft that is stiff until its play is taken up by the load, and then gives way as the cube
+    of what exceeds it."""
+    k, share = int(rng.integers(len(kin.joints))), rng.uniform(0.1, 0.5)
+
+    def law(q: Array, t: Array, at: SampleConditions) -> Array:
+        beyond = np.maximum(np.abs(t[:, k] / kin.load) - share, 0.0)
+        return only(kin, k, np.sign(t[:, k]) * beyond**3)
+
+    name = kin.joints[k]
+    return Hidden("gap", lambda s: JointLaw(s, law), _one(kin, k), frozenset({f"load.{name}"}))
 
 
 def lag(kin: Kin, rng: np.random.Generator) -> Hidden:
@@ -281,5 +297,57 @@ def rod_play(kin: Kin, rng: np.random.Generator) -> Hidden:
     )
 
 
-JOINT_KINDS = (spring, lag, friction, cross, coupling, dent, cogging, scratch, warm_joint)
+def thick_grease(kin: Kin, rng: np.random.Generator) -> Hidden:
+    """A gear whose grease holds it back as it passes, by a power of its speed."""
+    k, power = int(rng.integers(len(kin.joints))), rng.uniform(0.4, 0.8)
+
+    def law(q: Array, t: Array, at: Visit) -> Array:
+        speed = at.velocity[:, k]
+        return only(kin, k, -np.sign(speed) * np.abs(speed / kin.span[k]) ** power)
+
+    needs, driver = frozenset({"velocity"}), frozenset({f"velocity.{kin.joints[k]}"})
+    make = partial(JointLaw, law=law, loaded=False)
+    return Hidden("thick grease", make, _one(kin, k), driver, needs)
+
+
+def stretched_belt(kin: Kin, rng: np.random.Generator) -> Hidden:
+    """A belt that follows the further it was pulled one way, with a power of this way."""
+    k, power = int(rng.integers(len(kin.joints))), rng.uniform(0.3, 0.6)
+
+    def law(q: Array, t: Array, at: Visit) -> Array:
+        way = at.travel[:, k]
+        return only(kin, k, np.sign(way) * np.abs(way / kin.span[k]) ** power)
+
+    driver = frozenset({f"travel.{kin.joints[k]}"})
+    make = partial(JointLaw, law=law, loaded=False)
+    return Hidden("stretched belt", make, _one(kin, k), driver)
+
+
+def new_zero(kin: Kin, rng: np.random.Generator) -> Hidden:
+    """A joint that was referenced anew before the second session, and not at the same angle."""
+    k, sign = int(rng.integers(len(kin.joints))), float(rng.choice([-1, 1]))
+
+    def law(q: Array, t: Array, at: Visit) -> Array:
+        return only(kin, k, sign * (at.session > 0))
+
+    make = partial(JointLaw, law=law, loaded=False)
+    drivers = frozenset({"session"})
+    return Hidden("new zero", make, _one(kin, k), drivers, drivers)
+
+
+JOINT_KINDS = (
+    spring,
+    gap,
+    lag,
+    friction,
+    cross,
+    coupling,
+    dent,
+    cogging,
+    scratch,
+    warm_joint,
+    thick_grease,
+    stretched_belt,
+    new_zero,
+)
 CHAIN_KINDS = (*JOINT_KINDS, warm_parts, sag, soft_column, rod_play)

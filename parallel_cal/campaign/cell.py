@@ -20,6 +20,10 @@ class CellError(ParallelCalError):
     """The robot or the device failed; the robot is stopped."""
 
 
+class UnansweredError(CellError):
+    """The controller has not answered a motion, which may be lost."""
+
+
 class UnseenError(CellError):
     """The robot rests at its target, but the device sees too little: the target is skipped."""
 

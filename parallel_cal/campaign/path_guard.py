@@ -13,7 +13,7 @@ import numpy as np
 from parallel_cal.base.compiled import Batch, dense
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
-from parallel_cal.model.mechanism import Box
+from parallel_cal.model.mechanism import Box, Mechanism
 from parallel_cal.model.model import Model
 from parallel_cal.planning.posepool import find_clear_poses
 from parallel_cal.planning.visibility import find_seen_poses, list_planned_sensors
@@ -29,6 +29,18 @@ DEFAULT_BACKLASH = {"rad": 3e-3, "m": 0.2e-3}
 BACKLASH_SAFETY_FACTOR = 1.25
 LINE_FRACTIONS = np.linspace(0.0, 1.0, POINTS_PER_LINE)[:, None]
 STATUS_WORDS = {Status.OUTSIDE_LIMITS: "outside the joint limits", Status.SINGULAR: "singular"}
+
+
+def describe_exceeded_limits(mechanism: Mechanism, q: np.ndarray) -> str:
+    """Name the joints (nq,) that are outside their limits, with their values."""
+    m = mechanism
+    return "; ".join(
+        f"{joint} at {value:.4f} {unit}, allowed from {low:.4f} to {high:.4f}"
+        for joint, unit, value, (low, high) in zip(
+            m.joints, m.joint_units, q.tolist(), m.joint_limits, strict=True
+        )
+        if not low <= value <= high
+    )
 
 
 class PathError(ParallelCalError):
@@ -112,15 +124,8 @@ class Guard:
             return None
         i, words = min(bad, key=lambda found: found[0])
         if words == STATUS_WORDS[Status.OUTSIDE_LIMITS]:
-            m = self.model.mechanism
-            exceeded = [
-                f"{joint} at {value:.4f} {unit}, allowed from {low:.4f} to {high:.4f}"
-                for joint, unit, value, (low, high) in zip(
-                    m.joints, m.joint_units, q[i].tolist(), m.joint_limits, strict=True
-                )
-                if not low <= value <= high
-            ]
-            words += f" ({'; '.join(exceeded)})" if exceeded else ""
+            exceeded = describe_exceeded_limits(self.model.mechanism, q[i])
+            words += f" ({exceeded})" if exceeded else ""
         return i / max(len(q) - 1, 1), words
 
     def describe_violation(self, q: np.ndarray) -> str:

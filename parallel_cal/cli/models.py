@@ -188,8 +188,8 @@ def mechanisms(
     option: Option = None,
     as_json: Json = False,
 ) -> None:
-    """List the mechanisms. With the name of one, list its parameters and state whether they can
-    describe every geometric error."""
+    """List the mechanisms. With the name of one, list its joints and parameters and state whether
+    they can describe every geometric error."""
     if name is not None:
         return _print_mechanism(name, option or [], as_json)
     rows = _rows("mechanisms", _mechanism_row)
@@ -228,6 +228,8 @@ def _print_mechanism(name: str, options: list[str], as_json: bool) -> None:
     _, found, described = (inspect.getdoc(type(m)) or "").partition("\n\nOptions: ")
     if found:
         console.say(f"\nOptions: {described}\n")
+    joints = zip(m.joints, m.joint_units, strict=True)
+    console.say("joints: " + ", ".join(f"{joint} [{unit}]" for joint, unit in joints))
     rows = []
     for p in m.parameters:
         value, unit = in_unit(p.nominal, p.unit)

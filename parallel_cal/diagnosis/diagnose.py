@@ -70,7 +70,10 @@ from parallel_cal.identification.fit import FitResult, UnjudgedFit, fit, fit_unj
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitKeywords, FitOptions
-from parallel_cal.identification.platform_shift import explain_unseparated_device
+from parallel_cal.identification.platform_shift import (
+    explain_unseparated_device,
+    find_large_device_effects,
+)
 from parallel_cal.identification.registration import (
     Registration,
     add_registration_warning,
@@ -119,6 +122,8 @@ class Diagnosis(ShownInNotebook):
     knocked : tuple of OddSample
         Single samples far from all others, as if somebody knocked the device. They are excluded
         from `base` and `best`.
+    unseparated : tuple of str
+        Effects of the device that the samples do not separate from errors of the robot.
     """
 
     model: Model
@@ -143,6 +148,7 @@ class Diagnosis(ShownInNotebook):
     measure_next: NextMeasurement
     ambiguous: tuple[Ambiguity, ...] = ()
     knocked: tuple[OddSample, ...] = ()
+    unseparated: tuple[str, ...] = ()
 
     @property
     def leaves_an_error(self) -> bool:
@@ -161,9 +167,17 @@ class Diagnosis(ShownInNotebook):
             "-o my_law.py"
         )
         exclude = f"--data exclude={','.join(str(one.sample) for one in self.knocked)}"
-        add = f"add what was found: parallel-cal add MODEL {'+'.join(self.additions)} RECORDING"
-        add = f"{add} {exclude}" if self.knocked else add
-        adds = [f"{add} -o BETTER.yaml"] if self.additions else []
+        options = f"RECORDING{f' {exclude}' if self.knocked else ''} -o BETTER.yaml"
+        doubtful = {*self.robot_or_device, *self.unseparated}
+        named = list(zip(self.effects, self.additions, strict=True))
+        proven = "+".join(one for name, one in named if name not in doubtful)
+        others = "+".join(one for name, one in named if name in doubtful)
+        adds = [f"add what was found: parallel-cal add MODEL {proven} {options}"] if proven else []
+        if others:
+            adds.append(
+                "once you know whether the robot or the device errs (until then, add refuses), "
+                f"add what errs: parallel-cal add MODEL {others} {options}"
+            )
         discovers = [discover] if self.leaves_an_error else []
         checks = [
             f"check sample {one.sample}, or exclude it from each command: {exclude}"
@@ -315,7 +329,7 @@ def diagnose(
     def without(aside: list[int], why: str = f"by --loss {options.loss}") -> Diagnosis:
         kept = dataset.excluding(aside, why)
         least_squares = replace(options, loss="linear")
-        judged = replace(given, dataset=kept)
+        judged = given.with_dataset(kept)
         return _diagnose_trusted(
             model, judged, names, least_squares, registration, report, usual_only
         )
@@ -444,6 +458,7 @@ def _diagnose_trusted(
         ambiguous=describe_ambiguities(ambiguous, measure_next.plan),
         unseparated=explain_unseparated_device(base.fitted, best.fitted) if best.chosen else "",
     )
+    large_device_effects = find_large_device_effects(best.fitted.model)
     return Diagnosis(
         model=model,
         dataset=dataset,
@@ -466,6 +481,7 @@ def _diagnose_trusted(
         registration=registration,
         measure_next=measure_next,
         ambiguous=ambiguous,
+        unseparated=tuple(large_device_effects) if findings.unseparated else (),
     )
 
 

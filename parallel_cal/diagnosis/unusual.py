@@ -17,7 +17,9 @@ class UnusualEffect:
     """An effect with sizes outside the usual range, and the validation errors without and with it.
 
     `without` and `ratio` (with over without) are None if the effect was in the model already, or if
-    the data cannot be fitted without it. `is_only_one`: no other effect was found.
+    the data cannot be fitted without it. `is_only_one`: no other effect was found. `is_alone`: the
+    errors are those without any effect and with this one alone, because the other effects alone
+    have no plausible fit.
     """
 
     name: str
@@ -26,6 +28,7 @@ class UnusualEffect:
     present: Summary
     ratio: float | None
     is_only_one: bool
+    is_alone: bool = False
 
     @property
     def description(self) -> str:
@@ -34,7 +37,8 @@ class UnusualEffect:
         if self.without is None or not self.present.is_known or self.is_only_one:
             return words
         errors = format_errors(self.present, self.without)
-        return f"{words}; this effect changes the error at held-out poses {errors}"
+        alone = "alone, " if self.is_alone else ""
+        return f"{words}; {alone}this effect changes the error at held-out poses {errors}"
 
     def document(self) -> dict[str, Any]:
         return {
@@ -52,17 +56,19 @@ def find_unusual_effects(search: Search, best: Trial) -> tuple[UnusualEffect, ..
     found = []
     sizes = best.fitted.unusual.values()
     for name in describe_by_effect(sizes):
+        own = tuple(c for c in best.chosen if c.name == name)
         others = tuple(c for c in best.chosen if c.name != name)
-        without = search.fit(*others) if len(others) < len(best.chosen) else None
-        known = None if without is None or without.result is None else without.result
+        without, present = search.fit(*others) if own else None, best
+        is_alone = without is not None and without.result is None
+        if is_alone:
+            without, present = search.fit(), search.fit_as_shown(*own)
+        if without is None or without.result is None or present.result is None:
+            before, after, ratio, is_alone = None, best.fitted, None, False
+        else:
+            before, after = without.result.held_out.summary, present.result
+            ratio = ratio_of(without, present)
+        its = tuple(one for one in sizes if one.effect == name)
         found.append(
-            UnusualEffect(
-                name,
-                tuple(one for one in sizes if one.effect == name),
-                known.held_out.summary if known else None,
-                best.fitted.held_out.summary,
-                ratio_of(without, best) if without is not None else None,
-                not others,
-            )
+            UnusualEffect(name, its, before, after.held_out.summary, ratio, not others, is_alone)
         )
     return tuple(found)

@@ -300,6 +300,15 @@ def _nothing_found(found: Findings, errors: str) -> Verdict:
     noise = _noise(found)
     if chi2 <= high and found.noise.is_exceeded:
         return _doubt_noise(found, errors)
+    if chi2 <= high and found.noise.dof is not None and found.remaining:
+        # What moves the robot between visits of a pose passes for noise.
+        yet = f" ({found.refused[0]})" if found.refused else ""
+        return Verdict(
+            "unexplained",
+            f"the residuals are no larger than the scatter of revisited poses ({errors}), but "
+            f"{found.remaining.description}, as noise does not: an effect is missing that the "
+            f"catalogue does not describe{yet}{noise}",
+        )
     if chi2 <= high:
         words = f"the model explains the measurements down to the noise ({errors})"
         region = Region.of(found.best.fitted)

@@ -61,10 +61,12 @@ from parallel_cal.discovery.shape import Shape, find_shape
 from parallel_cal.discovery.thresholds import (
     LAGS_PER_OCTAVE,
     MAX_EQUAL_EVIDENCE,
+    MAX_EQUAL_MEMBERS_P,
     MAX_FORMULA_LAG,
     MAX_FORMULAS,
     MAX_LAWS,
     MAX_SCREENED_SAMPLES,
+    MAX_SIMPLER_EVIDENCE,
     MAX_SPLITS,
     MIN_RIVAL_EVIDENCE_SHARE,
     MIN_TERM_EVIDENCE,
@@ -486,7 +488,9 @@ def _find_best(search: _Search, columns: np.ndarray) -> _Best | None:
     if winner is None:
         return None
     formula = _refine_lag(targets, winner.formula, search)
-    return _Best(replace(winner, formula=formula), targets, scored)
+    formula = refine_members(targets, formula, search.screening)
+    equal = tuple(one for one in winner.equal if one.hypothesis.key != formula.hypothesis.key)
+    return _Best(replace(winner, formula=formula, equal=equal), targets, scored)
 
 
 def find_winner(
@@ -504,15 +508,26 @@ def find_winner(
                 found[key] = reduced
     if not found:
         return None
-    limit = max(formula.evidence for formula in found.values()) - MAX_EQUAL_EVIDENCE
-    equal = sorted(
-        (formula for formula in found.values() if formula.evidence >= limit),
-        key=lambda formula: (*formula.complexity, -formula.evidence),
-    )
-    best = equal[0]
+    best, *equal = sort_by_preference(list(found.values()))
     limit = MIN_RIVAL_EVIDENCE_SHARE * scored[0][0]
     robots = (one for e, one in scored if e >= limit and one.site.kind != DEVICE)
-    return _Winner(best, tuple(equal[1:]), max(scored[0][0], best.evidence), next(robots, None))
+    return _Winner(best, tuple(equal), max(scored[0][0], best.evidence), next(robots, None))
+
+
+def sort_by_preference(formulas: Sequence[Formula]) -> list[Formula]:
+    """The formulas that are about equally good, the preferred one first.
+
+    Fewer quantities count more than the evidence. The number of coefficients hardly does: the
+    evidence already counts them, and what a simpler law of the same quantities leaves out is an
+    error of the robot.
+    """
+    best = max(one.evidence for one in formulas)
+    equal = [one for one in formulas if one.evidence >= best - MAX_EQUAL_EVIDENCE]
+    equal.sort(key=lambda one: one.preference)
+    alike = [one for one in equal if one.quantities == equal[0].quantities]
+    limit = max(one.evidence for one in alike) - MAX_SIMPLER_EVIDENCE
+    first = next(one for one in alike if one.evidence >= limit)
+    return [first, *(one for one in equal if one is not first)]
 
 
 def _find_parts(search: _Search, best: _Best, limit: int) -> Parts | None:
@@ -564,6 +579,27 @@ def _refine_lag(targets: Targets, formula: Formula, search: _Search) -> Formula:
     ]
     with running(search.run, find_formula, targets, hypotheses) as found:
         return max([formula, *filter(None, found)], key=lambda one: one.evidence)
+
+
+def refine_members(targets: Targets, formula: Formula, screening: Screening) -> Formula:
+    """The formula with coefficients of each member's own, if the members differ significantly.
+
+    Of equally good laws, that with one coefficient for all members is simpler, and says the place
+    and the drivers. But by what the members differ, the robot would still err.
+    """
+    from scipy.special import chdtrc
+
+    hypothesis = screening.give_own_coefficients(formula.hypothesis)
+    own = find_formula(targets, hypothesis) if hypothesis else None
+    if own is None or own.used_drivers != formula.used_drivers:
+        return formula
+    added = own.numbers - formula.numbers
+    gained = own.evidence - formula.evidence
+    if added <= 0 or formula.hypothesis.slow:  # noise that changes slowly is no chi2
+        return own if gained > 0 else formula
+    # The evidence without what it subtracts for each coefficient: twice of it is chi2 by chance.
+    fall = 2 * gained + added * np.log(targets.dof)
+    return own if chdtrc(added, max(fall, 0.0)) < MAX_EQUAL_MEMBERS_P else formula
 
 
 def _select_for_formulas(scored: Sequence[tuple[float, Hypothesis]]) -> list[Hypothesis]:

@@ -14,7 +14,7 @@ from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
 from parallel_cal.discovery.basis import frequencies
 from parallel_cal.discovery.drivers import NEXT, PREVIOUS, READING, TIME, Driver
 from parallel_cal.discovery.places import BASE, DEVICE, JOINT, PARAMETER, PLATFORM, ROD, Site
-from parallel_cal.discovery.screening import Hypothesis, Targets, evidence
+from parallel_cal.discovery.screening import DriverSet, Hypothesis, Targets, evidence
 from parallel_cal.discovery.thresholds import (
     MAX_TERMS,
     MIN_SIGN_SHARE,
@@ -150,15 +150,35 @@ class Formula:
     columns: np.ndarray = field(repr=False)
 
     @property
-    def complexity(self) -> tuple[int, int, int, int, int]:
+    def quantities(self) -> tuple[int, int, bool]:
         """What makes one of two equally good formulas preferable: fewer readings of other joints,
-        fewer drivers, fewer coefficients and scanned constants, the more usual place, more
-        plausible drivers."""
-        drivers = [self.hypothesis.drivers[number] for number in self.used_drivers]
-        site, numbers = self.hypothesis.site, self.coefficients.size + self.scanned
+        fewer drivers, and a joint as the place if a reading is a driver."""
+        site, drivers = self.hypothesis.site, self._drivers
         foreign = sum(_is_of_other_joint(site, own) for own in drivers)
-        plausible = sum(own[0].rank for own in drivers)
-        return foreign, len(drivers), numbers, PLACE_KINDS.index(site.kind), plausible
+        # Encoders and gears err with the angle of a joint; lengths and offsets hardly do.
+        unusual = site.kind != JOINT and any(_is_reading(own) for own in drivers)
+        return foreign, len(drivers), unusual
+
+    @property
+    def complexity(self) -> tuple[int, int, int]:
+        """What makes a formula of the same quantities preferable: fewer coefficients and scanned
+        constants, the more usual place, more plausible drivers."""
+        plausible = sum(own[0].rank for own in self._drivers)
+        return self.numbers, PLACE_KINDS.index(self.hypothesis.site.kind), plausible
+
+    @property
+    def numbers(self) -> int:
+        """The number of coefficients and of scanned constants."""
+        return self.coefficients.size + self.scanned
+
+    @property
+    def preference(self) -> tuple[float, ...]:
+        """What equally good formulas are sorted by, the preferred one first."""
+        return *self.quantities, *self.complexity, -self.evidence
+
+    @property
+    def _drivers(self) -> list[DriverSet]:
+        return [self.hypothesis.drivers[number] for number in self.used_drivers]
 
     @property
     def scanned(self) -> int:
@@ -177,10 +197,14 @@ class Formula:
         return tuple(sorted({number for term in self.terms for number, _ in term.factors}))
 
 
+def _is_reading(own: Sequence[Driver]) -> bool:
+    return own[0].family in (READING, NEXT, PREVIOUS)
+
+
 def _is_of_other_joint(site: Site, own: Sequence[Driver]) -> bool:
     """Whether joints, or parts of their chains, err with the readings of other joints: rarer than
     with their own."""
-    if own[0].family not in (READING, NEXT, PREVIOUS):
+    if not _is_reading(own):
         return False
     joints = [place.joint for place in site.members]
     return any(joint not in (None, one.joint) for one, joint in zip(own, joints, strict=True))
@@ -495,7 +519,7 @@ def _scanned_groups(number: int, own: Sequence[Driver]) -> Iterator[Group]:
     def term(kind: str, *constants: float) -> Term:
         return Term(((number, Factor(kind, constants)),))
 
-    if own[0].family in (READING, NEXT, PREVIOUS):
+    if _is_reading(own):
         at = list(frequencies(values))
         if own[0].unit == "rad":  # whole harmonics of a turn, which the scan does not meet
             at += [float(k) for k in range(1, 5)]

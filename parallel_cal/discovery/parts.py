@@ -131,7 +131,7 @@ class _Choice:
                 for other in range(len(self._hypotheses))
                 if other not in chosen and self.judge([*others, other]) > whole - MAX_EQUAL_EVIDENCE
             ]
-            equal.sort(key=lambda one: (*one.complexity, -one.evidence))
+            equal.sort(key=lambda one: one.preference)
             parts.append(Part(formula, tuple(equal)))
         return tuple(sorted(parts, key=lambda one: -one.formula.evidence))
 

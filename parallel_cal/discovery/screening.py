@@ -139,6 +139,11 @@ class Screening:
             and (own[0].family != LAGGED or own[0].name == driver.name)
         ]
 
+    def give_own_coefficients(self, one: Hypothesis) -> Hypothesis | None:
+        """The same hypothesis with coefficients of each member's own; None if there is none."""
+        own = [site for site in self._sites if site.each and site.name == one.site.name]
+        return replace(one, site=own[0]) if own and not one.site.each else None
+
     def _splines(self, own: DriverSet, count: int) -> np.ndarray:
         return self._compute_once(own, count, lambda: basis.splines(own, count))
 

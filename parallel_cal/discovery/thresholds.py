@@ -23,6 +23,9 @@ MAX_OUTLIER_P = 1e-3  # p-value over all samples: below it, a sample is an outli
 # Which laws are reported
 MAX_LAWS = 3
 MAX_EQUAL_EVIDENCE = 5.0  # log of how much likelier one of two equally good laws may be
+# log of how much likelier a law may be than one of the same quantities with fewer coefficients
+MAX_SIMPLER_EVIDENCE = 2.0
+MAX_EQUAL_MEMBERS_P = 0.01  # p-value below which the members of a law differ
 # of the evidence for a law of the device: from it on, the robot may cause the error as well
 MIN_RIVAL_EVIDENCE_SHARE = 0.8
 MAX_FORMULAS = 20  # winners of the screening for which a formula is searched ...

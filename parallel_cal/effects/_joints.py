@@ -63,6 +63,27 @@ def wave(own: Named, number: str, angle: Any) -> Any:
     return own[f"sin{number}"] * ca.sin(angle) + own[f"cos{number}"] * ca.cos(angle)
 
 
+def make_waves(
+    joint: str, unit: str, size: float, highest: float, waves: Mapping[str, str]
+) -> list[Parameter]:
+    """Return the amplitudes of the waves of a joint's error, for `wave`.
+
+    The keys of `waves` are the endings of their names, the values complete their labels."""
+    return [
+        Parameter(
+            f"{joint}.{part}{ending}",
+            unit,
+            0.0,
+            size,
+            low=-highest,
+            high=highest,
+            label=f"{label}{words}",
+        )
+        for ending, words in waves.items()
+        for part, label in WAVE.items()
+    ]
+
+
 class Harmonic(Effect):
     """q_ideal = q + sin * sin(k q) + cos * cos(k q) for every revolute joint; k is its `order`."""
 
@@ -72,11 +93,10 @@ class Harmonic(Effect):
     tolerance: ClassVar[float]  # rad; ten of it bound the error of real encoders
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
-        size, most = self.tolerance, 10 * self.tolerance
         return [
-            Parameter(f"{joint}.{part}", "rad", 0.0, size, low=-most, high=most, label=label)
+            amplitude
             for joint in find_revolute_joints(mechanism)
-            for part, label in WAVE.items()
+            for amplitude in make_waves(joint, "rad", self.tolerance, 10 * self.tolerance, {"": ""})
         ]
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:

@@ -9,12 +9,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.effects._joints import WAVE, find_prismatic_joints, shift_joints, wave
+from parallel_cal.effects._joints import find_prismatic_joints, make_waves, shift_joints, wave
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
 PERIODS = (1e-3, 60e-3)  # m; of magnetic scales, belts, racks and linear motors
+WAVES = {"1": ", once per period", "2": ", twice per period"}
 
 
 class EncoderInterpolation(Effect):
@@ -44,18 +45,9 @@ class EncoderInterpolation(Effect):
         return [
             Parameter("period", "m", 10e-3, 6e-3, low=10e-6, high=0.5, label="pitch"),
             *[
-                Parameter(
-                    f"{joint}.{part}{k}",
-                    "m",
-                    0.0,
-                    10e-6,
-                    low=-0.1e-3,
-                    high=0.1e-3,
-                    label=f"{label}, {'once' if k == 1 else 'twice'} per period",
-                )
+                amplitude
                 for joint in find_prismatic_joints(mechanism)
-                for k in (1, 2)
-                for part, label in WAVE.items()
+                for amplitude in make_waves(joint, "m", 10e-6, 0.1e-3, WAVES)
             ],
         ]
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from parallel_cal.effects._joints import (
     SMOOTH,
-    WAVE,
     find_revolute_joints,
+    make_waves,
     needs_turning,
     shift_joints,
     sizes,
@@ -21,6 +21,7 @@ from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
 SIZE = {"rad": (0.3e-3, 3e-3), "m": (0.1e-3, 1e-3)}  # tolerance and upper bound; m of line
+WAVES = {"1": ", once per input turn", "2": ", twice per input turn"}
 RATIOS = (3.0, 150.0)  # below: an encoder's harmonics; above: too fine for the poses
 
 
@@ -45,19 +46,10 @@ class GearTransmissionError(Effect):
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         amplitudes = [
-            Parameter(
-                f"{joint}.{part}{k}",
-                "rad",
-                0.0,
-                size,
-                low=-most,
-                high=most,
-                label=f"{label}, {'once' if k == 1 else 'twice'} per input turn",
-            )
+            amplitude
             for joint, unit, (size, most) in sizes(mechanism, SIZE)
             if unit == "rad"
-            for k in (1, 2)
-            for part, label in WAVE.items()
+            for amplitude in make_waves(joint, unit, size, most, WAVES)
         ]
         ratio = _find_spool_turns(mechanism)[0] if mechanism.winds else 50.0
         return [

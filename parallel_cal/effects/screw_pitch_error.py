@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.effects._joints import WAVE, shift_joints, wave
+from parallel_cal.mechanisms.cable import Cable
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -20,7 +21,8 @@ class ScrewPitchError(Effect):
     """q_ideal = q + sin * sin(2 pi q / lead) + cos * cos(2 pi q / lead) + bend * q^2 (m).
 
     For every prismatic joint, with one `lead` (m) for all: known from the screw's data sheet, or
-    found by `scan`. A pitch that is wrong by a constant factor is `encoder_gain`.
+    found by `scan`. A line has the effect only if the model file states a screw as its drive. A
+    pitch that is wrong by a constant factor is `encoder_gain`.
     """
 
     fixed = ("lead",)
@@ -52,6 +54,8 @@ class ScrewPitchError(Effect):
     def applies(self, mechanism: Mechanism) -> str:
         if _find_prismatic_joints(mechanism):
             return ""
+        if isinstance(mechanism, Cable) and not any(mechanism.drives):
+            return "its lines wind onto spools, unless the model file states a screw as their drive"
         if "m" in mechanism.joint_units:
             return "no screw moves its joints: the model file states other drives"
         return "it has no prismatic joint"
@@ -79,11 +83,13 @@ class ScrewPitchError(Effect):
 
 
 def _find_prismatic_joints(mechanism: Mechanism) -> list[str]:
-    """Return the prismatic joints, without those whose stated drive is not a screw."""
+    """Return the prismatic joints that a screw moves: those with a screw as their stated drive, and
+    those without a stated drive unless they are lines."""
     drives = mechanism.drives or (None,) * len(mechanism.joints)
     joints = zip(mechanism.joints, mechanism.joint_units, drives, strict=True)
+    by_default = not isinstance(mechanism, Cable)
     return [
         joint
         for joint, unit, drive in joints
-        if unit == "m" and (drive is None or drive.kind == "screw")
+        if unit == "m" and (drive.kind == "screw" if drive else by_default)
     ]

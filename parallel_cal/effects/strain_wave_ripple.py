@@ -10,8 +10,8 @@ import numpy as np
 
 from parallel_cal.effects._joints import (
     SMOOTH,
-    WAVE,
     find_revolute_joints,
+    make_waves,
     needs_turning,
     shift_joints,
     wave,
@@ -21,7 +21,7 @@ from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
 RATIOS = (30.0, 50.0, 80.0, 100.0, 120.0)  # of catalogues
-SPLINES = {"c": "circular spline", "f": "flexspline"}
+WAVES = {"_c": ", circular spline", "_f": ", flexspline"}
 
 
 class StrainWaveRipple(Effect):
@@ -50,18 +50,9 @@ class StrainWaveRipple(Effect):
         return [
             Parameter("ratio", "1", 100.0, 40.0, low=10.0, high=400.0, label="gear ratio"),
             *[
-                Parameter(
-                    f"{joint}.{part}_{spline}",
-                    "rad",
-                    0.0,
-                    0.2e-3,
-                    low=-2e-3,
-                    high=2e-3,
-                    label=f"{label}, {words}",
-                )
+                amplitude
                 for joint in find_revolute_joints(mechanism)
-                for spline, words in SPLINES.items()
-                for part, label in WAVE.items()
+                for amplitude in make_waves(joint, "rad", 0.2e-3, 2e-3, WAVES)
             ],
         ]
 

@@ -328,8 +328,8 @@ def _remarks(robot: Model, projection: Projection) -> list[str]:
         }
         shear = ". The axes are not orthogonal: the firmware corrects a tilted bed by a shear"
         remarks.append(
-            f"the origin of the firmware's frame is at {at} mm in {{B}}, "
-            f"{', '.join(f'its {axis}-axis is {words}' for axis, words in shown.items())}"
+            f"frame of the firmware in {{B}}: origin {at} mm, "
+            f"{', '.join(f'{axis}-axis {words}' for axis, words in shown.items())}"
             f"{'' if square else shear}"
         )
     if frame.order != tuple(range(len(frame.order))):

@@ -85,7 +85,7 @@ def compute_base_motion(model: Model, observations: Observations) -> BaseMotion 
         turned=turned,
         now=IDENTITY_FRAMES,
     )
-    frames = poses.frames()
+    frames = poses.frames
     return BaseMotion(
         robot.frames["base"],
         robot.frames["platform"],

@@ -28,11 +28,13 @@ from parallel_cal.identification.budget import (
     list_sides,
 )
 from parallel_cal.identification.checks import (
+    ImplausibleGeometryError,
     check_joint_errors,
     check_plausible,
     chosen_parameters,
     explain_too_few_poses,
 )
+from parallel_cal.identification.common_scale import CommonScale
 from parallel_cal.identification.estimators import Estimator, check_convergent_method, estimator
 from parallel_cal.identification.fit_warnings import (
     DownWeightedSample,
@@ -67,10 +69,12 @@ from parallel_cal.identification.predictions import predict_positions
 from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.refit import add_consider_covariance
 from parallel_cal.identification.registration import (
+    DevicePoses,
     Registration,
     add_registration_warning,
     is_identified,
     is_registrable,
+    place_frames,
     prepared_for_fit,
     registered_by,
     shows_pose,
@@ -237,7 +241,7 @@ class FitResult(ShownInNotebook):
             self.options, **how, free=(), fix=sorted(own - here), refit=(), insist=True
         )
         try:
-            return fit_registered(start, self.dataset, narrowed).held_out
+            return fit_unjudged(start, self.dataset, narrowed).judge().held_out
         except FitError:
             return self.before.blank()
 
@@ -282,9 +286,9 @@ class FitResult(ShownInNotebook):
             try:
                 smaller = self.start.without_effect(name)
                 narrowed = limit_patterns(self.options, smaller, self.start)
-                other = fit_registered(
+                other = fit_unjudged(
                     smaller, self.dataset, narrowed, given=self.given, noise=self.observations
-                )
+                ).judge()
                 found[name] = other.judged_errors
             except (FitError, ModelError):
                 found[name] = None
@@ -297,13 +301,14 @@ class FitResult(ShownInNotebook):
         held_out = self.held_out.judged.any()
         # Frames that a fit found belong to its geometry: the nominal one gets its own. It is
         # registered as it was before that fit.
+        there = DevicePoses.of(model, self.observations)
         registers = (
             self.given.is_registered
             or is_identified(self.model)
             or shows_pose(self.model)
-            or is_registrable(model, self.observations)
+            or is_registrable(model, there)
         )
-        placed = registered_by(model, self.observations) if registers else None
+        placed = place_frames(model, self.observations, there) if registers else None
         given = GivenModel(
             model, placed or model, self.dataset, self.options.joint_sigma, self.options.insist
         )
@@ -328,7 +333,7 @@ class FitResult(ShownInNotebook):
         for train, test in _folds(self.dataset, self.options):
             kept = self.dataset.select(train[known[train]])
             try:
-                again = fit_registered(start, kept, how).model
+                again = fit_unjudged(start, kept, how).judge().model
             except FitError:
                 continue
             placed = registered_by(again, self.given.observations.select(train)) or again
@@ -551,9 +556,9 @@ def fit(
     start = add_effects(given.start, effects, dataset)
     dataset = add_lagged_conditions(start.conditions, dataset)
     start, registration = prepared_for_fit(start, given.registration, dataset, options)
-    result = fit_registered(
+    result = fit_unjudged(
         start, add_registration_warning(dataset, registration), options, progress, given
-    )
+    ).judge(progress)
     if registration is None:
         return result
     motion = compute_base_motion(result.model, result.observations)
@@ -577,20 +582,6 @@ class UnjudgedFit:
         return replace(result, held_out=held_out)
 
 
-def fit_registered(
-    model: Model,
-    dataset: Dataset,
-    options: FitOptions,
-    progress: Progress | None = None,
-    given: GivenModel | None = None,
-    noise: Observations | None = None,
-) -> FitResult:
-    """Fit a model that describes where its device stands; `given` is the model to compare with, by
-    default the model itself. `noise` are the same samples with noise that another fit estimated, if
-    this fit must use the same weights."""
-    return fit_unjudged(model, dataset, options, progress, given, noise).judge(progress)
-
-
 def fit_unjudged(
     model: Model,
     dataset: Dataset,
@@ -599,17 +590,23 @@ def fit_unjudged(
     given: GivenModel | None = None,
     noise: Observations | None = None,
 ) -> UnjudgedFit:
-    """Fit as `fit_registered` does, but leave the validation errors for later."""
+    """Fit a model that describes where its device stands; leave the validation errors for later.
+
+    `given` is the model to compare with, by default the model itself. `noise` are the same samples
+    with noise that another fit estimated, if this fit must use the same weights.
+    """
     given = given or GivenModel(model, model, dataset, options.joint_sigma, options.insist)
     report = progress or ignore_progress
     mask, is_partial = chosen_parameters(model, options)
     estimate_with = estimator(options.method, options.prior, options.loss)
     if is_partial:
         check_convergent_method(options.method, "a partial re-calibration")
-    doubts = None if noise is None else noise.doubts
-    observations = observe(model, dataset, options.joint_sigma, options.insist, doubts)
-    if noise is not None:
-        observations = observations.with_noise_of(noise)
+    if noise is None:
+        observations = given.observe(model, dataset, options.joint_sigma, options.insist)
+    else:
+        observations = observe(
+            model, dataset, options.joint_sigma, options.insist, noise.doubts
+        ).with_noise_of(noise)
     if words := explain_too_few_poses(model, observations, mask, options.prior):
         raise FitError(words)
 
@@ -649,9 +646,15 @@ def fit_unjudged(
     if is_partial:
         estimate = add_consider_covariance(model, observations, mask, estimate)
     fitted = usual.with_values(estimate.values, estimate.covariance)
-    fitted, unusual, insisted = check_plausible(
-        fitted, estimate, mask, options.insist, options.usual_only
-    )
+    scaled = CommonScale.find(fitted, observations, mask)
+    try:
+        fitted, unusual, insisted = check_plausible(
+            fitted, estimate, mask, options.insist, options.usual_only
+        )
+    except ImplausibleGeometryError as error:
+        if scaled is None:
+            raise
+        raise ImplausibleGeometryError(f"{scaled}. {error}", error.chi2_per_dof) from None
     after = errors(fitted, observations)
     check_joint_errors(fitted, after)
     result = FitResult(
@@ -673,6 +676,7 @@ def fit_unjudged(
             ),
             *describe_by_effect(unusual.values()).values(),
             *insisted,
+            *([] if scaled is None else [str(scaled)]),
             *list_parameter_warnings(fitted, estimate, mask),
             *on_priors(fitted, estimate),
             *list_noise_warnings(fitted, estimate, observations, inseparable),

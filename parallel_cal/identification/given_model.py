@@ -9,7 +9,7 @@ sample as those of the fit.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -21,9 +21,11 @@ from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.placement import place_sensors
 from parallel_cal.identification.prediction_errors import Errors, errors
 from parallel_cal.identification.registration import (
+    DevicePoses,
     Registration,
     is_registrable,
-    register_device,
+    place_frames,
+    register_observed,
     registered_by,
     shows_pose,
 )
@@ -45,6 +47,7 @@ class GivenModel:
     frames only if the `registration` is needed. `known_held_out` are the errors at held-out poses
     if another fit of the same samples has computed them. If a sensor `lacked_start` values, the
     given model had no errors, and `unregistered` contains values that the samples gave.
+    `unregistered_observations` are the samples as `unregistered` sees them, if they were made.
     """
 
     unregistered: Model
@@ -55,6 +58,7 @@ class GivenModel:
     registration: Registration | None = None
     known_held_out: Errors | None = None
     lacked_start: bool = False
+    unregistered_observations: Observations | None = None
 
     @classmethod
     def of(
@@ -78,12 +82,27 @@ class GivenModel:
         started = not all(sensor.is_placed for sensor in model.sensors)
         if started:
             model = place_sensors(model, observe(model, dataset, joint_sigma, insist), insist)
-        placed, registration = register_device(model, dataset, joint_sigma, insist)
-        if registration is None:
-            observations = observe(model, dataset, joint_sigma, insist)
-            if has_stations(model) or is_registrable(model, observations):
-                placed = registered_by(model, observations) or model
-        return cls(model, placed, dataset, joint_sigma, insist, registration, lacked_start=started)
+        observations = observe(model, dataset, joint_sigma, insist)
+        there = DevicePoses.of(model, observations)
+        placed, registration = register_observed(model, dataset.frame, observations, there)
+        if registration is None and (has_stations(model) or is_registrable(model, there)):
+            placed = place_frames(model, observations, there) or model
+        return cls(
+            model,
+            placed,
+            dataset,
+            joint_sigma,
+            insist,
+            registration,
+            lacked_start=started,
+            unregistered_observations=observations,
+        )
+
+    def with_dataset(self, dataset: Dataset) -> GivenModel:
+        """Return this model, judged by some of its samples, or by all with other warnings."""
+        same = np.array_equal(dataset.numbers, self.dataset.numbers)
+        known = self.unregistered_observations if same else None
+        return replace(self, dataset=dataset, unregistered_observations=known)
 
     @property
     def is_registered(self) -> bool:
@@ -108,8 +127,22 @@ class GivenModel:
 
     @cached_property
     def observations(self) -> Observations:
-        observations = observe(self.model, self.dataset, self.joint_sigma, self.insist)
+        observations = self.observe(self.model, self.dataset, self.joint_sigma, self.insist)
         return measure_image_noise(self.model, observations)
+
+    def observe(
+        self, model: Model, dataset: Dataset, joint_sigma: float | None, insist: bool
+    ) -> Observations:
+        """Make observations; those of the registration serve if nothing has changed since."""
+        known = self.unregistered_observations
+        unchanged = model is self.unregistered and dataset is self.dataset
+        if (
+            known is not None
+            and unchanged
+            and (joint_sigma, insist) == (self.joint_sigma, self.insist)
+        ):
+            return known
+        return observe(model, dataset, joint_sigma, insist)
 
     @cached_property
     def errors(self) -> Errors:

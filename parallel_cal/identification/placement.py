@@ -67,7 +67,7 @@ def _place(
     error, best, there = min(found, key=lambda one: one[0])
     if not insist and error > MIN_DOUBTFUL_SHARE * model.mechanism.length:
         _require_no_better_variant(model, sensor, reading, reached, error)
-    frames = there.frames()
+    frames = there.frames
     return best.placed(frames.f, frames.F, frames.t, frames.T)
 
 

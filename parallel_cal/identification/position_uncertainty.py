@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -99,16 +101,30 @@ def compute_shape_sigma(model: Model, observations: Observations) -> float | Non
     """Compute the rms uncertainty (m) of the positions at the measured joints, without what the
     frames of base and platform can absorb: it does not depend on where these frames were put. None
     if the model was not identified, or reaches fewer than four poses."""
+    joints = observations.x[:, : len(model.joints)]
+    spread = compute_shape_covariance(model, joints, condition_columns(model, observations))
+    if spread is None:
+        return None
+    return float(np.sqrt(np.nanmean(np.trace(spread, axis1=1, axis2=2))))
+
+
+def compute_shape_covariance(
+    model: Model, joints: np.ndarray, at: Mapping[str, Any] | None = None
+) -> np.ndarray | None:
+    """Compute the covariance (N, 3, 3), m^2, of the positions at the joints (N, nq) under the
+    conditions `at`, without what the frames of base and platform can absorb: that of the position
+    of each pose after the frames were put where all of these poses fit best. NaN where the model
+    reaches no pose. None if the model was not identified, or reaches fewer than four poses."""
     if model.covariance is None:
         return None
     n, moved = len(model.joints), model.mechanism.moved
-    at = condition_columns(model, observations)
-    reached = Kinematics(model).direct(observations.x[:, :n], at)
+    reached = Kinematics(model).direct(joints, at)
     solved = np.flatnonzero(reached.solved)
     if len(solved) < MIN_SHAPE_POSES:
         return None
     rows = reached.configuration.rows[solved]
-    C, J = model.structure.jacobians(rows, observations.a[solved], model.values)
+    a = model.condition_rows(at, len(joints))[solved]
+    C, J = model.structure.jacobians(rows, a, model.values)
     by = np.zeros((len(solved), 6, J.shape[2]))
     by[:, moved] = -np.linalg.pinv(C[:, :, [n + i for i in moved]]) @ J
     G = by[:, :3].reshape(-1, J.shape[2])
@@ -119,9 +135,10 @@ def compute_shape_sigma(model: Model, observations: Observations) -> float | Non
     frames = np.concatenate([ones, turns, reached.rotation[solved]], axis=2).reshape(-1, 9)
     left, sizes, _ = np.linalg.svd(frames, full_matrices=False)
     basis = left[:, sizes > RELATIVE_RANK * sizes[0]]
-    G = G - basis @ (basis.T @ G)
-    total = float(np.sum((G @ np.asarray(model.covariance)) * G))
-    return float(np.sqrt(max(total, 0.0) / len(solved)))
+    remaining = (G - basis @ (basis.T @ G)).reshape(-1, 3, J.shape[2])
+    spread = np.full((len(joints), 3, 3), np.nan)
+    spread[solved] = remaining @ np.asarray(model.covariance) @ remaining.transpose(0, 2, 1)
+    return spread
 
 
 def _controlled_axes(model: Model) -> str:

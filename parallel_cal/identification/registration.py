@@ -8,6 +8,7 @@ errors of the robot remain.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -143,13 +144,19 @@ def register_device(
 
     FitError for joint readings that no such robot shows, unless the caller insists.
     """
-    frame, base = dataset.frame or "device", model.frames["base"]
     observations = observe(model, dataset, joint_sigma, insist)
     there = DevicePoses.of(model, observations)
+    return register_observed(model, dataset.frame, observations, there)
+
+
+def register_observed(
+    model: Model, frame: str, observations: Observations, there: DevicePoses | None
+) -> tuple[Model, Registration | None]:
+    """Register as `register_device` does, from observations in `frame` and their poses."""
     if there is None:
         return model, None
-    found = there.frames()
-    elsewhere = dataset.frame not in ("", base) and _device(model) is None
+    found, base = there.frames, model.frames["base"]
+    elsewhere = frame not in ("", base) and _device(model) is None
     if not (elsewhere or there.is_misplaced(found, is_identified(model))):
         return model, None
     placed = _with_fitted_frames(model, observations, there, found)
@@ -160,7 +167,7 @@ def register_device(
             f"{describe_what_moved(model, observations, there)}"
         )
     told = there.tilts or not (there.turns and there.placed.any())
-    return placed, _registration(placed, frame, why, told)
+    return placed, _registration(placed, frame or "device", why, told)
 
 
 def registered_by(model: Model, observations: Observations) -> Model | None:
@@ -168,10 +175,16 @@ def registered_by(model: Model, observations: Observations) -> Model | None:
 
     Least squares in the noise metric of a fit; no other parameter changes.
     """
-    there = DevicePoses.of(model, observations)
+    return place_frames(model, observations, DevicePoses.of(model, observations))
+
+
+def place_frames(
+    model: Model, observations: Observations, there: DevicePoses | None
+) -> Model | None:
+    """Fit the frames as `registered_by` does, from the poses of the same observations."""
     placed = model
     if there is not None:
-        placed = _with_fitted_frames(model, observations, there, there.frames())
+        placed = _with_fitted_frames(model, observations, there, there.frames)
     elif not shows_pose(model):
         return None
     patterns = [f"{sensor.name}.*" for sensor in placed.sensors if sensor.shows_pose]
@@ -188,7 +201,7 @@ def registered_by(model: Model, observations: Observations) -> Model | None:
     return placed.with_values(values, placed.covariance)
 
 
-def is_registrable(model: Model, observations: Observations) -> bool:
+def is_registrable(model: Model, there: DevicePoses | None) -> bool:
     """Whether an error can be judged after registration: nothing states where the device stands,
     and the platform turns far enough in enough poses to determine its frame and target.
 
@@ -198,7 +211,6 @@ def is_registrable(model: Model, observations: Observations) -> bool:
         return False
     if shows_pose(model):
         return True
-    there = DevicePoses.of(model, observations)
     return there is not None and there.determines_target
 
 
@@ -306,6 +318,7 @@ class DevicePoses:
             np.array([sizes[0], m.length * sizes[1]]),
         )
 
+    @cached_property
     def frames(self) -> Frames:
         """The frames that minimise the distance of measured and predicted poses; the last step
         ignores the worst tenth."""
@@ -748,7 +761,7 @@ def rank_what_moved(
     fits: list[tuple[str, np.ndarray, Frames]] = [
         (DEVICE, device, there.descend(near, everything, device)),
         (TARGET, target, there.descend(there.now, everything, target)),
-        (BOTH, device | target, there.frames()),
+        (BOTH, device | target, there.frames),
     ]
     found = [
         _explain(what, there, frames, there.count_free(frames, free)) for what, free, frames in fits

@@ -206,9 +206,9 @@ def _find_stations(
         there = DevicePoses.of(model, own_samples)
         if there is None or there.poses < MIN_REGISTRATION_POSES:
             return None
-        first = first or there.frames()
+        first = first or there.frames
         relative = replace(there, now=first)
-        own = relative.frames()
+        own = relative.frames
         if relative.is_displaced(own, is_identified(model)):
             words = describe_what_moved(model, own_samples, relative)
             stations[k] = Station(first, own, there.tilts, bool(there.turned.any()), words)

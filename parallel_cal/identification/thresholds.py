@@ -12,6 +12,11 @@ MAX_NAMED_WEAK_DIRECTIONS = 2  # weakest directions to name: a document has all 
 MAX_NEGLIGIBLE_ERROR_RISE = (
     0.01  # of the validation error: the removal of an effect may cost so much
 )
+# A factor that all lengths of a robot have in common, which a wrong size of a printed board causes
+MIN_COMMON_SCALE_SIGMAS = 4.0
+MIN_COMMON_SCALE = 2e-3  # nobody measures a printed board to less
+UNKNOWN_SCALE = 0.3  # prior sigma of a factor that is looked for
+UNKNOWN_PLACE = 100.0  # factor of the tolerances of a camera's place, which grows with the robot
 MAX_REGION_SAMPLES = 5000  # of which the positions are predicted, to state their region
 BLOCKS = 40  # stretches into which a continuous motion is cut, as if each were a pose
 

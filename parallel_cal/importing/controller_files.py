@@ -36,11 +36,15 @@ def samples(kind: str, paths: Sequence[Path], **options: Any) -> Dataset:
 
 
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
-    """Return the model of a configured machine; the file's suffix identifies the controller."""
+    """Return the model of a configured machine.
+
+    The file's suffix identifies the controller, and `recognizes` of an importer that has it.
+    """
     modules = {name: load_module(SHELF, name) for name in list_plugins(SHELF)}
     kinds = {n: m.CONFIGURATION for n, m in modules.items() if hasattr(m, "CONFIGURATION")}
     for name, ends in kinds.items():
-        if paths[0].suffix in ends:
+        recognizes = getattr(modules[name], "recognizes", lambda path: True)
+        if paths[0].suffix in ends and recognizes(paths[0]):
             return modules[name].configured(paths)  # type: ignore[no-any-return]
     known = "; ".join(f"{' or '.join(ends)} ({name})" for name, ends in kinds.items())
     raise DatasetError(

@@ -21,6 +21,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.settings import Settings
@@ -33,6 +34,8 @@ from parallel_cal.recordings.recording import Array
 JOINT_NAMES = ("joint1", "joint2", "joint3")
 HOME_HEIGHT_M = 0.05  # m above the bed; the middle of the used height
 BED_LEVELS = (0.0, HOME_HEIGHT_M, 0.1)  # m: the bed, home and the top of the workspace
+BELOW_HOMED = 30 * DEGREE  # of a hanging rotary Delta's arms in the middle of its workspace
+HANGING_ANGLES = np.radians([270.0, 30.0, 150.0])  # of the motors of LinuxCNC and grblHAL
 FLAT = 1e-6  # twice the area of a triangle on the unit circle; a smaller one has no orientation
 NOT_STATED = (
     "inclinations of towers or motors, errors between the two rods of a pair "
@@ -182,6 +185,23 @@ class Shoulders:
             return _set_home(mechanism, self, self.reach or 0.6 * arm)
         levels = (self.middle - arm / 4, self.middle, self.middle + arm / 4)
         return _set_home(mechanism, self, self.reach or 0.6 * arm, levels)
+
+
+def hang_shoulders(
+    radius: float, arm: float, rod: float, homed: Array, unreachable: DatasetError
+) -> Shoulders:
+    """Return a rotary Delta with equal chains, which hangs below the plane z = 0 of its motors.
+
+    `homed` (3,) are its joints at the end-stops (rad). Raise `unreachable` if the rods are too
+    short for the middle of the workspace.
+    """
+    middle = homed - BELOW_HOMED
+    drop = rod**2 - (radius + arm * np.cos(middle)) ** 2
+    if (drop <= 0).any():
+        raise unreachable
+    z = float(np.mean(arm * np.sin(middle) - np.sqrt(drop)))
+    same, limits = np.ones(3), tuple((-np.pi / 2, float(top)) for top in homed)
+    return Shoulders(radius, 0 * same, arm * same, rod * same, HANGING_ANGLES, limits, middle=z)
 
 
 def end_stops(delta: Delta) -> dict[str, float]:

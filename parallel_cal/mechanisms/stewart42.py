@@ -1,4 +1,4 @@
-"""Stewart platform with perfect ball joints, 42 parameters (section 3.3.2, eq. 3.8)."""
+"""Stewart platform with perfect ball joints, 7 parameters a leg (section 3.3.2, eq. 3.8): 42."""
 
 from __future__ import annotations
 
@@ -54,15 +54,15 @@ def one_leg(leg: str, B: np.ndarray, C: np.ndarray, retracted: float) -> list[Pa
 def leg_parameters(
     platform: np.ndarray, base: np.ndarray, retracted: float | np.ndarray
 ) -> ParameterTable:
-    """Make the parameters of all six legs; centres B in {P} and C in {B} are (6, 3) m each."""
-    legs = zip(platform, base, np.broadcast_to(retracted, 6), strict=True)
+    """Make the parameters of n legs; centres B in {P} and C in {B} are (n, 3) m each."""
+    legs = zip(platform, base, np.broadcast_to(retracted, len(base)), strict=True)
     return ParameterTable(
         p for i, (B, C, L0) in enumerate(legs, start=1) for p in one_leg(f"leg{i}", B, C, float(L0))
     )
 
 
 def _points(name: str, points: Points) -> np.ndarray:
-    """Return six points (6, 3) m, given as coordinates or on a circle."""
+    """Return six or more points (n, 3) m, given as coordinates or on a circle."""
     try:
         if isinstance(points, Mapping):
             known: Any = dict(points)
@@ -73,13 +73,16 @@ def _points(name: str, points: Points) -> np.ndarray:
             found = np.array(points, dtype=float)
     except (KeyError, TypeError, ValueError) as error:
         raise ModelError(f"{name}: {error}; {SIX_POINTS}") from None
-    if found.shape != (6, 3) or not np.isfinite(found).all():
+    if len(found) < 6 or found.shape != (len(found), 3) or not np.isfinite(found).all():
         raise ModelError(f"{name} has the shape {found.shape}; {SIX_POINTS}")
     return found
 
 
 Points = Sequence[Sequence[float]] | np.ndarray | Mapping[str, Any]
-SIX_POINTS = "expected six points [x, y, z] in m, or {radius: m, angles: [six angles in degrees]}"
+SIX_POINTS = (
+    "expected six points [x, y, z] in m, or {radius: m, angles: [six angles in degrees]}, or one "
+    "for each leg if there are more than six legs"
+)
 PLATFORM, BASE = ring(PLATFORM_RADIUS, PLATFORM_ANGLES), ring(BASE_RADIUS, BASE_ANGLES)
 BODIES = {"base": ("*.C_?",), "platform": ("*.B_?",), "legs": ("*.L0",)}
 
@@ -92,18 +95,20 @@ class Stewart42(Mechanism):
     frame of the base.
 
     Options: `base` and `platform`, the six points C in {B} and B in {P}: (6, 3) in m, or a radius
-    in m and six angles in degrees, such as `{radius: 0.25, angles: [-10, 10, 110, 130, 230, 250]}`;
-    `height` in m of the platform above the base at home; `retracted`, the length in m of a leg at
-    reading zero (default: its length at home, so that the readings at home are 0); `limits` of the
-    readings in m; `tolerance` in m of all these numbers. Without options, the nominal robot has two
-    flat hexagons.
+    in m and six angles in degrees, such as `{radius: 0.25, angles: [-10, 10, 110, 130, 230, 250]}`
+    (seven points or angles for seven legs, and so on); `height` in m of the platform above the base
+    at home; `retracted`, the length in m of a leg at reading zero (default: its length at home, so
+    that the readings at home are 0); `limits` of the readings in m; `tolerance` in m of all these
+    numbers. Without options, the nominal robot has two flat hexagons.
 
     The default of `limits` is 0 to 0.2 m. If you state `base` or `platform` without `retracted`, so
     that the readings at home are 0, it is -L to L, with L = 0.1 m at the default `height`, and in
     proportion to `height`.
+
+    A robot with more than six legs needs no measuring device: if its parameters are wrong, the
+    lengths of the legs do not agree on one pose.
     """
 
-    joints = tuple(f"leg{i + 1}" for i in range(6))
     joint_unit = "m"
     closed_forms = ("inverse",)
     bodies = BODIES
@@ -121,6 +126,13 @@ class Stewart42(Mechanism):
         drawn = base is not None or platform is not None
         C = BASE if base is None else _points("base", base)
         B = PLATFORM if platform is None else _points("platform", platform)
+        if len(B) != len(C):
+            raise ModelError(
+                f"{len(B)} points of the platform for {len(C)} points of the base, expected one of "
+                "each for every leg"
+            )
+        n = len(C)
+        self.joints = tuple(f"leg{i + 1}" for i in range(n))
         try:
             height, tolerance = float(height), float(tolerance)
             if limits is None:
@@ -134,9 +146,9 @@ class Stewart42(Mechanism):
             ) from None
         lengths = np.linalg.norm(B + [0, 0, height] - C, axis=1).round(13)
         if retracted is None:
-            zero = lengths if drawn else np.full(6, RETRACTED)
+            zero = lengths if drawn else np.full(n, RETRACTED)
         else:
-            zero = np.full(6, retracted)
+            zero = np.full(n, retracted)
         if not (np.isfinite(lengths).all() and (zero > 0).all()):
             raise ModelError(
                 f"height {height} and retracted {retracted}: expected legs longer than 0 m"
@@ -154,14 +166,18 @@ class Stewart42(Mechanism):
             low=(*(float(v) for v in middle - reach), *(-angle for angle in turn)),
             high=(*(float(v) for v in middle + reach), *turn),
         )
-        self.joint_limits = ((low, high),) * 6
+        self.joint_limits = ((low, high),) * n
         # Rounded as the lengths are: the last bit of a root depends on the machine.
         self.length = round(float(np.sqrt(np.mean(np.sum((B - B.mean(axis=0)) ** 2, axis=1)))), 13)
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """Compute the length error of each leg, eq. 3.8 without the squares, in metres."""
-        legs = [p[f"leg{i + 1}"] for i in range(6)]
+        legs = self.legs(p)
         return ca.vertcat(*[self.span(r, R, c) - (q[i] + c.L0) for i, c in enumerate(legs)])
+
+    def legs(self, p: Named) -> list[Named]:
+        """Return the parameters of each leg."""
+        return [p[leg] for leg in self.joints]
 
     @staticmethod
     def span(r: Any, R: Any, c: Named) -> Any:
@@ -170,17 +186,17 @@ class Stewart42(Mechanism):
         return ca.norm_2(r + R @ B - C)
 
     def rods(self, q: Any, p: Named) -> tuple[list[Any], list[Any], list[Any]]:
-        """Return the six legs' ends C in {B} and B in {P}, (3, 1) each, and their lengths."""
-        legs = [p[f"leg{i + 1}"] for i in range(6)]
+        """Return the legs' ends C in {B} and B in {P}, (3, 1) each, and their lengths."""
+        legs = self.legs(p)
         C = [c.vector("C_x", "C_y", "C_z") for c in legs]
         B = [c.vector("B_x", "B_y", "B_z") for c in legs]
         return C, B, [q[i] + c.L0 for i, c in enumerate(legs)]
 
     def struts(self, r: Any, R: Any, p: Named) -> list[tuple[Any, Any]]:
-        """Return the six legs' ends C and B in {B}, (3, 1) m each."""
-        legs = [p[f"leg{i + 1}"] for i in range(6)]
+        """Return the legs' ends C and B in {B}, (3, 1) m each."""
         return [
-            (c.vector("C_x", "C_y", "C_z"), r + R @ c.vector("B_x", "B_y", "B_z")) for c in legs
+            (c.vector("C_x", "C_y", "C_z"), r + R @ c.vector("B_x", "B_y", "B_z"))
+            for c in self.legs(p)
         ]
 
     def centres(self, q: Any, r: Any, R: Any, p: Named) -> Mapping[str, list[Any]]:
@@ -201,5 +217,4 @@ class Stewart42(Mechanism):
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
         """Find the only solution: a leg's length is positive."""
-        legs = [p[f"leg{i + 1}"] for i in range(6)]
-        return [(self.span(r, R, c) - c.L0,) for c in legs]
+        return [(self.span(r, R, c) - c.L0,) for c in self.legs(p)]

@@ -61,6 +61,11 @@ class Sensor(ABC):
         one image do. If True: (1) a recording may lack some of the channels altogether;
         (2) `views` supplies the start values that the options do not state; (3) pose errors are
         estimated from the readings. Default False.
+    stated_length : str
+        Name of the option (m) from which all lengths follow that the readings show; empty (default)
+        if the readings themselves are lengths.
+    scale_parameters : tuple of str
+        Parameters that correct `stated_length`, if a fit identifies them. Default none.
     base_part, platform_part : str
         A measuring set-up has a part on the base and a part on the platform (camera and board, for
         example). Name patterns of the parameters that state the place of each part. Default none.
@@ -73,6 +78,8 @@ class Sensor(ABC):
     guessed_sigma: ClassVar[float] = 20e-6
     unit: ClassVar[str] = "m"
     shows_pose: ClassVar[bool] = False
+    stated_length: ClassVar[str] = ""
+    scale_parameters: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:

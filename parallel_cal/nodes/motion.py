@@ -32,8 +32,14 @@ class Motion(Protocol):
     def send(self, trajectory: JointTrajectory, source: str = "") -> None:
         """Send a trajectory that replaces the present one; `source` names what asked for it."""
 
+    def is_answered(self) -> bool:
+        """Whether the controller has answered the last trajectory, if it does that at all."""
+
     def has_ended(self) -> bool:
-        """Whether nothing more is to be heard of the last trajectory; CellError if it failed."""
+        """Whether nothing more is to be heard of the last trajectory.
+
+        CellError if it failed, UnansweredError if it was given up without an answer.
+        """
 
     def explain_silence(self) -> str:
         """Explain why nothing is heard of the last trajectory; empty if the controller answers."""
@@ -59,6 +65,9 @@ class TopicMotion:
 
     def send(self, trajectory: JointTrajectory, source: str = "") -> None:
         self._publisher.publish(trajectory)
+
+    def is_answered(self) -> bool:
+        return True
 
     def has_ended(self) -> bool:
         return True

@@ -13,7 +13,7 @@ import numpy as np
 from trajectory_msgs.msg import JointTrajectory
 
 from parallel_cal.base.errors import DatasetError, SolveError
-from parallel_cal.campaign.cell import CellError, Sample, UnseenError
+from parallel_cal.campaign.cell import CellError, Sample, UnansweredError, UnseenError
 from parallel_cal.campaign.checking import ARRIVAL_TOLERANCE, LIMIT_SWITCH_ADVICE
 from parallel_cal.campaign.deviation import (
     MAX_PATH_DEVIATION,
@@ -39,6 +39,7 @@ MAX_STEP_BACK_S = 1.0  # s by which the stamps of joint states may go back
 # robot at rest may still start to move, because a busy computer delivers the command late.
 ARRIVAL_TIMEOUT_S = 10.0
 START_TIMEOUT_S = 5.0
+MAX_SENDS = 3  # of a motion that the controller does not answer, while the robot stays
 # s for which the stamps of joint states may stay the same, or none be read on a busy computer
 MAX_STANDSTILL_S = 10.0
 REST_DURATION_S = 0.15  # s for which readings must stay equal before the robot counts as at rest
@@ -108,6 +109,20 @@ class RobotCell:
         return self._latest()[1]
 
     def move(self, trajectory: Trajectory, go_on: Callable[[], None]) -> None:
+        _, start = self._latest()
+        for sent in range(1, MAX_SENDS + 1):
+            try:
+                return self._follow(trajectory, go_on)
+            except UnansweredError as error:
+                # DDS loses a goal, or the answer to it, while the two ends discover each other.
+                if (np.abs(self._latest()[1] - start) > self._still).any():
+                    raise
+                if sent == MAX_SENDS:
+                    raise CellError(f"the motion was sent {sent} times: {error}") from None
+                self._say(f"{error}; sending the motion again")
+
+    def _follow(self, trajectory: Trajectory, go_on: Callable[[], None]) -> None:
+        """Send a trajectory once and wait until the robot rests at its end."""
         wait = self._make_wait(go_on, self._describe_silence)
         _, planned = self._latest()
         while self._silence() > FRESH_S:  # where the robot is now must be known
@@ -121,11 +136,15 @@ class RobotCell:
         path = np.vstack([q, trajectory.positions])
         self._motion.require_controller()
         self._motion.send(trajectory_message(self._model.joints, trajectory))
+        times = np.concatenate([[0.0], trajectory.time])
         speeds = np.vstack([0 * q, trajectory.velocities])
-        self._moving = begin, np.concatenate([[0.0], trajectory.time]), path, speeds
+        self._moving = begin, times, path, speeds
         while True:
             wait()
             stamp, q = self._latest(begin)
+            if not self._motion.is_answered():
+                begin = stamp  # nobody has said yet that the motion began
+                self._moving = begin, times, path, speeds
             elapsed = stamp - begin  # on the robot's clock: a simulated one may be slow
             self._check_on_path(q, path[0], trajectory, elapsed)
             ended = self._motion.has_ended()

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from parallel_cal.base.errors import SolveError
+from parallel_cal.campaign.path_guard import describe_exceeded_limits
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
 from parallel_cal.kinematics.solvers import newton
 from parallel_cal.model.effect import list_substitutes, parse_lag
@@ -144,6 +145,9 @@ def joints_for(
         # The first solution assumed the present directions: solve again if a joint will reverse.
         if not approach.items() <= at.items():
             found = _solve_on_branch(kinematics, last, r, R, at | approach)
+    if found.status == Status.OUTSIDE_LIMITS:
+        exceeded = describe_exceeded_limits(model.mechanism, found.joints)
+        raise SolveError(f"{describe_status(found.status)} ({exceeded})")
     if found.status != Status.CONVERGED:
         raise SolveError(describe_status(found.status))
     return found

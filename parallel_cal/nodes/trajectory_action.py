@@ -18,7 +18,7 @@ from rclpy.task import Future
 from trajectory_msgs.msg import JointTrajectory
 
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.campaign.cell import CellError
+from parallel_cal.campaign.cell import CellError, UnansweredError
 from parallel_cal.nodes.parameters import RELIABLE
 from parallel_cal.nodes.run import create_steady_timer
 
@@ -54,6 +54,7 @@ class _Goal:
     make_halt: MakeHalt | None = None  # how to stop the robot, once the goal is to be cancelled
     silent: int = 0  # checks since the controller last answered
     gone: int = 0  # checks since there was a controller
+    unanswered: bool = False  # it was given up, and nothing was heard of it
 
     @property
     def owes_answer(self) -> bool:
@@ -92,12 +93,16 @@ class TrajectoryAction:
         self._goals = [one for one in self._goals if one.state in UNENDED] + [goal]
         self._node.executor.create_task(self._begin, goal)
 
+    def is_answered(self) -> bool:
+        return self._goals[-1].state != MotionStatus.SENT
+
     def has_ended(self) -> bool:
         goal = self._goals[-1]
         if goal.state in UNENDED:
             return False
         if goal.state != MotionStatus.ARRIVED:
-            raise CellError(goal.message or "the motion was stopped")
+            kind = UnansweredError if goal.unanswered else CellError
+            raise kind(goal.message or "the motion was stopped")
         return True
 
     def explain_silence(self) -> str:
@@ -146,6 +151,7 @@ class TrajectoryAction:
                 goal.silent > MAX_CHECKS_SILENT and goal.owes_answer
             ):
                 message = f"{_describe_silence(goal)}; the robot may still move"
+                goal.unanswered = not (goal.handle or goal.errors or goal.gone)
                 self._cancel(goal)
                 self._end(goal, MotionStatus.FAILED, message=message)
 

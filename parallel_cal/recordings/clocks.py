@@ -24,6 +24,8 @@ from parallel_cal.recordings.dwells import jitter, noise_span
 from parallel_cal.recordings.recording import Array, Bools, JointStream, PoseStream, Recording
 
 MAX_DRIVER_DELAY_S = 50e-3  # s by which stamps of one clock may differ; `latency` covers them
+MIN_ARRIVAL_JITTER_S = 5e-3  # no device measures so irregularly, but networks deliver so
+MAD_TO_SIGMA = 1.4826  # of a normal distribution
 MAX_STEPS = 800  # steps between neighbouring poses that are used
 MIN_STEPS = 60  # with fewer steps, no delay is estimated
 # Share of the steps' squares: the delay must leave less than this, and less than this share of what
@@ -42,10 +44,12 @@ MAX_CHANCE = 1e-9  # probability that pure noise looks like this; a live collect
 
 @dataclass(frozen=True)
 class Offset:
-    """How much later (s) poses are stamped than joint states; `sigma` is its uncertainty."""
+    """How much later (s) poses are stamped than joint states; `sigma` is its uncertainty, `jitter`
+    (s) the standard deviation of the stamps from regular ones."""
 
     delay: float
     sigma: float
+    jitter: float = 0.0
 
 
 def align_clocks(recording: Recording) -> Recording:
@@ -61,10 +65,17 @@ def align_clocks(recording: Recording) -> Recording:
 def describe_offset(found: Offset, poses: str, joints: str) -> KeyedWarning:
     """Return the note that the clock of the `poses` was moved to that of the `joints`."""
     late = "later" if found.delay > 0 else "earlier"
+    irregular = ""
+    if found.jitter > MIN_ARRIVAL_JITTER_S:
+        irregular = (
+            f". The intervals of its stamps are irregular (sigma of a stamp {found.jitter:.2g} s): "
+            "they are probably times of arrival, not of measurement. Samples at rest are not "
+            "affected. With mode=continuous, this sigma times the speed is an error of each pose"
+        )
     note = (
         f"{poses} was stamped {abs(found.delay):.4f} s {late} than {joints} "
         f"(+- {found.sigma:.2g} s, estimated from motion): the two clocks differ. The poses were "
-        "moved to the joints' clock"
+        f"moved to the joints' clock{irregular}"
     )
     return KeyedWarning(note, "two clocks", poses)
 
@@ -94,7 +105,14 @@ def clock_offset(joints: JointStream, pose: PoseStream) -> Offset | None:
         return None
     if compared * steps.chance(delay) > MAX_CHANCE:
         return None
-    return Offset(delay, steps.sigma(delay))
+    return Offset(delay, steps.sigma(delay), measure_jitter(pose.time))
+
+
+def measure_jitter(time: Array) -> float:
+    """Measure the standard deviation (s) of stamps (n,) from regular ones, by their intervals; lost
+    messages do not count."""
+    gaps = np.diff(time)
+    return float(MAD_TO_SIGMA * np.median(np.abs(gaps - np.median(gaps))) / np.sqrt(2))
 
 
 @dataclass(frozen=True)

@@ -217,9 +217,11 @@ def map_by_names(table: Table, joints: Sequence[str], beside: Path) -> ColumnMap
     }
     measured = len(position) == 3 or len(orientation) == 4 or readings
     if missing or not joints or not measured:
-        lacking = ", ".join(missing) or ("x, y, z" if joints else "the names of the joints")
+        problem = f"no columns {', '.join(missing) or 'x, y, z'}"
+        if not joints:
+            problem = "nothing states which columns are joints, because no model file was given"
         raise DatasetError(
-            f"{table.path}:1: no columns {lacking}; the table has "
+            f"{table.path}:1: {problem}; the table has "
             f"{textwrap.shorten(', '.join(table.header), MAX_SHOWN_HEADER, placeholder=' ...')}. "
             "Expected the joints of the model, and x, y and z or qx, qy, qz and qw, each length "
             f"and angle with its unit ({joints[0] if joints else 'joint1'} [mm]). Otherwise state "

@@ -27,6 +27,7 @@ from parallel_cal.base.units import (
 )
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.recordings.motive import is_motive, merge_header
+from parallel_cal.recordings.vicon import HEADER_LINES, convert_rows, is_vicon
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
 MAX_TABLE_BYTES = 512 * MEGABYTE
@@ -120,7 +121,8 @@ class Table:
 def read_table(path: Path) -> Table:
     """Read a table with a header line; skip empty lines and leading `#` lines.
 
-    The header of an export of OptiTrack's Motive is merged into one line (motive.py).
+    The header of an export of OptiTrack's Motive (motive.py), or of Vicon's Tracker or Nexus
+    (vicon.py), is merged into one line.
 
     DatasetError if the file is not such a table.
     """
@@ -146,7 +148,11 @@ def read_table(path: Path) -> Table:
         raise DatasetError(f"{path}: not a CSV table: {error}") from None
     if not found or not any(found[0][1]):
         raise DatasetError(f"{path}:1: the file is empty; expected a header line")
-    if is_motive([row for _, row in found]):
+    if is_vicon([row for _, row in found]):
+        header, converted = convert_rows([row for _, row in found])
+        numbers = [line for line, _ in found[HEADER_LINES:]]
+        rows = [*zip(numbers, converted, strict=False)]
+    elif is_motive([row for _, row in found]):
         last, header = merge_header([row for _, row in found])
         rows = [
             (line, [*row, *[""] * len(header)][: len(header)]) for line, row in found[last + 1 :]

@@ -8,7 +8,7 @@ from html import escape
 from parallel_cal.diagnosis.lack_of_fit import SmoothMap
 from parallel_cal.diagnosis.patterns import Region
 from parallel_cal.diagnosis.signature import signature
-from parallel_cal.reporting import images, joint_panels, maps, spaces
+from parallel_cal.reporting import image_figures, images, joint_panels, maps, spaces
 from parallel_cal.reporting.markup import Plot, as_html, folded, paragraph, table, tabs
 from parallel_cal.reporting.multiples import colour, multiples
 from parallel_cal.reporting.readable import (
@@ -37,21 +37,15 @@ COLOURS = "Colour is direction: red +x, green-yellow +y, cyan -x, violet -y; lig
 
 
 def over_images(report: Report, plot: Plot) -> str:
-    """Render the residuals of corners over the image of each camera, and its lens; empty without a
-    camera."""
+    """Render what each camera saw, its lens, and the robot's error without the noise of the images;
+    empty without a camera."""
     fitted = report.diagnosis.best.fitted
-    parts = []
-    for one in images.list_images(fitted):
-        figure, scale = images.residual_arrows(one)
-        where = "poses that were held out" if one.held_out else "all poses"
-        note = (
-            f"{one.camera.name}: measured minus predicted corners at {where}, magnified {scale:g} "
-            "times. Arrows without order are noise. Neighbours that point the same way show a "
-            "lens, a board or a robot that the model does not describe. Empty parts of the image "
-            "tell nothing of the lens there."
-        )
-        parts += [paragraph(note, "note"), plot(figure)]
-    return "".join(parts) + (as_html(images.describe_images(fitted)) if parts else "")
+    told = as_html(images.describe_images(fitted))
+    pages = {
+        one.name: paragraph(one.words, "note") + plot(one.figure)
+        for one in image_figures.draw_cameras(fitted)
+    }
+    return tabs(pages) + told if pages else ""
 
 
 def in_space(report: Report, plot: Plot) -> str:

@@ -13,16 +13,12 @@ from parallel_cal.identification.image_poses import estimate_robot_error, find_s
 from parallel_cal.identification.position_uncertainty import compute_shape_sigma
 from parallel_cal.identification.prediction_errors import Errors
 from parallel_cal.identification.predictions import predict_configurations
-from parallel_cal.reporting.arrows import colour, round_below
 from parallel_cal.reporting.blocks import Block, Number, Table
-from parallel_cal.reporting.figures import Spec, round_with_gaps, select_evenly
 from parallel_cal.reporting.readable import format_fixed
 from parallel_cal.sensors.camera import Camera
 
 GRID = (8, 6)  # cells of the image that count for its coverage
 MAX_TOLD_SHARE = 0.5  # of its tolerance: an estimate with a larger sigma comes from the tolerance
-MAX_ARROWS = 4000
-TYPICAL_ARROW = 0.03  # of the image's width: length of a large arrow
 
 
 @dataclass(frozen=True)
@@ -50,14 +46,17 @@ class CameraImages:
         return len(np.unique(inside, axis=0)) / (GRID[0] * GRID[1])
 
 
+def list_cameras(result: FitResult) -> list[Camera]:
+    """List the cameras of a fit."""
+    return [sensor for sensor in result.model.sensors if isinstance(sensor, Camera)]
+
+
 def list_images(result: FitResult) -> list[CameraImages]:
     """List the cameras of a fit with what they saw."""
     found: list[CameraImages] = []
     errors: Errors = result.judged_errors
     channels, reading = np.array(result.model.structure.channels), result.observations.reading
-    for camera in result.model.sensors:
-        if not isinstance(camera, Camera):
-            continue
+    for camera in list_cameras(result):
         own = np.isin(channels, camera.channels)
         pixels, left = (a[:, own].reshape(len(a), -1, 2) for a in (reading, errors.pixel))
         seen = np.isfinite(pixels).all(axis=2)
@@ -77,8 +76,7 @@ def list_images(result: FitResult) -> list[CameraImages]:
 
 def describe_images(result: FitResult) -> Iterator[Block]:
     """Describe the cameras of a fit, their lenses, and the robot's error without their noise."""
-    cameras = list_images(result)
-    for one in cameras:
+    for one in list_images(result):
         name = one.camera.name
         where = "held-out poses" if one.held_out else "all poses"
         yield (
@@ -87,7 +85,16 @@ def describe_images(result: FitResult) -> Iterator[Block]:
             f"{100 * one.coverage:.0f} % of the image"
         )
         yield lens_table(result, one.camera)
-    if not cameras:
+    yield from describe_robot_error(result)
+    for camera in list_cameras(result):
+        if stated := describe_stated_length(result, camera):
+            yield stated
+
+
+def describe_robot_error(result: FitResult) -> Iterator[str]:
+    """Describe the robot's position error without the noise of the images, and the uncertainty of
+    the positions; nothing without a camera."""
+    if not list_cameras(result):
         return
     shown = find_shown_poses(
         result.model,
@@ -115,6 +122,22 @@ def describe_images(result: FitResult) -> Iterator[Block]:
         )
 
 
+def describe_stated_length(result: FitResult, camera: Camera) -> str:
+    """Say which lengths follow from the stated size of the board; empty if the fit corrects it."""
+    name = f"{camera.name}.scale"
+    if not result.parameters()[name].fixed:
+        return ""
+    if "m" in result.model.mechanism.joint_units:
+        return (
+            f"{camera.name}: square: {camera.square:g} m and the lengths that the joints read must "
+            f"agree. If the print was not measured, let the fit correct it (--free {name})"
+        )
+    return (
+        f"{camera.name}: neither angles nor images contain a length. All lengths of the robot "
+        f"follow from square: {camera.square:g} m; 0.1 % of it is 0.1 % of the robot"
+    )
+
+
 def lens_table(result: FitResult, camera: Camera) -> Table:
     """List the parameters of a lens, and whether the data or their tolerances determine them."""
     rows: list[tuple[str | Number, ...]] = []
@@ -135,68 +158,3 @@ def lens_table(result: FitResult, camera: Camera) -> Table:
             )
         )
     return Table((f"lens of {camera.name}", "value", "sigma", "unit", "determined by"), rows)
-
-
-def residual_arrows(one: CameraImages) -> tuple[Spec, float]:
-    """Draw the residuals as arrows over the image; return the figure and the magnification."""
-    kept = select_evenly(len(one.corners), MAX_ARROWS)
-    starts, moves = one.corners[kept], one.residuals[kept]
-    width, height = one.camera.image_size
-    size = float(np.nanquantile(np.linalg.norm(moves, axis=1), 0.9))
-    scale = round_below(TYPICAL_ARROW * width / size) if size > 0 else 1.0
-    ends = starts + scale * moves
-    colours = np.array([colour(np.append(np.nan_to_num(v), 0.0)) for v in moves])
-    hues = np.round(np.arctan2(*np.nan_to_num(moves).T[::-1]) / (2 * np.pi) * 12) % 12
-    data: list[Spec] = []
-    for hue in np.unique(hues):  # one trace for each of twelve directions keeps the page small
-        own = np.flatnonzero(hues == hue)
-        gap = np.full((len(own), 1), np.nan)
-        x, y = (
-            np.hstack([starts[own, k : k + 1], ends[own, k : k + 1], gap]).ravel() for k in (0, 1)
-        )
-        data.append(
-            {
-                "type": "scatter",
-                "mode": "lines",
-                "x": round_with_gaps(x),
-                "y": round_with_gaps(y),
-                "line": {"color": str(colours[own[0]]), "width": 1},
-                "hoverinfo": "skip",
-                "showlegend": False,
-            }
-        )
-    data.append(
-        {
-            "type": "scatter",
-            "mode": "markers",
-            "x": round_with_gaps(starts[:, 0]),
-            "y": round_with_gaps(starts[:, 1]),
-            "marker": {"size": 2.5, "color": colours.tolist()},
-            "text": [
-                f"sample {n}: {v[0]:.2f} {v[1]:.2f} px"
-                for n, v in zip(one.sample[kept].tolist(), moves, strict=True)
-            ],
-            "customdata": one.sample[kept].tolist(),
-            "hoverinfo": "text",
-            "showlegend": False,
-        }
-    )
-    tall = 60 + round(820 * height / width)
-    layout: Spec = {
-        "height": tall,
-        "margin": {"t": 12, "r": 8, "l": 56, "b": 44},
-        "xaxis": {
-            "range": [-0.5, width - 0.5],
-            "title": {"text": "u [px]", "standoff": 4},
-            "constrain": "domain",
-            "zeroline": False,
-        },
-        "yaxis": {
-            "range": [height - 0.5, -0.5],
-            "title": {"text": "v [px]", "standoff": 4},
-            "scaleanchor": "x",
-            "constrain": "domain",
-            "zeroline": False,
-        },
-    }
-    return {"data": data, "layout": layout}, scale

@@ -19,7 +19,7 @@ def body(report: Report, plot: Plot) -> str:
         section("History", overview.history(report, plot)),
         section("Error budget", overview.budget(report)),
         section("Residuals in space", failures.in_space(report, plot)),
-        *([section("Residuals over the image", images)] if images else []),
+        *([section("What the camera saw", images)] if images else []),
         section("Residuals against quantities", failures.along_everything(report, plot)),
         section("Which effect is missing", evidence.candidates(report, plot)),
         section("What to measure next", evidence.measure_next(report)),

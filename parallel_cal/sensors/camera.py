@@ -115,6 +115,8 @@ class Camera(Sensor):
     guessed_sigma = 0.3
     unit = "px"
     shows_pose = True
+    stated_length = "square"
+    scale_parameters = ("scale",)
 
     def __post_init__(self) -> None:
         problems = (

@@ -26,7 +26,7 @@ from parallel_cal.diagnosis.stations import exclude_device
 from parallel_cal.diagnosis.verdict import robot_or_device
 from parallel_cal.identification.acceptance import IN_SAMPLE, Acceptance, acceptance
 from parallel_cal.identification.added_effects import limit_patterns
-from parallel_cal.identification.fit import FitResult, fit, fit_registered
+from parallel_cal.identification.fit import FitResult, fit, fit_unjudged
 from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.platform_shift import (
     PlatformShift,
@@ -291,7 +291,7 @@ def _with_noise_of(result: FitResult, rival: FitResult) -> FitResult:
     if not result.observations.unknown:
         return rival
     options = replace(rival.options, hold_out=0)
-    return fit_registered(rival.start, rival.dataset, options, noise=result.observations)
+    return fit_unjudged(rival.start, rival.dataset, options, noise=result.observations).judge()
 
 
 def _with_given_model_of(result: FitResult, rival: FitResult) -> FitResult:
@@ -342,9 +342,9 @@ def _fits_as_well(
         for each in added:
             chosen = rival if each is one else each
             swapped = swapped.with_effect(chosen.name, chosen.settings)
-        other = fit_registered(
+        other = fit_unjudged(
             swapped, base.dataset, result.options, given=base.given, noise=result.observations
-        )
+        ).judge()
     except (FitError, ModelError):
         return False
     own, its = ({size.effect for size in r.unusual.values()} for r in (result, other))

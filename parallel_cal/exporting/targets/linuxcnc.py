@@ -26,8 +26,9 @@ from parallel_cal.exporting.projection import (
     fit_numbers,
 )
 from parallel_cal.exporting.targets import c
+from parallel_cal.importing.deltas import HANGING_ANGLES
 from parallel_cal.importing.importers import linuxcnc
-from parallel_cal.importing.importers.linuxcnc import HEXAPOD, HOMED, ROTARY_PINS, SHOULDERS
+from parallel_cal.importing.importers.linuxcnc import HEXAPOD, HOMED, ROTARY_PINS
 from parallel_cal.importing.settings import Settings
 from parallel_cal.importing.struts import Struts
 from parallel_cal.model.model import Model
@@ -36,6 +37,7 @@ HOLDS = ("stewart42", *LINEAR, *ROTARY)
 CLEARED = tuple(f"lineardeltakins.J{i}off" for i in range(3))  # the offsets of older versions
 HAL, INI = "machine.hal", "machine.ini"
 INCH_DECIMALS = 7  # as fine as the digits of mm
+STRUTS = 6  # of genhexkins
 SWITCHES = (
     "HOME_OFFSET assumes switches at the joints' upper limits in the model "
     "file: if yours are elsewhere, change these limits"
@@ -99,7 +101,7 @@ def project(model: Model, present: Refinement | None = None) -> Projection:
         pins = {"lineardeltakins.R": tall.radius[0], "lineardeltakins.L": tall.rods[0]}
         homed = tall.homed / MM
     elif name in ROTARY:
-        turned, found = fit_equal_shoulders(model, SHOULDERS, one_stop=False, present=present)
+        turned, found = fit_equal_shoulders(model, HANGING_ANGLES, one_stop=False, present=present)
         sizes = (turned.radius, turned.arms[0], turned.rods[0], 0.0)
         pins = {f"rotarydeltakins.{p}": size for p, size in zip(ROTARY_PINS, sizes, strict=True)}
         homed = -turned.homed / DEGREE
@@ -119,7 +121,12 @@ def project(model: Model, present: Refinement | None = None) -> Projection:
 
 def _struts(model: Model) -> tuple[Struts, Machine]:
     """Fit both hexagons, and the lengths at the upper limits of the legs."""
-    legs = [f"leg{i}." for i in range(1, 7)]
+    if len(model.joints) != STRUTS:
+        raise ModelError(
+            f"{HEXAPOD} has {STRUTS} struts, this robot {len(model.joints)}: leave out the "
+            "settings, and export writes a component of its own"
+        )
+    legs = [f"{leg}." for leg in model.joints]
     ends = [[[model.value(f"{leg}{end}_{a}") for a in "xyz"] for leg in legs] for end in "CB"]
     stops = np.array(model.mechanism.joint_limits, float)[:, 1]
     lengths = stops + [model.value(f"{leg}L0") for leg in legs]

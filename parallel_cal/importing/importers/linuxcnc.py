@@ -33,7 +33,6 @@ AXES = "XYZABCUVW"
 KINS, HEXAPOD, ROTARY = "lineardeltakins.", "genhexkins", "rotarydeltakins"
 ANY = "pins of genhexkins, lineardeltakins or rotarydeltakins"
 ROTARY_PINS = {"platformradius": "R", "thighlength": "U", "shinlength": "L", "footradius": "E"}
-SHOULDERS = np.radians([270.0, 30.0, 150.0])
 HOMED = "[JOINT_{}] HOME_OFFSET"  # in the .ini file: the joint at its switch
 HOME = "[JOINT_{}] HOME"  # where the joint goes when it is homed
 UNIT = "[TRAJ] LINEAR_UNITS"
@@ -43,7 +42,6 @@ BEYOND_SWITCHES = (
     "the switches (HOME_OFFSET) are the upper joint limits in the model file, because an export "
     "takes them from there, but the struts move beyond them to HOME: plan with other limits"
 )
-BELOW_HOMED = 30 * DEGREE  # of a rotary Delta's arms in the middle of the workspace
 NO_PROBE = np.zeros(3)
 
 
@@ -121,14 +119,8 @@ def kinematics(stated: Settings) -> Towers | Shoulders | Struts:
     if f"{ROTARY}.thighlength" in stated:
         size = {short: pin(f"{ROTARY}.{name}", 0.0) for name, short in ROTARY_PINS.items()}
         radius, homed = size["R"] - size["E"], -_joints_at(stated, HOMED, 3, DEGREE)
-        middle = homed - BELOW_HOMED
-        drop = size["L"] ** 2 - (radius + size["U"] * np.cos(middle)) ** 2
-        if (drop <= 0).any():
-            raise stated.error(f"{ROTARY}.shinlength", "a length that reaches the middle")
-        z = float(np.mean(size["U"] * np.sin(middle) - np.sqrt(drop)))
-        same, limits = np.ones(3), tuple((-np.pi / 2, float(top)) for top in homed)
-        arms, rods = size["U"] * same, size["L"] * same
-        return Shoulders(radius, 0 * same, arms, rods, SHOULDERS, limits, middle=z)
+        short = stated.error(f"{ROTARY}.shinlength", "a length that reaches the middle")
+        return deltas.hang_shoulders(radius, size["U"], size["L"], homed, short)
     stated.text(f"{HEXAPOD}.base.0.x", ANY)
     base, platform = (
         np.array([[pin(f"{HEXAPOD}.{ends}.{k}.{a}") for a in "xyz"] for k in range(6)])

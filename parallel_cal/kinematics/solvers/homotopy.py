@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.errors import SolveError
 from parallel_cal.kinematics.kinematics import Solutions
 from parallel_cal.kinematics.solvers._common import (
     get_kinematics,
@@ -25,6 +26,8 @@ from parallel_cal.kinematics.solvers._common import (
 from parallel_cal.kinematics.solvers._platform import PoseSet, all_poses
 from parallel_cal.model.model import Model
 
+RODS = 6  # that determine a pose; more of them agree on one only by a model without errors
+
 
 def pose_set(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> PoseSet:
     """Find every pose of the model at joints q (nq,); the home branch is the first real one.
@@ -34,6 +37,8 @@ def pose_set(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -
     """
     q = np.asarray(q, dtype=float)
     C, B, L = parts(model, "rods", q, at)
+    if len(C) != RODS:
+        raise SolveError(f"{len(C)} rods hold the platform, expected {RODS}; use --solver newton")
     found = all_poses(C, B, L)
     m = len(found.real)
     if m == 0:

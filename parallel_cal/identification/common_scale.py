@@ -1,0 +1,94 @@
+"""A factor that all identified lengths of a robot have in common, against those of its drawing.
+
+Angles of joints and pixels of an image contain no length. If a camera measures a robot with
+revolute joints, all its lengths follow from one stated length, the side of the board's squares. A
+robot whose lengths all differ from the drawing by one factor was measured with a board of another
+size.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from parallel_cal.base.errors import FitError
+from parallel_cal.identification.methods import implicit
+from parallel_cal.identification.observations import Observations
+from parallel_cal.identification.prior import Prior
+from parallel_cal.identification.thresholds import (
+    MIN_COMMON_SCALE,
+    MIN_COMMON_SCALE_SIGMAS,
+    UNKNOWN_PLACE,
+    UNKNOWN_SCALE,
+)
+from parallel_cal.model.model import Model
+from parallel_cal.model.sensor import Sensor
+
+
+@dataclass(frozen=True)
+class CommonScale:
+    """By how much (relative, with its standard deviation) the robot is larger than its drawing, if
+    the length that a sensor states is right."""
+
+    excess: float
+    sigma: float
+    sensor: Sensor
+
+    @classmethod
+    def find(cls, model: Model, observations: Observations, free: np.ndarray) -> CommonScale | None:
+        """Find a common factor of an identified model that contradicts the drawing; None if there
+        is none, or if no sensor states a length that the fit keeps.
+
+        A second fit identifies the stated length, too. The tolerances of all other parameters are
+        its prior, except those of the places of the sensor's parts, which grow with the robot.
+        """
+        names = list(model.table.names)
+        for sensor in model.sensors:
+            scale = [names.index(f"{sensor.name}.{one}") for one in sensor.scale_parameters]
+            if not scale or free[scale].any() or not _may_differ(model, free):
+                continue
+            size = model.table.tolerance.copy()
+            parts = [f"{sensor.name}.{part}" for part in (sensor.base_part, sensor.platform_part)]
+            size[model.table.matching(parts)] *= UNKNOWN_PLACE
+            size[scale] = UNKNOWN_SCALE
+            prior = Prior(model.table.nominal, np.diag(size**2))
+            freed = free.copy()
+            freed[scale] = True
+            try:
+                found = implicit.estimate(model, observations, freed, prior)
+            except FitError:
+                continue  # the fit without the scale says what is wrong
+            own = free & (np.arange(len(free)) < len(model.mechanism.parameters))
+            moved = (found.values - model.table.nominal)[own] / model.table.tolerance[own]
+            # A robot that differs by more than its tolerances says less about its size.
+            spread = max(float(np.sqrt(np.mean(moved**2))), 1.0)
+            excess = 1.0 / float(found.values[scale[0]]) - 1.0
+            one = cls(excess, spread * float(found.covariance[scale[0], scale[0]]) ** 0.5, sensor)
+            if abs(excess) > max(MIN_COMMON_SCALE_SIGMAS * one.sigma, MIN_COMMON_SCALE):
+                return one
+        return None
+
+    def __str__(self) -> str:
+        name, option = self.sensor.name, self.sensor.stated_length
+        stated = float(getattr(self.sensor, option))
+        return (
+            f"the robot is {100 * abs(self.excess):.2g} % (sigma {100 * self.sigma:.1g} %) "
+            f"{'larger' if self.excess > 0 else 'smaller'} than its nominal lengths say, if "
+            f"{option}: {stated:.6g} of {name} is right. If the nominal lengths are right, "
+            f"{option} is about {stated / (1 + self.excess):.4g} m: measure it"
+        )
+
+
+def _may_differ(model: Model, free: np.ndarray) -> bool:
+    """Return whether the free lengths together differ enough from nominal for a second fit.
+
+    Where joints read lengths, the data may hold the others near nominal.
+    """
+    own = np.arange(len(free)) < len(model.mechanism.parameters)
+    lengths = own & free & np.array([p.unit == "m" for p in model.table])
+    if "m" in model.mechanism.joint_units:
+        return bool(lengths.any())
+    nominal, tolerance = model.table.nominal[lengths], model.table.tolerance[lengths]
+    moved, along = (model.values[lengths] - nominal) / tolerance, nominal / tolerance
+    return abs(float(along @ moved)) > MIN_COMMON_SCALE * float(along @ along) > 0

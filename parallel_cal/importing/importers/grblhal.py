@@ -1,0 +1,56 @@
+"""grblHAL: the settings $641 to $646 of its rotary Delta, as `$$` lists them.
+
+All chains are alike, z = 0 is the plane of the motors' axes, and angles count down from the
+horizontal. The settings called radii are sides of triangles: an axis is tan(30)/2 times the side
+from the centre. Source: grblHAL core, kinematics/delta.c and its settings' descriptions.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from parallel_cal.base.units import DEGREE, MM
+from parallel_cal.importing import deltas
+from parallel_cal.importing.controller_files import ConfiguredRobot
+from parallel_cal.importing.deltas import Shoulders
+from parallel_cal.importing.settings import Settings, SourceLine, read_lines
+from parallel_cal.model.model import new_model
+
+CONFIGURATION = (".txt", ".settings")
+SETTING = re.compile(r"\s*(\$\d+)\s*=\s*([^\s;(]*)")
+ROD = "$641"
+SIDE = np.tan(np.radians(30)) / 2  # distance of an axis from the centre, per side of its triangle
+
+
+def recognizes(path: Path) -> bool:
+    """Whether a file lists settings; logs of Marlin have the same ending."""
+    return any(SETTING.match(line) for _, line in read_lines(path))
+
+
+def configured(paths: Sequence[Path]) -> ConfiguredRobot:
+    """Return the robot as configured."""
+    machine = shoulders(settings(paths))
+    return ConfiguredRobot(new_model(machine.mechanism()), (deltas.NOT_STATED,))
+
+
+def settings(paths: Sequence[Path]) -> Settings:
+    """Read settings such as `$641=250.000`; the last value of each counts."""
+    texts: dict[str, tuple[str, SourceLine]] = {}
+    for path in paths:
+        for place, line in read_lines(path):
+            if found := SETTING.match(line):
+                texts[found[1]] = (found[2], place)
+    return Settings(texts, paths)
+
+
+def shoulders(stated: Settings) -> Shoulders:
+    rod, arm = (stated.number(f, "a length in mm", low=1.0) * MM for f in (ROD, "$642"))
+    sides = [stated.number(f, "a triangle's side in mm", low=0.0) for f in ("$643", "$644")]
+    top = stated.number("$646", "the homing angle in degrees", low=-90.0, high=90.0)
+    short = stated.error(ROD, "a length in mm that reaches the middle of the workspace")
+    radius, homed = SIDE * (sides[0] - sides[1]) * MM, np.full(3, -top * DEGREE)
+    return deltas.hang_shoulders(radius, arm, rod, homed, short)
