@@ -135,9 +135,9 @@ def compute_shape_covariance(
     frames = np.concatenate([ones, turns, reached.rotation[solved]], axis=2).reshape(-1, 9)
     left, sizes, _ = np.linalg.svd(frames, full_matrices=False)
     basis = left[:, sizes > RELATIVE_RANK * sizes[0]]
-    G = (G - basis @ (basis.T @ G)).reshape(-1, 3, J.shape[2])
+    remaining = (G - basis @ (basis.T @ G)).reshape(-1, 3, J.shape[2])
     spread = np.full((len(joints), 3, 3), np.nan)
-    spread[solved] = G @ np.asarray(model.covariance) @ G.transpose(0, 2, 1)
+    spread[solved] = remaining @ np.asarray(model.covariance) @ remaining.transpose(0, 2, 1)
     return spread
 
 

@@ -86,8 +86,8 @@ def describe_images(result: FitResult) -> Iterator[Block]:
         )
         yield lens_table(result, one.camera)
     yield from describe_robot_error(result)
-    for one in list_cameras(result):
-        if stated := describe_stated_length(result, one):
+    for camera in list_cameras(result):
+        if stated := describe_stated_length(result, camera):
             yield stated
 
 
