@@ -619,10 +619,10 @@ def run(case: Case) -> Outcome:
             served = add(plain, "+".join(found.additions), data).model
         except FitError as error:
             refused = str(error)
-    errors = [true_error(m, robot, effects, case.seed) for m in (plain, served)]
+    before, after = (true_error(m, robot, effects, case.seed) for m in (plain, served))
     seconds = round(time.process_time() - begin, 2)
     best = best_error(case, model, data, effects)
-    return Outcome(case, found.verdict.word, named, *errors, best, refused, seconds)
+    return Outcome(case, found.verdict.word, named, before, after, best, refused, seconds)
 
 
 def best_error(case: Case, model: Model, data: Dataset, effects: list[Any]) -> float | None:

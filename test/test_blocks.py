@@ -3,8 +3,10 @@
 import json
 
 from parallel_cal.reporting.blocks import Cell, Column, Number, Table, as_rows, as_text
+from parallel_cal.reporting.contents import DescribedParameter
 from parallel_cal.reporting.markup import as_html
 from parallel_cal.reporting.readable import write_micro
+from parallel_cal.reporting.results import parameter_table
 
 TABLE = Table(
     ("part", "by itself", "unit", Column("position [um]", "place", on_terminal=False)),
@@ -78,3 +80,34 @@ def test_a_terminal_shows_digits_of_a_number_that_its_decimals_would_hide():
 def test_a_page_writes_micro_in_every_unit():
     assert write_micro("0.5 um, 21.6 urad +- 2 urad [um]") == "0.5 µm, 21.6 µrad ± 2 µrad [µm]"
     assert write_micro("a drum of 2 radii") == "a drum of 2 radii"
+
+
+def test_a_column_that_is_not_printed_is_marked_in_every_row():
+    shown = as_html([Table(["x", Column("turn", on_paper=False)], [["1", "2"], ["3", "4"]])])
+    assert '<th scope="col" class="on-screen">turn</th>' in shown
+    assert shown.count('<td data-label="turn" class="on-screen">') == 2
+    assert shown.count("on-screen") == 3
+
+
+def test_a_fixed_parameter_has_no_sigma():
+    fixed = DescribedParameter(
+        value=0.25,
+        sigma=0.0,
+        nominal=0.25,
+        moved_tolerances=0.0,
+        unit="m",
+        fixed=True,
+        shown_name="chain1.Lb",
+        words="rod length",
+        sigma_tolerances=0.0,
+    )
+    table = parameter_table({"chain1.Lb": fixed})
+    [row] = as_rows(table)["rows"]
+    assert (row["value"], row["sigma"]) == (250, None)
+    assert as_text([table]).splitlines()[1].split() == [
+        "chain1.Lb",
+        "250.0000",
+        "0.0000",
+        "-",
+        "mm",
+    ]

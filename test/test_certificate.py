@@ -99,7 +99,8 @@ def certify(identify):
     if identify:
         model = fitted(model, data).model
     fields = CertificateFields(serial_number="<D-0042>", operator="A. Smith", limit_um=50)
-    return report(model, data, effects=["backlash"], certificate=fields)
+    effects = ["backlash", "hysteresis"]  # they are alike: poses are planned that tell them apart
+    return report(model, data, effects=effects, certificate=fields)
 
 
 def part(text, name):
@@ -156,6 +157,13 @@ def test_on_paper_nothing_is_folded_or_beyond_the_edge(made, tmp_path):
             "e.querySelector('.svg-container')?.getBoundingClientRect().width ?? 0, "
             "e.getBoundingClientRect().width])"
         )
+        # A planned pose is one line, so that a person at the robot does not mix up its numbers.
+        heights = window.evaluate(
+            "[...document.querySelectorAll('#what-to-measure-next tbody tr')]"
+            ".map(e => e.getBoundingClientRect().height).filter(h => h)"
+        )
+        assert len(heights) == 20
+        assert max(heights) < 20  # px
         assert len(widths) > 10
         assert all(0 < figure <= place + 1 for figure, place in widths)
         browser.close()

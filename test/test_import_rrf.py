@@ -305,7 +305,7 @@ def test_the_commands_write_samples_and_a_model_that_can_be_read(files, tmp_path
     [
         (("new", "-o", "a.yaml"), 2, "--from FILE"),
         (("new", "delta24", "--from", "c.g", "-o", "a.yaml"), 2, "--from FILE"),
-        (("new", "--from", "c.stl", "-o", "a.yaml"), 1, "expected .cfg (klipper)"),
+        (("new", "--from", "c.stl", "-o", "a.yaml"), 1, "(grblhal); .cfg (klipper);"),
         (("new", "--from", "c.urdf", "-o", "a.yaml"), 1, "c.urdf"),
         (
             ("new", "--from", "c.g", "--to-link", "b", "-o", "a.yaml"),

@@ -346,6 +346,34 @@ def test_a_change_of_the_page_leaves_its_style_sheets_alone(page):
 
 
 @pytest.mark.wide
+@pytest.mark.parametrize("size", SIZES)
+def test_toolbars_legends_and_titles_of_figures_do_not_cover_each_other(page, size):
+    width, height = SIZES[size]
+    page.set_viewport_size({"width": width, "height": height})
+    drawn = page.locator(".js-plotly-plot:visible")
+    for one in drawn.all():
+        one.scroll_into_view_if_needed()  # a figure out of sight is not drawn for the new width
+        page.wait_for_timeout(200)
+    covered = page.evaluate(
+        """() => [...document.querySelectorAll(".js-plotly-plot")].flatMap(figure => {
+          const parts = ".modebar-group, .legend, .g-gtitle text, .g-xtitle text, " +
+            ".g-ytitle text, .annotation text";
+          const boxes = [...figure.querySelectorAll(parts)]
+            .map(part => [part.getAttribute("class"), part.textContent.slice(0, 30),
+                          part.getBoundingClientRect()])
+            .filter(([, , box]) => box.width * box.height > 0);
+          return boxes.flatMap(([kind, text, a], i) => boxes.slice(i + 1)
+            .filter(([other, , b]) => kind !== "modebar-group" || other !== "modebar-group")
+            .filter(([, , b]) => Math.min(a.right, b.right) - Math.max(a.left, b.left) > 1 &&
+                                 Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 1)
+            .map(([other, words]) => [figure.ariaLabel, kind, text, other, words]));
+        })"""
+    )
+    assert covered == []
+    assert drawn.count() > 4
+
+
+@pytest.mark.wide
 def test_effects_that_are_not_significant_are_folded(page):
     missing = page.get_by_role("region", name="What is missing", exact=True)
     shown = missing.get_by_role("button", name="add ")
@@ -429,8 +457,18 @@ def test_the_keyboard_reaches_the_first_effect_in_ten_stops_and_shows_where_it_i
 @pytest.mark.wide
 def test_compare_shows_how_far_the_predictions_of_the_branches_differ(page):
     page.get_by_role("button", name="Compare", exact=True).click()
-    page.get_by_text("predictions of with backlash minus those of main").wait_for()
+    words = page.get_by_text("predictions of with backlash minus those of main")
+    words.wait_for()
+    number = r"[\d.]+ µm"
+    assert re.search(
+        rf"{number} rms over the workspace, at most {number}; "
+        rf"1 sigma of main {number}, 1 sigma of with backlash {number}",
+        words.inner_text(),
+    )
     page.get_by_role("figure", name="difference of the predictions of with backlash").wait_for()
+    # The last state of the other branch was not diagnosed: it has no residuals.
+    page.get_by_role("figure", name="residuals of main").wait_for()
+    page.get_by_text("with backlash: no residuals to show").wait_for()
     page.keyboard.press("Escape")
     page.get_by_text("predictions of with backlash minus").wait_for(state="hidden")
 

@@ -7,7 +7,9 @@ import pytest
 import virtual_arm as va
 from arms import nominal, seen
 from datasets import measured
+from scipy.spatial.transform import Rotation
 from test_registration import error_at_unseen_poses, seen_by_a_tracker
+from twins import hexapod
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.comparison import compare
@@ -16,6 +18,7 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.identification.registration import STATION_EFFECT
 from parallel_cal.identification.stations import LATER_RECORDINGS, has_stations
 from parallel_cal.identification.unusual import UnusualSize
+from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
@@ -249,3 +252,31 @@ def test_what_moved_between_recordings_is_ranked_by_the_error_that_each_explanat
         if "has a station of its own" in w
     ]
     assert words in station
+
+
+@pytest.mark.wide
+def test_zeros_that_no_joint_can_have_are_not_tried(monkeypatch):
+    """A device elsewhere would need zeros of metres. Legs of such lengths have no pose: each of
+    them would be searched from many starts."""
+    robot, rng = hexapod(), np.random.default_rng(1)
+
+    def measure(move, turn):
+        r = robot.home + rng.uniform(-0.05, 0.05, (40, 3))
+        R = Rotation.from_rotvec(rng.uniform(-0.2, 0.2, (40, 3)))
+        T = Rotation.from_rotvec(turn)
+        q = robot.inverse(r, R.as_matrix())[0]
+        seen = T.apply(r) + move + rng.normal(0, 1e-5, r.shape)
+        return Dataset.from_arrays([f"leg{i}" for i in range(1, 7)], q, seen, (T * R).as_matrix())
+
+    known = fit(new_model("stewart42"), measure([2.1, -3.0, 0.4], [0.3, -0.2, 1.1]), hold_out=0)
+    asked, direct = [], Kinematics.direct
+    monkeypatch.setattr(
+        Kinematics, "direct", lambda self, q, *a, **k: asked.append(q) or direct(self, q, *a, **k)
+    )
+    shown = compare(known.model, measure([0.0, 0.0, 0.0], [0.0, 0.0, 0.0]))
+    assert "likeliest, the device, or the base under the robot, moved" in (
+        shown.registration.description
+    )
+    low, high = np.transpose(known.model.mechanism.joint_limits)
+    every = np.concatenate(asked)
+    assert np.all((every > low - (high - low)) & (every < high + (high - low)))

@@ -328,7 +328,7 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
         page.get_by_role("button", name="Fix and fit again", exact=True).click()
         until(lambda: Session(folder).state != before, "the parameter held")
         assert "chain1.Lb" in Session(folder).options.fix
-        assert "nominal chain1.Lb" in Session(folder).state.step
+        assert Session(folder).state.step == "fix chain1.Lb, nominal chain1.Lb"
         number = Session(folder).state.number
         until((folder / "views" / f"{number}.json").exists, "a look at what is left")
 
@@ -651,3 +651,30 @@ def test_a_table_is_imported_with_its_columns_named_on_the_page(browser, tmp_pat
     session = Session(folder)
     np.testing.assert_allclose(session.samples.q, load_dataset(BAG).q, atol=1e-12)
     assert session.state.position_rms < 60e-6
+
+
+# ------------------------------------------------------------------ samples set aside
+
+
+@pytest.mark.wide
+def test_a_sample_that_the_verdict_set_aside_can_be_excluded_on_the_page(browser, tmp_path):
+    data = load_dataset(BAG)
+    data.r[17] += 2e-3 * np.array([0.7, -0.5, 0.5])
+    data.to_json(tmp_path / "samples.json")
+    folder = tmp_path / "s"
+    session = Session.new(folder, read_model(MODEL), [tmp_path / "samples.json"])
+    session.fit()
+    served = Served(folder)
+    try:
+        page = browser.new_page(viewport={"width": 1280, "height": 900})
+        page.set_default_timeout(1000 * LONG)
+        page.goto(served.url)
+        page.locator("#verdict").get_by_text("sample 17 (").wait_for()
+        assert "--data" not in page.locator("#verdict-words").inner_text()  # no option of a command
+        assert page.locator("#included").inner_text().endswith("does not use: sample 17.")
+        page.get_by_role("button", name="Exclude sample 17", exact=True).click()
+        page.get_by_text("sample 17 is excluded: far from what all others show").wait_for()
+        until(lambda: set(Session(folder).state.excluded) == {17}, "the exclusion on disk")
+        page.locator("#included").wait_for(state="hidden")
+    finally:
+        served.end()

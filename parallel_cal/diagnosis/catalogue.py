@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -179,17 +179,8 @@ def candidate(scene: Scene, name: str, scored: Iterable[Candidate] = ()) -> Cand
     best = int(np.argmin(many))
     setting = settings[best]
     sigma: Mapping[str, float] = {}
-    worth = effect.refines and many[best] < MAX_LOG_P_TO_REFINE
-    if worth and len(settings) > 1 and len(setting) == 1:
-        (key,) = setting
-        step = float(np.ptp([one[key] for one in settings[max(best - 1, 0) : best + 2]]) / 2)
-        near = (setting, *effect.multiples(setting))
-        peaks = [_peak(scene, plain, key, one[key], step, a) for one in near]
-        # Select the last of those that fit as well as the best.
-        limit = min(peak.log_p for peak in peaks) + EQUAL_FIT_LOG_P
-        peak = [peak for peak in peaks if peak.log_p < limit][-1]
-        setting = {peak.key: peak.value}
-        sigma = {} if peak.sigma is None else {peak.key: peak.sigma}
+    if effect.refines and many[best] < MAX_LOG_P_TO_REFINE:
+        setting, sigma = _refine(scene, plain, effect, settings, best, a)
     highest = score(scene, compute_effect_columns(scene, plain, setting, a))
     reason = _explain_invisible(highest, len(settings))
     found = Candidate(name, effect, setting, highest, scene, len(settings), (), reason, sigma)
@@ -209,32 +200,71 @@ def compute_effect_columns(
     return columns(extended, scene, find_new_parameters(scene.model, extended), a, share)
 
 
+def _refine(
+    scene: Scene,
+    plain: Model,
+    effect: Effect,
+    settings: Sequence[Mapping[str, float]],
+    best: int,
+    a: np.ndarray,
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Refine the best of the scanned settings, with the sigma of each refined parameter.
+
+    One parameter after the other is refined between its neighbours in the scan, if the scan varied
+    it while the others stayed."""
+    scanned = settings[best]
+    setting, sigma = dict(scanned), {}
+    for key in scanned:
+        others = scanned.items() - {(key, scanned[key])}
+        tried = [one for one in settings if others <= one.items()]
+        if len(tried) == 1:
+            continue
+        at = tried.index(scanned)
+        step = float(np.ptp([one[key] for one in tried[max(at - 1, 0) : at + 2]]) / 2)
+        near = (setting, *effect.multiples(setting))
+        peaks = [_peak(scene, plain, {**setting, **one}, key, step, a) for one in near]
+        # Select the last of those that fit as well as the best.
+        limit = min(peak.log_p for peak in peaks) + EQUAL_FIT_LOG_P
+        peak = [peak for peak in peaks if peak.log_p < limit][-1]
+        setting[key] = peak.value
+        if peak.sigma is not None:
+            sigma[key] = peak.sigma
+    return setting, sigma
+
+
 @dataclass(frozen=True)
 class Peak:
-    """A setting that fits best among its neighbours, its log p and its sigma."""
+    """A value of a parameter that fits best among its neighbours, its log p and its sigma."""
 
-    key: str
     value: float
     log_p: float
     sigma: float | None
 
 
-def _peak(scene: Scene, plain: Model, key: str, near: float, step: float, a: np.ndarray) -> Peak:
-    """The best value of a setting within a step of `near`: log p falls by a half where chi2 rises
-    by one, and one sigma away it does."""
+def _peak(
+    scene: Scene, plain: Model, setting: Mapping[str, float], key: str, step: float, a: np.ndarray
+) -> Peak:
+    """The best value of one parameter of a setting within a step: log p falls by a half where chi2
+    rises by one, and one sigma away it does."""
     from scipy.optimize import minimize_scalar
 
     def log_p(value: float) -> float:
-        return quick_log_p(scene, compute_effect_columns(scene, plain, {key: value}, a))
+        changed = {**setting, key: value}
+        return quick_log_p(scene, compute_effect_columns(scene, plain, changed, a))
 
+    near, table = setting[key], plain.table
+    lowest = table[f"{plain.effects[-1].name}.{key}"].low
     optimum = minimize_scalar(
-        log_p, bounds=(near - step, near + step), method="bounded", options={"xatol": 1e-3 * step}
+        log_p,
+        bounds=(max(near - step, lowest), near + step),
+        method="bounded",
+        options={"xatol": 1e-3 * step},
     )
     value = min((near, float(optimum.x)), key=log_p)
     apart = step / 20
     below, at, above = (log_p(value + away) for away in (-apart, 0.0, apart))
     bend = (below - 2 * at + above) / apart**2
-    return Peak(key, value, at, bend**-0.5 if bend > 0 else None)
+    return Peak(value, at, bend**-0.5 if bend > 0 else None)
 
 
 def _explain_invisible(score: Score, tried: int) -> str:

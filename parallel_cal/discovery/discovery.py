@@ -595,7 +595,7 @@ def refine_members(targets: Targets, formula: Formula, screening: Screening) -> 
         return formula
     added = own.numbers - formula.numbers
     gained = own.evidence - formula.evidence
-    if added <= 0:
+    if added <= 0 or formula.hypothesis.slow:  # noise that changes slowly is no chi2
         return own if gained > 0 else formula
     # The evidence without what it subtracts for each coefficient: twice of it is chi2 by chance.
     fall = 2 * gained + added * np.log(targets.dof)

@@ -14,7 +14,8 @@ from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
-RATIO = 4.0  # of the time constants that the scan tries; the best one is refined
+STEP = 4.0  # between the time constants that the scan tries; the best one is refined
+RATIOS = (3.0, 10.0, 30.0)  # of the time constants of the two elements, tried and refined, too
 MIN_TIME_CONSTANT = 1.0  # s
 SHORTEST = 1 / 64  # of the session's length; what creeps faster has crept before the second pose
 
@@ -26,8 +27,8 @@ class LineCreep(Effect):
     Voigt elements in series, under a tension that stays.
     `fast` and `slow` are the strains to which these creep. t is the time since the first recording
     began, and k is the line (m) that a reading of 1 lets out. The time constant `tau` (s) of the
-    slow element is known from a creep test, or found by `scan`. That of the fast one is tau /
-    `ratio`.
+    slow element is known from a creep test, or found by `scan`, and so is the `ratio`: the time
+    constant of the fast element is tau / `ratio`.
     """
 
     needs = ("time",)
@@ -64,9 +65,10 @@ class LineCreep(Effect):
     def scan(
         self, mechanism: Mechanism, recorded: Mapping[str, Any]
     ) -> Iterator[Mapping[str, float]]:
-        """Return time constants up to twice the session: slower creep is a line in time."""
+        """Return time constants up to twice the session, because slower creep is a line in time,
+        with each of some ratios."""
         duration = float(np.ptp(recorded["time"]))
         tau = 2 * duration
         while duration and tau >= SHORTEST * duration:
-            yield {"tau": tau}
-            tau /= RATIO
+            yield from ({"tau": tau, "ratio": ratio} for ratio in RATIOS)
+            tau /= STEP

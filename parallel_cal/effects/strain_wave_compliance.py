@@ -19,7 +19,7 @@ from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
-# of `torque` over the largest recorded load: far above, it is a line; between them, nearly the same
+# of `torque` over the largest recorded load: far above, it is a line
 TORQUE_RATIOS = (1 / 4, 1 / 2, 1.0)
 
 
@@ -38,7 +38,6 @@ class StrainWaveCompliance(Effect):
     needs = ("payload",)
     fixed = ("mass.*", "torque")
     generalizes = ("joint_compliance",)
-    refines = False
     physics = (
         "More teeth of a flexspline engage under load, so that the gear is soft at first and then "
         "ever stiffer."

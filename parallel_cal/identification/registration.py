@@ -783,9 +783,10 @@ def _with_other_zeros(
     model: Model, observations: Observations, there: DevicePoses
 ) -> tuple[DevicePoses, int]:
     """The poses that the robot predicts with the zeros of its joints that fit best, and how many
-    zeros the poses determine."""
+    zeros the poses determine. Zeros shift by no more than the range of a joint."""
     q = Configuration.from_rows(observations.x).q
     solver, at = Kinematics(model), condition_columns(model, observations)
+    span = np.ptp(np.array(model.mechanism.joint_limits), axis=1)
 
     def predicted(zeros: np.ndarray) -> DevicePoses:
         reached = solver.direct(q + zeros, at)
@@ -802,6 +803,8 @@ def _with_other_zeros(
         change, _, rank, _ = np.linalg.lstsq(
             np.stack(columns, axis=1), -errors, rcond=LSTSQ_RANK_TOLERANCE
         )
+        if np.any(np.abs(zeros + change) > span):  # no zeros: the robot could not be there
+            break
         zeros = zeros + change
         here = predicted(zeros)
     return here, int(rank)

@@ -104,10 +104,10 @@ class Effect(ABC):
         Whether adding it replaces the mechanism by one with more geometric parameters.
         Default False.
     refines : bool
-        Whether a diagnosis refines the value that `scan` found. The method `scan` tries values of
-        one parameter and keeps the best. True for a continuous parameter (the ratio of a gear),
-        False for an integer (the order of a harmonic), or if finer steps change little. Default
-        True.
+        Whether a diagnosis refines the best of the values that the method `scan` tries: one
+        parameter after the other, between its neighbours in the scan. True for continuous
+        parameters (the ratio of a gear), False for an integer (the order of a harmonic), or if
+        finer steps change little. Default True.
     title : str
         What messages and tables call it, if its name means nothing to a user. Default: its name.
     found_in_data : bool

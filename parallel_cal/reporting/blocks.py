@@ -81,13 +81,14 @@ DIGITS = " digits"  # of a key in the rows of the workbench: how its number is w
 
 @dataclass(frozen=True)
 class Column:
-    """A column's heading, its key in the rows of the workbench, and whether a terminal and HTML
-    show it."""
+    """A column's heading, its key in the rows of the workbench, and whether a terminal, HTML and
+    printed HTML show it."""
 
     name: str
     key: str = ""
     on_terminal: bool = True
     in_html: bool = True
+    on_paper: bool = True
 
 
 @dataclass(frozen=True)

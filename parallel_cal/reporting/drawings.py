@@ -114,7 +114,8 @@ def drawing(
     traces = [_trace(kind, far, own, found or {}) for (kind, far), own in groups.items()]
     named = select_labelled(parts)
     at = 1e3 * np.array([part.middle for part in named]).reshape(-1, 3)
-    words = {
+    texts = [escape(part.label) for part in named]
+    words: Spec = {
         "type": "scatter3d",
         "mode": "text",
         "name": "parameters",
@@ -122,7 +123,7 @@ def drawing(
         "x": round_values(at[:, 0]),
         "y": round_values(at[:, 1]),
         "z": round_values(at[:, 2]),
-        "text": [escape(part.label) for part in named],
+        "text": texts,
         "textfont": {"size": 11},
     }
     points = 1e3 * np.vstack([part.points for part in parts])
@@ -135,7 +136,7 @@ def drawing(
     if flat(parts):
         axes["zaxis"]["visible"] = False
         camera = {"eye": {"x": 0, "y": 0, "z": 1.6}, "up": {"x": 0, "y": 1, "z": 0}}
-    words["textposition"] = _place_labels((at - middle) / (2 * half), words["text"], camera)
+    words["textposition"] = _place_labels((at - middle) / (2 * half), texts, camera)
     layout = {
         "height": 460,
         "showlegend": True,

@@ -8,6 +8,7 @@ from parallel_cal.diagnosis.separate import PlannedPose
 from parallel_cal.diagnosis.signature import signature
 from parallel_cal.diagnosis.thresholds import MAX_REFITTED_CANDIDATES
 from parallel_cal.reporting import signatures
+from parallel_cal.reporting.blocks import Column
 from parallel_cal.reporting.contents import unit_along
 from parallel_cal.reporting.markup import (
     Plot,
@@ -29,6 +30,7 @@ from parallel_cal.reporting.report import Report
 from parallel_cal.reporting.results import candidate_table
 
 MAX_PRINTED_POSES = 20  # as in page.css
+SET_BY_WAYPOINTS = ("direction", "travel")  # conditions that follow from the waypoints of a pose
 PATTERNS = 4  # candidates whose patterns are drawn
 
 
@@ -98,12 +100,24 @@ def measure_next(report: Report) -> str:
 
 
 def _poses(poses: Sequence[PlannedPose], report: Report) -> str:
-    """Render the poses to measure, with their waypoints and conditions."""
+    """Render the poses to measure, with their waypoints and conditions.
+
+    A4 has no room for what a person at the robot does not set: an orientation that the robot does
+    not control, and conditions that follow from the waypoints.
+    """
     units, mechanism = report.provenance.joint_units, report.diagnosis.model.mechanism
     joints = [f"{name} [{value_unit(unit)[0]}]" for name, unit in units.items()]
     stops = ["waypoint 1 [mm]", "waypoint 2 [mm]"] if poses[0].by_way_of else []
     conditions = {name: value_unit(unit_along(mechanism, name)) for name in poses[0].conditions}
-    columns = [f"{name} [{unit}]" if unit else name for name, (unit, _) in conditions.items()]
+    columns = [
+        Column(
+            f"{name} [{unit}]" if unit else name,
+            on_paper=not stops or name.partition(".")[0] not in SET_BY_WAYPOINTS,
+        )
+        for name, (unit, _) in conditions.items()
+    ]
+    turns = any(name.startswith("r") for name in mechanism.controls)
+    quaternion = Column("quaternion x y z w", on_paper=turns)
     rows = [
         [
             str(i),
@@ -115,4 +129,4 @@ def _poses(poses: Sequence[PlannedPose], report: Report) -> str:
         ]
         for i, pose in enumerate(poses, 1)
     ]
-    return table(["", *stops, "x y z [mm]", "quaternion x y z w", *joints, *columns], rows)
+    return table(["", *stops, "x y z [mm]", quaternion, *joints, *columns], rows)

@@ -12,6 +12,7 @@ from parallel_cal.reporting.readable import is_known, write_micro
 
 BLANK = ' class="blank"'
 SORTED = ' aria-sort="descending"'
+ON_SCREEN = ' class="on-screen"'  # not printed
 Plot = Callable[[Mapping[str, Any]], str]  # keeps a figure for the page, returns its place in it
 
 
@@ -34,13 +35,14 @@ def table(
 
 def _render_table(block: Table) -> str:
     shown = [one.in_html for one in block.headings()]
-    names = [write_micro(one.name) for one in block.headings() if one.in_html]
+    columns = [one for one in block.headings() if one.in_html]
     head = "".join(
-        f'<th scope="col"{SORTED if name == block.sorted_by else ""}>{escape(name)}</th>'
-        for name in names
+        f'<th scope="col"{SORTED if write_micro(one.name) == block.sorted_by else ""}'
+        f"{'' if one.on_paper else ON_SCREEN}>{escape(write_micro(one.name))}</th>"
+        for one in columns
     )
     body = "".join(
-        "<tr>" + "".join(map(_render_cell, map(as_cell, compress(row, shown)), names)) + "</tr>"
+        "<tr>" + "".join(map(_render_cell, map(as_cell, compress(row, shown)), columns)) + "</tr>"
         for row in block.rows
     )
     return (
@@ -49,11 +51,12 @@ def _render_table(block: Table) -> str:
     )
 
 
-def _render_cell(cell: Cell, label: str) -> str:
-    """Render a cell; `label` is the column's name for pages too narrow for columns."""
+def _render_cell(cell: Cell, column: Column) -> str:
+    """Render a cell, with the column's name for pages too narrow for columns."""
+    label = write_micro(column.name)
     value = cell.content.value if isinstance(cell.content, Number) else cell.key
     key = f' data-key="{value:.9g}"' if is_known(value) else ""
-    mark = f' class="{escape(cell.mark)}"' if cell.mark else ""
+    mark = f' class="{escape(cell.mark)}"' if cell.mark else "" if column.on_paper else ON_SCREEN
     bar = ""
     if is_known(cell.bar):
         wide = 50 * min(abs(cell.bar), 1.0)

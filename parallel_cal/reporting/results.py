@@ -244,7 +244,8 @@ def parameter_table(parameters: Mapping[str, DescribedParameter]) -> Table:
         (unit, factor), moved = value_unit(p.unit), p.moved_tolerances
         nominal = float(f"{p.nominal * factor:.6g}")
         value, change, sigma = (
-            Number(v, factor, 4, 6, p.sigma, unit) for v in (p.value, p.value - p.nominal, p.sigma)
+            Number(v, factor, 4, 6, p.sigma, unit)
+            for v in (p.value, p.value - p.nominal, None if p.fixed else p.sigma)
         )
         words = p.words
         if p.fixed:

@@ -10,7 +10,7 @@ import numpy as np
 from nicegui import run, ui
 
 from parallel_cal.reporting.arrows import scale_of
-from parallel_cal.reporting.readable import format_judged_error, write_micro
+from parallel_cal.reporting.readable import MISSING, format_judged_error, write_micro
 from parallel_cal.reporting.spaces import side
 from parallel_cal.session.history import History, format_first_error
 from parallel_cal.workbench.bench import load_view
@@ -35,7 +35,7 @@ class BranchComparison:
                     "out": len(s.excluded),
                     "verdict": write_micro(s.verdict_text),
                     "after": format_judged_error(s.errors, s.sigmas),
-                    "noise": write_micro(format_first_error(s.noise)),
+                    "noise": write_micro(format_first_error(s.noise)).replace("-", MISSING),
                 }
                 for name, s in states.items()
             ]

@@ -158,6 +158,7 @@ class VerdictCard:
             self.steps = FigureSlot()
             self.dotted = ui.label("A dotted line joins the errors of different samples.")
             self.dotted.classes("text-xs quiet")
+            self.included = ui.label().props("id=included").classes("text-xs quiet")
 
     def show(self, view: dict[str, Any]) -> None:
         self.words.set_text(write_micro(view["verdict"]["words"]))
@@ -192,6 +193,12 @@ class VerdictCard:
             found is not None and not all(step.is_comparable for step in found.steps)
         )
         self.steps.show(*((draw_steps(found), describe_steps(found)) if found else (None,)))
+        knocked = [str(number) for number in view.get("knocked", ())]
+        self.included.set_visibility(bool(knocked))
+        self.included.set_text(
+            "The errors of the steps, unlike those above, include what the verdict does not use: "
+            f"sample {', '.join(knocked)}."
+        )
 
 
 def _headline(tiles: Sequence[dict[str, Any]]) -> tuple[str, str]:

@@ -456,8 +456,10 @@ class Window:
             key: [n for n in patterns if n not in names]
             for key, patterns in (("fix", asked.fix), ("free", asked.free))
         }
-        kept["fix" if fix else "free"] += names
-        self.bench.begin("choose", nominal=names if at_nominal else [], **kept)
+        step = "fix" if fix else "free"
+        kept[step] += names
+        changed = {k: v for k, v in kept.items() if k == step or v != list(getattr(asked, k))}
+        self.bench.begin("choose", nominal=names if at_nominal else [], **changed)
 
 
 def _columns() -> Any:
