@@ -57,7 +57,7 @@ def test_intervals_of_the_lens_and_of_positions_hold_the_truth(kind, limit):
 DELTA = {
     "backlash": (Backlash((1e-3,) * 3), ("backlash", "hysteresis")),
     "eccentricity": (
-        EncoderEccentricity((2e-3, -1.2e-3, 0.7e-3), (-0.9e-3, 1.9e-3, 2e-3)),
+        EncoderEccentricity((8e-3, -4.8e-3, 2.8e-3), (-3.6e-3, 7.6e-3, 8e-3)),
         ("encoder_eccentricity",),
     ),
     "compliance": (

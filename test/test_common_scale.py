@@ -50,7 +50,7 @@ def test_legs_that_read_lengths_correct_the_size_of_the_board():
     model = cell.drawn.with_sensors((sensor,))
     data = cell.seen_by_camera(30)
     scale = pc.fit(model, data, hold_out=0, free=["camera.scale"]).parameters()["camera.scale"]
-    assert abs(scale.value - 1 / 0.98) < 4 * scale.sigma < 4e-3
+    assert abs(scale.value - 1 / 0.98) < 4 * scale.sigma < 6e-3
 
 
 def test_a_robot_without_free_lengths_is_no_ruler():
