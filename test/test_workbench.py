@@ -12,10 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import virtual_findings as vf
+from findings import hiding
 from workbench_page import LONG, Served, beside_a_played_robot, opened, until
 
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.model.model import new_model
 from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.session.history import SessionError
 from parallel_cal.session.session import Session
@@ -658,11 +661,11 @@ def test_a_table_is_imported_with_its_columns_named_on_the_page(browser, tmp_pat
 
 @pytest.mark.wide
 def test_a_sample_that_the_verdict_set_aside_can_be_excluded_on_the_page(browser, tmp_path):
-    data = load_dataset(BAG)
+    data, _ = hiding([vf.KINDS["backlash"]], 0.8, seed=40)
     data.r[17] += 2e-3 * np.array([0.7, -0.5, 0.5])
     data.to_json(tmp_path / "samples.json")
     folder = tmp_path / "s"
-    session = Session.new(folder, read_model(MODEL), [tmp_path / "samples.json"])
+    session = Session.new(folder, new_model("delta54"), [tmp_path / "samples.json"])
     session.fit()
     served = Served(folder)
     try:
