@@ -12,6 +12,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -41,10 +42,10 @@ class FreePose(pc.Mechanism):
     length = LENGTH
 
     @property
-    def joint_units(self):
+    def joint_units(self) -> tuple[str, ...]:
         return ("m",) * 3 + ("rad",) * 3
 
-    def closure(self, q, r, R, p):
+    def closure(self, q: Any, r: Any, R: Any, p: Any) -> Any:
         place = ca.vertcat(*[q[i] * (1 + p["gain"][c]) for i, c in enumerate("xyz")])
         turn = R @ exponential(q[3:]).T
         return ca.vertcat(r - place, LENGTH * ca.inv_skew(turn - turn.T) / 2)
