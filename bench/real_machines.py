@@ -98,12 +98,13 @@ HAND_WORK = {
 HAND_WORK_NOTE = """## Work of the user
 
 The work was done once from the files as they were published, with the documents of this repository
-and without the files in [real/](../real/README.md). This session (an AI agent, November 2026) knew
-the program's documents. The minutes are those of its clock from the first look at the data to the
-printed errors of the first fit (for the printer: to the written configuration). They contain the
-run times of the commands on two busy cores, which are most of them. A person reads and types more
-slowly: compare the counts. Each further step is one command (`diagnose` or `add`); the sections
-list these steps."""
+and without the files in [real/](../real/README.md), by an AI agent (November 2026) that knew the
+program's documents and these files. The minutes are those of its clock from the first look at the
+data to the printed errors of the first fit (for the printer: to the written configuration). They
+contain the run times of the commands on two busy cores, which are most of them for the arms and the
+printer. The minutes of the two arms were measured together and halved. A person reads and types
+more slowly: compare the counts. Each further step is one command (`diagnose` or `add`); the
+sections list these steps."""
 
 
 @dataclass
