@@ -430,12 +430,11 @@ def table_lines(outcomes: list[Outcome]) -> list[str]:
     return lines
 
 
-def write_page() -> None:
-    """Put the table of all outcomes in STUDY between the two marks of the page."""
-    before, _, rest = PAGE.read_text(encoding="utf-8").partition(START)
-    _, _, after = rest.partition(END)
-    lines = "\n".join(table_lines([*kept(STUDY).values()]))
-    write_atomically(PAGE, f"{before}{START}\n\n{lines}\n\n{END}{after}")
+def put_between(page: Path, start: str, end: str, text: str) -> None:
+    """Write a text between two marks of a page."""
+    before, _, rest = page.read_text(encoding="utf-8").partition(start)
+    _, _, after = rest.partition(end)
+    write_atomically(page, f"{before}{start}\n\n{text}\n\n{end}{after}")
 
 
 def kept(file: Path | None) -> dict[Case, Outcome]:
@@ -479,7 +478,7 @@ def main() -> None:
     parser.add_argument("family", nargs="*")
     given = parser.parse_args()
     if given.page:
-        return write_page()
+        return put_between(PAGE, START, END, "\n".join(table_lines([*kept(STUDY).values()])))
     if unknown := [see for see in given.see if see not in SEES]:
         parser.error(f"--see {','.join(unknown)}: expected some of {','.join(SEES)}")
     all_of = families(given.draws, given.first)

@@ -359,14 +359,6 @@ def make_table(outcomes: list[Outcome]) -> str:
     return "\n".join(rows) + note
 
 
-def write_page() -> None:
-    """Write the table into the page, from the kept outcomes."""
-    before, _, rest = PAGE.read_text().partition(START)
-    after = rest.partition(END)[2]
-    table = make_table(list(kept(STUDY).values()))
-    PAGE.write_text(f"{before}{START}\n\n{table}\n\n{END}{after}")
-
-
 def kept(file: Path | None) -> dict[Case, Outcome]:
     """The outcomes that a file of earlier slices holds."""
     if file is None or not file.exists():
@@ -398,7 +390,7 @@ def main() -> None:
     parser.add_argument("--page", action="store_true", help="write the page from kept outcomes")
     given = parser.parse_args()
     if given.page:
-        return write_page()
+        return blind.put_between(PAGE, START, END, make_table([*kept(STUDY).values()]))
     all_of = families(given.draws, given.first)
     if unknown := [name for name in given.family if name not in all_of]:
         parser.error(f"{', '.join(unknown)}: expected some of {', '.join(all_of)}")

@@ -38,9 +38,8 @@ from twins import hexapod
 from virtual_lines import Creep, LinedRobot, Pulleys, Tension
 from virtual_struts import UniversalJoints
 
-from bench.blind import interval
+from bench.blind import interval, put_between
 from parallel_cal.base.errors import FitError
-from parallel_cal.base.files import write_atomically
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.fit import fit
 from parallel_cal.kinematics.kinematics import Kinematics
@@ -729,14 +728,6 @@ def table_lines(outcomes: list[Outcome]) -> list[str]:
     return lines
 
 
-def write_page() -> None:
-    """Put the table of all outcomes in STUDY between the two marks of the page."""
-    before, _, rest = PAGE.read_text(encoding="utf-8").partition(START)
-    _, _, after = rest.partition(END)
-    lines = "\n".join(table_lines([*kept(STUDY).values()]))
-    write_atomically(PAGE, f"{before}{START}\n\n{lines}\n\n{END}{after}")
-
-
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--draws", type=int, default=10)
@@ -746,7 +737,7 @@ def main() -> None:
     parser.add_argument("row", nargs="*")
     given = parser.parse_args()
     if given.page:
-        return write_page()
+        return put_between(PAGE, START, END, "\n".join(table_lines([*kept(STUDY).values()])))
     cases = list_cases(given.draws, given.row)
     outcomes = kept(given.results) if given.results else {}
     until = time.monotonic() + 60 * given.minutes
