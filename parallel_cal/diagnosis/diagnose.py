@@ -458,7 +458,6 @@ def _diagnose_trusted(
         ambiguous=describe_ambiguities(ambiguous, measure_next.plan),
         unseparated=explain_unseparated_device(base.fitted, best.fitted) if best.chosen else "",
     )
-    large_device_effects = find_large_device_effects(best.fitted.model)
     return Diagnosis(
         model=model,
         dataset=dataset,
@@ -481,7 +480,9 @@ def _diagnose_trusted(
         registration=registration,
         measure_next=measure_next,
         ambiguous=ambiguous,
-        unseparated=tuple(large_device_effects) if findings.unseparated else (),
+        unseparated=tuple(find_large_device_effects(best.fitted.model))
+        if findings.unseparated
+        else (),
     )
 
 

@@ -140,7 +140,7 @@ class Screening:
         ]
 
     def give_own_coefficients(self, one: Hypothesis) -> Hypothesis | None:
-        """The same hypothesis with coefficients of each member's own; None if there is none."""
+        """This hypothesis with coefficients of each member's own; None if the members have none."""
         own = [site for site in self._sites if site.each and site.name == one.site.name]
         return replace(one, site=own[0]) if own and not one.site.each else None
 

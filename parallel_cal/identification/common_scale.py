@@ -43,9 +43,9 @@ class CommonScale:
         A second fit identifies the stated length, too. The tolerances of all other parameters are
         its prior, except those of the places of the sensor's parts, which grow with the robot.
         """
-        names = list(model.table.names)
         for sensor in model.sensors:
-            scale = [names.index(f"{sensor.name}.{one}") for one in sensor.scale_parameters]
+            names = [f"{sensor.name}.{one}" for one in sensor.scale_parameters]
+            scale = [model.table.index_of(name) for name in names]
             if not scale or free[scale].any() or not _may_differ(model, free):
                 continue
             size = model.table.tolerance.copy()

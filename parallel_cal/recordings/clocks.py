@@ -25,7 +25,6 @@ from parallel_cal.recordings.recording import Array, Bools, JointStream, PoseStr
 
 MAX_DRIVER_DELAY_S = 50e-3  # s by which stamps of one clock may differ; `latency` covers them
 MIN_ARRIVAL_JITTER_S = 5e-3  # no device measures so irregularly, but networks deliver so
-MAD_TO_SIGMA = 1.4826  # of a normal distribution
 MAX_STEPS = 800  # steps between neighbouring poses that are used
 MIN_STEPS = 60  # with fewer steps, no delay is estimated
 # Share of the steps' squares: the delay must leave less than this, and less than this share of what
@@ -111,8 +110,9 @@ def clock_offset(joints: JointStream, pose: PoseStream) -> Offset | None:
 def measure_jitter(time: Array) -> float:
     """Measure the standard deviation (s) of stamps (n,) from regular ones, by their intervals; lost
     messages do not count."""
-    gaps = np.diff(time)
-    return float(MAD_TO_SIGMA * np.median(np.abs(gaps - np.median(gaps))) / np.sqrt(2))
+    from scipy.stats import median_abs_deviation
+
+    return float(median_abs_deviation(np.diff(time), scale="normal") / np.sqrt(2))
 
 
 @dataclass(frozen=True)

@@ -268,10 +268,11 @@ class History:
         self.record = record
 
 
-def format_first_error(errors: Mapping[str, float | None]) -> str:
-    """Format the first known kind of error: `30 um`, `1820 um`, `0.43 arcmin`."""
+def format_first_error(errors: Mapping[str, float | None], missing: str = "-") -> str:
+    """Format the first known kind of error: `30 um`, `1820 um`, `0.43 arcmin`; `missing` if none
+    is known."""
     for kind, (unit, factor) in ERROR_UNITS.items():
         if (value := errors.get(f"{kind}_rms")) is not None:
             shown = value * factor
             return f"{shown:.3g} {unit}" if shown < 1000 else f"{shown:.0f} {unit}"
-    return "-"
+    return missing

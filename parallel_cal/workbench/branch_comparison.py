@@ -35,7 +35,7 @@ class BranchComparison:
                     "out": len(s.excluded),
                     "verdict": write_micro(s.verdict_text),
                     "after": format_judged_error(s.errors, s.sigmas),
-                    "noise": write_micro(format_first_error(s.noise)).replace("-", MISSING),
+                    "noise": write_micro(format_first_error(s.noise, MISSING)),
                 }
                 for name, s in states.items()
             ]
