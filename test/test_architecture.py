@@ -176,8 +176,9 @@ def test_a_private_module_is_imported_by_its_own_folder_only():
         if used.split(".")[-1].startswith("_")
         and used.rpartition(".")[0] != name.rpartition(".")[0]
     }
-    # The forces of effects, and how they stretch lines, are also the drivers of laws.
+    # What effects compute of forces, lines and legs are also the drivers of laws.
     assert {used for _, used in elsewhere} <= {
+        "parallel_cal.effects._legs",
         "parallel_cal.effects._lines",
         "parallel_cal.effects._statics",
     }

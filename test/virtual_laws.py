@@ -7,6 +7,7 @@ waves of an angle in a gear, dents, friction that grows with load.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -89,6 +90,37 @@ class PlayInRods(Effect):
 
 
 @dataclass(frozen=True)
+class WornSeats(Effect):
+    """Rods or legs in ball joints whose seats are worn in one direction: there, each is longer."""
+
+    size: float  # m
+    level: tuple[float, float]  # the range of the cosine of the angle to the horizontal plane
+    middle: float  # of the wear, as a share of this range
+    width: float
+
+    def arm(self, reading: Array, robot: Any, at: SampleConditions) -> Array:
+        if hasattr(robot, "rods"):
+            return reading
+        r, R = robot.forward(reading)
+        heads = r[:, None] + np.einsum("nij,kj->nki", R, robot.platform)
+        return reading + self._wear(heads - robot.base)
+
+    def loaded_robot(self, robot: Any, angle: Array, at: SampleConditions) -> Any:
+        if not hasattr(robot, "rods"):
+            return robot
+        worn = copy.copy(robot)
+        along = robot.platform_points(*robot.forward(angle)) - robot.joint_points(angle)
+        worn.rods = robot.rods + self._wear(along)
+        return worn
+
+    def _wear(self, along: Array) -> Array:
+        level = np.hypot(along[..., 0], along[..., 1]) / np.linalg.norm(along, axis=-1)
+        low, high = self.level
+        share = (level - low) / (high - low)
+        return np.asarray(self.size / np.cosh((share - self.middle) / self.width))
+
+
+@dataclass(frozen=True)
 class Hidden:
     """A law that was drawn: `make(size)` is its physics, `places` and `drivers` what an answer may
     call the place, and must call the drivers."""
@@ -109,11 +141,13 @@ class Kin:
     middle: Array
     span: Array
     load: float  # N m or N, of a typical load
+    loaded: tuple[int, ...]  # joints that carry weight
     chains: tuple[str, ...] = ()
     warm: str = ""
     rod: str = ""
     reach: float = 0.06
     height: float = 0.2
+    level: tuple[float, float] = (0.0, 1.0)  # of the cosine of rods' angles to the horizontal plane
     equal: tuple[tuple[str, ...], ...] = ()  # of each joint, lengths that err in the same way
 
 
@@ -135,7 +169,7 @@ def _all(kin: Kin) -> frozenset[str]:
 
 def spring(kin: Kin, rng: np.random.Generator) -> Hidden:
     """A shaft that is softer or stiffer the more it is loaded."""
-    k, power = int(rng.integers(len(kin.joints))), float(rng.choice([1.6, 2.0, 2.5, 3.0]))
+    k, power = int(rng.choice(kin.loaded)), float(rng.choice([1.6, 2.0, 2.5, 3.0]))
 
     def law(q: Array, t: Array, at: SampleConditions) -> Array:
         return only(kin, k, np.sign(t[:, k]) * np.abs(t[:, k] / kin.load) ** power)
@@ -147,7 +181,7 @@ def spring(kin: Kin, rng: np.random.Generator) -> Hidden:
 def gap(kin: Kin, rng: np.random.Generator) -> Hidden:
     """A shaft that is stiff until its play is taken up by the load, and then gives way as the cube
     of what exceeds it."""
-    k, share = int(rng.integers(len(kin.joints))), rng.uniform(0.1, 0.5)
+    k, share = int(rng.choice(kin.loaded)), rng.uniform(0.1, 0.5)
 
     def law(q: Array, t: Array, at: SampleConditions) -> Array:
         beyond = np.maximum(np.abs(t[:, k] / kin.load) - share, 0.0)
@@ -335,6 +369,17 @@ def new_zero(kin: Kin, rng: np.random.Generator) -> Hidden:
     return Hidden("new zero", make, _one(kin, k), drivers, drivers)
 
 
+def worn_seats(kin: Kin, rng: np.random.Generator) -> Hidden:
+    """Ball joints of rods or legs, all alike, that are worn in one direction."""
+    middle, width = rng.uniform(0.35, 0.65), rng.uniform(0.08, 0.15)
+    return Hidden(
+        "worn seats",
+        lambda s: WornSeats(s, kin.level, middle, width),
+        frozenset({"rods", kin.rod, *_all(kin)}),
+        frozenset({"inclination"}),
+    )
+
+
 JOINT_KINDS = (
     spring,
     gap,
@@ -350,4 +395,4 @@ JOINT_KINDS = (
     stretched_belt,
     new_zero,
 )
-CHAIN_KINDS = (*JOINT_KINDS, warm_parts, sag, soft_column, rod_play)
+CHAIN_KINDS = (*JOINT_KINDS, warm_parts, sag, soft_column, rod_play, worn_seats)

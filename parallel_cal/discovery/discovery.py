@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -73,6 +74,7 @@ from parallel_cal.discovery.thresholds import (
     NULL_SESSIONS,
 )
 from parallel_cal.identification.acceptance import format_errors
+from parallel_cal.identification.checks import ImplausibleGeometryError
 from parallel_cal.identification.fit import FitResult, fit
 from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.prediction_errors import Summary
@@ -266,14 +268,15 @@ class Discovery(ShownInNotebook):
 class _Winner:
     """A law before its proof: the formula, equally good ones, and the screening's evidence; for a
     law of the device, `rival` is one of the robot that explains nearly as much. `parts` are
-    further laws of the same driver. `excludes_device` is whether samples of several stations show
-    that no smooth error of the device is such a law."""
+    further laws of the same driver, and `alone` is the law that they replaced. `excludes_device` is
+    whether samples of several stations show that no smooth error of the device is such a law."""
 
     formula: Formula
     equal: tuple[Formula, ...]
     evidence: float
     rival: Hypothesis | None = None
     parts: tuple[Part, ...] = ()
+    alone: _Winner | None = None
     excludes_device: bool = False
 
     @property
@@ -380,23 +383,58 @@ def discover(
     winners = _find_winners(search)
     thresholds = _find_thresholds(search, winners)
     real = [
-        law
+        (one, threshold)
         for one, threshold in zip(winners, thresholds, strict=True)
         if one.evidence > threshold
-        for law in one.list_laws(threshold)
     ]
-    found, current, proven = list[Law](), base.model, np.zeros((len(scene.residual), 0))
+    nothing = np.zeros((len(scene.residual), 0))
+    proofs = [_Proof(base.model, base.estimate.chi2_per_dof, nothing, [], [])]
     for k, (winner, threshold) in enumerate(real):
         report("testing a law at held-out poses", 0.8 + 0.2 * k / len(real))
-        targets = Targets.of(scene, scene.residual[:, None], proven)
-        choice = choose_in_folds(targets, winner.formula, run)
-        law, step = _prove(winner, threshold, choice, current, dataset, options, scene)
-        found.append(law)
-        if not law.against:
-            current, proven = step.model, np.hstack([proven, winner.formula.columns])
-    advice = [_advise(scene, winner, drivers) for winner, _ in real]
-    held = Field.of(scene).held
+        prove = partial(_prove_all, proofs[-1], dataset=dataset, options=options, scene=scene)
+        proof = prove(winner.list_laws(threshold), run=run)
+        if winner.alone is not None and any(law.against for law in proof.laws):
+            # Without a part that was refused, the law that the parts replaced may be the better.
+            alone = prove([(winner.alone, threshold)], run=run)
+            proof = min(proof, alone, key=lambda one: one.chi2_per_dof)
+        proofs.append(proof)
+    found = [law for one in proofs for law in one.laws]
+    advice = [_advise(scene, winner, drivers) for one in proofs for winner in one.winners]
+    held, current = Field.of(scene).held, proofs[-1].model
     return _conclude(model, dataset, found, [words for words in advice if words], current, held)
+
+
+@dataclass(frozen=True)
+class _Proof:
+    """Laws that were judged one after the other: the model with those that were accepted, its
+    chi2/dof, and their columns (n, k) beside those of earlier laws."""
+
+    model: Model
+    chi2_per_dof: float
+    columns: np.ndarray
+    laws: list[Law]
+    winners: list[_Winner]
+
+
+def _prove_all(
+    before: _Proof,
+    winners: Sequence[tuple[_Winner, float]],
+    dataset: Dataset,
+    options: FitOptions,
+    scene: Scene,
+    run: Runner,
+) -> _Proof:
+    """Judge laws, each with its limit, beside those that were accepted before."""
+    model, chi2, columns, laws = before.model, before.chi2_per_dof, before.columns, list[Law]()
+    for winner, threshold in winners:
+        targets = Targets.of(scene, scene.residual[:, None], columns)
+        choice = choose_in_folds(targets, winner.formula, run)
+        law, step = _prove(winner, threshold, choice, model, dataset, options, scene)
+        laws.append(law)
+        if not law.against:
+            model, chi2 = step.model, step.result.estimate.chi2_per_dof
+            columns = np.hstack([columns, winner.formula.columns])
+    return _Proof(model, chi2, columns, laws, [winner for winner, _ in winners])
 
 
 def _make_scene(base: FitResult, given: Dataset) -> tuple[Scene, Dataset]:
@@ -447,17 +485,26 @@ def _find_winners(search: _Search) -> list[_Winner]:
             gained = parts.evidence - winner.formula.evidence
             if best is not None and best.winner.formula.evidence > gained:
                 parts = None
-        if parts is not None:  # what the device may cause stays an objection
-            of_device = [one for one in winner.equal if one.hypothesis.site.kind == DEVICE]
+        if parts is not None:
+            # An error of the device that describes the data as well stays an objection.
+            least = parts.evidence - MAX_EQUAL_EVIDENCE
+            of_device = [
+                one
+                for one in winner.equal
+                if one.hypothesis.site.kind == DEVICE and one.evidence >= least
+            ]
             first, *others = parts.laws
             equal = (*of_device, *first.equal)
-            winner = replace(winner, formula=first.formula, equal=equal, parts=tuple(others))
+            winner = replace(
+                winner, formula=first.formula, equal=equal, parts=tuple(others), alone=winner
+            )
             best = None
         if search.device is not None and not winner.formula.hypothesis.slow:
             # No device can cause the law if samples of several stations show it.
             targets = Targets.of(search.scene, search.scene.residual[:, None], columns)
             excluded = search.device.excludes(winner.signal, targets.directions)
-            winner = replace(winner, excludes_device=excluded)
+            alone = winner.alone and replace(winner.alone, excludes_device=excluded)
+            winner = replace(winner, excludes_device=excluded, alone=alone)
         winners.append(winner)
         columns = np.hstack([columns, winner.columns])
         if _count_laws(winners) >= MAX_LAWS:
@@ -545,9 +592,10 @@ def _find_parts(search: _Search, best: _Best, limit: int) -> Parts | None:
     drivers = formula.hypothesis.drivers
     if formula.hypothesis.site.kind == DEVICE:
         return None
-    if len(drivers) == 1:
-        return find_parts(targets, formula, list_hypotheses(drivers[0][0]), limit)
     evidence, found = formula.evidence - MAX_EQUAL_EVIDENCE, None
+    if len(drivers) == 1:
+        found = find_parts(targets, formula, list_hypotheses(drivers[0][0]), limit)
+        evidence = found.evidence if found else formula.evidence
     for own in drivers:
         begin = [
             one
@@ -696,7 +744,11 @@ def _prove(
     where = _describe_data(dataset, tested)
     name = load_text(write_effect(formula, sentence, where))
     # With the samples in which the law was found.
-    step = add(model, name, dataset, force=True, knocked=(), options=options)
+    judge = partial(add, model, name, dataset, force=True, knocked=())
+    try:
+        step = judge(options=options)
+    except ImplausibleGeometryError:  # geometry imitates the law: known sizes decide how much
+        step = judge(options=replace(options, prior=True))
     refitted = step.result.parameters()
     coefficients = []
     for c in list_coefficients(formula):

@@ -19,6 +19,7 @@ from parallel_cal.discovery.thresholds import (
     MIN_SAMPLES_PER_LAG,
     MIN_VARIATION,
 )
+from parallel_cal.effects._legs import leg_inclinations, needs_legs
 from parallel_cal.effects._lines import line_stretches, needs_hanging_lines
 from parallel_cal.effects._statics import (
     PAYLOAD,
@@ -27,6 +28,7 @@ from parallel_cal.effects._statics import (
     needs_rods,
     needs_weight,
     rod_forces,
+    rods,
 )
 from parallel_cal.model.effect import CONDITIONS, Seen, parse_lag, parse_part
 from parallel_cal.model.parameters import Named
@@ -34,6 +36,7 @@ from parallel_cal.recordings.dataset import Dataset
 
 READING, LOAD, TENSION, TIME = "reading", "load", "tension", "time"
 STRETCH, MOMENT = "stretch", "moment"
+INCLINATION = "inclination"  # of legs, lines or rods
 LAGGED = "lagged temperature"  # of parts that warm up later than the sensor
 NEXT, PREVIOUS = "next_joint", "previous_joint"  # readings of neighbours, for laws of all joints
 JOINT_CONDITIONS = tuple(name for name, (_, _, per_joint) in CONDITIONS.items() if per_joint)
@@ -63,6 +66,8 @@ WORDS = {  # of drivers of the whole robot, and of those of a member's own joint
     TENSION: "the tension of its own rod",
     STRETCH: "the stretch of its own line by the payload, with all lines of one stiffness EA",
     MOMENT: "the moment of the payload's weight about the same axis",
+    INCLINATION: "the inclination of its own rod, leg or line (sine of its angle above the "
+    "horizontal)",
     READING: "the reading of its own joint",
     NEXT: "the reading of the next joint",
     PREVIOUS: "the reading of the previous joint",
@@ -76,6 +81,7 @@ JOINT_WORDS = {  # of drivers of one named joint or rod
     TENSION: "the tension of {}",
     STRETCH: "the stretch of the line of {} by the payload, with all lines of one stiffness EA",
     MOMENT: "the moment of the payload's weight about {}",
+    INCLINATION: "the inclination of {} (sine of its angle above the horizontal)",
     READING: "the reading of {}",
     "direction": "the approach direction of {}",
     "travel": "the travel of {} since the reversal",
@@ -94,6 +100,7 @@ PLAUSIBILITY = (
     "travel",
     "temperature",
     LAGGED,
+    INCLINATION,
     NEXT,
     PREVIOUS,
     "radius",
@@ -242,6 +249,12 @@ def _iterate_drivers(scene: Scene) -> Iterator[Driver]:
     for i, values in enumerate(compute_stretches(scene).T):
         name = f"{STRETCH}.{joints[i]}"
         yield Driver(name, STRETCH, "N m", f"stretch[{i}]", values, i, needs=PAYLOAD)
+    by_rod = bool(rods(mechanism)[0])
+    for k, values in enumerate(compute_inclinations(scene).T):
+        name = f"{INCLINATION}.{f'rod{k + 1}' if by_rod else joints[k]}"
+        middle, code = _round_middle(values), f"{INCLINATION}[{k}]"
+        joint, rod = (None, k) if by_rod else (k, None)
+        yield Driver(name, INCLINATION, "1", code, values - middle, joint, zero=middle, rod=rod)
     for axis, values in compute_moments(scene).items():
         name, code = f"{MOMENT}.{'xyz'[axis]}", f"moment[{axis}]"
         yield Driver(name, MOMENT, "N m", code, values, needs=PAYLOAD, axis=axis)
@@ -314,6 +327,13 @@ def compute_stretches(scene: Scene) -> np.ndarray:
     return _compute_forces(scene, line_stretches, needs_hanging_lines(scene.model.mechanism))
 
 
+def compute_inclinations(scene: Scene) -> np.ndarray:
+    """Sine of the angle of each rod, leg or line with the horizontal (N, n); without columns if
+    there are none."""
+    unsuitable = needs_legs(scene.model.mechanism)
+    return _compute_statics(scene, leg_inclinations, unsuitable, np.zeros(len(scene.seen)))
+
+
 def compute_moments(scene: Scene) -> dict[int, np.ndarray]:
     """Moment (N,) of the payload's weight about each axis of {B} that it can turn, N m.
 
@@ -329,7 +349,16 @@ def compute_moments(scene: Scene) -> dict[int, np.ndarray]:
 
 def _compute_forces(scene: Scene, forces: Callable[..., Any], unsuitable: str) -> np.ndarray:
     """What static forces of the payload are at each sample; without columns if `unsuitable`."""
-    mechanism, payload = scene.model.mechanism, scene.dataset.conditions.get(PAYLOAD)
+    payload = scene.dataset.conditions.get(PAYLOAD)
+    return _compute_statics(scene, forces, unsuitable, payload)
+
+
+def _compute_statics(
+    scene: Scene, compute: Callable[..., Any], unsuitable: str, payload: np.ndarray | None
+) -> np.ndarray:
+    """A function of the closure and of the payload (N,) at each sample; without columns if
+    `unsuitable` or without a payload."""
+    mechanism = scene.model.mechanism
     if payload is None or unsuitable:
         return np.zeros((len(scene.seen), 0))
     ideal = scene.model.structure.ideal
@@ -337,7 +366,7 @@ def _compute_forces(scene: Scene, forces: Callable[..., Any], unsuitable: str) -
     e = Named([kind.name for kind in kinds], ca.SX.zeros(len(kinds)))
     carried = ca.SX.sym("payload")
     seen = Seen(ideal.q, ideal.r, ideal.R, ideal.geometry)
-    found = forces(seen, e, Named([PAYLOAD], carried), mechanism)
+    found = compute(seen, e, Named([PAYLOAD], carried), mechanism)
     z = ca.vertcat(ideal.configuration, ideal.v)
-    (values,) = Batch(dense(forces.__name__, (z, carried), (found,)))(scene.seen, payload[:, None])
+    (values,) = Batch(dense(compute.__name__, (z, carried), (found,)))(scene.seen, payload[:, None])
     return np.asarray(values)

@@ -17,16 +17,18 @@ import numpy as np
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import write_atomically
 from parallel_cal.diagnosis.stations import Stations
-from parallel_cal.discovery.drivers import LOAD, MOMENT, STRETCH, TENSION
+from parallel_cal.discovery.drivers import INCLINATION, LOAD, MOMENT, STRETCH, TENSION
 from parallel_cal.discovery.formula import Formula, Term
 from parallel_cal.discovery.places import BASE, DEVICE, JOINT, PARAMETER, PLATFORM, ROD, Place
 
 WIDTH = 96  # characters of a line of the docstring
-FORCES = {  # family of a driver -> where the function is that computes it, it, its requirement
+# family of a driver -> where the function is that computes it, it, its requirement
+FORCES = {
     LOAD: ("_statics", "joint_forces", "needs_weight"),
     TENSION: ("_statics", "rod_forces", "needs_rods"),
     STRETCH: ("_lines", "line_stretches", "needs_hanging_lines"),
 }
+COMPUTED = FORCES | {INCLINATION: ("_legs", "leg_inclinations", "needs_legs")}
 RELATIVE_CONSTANT_TOLERANCE = 0.1  # of a scanned constant, if a user frees it
 
 
@@ -160,14 +162,15 @@ def write_effect(
     sentence, found = _plain(sentence), _plain(found)
     site = formula.hypothesis.site
     used = [formula.hypothesis.drivers[number] for number in formula.used_drivers]
-    forces = _list_forces(formula)
+    computed = _list_computed(formula)
+    weighs = any(family in FORCES for family in computed)
     stations = site.members[0].stations
     needs = list(dict.fromkeys(own[0].needs for own in used if own[0].needs))
     if stations is not None:
         needs = list(dict.fromkeys([*needs, "session"]))
     coefficients = list_coefficients(formula)
     values = values or {}
-    fixed = [c.name for c in coefficients if c.scanned] + (["mass.*"] if forces else [])
+    fixed = [c.name for c in coefficients if c.scanned] + (["mass.*"] if weighs else [])
     quoted = ", ".join(f'"{name}"' for name in fixed)
     required = ", ".join(f'"{name}"' for name in needs)
     lines = [
@@ -186,9 +189,10 @@ def write_effect(
         lines.append("from parallel_cal.base.rotation import cayley")
     if stations is not None:
         lines.append("from parallel_cal.effects._frames import select_station")
-    functions = {"_lines": set[str](), "_statics": {"masses"} if forces else set[str]()}
-    for family in forces:
-        module, *names = FORCES[family]
+    functions = {name: set[str]() for name in ("_legs", "_lines", "_statics")}
+    functions["_statics"] |= {"masses"} if weighs else set()
+    for family in computed:
+        module, *names = COMPUTED[family]
         functions[module] |= set(names)
     if site.kind == ROD:
         functions["_statics"] |= {"lengthen_rods", "needs_rods"}
@@ -229,7 +233,7 @@ def write_effect(
             spread = f" +- {sigma:.2g}" if sigma else ""
             lines.append(f"            # found: {value:.4g}{spread} {c.unit}")
         lines.append(f'            Parameter("{c.name}", "{c.unit}", {nominal}, {size:.3g}),')
-    if forces:
+    if weighs:
         lines.append("            *masses(mechanism),")
     lines += ["        ]", "", "    def applies(self, mechanism):", *_applies(formula)]
     lines += ["", "    def ideal(self, seen, e, at, mechanism):", *_ideal(formula)]
@@ -247,10 +251,10 @@ def _write_stations(stations: Stations) -> Iterator[str]:
     yield "}"
 
 
-def _list_forces(formula: Formula) -> list[str]:
-    """The families of static forces that a formula uses."""
+def _list_computed(formula: Formula) -> list[str]:
+    """The families of computed drivers that a formula uses."""
     used = {formula.hypothesis.drivers[number][0].family for number in formula.used_drivers}
-    return [family for family in FORCES if family in used]
+    return [family for family in COMPUTED if family in used]
 
 
 def _equation(formula: Formula) -> str:
@@ -280,7 +284,7 @@ def _applies(formula: Formula) -> Iterator[str]:
         yield f"        missing = {{{needed}}} - {{*mechanism.joints, *mechanism.parameters.names}}"
         yield "        if missing:"
         yield "            return f\"it has no {', '.join(sorted(missing))}\""
-    needs = [f"{FORCES[family][2]}(mechanism)" for family in _list_forces(formula)]
+    needs = [f"{COMPUTED[family][2]}(mechanism)" for family in _list_computed(formula)]
     if site.kind == ROD:
         needs = list(dict.fromkeys([*needs, "needs_rods(mechanism)"]))
     yield f"        return {' or '.join(needs) or json.dumps('')}"
@@ -288,8 +292,8 @@ def _applies(formula: Formula) -> Iterator[str]:
 
 def _ideal(formula: Formula) -> Iterator[str]:
     site, hypothesis = formula.hypothesis.site, formula.hypothesis
-    for family in _list_forces(formula):
-        yield f"        {family} = {FORCES[family][1]}(seen, e, at, mechanism)"
+    for family in _list_computed(formula):
+        yield f"        {family} = {COMPUTED[family][1]}(seen, e, at, mechanism)"
     start = {
         JOINT: "q = ca.vertsplit(seen.q)",
         PARAMETER: "changed = {}",

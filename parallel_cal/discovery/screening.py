@@ -19,6 +19,7 @@ from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
 from parallel_cal.discovery import basis
 from parallel_cal.discovery.drivers import (
+    INCLINATION,
     LAGGED,
     NEXT,
     PLACES,
@@ -224,7 +225,7 @@ class Screening:
         whole = [one for one in self._drivers if one.is_common]
         common = [one for one in whole if not one.shown]
         own = [one for one in self._drivers if one.joint is not None]
-        tensions = [one for one in self._drivers if one.rod is not None]
+        of_rods = [one for one in self._drivers if one.rod is not None]
         if site.kind == DEVICE:
             shown = [one for one in whole if one.shown]
             known = [one for one in common if one.family not in PLACES] if shown else common
@@ -236,12 +237,19 @@ class Screening:
             by_moment = [of_axes] if len(of_axes) == n else []
             return [*by_moment, *((one,) * n for one in common if one.family not in PLACES)]
         if site.kind == PLATFORM:
-            return [(one,) * n for one in (*own, *common) if one.family != READING]
+            moved = [one for one in own if one.family not in (READING, INCLINATION)]
+            return [(one,) * n for one in (*moved, *common)]
         if site.kind == ROD:
-            loads = tuple(tensions[int(place.rod or 0)] for place in site.members if tensions)
-            return [*([loads] if loads else []), *((one,) * n for one in common)]
+            by_rod = {(one.family, one.rod): one for one in of_rods}
+            of_members = [
+                tuple(by_rod[family, place.rod] for place in site.members)
+                for family in dict.fromkeys(one.family for one in of_rods)
+            ]
+            return [*of_members, *((one,) * n for one in common)]
         if n == 1:
-            return [(one,) for one in (*own, *common)]
+            joint = site.members[0].joint
+            able = [one for one in own if one.family != INCLINATION or one.joint == joint]
+            return [(one,) for one in (*able, *common)]
         by_joint: dict[tuple[str, int], Driver] = {(d.family, int(d.joint or 0)): d for d in own}
         families = dict.fromkeys(one.family for one in own)
         joints = [place.joint for place in site.members]
@@ -269,6 +277,10 @@ class Screening:
         """Whether two drivers may act together on a site: for a joint, its own quantities, other
         readings and those of the whole robot; for a single length, its own joint's as well."""
         if site.kind == BASE:
+            return False
+        # Lengths that err in proportion to the inclination shift the platform along the vertical:
+        # multiplied by another quantity, this is an error of the pose.
+        if INCLINATION in (one[0].family, other[0].family):
             return False
         if site.kind == DEVICE:
             return all(own[0].family in {*PLACES, "time"} for own in (one, other))
