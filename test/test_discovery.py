@@ -140,25 +140,33 @@ def test_a_law_states_its_range_its_share_and_its_errors_at_held_out_poses(sprin
 
 @pytest.mark.wide
 @pytest.mark.parametrize(
-    ("name", "sigmas"),
+    ("name", "sigmas", "seed"),
     [
-        ("rod_compliance", 1.0),
-        ("thermal_expansion", 1.0),
-        ("thermal_expansion", 2.0),
-        ("spool_buildup", 1.0),
-        ("payload_sag", 2.0),
-        ("line_stretch", 1.0),
+        ("rod_compliance", 1.0, 0),
+        ("thermal_expansion", 1.0, 0),
+        ("thermal_expansion", 2.0, 0),
+        ("spool_buildup", 1.0, 0),
+        ("payload_sag", 2.0, 0),
+        ("line_stretch", 1.0, 0),
+        # Several laws describe these better, but `add` refuses one of them.
+        ("joint_compliance", 1.0, 5004),
+        ("thermal_expansion", 2.0, 5007),
+        ("encoder_second_harmonic", 1.0, 5006),
+        # The places of a common driver are found from another place than that of the best law.
+        ("thermal_expansion", 2.0, 5009),
     ],
 )
-def test_an_effect_is_found_again_without_itself_and_its_lookalikes_in_the_catalogue(name, sigmas):
+def test_an_effect_is_found_again_without_itself_and_its_lookalikes_in_the_catalogue(
+    name, sigmas, seed
+):
     machine = cs.MACHINES[cs.EFFECTS[name].machine]
-    effect = cs.draw_effect(name, 0, sigmas)
-    data = cs.measure(machine, effect, 0)
+    effect = cs.draw_effect(name, seed, sigmas)
+    data = cs.measure(machine, effect, seed)
     with cs.without_effects(cs.list_lookalikes(name)):
         found = discover(machine.model(), data)
     assert cs.is_named(found.laws, name, machine.model().joints) == (True, True), found.summary
     true = add(machine.model(), name, data, force=True).model
-    after, best = (cs.compute_true_error(name, m, effect, 0) for m in (found.described, true))
+    after, best = (cs.compute_true_error(name, m, effect, seed) for m in (found.described, true))
     assert after < 1.25 * best
 
 

@@ -266,10 +266,13 @@ class Discovery(ShownInNotebook):
 
 @dataclass(frozen=True)
 class _Winner:
-    """A law before its proof: the formula, equally good ones, and the screening's evidence; for a
-    law of the device, `rival` is one of the robot that explains nearly as much. `parts` are
-    further laws of the same driver, and `alone` is the law that they replaced. `excludes_device` is
-    whether samples of several stations show that no smooth error of the device is such a law."""
+    """A law before its proof: the formula, equally good ones, and the screening's evidence.
+
+    For a law of the device, `rival` is one of the robot that explains nearly as much; for a law of
+    the robot, one of the device that explains more. `parts` are further laws of the same driver,
+    and `alone` is the law that they replaced. `excludes_device` is whether samples of several
+    stations show that no smooth error of the device is such a law.
+    """
 
     formula: Formula
     equal: tuple[Formula, ...]
@@ -485,14 +488,8 @@ def _find_winners(search: _Search) -> list[_Winner]:
             gained = parts.evidence - winner.formula.evidence
             if best is not None and best.winner.formula.evidence > gained:
                 parts = None
-        if parts is not None:
-            # An error of the device that describes the data as well stays an objection.
-            least = parts.evidence - MAX_EQUAL_EVIDENCE
-            of_device = [
-                one
-                for one in winner.equal
-                if one.hypothesis.site.kind == DEVICE and one.evidence >= least
-            ]
+        if parts is not None:  # what the device may cause stays an objection
+            of_device = [one for one in winner.equal if one.hypothesis.site.kind == DEVICE]
             first, *others = parts.laws
             equal = (*of_device, *first.equal)
             winner = replace(
@@ -556,9 +553,30 @@ def find_winner(
     if not found:
         return None
     best, *equal = sort_by_preference(list(found.values()))
-    limit = MIN_RIVAL_EVIDENCE_SHARE * scored[0][0]
-    robots = (one for e, one in scored if e >= limit and one.site.kind != DEVICE)
-    return _Winner(best, tuple(equal), max(scored[0][0], best.evidence), next(robots, None))
+    rival = _find_rival(best.hypothesis, scored)
+    return _Winner(best, tuple(equal), max(scored[0][0], best.evidence), rival)
+
+
+def _find_rival(
+    hypothesis: Hypothesis, scored: Sequence[tuple[float, Hypothesis]]
+) -> Hypothesis | None:
+    """For a law of the device, the best one of the robot that explains nearly as much; for a law of
+    the robot, the best one of the device with the same drivers that explains more. None if there is
+    none.
+
+    Formulas are not compared here: of a drift that no formula describes well, that of the robot may
+    happen to be the better one.
+    """
+    if hypothesis.site.kind == DEVICE:
+        limit = MIN_RIVAL_EVIDENCE_SHARE * scored[0][0]
+        return next((one for e, one in scored if e >= limit and one.site.kind != DEVICE), None)
+    drivers = {*hypothesis.families}
+    for _, one in scored:
+        if one.key == hypothesis.key:
+            return None
+        if one.site.kind == DEVICE and {*one.families} == drivers:
+            return one
+    return None
 
 
 def sort_by_preference(formulas: Sequence[Formula]) -> list[Formula]:
@@ -595,7 +613,7 @@ def _find_parts(search: _Search, best: _Best, limit: int) -> Parts | None:
     evidence, found = formula.evidence - MAX_EQUAL_EVIDENCE, None
     if len(drivers) == 1:
         found = find_parts(targets, formula, list_hypotheses(drivers[0][0]), limit)
-        evidence = found.evidence if found else formula.evidence
+        evidence = (found or formula).evidence + MAX_EQUAL_EVIDENCE
     for own in drivers:
         begin = [
             one
@@ -813,6 +831,8 @@ def _explain_device(winner: _Winner) -> str:
             f"{_name(winner.rival)} explains nearly as much"
         )
     others = [one.hypothesis for one in winner.equal if one.hypothesis.site.kind == DEVICE]
+    if not others and winner.rival is not None:
+        return f"the measuring device may cause it: {_name(winner.rival)} explains more"
     if others:
         return f"the measuring device may cause it: {_name(others[0])} describes it as well"
     drivers = winner.formula.hypothesis.families
