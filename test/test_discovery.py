@@ -29,6 +29,7 @@ from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.scene import columns as compute_effect_columns
 from parallel_cal.discovery.discovery import (
     discover,
+    find_rival,
     find_winner,
     refine_members,
     sort_by_preference,
@@ -150,7 +151,6 @@ def test_a_law_states_its_range_its_share_and_its_errors_at_held_out_poses(sprin
         ("line_stretch", 1.0, 0),
         # Several laws describe these better, but `add` refuses one of them.
         ("joint_compliance", 1.0, 5004),
-        ("thermal_expansion", 2.0, 5007),
         ("encoder_second_harmonic", 1.0, 5006),
         # The places of a common driver are found from another place than that of the best law.
         ("thermal_expansion", 2.0, 5009),
@@ -556,6 +556,17 @@ def test_legs_and_lines_incline_towards_the_platform(name):
     np.testing.assert_allclose(found, along[:, 2] / np.linalg.norm(along, axis=1), atol=1e-12)
     assert "no legs" in needs_legs(new_model("argos27").mechanism)
     assert "share one length" in needs_legs(new_model("delta_nominal").mechanism)
+
+
+def test_a_device_that_explains_more_than_a_law_of_the_robot_is_its_rival(scene):
+    """Of a wandering device, the formula for three lengths may happen to be the better one."""
+    (time,) = [one for one in list_drivers(scene) if one.name == "time"]
+    (device,), (lengths,) = (_find_sites(scene, (n, True)) for n in ("device.xyz", "Lb"))
+    of_device, of_robot = (Hypothesis(one, ((time,) * 3,)) for one in (device, lengths))
+    assert find_rival(of_robot, [(284.8, of_device), (256.9, of_robot)]) is of_device
+    assert find_rival(of_robot, [(284.8, of_robot), (256.9, of_device)]) is None
+    assert find_rival(of_device, [(284.8, of_device), (256.9, of_robot)]) is of_robot
+    assert find_rival(of_device, [(284.8, of_device), (100.0, of_robot)]) is None
 
 
 def test_rods_err_with_their_own_tension_and_the_effect_moves_each_rod(scene):

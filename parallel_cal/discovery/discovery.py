@@ -553,11 +553,11 @@ def find_winner(
     if not found:
         return None
     best, *equal = sort_by_preference(list(found.values()))
-    rival = _find_rival(best.hypothesis, scored)
+    rival = find_rival(best.hypothesis, scored)
     return _Winner(best, tuple(equal), max(scored[0][0], best.evidence), rival)
 
 
-def _find_rival(
+def find_rival(
     hypothesis: Hypothesis, scored: Sequence[tuple[float, Hypothesis]]
 ) -> Hypothesis | None:
     """For a law of the device, the best one of the robot that explains nearly as much; for a law of
