@@ -174,7 +174,9 @@ def measure(case: Case) -> Accuracy:
     shape, numbers = cell.lens, seen.parameters()
     true = (shape.fx, shape.fy, shape.cx, shape.cy, *shape.k)
     found = [numbers[f"camera.{name}"] for name in LENS]
-    lens = [abs(one.value - t) < HELD * one.sigma for one, t in zip(found, true, strict=True)]
+    lens = [
+        abs(one.value - t) < HELD * (one.sigma or 0.0) for one, t in zip(found, true, strict=True)
+    ]
     return Accuracy(
         case,
         cell.error_at_unseen_poses(cell.drawn, UNSEEN),
