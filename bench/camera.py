@@ -264,8 +264,10 @@ def accuracy_lines(outcomes: list[Accuracy]) -> list[str]:
 def shares(some: list[Accuracy]) -> list[str]:
     """Mean shares of the intervals that hold the truth, with the sigma of the mean over runs."""
     found = np.array([(o.positions, o.lens) for o in some])
-    spread = found.std(axis=0, ddof=1) / np.sqrt(len(some)) if len(some) > 1 else [np.nan] * 2
-    return [f"{m:.1%} +- {s:.1%}" for m, s in zip(found.mean(axis=0), spread, strict=True)]
+    if len(some) < 2:
+        return [f"{share:.1%}" for share in found[0]]
+    sigma = found.std(axis=0, ddof=1) / np.sqrt(len(some))
+    return [f"{m:.1%} +- {s:.1%}" for m, s in zip(found.mean(axis=0), sigma, strict=True)]
 
 
 def effect_lines(outcomes: list[Finding]) -> list[str]:

@@ -33,7 +33,8 @@ def test_errors_are_averaged_as_squares_and_intervals_as_shares():
     one = camera.Accuracy(first_of("delta"), 3e-4, 30e-6, 40e-6, 30e-6, 1.0, 0.875)
     other = camera.Accuracy(first_of("delta"), 4e-4, 40e-6, 40e-6, 30e-6, 0.9, 1.0)
     arm = camera.Accuracy(first_of("ur5"), 2e-4, 20e-6, 50e-6, 20e-6, 1.0, 1.0)
-    delta, _, together = cells(camera.accuracy_lines([arm, one, other]))
+    delta, lone, together = cells(camera.accuracy_lines([arm, one, other]))
+    assert lone[6] == "100.0%"
     assert delta[1:6] == ["2", "354 um", "35 um", "40 um", "30 um"]
     assert delta[6:] == ["95.0% +- 5.0%", "93.8% +- 6.2%"]
     assert together[1] == "3"
