@@ -13,6 +13,7 @@ import typer
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.files import load_or_compute
+from parallel_cal.base.units import PIXEL
 from parallel_cal.cli.arguments import Json, Out
 from parallel_cal.reporting import console
 
@@ -160,12 +161,10 @@ def _with_set_ups(model: Model, items: list[str]) -> Model:
 
     A camera measures in place of the probe that a configuration has, unless that is stated, too.
     """
-    from parallel_cal.sensors.camera import Camera
-
     own = {sensor.name: sensor for sensor in model.sensors}
     known = {name: sensor.options for name, sensor in own.items()}
     stated = {sensor.name: sensor for sensor in (_sensor(item, known) for item in items)}
-    if any(isinstance(sensor, Camera) for sensor in stated.values()) and PROBE not in stated:
+    if any(sensor.unit == PIXEL for sensor in stated.values()) and PROBE not in stated:
         own.pop(PROBE, None)
     return model.with_sensors(tuple((own | stated).values())) if items else model
 
