@@ -15,12 +15,11 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +38,7 @@ from virtual_lines import Creep, LinedRobot, Pulleys, Tension
 from virtual_struts import UniversalJoints
 
 from bench.blind import interval, put_between
+from bench.slices import add_options, run_missing
 from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.fit import fit
@@ -731,8 +731,7 @@ def table_lines(outcomes: list[Outcome]) -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--draws", type=int, default=10)
-    parser.add_argument("--results", type=Path)
-    parser.add_argument("--minutes", type=float, default=math.inf)
+    add_options(parser)
     parser.add_argument("--page", action="store_true", help=f"only write the table of {PAGE.name}")
     parser.add_argument("row", nargs="*")
     given = parser.parse_args()
@@ -740,17 +739,7 @@ def main() -> None:
         return put_between(PAGE, START, END, "\n".join(table_lines([*kept(STUDY).values()])))
     cases = list_cases(given.draws, given.row)
     outcomes = kept(given.results) if given.results else {}
-    until = time.monotonic() + 60 * given.minutes
-    for case in cases:
-        if case in outcomes:
-            continue
-        if time.monotonic() > until:
-            break
-        outcomes[case] = run(case)
-        if given.results:
-            with given.results.open("a", encoding="utf-8") as lines:
-                lines.write(json.dumps(asdict(outcomes[case])) + "\n")
-    done = [outcomes[c] for c in cases if c in outcomes]
+    done = run_missing(cases, outcomes, run, given.results, given.minutes)
     for some in grouped(done).values():
         print(describe(some))
 

@@ -1,6 +1,6 @@
 """A Delta, a hexapod and an arm as a camera or a tracker measures them, with true unseen poses."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -151,6 +151,15 @@ class Cell:
         return float(
             np.sqrt(np.mean(np.sum(self.errors_at_unseen_poses(model, n)[0] ** 2, axis=1)))
         )
+
+    def moved_by_effects(self, n: int = 200) -> float:
+        """Rms distance (m) by which the hidden physics displaces the platform at unseen poses."""
+        poses = [
+            cell.draw_poses(n, np.random.default_rng([self.seed, 99]))
+            for cell in (self, replace(self, effects=()))
+        ]
+        apart = poses[0].r - poses[1].r
+        return float(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
 
     def errors_at_unseen_poses(
         self, model: Model, n: int = 200

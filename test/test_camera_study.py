@@ -1,92 +1,85 @@
-"""The study behind docs/camera_model.md: robots identified by a camera, beside a tracker of 30 um.
+"""The study behind docs/camera_model.md (bench/camera.py): its tables, and some of its runs.
 
-`CAMERA_STUDY_RUNS` sets the runs of each robot; the default is 67, so that all three make 200.
-Hidden effects are looked for in `CAMERA_STUDY_HIDDEN` runs each, by default 60.
+`CAMERA_STUDY_RUNS` sets the runs of each slow test, by default 20; the page's runs are those of
+the bench.
 """
 
 import os
 
-import numpy as np
 import pytest
-import virtual_arm as va
-from camera_cells import Cell
-from virtual_effects_hidden import JointCompliance
 
-import parallel_cal as pc
-from parallel_cal.virtual.robot import Backlash, EncoderEccentricity
+from bench import camera
 
-RUNS = int(os.environ.get("CAMERA_STUDY_RUNS", "67"))
-HIDDEN = int(os.environ.get("CAMERA_STUDY_HIDDEN", "60"))
-LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
+RUNS = int(os.environ.get("CAMERA_STUDY_RUNS", "20"))
+KEPT = [*camera.kept(camera.STUDY).values()]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("kind", "limit"), [("delta", 70e-6), ("stewart", 40e-6), ("ur5", 65e-6)])
-def test_intervals_of_the_lens_and_of_positions_hold_the_truth(kind, limit):
-    lens, positions, errors, sigmas, trackers = [], [], [], [], []
-    for seed in range(1, RUNS + 1):
-        cell = Cell(kind, seed)
-        model = cell.drawn.with_sensors((cell.sensor(),))
-        found = pc.fit(model, cell.seen_by_camera(seed=seed), hold_out=0)
-        true = dict(zip(LENS, (*vars(cell.lens).values(),)[:4] + cell.lens.k, strict=True))
-        numbers = found.parameters()
-        for name, value in true.items():
-            one = numbers[f"camera.{name}"]
-            lens.append(abs(one.value - value) < 1.96 * one.sigma)
-        away, sigma = cell.errors_at_unseen_poses(found.model)
-        positions.append(np.mean(np.abs(away) < 1.96 * sigma))
-        errors.append(np.sqrt(np.mean(np.sum(away**2, axis=1))))
-        sigmas.append(np.sqrt(np.mean(np.sum(sigma**2, axis=1))))
-        tracked = pc.fit(cell.drawn, cell.seen_by_tracker(seed=seed), hold_out=0)
-        trackers.append(cell.error_at_unseen_poses(tracked.model))
-    camera, stated, tracker = (
-        float(np.sqrt(np.mean(np.square(e)))) for e in (errors, sigmas, trackers)
-    )
-    print(
-        f"{kind}: {1e6 * camera:.0f} um, stated {1e6 * stated:.0f}, tracker {1e6 * tracker:.0f}; "
-        f"95 % intervals hold {np.mean(positions):.1%} of the positions, {np.mean(lens):.1%} of "
-        "the lens"
-    )
-    assert np.mean(positions) >= 0.93
-    assert np.mean(lens) >= 0.93
-    assert camera < limit
-    assert 0.75 < camera / stated < 1.33
+def first_of(robot, hidden=""):
+    return camera.Case(robot, hidden, 1.0, 1)
 
 
-# What a camera sees: effects of this size (rad, rad, rad/(N m)), and the names that stand for them.
-DELTA = {
-    "backlash": (Backlash((1e-3,) * 3), ("backlash", "hysteresis")),
-    "eccentricity": (
-        EncoderEccentricity((8e-3, -4.8e-3, 2.8e-3), (-3.6e-3, 7.6e-3, 8e-3)),
-        ("encoder_eccentricity",),
-    ),
-    "compliance": (
-        JointCompliance((1e-3, 0.8e-3, 1.2e-3)),
-        ("joint_compliance", "rod_compliance", "payload_sag"),
-    ),
-}
+def cells(lines):
+    return [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines[2:]]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", DELTA)
-def test_a_hidden_effect_of_a_delta_is_named(name):
-    effect, names = DELTA[name]
-    named = 0
-    for seed in range(1, HIDDEN + 1):
-        payloads = (0.0, 1.5, 3.0) if name == "compliance" else ()
-        cell = Cell("delta", seed, effects=(effect,), payloads=payloads)
-        model = cell.drawn.with_sensors((cell.sensor(),))
-        found = pc.diagnose(model, cell.seen_by_camera(seed=seed)).effects
-        named += len(found) == 1 and found[0] in names
-    print(f"{name}: named in {named} of {HIDDEN}")
-    assert named >= 0.95 * HIDDEN
+def test_the_page_shows_the_tables_of_the_kept_outcomes():
+    page = camera.PAGE.read_text(encoding="utf-8")
+    for name, lines in camera.tables(KEPT).items():
+        start, end = camera.MARKS[name]
+        assert "\n".join([start, "", *lines, "", end]) in page
+
+
+def test_errors_are_averaged_as_squares_and_intervals_as_shares():
+    one = camera.Accuracy(first_of("delta"), 3e-4, 30e-6, 40e-6, 30e-6, 1.0, 0.875)
+    other = camera.Accuracy(first_of("delta"), 4e-4, 40e-6, 40e-6, 30e-6, 0.9, 1.0)
+    arm = camera.Accuracy(first_of("ur5"), 2e-4, 20e-6, 50e-6, 20e-6, 1.0, 1.0)
+    delta, lone, together = cells(camera.accuracy_lines([arm, one, other]))
+    assert lone[6] == "100.0%"
+    assert delta[1:6] == ["2", "354 um", "35 um", "40 um", "30 um"]
+    assert delta[6:] == ["95.0% +- 5.0%", "93.8% +- 6.2%"]
+    assert together[1] == "3"
+    assert together[6].startswith("96.7%")
+
+
+def test_a_row_counts_how_what_hides_was_named():
+    case = first_of("delta", "backlash")
+    found = [
+        camera.Finding(case, "explained", named, 1e-4, 1e-4, 2e-5, 9.0)
+        for named in (("backlash",), ("backlash or hysteresis", "encoder_gain"), ())
+    ]
+    (row,) = cells(camera.effect_lines(found))
+    assert row[3:7] == ["3", "1", "1", "1"]
+    assert row[8] == "1"  # the gain
+
+
+def test_a_case_that_is_in_the_file_is_not_run_again(monkeypatch, tmp_path):
+    cases = camera.list_cases(2, [1.0], ["nothing on ur5"])
+    results, ran = tmp_path / "results.jsonl", []
+
+    def run(case):
+        ran.append(case.seed)
+        return camera.Accuracy(case, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+
+    camera.run_missing(cases[:1], {}, run, results)
+    done = camera.run_missing(cases, camera.kept(results), run, results)
+    assert ran == [1, 2]
+    assert [o.case for o in done] == cases == [*camera.kept(results)]
 
 
 @pytest.mark.slow
-def test_a_hidden_backlash_of_an_arm_is_named():
-    named = 0
-    for seed in range(1, HIDDEN + 1):
-        cell = Cell("ur5", seed, effects=tuple(va.Play(k, backlash=1e-3) for k in (0, 1)))
-        model = cell.drawn.with_sensors((cell.sensor(),))
-        named += pc.diagnose(model, cell.seen_by_camera(seed=seed)).effects == ("backlash",)
-    assert named >= 0.95 * HIDDEN
+@pytest.mark.parametrize(("robot", "limit"), [("delta", 70e-6), ("stewart", 40e-6), ("ur5", 65e-6)])
+def test_intervals_of_the_lens_and_of_positions_hold_the_truth(robot, limit):
+    some = [camera.measure(c) for c in camera.list_cases(RUNS, [1.0], [f"nothing on {robot}"])]
+    errors, stated = (camera.rms([getattr(o, n) for o in some]) for n in ("camera", "stated"))
+    assert sum(o.positions for o in some) >= 0.93 * len(some)
+    assert sum(o.lens for o in some) >= 0.93 * len(some)
+    assert errors < limit
+    assert 0.75 < errors / stated < 1.33
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hidden", camera.KINDS)
+def test_a_hidden_effect_is_named(hidden):
+    robot = camera.KINDS[hidden].robot
+    some = [camera.look_for(c) for c in camera.list_cases(RUNS, [1.0], [f"{hidden} on {robot}"])]
+    assert sum(o.how != "not" for o in some) >= 0.95 * len(some)

@@ -592,6 +592,32 @@ CORNERS = (
 )
 
 
+GANTRY = "x [mm],y [mm],z [mm],tool_x [mm],tool_y [mm],tool_z [mm]\n1,2,3,4,5,6\n7,8,9,10,11,12\n"
+GANTRY_MAP = """\
+joints: {x: {column: x}, y: {column: y}, z: {column: z}}
+position: {columns: [tool_x, tool_y, tool_z]}
+"""
+
+
+def test_joints_named_like_the_position_are_not_taken_for_it(files, tmp_path):
+    table, columns = files(GANTRY, GANTRY_MAP)
+    words = (
+        r"t.csv:1: the model has joints x, y, z, so no column contains the position; .* such as "
+        r"tool_x \[mm\], and state all .*t.columns.yaml.* joints: \{x: \{column: x\}, .*tool_z\]\}"
+    )
+    with pytest.raises(DatasetError, match=words):
+        load_dataset(table, joints=["x", "y", "z"])
+    data = load_dataset(table, joints=["x", "y", "z"], columns=str(columns))
+    np.testing.assert_allclose(data.q, [[0.001, 0.002, 0.003], [0.007, 0.008, 0.009]])
+    np.testing.assert_allclose(data.r, [[0.004, 0.005, 0.006], [0.010, 0.011, 0.012]])
+
+
+def test_a_joint_and_the_position_cannot_share_a_column(files):
+    words = "map.yaml:2.*position: column x is that of a joint, too; expected one of its own"
+    with pytest.raises(ParallelCalError, match=words):
+        import_csv(*files(GANTRY, GANTRY_MAP.replace("tool_x", "x")))
+
+
 def test_pixels_of_a_camera_are_readings_in_px(files):
     text = SHORT + "readings: {camera.0.u: {column: u}, camera.0.v: {column: v, unit: px}}"
     table = CORNERS.replace("reading.camera.0.u [px]", "u [px]").replace(

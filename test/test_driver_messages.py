@@ -27,6 +27,12 @@ OTHERS = {
     "aruco_opencv_msgs/msg/MarkerPose": "uint16 marker_id\ngeometry_msgs/Pose pose\n",
     "aruco_opencv_msgs/msg/ArucoDetection": "std_msgs/Header header\n"
     "aruco_opencv_msgs/MarkerPose[] markers\n",
+    "apriltag_msgs/msg/Point": "float64 x\nfloat64 y\n",
+    "apriltag_msgs/msg/AprilTagDetection": "string family\nint32 id\nint32 hamming\n"
+    "float32 goodness\nfloat32 decision_margin\napriltag_msgs/Point centre\n"
+    "apriltag_msgs/Point[4] corners\nfloat64[9] homography\n",
+    "apriltag_msgs/msg/AprilTagDetectionArray": "std_msgs/Header header\n"
+    "apriltag_msgs/AprilTagDetection[] detections\n",
     "my_driver_msgs/msg/Strange": "std_msgs/Header header\nfloat64 x\n",
 }
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -57,6 +63,19 @@ def named(package, array, item, field, name="platform", numbered=False):
         return "/bodies", type, log, kind(type)(stamped.header, *more, bodies)
 
     return driver
+
+
+def transform(message):
+    """A message of its own for each pose, as vicon_bridge publishes them."""
+    _, _, log, stamped = message
+    p = stamped.pose.position
+    moved = kind("geometry_msgs/msg/Vector3")(p.x, p.y, p.z)
+    body = kind("geometry_msgs/msg/TransformStamped")(
+        stamped.header,
+        "platform",
+        kind("geometry_msgs/msg/Transform")(moved, stamped.pose.orientation),
+    )
+    return "/vicon/platform/platform", "geometry_msgs/msg/TransformStamped", log, body
 
 
 def tf(message):
@@ -93,6 +112,7 @@ DRIVERS = {
     "/bodies:3": named(
         "aruco_opencv_msgs", "ArucoDetection", "MarkerPose", "markers", numbered=True
     ),
+    "/vicon/platform/platform": transform,
     "/tf:tag_3": tf,
     "/tf:base->tag_3": tf,
 }
@@ -147,6 +167,22 @@ def test_a_driver_whose_messages_hold_no_pose_is_refused_with_a_cure(tmp_path):
     bag = recorded(tmp_path, strange)
     with pytest.raises(BagError, match=r"hold no pose, transform or point.*PARENT->CHILD"):
         read_bag(bag, ReadOptions(topics={"measured_pose": "/strange"}))
+
+
+def test_tags_without_poses_are_refused_with_a_cure(tmp_path):
+    """apriltag_ros publishes pixels of tags, and their poses as tf."""
+
+    def pixels(message):
+        corners = [kind("apriltag_msgs/msg/Point")(1.0, 2.0)] * 4
+        tag = kind("apriltag_msgs/msg/AprilTagDetection")(
+            "tag36h11", 3, 0, 1.0, 1.0, corners[0], corners, np.eye(3).ravel()
+        )
+        type = "apriltag_msgs/msg/AprilTagDetectionArray"
+        return "/detections", type, message[2], kind(type)(message[3].header, [tag])
+
+    bag = recorded(tmp_path, pixels)
+    with pytest.raises(BagError, match=r"hold no pose, transform or point.*PARENT->CHILD"):
+        read_bag(bag, ReadOptions(topics={"measured_pose": "/detections:3"}))
 
 
 def test_a_topic_of_another_standard_type_is_still_refused_by_its_type(tmp_path):

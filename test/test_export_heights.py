@@ -105,6 +105,20 @@ def marlin(folder, seed, noise):
     return [folder / "printer.log"], samples("marlin", [folder / "printer.log"]), points, 0.0
 
 
+def test_a_camera_takes_the_place_of_a_configurations_probe(tmp_path, capsys):
+    (tmp_path / "config.g").write_text(vp.CONFIG)
+    camera = "camera: {columns: 8, rows: 6, square: 0.03, image_size: [1280, 1024]}"
+    command = ["new", "--from", str(tmp_path / "config.g"), "--sensor", camera]
+    for more, names in (([], ["camera"]), (["--sensor", "probe"], ["probe", "camera"])):
+        model = tmp_path / f"{len(names)}.yaml"
+        with pytest.raises(SystemExit) as ended:
+            main([*command, *more, "-o", str(model)])
+        said = capsys.readouterr()
+        assert ended.value.code == 0, said.err
+        assert [sensor.name for sensor in read_model(model).sensors] == names
+        assert ("the probe's noise is not stated" in said.out) == ("probe" in names)
+
+
 @pytest.mark.wide
 @pytest.mark.parametrize("noise", [20e-6, 40e-6, 60e-6])
 @pytest.mark.parametrize("seed", range(2))

@@ -7,6 +7,8 @@ import pytest
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.cli import main as cli
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.samples import READING
 from parallel_cal.virtual.camera import Camera
@@ -173,6 +175,28 @@ def test_poses_in_the_table_and_a_column_map_are_read_as_in_other_tables(folder,
     header = "image,x [mm],y [mm],z [mm]"
     with pytest.raises(DatasetError, match=r"no joints in image, x .mm., .*unit of each joint"):
         samples("images", [folder], joints=table(folder, range(N), header))
+
+
+def test_a_printer_without_encoders_gets_its_joints_from_commanded_positions(folder, images):
+    """The commands of docs/camera.md for a robot with stepper motors."""
+    work = folder.parent
+    positions = [f"{0.01 * k},{-0.005 * k},{0.02 + 0.01 * k}" for k in range(N)]
+    (work / "targets.csv").write_text("\n".join(["x,y,z", *positions]) + "\n")
+    joints = ", ".join(f"joint{i}: {{column: joint{i}, unit: m}}" for i in (1, 2, 3))
+    (work / "map.yaml").write_text(f"joints: {{{joints}}}\n")
+    model, table, output = (str(work / name) for name in ("m.yaml", "joints.csv", "s.json"))
+    options = ["--option", f"columns={work / 'map.yaml'}", "--option", "by=row"]
+    for words in (
+        ["new", "linear_delta", "-o", model],
+        ["inverse", model, "--input", str(work / "targets.csv"), "--output", table],
+        ["import", "images", str(folder), "--joints", table, *options, "-o", output],
+    ):
+        with pytest.raises(SystemExit, match="0"):
+            cli.main(words)
+    dataset = Dataset.from_json(output)
+    reached = Kinematics(new_model("linear_delta")).direct(dataset.q).position
+    np.testing.assert_allclose(reached[5], [0.05, -0.025, 0.07], atol=1e-9)
+    check_pixels(dataset, 5, images[5])
 
 
 def test_a_folder_without_images_and_a_missing_table_are_refused(folder, tmp_path):

@@ -164,6 +164,21 @@ def test_rows_may_be_matched_although_the_tables_share_a_column(files):
     np.testing.assert_allclose(data.r[:, 1], [-0.02025, 0.01, 0.005])
 
 
+def test_joints_named_like_the_position_need_other_names_of_the_position(tmp_path):
+    axes, points = tmp_path / "axes.csv", tmp_path / "points.csv"
+    axes.write_text("point,x [mm],y [mm],z [mm]\n1,1,2,3\n2,4,5,6\n")
+    text = "point,X [mm],Y [mm],Z [mm]\n1,7,8,9\n2,10,11,12\n"
+    points.write_text(text)
+    words = r"2 of the tables have the columns x, y, z; give those of the position other names"
+    with pytest.raises(ParallelCalError, match=words):
+        samples("table", [points, axes])
+    points.write_text(text.replace("X", "X1").replace("Y", "Y1").replace("Z", "Z1"))
+    data = samples("table", [points, axes], position=["X1", "Y1", "Z1"])
+    assert data.joint_names == ("x", "y", "z")
+    np.testing.assert_allclose(data.q[1], [0.004, 0.005, 0.006])
+    np.testing.assert_allclose(data.r[1], [0.010, 0.011, 0.012])
+
+
 def test_the_command_writes_samples(files, tmp_path):
     words = ["import", "table", *map(str, files()), "-o", str(tmp_path / "s.json")]
     with pytest.raises(SystemExit) as ended:

@@ -13,6 +13,7 @@ import typer
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.files import load_or_compute
+from parallel_cal.base.units import PIXEL
 from parallel_cal.cli.arguments import Json, Out
 from parallel_cal.reporting import console
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from parallel_cal.model.model import Model
     from parallel_cal.model.sensor import Sensor
 
+PROBE = "probe"  # the sensor that touches a printer's bed, and its channel
 PARAMETER_FIELDS = ("name", "unit", "nominal", "tolerance", "group", "label")
 
 Option = Annotated[
@@ -92,7 +94,7 @@ def new(
         model, values, remarks = _make_model(mechanism, option, configuration)
     model = _with_set_ups(model, sensor or [])
     model = replace(model, machine_class=check_class(machine_class))
-    if configuration and model.structure.channels_without_sigma:
+    if configuration and PROBE in model.structure.channels_without_sigma:
         remarks = (*remarks, PROBE_NOISE_UNKNOWN)
     replace_model(model, output)
     document = {
@@ -155,12 +157,16 @@ def parse_options(options: list[str] | None) -> dict[str, Any]:
 
 
 def _with_set_ups(model: Model, items: list[str]) -> Model:
-    """Add the sensors; omitted options keep the values of the controller's configuration."""
+    """Add the sensors; omitted options keep the values of the controller's configuration.
+
+    A camera measures in place of the probe that a configuration has, unless that is stated, too.
+    """
     own = {sensor.name: sensor for sensor in model.sensors}
-    for item in items:
-        changed = _sensor(item, {name: one.options for name, one in own.items()})
-        own[changed.name] = changed
-    return model.with_sensors(tuple(own.values())) if items else model
+    known = {name: sensor.options for name, sensor in own.items()}
+    stated = {sensor.name: sensor for sensor in (_sensor(item, known) for item in items)}
+    if any(sensor.unit == PIXEL for sensor in stated.values()) and PROBE not in stated:
+        own.pop(PROBE, None)
+    return model.with_sensors(tuple((own | stated).values())) if items else model
 
 
 def _sensor(item: str, known: Mapping[str, Mapping[str, Any]]) -> Sensor:

@@ -197,6 +197,7 @@ PARTS: dict[str, type[Part]] = {
     "noise": NoisePart,
 }
 ORIENTATIONS = ("orientation", "angles", "rotation_vector", "matrix")
+POSITION, QUATERNION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")  # names without a column map
 MAX_SHOWN_HEADER = 400  # characters of a table's header in a message
 
 
@@ -206,8 +207,8 @@ def map_by_names(table: Table, joints: Sequence[str], beside: Path) -> ColumnMap
     that are missing; the map can be stated in the file `beside`."""
     missing = [joint for joint in joints if table.find(joint) is None]
     position, orientation = (
-        [name for name in names if table.find(name) is not None]
-        for names in (("x", "y", "z"), ("qx", "qy", "qz", "qw"))
+        [name for name in names if name not in joints and table.find(name) is not None]
+        for names in (POSITION, QUATERNION)
     )
     named = [split_unit(word)[0] for word in table.header]
     readings = {
@@ -217,16 +218,7 @@ def map_by_names(table: Table, joints: Sequence[str], beside: Path) -> ColumnMap
     }
     measured = len(position) == 3 or len(orientation) == 4 or readings
     if missing or not joints or not measured:
-        problem = f"no columns {', '.join(missing) or 'x, y, z'}"
-        if not joints:
-            problem = "nothing states which columns are joints, because no model file was given"
-        raise DatasetError(
-            f"{table.path}:1: {problem}; the table has "
-            f"{textwrap.shorten(', '.join(table.header), MAX_SHOWN_HEADER, placeholder=' ...')}. "
-            "Expected the joints of the model, and x, y and z or qx, qy, qz and qw, each length "
-            f"and angle with its unit ({joints[0] if joints else 'joint1'} [mm]). Otherwise state "
-            f"the columns in the file {beside}, or --data columns=MAP.yaml (see docs/import_csv.md)"
-        )
+        raise DatasetError(_explain_missing(table, joints, missing, beside))
     return ColumnMap(
         joints={joint: JointColumn(column=joint) for joint in joints},
         position=PositionColumns(columns=position) if len(position) == 3 else None,
@@ -234,6 +226,30 @@ def map_by_names(table: Table, joints: Sequence[str], beside: Path) -> ColumnMap
         readings=readings,
         conditions=_find_conditions(table, joints),
     )
+
+
+def _explain_missing(
+    table: Table, joints: Sequence[str], missing: Sequence[str], beside: Path
+) -> str:
+    """Say which columns a table without a column map lacks, and where to state others."""
+    problem = f"no columns {', '.join(missing) or 'x, y, z'}"
+    stated = f"the columns in the file {beside}, or --data columns=MAP.yaml"
+    expected = (
+        "Expected the joints of the model, and x, y and z or qx, qy, qz and qw, each length and "
+        f"angle with its unit ({joints[0] if joints else 'joint1'} [mm]). Otherwise state {stated}"
+    )
+    shared = [name for name in POSITION if name in joints]
+    if not joints:
+        problem = "nothing states which columns are joints, because no model file was given"
+    elif shared and not missing:
+        problem = f"the model has joints {', '.join(shared)}, so no column contains the position"
+        example = ", ".join(f"{name}: {{column: {name}}}" for name in shared)
+        expected = (
+            "Give the columns of the position other names, such as tool_x [mm], and state all of "
+            f"{stated}: joints: {{{example}}}, position: {{columns: [tool_x, tool_y, tool_z]}}"
+        )
+    header = textwrap.shorten(", ".join(table.header), MAX_SHOWN_HEADER, placeholder=" ...")
+    return f"{table.path}:1: {problem}; the table has {header}. {expected} (see docs/import_csv.md)"
 
 
 def _find_conditions(table: Table, joints: Sequence[str]) -> dict[str, str | float]:
@@ -285,6 +301,13 @@ def read_column_map(path: Path, measured_elsewhere: bool = False) -> ColumnMap:
         raise document.error(place, text) from None
     if len(turned := found.orientations) > 1:
         raise document.error((turned[1],), f"{turned[0]} is given as well: remove one of the two")
+    for key in ("position", *ORIENTATIONS):
+        part = getattr(found, key)
+        for name in getattr(part, "columns", part) or ():
+            if name in found.joint_columns:
+                raise document.error(
+                    (key,), f"column {name} is that of a joint, too; expected one of its own"
+                )
     measured = found.position or turned or found.readings
     if measured and found.joints_only:
         raise document.error(("joints_only",), "something else was measured, too: remove one")

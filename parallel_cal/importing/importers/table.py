@@ -131,11 +131,15 @@ def _points(tables: Sequence[Table], position: Sequence[str]) -> Table:
     if len(found) == 1:
         return found[0]
     files = ", ".join(str(table.path) for table in tables)
-    many = "none" if not found else f"{len(found)}"
-    raise DatasetError(
-        f"{files}: {many} of the tables has the columns {', '.join(position)}; "
-        "state which columns they are (--option position=[X1, Y1, Z1])"
-    )
+    names = ", ".join(position)
+    if found:
+        problem = (
+            f"{len(found)} of the tables have the columns {names}; give those of the position "
+            "other names"
+        )
+    else:
+        problem = f"none of the tables has the columns {names}; state which columns they are"
+    raise DatasetError(f"{files}: {problem} (--option position=[X1, Y1, Z1])")
 
 
 def _find_column(table: Table, name: str) -> str | None:
