@@ -36,18 +36,14 @@ class Plotter:
         return cls(np.array(DRAWN) + rng.normal(0, 10e-3, (4, 2)), rng.normal(0, 3e-3, 4), lags)
 
     def readings(self, path: Path2D, time: Array) -> Array:
-        """Readings (N, 4) m of the lengths, zero at the middle of the drawing."""
-        zero = np.linalg.norm(DRAWN, axis=1)
-        columns = []
-        for anchor, offset, lag, home in zip(
-            np.asarray(self.anchors),
-            np.asarray(self.offsets),
-            np.asarray(self.lags),
-            zero,
-            strict=True,
-        ):
-            columns.append(np.linalg.norm(path.at(time + lag) - anchor, axis=1) - home - offset)
-        return np.stack(columns, axis=1)
+        """Readings (N, 4) m at a time (N,) s: each is ahead of its line."""
+        late = [path.at(time + lag) for lag in np.asarray(self.lags)]
+        return np.stack([self.readings_at(r)[:, i] for i, r in enumerate(late)], axis=1)
+
+    def readings_at(self, r: Array) -> Array:
+        """Readings (N, 4) m at rest at the places r (N, 2), zero in the middle of the drawing."""
+        lengths = np.linalg.norm(r[:, None] - np.asarray(self.anchors), axis=2)
+        return np.asarray(lengths - np.linalg.norm(DRAWN, axis=1) - np.asarray(self.offsets))
 
 
 @dataclass(frozen=True)
