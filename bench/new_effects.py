@@ -280,6 +280,7 @@ ROBOTS = {
     "lifting stewart": LiftingRobot(
         lambda: new_model("stewart42"), HEXAPOD, LEGS, leg_poses, heaviest=40.0
     ),
+    "arm": Robot(lambda: nominal("ur5"), ARM, ARM_NOISE, arm_poses),
     "lifting arm": LiftingRobot(lambda: nominal("ur5"), ARM, ARM_NOISE, arm_poses, heaviest=5.0),
     "moving delta": MovingRobot(
         lambda: new_model("delta54"), vr.MOCK_UP, vr.THESIS_NOISE, delta_poses
@@ -307,6 +308,7 @@ WORDS = {  # what the page calls the robots
     "gauged stewart": "hexapod with a gauge over a plate",
     "lifting delta": "Delta under five loads",
     "lifting stewart": "hexapod under five loads",
+    "arm": "arm of six joints",
     "lifting arm": "arm of six joints under five loads",
     "moving delta": "Delta in motion",
     "moving stewart": "hexapod in motion",

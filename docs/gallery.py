@@ -45,6 +45,7 @@ LARGER, PLAIN = (1.0, 3.0, 10.0), 0.4  # tolerances that are tried, share of the
 PLATFORM_KNOWN = ("target_offset",)  # where its points are free they hide it
 GIVEN = {"device_bump": {"time": 3000.0}, "strain_wave_compliance": {"torque": 0.3}}
 WIDTH, HEIGHT, LEFT, TOP, FOOT = 240, 168, 36, 22, 30
+TEXT_WIDTH = 420  # of the longest line below the panels
 STYLE = """
 text { font: 11px sans-serif; fill: #57606a } .name { font-weight: bold; fill: #24292f }
 .axis { stroke: #8a94a3; stroke-width: 1; fill: none }
@@ -195,7 +196,7 @@ def picture(one: Candidate) -> str:
         f'<text x="{LEFT}" y="{HEIGHT - 4}">{escape(panel.component)} residual [σ] '
         f"against {escape(under)}, {escape(mechanism.name)}</text>"
     )
-    wide = WIDTH * len(patterns)
+    wide = max(WIDTH * len(patterns), TEXT_WIDTH)
     size_ = f'viewBox="0 0 {wide} {HEIGHT}" width="{wide}"'
     head = f'<svg xmlns="http://www.w3.org/2000/svg" {size_}>'
     return "\n".join([head, f"<style>{STYLE}\n</style>", *panels, axes, "</svg>\n"])

@@ -119,6 +119,19 @@ def test_what_the_map_does_not_name_is_not_measured(files):
     assert data.joint_sigma is None
 
 
+def test_a_coordinate_without_a_column_is_not_measured(files):
+    data = import_csv(*files(columns=MAP.replace("[x, y, z]", "[x, null, z]")))
+    assert data.measured.tolist() == [[True, False, True, True, True, True]] * 3
+    np.testing.assert_allclose(data.r, [[1, 0, 0.5], [0, 0, 0], [1e-3, 0, 3e-3]])
+
+
+@pytest.mark.parametrize("columns", ["[x, y]", "[null, null, null]", "x"])
+def test_a_position_of_two_columns_is_refused_with_what_to_write(files, columns):
+    given = files(columns=MAP.replace("[x, y, z]", columns))
+    with pytest.raises(ParallelCalError, match=r"map.yaml:4: position.columns: expected .* null\]"):
+        import_csv(*given)
+
+
 def test_orientations_alone_are_a_measurement(files):
     data = import_csv(*files(columns=MAP.replace("position: {columns: [x, y, z], unit: mm}", "")))
     np.testing.assert_array_equal(data.measured, np.tile([False] * 3 + [True] * 3, (3, 1)))
@@ -156,7 +169,7 @@ def test_a_bad_table_is_named_by_file_line_and_column(files, change, words):
         (("unit: deg", "unit: degree"), "map.yaml:2: joints.arm.unit: .*'deg'.*, found 'degree'"),
         (("z], unit: mm", "z], unit: inch"), "map.yaml:4: position.unit: .*'mm'.*, found 'inch'"),
         (("z], unit: mm", "z]"), "t.csv:1: column x has no unit; state it in .*map.yaml"),
-        (("[x, y, z]", "[x, y]"), "map.yaml:4: position.columns: too few values"),
+        (("[x, y, z]", "[x, y]"), "map.yaml:4: position.columns: expected the columns of x"),
         (
             ("temperature: T", "temprature: T"),
             "map.yaml:6: conditions.temprature: unknown "

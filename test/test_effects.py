@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import sys
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -17,6 +19,7 @@ from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import list_plugins, load_effect, load_mechanism, load_sensor
 
+HERE = Path(__file__).parent
 EFFECTS = list_plugins("effects")
 MECHANISMS = (
     *("delta54", "delta24", "stewart42", "planar_stewart", "argos27", "argos9"),
@@ -182,10 +185,33 @@ def test_an_effect_says_what_it_is_where_it_comes_from_and_what_it_resembles(nam
     assert effect.source
     assert type(effect).__doc__
     assert set(effect.needs) <= set(CONDITIONS)
+    assert effect.lookalikes
     assert set(effect.lookalikes) <= set(EFFECTS) - {name}
-    assert bool(effect.lookalikes) == bool(effect.separated_by)
+    assert effect.separated_by
     assert effect.remedy
     assert not effect.remedy.endswith(".")
+
+
+@each_effect
+def test_a_lookalike_names_the_effect_in_turn_unless_it_is_on_more_machines(name):
+    """An effect of every machine need not name each effect that only some machines have, nor a
+    special case the one that generalizes it: the diagnosis compares these by itself."""
+    effect = load_effect(name)
+
+    def machines(one):
+        return {m for m, other in PAIRS if other == one}
+
+    for other in set(effect.lookalikes) - set(effect.generalizes):
+        if machines(other) <= machines(name):
+            assert name in load_effect(other).lookalikes
+
+
+@each_effect
+def test_an_effect_is_compared_with_hand_worked_numbers_or_an_independent_robot(name):
+    """Some test of a group of effects applies it, with numbers that are not the package's own."""
+    groups = [ast.parse(p.read_text(encoding="utf-8")) for p in HERE.glob("test_effects_*.py")]
+    strings = {n.value for tree in groups for n in ast.walk(tree) if isinstance(n, ast.Constant)}
+    assert name in {str(one).partition(":")[0] for one in strings}
 
 
 def with_all(mechanism):

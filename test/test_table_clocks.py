@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+import virtual_cable_motion as vm
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.rotation import matrix_to_quaternion
@@ -13,6 +14,11 @@ from parallel_cal.recordings.csv_import import import_csv
 from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.virtual import robot as vr
 
+PLOTTER = """joints: {line1: {column: line1, unit: mm}, line2: {column: line2, unit: mm},
+  line3: {column: line3, unit: mm}, line4: {column: line4, unit: mm}}
+position: {columns: [x, y, null], unit: mm}
+log: {time: t}
+"""
 OFFSET = 1.815  # s by which the cameras' clock is ahead
 LEGS = [f"leg{i}" for i in range(1, 7)]
 MAP = """joints: {leg1: {column: leg1}, leg2: {column: leg2}, leg3: {column: leg3},
@@ -75,7 +81,7 @@ def logs(tmp_path):
 def offset_in(data):
     """The offset and its sigma as the note of the import states them, s."""
     [note] = [w for w in data.warnings if "the two clocks differ" in w]
-    found = re.search(r"poses.csv was stamped ([\d.]+) s (\w+) than .*\(\+- ([\d.e-]+) s", note)
+    found = re.search(r"csv was stamped ([\d.]+) s (\w+) than .*\(\+- ([\d.e-]+) s", note)
     return float(found[1]) * {"later": 1, "earlier": -1}[found[2]], float(found[3])
 
 
@@ -228,3 +234,16 @@ def test_an_offset_that_motion_does_not_show_must_be_stated(logs):
     )
     with pytest.raises(ParallelCalError, match=words):
         import_csv(paths, columns)
+
+
+def test_clocks_are_compared_where_only_two_coordinates_are_measured(tmp_path):
+    """A plotter in a plane, at up to 1.5 m/s, with drives that are not late."""
+    plotter = vm.Plotter.drawn(0, lags=(0.0,) * 4)
+    vm.write_tables(tmp_path, plotter, vm.Path2D(0, 1.5), vm.Clock(0.08), duration=30.0)
+    (tmp_path / "map.yaml").write_text(PLOTTER)
+    tables = [tmp_path / "joints.csv", tmp_path / "tracker.csv"]
+    data = import_csv(tables, tmp_path / "map.yaml", ReadOptions(mode="continuous"))
+    assert data.measured.tolist() == [[True] * 2 + [False] * 4] * len(data)
+    offset, sigma = offset_in(data)
+    assert sigma < 2e-3
+    assert offset == pytest.approx(0.08, abs=4 * sigma)

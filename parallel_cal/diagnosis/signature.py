@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from parallel_cal.model.mechanism import POSE
 
 BINS = 8  # of an abscissa, to see whether a pattern follows it
 MAX_PANELS = 3  # panels of an effect that touches no joint by itself
+# of the pattern of a coordinate, in its means over an abscissa; below, joints may show it better
+MIN_FOLLOWED = 0.5
 RESOLUTION_TOLERANCE = 1e-3  # how far from one a component's own share in its estimate may be
 
 
@@ -138,20 +141,46 @@ def _panels(
             abscissa = next((n for n in (*needed, *shared) if n in known), joint)
             yield from _panel(one, of_joints, found, joint, abscissa)
         return
-    shown = compute_measured_components(scene)
-    z = np.nan_to_num(shown.values(scene.by_sample(found)) / shown.sigma)
     needed = [name for name in conditions if name in known]
     along = needed or [name for name in known if name in (*mechanism.joints, *"xyz")]
-    pairs = [
-        (compute_pattern_strength(known[name], z[:, k]), component, name)
-        for k, component in enumerate(shown.names)
-        for name in along
-    ]
+    shown = compute_measured_components(scene)
+    pairs = _rank_pairs(shown, scene, found, along)
+    # An error of lengths may move each coordinate differently from pose to pose, and each joint
+    # in one way.
+    if pairs and pairs[0].followed < MIN_FOLLOWED:
+        by_joint = _rank_pairs(of_joints, scene, found, along)
+        if by_joint and by_joint[0].followed > pairs[0].followed:
+            shown, pairs = of_joints, by_joint
     best: dict[str, str] = {}
-    for _, component, name in sorted(pairs, reverse=True):
-        best.setdefault(component, name)
+    for pair in pairs:
+        best.setdefault(pair.component, pair.abscissa)
     for component, name in list(best.items())[:MAX_PANELS]:
         yield from _panel(one, shown, found, component, name)
+
+
+class _Pair(NamedTuple):
+    """How much of a component's pattern an abscissa shows: its mean square, and the share that
+    this is of the whole."""
+
+    strength: float
+    component: str
+    abscissa: str
+    followed: float
+
+
+def _rank_pairs(
+    shown: Components, scene: Scene, found: np.ndarray, along: Sequence[str]
+) -> list[_Pair]:
+    """Components and what they may be shown against, the strongest pattern first."""
+    z = np.nan_to_num(shown.values(scene.by_sample(found)) / shown.sigma)
+    known = dict(regressors(scene))
+    pairs = []
+    for component, values in zip(shown.names, z.T, strict=True):
+        whole = float(np.mean(values**2))
+        for name in along:
+            strength = compute_pattern_strength(known[name], values)
+            pairs.append(_Pair(strength, component, name, strength / whole if whole else 0.0))
+    return sorted(pairs, reverse=True)
 
 
 def _panel(

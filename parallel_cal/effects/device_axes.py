@@ -33,7 +33,7 @@ class DeviceAxes(Effect):
         "10-50 urad and 10-50 um/m for machines in a workshop (ISO 10360 ball plate tests); "
         "to 1e-3 for cameras scaled by a printed target"
     )
-    lookalikes = ("encoder_gain",)
+    lookalikes = ("encoder_gain", "device_field", "base_compliance")
     separated_by = "the same poses with the device rotated by 90 degrees about the vertical"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:

@@ -30,7 +30,7 @@ class DeviceBump(Effect):
     source = (
         "tens of um to 1 mm, when a stand is touched or a target is put back on its magnetic nest"
     )
-    lookalikes = ("base_drift", "zero_shift", "thermal_expansion")
+    lookalikes = ("base_drift", "zero_shift")
     separated_by = "the first poses, measured again at the end"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:

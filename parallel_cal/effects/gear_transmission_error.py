@@ -43,6 +43,11 @@ class GearTransmissionError(Effect):
     physics = "Eccentric gears and wave generators advance and delay the arm once per input turn."
     remedy = "keep the correction in the model; it stays valid until the gear is taken apart"
     source = "harmonic drives: 0.3-0.45 mrad at one and two periods per turn of the input"
+    lookalikes = ("strain_wave_ripple", "encoder_harmonic")
+    separated_by = (
+        "poses in steps of a fifth of a turn of the gear's input, over as many turns as the joint "
+        "reaches"
+    )
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         amplitudes = [

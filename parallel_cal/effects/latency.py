@@ -20,7 +20,7 @@ class Latency(Effect):
     physics = "A device that stamps poses on arrival reports where the robot was a moment before."
     remedy = "stamp poses when they are measured, or measure at rest; the robot is not the cause"
     source = "1 ms at 0.2 m/s is 200 um; trackers and cameras over a network take 1-20 ms"
-    lookalikes = ("backlash", "hysteresis", "servo_lag")
+    lookalikes = ("backlash", "hysteresis", "servo_lag", "acceleration_lag")
     separated_by = "the same path at two speeds, and poses at rest"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:

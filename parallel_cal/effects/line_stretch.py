@@ -26,7 +26,7 @@ class LineStretch(Effect):
     physics = "A payload makes each line longer, in proportion to its length: the platform sags."
     remedy = "enter the payload in the model; a stiffer line reduces the error"
     source = "Hooke's law; braided line of 1 mm, EA of 10-50 kN: 2 m under 1 kg give 2-0.4 mm"
-    lookalikes = ("payload_sag", "joint_compliance", "device_axes")
+    lookalikes = ("payload_sag", "joint_compliance", "device_axes", "spool_buildup")
     separated_by = "the same poses with another payload, at high and low positions"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:

@@ -21,7 +21,13 @@ class PayloadSag(Effect):
     physics = "A frame on legs sinks under the payload, and tilts if the payload is off its centre."
     remedy = "stiffen the frame, or enter the payload in the model"
     source = "frames of machines 1e-8..1e-6 m/N and 1e-7..1e-5 rad/(N m)"
-    lookalikes = ("joint_compliance", "rod_compliance", "ball_joint_clearance", "line_stretch")
+    lookalikes = (
+        "joint_compliance",
+        "rod_compliance",
+        "ball_joint_clearance",
+        "line_stretch",
+        "base_compliance",
+    )
     separated_by = "a second target on the frame, measured under several payloads"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:

@@ -35,7 +35,7 @@ class PulleyRadius(Effect):
     physics = "A line leaves its pulley at a point that moves with the platform."
     remedy = "keep the correction in the model, or let the line leave through a small eyelet"
     source = "Pott, Cable-driven parallel robots (2018); pulleys of 5-50 mm"
-    lookalikes = ("spool_buildup", "line_flex", "encoder_gain")
+    lookalikes = ("spool_buildup", "line_flex", "encoder_gain", "line_sag")
     separated_by = "poses near an anchor and far from it, high and low, up to the workspace's edges"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:

@@ -23,7 +23,7 @@ class ServoLag(Effect):
     physics = "A position loop without feed-forward follows a moving command late."
     remedy = "set the velocity feed-forward of the drives, record encoders, or measure at rest"
     source = "position loops of drives: K_v of 20-200 1/s, a lag of 5-50 ms; with feed-forward 1 ms"
-    lookalikes = ("latency", "backlash", "hysteresis")
+    lookalikes = ("latency", "backlash", "hysteresis", "acceleration_lag")
     separated_by = "the same path at two speeds in both directions, and poses at rest"
     told_from: ClassVar[Mapping[str, str]] = {
         "latency": "paths on which single joints move while the others stand still"

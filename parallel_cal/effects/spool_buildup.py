@@ -23,7 +23,7 @@ class SpoolBuildup(Effect):
     physics = "Every layer of line makes the spool larger, so the same turn moves more line."
     remedy = "enter the spool's build-up in the firmware, or keep the correction in the model"
     source = "the Hangprinter's maker; round line has Q = d^2 / (4 width), 1 mm in 3: 0.08 mm"
-    lookalikes = ("encoder_gain", "line_stretch")
+    lookalikes = ("encoder_gain", "line_stretch", "pulley_radius", "line_flex", "line_sag")
     separated_by = "poses over the whole range of every line, near and far from its anchor"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:

@@ -25,6 +25,11 @@ class StrutRotation(Effect):
     physics = "Universal joints twist a tilting strut, which turns its screw within the nut."
     remedy = "keep the correction in the model, or guide the struts so that they cannot twist"
     source = "LinuxCNC genhexkins; Huang et al., Mech. Sci. 12 (2021) 1027: ball screws, lead 5 mm"
+    lookalikes = ("universal_joint_offset", "screw_pitch_error", "encoder_crosstalk")
+    separated_by = (
+        "poses that turn the platform far about the vertical, both ways, and poses that only "
+        "move it"
+    )
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         return [Parameter("lead", "m", 0.0, 5e-3, low=-50e-3, high=50e-3), *list_axes(mechanism)]

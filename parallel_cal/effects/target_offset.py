@@ -24,6 +24,8 @@ class TargetOffset(Effect):
     )
     remedy = "enter where the target is mounted; the robot is not the cause"
     source = "0.01-1 mm, as the target's mount was made or measured"
+    lookalikes = ("encoder_crosstalk", "parallelogram_errors")
+    separated_by = "one position in several orientations that differ as far as the robot can turn"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         turns = {c[1] for c in mechanism.moves if c.startswith("r")}

@@ -28,7 +28,7 @@ class UniversalJointOffset(Effect):
     physics = "The two axes of a universal joint do not meet, so it has no fixed centre."
     remedy = "keep the correction in the model, or replace the joint"
     source = "Bem, Ude, Nemec 2025 (PMC12899874): to 0.1 mm by machining, 1-20 mm by design"
-    lookalikes = ("encoder_crosstalk",)
+    lookalikes = ("encoder_crosstalk", "strut_rotation")
     separated_by = "poses that tilt every strut to both sides of its fixed axes"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:

@@ -28,7 +28,7 @@ class ZeroShift(Effect):
         "from a few poses"
     )
     source = "reference switches repeat within 10-100 um"
-    lookalikes = ("base_drift", "thermal_expansion")
+    lookalikes = ("base_drift", "thermal_expansion", "device_bump")
     separated_by = "some poses measured both at the beginning and at the end of every session"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:

@@ -117,7 +117,8 @@ def measure_jitter(time: Array) -> float:
 
 @dataclass(frozen=True)
 class _Steps:
-    """Steps `y` (n, 3) of the pose from times `begin` to `end` (n,), and the joints that move."""
+    """Steps `y` (n, k) of the measured coordinates of the pose from times `begin` to `end` (n,),
+    and the joints that move."""
 
     joints: JointStream
     begin: Array
@@ -127,8 +128,6 @@ class _Steps:
 
     @classmethod
     def of(cls, joints: JointStream, pose: PoseStream) -> _Steps | None:
-        placed = pose.measured[:, :3].all(axis=1)
-        turned = pose.measured[:, 3:].all(axis=1)
         if len(joints.time) < MIN_STEPS or len(pose.time) < MIN_STEPS:
             return None
         moving = _moving(joints.time, joints.position)
@@ -136,8 +135,10 @@ class _Steps:
             return None
         gaps = np.diff(pose.time)
         period = float(np.median(gaps))
-        known = np.asarray(placed if placed.any() else turned)
-        seen = pose.position if placed.any() else pose.rotation.reshape(-1, 9)
+        shown = pose.measured[:, :3].any(axis=0)  # a planar robot has no third coordinate
+        placed = bool(shown.any())
+        known = pose.measured[:, np.flatnonzero(shown) if placed else range(3, 6)].all(axis=1)
+        seen = pose.position[:, shown] if placed else pose.rotation.reshape(-1, 9)
         if not _moving(pose.time[known], seen[known]).any():
             return None
         near = known[1:] & known[:-1] & (gaps > 0) & (gaps < 1.5 * max(period, 1e-9))
@@ -145,8 +146,8 @@ class _Steps:
         if len(at) < MIN_STEPS:
             return None
         at = at[np.unique(np.linspace(0, len(at) - 1, MAX_STEPS).astype(int))]
-        if placed.any():
-            y = pose.position[at + 1] - pose.position[at]
+        if placed:
+            y = seen[at + 1] - seen[at]
         else:
             y = rotation_vector(pose.rotation[at + 1] @ pose.rotation[at].transpose(0, 2, 1))
         joints = dataclasses.replace(joints, position=joints.position[:, moving])
@@ -199,7 +200,9 @@ class _Steps:
             if bend > 0:
                 break
             h *= 2  # at short distances, interpolated noise hides how the squares rise
-        return float(np.sqrt(2 * here.left / max(3 * here.steps, 1) / max(bend, 1e-300)))
+        return float(
+            np.sqrt(2 * here.left / max(here.steps * self.y.shape[1], 1) / max(bend, 1e-300))
+        )
 
 
 @dataclass(frozen=True)
@@ -263,7 +266,8 @@ def _find_candidate_delays(
         max(np.ptp(joints.time), np.ptp(pose.time)) / MAX_COARSE_SAMPLES,
     )
     ours = _speed(joints.time, joints.position / np.maximum(joints.position.std(axis=0), 1e-12), dt)
-    seen = pose.position if pose.measured[:, :3].all() else pose.quaternion
+    shown = pose.measured[:, :3].all(axis=0)
+    seen = pose.position[:, shown] if shown.any() else pose.quaternion
     theirs = _speed(pose.time, seen, dt)
     n = len(ours) + len(theirs)
     both = np.fft.irfft(np.fft.rfft(theirs, n) * np.conj(np.fft.rfft(ours, n)), n)

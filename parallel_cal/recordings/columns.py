@@ -86,10 +86,31 @@ class ReadingColumn(Part):
 
 
 class PositionColumns(Part):
-    """x, y and z of {P} in {B}."""
+    """x, y and z of {P} in {B}; null in place of a column means that it was not measured."""
 
-    columns: Annotated[list[str], Field(min_length=3, max_length=3)]
+    columns: Annotated[Sequence[str | None], Field(min_length=3, max_length=3)]
     unit: Length | None = None
+
+    @field_validator("columns", mode="before")
+    @classmethod
+    def _check_columns(cls, columns: Any) -> Any:
+        given = columns if isinstance(columns, list) else []
+        if len(given) != 3 or not any(given):
+            raise ValueError(
+                "expected the columns of x, y and z. Write null for one that was not measured, as "
+                "z of a robot that moves in the plane of x and y: [x, y, null]"
+            )
+        return columns
+
+    @property
+    def measured(self) -> list[bool]:
+        """Whether x, y and z were measured."""
+        return [name is not None for name in self.columns]
+
+    @property
+    def names(self) -> list[str]:
+        """The columns of the coordinates that were measured."""
+        return [name for name in self.columns if name is not None]
 
 
 class AngleColumns(Part):
@@ -166,9 +187,16 @@ class ColumnMap(Part):
     @property
     def pose_columns(self) -> list[str]:
         """The columns of position and orientation."""
-        parts = (self.position, self.angles, self.rotation_vector)
-        names = [name for part in parts if part for name in part.columns]
+        names = self.position.names if self.position else []
+        for turns in (self.angles, self.rotation_vector):
+            names = names + (turns.columns if turns else [])
         return names + (self.orientation or []) + (self.matrix or [])
+
+    @property
+    def measured(self) -> list[bool]:
+        """Whether x, y and z of the position and of the orientation (6) were measured."""
+        position = self.position.measured if self.position else [False] * 3
+        return position + [bool(self.orientations)] * 3
 
     @property
     def orientations(self) -> list[str]:

@@ -124,10 +124,14 @@ class Columns:
         return table.texts(word)
 
     def position(self, wanted: ColumnMap, gaps: bool = False) -> Array | None:
-        """Return positions (N, 3) in m; None if they are not measured."""
+        """Return positions (N, 3) in m, 0 for a coordinate that is not measured; None if none
+        is."""
         if wanted.position is None:
             return None
-        return self.si(wanted.position.columns, wanted.position.unit, gaps)
+        found = self.si(wanted.position.names, wanted.position.unit, gaps)
+        position = np.zeros((len(found), 3))
+        position[:, wanted.position.measured] = found
+        return position
 
     def rotation(self, wanted: ColumnMap, gaps: bool = False) -> Array | None:
         """Return rotations (N, 3, 3); None if they are not measured."""

@@ -68,10 +68,11 @@ def read_log(found: Columns, wanted: ColumnMap, clock: Join | Log) -> TableLog:
     pose_table = found.require_one_table(wanted.pose_columns)
     pose_time = _times(pose_table, key, clock.unit)
     r, R = found.position(wanted, gaps=True), found.rotation(wanted, gaps=True)
-    parts = [part.reshape(len(pose_time), -1) for part in (r, R) if part is not None]
+    parts = [] if r is None or wanted.position is None else [r[:, wanted.position.measured]]
+    parts += [] if R is None else [R.reshape(len(pose_time), -1)]
     seen = _complete_rows(pose_table, np.hstack(parts), "pose", pose_time)
     n = len(seen)
-    measured = np.tile(np.repeat([r is not None, R is not None], 3), (n, 1))
+    measured = np.tile(wanted.measured, (n, 1))
     position = np.zeros((n, 3)) if r is None else r[seen]
     turned = np.tile(np.eye(3), (n, 1, 1)) if R is None else R[seen]
     quaternion = matrix_to_quaternion(turned)

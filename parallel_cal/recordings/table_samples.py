@@ -59,7 +59,7 @@ def make_dataset(given: Sequence[Table], wanted: ColumnMap, asks: str) -> Datase
         q,
         np.zeros((n, 3)) if r is None else r,
         R,
-        measured=np.repeat([r is not None, R is not None], 3),
+        measured=np.array(wanted.measured),
         pose_cov=np.where(np.isnan(sigma), np.nan, np.diag(sigma**2)),
         joint_sigma=wanted.noise.joint,
         conditions=conditions | readings,

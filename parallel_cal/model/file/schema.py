@@ -257,7 +257,8 @@ def sentence(error: Any, path: Path) -> str:
     value = error["input"]
     if isinstance(value, (dict, list)):
         value = f"{type(value).__name__} of {len(value)}"
-    return f"{EXPECTED.get(kind, error['msg'])}, found {value!r}"
+    message = error["msg"].removeprefix("Value error, ")  # which pydantic puts before ours
+    return f"{EXPECTED.get(kind, message)}, found {value!r}"
 
 
 def _known_at(path: Path) -> list[str]:
