@@ -739,7 +739,7 @@ def test_a_part_of_two_recordings_has_samples_of_both():
     counts = np.bincount(some.conditions["session"].astype(int))
     assert counts.min() > 15
     document = info(both[0], ReadOptions(max_samples=50))
-    assert document["samples"] <= 50
+    assert 40 < document["samples"] < 60
     assert "samples are used, evenly spread" in document["warnings"][-1]
 
 
