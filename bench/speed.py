@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import os
 import platform
+import re
 import sys
 from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, version
@@ -51,11 +52,12 @@ def lines(before: Path | None) -> Iterator[str]:
         yield from _head(title[0].upper() + title[1:], "what", "time", "ratio")
         first = rows[0].seconds
         for row in rows:
+            name = re.sub("^(--[^,]*)", r"`\1`", row.name)
             if row.seconds is None or first is None:
-                yield _row(row.name, "not installed", "")
+                yield _row(name, "not installed", "")
             else:
                 ratio = row.seconds / first
-                yield _row(row.name, readable(row.seconds), f"{ratio:.{2 if ratio < 100 else 0}f}")
+                yield _row(name, readable(row.seconds), f"{ratio:.{2 if ratio < 100 else 0}f}")
 
 
 def _versions() -> Iterator[str]:
@@ -73,7 +75,8 @@ def _commands(before: Path | None) -> Iterator[str]:
         assert row.seconds is not None
         was = old.get(row.name)
         cells = (readable(was), f"{row.seconds / was:.2f}") if was else ("", "")
-        yield _row(f"`{row.name}`", cells[0], readable(row.seconds), cells[1])
+        name = re.sub("^(parallel-cal [a-z-]+(?: --json)?)", r"`\1`", row.name)
+        yield _row(name, cells[0], readable(row.seconds), cells[1])
 
 
 def _diagnoses() -> Iterator[str]:
