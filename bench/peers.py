@@ -19,7 +19,7 @@ the positions that a tracker saw of the arm, and must be as exact at poses of an
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
@@ -240,6 +240,12 @@ def ours(case: Case, problem: str) -> list[Row]:
 
 
 def main() -> None:
+    for title, rows in tables():
+        show(title, rows)
+
+
+def tables() -> Iterator[tuple[str, list[Row]]]:
+    """Yield the title and the rows of every table."""
     cases = [
         case("delta54", delta, vr.TABLE_5_18),
         case("argos27", argos, strayed("argos27")),
@@ -250,12 +256,12 @@ def main() -> None:
             rows = ours(one, problem) + peers(one, problem)
             if one is cases[0] and problem == "direct":
                 rows += array_peers(one)
-            show(f"{one.model.mechanism.name}, {problem} problem", rows)
-    show("arm of six joints (UR5), direct problem", arm_rows())
-    show("identification of a Delta", beside_scipy())
+            yield f"{one.model.mechanism.name}, {problem} problem", rows
+    yield "arm of six joints (UR5), direct problem", arm_rows()
+    yield "identification of a Delta", beside_scipy()
     with single_threaded():
-        show("identification of one chain", beside_odr())
-        show("identification of the arm, 120 positions", arm_fit_rows())
+        yield "identification of one chain", beside_odr()
+        yield "identification of the arm, 120 positions", arm_fit_rows()
 
 
 def array_peers(case: Case) -> list[Row]:

@@ -51,11 +51,12 @@ def show(title: str, rows: list[Row]) -> None:
         if row.seconds is None or first is None:
             table.add_row(row.name, "not installed", "-")
         else:
-            table.add_row(row.name, _readable(row.seconds), f"{row.seconds / first:.2f}")
+            table.add_row(row.name, readable(row.seconds), f"{row.seconds / first:.2f}")
     Console().print(table)
 
 
-def _readable(seconds: float) -> str:
+def readable(seconds: float) -> str:
+    """A time with its unit."""
     for unit, size in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6)):
         if seconds >= size:
             return f"{seconds / size:.2f} {unit}"

@@ -28,7 +28,7 @@ from parallel_cal.recordings.bag import read_bag
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.dwells import approach, still_intervals, still_tolerance
 from parallel_cal.recordings.info import info
-from parallel_cal.recordings.loading import dataset_from_recording, load_dataset
+from parallel_cal.recordings.loading import dataset_from_recording, load_dataset, load_sessions
 from parallel_cal.recordings.options import ReadOptions, SampleOptions
 from parallel_cal.recordings.recording import COORDINATES
 from parallel_cal.recordings.sampling import samples_of
@@ -322,6 +322,7 @@ def test_an_unknown_option_or_mode_names_those_that_exist(tmp_path):
         {"still_tolerance": "abc"},
         {"still_tolerance": [1e-3, 2e-3]},
         {"joint_sigma": 0},
+        {"max_samples": 0},
     ],
 )
 def test_an_option_of_a_wrong_value_is_named_with_what_is_expected(tmp_path, wrong):
@@ -714,6 +715,32 @@ def test_info_omits_excluded_samples(tmp_path):
     document = info(bag, ReadOptions(exclude=[1]))
     assert document["samples"] == 4
     assert document["replicates"]["poses"] == 0
+
+
+def test_a_part_of_the_samples_has_all_visits_of_poses_over_the_whole_recording():
+    whole = load_dataset(BAGS / "delta_backlash")
+    some = load_dataset(BAGS / "delta_backlash", max_samples=40, exclude=[0])
+    assert 30 < len(some) <= 40
+    assert some.warnings[-1] == (
+        f"{len(some)} of 93 samples are used, evenly spread over the recording"
+    )
+    assert set(some.pose_id) < set(whole.pose_id)
+    every_visit = np.isin(whole.pose_id, some.pose_id) & (whole.numbers > 0)
+    assert some.numbers.tolist() == np.flatnonzero(every_visit).tolist()
+    thirds = np.digitize(some.time, np.quantile(whole.time, [1 / 3, 2 / 3]))
+    assert np.bincount(thirds).min() >= 8
+    assert load_dataset(BAGS / "delta_backlash", max_samples=94).warnings == whole.warnings
+
+
+def test_a_part_of_two_recordings_has_samples_of_both():
+    both = [BAGS / "delta_backlash", BAGS / "delta_clean"]
+    some = load_sessions(both, max_samples=50)
+    assert 40 < len(some) < 60
+    counts = np.bincount(some.conditions["session"].astype(int))
+    assert counts.min() > 15
+    document = info(both[0], ReadOptions(max_samples=50))
+    assert 40 < document["samples"] < 60
+    assert "samples are used, evenly spread" in document["warnings"][-1]
 
 
 # ---- the recordings that ship with the package

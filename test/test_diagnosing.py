@@ -1,6 +1,7 @@
 """The parts of a diagnosis, each against hand-worked numbers or an independent library."""
 
 import dataclasses
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from scipy import stats
 
 from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL, SIGNIFICANCE_LEVEL
 from parallel_cal.base.errors import ModelError
-from parallel_cal.diagnosis import catalogue
+from parallel_cal.diagnosis import catalogue, statistics
 from parallel_cal.diagnosis import scene as scenes
 from parallel_cal.diagnosis import search as searching
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_to_test
@@ -86,6 +87,37 @@ def test_repeated_visits_of_a_pose_do_not_count_as_similar_neighbours():
     field = np.repeat(rng.normal(size=(30, 3)), 4, axis=0)
     assert morans_i(field, places, np.repeat(np.arange(30), 4))[1] > 0.05
     assert morans_i(field, places, np.arange(120))[1] < 0.01  # what would go wrong
+
+
+def test_the_nearest_places_are_the_same_by_a_tree_and_by_all_distances(monkeypatch):
+    """A robot that is back at a place is there twice: neither visit is its own neighbour."""
+    places = np.random.default_rng(0).normal(size=(300, 6))
+    twice = np.concatenate([places, places[:40]])
+    scaled = twice / twice.std(axis=0)
+    distances = []
+    for most in (0, len(twice)):
+        monkeypatch.setattr(statistics, "MAX_PLACES_WITHOUT_TREE", most)
+        near = statistics.nearest(twice, 7)
+        assert (near != np.arange(len(twice))[:, None]).all()
+        assert (near[:40] == 300 + np.arange(40)[:, None]).any(axis=1).all()
+        # Of twins that are equally far, either may be the last neighbour.
+        distances.append(np.sort(np.linalg.norm(scaled[near] - scaled[:, None], axis=2)))
+    np.testing.assert_allclose(*distances, rtol=1e-12)
+    monkeypatch.setattr(statistics, "MAX_PLACES_WITHOUT_TREE", 0)
+    same = statistics.nearest(np.zeros((30, 2)), 7)
+    assert (same != np.arange(30)[:, None]).all()
+
+
+def test_morans_i_of_very_many_samples_needs_no_matrix_of_all_pairs():
+    rng = np.random.default_rng(0)
+    places, group = rng.normal(size=(20_000, 3)), np.arange(20_000)
+    tracemalloc.start()
+    index, p = morans_i(np.sin(places) + rng.normal(size=places.shape), places, group)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert index > 0.1
+    assert p == 0.001
+    assert peak < 1e8  # bytes; all pairs take 3.2e9
 
 
 def test_bands_hold_what_is_no_more_than_chance():

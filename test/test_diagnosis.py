@@ -11,6 +11,7 @@ import virtual_findings as vf
 from datasets import JOINTS, measured
 from findings import clean, dataset, hiding
 
+import parallel_cal.diagnosis.separate as separate
 import parallel_cal.identification.fit as fitting
 import parallel_cal.identification.given_model as given_model
 from parallel_cal.base.errors import FitError
@@ -260,6 +261,27 @@ def test_poses_planned_to_distinguish_two_explanations_do_so():
     assert plan["sigmas"]["then"] > 2 * plan["sigmas"]["now"]
     temperatures = {pose["conditions"].get("temperature") for pose in plan["poses"]}
     assert len(temperatures) > 1
+
+
+def test_poses_are_planned_once_and_only_for_a_caller_who_asks(monkeypatch):
+    """A plan takes as long as several fits."""
+    planned = []
+
+    def counted(*arguments):
+        planned.append(arguments)
+        return plan_separation(*arguments)
+
+    plan_separation = separate.plan_separation
+    monkeypatch.setattr(separate, "plan_separation", counted)
+    data = hiding([vf.KINDS["backlash"]], 1.0, 0)[0]
+    found = diagnose(MODEL, data, effects=["backlash", "hysteresis"])
+    assert found.swaps == {"backlash": ["hysteresis"]}
+    assert not found.measure_next.record
+    assert not planned
+    plan = found.document()["measure_next"]["plan"]
+    assert plan["separates"] == ["backlash", "hysteresis"]
+    assert found.measure_next.advice
+    assert len(planned) == 1
 
 
 @pytest.mark.wide

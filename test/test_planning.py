@@ -20,6 +20,7 @@ from parallel_cal.kinematics.singularity import distances
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.model.shelf import load_sensor
 from parallel_cal.model.words import describe, direction_in_words
+from parallel_cal.planning.approach import approaches
 from parallel_cal.planning.indices import indices, prediction_rms
 from parallel_cal.planning.plan import plan
 from parallel_cal.planning.pose_table import format_pose_table, read_columns
@@ -237,6 +238,24 @@ def test_a_play_is_planned_for_by_approaches_from_both_sides():
     assert set(found.document()["poses"][0]["conditions"]) == {
         f"direction.joint{i}" for i in (1, 2, 3)
     }
+
+
+def test_approaches_are_driven_inside_the_workspace_and_turn_every_joint():
+    model = noisy().with_effect("backlash")
+    poses = make_pool(model, 60, np.random.default_rng(0), symmetric=False).poses
+    usable = np.arange(len(poses)) % 3 > 0
+    made = approaches(model, poses, np.random.default_rng(1), usable=usable)
+    assert not made.ok[~usable].any()
+    assert made.ok[usable].mean() > 0.8
+    low, high = model.mechanism.workspace.low, model.mechanism.workspace.high
+    for places in (made.past, made.turn):
+        reached = places.position[made.ok]
+        assert ((reached >= np.array(low) - 1e-6) & (reached <= np.array(high) + 1e-6)).all()
+    ways, over = poses.joints - made.turn.joints, made.turn.joints - made.past.joints
+    np.testing.assert_array_equal(made.ways[made.ok], ways[made.ok])
+    assert (ways * over < 0)[made.ok].all()
+    lengths = np.linalg.norm(made.turn.position - poses.position, axis=1)[made.ok]
+    assert lengths.max() > 100 * lengths.min()  # long ones and short ones
 
 
 def test_what_no_pose_can_show_is_reported_in_words():

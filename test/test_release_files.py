@@ -61,6 +61,10 @@ def test_package_xml_names_the_settings_of_rosdoc2():
     _, documents = yaml.safe_load_all(settings.read_text(encoding="utf-8"))
     (builder,) = documents["builders"]
     assert (ROOT / builder["sphinx"]["sphinx_sourcedir"] / "conf.py").is_file()
+    # rosdoc2 says nothing about a setting that it does not know. Of a Python package it would
+    # document every module, which takes longer than all of our pages.
+    assert set(documents["settings"]) <= {"generate_package_index", "override_build_type"}
+    assert documents["settings"]["override_build_type"] != "ament_python"
 
 
 def test_the_ros_packages_that_the_code_imports_are_declared():

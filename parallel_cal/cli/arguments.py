@@ -27,8 +27,8 @@ Data = Annotated[
     list[str] | None,
     typer.Option(
         "--data",
-        help="option for reading the recording, KEY=VALUE (exclude=3,17; for a bag: "
-        "measured_pose=/tracker)",
+        help="option for reading the recording, KEY=VALUE (exclude=3,17; "
+        "max_samples=10000; for a bag: measured_pose=/tracker)",
     ),
 ]
 EffectName = Annotated[

@@ -53,7 +53,7 @@ from parallel_cal.diagnosis.search import (
     is_more_informative,
     is_preferable,
 )
-from parallel_cal.diagnosis.separate import NextMeasurement, next_measurement
+from parallel_cal.diagnosis.separate import NextMeasurement
 from parallel_cal.diagnosis.statistics import holm
 from parallel_cal.diagnosis.thresholds import (
     DRIFT_SIGNIFICANCE_LEVEL,
@@ -436,7 +436,7 @@ def _diagnose_trusted(
     rivals = {c.name: swaps.get(c.name, []) for c in best.chosen}
     rivals |= {one.effect: one.names for one in ambiguous}
     replacements = {c.name: c for one in ambiguous for c in one.rivals}
-    measure_next = next_measurement(best, rivals, [*ranked, *replacements.values()])
+    measure_next = NextMeasurement(best, rivals, (*ranked, *replacements.values()))
     for one in ambiguous:
         looks_like = f"the samples do not distinguish it from {one.effect} of the model"
         against |= dict.fromkeys(one.names, looks_like)
@@ -455,7 +455,7 @@ def _diagnose_trusted(
         robot_or_device=robot_or_device,
         outdone=find_better_lookalikes(best, search, catalogue),
         unusual=find_unusual_effects(search, best),
-        ambiguous=describe_ambiguities(ambiguous, measure_next.plan),
+        ambiguous=describe_ambiguities(ambiguous, measure_next.plan) if ambiguous else (),
         unseparated=explain_unseparated_device(base.fitted, best.fitted) if best.chosen else "",
     )
     return Diagnosis(

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from parallel_cal.base.errors import FitError, ModelError
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.catalogue import Candidate, collect_recorded_values
 from parallel_cal.diagnosis.search import Chosen, Trial
 from parallel_cal.diagnosis.thresholds import (
@@ -99,26 +102,46 @@ class Separation:
 
 @dataclass(frozen=True)
 class NextMeasurement:
-    """What to measure next: conditions to record by effect, advice, and planned poses."""
+    """What to measure if `rivals` of a chosen effect fit as well. Poses are planned when `plan` or
+    `advice` is first read: this takes as long as several fits.
 
-    record: Mapping[str, tuple[str, ...]]
-    advice: tuple[str, ...]
-    plan: Separation | None
+    Attributes
+    ----------
+    record : mapping
+        For each effect that cannot be tested, the conditions to record.
+    advice : tuple of str
+        Instructions.
+    plan : Separation or None
+        Poses that separate the pair of effects that the present samples separate least.
+    """
 
+    best: Trial
+    rivals: Mapping[str, list[str]]
+    ranked: tuple[Candidate, ...]
+    seed: int = 0
 
-def next_measurement(
-    best: Trial, rivals: Mapping[str, list[str]], ranked: Sequence[Candidate], seed: int = 0
-) -> NextMeasurement:
-    """Plan what to measure if `rivals` of a chosen effect fit as well. The poses separate the pair
-    that the present samples separate least."""
-    record = {c.name: c.missing for c in ranked if c.missing}
-    hardest = next(iter(rank_rival_pairs(best, rivals, ranked)), None)
-    plan = (
-        None if hardest is None else plan_separation(hardest, best.fitted.dataset.conditions, seed)
-    )
-    pairs = [(name, other) for name, others in rivals.items() for other in others]
-    advice = [explain_separation(*pair) for pair in pairs] + list(plan.how if plan else ())
-    return NextMeasurement(record, tuple(dict.fromkeys(a for a in advice if a)), plan)
+    @property
+    def record(self) -> Mapping[str, tuple[str, ...]]:
+        return {c.name: c.missing for c in self.ranked if c.missing}
+
+    @cached_property
+    @single_threaded()
+    def plan(self) -> Separation | None:
+        hardest = next(iter(rank_rival_pairs(self.best, self.rivals, self.ranked)), None)
+        if hardest is None:
+            return None
+        return plan_separation(hardest, self.best.fitted.dataset.conditions, self.seed)
+
+    @property
+    def advice(self) -> tuple[str, ...]:
+        pairs = [(name, other) for name, others in self.rivals.items() for other in others]
+        advice = [explain_separation(*pair) for pair in pairs]
+        advice += self.plan.how if self.plan else ()
+        return tuple(dict.fromkeys(words for words in advice if words))
+
+    def document(self) -> dict[str, Any]:
+        """The part of the JSON document of `parallel-cal diagnose`."""
+        return {name: getattr(self, name) for name in ("record", "advice", "plan")}
 
 
 def rank_rival_pairs(

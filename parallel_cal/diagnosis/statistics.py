@@ -9,6 +9,8 @@ import numpy as np
 from parallel_cal.diagnosis.thresholds import MIN_SIGNS_PER_SIDE, NEIGHBOURS, PERMUTATIONS
 from parallel_cal.recordings.replicates import average_groups
 
+MAX_PLACES_WITHOUT_TREE = 500  # with fewer, the distances of all pairs take less than the import
+
 
 def holm(p_values: np.ndarray) -> np.ndarray:
     """p-values (k,) adjusted for having looked at all of them (Holm 1979)."""
@@ -33,13 +35,12 @@ def morans_i(
     if n < NEIGHBOURS + 3 or not np.any(field):
         return 0.0, 1.0
     field = field - field.mean(axis=0)
-    near, products = nearest(places, NEIGHBOURS), field @ field.T
-    total = NEIGHBOURS * np.trace(products)
+    near, total = nearest(places, NEIGHBOURS).T, NEIGHBOURS * np.sum(field**2)
     rng = np.random.default_rng(seed)
 
     def index(order: np.ndarray) -> float:
-        alike = products[order[:, None], order[near]]
-        return float(alike.sum() / total)
+        drawn = field[order]
+        return float(np.vdot(drawn, drawn.take(near, axis=0).sum(axis=0)) / total)
 
     seen = index(np.arange(n))
     drawn = [index(rng.permutation(n)) for _ in range(PERMUTATIONS)]
@@ -49,6 +50,13 @@ def morans_i(
 def nearest(places: np.ndarray, k: int) -> np.ndarray:
     """Indices (N, k) of the nearest others, every coordinate scaled to its spread."""
     scaled = places / np.maximum(places.std(axis=0), 1e-12)
+    if len(scaled) > MAX_PLACES_WITHOUT_TREE:
+        from scipy.spatial import cKDTree
+
+        _, near = cKDTree(scaled).query(scaled, k + 1)
+        # Each place itself comes first, or after others at the same place: put it last.
+        last = np.argsort(near == np.arange(len(near))[:, None], axis=1, kind="stable")
+        return np.asarray(np.take_along_axis(near, last, axis=1)[:, :k])
     apart = np.linalg.norm(scaled[:, None] - scaled[None], axis=2)
     np.fill_diagonal(apart, np.inf)
     return np.argpartition(apart, k - 1, axis=1)[:, :k]

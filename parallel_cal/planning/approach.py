@@ -7,12 +7,12 @@ reversal at that place, whatever the robot did before.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from parallel_cal.kinematics.kinematics import Kinematics
-from parallel_cal.kinematics.solutions import Solutions
+from parallel_cal.kinematics.solutions import Solutions, concatenate_solutions
 from parallel_cal.model.model import Model
 
 KINDS = ("direction", "travel", "velocity")  # conditions that an approach brings about
@@ -54,26 +54,54 @@ def needs_approach(model: Model) -> bool:
 
 
 def approaches(
-    model: Model, poses: Solutions, rng: np.random.Generator, reach: float = 1.0
+    model: Model,
+    poses: Solutions,
+    rng: np.random.Generator,
+    reach: float = 1.0,
+    usable: np.ndarray | None = None,
 ) -> Approaches:
     """Make approaches along random lines, each with a length of STEPS that can be driven in the
-    workspace (`reach` times as large)."""
-    m, robot, n = model.mechanism, Kinematics(model, quick=True), len(poses)
+    workspace (`reach` times as large), selected at random. Those to poses (N,) that are not
+    `usable` are not `ok`."""
+    m, n = model.mechanism, len(poses)
     low, high = np.array(m.workspace.low), np.array(m.workspace.high)
     side = rng.uniform(-1, 1, (n, len(m.controlled)))
     side /= np.abs(side).max(axis=1, keepdims=True)
-    away = np.concatenate([step * side * (high - low) for step in STEPS])
-    here = np.tile(m.controlled_coordinates(poses.position, poses.rotation), (len(STEPS), 1))
+    away = np.array(STEPS)[:, None, None] * side * (high - low)  # (steps, n, controlled)
+    here = m.controlled_coordinates(poses.position, poses.rotation)
     furthest = np.abs(here - (low + high) / 2) + np.abs(away)
-    inside = (furthest <= reach * (high - low) / 2 + POSE_TOLERANCE).all(axis=1)
+    inside = (furthest <= reach * (high - low) / 2 + POSE_TOLERANCE).all(axis=2)
+    if usable is not None:
+        inside &= usable
+    priority = rng.uniform(0.5, 1, (len(STEPS), n)) * inside
+    # Solve those that come first; the next ones only where these cannot be driven.
+    order, left, parts = np.argsort(-priority, axis=0), np.arange(n), list[Approaches]()
+    place, rows = np.zeros(n, dtype=int), 0
+    for step in order:
+        part = _drive(model, poses[left], away[step[left], left])
+        part = replace(part, ok=part.ok & (priority[step[left], left] > 0))
+        place[left] = rows + np.arange(len(left))
+        parts, rows = [*parts, part], rows + len(left)
+        left = left[~part.ok & (priority[:, left] > 0).any(axis=0)]
+        if not len(left):
+            break
+    return Approaches(
+        concatenate_solutions([part.past for part in parts]),
+        concatenate_solutions([part.turn for part in parts]),
+        np.concatenate([part.ways for part in parts]),
+        np.concatenate([part.ok for part in parts]),
+    )[place]
+
+
+def _drive(model: Model, poses: Solutions, away: np.ndarray) -> Approaches:
+    """Overshoot poses by `away` (N, controlled coordinates) and turn as far on their other side."""
+    m, robot = model.mechanism, Kinematics(model, quick=True)
+    here = m.controlled_coordinates(poses.position, poses.rotation)
     past, turn = (robot.inverse(*m.poses(here + sign * away)) for sign in (1, -1))
-    ways = np.tile(poses.joints, (len(STEPS), 1)) - turn.joints
+    ways = poses.joints - turn.joints
     reverses = ways * (turn.joints - past.joints) < 0
     significant = np.abs(ways) > MIN_APPROACH_SIGMAS * np.nan_to_num(model.joint_noise)
-    ok = past.ok & turn.ok & inside & (reverses & significant).all(axis=1)
-    # Select one of the drivable approaches at random; `ok` is false if there is none.
-    rows = np.argmax(ok.reshape(-1, n) * rng.uniform(0.5, 1, (len(STEPS), n)), axis=0) * n
-    return Approaches(past, turn, ways, ok)[rows + np.arange(n)]
+    return Approaches(past, turn, ways, past.ok & turn.ok & (reverses & significant).all(axis=1))
 
 
 def fill(a: np.ndarray, model: Model, ways: np.ndarray, speed: np.ndarray | float = 0.0) -> None:

@@ -67,7 +67,7 @@ def make_pool(
     # Quick: the pool is large, so a pose that is not solved at the first attempt is dropped.
     poses = Kinematics(model, quick=True).inverse(r, R)
     good = find_usable_poses(model, poses, reach)
-    approach = approaches(model, poses, rng, reach) if needs_approach(model) else None
+    approach = approaches(model, poses, rng, reach, good) if needs_approach(model) else None
     if approach is not None:
         good &= approach.ok
     size = FOLD if symmetric else 1

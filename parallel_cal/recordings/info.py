@@ -17,7 +17,7 @@ from parallel_cal.base.threads import single_threaded
 from parallel_cal.recordings.bag import list_topics, read_bag
 from parallel_cal.recordings.channels import list_channels
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.recordings.loading import dataset_from_recording, load_table
+from parallel_cal.recordings.loading import dataset_from_recording, load_table, select_samples
 from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.recording import COORDINATES, Dropped, Recording
 from parallel_cal.recordings.samplefile import holds_samples
@@ -60,9 +60,9 @@ def info(
     """
     options = options or ReadOptions()
     if holds_samples(Path(path)):
-        return info_of(Dataset.from_json(path).excluding(options.exclude))
+        return info_of(select_samples(Dataset.from_json(path), options))
     if is_table(Path(path)):
-        return info_of(load_table(Path(path), options).excluding(options.exclude))
+        return info_of(select_samples(load_table(Path(path), options), options))
     recording = read_bag(path, options, progress)
     duration = list_topics(path)[1]
     document = _recording_part(recording, duration)
@@ -80,7 +80,7 @@ def info(
             "noise": {},
             "warnings": [*recording.notes, str(error)],
         }
-    return document | _dataset_part(dataset.excluding(options.exclude))
+    return document | _dataset_part(select_samples(dataset, options))
 
 
 def info_of(dataset: Dataset) -> dict[str, Any]:

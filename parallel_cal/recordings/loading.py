@@ -70,8 +70,9 @@ def load_dataset(
     **given
         Single options by name, for example `joints` (the model's joint names in its order) or
         `mechanism` (of the model; it also converts units of a table), `exclude` (indices of the
-        samples to exclude, from 0), `topics` ({channel: topic}), `joint_sigma` (standard deviation
-        of joint readings, rad or m), `mode` (`"auto"`, `"dwell"` or `"continuous"`).
+        samples to exclude, from 0), `max_samples` (about how many samples to use at most), `topics`
+        ({channel: topic}), `joint_sigma` (standard deviation of joint readings, rad or m), `mode`
+        (`"auto"`, `"dwell"` or `"continuous"`).
 
     Returns
     -------
@@ -116,7 +117,7 @@ def load_stamped(
     dataset = order_joints(dataset, options.joint_names)
     if options.mechanism is not None:
         dataset = match_joint_units(dataset, options.mechanism)
-    return dataset.excluding(options.exclude), start
+    return select_samples(dataset, options), start
 
 
 def load_table(path: Path, options: ReadOptions) -> Dataset:
@@ -170,7 +171,7 @@ def load_sessions(
         Recordings or files of samples. With more than one, the condition `session` numbers them
         from 0.
     options, progress, **given
-        As in `load_dataset`; `exclude` counts through all recordings.
+        As in `load_dataset`; `exclude` and `max_samples` count through all recordings.
 
     Returns
     -------
@@ -189,10 +190,19 @@ def load_sessions(
     [0.0, 1.0]
     """
     options = (options or ReadOptions()).with_values(**given)
-    datasets = [load_dataset(path, options.with_values(exclude=()), progress) for path in paths]
-    return (join_datasets(datasets) if len(datasets) > 1 else datasets[0]).excluding(
-        options.exclude
-    )
+    each = options.with_values(exclude=(), max_samples=None)
+    datasets = [load_dataset(path, each, progress) for path in paths]
+    return select_samples(join_datasets(datasets) if len(datasets) > 1 else datasets[0], options)
+
+
+def select_samples(dataset: Dataset, options: ReadOptions) -> Dataset:
+    """Exclude samples, and use a part of the others, as the options say."""
+    kept = dataset.excluding(options.exclude)
+    some = kept if options.max_samples is None else kept.thinned(options.max_samples)
+    if some is kept:
+        return kept
+    said = f"{len(some)} of {len(kept)} samples are used, evenly spread over the recording"
+    return dataclasses.replace(some, warnings=(*some.warnings, said))
 
 
 def dataset_from_recording(recording: Recording, options: SampleOptions | None = None) -> Dataset:

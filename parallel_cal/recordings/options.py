@@ -101,6 +101,9 @@ class ReadOptions(SampleOptions):
         `header` or `log`: which time of a message counts. Default `header`.
     exclude : sequence of int
         Numbers of excluded samples. Default none.
+    max_samples : int, optional
+        About how many samples to use at most: all visits of poses that are evenly spread over the
+        recording. Default: all samples.
     columns : str, optional
         Column map of a table (YAML). Default: the file `TABLE.columns.yaml` beside `TABLE.csv`, or
         else the names in the header.
@@ -146,6 +149,7 @@ class ReadOptions(SampleOptions):
     measures: Sequence[str] | None = None
     stamps: str = "header"
     exclude: Sequence[int] = ()
+    max_samples: int | None = None
     columns: str | None = None
     images: str | Sequence[str] = ()
     board: str = "8x6"
@@ -155,6 +159,8 @@ class ReadOptions(SampleOptions):
         super().__post_init__()
         if self.stamps not in ("header", "log"):
             raise BagError(f"stamps='{self.stamps}' unknown; expected 'header' or 'log'")
+        if self.max_samples is not None and self.max_samples < 1:
+            raise DatasetError(f"max_samples={self.max_samples}: expected a number of at least 1")
         for what, given, known in (
             ("measures", self.measures or (), COORDINATES),
             ("topics", self.topics, CHANNELS),
@@ -198,6 +204,7 @@ class ReadKeywords(TypedDict, total=False):
     measures: Sequence[str] | None
     stamps: str
     exclude: Sequence[int]
+    max_samples: int | None
     columns: str | None
     images: str | Sequence[str]
     board: str
