@@ -1,135 +1,169 @@
-"""The workbench in Chromium: from the command to a useful page, a step, brushing."""
+"""The workbench in Chromium: `python bench/workbench.py [--samples N ...]`.
+
+From the command to a useful page, from a step to its verdict, and every interaction: the longest of
+three, from the act of a person to the last change on the page. 94 are the samples of
+bags/delta_backlash, any other number is simulated. Without --samples, the recording is timed. On a
+busy machine, put `chrt -r 1` before the command: it then has most of a core.
+"""
 
 from __future__ import annotations
 
-import shutil
-import socket
-import subprocess
+import argparse
+import math
 import sys
 import tempfile
 import time
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from statistics import median
 from typing import Any
 
-from playwright.sync_api import sync_playwright
-from timing import Row, seconds_each, show
+from rich.console import Console
+from rich.table import Table
 
-from parallel_cal.identification.fit import fit
-from parallel_cal.identification.options import FitOptions
+REPOSITORY = Path(__file__).parents[1]
+sys.path.insert(0, str(REPOSITORY / "test"))
+
+from workbench_page import Served, opened
+
 from parallel_cal.model.file.modelfile import read_model
-from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.recordings.simulate import simulate
-from parallel_cal.session.session import Session
 
-FOUND, REPEATS = "missing: backlash", 3
-MODEL, POSES = Path(__file__).parents[1] / "config" / "delta_mockup_nominal.yaml", 150
-PATIENCE = 120_000  # ms
-DRAWN = """() => document.querySelector('[aria-label^="rms residual"]')?._fullLayout"""
+MODEL, BAG = REPOSITORY / "config" / "delta_mockup_nominal.yaml", "bags/delta_backlash"
+SAMPLES_OF_BAG, MAX_SAMPLES_PER_RECORDING = 94, 10_000
+PATIENCE_MS, REPEATS = 1_800_000, 3
+TABS = ("joints, round", "sides", "uncertainty", "joints")
+# Notes when a person acts, and when the page last changed what it shows.
 WATCH = """() => {
-  const views = [...document.querySelectorAll('.js-plotly-plot')].filter(view => view._fullLayout);
-  const drawn = view => new Promise(done => view.once("plotly_afterplot", done));
-  window.drawnAnew = Promise.all(views.map(drawn)).then(() => undefined);
+  const shown = ".js-plotly-plot, table, #marked, #verdict, #headline";
+  for (const kind of ["mouseup", "click"])
+    addEventListener(kind, () => { window.acted = performance.now() }, { capture: true });
+  new MutationObserver(changes => {
+    const parts = changes.map(({ target }) => target.closest ? target : target.parentElement);
+    if (parts.some(part => part?.closest(shown)))
+      requestAnimationFrame(() => setTimeout(() => { window.changed = performance.now() }));
+  }).observe(document.body,
+             { subtree: true, childList: true, attributes: true, characterData: true });
 }"""
-MARK = """count => {
-  const drawn = document.querySelector('[aria-label^="rms residual"]');
-  const points = [...Array(count).keys()].map(i => ({pointIndex: i, customdata: i}));
-  const views = [...document.querySelectorAll('.js-plotly-plot')]
-    .filter(view => view._fullLayout && view.data.some(trace => trace.customdata));
-  // By what is seen: every other point has faded.
-  const seen = view => view.calcdata.filter(one => one[0].trace.customdata).every(one =>
-    [...one[0].node3.node().querySelectorAll("path.point")]
-      .filter(point => point.style.opacity < 0.5).length == one.length - count);
-  const begin = performance.now();
-  drawn.emit("plotly_selected", {points: points});
-  return new Promise(done => {
-    const look = () => views.every(seen) ? done(performance.now() - begin)
-                                         : requestAnimationFrame(look);
-    look();
-  });
-}"""
+SETTLED = "() => acted && changed > acted && performance.now() - changed > 1500"
+
+
+@dataclass(frozen=True)
+class Row:
+    name: str
+    seconds: float
 
 
 def main() -> None:
-    model = read_model(MODEL)
-    folder = Path(tempfile.mkdtemp())
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--samples", type=int, nargs="+", default=[SAMPLES_OF_BAG], metavar="N")
+    for count in parser.parse_args().samples:
+        with tempfile.TemporaryDirectory() as folder, opened() as browser:
+            recordings = write_recordings(count, Path(folder))
+            table = Table("what", "time [s]", title=f"workbench, {count} samples")
+            for row in time_page(browser, Path(folder) / "session", recordings):
+                table.add_row(row.name, f"{row.seconds:.2f}")
+        Console().print(table)
+
+
+def write_recordings(count: int, folder: Path) -> list[Path]:
+    """Write the samples of a robot with backlash; simulated ones in parts, to save memory."""
+    if count == SAMPLES_OF_BAG:
+        return [REPOSITORY / BAG]
+    model, parts = read_model(MODEL), math.ceil(count / MAX_SAMPLES_PER_RECORDING)
+    files = [folder / f"samples_{k}.json" for k in range(parts)]
+    for seed, file in enumerate(files):
+        poses = count // parts
+        simulate(model, poses, seed, effects=["backlash"]).dataset().to_json(file)
+    return files
+
+
+def time_page(browser: Any, session: Path, recordings: list[Path]) -> Iterator[Row]:
+    begin = time.perf_counter()
+    served = Served(MODEL, *recordings, "--session", session)
     try:
-        made = simulate(model, POSES, effects=["backlash"], seed=1)
-        made.dataset().to_json(folder / "samples.json")
-        dataset = load_dataset(folder / "samples.json", joints=model.joints)
-        whole = Row("fit() of 150 poses", seconds_each(lambda: fit(model, dataset), least=1))
-        session = Session.new(
-            folder / "s", model, [folder / "samples.json"], fitting=FitOptions(hold_out=0.25)
-        )
-        session.fit()
-        show("workbench, 150 poses", [whole, *_on_the_page(folder / "s")])
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def _on_the_page(folder: Path) -> list[Row]:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    command = [sys.executable, "-m", "parallel_cal.cli", "workbench", folder, "--no-open"]
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=shutil.which("chromium") or shutil.which("chromium-browser"),
-            args=["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"],
-        )
         page = browser.new_page(viewport={"width": 1280, "height": 1000})
-        page.set_default_timeout(PATIENCE)
-        begin = time.perf_counter()
-        served = subprocess.Popen([*map(str, command), "--port", str(port)])
-        try:
-            _until_answered(port)
-            page.goto(f"http://127.0.0.1:{port}/", wait_until="commit")
-            page.locator("#verdict").wait_for()
-            rows = [Row("from the command to the first paint", time.perf_counter() - begin)]
-            page.wait_for_function(DRAWN)
-            rows.append(Row("... to where the model fails", time.perf_counter() - begin))
-            page.locator("#verdict").get_by_text(FOUND).wait_for()
-            rows.append(Row("... to what is missing", time.perf_counter() - begin))
-            _rest(page)
-            brushed = median(page.evaluate(MARK, k) for k in range(10, 60, 10))
-            rows.append(Row("brushing: the marks in every view", brushed * 1e-3))
-            again = []
-            for _ in range(REPEATS):
-                _step(page, "Undo", "not identified yet")
-                again.append(_step(page, "Fit", "running the diagnosis"))
-                page.locator("#verdict").get_by_text(FOUND).wait_for()
-                _rest(page)
-            rows.append(Row("re-fit, and every view drawn anew", median(again)))
-            return rows
-        finally:
-            served.terminate()
-            served.wait()
+        page.set_default_timeout(PATIENCE_MS)
+        page.goto(served.url, wait_until="commit")
+        page.get_by_role("region", name="Verdict").locator(".text-lg").first.wait_for()
+        yield Row("command to the first numbers", time.perf_counter() - begin)
+        page.locator(".js-plotly-plot .main-svg").first.wait_for()
+        yield Row("command to where the model fails", time.perf_counter() - begin)
+        _rest(page)
+        yield from _time_step(page, "Fit", "fit", "missing: backlash")
+        yield from _time_interactions(page)
+        yield from _time_step(page, "add backlash", "add backlash", "noise")
+    finally:
+        served.end()
 
 
-def _step(page: Any, button: str, words: str) -> float:
-    """Seconds from the click until the header says so and every view has been drawn anew."""
-    page.evaluate(WATCH)
+def _time_step(page: Any, button: str, name: str, verdict: str) -> Iterator[Row]:
+    """Time a step: numbers of a part of many samples, then of all, then the verdict."""
     begin = time.perf_counter()
     page.get_by_role("button", name=button, exact=True).click()
-    page.locator("#verdict").get_by_text(words).wait_for()
-    page.evaluate("() => window.drawnAnew")
-    took = time.perf_counter() - begin
+    yield _until(f"{name} to the first numbers", page, f"preliminary {name}|{name}:", begin)
+    yield _until(f"{name} to the numbers of all samples", page, f"^{name}:", begin)
+    yield _until(f"{name} to the verdict", page, verdict, begin)
+    page.locator("#stage").wait_for(state="hidden")
+    yield Row(f"{name} to the verdict of all samples", time.perf_counter() - begin)
     _rest(page)
-    return took
+
+
+def _time_interactions(page: Any) -> Iterator[Row]:
+    page.evaluate(WATCH)
+
+    def longest(name: str, *acts: Callable[[], object]) -> Row:
+        return Row(name, max(_time(page, act) for act in acts))
+
+    press = {name: page.get_by_role("button", name=name, exact=True) for name in ("Undo", "Redo")}
+    rows = page.get_by_role("region", name="Samples").get_by_role("checkbox")
+    heading = page.get_by_role("region", name="Samples").locator("th.sortable").first
+    tabs = [page.get_by_role("tab", name=name, exact=True).click for name in TABS]
+    yield longest("brush in a view", *[lambda k=k: _brush(page, k) for k in range(REPEATS)])
+    yield longest("mark a row of the table, unmark it", *[rows.nth(1).click] * 2 * REPEATS)
+    yield longest("sort the table", *[heading.click] * REPEATS)
+    yield longest("change the tab", *tabs)
+    yield longest("choose in the menu against", *[lambda k=k: _choose(page, k) for k in (2, 1, 0)])
+    yield longest("undo, redo", *[press["Undo"].click, press["Redo"].click] * REPEATS)
+
+
+def _brush(page: Any, part: int) -> None:
+    """Drag a box over a part of the map of residuals, beside the boxes of the other parts."""
+    plot = page.get_by_role("figure", name="rms residual").locator(".nsewdrag").first
+    plot.scroll_into_view_if_needed()
+    box = plot.bounding_box()
+    width = box["width"] / REPEATS
+    left, low = box["x"] + width * part, box["y"] + box["height"] - 5
+    page.mouse.move(left + 5, box["y"] + 5)
+    page.mouse.down()
+    page.mouse.move(left + width - 5, low, steps=5)
+    page.mouse.up()
+
+
+def _choose(page: Any, option: int) -> None:
+    page.get_by_label("against", exact=True).click()
+    page.get_by_role("option").nth(option).click()
+
+
+def _time(page: Any, act: Callable[[], object]) -> float:
+    """Seconds from a person's act to the last change that it makes on the page."""
+    _rest(page)
+    page.evaluate("() => { window.acted = window.changed = 0 }")
+    act()
+    page.wait_for_function(SETTLED, polling=300)
+    return float(page.evaluate("() => changed - acted")) * 1e-3
+
+
+def _until(name: str, page: Any, words: str, begin: float) -> Row:
+    """Seconds until the verdict in the header matches."""
+    matches = "words => document.querySelector('#verdict')?.innerText.match(words)?.index >= 0"
+    page.wait_for_function(matches, arg=words or ".")
+    return Row(name, time.perf_counter() - begin)
 
 
 def _rest(page: Any) -> None:
-    """Until the page has nothing left to draw."""
+    """Wait until the page has nothing left to draw."""
     page.evaluate("() => new Promise(done => requestIdleCallback(() => done()))")
-
-
-def _until_answered(port: int) -> None:
-    while True:
-        with socket.socket() as one, suppress(OSError):
-            one.connect(("127.0.0.1", port))
-            return
-        time.sleep(0.01)
 
 
 if __name__ == "__main__":

@@ -104,6 +104,8 @@ def test_the_difference_of_two_predictions_is_that_of_their_positions_over_the_w
     from parallel_cal.reporting.prediction_difference import draw_difference
 
     model = read_model(MODEL)
+    same = {"words": "low and high predict the same positions"}
+    assert draw_difference(model, model, "low", "high") == same
     higher = model.values + 1e-4 * np.array([name.endswith("D_y") for name in model.table.names])
     shown = draw_difference(model, model.with_values(higher), "low", "high")
     assert "predictions of high minus those of low" in shown["words"]

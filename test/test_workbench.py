@@ -252,6 +252,13 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
         served.end()
 
 
+def camera(page, branch):
+    """Where the view of a branch's residuals is seen from, rounded."""
+    figure = page.get_by_role("figure", name=f"residuals of {branch}")
+    eye = figure.evaluate("figure => figure._fullLayout.scene._scene.getCamera().eye")
+    return [round(eye[k], 3) for k in "xyz"]
+
+
 @pytest.mark.wide
 def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp_path):
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
@@ -341,6 +348,15 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
         page.get_by_text("Compare branches").wait_for()
         page.get_by_role("figure", name="residuals of beside").wait_for()
         page.get_by_role("figure", name="residuals of main").wait_for()
+        turn = page.get_by_role("figure", name="residuals of main").locator("canvas").first
+        before = camera(page, "beside")
+        box = turn.bounding_box()
+        page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+        page.mouse.down()
+        page.mouse.move(box["x"] + box["width"] / 4, box["y"] + box["height"] / 3, steps=5)
+        page.mouse.up()
+        until(lambda: camera(page, "beside") != before, "the other view to turn")
+        assert camera(page, "beside") == camera(page, "main")
         page.keyboard.press("Escape")
 
         narrow = browser.new_page(viewport={"width": 800, "height": 900}, color_scheme="dark")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.rotation import rotation_vector
@@ -58,18 +59,21 @@ def replicate_ids(
         usual_step = np.quantile((np.abs(np.diff(q, axis=0)) / part).max(axis=1), 0.75)
         scale = np.maximum(noise, part * min(1.0, 0.2 * usual_step))
     reach = max(0.05 * np.ptp(r, axis=0).max(initial=0.0), MIN_POSITION_TOLERANCE_M)
-    ids, leaders = np.zeros(len(q), np.int64), np.zeros(0, np.int64)
+    neighbours, ids, count = cKDTree(q / scale), np.full(len(q), -1), 0
     for i in range(len(q)):
-        near = (np.abs(q[leaders] - q[i]) <= scale).all(axis=1)
-        apart = np.abs(r[leaders] - r[i]) * (measured[leaders, :3] & measured[i, :3])
-        near &= (apart <= reach).all(axis=1)
-        turns = measured[leaders, 3:].all(axis=1) & measured[i, 3:].all()
-        angle = np.linalg.norm(R[leaders] - R[i], axis=(1, 2)) / np.sqrt(2.0)  # if it is small
-        near &= ~turns | (angle <= MAX_ROTATION_RAD)
-        found = np.flatnonzero(near)
-        ids[i] = found[0] if len(found) else len(leaders)
-        if not len(found):
-            leaders = np.append(leaders, i)
+        if ids[i] >= 0:
+            continue
+        # A little more than the tolerance, which is checked exactly below.
+        near = np.array(neighbours.query_ball_point(q[i] / scale, 1.001, p=np.inf))
+        near = near[ids[near] < 0]  # these are later samples, and i itself
+        same = (np.abs(q[near] - q[i]) <= scale).all(axis=1)
+        apart = np.abs(r[near] - r[i]) * (measured[near, :3] & measured[i, :3])
+        same &= (apart <= reach).all(axis=1)
+        turns = measured[near, 3:].all(axis=1) & measured[i, 3:].all()
+        angle = np.linalg.norm(R[near] - R[i], axis=(1, 2)) / np.sqrt(2.0)  # if it is small
+        same &= ~turns | (angle <= MAX_ROTATION_RAD)
+        ids[near[same]] = ids[i] = count
+        count += 1
     return ids
 
 

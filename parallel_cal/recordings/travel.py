@@ -25,23 +25,24 @@ def travel(
     distance = np.zeros(level.shape)
     for i, end in enumerate(at):
         for j in np.flatnonzero(direction[i]):
-            behind = direction[i, j] * (level[i, j] - q[:end, j])
-            distance[i, j] = direction[i, j] * _since_reversal(behind, threshold[j])
+            sign = direction[i, j]
+            distance[i, j] = sign * _since_reversal(q[:end, j], level[i, j], sign, threshold[j])
     return distance
 
 
-def _since_reversal(behind: Array, threshold: float) -> float:
-    """Return how far `behind` (n,) the joint was at its last reversal; look back in growing steps.
+def _since_reversal(q: Array, level: float, direction: int, threshold: float) -> float:
+    """Return how far the joint was behind its `level` at its last reversal before the end of `q`.
 
-    Back in time, the distance grows until the reversal and then shrinks again.
+    Look back in growing steps: back in time, the distance grows until the reversal and then shrinks
+    again.
     """
     step = 256
     while True:
-        back = behind[::-1][:step]
-        furthest = np.maximum.accumulate(back)
-        nearer = np.flatnonzero(back < furthest - threshold)
+        behind = direction * (level - q[-step:][::-1])
+        furthest = np.maximum.accumulate(behind)
+        nearer = np.flatnonzero(behind < furthest - threshold)
         if len(nearer):
             return float(furthest[nearer[0]])
-        if step >= len(behind):
+        if step >= len(q):
             return float(furthest[-1])
         step *= 4

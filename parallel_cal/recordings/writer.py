@@ -6,6 +6,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
+from heapq import merge
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from parallel_cal.base.errors import BagError
 from parallel_cal.recordings.channels import CHANNELS
 
 if TYPE_CHECKING:
+    from parallel_cal.recordings.recording import JointStream, PoseStream, ScalarStream
     from parallel_cal.recordings.simulate import Simulation
 
 START = 1_767_225_600_000_000_000  # ns, 2026-01-01 00:00:00 UTC: equal seeds give equal files
@@ -53,7 +55,8 @@ def write_bag(session: Simulation, path: str | Path, storage: str = "mcap") -> N
         raise BagError(f"storage '{storage}' unknown; expected {' or '.join(STORAGES)}")
     messages = _Session()
     kinds = {name: CHANNELS[name].types[0] for name in WRITTEN_CHANNELS}
-    stream = sorted(messages.of(session), key=lambda m: m[0])
+    # A long session has millions of messages: make each when it is written.
+    stream = merge(*messages.streams(session), key=lambda m: m[0])
     data = ((n, t, messages.store.serialize_cdr(m, kinds[n])) for t, n, m in stream)
     latched = {name for name in WRITTEN_CHANNELS if CHANNELS[name].latched}
     _write(Path(path), kinds, data, latched, storage, lambda folder: folder)
@@ -166,30 +169,43 @@ class Messages:
 
 
 class _Session(Messages):
-    """Makes the ROS messages of a simulated session."""
+    """Makes the ROS messages of a simulated session: (stamp in ns, topic, message)."""
 
-    def of(self, session: Simulation) -> Iterator[tuple[int, str, Any]]:
-        """Yield (stamp in ns, topic, message), topic by topic."""
-        recording, platform = session.recording, session.model.frames["platform"]
+    def streams(self, session: Simulation) -> list[Iterator[tuple[int, str, Any]]]:
+        """Return the messages of each topic, in the order of their stamps."""
+        recording, frames = session.recording, session.model.frames
         payload, temperature = (recording.conditions[name] for name in ("payload", "temperature"))
+        return [
+            self._payloads(payload, frames["platform"]),
+            self._temperatures(temperature),
+            self._joint_states(recording.joints),
+            self._poses(recording.pose),
+        ]
+
+    def _payloads(self, payload: ScalarStream, frame: str) -> Iterator[tuple[int, str, Any]]:
+        stamped, kind = (self.kind(f"geometry_msgs/Inertia{end}") for end in ("Stamped", ""))
         for time, mass in zip(_stamps(payload.time), payload.value, strict=True):
             # A point mass at the platform's origin.
-            inertia = self.kind("geometry_msgs/Inertia")(
-                float(mass), self.vector(np.zeros(3)), *[0.0] * 6
-            )
-            stamped = self.kind("geometry_msgs/InertiaStamped")
-            yield time, "payload", stamped(self.header(time, platform), inertia)
+            inertia = kind(float(mass), self.vector(np.zeros(3)), *[0.0] * 6)
+            yield time, "payload", stamped(self.header(time, frame), inertia)
+
+    def _temperatures(self, temperature: ScalarStream) -> Iterator[tuple[int, str, Any]]:
+        air = self.kind("sensor_msgs/Temperature")
         for time, warmth in zip(_stamps(temperature.time), temperature.value, strict=True):
-            air = self.kind("sensor_msgs/Temperature")
             yield time, "temperature", air(self.header(time), float(warmth), 0.01)
-        joints, pose = recording.joints, recording.pose
+
+    def _joint_states(self, joints: JointStream) -> Iterator[tuple[int, str, Any]]:
         for time, q in zip(_stamps(joints.time), joints.position, strict=True):
             yield time, "joint_states", self.joint_state(time, joints.names, q)
+
+    def _poses(self, pose: PoseStream) -> Iterator[tuple[int, str, Any]]:
+        kind, stamped = (
+            self.kind(f"geometry_msgs/PoseWithCovariance{end}") for end in ("", "Stamped")
+        )
         for i, time in enumerate(_stamps(pose.time)):
-            measured = self.kind("geometry_msgs/PoseWithCovariance")(
+            measured = kind(
                 self.pose(pose.position[i], pose.quaternion[i]), pose.covariance[i].ravel()
             )
-            stamped = self.kind("geometry_msgs/PoseWithCovarianceStamped")
             yield time, "measured_pose", stamped(self.header(time, pose.frame), measured)
 
 

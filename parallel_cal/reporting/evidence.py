@@ -21,6 +21,7 @@ from parallel_cal.reporting.markup import (
     tabs,
 )
 from parallel_cal.reporting.readable import (
+    name_p_value,
     number,
     probability,
     value_unit,
@@ -50,7 +51,7 @@ def candidates(report: Report, plot: Plot) -> str:
         "Each effect is scored by the part of its pattern that the geometry cannot absorb. The "
         "best significant effects are refitted. The p-values account for the number of tests. "
         f"Negative control: a random group of columns would have rank {control.rank} "
-        f"(p = {probability(control.p_value)})."
+        f"({name_p_value(probability(control.p_value))})."
     )
     remarks = [f"{name} fits no better than {', '.join(o)}." for name, o in found.swaps.items()]
     remarks += [f"Objection: {text}" for text in found.verdict.against]

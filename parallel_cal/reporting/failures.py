@@ -12,6 +12,7 @@ from parallel_cal.reporting import image_figures, images, joint_panels, maps, sp
 from parallel_cal.reporting.markup import Plot, as_html, folded, paragraph, table, tabs
 from parallel_cal.reporting.multiples import colour, multiples
 from parallel_cal.reporting.readable import (
+    name_p_value,
     percent,
     probability,
     vector,
@@ -150,11 +151,11 @@ def _joints(report: Report, plot: Plot) -> str:
 def structure(report: Report, plot: Plot) -> str:
     """Render the tests of the remaining residuals, and the smooth map."""
     found = report.diagnosis.structure
-    p = probability(found.p_value)
+    p = name_p_value(probability(found.p_value))
     known = paragraph(
-        f"Neighbouring residuals are similar, or their signs change too seldom (p = {p})."
+        f"Neighbouring residuals are similar, or their signs change too seldom ({p})."
         if found.has_structure
-        else f"The residuals show no structure, neither of neighbours nor of signs (p = {p})."
+        else f"The residuals show no structure, neither of neighbours nor of signs ({p})."
     )
     drawn = spaces.smooth_map(found.map)
     if drawn is None:

@@ -12,21 +12,25 @@ from parallel_cal.model.model import Model
 from parallel_cal.reporting import maps
 from parallel_cal.reporting.readable import with_unit
 
+SAME_POSITION_M = 1e-9  # m; smaller differences are rounding errors
+
 
 def draw_difference(first: Model, second: Model, one: str, other: str) -> dict[str, Any]:
     """Draw where the second model places the platform minus where the first does, with the 1-sigma
-    uncertainty of each; a sentence only if there is no map."""
+    uncertainty of each; a sentence only if there is no map or no difference."""
     title = f"predictions of {other} minus those of {one}"
     found = PositionDifference.of(first, second)
     if found is None:
         return {"words": f"{title}: no map, because the models reach no common plane of positions"}
+    sizes = np.linalg.norm(found.difference, axis=1)
+    if sizes.max() < SAME_POSITION_M:
+        return {"words": f"{one} and {other} predict the same positions"}
     figure, scale = maps.residuals(
         found.places, [found.difference], "position", np.arange(len(found.places))
     )
     for trace in figure["data"]:
         trace.pop("customdata", None)  # these are no samples that could be marked
         trace["showlegend"] = False
-    sizes = np.linalg.norm(found.difference, axis=1)
     sigmas = [
         f"1 sigma of {name} {'unknown' if sigma is None else with_unit(sigma, 'm')}"
         for name, sigma in zip((one, other), found.sigmas, strict=True)

@@ -108,6 +108,11 @@ def probability(p: float | None) -> str:
     return f"{p:.2g}" if p > 1e-99 else "< 1e-99"
 
 
+def name_p_value(shown: str) -> str:
+    """Write a formatted p-value as `p = 0.02` or `p < 1e-99`."""
+    return f"p {shown}" if shown.startswith("<") else f"p = {shown}"
+
+
 def percent(share: float | None, digits: int = 0, missing: str = MISSING) -> str:
     return f"{round(100 * share, digits) + 0.0:.{digits}f} %" if is_known(share) else missing
 

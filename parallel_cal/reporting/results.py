@@ -30,6 +30,7 @@ from parallel_cal.reporting.readable import (
     is_known,
     number,
     percent,
+    probability,
     unit_of,
     value_unit,
     vector,
@@ -48,7 +49,6 @@ MAX_CANDIDATES = 8
 MAX_SAMPLES = 10
 MAX_PATTERNS = 5
 MAX_ESTIMATES = 4  # parameters of an effect that are shown; gears have a dozen
-MIN_SHOWN_P_VALUE = 1e-99  # a smaller p-value adds no information
 PATTERN_SIGNIFICANCE_LEVEL = 0.05  # below it a pattern of the errors is shown
 
 
@@ -433,7 +433,7 @@ def candidate_table(diagnosis: Diagnosis, entries: Sequence[Entry]) -> Table:
             (
                 str(entry.rank),
                 Cell(entry.name, effect.physics + cure, mark="found" if found else ""),
-                f"{p:.2g}" if p > MIN_SHOWN_P_VALUE else f"<{MIN_SHOWN_P_VALUE:.0g}",
+                probability(p),
                 percent(alone.ratio if alone else None, 1, "-"),
                 Cell(fall or "-", estimates),
                 percent(alone.share_explained if alone else None, missing="-"),

@@ -42,7 +42,8 @@ class State(_Part):
     recorded since then, `fitting` the options that differ from those of the session; all persist
     until changed, as `excluded` does. `verdict` is the word
     of the diagnosis (empty: not diagnosed), `summary` its sentence. `sigmas` is by kind the
-    standard deviation of the rms in `errors`. `reason` is the owner's reason for a forced step.
+    standard deviation of the rms in `errors`, `sigmas_before` that of the rms in `before`. `reason`
+    is the owner's reason for a forced step.
     `knocked` are the samples that the diagnosis excluded because they are far from all others; None
     if these samples were not diagnosed, or only a part of them.
     """
@@ -63,6 +64,7 @@ class State(_Part):
     summary: str = ""
     samples: int | None = None
     sigmas: Mapping[str, float] = {}
+    sigmas_before: Mapping[str, float] = {}
     reason: str = ""
     knocked: Sequence[int] | None = None
 

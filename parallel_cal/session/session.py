@@ -42,7 +42,10 @@ CHANGED = "the session changed in the meantime: look at it and try again"
 # The fields of a state that the next one takes over unless it changes them.
 PERSISTENT = ("excluded", "imported", "taken", "fitting")
 # The fields of a state that judge its model.
-JUDGED = ("before", "errors", "noise", "against", "verdict", "summary", "samples", "sigmas")
+JUDGED = (
+    *("before", "errors", "noise", "sigmas_before", "sigmas", "samples"),
+    *("against", "verdict", "summary"),
+)
 
 
 class Session(History):
@@ -301,8 +304,12 @@ class Session(History):
             # The previous model was fitted to these samples, so its error at them proves nothing.
             # Other samples or parameters are no reason to doubt the new one either. Its validation
             # error was one at other samples if some were excluded or included since.
-            before = {} if "excluded" in changes else start.errors
-            changes |= {"before": before, "against": start.against}
+            known = "excluded" not in changes
+            changes |= {
+                "before": start.errors if known else {},
+                "sigmas_before": start.sigmas if known else {},
+                "against": start.against,
+            }
         return self._commit(words, step, **changes)
 
     def take(self, write: Callable[[Path], None]) -> State:
@@ -485,6 +492,7 @@ class Session(History):
             "against": step.acceptance.against,
             "samples": step.result.samples,
             "sigmas": step.result.rms_sigmas(step.result.held_out),
+            "sigmas_before": step.sigmas_to_beat,
         }
         return self._append_state(words, step.model, **{**judged, **changes})
 

@@ -107,6 +107,13 @@ class Step(ShownInNotebook):
         rival = self.rival.held_out if self.rival else self.result.held_out_before
         return rival.summary
 
+    @property
+    def sigmas_to_beat(self) -> dict[str, float]:
+        """Standard deviations of the rms errors in `errors_to_beat`, by kind of error."""
+        if self.rival:
+            return self.rival.rms_sigmas(self.rival.held_out)
+        return self.result.rms_sigmas(self.result.held_out_before)
+
     @cached_property
     def platform_shift(self) -> PlatformShift | None:
         """How far the step moves the platform compared with its rival; None without a rival."""

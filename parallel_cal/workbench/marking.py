@@ -11,8 +11,8 @@ from parallel_cal.reporting.colours import PATTERN
 from parallel_cal.workbench.widgets import draw_figure
 
 # Marks samples in every view as Plotly marks its own selection. Its 'restyle' redraws each view,
-# which takes twenty times as long. A view out of sight is drawn anew when it comes into sight: to
-# draw all of them takes a second.
+# which takes twenty times as long. A view out of sight is drawn when it comes into sight: to draw
+# all of them takes a second.
 SCRIPT = """<script>
 let marked = new Set();
 function markSamples(numbers) {
@@ -32,7 +32,7 @@ function markView(view) {
 </script>
 <script type="module">
 const { Plotly } = await import("nicegui-plotly");
-const react = Plotly.react, postponed = new WeakMap(), margin = 200;  // px
+const { react, newPlot } = Plotly, postponed = new WeakMap(), margin = 200;  // px
 const coming = new IntersectionObserver(views => {
   for (const { isIntersecting, target } of views) {
     if (!isIntersecting) continue;
@@ -42,15 +42,26 @@ const coming = new IntersectionObserver(views => {
     if (figure) react(target, ...figure).then(() => markView(target));
   }
 }, { rootMargin: `${margin}px` });
-Plotly.react = (view, ...figure) => {
-  const box = view.getBoundingClientRect();
-  if (box.height && box.bottom > -margin && box.top < innerHeight + margin) {
-    postponed.delete(view);
-    return react(view, ...figure);
-  }
+function isNear(box) {
+  return box.bottom > -margin && box.top < innerHeight + margin;
+}
+function postpone(view, figure) {
   postponed.set(view, figure);
   coming.observe(view);
   return Promise.resolve(view);
+}
+Plotly.react = (view, ...figure) => {
+  const box = view.getBoundingClientRect();
+  if (!box.height || !isNear(box)) return postpone(view, figure);
+  postponed.delete(view);
+  return react(view, ...figure);
+};
+Plotly.newPlot = (view, figure, config) => {  // an empty figure keeps the place of a postponed one
+  if (isNear(view.getBoundingClientRect())) return newPlot(view, figure, config);
+  const { height, paper_bgcolor, plot_bgcolor } = figure.layout, none = { visible: false };
+  const empty = { height, paper_bgcolor, plot_bgcolor, xaxis: none, yaxis: none };
+  newPlot(view, [], empty, config);
+  return postpone(view, [figure, config]);
 };
 </script>"""
 SELECTION_HANDLER = "event => emit((event?.points ?? []).map(point => point.customdata))"

@@ -9,8 +9,7 @@ from typing import Any
 from nicegui import run, ui
 
 from parallel_cal.reporting.colours import MEASURED
-from parallel_cal.reporting.readable import MISSING, format_judged_error, write_micro
-from parallel_cal.session.history import format_first_error
+from parallel_cal.reporting.readable import format_judged_error, name_p_value, write_micro
 from parallel_cal.workbench.bench import Bench
 from parallel_cal.workbench.fixing import ask_where_to_fix
 from parallel_cal.workbench.header import Header, Notice, VerdictCard
@@ -211,7 +210,7 @@ class Window:
                 ui.label(f"accounts for {one['explains']}").classes("text-xs").tooltip(
                     one["fall details"]
                 )
-                ui.label(f"p {one['p']}").classes("text-xs")
+                ui.label(name_p_value(one["p"])).classes("text-xs")
             if one["pattern"]:
                 with ui.element().classes("wide"):
                     self._unfolded("Show pattern", name, partial(self._pattern, one))
@@ -241,9 +240,7 @@ class Window:
                 {
                     "step": state.step,
                     "samples": state.samples,
-                    "before": write_micro(format_first_error(state.before))
-                    if state.before
-                    else MISSING,
+                    "before": format_judged_error(state.before, state.sigmas_before),
                     "after": format_judged_error(state.errors, state.sigmas),
                     "out": len(state.excluded),
                     "verdict": write_micro(state.verdict_text or state.against),
