@@ -270,7 +270,7 @@ class _Winner:
 
     For a law of the device, `rival` is one of the robot that explains nearly as much; for a law of
     the robot, one of the device that explains more. `parts` are further laws of the same driver,
-    and `alone` is the law that they replaced. `excludes_device` is whether samples of several
+    and `alone` is the law of one driver that they replaced. `excludes_device` is whether samples of several
     stations show that no smooth error of the device is such a law.
     """
 
@@ -492,8 +492,10 @@ def _find_winners(search: _Search) -> list[_Winner]:
             of_device = [one for one in winner.equal if one.hypothesis.site.kind == DEVICE]
             first, *others = parts.laws
             equal = (*of_device, *first.equal)
+            # A law with a second quantity, on which no part depends, names the wrong driver.
+            alone = winner if len(winner.formula.hypothesis.drivers) == 1 else None
             winner = replace(
-                winner, formula=first.formula, equal=equal, parts=tuple(others), alone=winner
+                winner, formula=first.formula, equal=equal, parts=tuple(others), alone=alone
             )
             best = None
         if search.device is not None and not winner.formula.hypothesis.slow:
