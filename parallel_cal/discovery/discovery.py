@@ -270,8 +270,8 @@ class _Winner:
 
     For a law of the device, `rival` is one of the robot that explains nearly as much; for a law of
     the robot, one of the device that explains more. `parts` are further laws of the same driver,
-    and `alone` is the law of one driver that they replaced. `excludes_device` is whether samples of several
-    stations show that no smooth error of the device is such a law.
+    and `alone` is the law of one driver that they replaced. `excludes_device` is whether samples of
+    several stations show that no smooth error of the device is such a law.
     """
 
     formula: Formula
