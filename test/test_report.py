@@ -20,7 +20,14 @@ from parallel_cal.reporting import contents, results
 from parallel_cal.reporting.arrows import arrows, colour, scale_of
 from parallel_cal.reporting.figures import select_evenly
 from parallel_cal.reporting.page import page
-from parallel_cal.reporting.readable import number, probability, vector, with_sigma, with_unit
+from parallel_cal.reporting.readable import (
+    name_p_value,
+    number,
+    probability,
+    vector,
+    with_sigma,
+    with_unit,
+)
 from parallel_cal.reporting.report import report
 from parallel_cal.session.steps import fitted
 from parallel_cal.virtual import robot as vr
@@ -427,6 +434,8 @@ def test_numbers_have_as_many_digits_as_tell_something():
     assert with_unit(1e-3, "rad") == "3.44 arcmin"
     assert with_unit(2.5e-5, "m") == "25.0 µm"
     assert probability(1e-300) == "< 1e-99"
+    assert name_p_value(probability(1e-300)) == "p < 1e-99"
+    assert name_p_value(probability(0.02)) == "p = 0.02"
     assert vector([0.1, None], "m") == "100.00 –"
 
 

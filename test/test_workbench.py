@@ -186,6 +186,7 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
         page.locator("#verdict").get_by_text("one effect missing: backlash").wait_for()
         fitted = page.locator("header").inner_text()
         assert "606 ± 11 µm" in fitted
+        page.get_by_role("cell", name="606 ± 11 µm").wait_for()  # before the fit, in the history
 
         # Brush half of the map: as many samples are marked in the table.
         plot = page.get_by_role("figure", name="rms residual").locator(".nsewdrag").first
