@@ -137,7 +137,8 @@ class _Steps:
         period = float(np.median(gaps))
         shown = pose.measured[:, :3].any(axis=0)  # a planar robot has no third coordinate
         placed = bool(shown.any())
-        known = pose.measured[:, np.flatnonzero(shown) if placed else range(3, 6)].all(axis=1)
+        told = np.flatnonzero(shown) if placed else np.arange(3, 6)
+        known = np.asarray(pose.measured[:, told].all(axis=1))
         seen = pose.position[:, shown] if placed else pose.rotation.reshape(-1, 9)
         if not _moving(pose.time[known], seen[known]).any():
             return None
