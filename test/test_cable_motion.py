@@ -27,7 +27,7 @@ STILL = np.random.default_rng(7).uniform([-0.8, -0.5], [0.8, 0.5], (60, 2))  # p
 
 @pytest.fixture(scope="module")
 def moving(tmp_path_factory):
-    """The plotter, the model as drawn, and the samples of 40 s at up to 1.5 m/s."""
+    """The plotter, the model as drawn, and the samples of 40 s at up to 0.7 m/s."""
     folder = tmp_path_factory.mktemp("motion")
     plotter = vm.Plotter.drawn(1, LAGS)
     vm.write_tables(folder, plotter, vm.Path2D(1, 1.5), vm.Clock(OFFSET), 40.0, rate=15.0)
