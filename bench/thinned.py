@@ -1,7 +1,7 @@
 """Whether a diagnosis of a part of many samples has the verdict of a diagnosis of all.
 
-A virtual Delta visits 1e5 poses (or N), without an effect and with one of the tests' size or a part
-of it. Each session is diagnosed from about 10 000 samples (or PART) and, with `--all`, from all of
+A virtual Delta visits 1e4 poses (or N), without an effect and with one of the tests' size or a part
+of it. Each session is diagnosed from about 2000 samples (or PART) and, with `--all`, from all of
 them, which takes half a gigabyte for every 1000 samples.
 Usage: `PYTHONPATH=. python bench/thinned.py [--all] [N [PART]]`.
 """
@@ -55,8 +55,8 @@ def found(data: Dataset) -> tuple[str, str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--all", action="store_true", help="also diagnose all samples")
-    parser.add_argument("n", nargs="?", type=float, default=1e5)
-    parser.add_argument("part", nargs="?", type=float, default=1e4)
+    parser.add_argument("n", nargs="?", type=float, default=1e4)
+    parser.add_argument("part", nargs="?", type=float, default=2e3)
     given = parser.parse_args()
     table = Table("hidden", "size", "samples", "of a part", "CPU s", "of all", "CPU s")
     for kind, size in CASES:
