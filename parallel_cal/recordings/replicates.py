@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.rotation import rotation_vector
@@ -47,6 +46,8 @@ def replicate_ids(
     and to 0.1 rad. These wide limits only separate assembly modes: the effects that replicates
     reveal (backlash, warming) must not split a group.
     """
+    from scipy.spatial import cKDTree
+
     q, r, R = at.q, at.r, at.R
     # The largest joint difference (nq,) between two visits of one pose.
     if tolerance is not None:
