@@ -833,10 +833,10 @@ def _explain_device(winner: _Winner) -> str:
             f"{_name(winner.rival)} explains nearly as much"
         )
     others = [one.hypothesis for one in winner.equal if one.hypothesis.site.kind == DEVICE]
-    if not others and winner.rival is not None:
-        return f"the measuring device may cause it: {_name(winner.rival)} explains more"
     if others:
         return f"the measuring device may cause it: {_name(others[0])} describes it as well"
+    if winner.rival is not None:
+        return f"the measuring device may cause it: {_name(winner.rival)} explains more"
     drivers = winner.formula.hypothesis.families
     if set(drivers) <= set(PLACES) and not winner.excludes_device:
         return (
