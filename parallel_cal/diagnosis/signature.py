@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -144,11 +144,11 @@ def _panels(
     needed = [name for name in conditions if name in known]
     along = needed or [name for name in known if name in (*mechanism.joints, *"xyz")]
     shown = compute_measured_components(scene)
-    pairs = _rank_pairs(shown, scene, found, along)
+    pairs = _rank_pairs(shown, scene, found, known, along)
     # An error of lengths may move each coordinate differently from pose to pose, and each joint
     # in one way.
     if pairs and pairs[0].followed < MIN_FOLLOWED:
-        by_joint = _rank_pairs(of_joints, scene, found, along)
+        by_joint = _rank_pairs(of_joints, scene, found, known, along)
         if by_joint and by_joint[0].followed > pairs[0].followed:
             shown, pairs = of_joints, by_joint
     best: dict[str, str] = {}
@@ -169,11 +169,15 @@ class _Pair(NamedTuple):
 
 
 def _rank_pairs(
-    shown: Components, scene: Scene, found: np.ndarray, along: Sequence[str]
+    shown: Components,
+    scene: Scene,
+    found: np.ndarray,
+    known: Mapping[str, np.ndarray],
+    along: Sequence[str],
 ) -> list[_Pair]:
-    """Components and what they may be shown against, the strongest pattern first."""
+    """Components and which of the `known` abscissae they may be shown against, the strongest
+    pattern first."""
     z = np.nan_to_num(shown.values(scene.by_sample(found)) / shown.sigma)
-    known = dict(regressors(scene))
     pairs = []
     for component, values in zip(shown.names, z.T, strict=True):
         whole = float(np.mean(values**2))
