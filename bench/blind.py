@@ -391,6 +391,14 @@ def shares(outcomes: list[Outcome]) -> None:
             print(f"    goal: {name} {sign} {goal:.0%}: {'reached' if reached else 'MISSED'}")
 
 
+def how_named(named: Iterable[str], names: Iterable[str]) -> str:
+    """Whether one of `names` was named `alone`, in an `or` with others, or `not`; `named` are
+    effects, or several that fit as well: "a or b"."""
+    wanted = {*names}
+    groups = [group for words in named if (group := {*words.split(" or ")}) & wanted]
+    return "not" if not groups else "alone" if any(g <= wanted for g in groups) else "or"
+
+
 def interval(k: int, n: int) -> str:
     """The exact 95 % interval of a share k / n (Clopper and Pearson 1934)."""
     from scipy.stats import beta

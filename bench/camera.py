@@ -31,7 +31,7 @@ import virtual_arm as va
 from camera_cells import Cell
 from virtual_effects_hidden import JointCompliance
 
-from bench.blind import interval, put_between
+from bench.blind import how_named, interval, put_between
 from bench.slices import add_options, run_missing
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.fit import fit
@@ -139,9 +139,7 @@ class Finding:
     @property
     def how(self) -> str:
         """Whether what hides was named `alone`, in an `or`, or `not`."""
-        names = {*KINDS[self.case.hidden].names}
-        groups = [g for n in self.named if (g := {*n.split(" or ")}) & names]
-        return "not" if not groups else "alone" if any(g <= names for g in groups) else "or"
+        return how_named(self.named, KINDS[self.case.hidden].names)
 
     @property
     def others(self) -> tuple[str, ...]:
@@ -300,7 +298,8 @@ def effect_lines(outcomes: list[Finding]) -> list[str]:
 
 
 def tables(outcomes: list[Outcome]) -> dict[str, list[str]]:
-    """Return the lines of both tables by the name of their marks; an empty one is left out."""
+    """Return the lines of both tables by the name of their marks; no lines for a table without
+    rows."""
     accuracy = [o for o in outcomes if isinstance(o, Accuracy)]
     effects = [o for o in outcomes if isinstance(o, Finding)]
     found = {}

@@ -37,7 +37,7 @@ from twins import hexapod
 from virtual_lines import Creep, LinedRobot, Pulleys, Tension
 from virtual_struts import UniversalJoints
 
-from bench.blind import interval, put_between
+from bench.blind import how_named, interval, put_between
 from bench.slices import add_options, run_missing
 from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.diagnose import diagnose
@@ -587,9 +587,7 @@ class Outcome:
     @property
     def how(self) -> str:
         """Whether what hides was named `alone`, in an `or`, or `not`."""
-        names = {*KINDS[self.case.hidden].names}
-        groups = [g for n in self.named if (g := {*n.split(" or ")}) & names]
-        return "not" if not groups else "alone" if any(g <= names for g in groups) else "or"
+        return how_named(self.named, KINDS[self.case.hidden].names)
 
     @property
     def right(self) -> bool:
