@@ -399,6 +399,18 @@ def how_named(named: Iterable[str], names: Iterable[str]) -> str:
     return "not" if not groups else "alone" if any(g <= wanted for g in groups) else "or"
 
 
+def select_others(named: Iterable[str], names: Iterable[str]) -> tuple[str, ...]:
+    """Those of `named` that contain none of `names`."""
+    wanted = {*names}
+    return tuple(words for words in named if not {*words.split(" or ")} & wanted)
+
+
+def rms(values: Any) -> float:
+    """Root of the mean square; of vectors, that of their lengths."""
+    squares = np.square(values)
+    return float(np.sqrt(np.mean(squares.sum(axis=1) if squares.ndim > 1 else squares)))
+
+
 def interval(k: int, n: int) -> str:
     """The exact 95 % interval of a share k / n (Clopper and Pearson 1934)."""
     from scipy.stats import beta

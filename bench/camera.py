@@ -31,7 +31,7 @@ import virtual_arm as va
 from camera_cells import Cell
 from virtual_effects_hidden import JointCompliance
 
-from bench.blind import how_named, interval, put_between
+from bench.blind import how_named, interval, put_between, rms, select_others
 from bench.slices import add_options, run_missing
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.fit import fit
@@ -144,17 +144,10 @@ class Finding:
     @property
     def others(self) -> tuple[str, ...]:
         """What was named besides what hides."""
-        names = {*KINDS[self.case.hidden].names}
-        return tuple(n for n in self.named if not {*n.split(" or ")} & names)
+        return select_others(self.named, KINDS[self.case.hidden].names)
 
 
 Outcome = Accuracy | Finding
-
-
-def rms(values: Any) -> float:
-    """Root of the mean square; of vectors, that of their lengths."""
-    squares = np.square(values)
-    return float(np.sqrt(np.mean(squares.sum(axis=1) if squares.ndim > 1 else squares)))
 
 
 def run(case: Case) -> Outcome:

@@ -140,7 +140,7 @@ def beside_scipy() -> list[Row]:
                 processor_each(lambda: scipy_fit(model, observations, free), least=1, repeats=3),
             ),
             Row(
-                "fit() as a whole: errors, 4 folds left out, noise floor",
+                "fit() as a whole: errors at held-out poses of 4 folds, noise floor",
                 processor_each(lambda: fit(model, data), least=3, repeats=3),
             ),
         ]

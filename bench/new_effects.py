@@ -37,7 +37,7 @@ from twins import hexapod
 from virtual_lines import Creep, LinedRobot, Pulleys, Tension
 from virtual_struts import UniversalJoints
 
-from bench.blind import how_named, interval, put_between
+from bench.blind import how_named, interval, put_between, rms, select_others
 from bench.slices import add_options, run_missing
 from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.diagnose import diagnose
@@ -698,12 +698,8 @@ def count_hows(some: list[Outcome]) -> Counter[str]:
 def list_others(some: list[Outcome]) -> Counter[str]:
     """Return what was named besides what hides, in how many sessions."""
     hidden = some[0].case.hidden
-    names = {*KINDS[hidden].names} if hidden else set()
-    return Counter(n for o in some for n in o.named if not {*n.split(" or ")} & names)
-
-
-def rms(values: list[float]) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
+    names = KINDS[hidden].names if hidden else ()
+    return Counter(n for o in some for n in select_others(o.named, names))
 
 
 def table_lines(outcomes: list[Outcome]) -> list[str]:

@@ -9,6 +9,7 @@ import os
 import pytest
 
 from bench import camera
+from bench.blind import rms
 
 RUNS = int(os.environ.get("CAMERA_STUDY_RUNS", "20"))
 KEPT = [*camera.kept(camera.STUDY).values()]
@@ -70,7 +71,7 @@ def test_a_case_that_is_in_the_file_is_not_run_again(monkeypatch, tmp_path):
 @pytest.mark.parametrize(("robot", "limit"), [("delta", 70e-6), ("stewart", 40e-6), ("ur5", 65e-6)])
 def test_intervals_of_the_lens_and_of_positions_hold_the_truth(robot, limit):
     some = [camera.measure(c) for c in camera.list_cases(RUNS, [1.0], [f"nothing on {robot}"])]
-    errors, stated = (camera.rms([getattr(o, n) for o in some]) for n in ("camera", "stated"))
+    errors, stated = (rms([getattr(o, n) for o in some]) for n in ("camera", "stated"))
     assert sum(o.positions for o in some) >= 0.93 * len(some)
     assert sum(o.lens for o in some) >= 0.93 * len(some)
     assert errors < limit
