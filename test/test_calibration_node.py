@@ -36,7 +36,7 @@ from parallel_cal_msgs.srv import (
     SaveSamples,
 )
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import GetParameterTypes, SetParameters
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.task import Future
 from ros_helpers import NodeProcess
@@ -557,21 +557,28 @@ def test_a_goal_that_rclpy_dropped_does_not_keep_the_next_one_out():
         one.begin("the third")
 
 
-def test_a_goal_without_an_answer_is_sent_again(full, monkeypatch):
-    monkeypatch.setattr(node_client, "RESEND_INTERVAL_S", 0.05)
-    server = SimpleNamespace(server_is_ready=lambda: True, sent=[])
+def test_a_node_that_does_not_know_a_client_yet_is_asked_again(full, monkeypatch):
+    create, lost = full.client._node.create_client, []
 
-    def send(goal, feedback):
-        server.sent.append(Future())
-        if len(server.sent) == 3:
-            server.sent[0].set_result(SimpleNamespace(accepted=False))
-            server.sent[2].set_result(SimpleNamespace(accepted=True))
-        return server.sent[-1]
+    def create_unknown(type, name):
+        """Create a client of which the node drops the first two answers."""
+        client = create(type, name)
+        if type is not GetParameterTypes:
+            return client
 
-    server.send_goal_async = send
-    monkeypatch.setitem(full.client._clients, "deaf", server)
-    assert full.client.send_goal(Identify, "deaf", print).accepted
-    assert len(server.sent) == 3
+        def call(request):
+            if len(lost) == 2:
+                return client.call_async(request)
+            lost.append(Future())
+            return lost[-1]
+
+        return SimpleNamespace(service_is_ready=client.service_is_ready, call_async=call)
+
+    monkeypatch.setattr(node_client, "ASK_AGAIN_S", 0.05)
+    monkeypatch.setattr(full.client._node, "create_client", create_unknown)
+    monkeypatch.setattr(full.client, "_clients", {})
+    assert full.call(Trigger, "clear_samples").success
+    assert len(lost) == 2
 
 
 @pytest.mark.wide

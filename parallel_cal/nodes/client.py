@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
+from rcl_interfaces.srv import GetParameterTypes
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.task import Future
@@ -24,7 +25,7 @@ from parallel_cal.nodes.parameters import LATCHED
 
 KINEMATICS, CALIBRATION = "kinematics_node", "calibration_node"
 TIMEOUT_S = 30.0  # s for an answer that takes less than 1 s on a machine without other load
-RESEND_INTERVAL_S = 5.0  # s without an answer, after which a goal is sent again
+ASK_AGAIN_S = 1.0  # s without an answer, after which a node is asked again whether it knows us
 
 
 class NodeError(ParallelCalError):
@@ -134,9 +135,7 @@ class Client:
 
     def ask(self, type: Any, name: str, **fields: Any) -> Future:
         """Send a request to a service and return the future of its response."""
-        if name not in self._clients:
-            self._clients[name] = self._node.create_client(type, name)
-        client = self._clients[name]
+        client = self._known_client(name, lambda: self._node.create_client(type, name))
         self.wait(client.service_is_ready, f"service {name}")
         return client.call_async(type.Request(**fields))
 
@@ -164,30 +163,37 @@ class Client:
         return newest
 
     def send_goal(self, type: Any, name: str, hear: Callable[[Any], None], **fields: Any) -> Any:
-        """Send a goal and return its handle; `hear` receives the feedback.
-
-        A server drops its answer and the goal if it does not find the client within 0.1 s. That
-        happens on a busy machine with a client that was just created, so the goal is sent again.
-        """
-        if name not in self._clients:
-            self._clients[name] = ActionClient(self._node, type, name)
-        client = self._clients[name]
+        """Send a goal and return its handle; `hear` receives the feedback."""
+        client = self._known_client(name, lambda: ActionClient(self._node, type, name))
         self.wait(client.server_is_ready, f"action {name}")
-        goal, sent, again = type.Goal(**fields), list[Future](), 0.0
+        sent = client.send_goal_async(type.Goal(**fields), lambda m: hear(m.feedback))
+        return self.await_result(sent, f"the acceptance of {name}")
 
-        def handles() -> list[Any]:
-            return sorted((f.result() for f in sent if f.done()), key=lambda h: not h.accepted)
+    def _known_client(self, name: str, create: Callable[[], Any]) -> Any:
+        """Return the client of a service or an action, known to the node that offers it.
 
-        def settled() -> bool:
+        A server drops its answer if it does not find the client within 0.1 s, which happens on a
+        busy machine. A node finds the clients of another in the order of their creation, so that
+        its answer to a younger one shows that it knows the older ones. The younger one asks for
+        nothing (the types of no parameters) and may therefore ask again.
+        """
+        if name in self._clients:
+            return self._clients[name]
+        client, node = create(), name.rpartition("/")[0]
+        younger = self._node.create_client(GetParameterTypes, f"{node}/get_parameter_types")
+        asked, again = list[Future](), 0.0
+
+        def answered() -> bool:
             nonlocal again
-            if time.monotonic() > again:
-                sent.append(client.send_goal_async(goal, lambda m: hear(m.feedback)))
-                again = time.monotonic() + RESEND_INTERVAL_S
-            known = handles()
-            return len(known) == len(sent) or (bool(known) and known[0].accepted)
+            if younger.service_is_ready() and time.monotonic() > again:
+                asked.append(younger.call_async(GetParameterTypes.Request()))
+                again = time.monotonic() + ASK_AGAIN_S
+            return any(future.done() for future in asked)
 
-        self.wait(settled, f"the acceptance of {name}")
-        return handles()[0]
+        self.wait(answered, f"an answer of {node}")
+        self._node.destroy_client(younger)
+        self._clients[name] = client
+        return client
 
 
 def use_private_domain() -> str:
