@@ -594,10 +594,16 @@ class Outcome:
         return not self.named if not self.case.hidden else self.how != "not"
 
 
+def is_of_robot(effect: Any) -> bool:
+    """Whether the robot errs, not the device: a dict is physics of a cable robot."""
+    if isinstance(effect, vs.Gauge):
+        return False
+    return isinstance(effect, dict) or type(effect).device is vr.Effect.device
+
+
 def true_error(model: Model, robot: Robot, effects: list[Any], seed: int) -> float:
     """Rms position error (m) at other poses of the same robot."""
-    own = [e for e in effects if isinstance(e, dict) or type(e).device is vr.Effect.device]
-    other = robot.measured(own, seed + OTHER, loud=0.0)
+    other = robot.measured(list(filter(is_of_robot, effects)), seed + OTHER, loud=0.0)
     found = Kinematics(model.robot()).direct(other.q, other.conditions)
     return float(np.sqrt(np.mean(np.sum((found.position - other.r) ** 2, axis=1))))
 
@@ -628,7 +634,7 @@ def best_error(case: Case, model: Model, data: Dataset, effects: list[Any]) -> f
     """True error of the model with what truly hides, fitted to the same samples."""
     if case.hidden:
         kind = KINDS[case.hidden]
-        if not isinstance(effects[0], dict) and type(effects[0]).device is not vr.Effect.device:
+        if not is_of_robot(effects[0]):
             return None
         model = model.with_effect(kind.names[0], kind.constants(effects[0]))
     best = fit(model, data, insist=True).model

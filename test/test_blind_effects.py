@@ -37,3 +37,14 @@ def test_errors_are_compared_with_the_best_possible_model():
 def test_the_first_round_has_five_draws_of_every_row_before_the_sixth_of_any():
     cases = ne.list_cases(6, ["twisted struts", "offset joints"])
     assert [c.seed for c in cases] == [*range(5), *range(5), 5, 5]
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("name", ne.KINDS)
+def test_what_hides_moves_the_robot_unless_only_the_device_errs(name):
+    kind = ne.KINDS[name]
+    robot = ne.ROBOTS[kind.robots[0]]
+    effect = ne.sized(robot, kind, 0)
+    moved = ne.true_error(robot.model(), robot, [effect], 0)
+    still = ne.true_error(robot.model(), robot, [], 0)
+    assert (moved != still) == ne.is_of_robot(effect)
