@@ -123,9 +123,8 @@ class Guard:
         if not bad:
             return None
         i, words = min(bad, key=lambda found: found[0])
-        if words == STATUS_WORDS[Status.OUTSIDE_LIMITS]:
-            exceeded = describe_exceeded_limits(self.model.mechanism, q[i])
-            words += f" ({exceeded})" if exceeded else ""
+        exceeded = describe_exceeded_limits(self.model.mechanism, q[i])
+        words += f" ({exceeded})" if exceeded else ""
         return i / max(len(q) - 1, 1), words
 
     def describe_violation(self, q: np.ndarray) -> str:

@@ -194,10 +194,12 @@ def separate_outliers(robots: Sequence[Evidence], chance: float) -> SeparatedPop
     estimated without the outliers, and all robots are tested against the upper end of its spread,
     until the outliers repeat.
     """
+    from scipy.stats import median_abs_deviation
+
     A, g = stack_evidence(robots)
     alone = np.linalg.solve(A + np.eye(A.shape[1]), g[..., None])[..., 0]
     mean = np.median(alone, axis=0)
-    spread = np.maximum(1.4826 * np.median(np.abs(alone - mean), axis=0), 1e-3)
+    spread = np.maximum(median_abs_deviation(alone, scale="normal"), 1e-3)
     seen: list[frozenset[int]] = []
     while True:
         out = _find_outliers(robots, mean, spread, chance)
