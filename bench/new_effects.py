@@ -368,10 +368,12 @@ def knock(size: float, rng: np.random.Generator, n: int) -> Any:
 
 def bent(size: float, rng: np.random.Generator, n: int) -> Any:
     form = np.reshape(some(size, rng, 27), (3, 3, 3))
-    return more.BentSpace(tuple(form + form.transpose(0, 2, 1)), (0.0, 0.0, 0.2))
+    home = (0.0, 0.0, 0.2 if n == 3 else 0.3)
+    return more.BentSpace(tuple(form + form.transpose(0, 2, 1)), home)
 
 
 def refraction(size: float, rng: np.random.Generator, n: int) -> Any:
+    """Seen from the base, so that it is mostly linear where the robot moves."""
     form = np.zeros((3, 3, 3))
     form[:2, 2, 2] = some(size, rng, 2)
     return more.BentSpace(tuple(form), (0.0, 0.0, 0.0))
@@ -486,7 +488,9 @@ KINDS = {
     "cross-talk": Kind(("encoder_crosstalk",), ("delta", "stewart"), dragged, 1e-3),
     "knock": Kind(("device_bump",), ("delta", "stewart"), knock, 20e-6),
     "bent space": Kind(("device_field",), ("fine delta", "stewart"), bent, 1e-3),
-    "refraction": Kind(("device_field",), ("fine delta", "stewart"), refraction, 2e-3),
+    "refraction": Kind(
+        ("device_field", "device_axes"), ("fine delta", "stewart"), refraction, 2e-3
+    ),
     "leaning base": Kind(("base_compliance",), ("fine delta", "stewart"), leaning, 0.2e-3),
     "twisted struts": Kind(("strut_rotation",), ("stewart",), twisted, 1e-3),
     "offset joints": Kind(("universal_joint_offset",), ("stewart",), apart, 1e-3),
