@@ -40,7 +40,8 @@ import law_sessions as ls
 import virtual_blind as vb
 
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.discovery.discovery import Discovery, discover
+from parallel_cal.discovery.discovery import discover
+from parallel_cal.discovery.law import Discovery
 from parallel_cal.fleet.cluster import cluster, run_each
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import new_model

@@ -24,9 +24,9 @@ from .diagnosis.comparison import Comparison as Comparison
 from .diagnosis.comparison import compare as compare
 from .diagnosis.diagnose import Diagnosis as Diagnosis
 from .diagnosis.diagnose import diagnose as diagnose
-from .discovery.discovery import Discovery as Discovery
-from .discovery.discovery import Law as Law
 from .discovery.discovery import discover as discover
+from .discovery.law import Discovery as Discovery
+from .discovery.law import Law as Law
 from .exporting.export import ExportResult as ExportResult
 from .exporting.export import export as export
 from .identification.fit import FitResult as FitResult

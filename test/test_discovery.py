@@ -27,13 +27,7 @@ from parallel_cal.cli import main as cli
 from parallel_cal.diagnosis.catalogue import find_new_parameters
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.scene import columns as compute_effect_columns
-from parallel_cal.discovery.discovery import (
-    discover,
-    find_rival,
-    find_winner,
-    refine_members,
-    sort_by_preference,
-)
+from parallel_cal.discovery.discovery import discover
 from parallel_cal.discovery.drivers import list_drivers
 from parallel_cal.discovery.effect_file import load_text, write_effect, write_effect_file
 from parallel_cal.discovery.folds import choose_in_folds
@@ -50,6 +44,12 @@ from parallel_cal.discovery.nulls import characterise_noise, compute_threshold, 
 from parallel_cal.discovery.parts import find_parts
 from parallel_cal.discovery.places import Site, list_places, list_sites
 from parallel_cal.discovery.screening import Hypothesis, Screening, Targets
+from parallel_cal.discovery.search import (
+    find_rival,
+    find_winner,
+    refine_members,
+    sort_by_preference,
+)
 from parallel_cal.effects._legs import leg_inclinations, needs_legs
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.effect import Seen

@@ -10,9 +10,9 @@ from workbench_page import LONG, Served, opened, until
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.cli import main as cli
-from parallel_cal.discovery.discovery import Discovery, Law
 from parallel_cal.discovery.folds import Choice
 from parallel_cal.discovery.in_session import discover_in_session, name_effect, write_laws
+from parallel_cal.discovery.law import Discovery, Law
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.shelf import add_plugin_folder, load_effect

@@ -13,8 +13,9 @@ from parallel_cal.campaign.targets import (
     make_targets,
     plan_distinguishing_poses,
 )
-from parallel_cal.discovery.discovery import Discovery, discover
+from parallel_cal.discovery.discovery import discover
 from parallel_cal.discovery.in_session import list_effects
+from parallel_cal.discovery.law import Discovery
 from parallel_cal.discovery.rivals import pair_laws
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.model import Model

@@ -8,8 +8,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from parallel_cal.base.progress import Progress
-from parallel_cal.discovery.discovery import Discovery, Law, discover
+from parallel_cal.discovery.discovery import discover
 from parallel_cal.discovery.effect_file import write_effect_file
+from parallel_cal.discovery.law import Discovery, Law
 from parallel_cal.session.session import Session
 
 DIGEST_LENGTH = 6  # hex digits in the name of a law: names of different laws differ

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 from parallel_cal.diagnosis.search import Chosen, Trial
 from parallel_cal.diagnosis.separate import RivalPair
-from parallel_cal.discovery.discovery import Discovery
 from parallel_cal.discovery.effect_file import load_text
+from parallel_cal.discovery.law import Discovery
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.options import FitOptions
 

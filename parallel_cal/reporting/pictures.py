@@ -9,7 +9,7 @@ from parallel_cal.base.arguments import describe_argument
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.diagnosis.comparison import Comparison
 from parallel_cal.diagnosis.diagnose import Diagnosis
-from parallel_cal.discovery.discovery import Discovery
+from parallel_cal.discovery.law import Discovery
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.reporting import contents, figures, spaces
 from parallel_cal.reporting.readable import unit_of

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from parallel_cal.diagnosis.comparison import Comparison
     from parallel_cal.diagnosis.diagnose import Diagnosis
     from parallel_cal.diagnosis.entries import Entry
-    from parallel_cal.discovery.discovery import Discovery
+    from parallel_cal.discovery.law import Discovery
     from parallel_cal.session.steps import Step
 
 # Limits on what one screen shows.

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from parallel_cal.base.documents import to_json_value
-from parallel_cal.discovery.discovery import Discovery
+from parallel_cal.discovery.law import Discovery
 from parallel_cal.reporting.blocks import as_rows
 from parallel_cal.reporting.figures import law_over_shape
 from parallel_cal.reporting.readable import write_micro

@@ -1,0 +1,175 @@
+"""Judge the laws of a search at held-out poses, as `add` judges an effect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from parallel_cal.base.parallel import Runner
+from parallel_cal.diagnosis.field import Field
+from parallel_cal.diagnosis.noise import NoiseLevel
+from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.diagnosis.verdict import share_explained
+from parallel_cal.discovery.drivers import (
+    PLACES,
+)
+from parallel_cal.discovery.effect_file import (
+    list_coefficients,
+    load_text,
+    write_effect,
+    write_formula,
+)
+from parallel_cal.discovery.folds import Choice, choose_in_folds
+from parallel_cal.discovery.law import Law
+from parallel_cal.discovery.names import (
+    describe_data,
+    describe_law,
+    list_ranges,
+    name_law,
+    name_place,
+)
+from parallel_cal.discovery.places import (
+    DEVICE,
+)
+from parallel_cal.discovery.screening import Targets
+from parallel_cal.discovery.search import Winner
+from parallel_cal.discovery.shape import find_shape
+from parallel_cal.identification.checks import ImplausibleGeometryError
+from parallel_cal.identification.options import FitOptions
+from parallel_cal.model.model import Model
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.session.steps import Step, add
+
+
+@dataclass(frozen=True)
+class Proof:
+    """Laws that were judged one after the other: the model with those that were accepted, its
+    chi2/dof, and their columns (n, k) beside those of earlier laws."""
+
+    model: Model
+    chi2_per_dof: float
+    columns: np.ndarray
+    laws: list[Law]
+    winners: list[Winner]
+
+
+def prove_all(
+    before: Proof,
+    winners: Sequence[tuple[Winner, float]],
+    dataset: Dataset,
+    options: FitOptions,
+    scene: Scene,
+    run: Runner,
+) -> Proof:
+    """Judge laws, each with its limit, beside those that were accepted before."""
+    model, chi2, columns, laws = before.model, before.chi2_per_dof, before.columns, list[Law]()
+    for winner, threshold in winners:
+        targets = Targets.of(scene, scene.residual[:, None], columns)
+        choice = choose_in_folds(targets, winner.formula, run)
+        law, step = _prove(winner, threshold, choice, model, dataset, options, scene)
+        laws.append(law)
+        if not law.against:
+            model, chi2 = step.model, step.result.estimate.chi2_per_dof
+            columns = np.hstack([columns, winner.formula.columns])
+    return Proof(model, chi2, columns, laws, [winner for winner, _ in winners])
+
+
+def _prove(
+    winner: Winner,
+    threshold: float,
+    choice: Choice,
+    model: Model,
+    dataset: Dataset,
+    options: FitOptions,
+    scene: Scene,
+) -> tuple[Law, Step]:
+    """Judge a law as `add` judges an effect, and describe it with the refitted numbers."""
+    formula = winner.formula
+    hypothesis = formula.hypothesis
+    sentence, tested = describe_law(hypothesis), list_ranges(hypothesis)
+    where = describe_data(dataset, tested)
+    name = load_text(write_effect(formula, sentence, where))
+    # With the samples in which the law was found.
+    judge = partial(add, model, name, dataset, force=True, knocked=())
+    try:
+        step = judge(options=options)
+    except ImplausibleGeometryError:  # geometry imitates the law: known sizes decide how much
+        step = judge(options=replace(options, prior=True))
+    refitted = step.result.parameters()
+    coefficients = []
+    for c in list_coefficients(formula):
+        p = refitted[f"{name}.{c.name}"]
+        coefficients.append(replace(c, value=p.value, sigma=None if c.scanned else p.sigma))
+    own = {c.name: (c.value, c.sigma) for c in coefficients}
+    assert step.rival is not None
+    noise = NoiseLevel.of(scene, Field.of(scene), structured=True).variance
+    rivals: dict[str, str] = {}
+    for one in winner.equal:
+        rival = write_effect(one, describe_law(one.hypothesis), where)
+        rivals.setdefault(name_law(one.hypothesis), rival)
+    of_device = hypothesis.site.kind == DEVICE
+    against = step.acceptance.against.replace(f" with '{name}'", "").replace(name, "it")
+    device_may_err = step.acceptance.device_may_err
+    if not against:
+        against = _explain_device(winner)
+        device_may_err = bool(against)
+    if not against and not choice.is_clear:
+        against = (
+            "if its form and its constants are chosen without the held-out poses, the error there "
+            "falls by no more than its own uncertainty"
+        )
+    law = Law(
+        place=name_place(hypothesis),
+        drivers=hypothesis.families,
+        formula=write_formula(formula),
+        unit=hypothesis.site.unit,
+        parameters=tuple(coefficients),
+        share=share_explained(
+            step.rival.estimate.chi2_per_dof, step.result.estimate.chi2_per_dof, noise
+        ),
+        before=step.acceptance.before,
+        after=step.acceptance.after,
+        noise_floor=step.result.noise_floor,
+        tested=tested,
+        alternatives=tuple(rivals),
+        choice=choice,
+        evidence=winner.evidence,
+        threshold=threshold,
+        against=against,
+        device_may_err=device_may_err,
+        of_device=of_device,
+        sentence=sentence,
+        text=write_effect(formula, sentence, where, values=own),
+        shape=find_shape(scene, formula),
+        rivals=rivals,
+    )
+    return law, step
+
+
+def _explain_device(winner: Winner) -> str:
+    """Explain why the measuring device may cause the error of a law; empty if it may not.
+
+    A law of the platform's position alone is a field over the workspace, as a device has it. For a
+    law of the device, explain why the robot may cause the error."""
+    if winner.formula.hypothesis.site.kind == DEVICE:
+        if winner.rival is None:
+            return ""
+        return (
+            "the robot may cause it as well as the measuring device: "
+            f"{name_law(winner.rival)} explains nearly as much"
+        )
+    others = [one.hypothesis for one in winner.equal if one.hypothesis.site.kind == DEVICE]
+    if others:
+        return f"the measuring device may cause it: {name_law(others[0])} describes it as well"
+    if winner.rival is not None:
+        return f"the measuring device may cause it: {name_law(winner.rival)} explains more"
+    drivers = winner.formula.hypothesis.families
+    if set(drivers) <= set(PLACES) and not winner.excludes_device:
+        return (
+            f"the measuring device may cause it: it depends on {' and '.join(drivers)} alone, as "
+            "an error of a device does"
+        )
+    return ""
