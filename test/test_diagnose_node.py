@@ -24,6 +24,7 @@ from both_nodes import BothNodes, select_held_out
 from parallel_cal_msgs.action import Diagnose, Identify
 from parallel_cal_msgs.msg import CollectionStatus
 from parallel_cal_msgs.srv import AddEffect, Compare, ListSamples, LoadSamples
+from rcl_interfaces.srv import GetParameters
 from ros_helpers import calibrating
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
@@ -304,6 +305,7 @@ def test_while_an_effect_is_added_the_node_answers_but_takes_no_goal(loaded):
     assert not loaded.goal().accepted
     loaded.waits_for_event("goal rejected: an effect is being added")
     assert len(loaded.call(ListSamples, "list_samples").samples) == 20 * 94
+    assert loaded.call(GetParameters, "get_parameters", names=["hold_out"]).values
     assert not coming.done()
     answer = loaded.client.await_result(coming, "the effect", 120)
     assert answer.success, answer.message

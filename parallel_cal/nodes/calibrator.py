@@ -32,7 +32,7 @@ from parallel_cal.nodes.frames import Look, to_base_frame
 from parallel_cal.nodes.jobs import Job, JobServer, Say, Work, WorkSlot, describe_error
 from parallel_cal.nodes.managed_node import ManagedNode
 from parallel_cal.nodes.parameters import LATCHED, absolute
-from parallel_cal.nodes.run import run_in_spin_thread
+from parallel_cal.nodes.run import WorkerThreadGroup, run_in_spin_thread
 from parallel_cal.recordings.residuals import TOPICS, residual_messages
 from parallel_cal.session.goals import (
     Outcome,
@@ -106,8 +106,10 @@ class Calibrator:
             ),
         )
         self._actions = [JobServer(node, self.slot, job, say, group) for job in jobs]
-        # In the node's default group: it takes seconds and must not delay anything else.
-        node.create_service(AddEffect, "~/add_effect", self._add_effect)
+        # In a group of its own: it takes seconds and must not delay anything else.
+        node.create_service(
+            AddEffect, "~/add_effect", self._add_effect, callback_group=WorkerThreadGroup()
+        )
 
     def cancel(self) -> None:
         """End the work, if any; accept other goals."""
