@@ -125,7 +125,7 @@ class Robot:
         return handle
 
     def outcome(self, handle):
-        return self.client.await_result(handle.get_result_async(), "the result")
+        return self.client.await_result(handle.get_result_async(), "the result", 120)
 
     def identified(self, **goal):
         answer = self.outcome(self.identify(**goal))

@@ -548,6 +548,9 @@ def test_a_target_becomes_the_command_of_the_calibrated_inverse_and_others_nothi
     }
     bad["frame_id 'tool'"].header.frame_id = "tool"
     robot.client.wait(lambda: all_answered(robot, "target_pose"), "the counts")
+    targets.publish(PoseStamped(header=good.header, pose=pose((0.0, 0.02, 0.2))))
+    joints = robot.kinematics.inverse(np.array([0.0, 0.02, 0.2])).joints.tolist()
+    robot.client.wait(lambda: list(heard[-1].points[0].positions) == joints, "what is on its way")
     for reason, message in bad.items():
         before, commands = refused(robot), len(heard)
         targets.publish(message)
@@ -663,14 +666,19 @@ def test_stop_halts_a_robot_that_is_seen_and_refuses_where_it_is_unknown(robot):
     publish_until(robot, states, rest, poses)
 
 
+def traffic(robot):
+    """The counts of messages in the last diagnostics; empty before the first."""
+    told = robot.diagnostics.get("traffic")
+    return {v.key: v.value for v in told.values} if told else {}
+
+
 def all_answered(robot, channel):
-    counts = {v.key: v.value for v in robot.diagnostics["traffic"].values}
+    counts = traffic(robot)
     return counts.get(f"{channel} received") == counts.get(f"{channel} answered") is not None
 
 
 def refused(robot):
-    counts = {v.key: v.value for v in robot.diagnostics["traffic"].values}
-    return int(counts.get("target_pose refused", 0))
+    return int(traffic(robot).get("target_pose refused", 0))
 
 
 def outside_limits(robot):
