@@ -6,6 +6,7 @@ import virtual_blind as vb
 import virtual_findings as vf
 from findings import dataset, sized
 
+from bench import new_effects as ne
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.drift import ErrorSeries, compute_drift_log_likelihood
 from parallel_cal.diagnosis.thresholds import DRIFT_MEMORIES, DRIFT_VARIANCES
@@ -99,3 +100,13 @@ def test_a_true_drift_is_named_in_white_noise(kind):
     )
     assert set(found.effects) <= set(one.names)
     assert found.effects
+
+
+@pytest.mark.wide
+def test_a_verdict_says_which_effect_explains_no_more_than_drift_and_what_tells_them():
+    """Lines that creep by one sigma, in a session of five hours without a pose again at its end."""
+    robot, creep = ne.ROBOTS["four lines"], ne.sized(ne.ROBOTS["four lines"], ne.KINDS["creep"], 6)
+    found = diagnose(robot.model(), robot.measured([creep], 6))
+    assert found.verdict.word == "unexplained"
+    assert "line_creep would explain it no better than noise that drifts" in found.verdict.summary
+    assert "again and again over several hours" in found.verdict.summary

@@ -457,6 +457,7 @@ def _diagnose_trusted(
         unusual=find_unusual_effects(search, best),
         ambiguous=describe_ambiguities(ambiguous, measure_next.plan) if ambiguous else (),
         unseparated=explain_unseparated_device(base.fitted, best.fitted) if best.chosen else "",
+        drifting=tuple(sorted(catalogue.drifting)),
     )
     return Diagnosis(
         model=model,
@@ -625,8 +626,10 @@ def _search_effects(search: Search, catalogue: _Catalogue) -> tuple[Trial, dict[
 
     best, against = found()
     while True:
+        drifting = _find_imitated_by_drift(search, best, catalogue)
+        catalogue.drifting |= drifting & set(best.names)
         imitated = {
-            **dict.fromkeys(sorted(_find_imitated_by_drift(search, best, catalogue)), LIKE_DRIFT),
+            **dict.fromkeys(sorted(drifting), LIKE_DRIFT),
             **dict.fromkeys(_find_effects_of_load(search, best, catalogue), OF_LOAD),
         }
         if imitated.keys() <= catalogue.imitated.keys():
@@ -678,6 +681,8 @@ class _Catalogue:
         self._names, self._report = names, report
         # Effects that something else imitates, with the reason: the search leaves them out.
         self.imitated = dict[str, str]()
+        # Those that explained most until it was seen that noise which drifts explains as much.
+        self.drifting = set[str]()
         self._ranked: dict[frozenset[Chosen], list[Candidate]] = {}
 
     def rank(self, trial: Trial) -> list[Candidate]:

@@ -64,7 +64,7 @@ class Findings:
     significant effects fit only with a sign that physics forbids. `unusual` lists effects that are
     larger than usual. `ambiguous` are sentences about effects of the model that another effect
     would replace without loss. `unseparated` says that effects of the device move the robot further
-    than the errors show.
+    than the errors show. `drifting` lists effects of time that noise which drifts imitates.
     """
 
     base: Trial
@@ -83,6 +83,7 @@ class Findings:
     ambiguous: tuple[str, ...] = ()
     remaining: RemainingCondition | None = None
     unseparated: str = ""
+    drifting: tuple[str, ...] = ()
 
     @property
     def final_estimate(self) -> Estimate:
@@ -320,7 +321,13 @@ def _nothing_found(found: Findings, errors: str) -> Verdict:
             advice += ". But neighbouring residuals are similar: look at the map"
         return Verdict("at_noise", f"{words}: {advice}{noise or '.'}")
     nothing = "no effect of the catalogue explains it"
-    if found.refused:
+    if found.drifting:
+        one = load_effect(found.drifting[0])
+        nothing = (
+            f"{' and '.join(found.drifting)} would explain it no better than noise that drifts, of "
+            f"the device or of the robot; to tell them, measure {one.separated_by}"
+        )
+    elif found.refused:
         nothing = f"no effect explains it well ({found.refused[0]})"
     return Verdict(
         "unexplained",
