@@ -594,6 +594,11 @@ class Outcome:
         return how_named(self.named, KINDS[self.case.hidden].names)
 
     @property
+    def added(self) -> bool:
+        """Whether `add` made a model."""
+        return bool(self.named) and not self.refused
+
+    @property
     def right(self) -> bool:
         return not self.named if not self.case.hidden else self.how != "not"
 
@@ -680,8 +685,9 @@ def grouped(outcomes: list[Outcome]) -> dict[tuple[str, str], list[Outcome]]:
 
 
 def ratio_to_best(some: list[Outcome]) -> float:
-    """Rms true error after `add`, over that of the best possible models."""
-    errors = np.array([(o.after, o.best) for o in some if o.best is not None]).reshape(-1, 2)
+    """Rms true error after `add`, where it made a model, over that of the best possible models."""
+    judged = [o for o in some if o.added and o.best is not None]
+    errors = np.array([(o.after, o.best) for o in judged]).reshape(-1, 2)
     if not len(errors):
         return np.nan
     after, best = np.sqrt(np.mean(errors**2, axis=0))
@@ -716,8 +722,8 @@ def table_lines(outcomes: list[Outcome]) -> list[str]:
     """Return the lines of the page's table: a row for each robot and what hides in it."""
     lines = [
         "| hidden | robot | sessions | named alone | in an `A or B` | not named | interval | other "
-        "names | true error | over the best |",
-        "| --- | --- | --: | --: | --: | --: | --: | --: | --: | --: |",
+        "names | added | true error | over the best |",
+        "| --- | --- | --: | --: | --: | --: | --: | --: | --: | --: | --: |",
     ]
     for (robot, hidden), some in grouped(outcomes).items():
         hows, right = count_hows(some), sum(o.right for o in some)
@@ -728,6 +734,7 @@ def table_lines(outcomes: list[Outcome]) -> list[str]:
         cells = [what, WORDS[robot], str(len(some))]
         cells += [str(hows[how]) if hidden else "-" for how in ("alone", "or")] + [str(hows["not"])]
         cells += [interval(right, len(some)), str(sum(list_others(some).values()))]
+        cells.append(str(sum(o.added for o in some)) if hidden else "-")
         ratio = ratio_to_best(some)
         cells += [f"{before:.3g} -> {after:.3g} um", f"{ratio:.2f}" if np.isfinite(ratio) else "-"]
         lines.append(f"| {' | '.join(cells)} |")

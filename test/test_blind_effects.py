@@ -1,5 +1,7 @@
 """The table of the blind study of lines, struts and drives counts the outcomes beside the page."""
 
+import dataclasses
+
 import pytest
 
 from bench import new_effects as ne
@@ -31,7 +33,13 @@ def test_a_row_counts_how_what_hides_was_named():
 def test_errors_are_compared_with_the_best_possible_model():
     """3 and 5 um beside 3 and 3 um: sqrt(34 / 18)."""
     assert ne.ratio_to_best([WELL, EITHER]) == pytest.approx((34 / 18) ** 0.5)
-    assert cells([WELL])[0][8:] == ["20 -> 3 um", "1.00"]
+    assert cells([WELL])[0][8:] == ["1", "20 -> 3 um", "1.00"]
+
+
+def test_only_models_that_add_made_are_compared_with_the_best_one():
+    refused = dataclasses.replace(EITHER, after=EITHER.before, refused="robot or device")
+    assert ne.ratio_to_best([WELL, refused]) == pytest.approx(1)
+    assert cells([WELL, refused])[0][8] == "1"
 
 
 def test_the_first_round_has_five_draws_of_every_row_before_the_sixth_of_any():
