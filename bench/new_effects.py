@@ -57,6 +57,7 @@ START = "<!-- study of effects: written by bench/new_effects.py --page -->"
 END = "<!-- end of the study of effects -->"
 SIZE = 1.0  # sigmas of the residual that the geometry leaves of an effect
 ROUND = 5  # draws of every row before the next draws of any
+DRIFT = "noise that drifts"  # what an effect of time may be no better than
 HOWS = {"alone": "alone", "or": "in A or B", "not": "not"}  # how an effect is named
 OTHER = 10_000  # added to a seed for the poses at which a model is judged
 PLATE = 0.3  # m, under the gauge
@@ -595,8 +596,8 @@ class Outcome:
 
     @property
     def added(self) -> bool:
-        """Whether `add` made a model."""
-        return bool(self.named) and not self.refused
+        """Whether `add` made another model."""
+        return self.after != self.before
 
     @property
     def right(self) -> bool:
@@ -626,6 +627,7 @@ def run(case: Case) -> Outcome:
     data, model = robot.measured(effects, case.seed), robot.model()
     found = diagnose(model, data)
     named = tuple(" or ".join([name, *found.swaps.get(name, ())]) for name in found.effects)
+    named += tuple(f"{name} or {DRIFT}" for name in found.verdict.like_drift)
     plain = fit(model, data, insist=True).model
     served, refused = plain, ""
     if found.additions:

@@ -37,7 +37,7 @@ def test_errors_are_compared_with_the_best_possible_model():
 
 
 def test_only_models_that_add_made_are_compared_with_the_best_one():
-    refused = dataclasses.replace(EITHER, after=EITHER.before, refused="robot or device")
+    refused = dataclasses.replace(EITHER, after=EITHER.before)
     assert ne.ratio_to_best([WELL, refused]) == pytest.approx(1)
     assert cells([WELL, refused])[0][8] == "1"
 

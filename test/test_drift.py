@@ -108,5 +108,5 @@ def test_a_verdict_says_which_effect_explains_no_more_than_drift_and_what_tells_
     robot, creep = ne.ROBOTS["four lines"], ne.sized(ne.ROBOTS["four lines"], ne.KINDS["creep"], 6)
     found = diagnose(robot.model(), robot.measured([creep], 6))
     assert found.verdict.word == "unexplained"
-    assert "line_creep would explain it no better than noise that drifts" in found.verdict.summary
+    assert found.verdict.like_drift == ("line_creep",)
     assert "again and again over several hours" in found.verdict.summary

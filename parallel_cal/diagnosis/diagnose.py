@@ -245,6 +245,7 @@ class Diagnosis(ShownInNotebook):
             "robot_or_device": self.robot_or_device,
             "unusual": self.unusual,
             "suspected": self.suspected,
+            "like_drift": self.verdict.like_drift,
             "ambiguous": {one.effect: one.names for one in self.ambiguous},
             "structure": self.structure,
             "depends_on": self.remaining,
@@ -457,7 +458,7 @@ def _diagnose_trusted(
         unusual=find_unusual_effects(search, best),
         ambiguous=describe_ambiguities(ambiguous, measure_next.plan) if ambiguous else (),
         unseparated=explain_unseparated_device(base.fitted, best.fitted) if best.chosen else "",
-        drifting=tuple(sorted(catalogue.drifting)),
+        like_drift=tuple(sorted(catalogue.like_drift)),
     )
     return Diagnosis(
         model=model,
@@ -626,10 +627,10 @@ def _search_effects(search: Search, catalogue: _Catalogue) -> tuple[Trial, dict[
 
     best, against = found()
     while True:
-        drifting = _find_imitated_by_drift(search, best, catalogue)
-        catalogue.drifting |= drifting & set(best.names)
+        like_drift = _find_imitated_by_drift(search, best, catalogue)
+        catalogue.like_drift |= like_drift & set(best.names)
         imitated = {
-            **dict.fromkeys(sorted(drifting), LIKE_DRIFT),
+            **dict.fromkeys(sorted(like_drift), LIKE_DRIFT),
             **dict.fromkeys(_find_effects_of_load(search, best, catalogue), OF_LOAD),
         }
         if imitated.keys() <= catalogue.imitated.keys():
@@ -682,7 +683,7 @@ class _Catalogue:
         # Effects that something else imitates, with the reason: the search leaves them out.
         self.imitated = dict[str, str]()
         # Those that explained most until it was seen that noise which drifts explains as much.
-        self.drifting = set[str]()
+        self.like_drift = set[str]()
         self._ranked: dict[frozenset[Chosen], list[Candidate]] = {}
 
     def rank(self, trial: Trial) -> list[Candidate]:

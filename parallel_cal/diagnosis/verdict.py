@@ -42,6 +42,7 @@ class Verdict:
     """`at_noise`, `explained`, `partly_explained`, `unexplained` or `cannot_know`, and why.
 
     `suspected_of_law` lists effects found that may only imitate a law outside the catalogue.
+    `like_drift` lists effects of time that explain the error no better than noise that drifts.
     """
 
     word: str
@@ -49,6 +50,7 @@ class Verdict:
     share: float | None = None
     against: tuple[str, ...] = ()
     suspected_of_law: tuple[str, ...] = ()
+    like_drift: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,8 @@ class Findings:
     significant effects fit only with a sign that physics forbids. `unusual` lists effects that are
     larger than usual. `ambiguous` are sentences about effects of the model that another effect
     would replace without loss. `unseparated` says that effects of the device move the robot further
-    than the errors show. `drifting` lists effects of time that noise which drifts imitates.
+    than the errors show. `like_drift` lists effects of time that explain no more than noise that
+    drifts.
     """
 
     base: Trial
@@ -83,7 +86,7 @@ class Findings:
     ambiguous: tuple[str, ...] = ()
     remaining: RemainingCondition | None = None
     unseparated: str = ""
-    drifting: tuple[str, ...] = ()
+    like_drift: tuple[str, ...] = ()
 
     @property
     def final_estimate(self) -> Estimate:
@@ -160,7 +163,11 @@ def judge(found: Findings) -> Verdict:
     Whatever the verdict is, its summary names the effects that are larger than usual, those that
     the measuring device may cause, and those of the model that another effect would replace.
     """
-    verdict = replace(_judge(found), suspected_of_law=tuple(found.suspected_of_law))
+    verdict = replace(
+        _judge(found),
+        suspected_of_law=tuple(found.suspected_of_law),
+        like_drift=found.like_drift,
+    )
     doubts = [words for words in _describe_doubts(found) if words not in verdict.against]
     if not (doubts or found.ambiguous):
         return verdict
@@ -241,6 +248,7 @@ def _list_objections(found: Findings) -> list[str]:
     if chi2 > high:
         shown = format_distinctly([chi2, high])
         against.append(f"chi2/dof {shown[0]} is still above {shown[1]}")
+        against += _describe_like_drift(found)
     against += _describe_doubts(found)
     against += found.outdone
     against += found.wrong_signs
@@ -261,6 +269,15 @@ def _describe_doubts(found: Findings) -> list[str]:
         *_describe_suspected_law(found),
         *map(robot_or_device, found.robot_or_device),
         *([found.unseparated] if found.unseparated else []),
+    ]
+
+
+def _describe_like_drift(found: Findings) -> list[str]:
+    """Say which effects of time noise that drifts imitates, and what tells them from it."""
+    return [
+        f"{name} would explain the error no better than noise of the device or the robot that "
+        f"drifts; to tell them, measure {load_effect(name).separated_by}"
+        for name in found.like_drift
     ]
 
 
@@ -321,12 +338,8 @@ def _nothing_found(found: Findings, errors: str) -> Verdict:
             advice += ". But neighbouring residuals are similar: look at the map"
         return Verdict("at_noise", f"{words}: {advice}{noise or '.'}")
     nothing = "no effect of the catalogue explains it"
-    if found.drifting:
-        one = load_effect(found.drifting[0])
-        nothing = (
-            f"{' and '.join(found.drifting)} would explain it no better than noise that drifts, of "
-            f"the device or of the robot; to tell them, measure {one.separated_by}"
-        )
+    if found.like_drift:
+        nothing = "; ".join(_describe_like_drift(found))
     elif found.refused:
         nothing = f"no effect explains it well ({found.refused[0]})"
     return Verdict(
