@@ -2,6 +2,7 @@
 
 import dataclasses
 import tracemalloc
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -20,7 +21,12 @@ from parallel_cal.diagnosis.lack_of_fit import lack_of_fit, smooth_map
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.patterns import compute_residual_profiles, odd_samples, regions
 from parallel_cal.diagnosis.scene import Scene, SharedDerivatives, columns
-from parallel_cal.diagnosis.scoring import canonical_correlation, f_test, log_p_of, score
+from parallel_cal.diagnosis.scoring import (
+    canonical_correlation,
+    f_test,
+    log_p_of,
+    score,
+)
 from parallel_cal.diagnosis.search import Chosen, Search, Trial
 from parallel_cal.diagnosis.statistics import holm, morans_i, runs_test
 from parallel_cal.identification.estimate import NoSolutionError
@@ -31,6 +37,8 @@ from parallel_cal.identification.options import FitOptions
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model import structure
 from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import list_plugins, load_effect, load_mechanism
+from parallel_cal.model.structure import structure_of
 from parallel_cal.virtual import robot as vr
 
 
@@ -354,6 +362,16 @@ def test_a_scan_that_shares_derivatives_finds_the_same_setting():
     one, other = (candidate(s, "gear_transmission_error") for s in (scene, alone))
     assert one.settings == pytest.approx(other.settings)
     assert one.log_p == pytest.approx(other.log_p)
+
+
+def test_the_structures_of_a_diagnosis_of_three_effects_are_kept_for_the_next():
+    mechanism = load_mechanism("delta54")
+    names = [n for n in list_plugins("effects") if not load_effect(n).applies(mechanism)]
+    trios = [tuple(map(load_effect, trio)) for trio in list(combinations(names, 3))[:400]]
+    first = structure_of(mechanism, trios[0])
+    for trio in trios:
+        structure_of(mechanism, trio)
+    assert structure_of(mechanism, trios[0]) is first
 
 
 def test_a_fit_whose_validation_fails_is_no_trial(monkeypatch):
