@@ -3,6 +3,7 @@
 import dataclasses
 import tracemalloc
 from itertools import combinations
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from parallel_cal.diagnosis.scoring import (
     canonical_correlation,
     f_test,
     log_p_of,
+    resample_log_p,
     score,
 )
 from parallel_cal.diagnosis.search import Chosen, Search, Trial
@@ -362,6 +364,32 @@ def test_a_scan_that_shares_derivatives_finds_the_same_setting():
     one, other = (candidate(s, "gear_transmission_error") for s in (scene, alone))
     assert one.settings == pytest.approx(other.settings)
     assert one.log_p == pytest.approx(other.log_p)
+
+
+def test_resampled_groups_score_as_their_f_tests_if_every_pose_is_drawn_once(here, monkeypatch):
+    groups = [candidate(here, name).score.U for name in ("encoder_gain", "device_axes")]
+    monkeypatch.setattr(np, "bincount", lambda row, minlength: np.ones(minlength))
+    expected = [f_test(here.residual, U, here.dof)[1] for U in groups]
+    np.testing.assert_allclose(resample_log_p(here, groups, 2), [expected] * 2, rtol=1e-6)
+
+
+def test_resampling_many_poses_keeps_the_products_of_a_few_in_memory():
+    n, rng = 2000, np.random.default_rng(0)
+    columns = np.linalg.qr(rng.standard_normal((6 * n, 90)))[0]
+    scene = SimpleNamespace(
+        x=np.zeros((n, 1)),
+        rows=6,
+        group=np.arange(n),
+        basis=columns[:, :40],
+        residual=rng.standard_normal(6 * n),
+        dof=6 * n - 40,
+    )
+    groups = [columns[:, k : k + 5] for k in range(40, 90, 5)]
+    tracemalloc.start()
+    resample_log_p(scene, groups)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 60e6  # one matrix of all products for each pose: 130 MB
 
 
 def test_the_structures_of_a_diagnosis_of_three_effects_are_kept_for_the_next():
