@@ -199,7 +199,9 @@ def draw_figure(figure: dict[str, Any], words: str, before: Any = None) -> Any:
     """
     kept = {"uirevision": words}  # keeps zoom and camera
     config = {"displaylogo": False} | figure.get("config", {})
-    figure = figure | {"layout": figure["layout"] | FIGURE_LAYOUT | kept, "config": config}
+    layout = figure["layout"] | FIGURE_LAYOUT | kept
+    # NiceGUI watches every number of a list for changes, but not those of a tuple.
+    figure = figure | {"data": tuple(figure["data"]), "layout": layout, "config": config}
     if before is None:
         before = ui.plotly(figure).classes("w-full")
     else:
