@@ -136,6 +136,19 @@ def test_the_command_says_what_it_lacks(tmp_path, capsys):
         assert words in capsys.readouterr().err
 
 
+def test_a_session_that_the_command_starts_shows_its_numbers_without_reading_again(
+    tmp_path, monkeypatch
+):
+    from parallel_cal.cli.workbench import _create_session
+    from parallel_cal.workbench import bench
+
+    folder = tmp_path / "s"
+    _create_session(folder, Path(MODEL), [Path(BAG)], FitOptions(), None)
+    monkeypatch.setattr("parallel_cal.session.session.load_sessions", None)
+    bench._work(folder, "look", (), {}, tell=lambda *told: None)
+    assert "94 samples" in bench.load_view(Session(folder))["counts"]
+
+
 def test_a_view_is_parsed_once_and_again_if_its_file_changes(folder):
     from parallel_cal.workbench import bench
 
