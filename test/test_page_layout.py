@@ -476,6 +476,23 @@ def test_compare_shows_how_far_the_predictions_of_the_branches_differ(page):
 
 
 @pytest.mark.wide
+def test_the_numbers_of_a_step_are_painted_before_its_figures_are_drawn(page):
+    page.set_viewport_size({"width": 1280, "height": 3000})  # nothing is out of sight
+    page.get_by_role("button", name="Undo", exact=True).click()
+    page.locator("#verdict").get_by_text("compared with the measurements").wait_for()
+    page.get_by_role("figure", name="rms residual").locator(".point").first.wait_for()
+    page.evaluate("""() => {
+      const told = window.told = [], watch = (place, act) => new MutationObserver(act).observe(
+        document.querySelector(place), { subtree: true, childList: true, characterData: true });
+      watch("#headline", () => requestAnimationFrame(() => told.push("frame with the numbers")));
+      watch(".js-plotly-plot[aria-label^='rms residual']", () => told.push("figure"));
+    }""")
+    page.get_by_role("button", name="Redo", exact=True).click()
+    page.wait_for_function("() => told.includes('figure') && told.length > 1")
+    assert page.evaluate("told[0]") == "frame with the numbers"
+
+
+@pytest.mark.wide
 def test_buttons_for_marked_rows_wait_for_marks_and_excluding_for_a_reason(page):
     def button(name):
         return page.get_by_role("button", name=name, exact=True)
