@@ -390,7 +390,7 @@ def _column(seen: Seen) -> Any:
 
 # A diagnosis of three effects makes five hundred. Most of them are symbols alone; those that were
 # solved or fitted have functions of 2 MB. A smaller cache derives them anew in every diagnosis.
-@lru_cache(maxsize=2048)
+@lru_cache(maxsize=640)
 def _cached_structure(
     mechanism: Mechanism, effects: tuple[str, ...], sensors: tuple[Sensor, ...]
 ) -> Structure:
