@@ -8,6 +8,7 @@ import pytest
 import virtual_camera as vc
 from camera_cells import Cell
 from scipy.optimize import least_squares
+from virtual_effects_hidden import JointCompliance
 
 import parallel_cal as pc
 from parallel_cal.base.errors import FitError, ModelError, ModelFileError
@@ -220,6 +221,21 @@ def test_a_board_may_sit_anywhere_on_a_platform_that_hardly_turns():
         for cell in (near, far)
     ]
     assert error[1] < 1.2 * error[0]
+
+
+@pytest.mark.wide
+def test_a_descent_along_a_curved_valley_ends_where_nothing_is_left_to_gain():
+    """The platform hardly tells where the board sits: 200 iterations, and chi2 falls by 1e-4."""
+    gears = JointCompliance((0.36985896e-3, 0.30828404e-3, 0.39870595e-3))
+    cell = Cell(
+        "delta",
+        6,
+        (gears,),
+        board_at=(0.02428061, 0.0578851, -0.01335119),
+        payloads=(0.0, 1.5, 3.0),
+    )
+    found = pc.fit(with_camera(cell), cell.seen_by_camera(seed=6), hold_out=0)
+    assert found.estimate.chi2_per_dof == pytest.approx(1, abs=0.03)
 
 
 def test_a_stated_position_of_the_board_is_where_the_fit_begins():
