@@ -47,6 +47,7 @@ ROBOTS = {"delta": "Delta (`delta54`)", "stewart": "hexapod (`stewart42`)", "ur5
 LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
 HELD = 1.96  # sigmas of a 95 % interval
 UNSEEN = 200  # poses at which a model is judged
+BOARD_AT = ((-0.06, -0.06, -0.1), (0.06, 0.06, 0.05))  # m, its middle in {P}, at least and at most
 
 
 @dataclass(frozen=True)
@@ -154,9 +155,15 @@ def run(case: Case) -> Outcome:
     return look_for(case) if case.hidden else measure(case)
 
 
+def place_board(case: Case) -> tuple[float, float, float]:
+    """Where the middle of the board sits on the platform (m); the program is not told."""
+    x, y, z = np.random.default_rng([case.seed, 8]).uniform(*BOARD_AT)
+    return x, y, z
+
+
 def measure(case: Case) -> Accuracy:
     """Identify one robot by the camera and by the tracker, and compare both with the truth."""
-    cell = Cell(case.robot, case.seed)
+    cell = Cell(case.robot, case.seed, board_at=place_board(case))
     model = cell.drawn.with_sensors((cell.sensor(),))
     seen = fit(model, cell.seen_by_camera(seed=case.seed), hold_out=0)
     tracked = fit(cell.drawn, cell.seen_by_tracker(seed=case.seed), hold_out=0)
@@ -183,7 +190,13 @@ def look_for(case: Case) -> Finding:
     """Diagnose a robot in which something hides, as the camera sees it."""
     kind = KINDS[case.hidden]
     effects = kind.make(case.size * kind.size, np.random.default_rng([case.seed, 7]))
-    cell = Cell(case.robot, case.seed, effects=effects, payloads=kind.payloads)
+    cell = Cell(
+        case.robot,
+        case.seed,
+        effects=effects,
+        board_at=place_board(case),
+        payloads=kind.payloads,
+    )
     begin = time.process_time()
     model = cell.drawn.with_sensors((cell.sensor(),))
     found = diagnose(model, cell.seen_by_camera(seed=case.seed))

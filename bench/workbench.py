@@ -87,7 +87,7 @@ def time_page(browser: Any, session: Path, recordings: list[Path]) -> Iterator[R
         page.goto(served.url, wait_until="commit")
         page.get_by_role("region", name="Verdict").locator(".text-lg").first.wait_for()
         yield Row("command to the first numbers", time.perf_counter() - begin)
-        page.locator(".js-plotly-plot .main-svg").first.wait_for()
+        page.get_by_role("figure", name="rms residual").locator(".point").first.wait_for()
         yield Row("command to where the model fails", time.perf_counter() - begin)
         _rest(page)
         yield from _time_step(page, "Fit", "fit", "missing: backlash")

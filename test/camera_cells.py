@@ -45,6 +45,7 @@ class Cell:
     board: vc.Board = field(default_factory=vc.Board)
     sigma: float = 0.3
     name: str = "camera"
+    board_at: tuple[float, float, float] = (0.0, 0.0, 0.02)  # its middle on the platform, m
     payloads: tuple[float, ...] = ()  # kg, one after the other; empty: none, and none recorded
 
     @property
@@ -97,7 +98,7 @@ class Cell:
             return self._make(pose, vc.frame(centre - flat @ size, flat))
         eye = middle + [0.25, 0.1, 0.53]
         printed_up = board_turn @ turn(np.array([np.pi, 0.0, 0.0]))  # z points into the board
-        mount = vc.frame(np.array([0.0, 0.0, 0.02]) - printed_up @ size, printed_up)
+        mount = vc.frame(np.array(self.board_at) - printed_up @ size, printed_up)
         return self._make(vc.look_at(eye, middle, 0.1), mount)
 
     def _make(self, pose: np.ndarray, mount: np.ndarray) -> vc.Camera:

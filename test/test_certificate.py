@@ -164,6 +164,19 @@ def test_on_paper_nothing_is_folded_or_beyond_the_edge(made, tmp_path):
         )
         assert len(heights) == 20
         assert max(heights) < 20  # px
+        # A sample is one line. A long certificate begins on the first page; its decision and the
+        # line to sign are on one page.
+        rows = window.evaluate(
+            "[...document.querySelectorAll('#samples tbody tr')]"
+            ".map(e => e.getBoundingClientRect().height)"
+        )
+        assert max(rows) < 20  # px
+        breaks = window.evaluate(
+            "['#certificate', '.decision'].map("
+            "name => getComputedStyle(document.querySelector(name)).breakInside)"
+        )
+        assert breaks == ["auto", "avoid"]
+        assert window.locator(".decision .signature").count() == 1
         assert len(widths) > 10
         assert all(0 < figure <= place + 1 for figure, place in widths)
         browser.close()

@@ -701,6 +701,21 @@ def test_replay_without_ros_and_an_unknown_benchmark_are_clear_errors(run, monke
     fails(run("bench", "nonsense"), "unknown benchmark nonsense; expected one of")
 
 
+def test_all_benchmarks_run_each_table_once(run, monkeypatch):
+    ran = []
+
+    def ended(command, **_):
+        ran.append(Path(command[1]).stem)
+        return subprocess.CompletedProcess(command, 0)
+
+    monkeypatch.setattr(subprocess, "run", ended)
+    run("bench")
+    assert {"speed", "direct"} <= {*ran}
+    assert "peers" not in ran  # `speed` shows its tables
+    run("bench", "peers")
+    assert ran[-1] == "peers"
+
+
 def test_ctrl_c_ends_without_a_traceback(run, monkeypatch):
     from parallel_cal.recordings import loading
 

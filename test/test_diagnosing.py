@@ -2,6 +2,8 @@
 
 import dataclasses
 import tracemalloc
+from itertools import combinations
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,7 +22,13 @@ from parallel_cal.diagnosis.lack_of_fit import lack_of_fit, smooth_map
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.patterns import compute_residual_profiles, odd_samples, regions
 from parallel_cal.diagnosis.scene import Scene, SharedDerivatives, columns
-from parallel_cal.diagnosis.scoring import canonical_correlation, f_test, log_p_of, score
+from parallel_cal.diagnosis.scoring import (
+    canonical_correlation,
+    f_test,
+    log_p_of,
+    resample_log_p,
+    score,
+)
 from parallel_cal.diagnosis.search import Chosen, Search, Trial
 from parallel_cal.diagnosis.statistics import holm, morans_i, runs_test
 from parallel_cal.identification.estimate import NoSolutionError
@@ -31,6 +39,8 @@ from parallel_cal.identification.options import FitOptions
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model import structure
 from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import list_plugins, load_effect, load_mechanism
+from parallel_cal.model.structure import structure_of
 from parallel_cal.virtual import robot as vr
 
 
@@ -354,6 +364,42 @@ def test_a_scan_that_shares_derivatives_finds_the_same_setting():
     one, other = (candidate(s, "gear_transmission_error") for s in (scene, alone))
     assert one.settings == pytest.approx(other.settings)
     assert one.log_p == pytest.approx(other.log_p)
+
+
+def test_resampled_groups_score_as_their_f_tests_if_every_pose_is_drawn_once(here, monkeypatch):
+    groups = [candidate(here, name).score.U for name in ("encoder_gain", "device_axes")]
+    monkeypatch.setattr(np, "bincount", lambda row, minlength: np.ones(minlength))
+    expected = [f_test(here.residual, U, here.dof)[1] for U in groups]
+    np.testing.assert_allclose(resample_log_p(here, groups, 2), [expected] * 2, rtol=1e-6)
+
+
+def test_resampling_many_poses_keeps_the_products_of_a_few_in_memory():
+    n, rng = 2000, np.random.default_rng(0)
+    columns = np.linalg.qr(rng.standard_normal((6 * n, 90)))[0]
+    scene = SimpleNamespace(
+        x=np.zeros((n, 1)),
+        rows=6,
+        group=np.arange(n),
+        basis=columns[:, :40],
+        residual=rng.standard_normal(6 * n),
+        dof=6 * n - 40,
+    )
+    groups = [columns[:, k : k + 5] for k in range(40, 90, 5)]
+    tracemalloc.start()
+    resample_log_p(scene, groups)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 60e6  # one matrix of all products for each pose: 130 MB
+
+
+def test_the_structures_of_a_diagnosis_of_three_effects_are_kept_for_the_next():
+    mechanism = load_mechanism("delta54")
+    names = [n for n in list_plugins("effects") if not load_effect(n).applies(mechanism)]
+    trios = [tuple(map(load_effect, trio)) for trio in list(combinations(names, 3))[:400]]
+    first = structure_of(mechanism, trios[0])
+    for trio in trios:
+        structure_of(mechanism, trio)
+    assert structure_of(mechanism, trios[0]) is first
 
 
 def test_a_fit_whose_validation_fails_is_no_trial(monkeypatch):

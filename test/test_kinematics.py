@@ -217,3 +217,24 @@ def test_a_single_solve_needs_no_arrays(name, monkeypatch):
         answer = kinematics.direct(pose.joints)
         assert np.abs(answer.position - pose.position).max() < 1e-9
         assert np.abs(answer.rotation - pose.rotation).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", ["argos27", "stewart42"])
+def test_a_solution_that_needs_more_iterations_is_that_of_many_and_owns_its_arrays(name):
+    """Off nominal, these are some iterations away from their start: one sample goes on in the
+    buffers of its first iterations."""
+    mechanism = load_mechanism(name)
+    rows = np.zeros((20, 6))
+    rows[:, mechanism.controlled] = mechanism.sample(20, np.random.default_rng(3))
+    model = new_model(mechanism)
+    off = model.table.tolerance * np.random.default_rng(1).standard_normal(len(model.values))
+    kinematics = Kinematics(model.with_values(model.values + off))
+    joints = kinematics.inverse(rows[:, :3], rotation_matrix(rows[:, 3:])).joints
+    many, singles = kinematics.direct(joints), [kinematics.direct(q) for q in joints]
+    assert "single_refiner" in vars(kinematics.direct_problem)
+    for one, other in zip(many, singles, strict=True):
+        assert np.array_equal(one.position, other.position)
+        assert np.array_equal(one.rotation, other.rotation)
+        assert one.residual == other.residual
+        assert one.ok
+        assert other.ok

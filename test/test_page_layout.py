@@ -321,6 +321,13 @@ def test_the_verdict_comes_first_then_what_is_missing_then_where_it_fails(page, 
     else:
         assert missing["x"] + missing["width"] <= fails["x"]
         assert fails["y"] == verdict["y"]
+        live, samples, parameters = (
+            page.get_by_role("region", name=name, exact=True).bounding_box()
+            for name in ("Live", "Samples", "Parameters")
+        )
+        assert 0 < samples["y"] - (live["y"] + live["height"]) < 20  # no gap below a short column
+        assert samples["x"] == missing["x"]
+        assert parameters["x"] == fails["x"]
         assert fails["x"] + fails["width"] > 0.95 * width  # no third of the window is empty
     for name in ("STOP", "Pause", "Fit", "Save"):
         button = page.get_by_role("button", name=name, exact=True).bounding_box()
@@ -458,6 +465,8 @@ def test_the_keyboard_reaches_the_first_effect_in_ten_stops_and_shows_where_it_i
 
 @pytest.mark.wide
 def test_compare_shows_how_far_the_predictions_of_the_branches_differ(page):
+    failed = []
+    page.on("console", lambda m: failed.append(m.text) if "NaN" in m.text else None)
     page.get_by_role("button", name="Compare", exact=True).click()
     words = page.get_by_text("predictions of with backlash minus those of main")
     words.wait_for()
@@ -471,8 +480,27 @@ def test_compare_shows_how_far_the_predictions_of_the_branches_differ(page):
     # The last state of the other branch was not diagnosed: it has no residuals.
     page.get_by_role("figure", name="residuals of main").wait_for()
     page.get_by_text("with backlash: no residuals to show").wait_for()
+    page.locator("[aria-label='residuals of main'] canvas").first.wait_for()
+    assert not failed
     page.keyboard.press("Escape")
     page.get_by_text("predictions of with backlash minus").wait_for(state="hidden")
+
+
+@pytest.mark.wide
+def test_the_numbers_of_a_step_are_painted_before_its_figures_are_drawn(page):
+    page.set_viewport_size({"width": 1280, "height": 3000})  # nothing is out of sight
+    page.get_by_role("button", name="Undo", exact=True).click()
+    page.locator("#verdict").get_by_text("compared with the measurements").wait_for()
+    page.get_by_role("figure", name="rms residual").locator(".point").first.wait_for()
+    page.evaluate("""() => {
+      const told = window.told = [], watch = (place, act) => new MutationObserver(act).observe(
+        document.querySelector(place), { subtree: true, childList: true, characterData: true });
+      watch("#headline", () => requestAnimationFrame(() => told.push("frame with the numbers")));
+      watch(".js-plotly-plot[aria-label^='rms residual']", () => told.push("figure"));
+    }""")
+    page.get_by_role("button", name="Redo", exact=True).click()
+    page.wait_for_function("() => told.includes('figure') && told.length > 1")
+    assert page.evaluate("told[0]") == "frame with the numbers"
 
 
 @pytest.mark.wide

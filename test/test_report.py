@@ -45,8 +45,8 @@ SECTIONS = [
     "parameters",
     "what-the-data-do-not-determine",
     "unexplained-structure",
-    "samples",
     "provenance",
+    "samples",
 ]
 POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; "
@@ -131,7 +131,7 @@ def text(made):
 def test_the_page_begins_with_the_verdict_and_has_every_section_in_order(document, text):
     there = Page(text)
     assert [s for s in there.sections if s != "two-models-side-by-side"] == SECTIONS
-    assert there.sections[-3:] == ["two-models-side-by-side", "samples", "provenance"]
+    assert there.sections[-3:] == ["two-models-side-by-side", "provenance", "samples"]
     summary = document["diagnosis"]["summary"].replace(" um", " µm")
     assert there.text.index("explained") < there.text.index(summary) < there.text.index("History")
 

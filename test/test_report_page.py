@@ -32,8 +32,8 @@ PARTS = {  # those of the page that fold, in their order
     "Parameters",
     "What the data do not determine",
     "Unexplained structure",
-    "Samples",
     "Provenance",
+    "Samples",
 }
 
 

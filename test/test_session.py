@@ -53,6 +53,12 @@ def test_a_step_leaves_a_state_with_its_errors_and_its_model(session):
     assert session.options.hold_out == 0.5
 
 
+def test_a_new_session_does_not_read_its_recordings_again(tmp_path, monkeypatch):
+    session = Session.new(tmp_path / "new", read_model(MODEL), [BAG])
+    monkeypatch.setattr("parallel_cal.session.session.load_sessions", None)
+    assert len(session.samples) == 94
+
+
 def test_an_effect_that_helps_is_added_and_one_that_does_not_leaves_no_state(session):
     before = session.state
     with pytest.raises(FitError, match="thermal_expansion"):

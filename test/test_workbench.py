@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import os
 import re
 import resource
 import shutil
@@ -133,6 +134,41 @@ def test_the_command_says_what_it_lacks(tmp_path, capsys):
             main(arguments)
         assert ended.value.code == 1
         assert words in capsys.readouterr().err
+
+
+def test_a_session_that_the_command_starts_shows_its_numbers_without_reading_again(
+    tmp_path, monkeypatch
+):
+    from parallel_cal.cli.workbench import _create_session
+    from parallel_cal.workbench import bench
+
+    folder = tmp_path / "s"
+    _create_session(folder, Path(MODEL), [Path(BAG)], FitOptions(), None)
+    monkeypatch.setattr("parallel_cal.session.session.load_sessions", None)
+    bench._work(folder, "look", (), {}, tell=lambda *told: None)
+    assert "94 samples" in bench.load_view(Session(folder))["counts"]
+
+
+def test_a_view_is_parsed_once_and_again_if_its_file_changes(folder):
+    from parallel_cal.workbench import bench
+
+    session, file = Session(folder), bench.view_path(Session(folder))
+    bench._store_view(file, {"tiles": [1]})
+    first = bench.load_view(session)
+    assert bench.load_view(session) is first
+    os.utime(file, ns=(0, 0))
+    bench._store_view(file, {"tiles": [2]})
+    assert bench.load_view(session) == {"tiles": [2]}
+
+
+def test_nicegui_does_not_watch_the_numbers_of_a_figure():
+    from nicegui import Client, ui
+
+    from parallel_cal.workbench.widgets import draw_figure, make_chart
+
+    with Client(ui.page("/figure")):
+        figure = draw_figure(make_chart({}, "error [µm]"), "a figure")
+    assert type(figure.props["options"]["data"][0]["x"]) is list  # no observed list
 
 
 def test_a_port_in_use_is_refused_before_a_session_is_made(tmp_path, capsys):

@@ -32,13 +32,15 @@ FLAGS = ("-O2", "-fPIC", "-shared", "-fno-semantic-interposition", "-ffp-contrac
 class Single:
     """A function of vectors that is called through one buffer: microseconds a call, thread-safe.
 
-    A thread that holds the `lock` may fill `arguments` and `evaluate` into `results` in place.
+    A thread that holds the `lock` may fill `arguments` and `evaluate` into `results` in place. The
+    `arguments` may be arrays that another function reads or writes: then nothing is copied.
     """
 
-    def __init__(self, function: ca.Function):
+    def __init__(self, function: ca.Function, arguments: Sequence[np.ndarray] = ()):
         self._buffer, self.evaluate = function.buffer()
         self.lock = Lock()
-        self.arguments = [np.zeros(function.numel_in(i)) for i in range(function.n_in())]
+        sizes = range(function.n_in())
+        self.arguments = list(arguments) or [np.zeros(function.numel_in(i)) for i in sizes]
         self.results = [np.zeros(function.numel_out(i)) for i in range(function.n_out())]
         for i, array in enumerate(self.arguments):
             self._buffer.set_arg(i, array.data)

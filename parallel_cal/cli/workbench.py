@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import socket
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from threading import Thread
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -16,7 +18,7 @@ from parallel_cal.identification.options import FitOptions
 from parallel_cal.reporting import console
 
 if TYPE_CHECKING:
-    pass
+    from parallel_cal.base.worker import Worker
 
 
 @with_options
@@ -62,6 +64,7 @@ def workbench(
     error."""
     if find_spec("nicegui") is None:
         raise ParallelCalError("the workbench needs NiceGUI: pip install 'parallel_cal[workbench]'")
+    from parallel_cal.workbench.bench import make_worker
     from parallel_cal.workbench.server import LOOPBACK, serve
 
     if host not in LOOPBACK and not token:
@@ -83,7 +86,8 @@ def workbench(
                 "no model: give MODEL.yaml" + (" to start the nodes on" if ros else "")
             )
         folder = model if model.is_dir() else session or model.with_suffix(".session")
-        _prepare_session(folder, model, bags or [], options, data)
+        worker = make_worker()
+        _prepare_session(worker, folder, model, bags or [], options, data)
         output = output or served or folder / "model.yaml"
         if watch and not served:  # start both nodes on the file that Save writes
             from parallel_cal.model.file.modelfile import write_model
@@ -95,7 +99,8 @@ def workbench(
             console.note(f"started kinematics_node and calibration_node on {output}")
         address = f"http://{host}:{port}/" + (f"?token={token}" if token else "")
         console.note(f"{folder}: {address} (Ctrl-C stops the server; the session is kept)")
-        serve(folder, output, watch, host=host, port=port, token=token, show=browser)
+        how: dict[str, Any] = {"host": host, "port": port, "token": token, "show": browser}
+        serve(folder, output, watch, worker=worker, **how)
     finally:
         if watch:
             watch.close()
@@ -117,6 +122,7 @@ def _check_port(host: str, port: int) -> None:
 
 
 def _prepare_session(
+    worker: Worker,
     folder: Path,
     model: Path,
     bags: list[Path],
@@ -139,8 +145,18 @@ def _prepare_session(
         raise ParallelCalError(
             f"{model}: no session in this folder; give a model file and a recording"
         )
+    # The worker keeps the samples for its steps. To import NiceGUI takes as long as to read them.
+    Thread(target=import_module, args=("nicegui",), daemon=True).start()
+    worker.work(_create_session, folder, model, bags, options, data)
+
+
+def _create_session(
+    folder: Path, model: Path, bags: list[Path], options: FitOptions, data: list[str] | None
+) -> None:
+    """Start a session, and keep it open (in the worker)."""
     from parallel_cal.model.file.modelfile import read_model
     from parallel_cal.session.session import Session
+    from parallel_cal.workbench.bench import keep_open
 
     reading = data_options(data)
-    Session.new(folder, read_model(model), bags, reading=reading, fitting=options)
+    keep_open(Session.new(folder, read_model(model), bags, reading=reading, fitting=options))

@@ -26,7 +26,6 @@ from parallel_cal.diagnosis.thresholds import (
     MIN_LOG_EVIDENCE_GAIN,
     MIN_SEPARATION_SIGMAS,
 )
-from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.thresholds import LSTSQ_RANK_TOLERANCE
 from parallel_cal.model.model import Model
 
@@ -286,13 +285,11 @@ def _smooth_fields(scene: Scene) -> Iterator[np.ndarray]:
     Gaussian process with exp(-d^2 / 2 l^2), d in standard deviations of place. A coefficient of
     one moves the residuals by about one sigma.
     """
-    n, seen = len(scene.model.joints), scene.observations
-    if not seen.measured[:, n : n + 3].any():
+    n = len(scene.model.joints)
+    if not scene.observations.measured[:, n : n + 3].any():
         return
-    nothing = np.zeros(len(scene.model.values), dtype=bool)
-    rows = Linearisation(scene.model, seen, nothing, True).blocks(scene.model.values, scene.x)[1]
-    by_place = scene.whitener @ rows[:, :, n : n + 3]
-    by_place /= np.sqrt(np.sum(by_place**2) / (3 * len(by_place)))
+    by_place = scene.measured_jacobian[:, :, n : n + 3]
+    by_place = by_place / np.sqrt(np.sum(by_place**2) / (3 * len(by_place)))
     places = scene.x[:, n : n + 3]
     places = places / np.maximum(places.std(axis=0), 1e-12)
     for length in FIELD_LENGTHS:

@@ -573,7 +573,7 @@ def find_better_lookalikes(best: Trial, search: Search, catalogue: _Catalogue) -
     were refused: then the name or a plausible range is wrong."""
     found: dict[str, str] = {}
     for name in best.names:
-        others = search.fit(*(c for c in best.chosen if c.name != name))
+        others = search.fit(*(c for c in best.chosen if c.name != name), judged=False)
         if others.result is None:
             continue
         ranked = catalogue.rank(others)

@@ -8,7 +8,7 @@ import numpy as np
 
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.identification.image_poses import find_shown_poses
-from parallel_cal.identification.linearisation import Linearisation, compute_joint_jacobians
+from parallel_cal.identification.linearisation import compute_joint_jacobians
 from parallel_cal.identification.observations import UNMEASURED
 from parallel_cal.model.configuration import Configuration
 
@@ -85,12 +85,7 @@ class Field:
 
 def _compute_joint_jacobians(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """d pose / d q (N, 6, nq) along the closure, and d reading / d q (N, n_channels, nq)."""
-    linearise = Linearisation(
-        scene.model, scene.observations, np.zeros(len(scene.model.values), dtype=bool), True
-    )
-    moved_by, reading = compute_joint_jacobians(
-        scene.model, linearise.blocks(scene.model.values, scene.x)[1]
-    )
+    moved_by, reading = compute_joint_jacobians(scene.model, scene.by_measured)
     pose = np.zeros((len(moved_by), 6, len(scene.model.joints)))
     pose[:, scene.model.mechanism.moved] = moved_by
     return pose, reading

@@ -52,9 +52,10 @@ class Scene:
 
     residual (n,) and basis (n, rank) of the geometry's columns, with the rows of a sample together;
     x (N, nq+12) the configurations predicted from the joints. Regressors are evaluated there, never
-    at the measured pose: a noisy measurement would explain its own error. `whitener` (N, rows,
-    rows) turns rows of the closure into noise units, without unmeasured coordinates; `informative`
-    (N,) is the number of independent rows that remain for each sample.
+    at the measured pose: a noisy measurement would explain its own error. `by_measured` (N, rows,
+    nq + 6) are the derivatives of the rows by (q, r, w) there. `whitener` (N, rows, rows) turns
+    rows of the closure into noise units, without unmeasured coordinates; `informative` (N,) is the
+    number of independent rows that remain for each sample.
     """
 
     model: Model
@@ -62,6 +63,7 @@ class Scene:
     observations: Observations = field(repr=False)
     free: np.ndarray = field(repr=False)
     x: np.ndarray = field(repr=False)
+    by_measured: np.ndarray = field(repr=False)
     whitener: np.ndarray = field(repr=False)
     informative: np.ndarray = field(repr=False)
     residual: np.ndarray = field(repr=False)
@@ -83,7 +85,7 @@ class Scene:
         of other models of the same samples may have the same `shared` derivatives."""
         x = predict_configurations(model, observations)
         linearise = Linearisation(model, observations, free, True)
-        system, T = linearise(model.values, x), linearise.whiteners(model.values, x)
+        system, C = linearise(model.values, x), linearise.by_measured(model.values, x)
         r = system.residual.reshape(-1)
         J = system.jacobian.reshape(len(r), -1) * model.table.prior_sigma[free]
         basis = compute_orthonormal_basis(
@@ -98,7 +100,8 @@ class Scene:
             observations,
             free,
             x,
-            T,
+            C,
+            linearise.whiten(C),
             system.informative,
             residual,
             basis,
@@ -144,8 +147,7 @@ class Scene:
     @cached_property
     def measured_jacobian(self) -> np.ndarray:
         """d rows/d(q, r, w) at the predicted configurations, in noise units: (N, rows, nq + 6)."""
-        linearise = Linearisation(self.model, self.observations, np.zeros_like(self.free), True)
-        return np.asarray(self.whitener @ linearise.blocks(self.model.values, self.x)[1])
+        return np.asarray(self.whitener @ self.by_measured)
 
     def project_off_geometry(self, columns: np.ndarray) -> np.ndarray:
         """Remove from columns (n, k) the part that the free parameters can imitate."""

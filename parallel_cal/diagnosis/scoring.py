@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER, RESAMPLES
+
+POSES_AT_A_TIME = 64  # whose products are in memory: some 100 kB each
 
 
 @dataclass(frozen=True)
@@ -115,32 +118,44 @@ def resample_log_p(
     data's bases first, so that a resample costs sums of small Gram matrices. Scenes of the same
     poses with the same seed draw the same poses.
     """
-    Z = np.column_stack([scene.basis, *groups, scene.residual])
-    blocks = Z.reshape(-1, scene.rows, Z.shape[1])
+    n, p = len(scene.x), scene.basis.shape[1]
+    ends = np.cumsum([0, *[g.shape[1] for g in groups]])
+    own = [slice(begin, end) for begin, end in pairwise(ends.tolist())]
+    basis = scene.basis.reshape(n, scene.rows, p)
+    others = np.column_stack([*groups, scene.residual]).reshape(n, scene.rows, -1)
     names = np.unique(scene.group)
-    gram = []
-    for name in names:
-        rows = blocks[scene.group == name].reshape(-1, Z.shape[1])
-        gram.append(rows.T @ rows)
-    p, ends = scene.basis.shape[1], np.cumsum([scene.basis.shape[1], *[g.shape[1] for g in groups]])
     picks = np.random.default_rng(seed).integers(len(names), size=(resamples, len(names)))
     count = np.array([np.bincount(row, minlength=len(names)) for row in picks], dtype=float)
-    return _log_ps(np.tensordot(count, np.array(gram), axes=1), p, ends, scene.dof)
 
+    def products(name: float) -> np.ndarray:
+        """Products of the rows of one pose. A group needs those with the basis, with itself and
+        with the residual, not those with other groups."""
+        here = scene.group == name
+        A, B = basis[here].reshape(-1, p), others[here].reshape(-1, others.shape[2])
+        parts = [A.T @ A, A.T @ B, *(B[:, k].T @ B[:, k] for k in own), B.T @ B[:, -1]]
+        return np.concatenate([part.ravel() for part in parts])
 
-def _log_ps(G: np.ndarray, p: int, ends: np.ndarray, dof: int) -> np.ndarray:
-    """log p (resamples, k) of every group from Gram matrices of [basis, groups, residual]."""
+    drawn = sum(
+        count[:, begin : begin + POSES_AT_A_TIME]
+        @ np.array([products(name) for name in names[begin : begin + POSES_AT_A_TIME]])
+        for begin in range(0, len(names), POSES_AT_A_TIME)
+    )
+    sizes = [p * p, p * others.shape[2], *((k.stop - k.start) ** 2 for k in own)]
+    A, C, *squares, onto = np.split(drawn, np.cumsum(sizes), axis=1)
+    A, C = A.reshape(resamples, p, p), C.reshape(resamples, p, -1)
     # Directions that a resample does not see are held by a grain of the identity.
-    grain = 1e-9 * np.maximum(np.trace(G[:, :p, :p], axis1=1, axis2=2) / max(p, 1), 1e-12)
-    A = G[:, :p, :p] + grain[:, None, None] * np.eye(p)
-    left = G[:, p:, p:] - G[:, p:, :p] @ np.linalg.solve(A, G[:, :p, p:])
-    rr, logs = left[:, -1, -1], np.zeros((len(G), len(ends) - 1))
-    for column, begin, end in zip(logs.T, ends[:-1] - p, ends[1:] - p, strict=True):
-        q = end - begin
-        if not q or dof <= q:
+    grain = 1e-9 * np.maximum(np.trace(A, axis1=1, axis2=2) / max(p, 1), 1e-12)
+    S = np.linalg.solve(A + grain[:, None, None] * np.eye(p), C)
+    rr = onto[:, -1] - np.sum(C[:, :, -1] * S[:, :, -1], axis=1)
+    logs = np.zeros((resamples, len(groups)))
+    for column, k, square in zip(logs.T, own, squares, strict=True):
+        q = k.stop - k.start
+        if not q or scene.dof <= q:
             continue
-        M, g = left[:, begin:end, begin:end], left[:, begin:end, -1:]
+        across = C[:, :, k].transpose(0, 2, 1)
+        M = square.reshape(resamples, q, q) - across @ S[:, :, k]
+        g = onto[:, k, None] - across @ S[:, :, -1:]
         taken = (g.transpose(0, 2, 1) @ np.linalg.pinv(M, rcond=1e-6, hermitian=True) @ g)[:, 0, 0]
-        F = taken / q / np.maximum((rr - taken) / (dof - q), 1e-300)
-        column[:] = log_p_of(np.maximum(F, 0.0), q, dof - q)
+        F = taken / q / np.maximum((rr - taken) / (scene.dof - q), 1e-300)
+        column[:] = log_p_of(np.maximum(F, 0.0), q, scene.dof - q)
     return logs

@@ -26,6 +26,10 @@ from parallel_cal.identification.thresholds import (
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 
+PART_STEPS, PART_STEP = 2, 1e-6  # steps of Gauss-Newton; a finite difference, m or rad
+PART_RANK = (
+    1e-2  # what a platform tells of its parts by turning less is no matter of where they are
+)
 IMAGE_SCATTER = "scatter within images"  # source of a noise that is not stated
 
 
@@ -80,6 +84,40 @@ def add_joint_noise(
         "nij,njk,nlk->nil", to_pose, observations.S[known, :n, :n], to_pose
     )
     return replace(shown, covariance=covariance)
+
+
+def move_parts_to_shown_poses(model: Model, observations: Observations, parts: np.ndarray) -> Model:
+    """Move cameras and boards until the poses that the images show are nearest to the predicted
+    ones. The lenses stay. `parts` masks the parameters that state where they are.
+
+    In an image, a shift and a turn of the board nearly cancel. Least squares of pixels may leave
+    millimetres that all poses share, although they are an error of where the parts stand.
+    """
+    own = np.flatnonzero(parts)
+    x = predict_configurations(model, observations)
+    scale = np.repeat([1.0, model.mechanism.length], 3)
+
+    def away(values: np.ndarray) -> np.ndarray:
+        shown = find_shown_poses(model.with_values(values), observations, x)
+        assert shown is not None
+        return shown.change * scale
+
+    for _ in range(PART_STEPS):
+        here = away(model.values)
+        used = np.isfinite(here).all(axis=1)
+        if not used.any():
+            break
+        columns = []
+        for k in own:
+            moved = model.values.copy()
+            moved[k] += PART_STEP
+            columns.append((away(moved) - here)[used].ravel() / PART_STEP)
+        kept = np.isfinite(columns).all(axis=0)
+        J, e = np.stack(columns, axis=1)[kept], here[used].ravel()[kept]
+        values = model.values.copy()
+        values[own] -= np.linalg.lstsq(J, e, rcond=PART_RANK)[0]
+        model = model.with_values(values, model.covariance)
+    return model
 
 
 def measure_image_noise(model: Model, observations: Observations) -> Observations:

@@ -229,16 +229,16 @@ class Linearisation:
         informative -= np.rint(np.sum(explained**2, axis=(1, 2))).astype(int)
         return lambda step: here.apply_change(explain(r_all + A_all @ step, corrections)).rows
 
-    def whiteners(self, values: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """T (N, rows, rows) that converts rows into noise units, projects out unmeasured
-        coordinates and ignores channels that were not read."""
-        T = np.empty((len(x), self._rows, self._rows))
+    def by_measured(self, values: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Derivatives C (N, rows, nq+6) of the rows by the measured quantities (q, r, w)."""
+        C = np.empty((len(x), self._rows, self._n + 6))
         for part in _parts(x):
-            T[part] = self.whiten(self.blocks(values, x[part], part)[1], part)
-        return T
+            C[part] = self.blocks(values, x[part], part)[1]
+        return C
 
     def whiten(self, C: np.ndarray, part: slice = slice(None)) -> np.ndarray:
-        """`whiteners` of rows with the derivatives C (N, rows, nq+6) by the measured quantities."""
+        """T (N, rows, rows) that converts rows with the derivatives C into noise units, projects
+        out unmeasured coordinates and ignores channels that were not read."""
         K = self._whitening(self.covariance_of(C, part))
         explained, T = self._projection(K, C, part)[0], K
         if explained is not None:

@@ -67,8 +67,8 @@ def _place(
     error, best, there = min(found, key=lambda one: one[0])
     if not insist and error > MIN_DOUBTFUL_SHARE * model.mechanism.length:
         _require_no_better_variant(model, sensor, reading, reached, error)
-    frames = there.frames
-    return best.placed(frames.f, frames.F, frames.t, frames.T)
+    frames, usual = there.frames, nearest_rotation(there.R[there.placed].sum(axis=0))
+    return best.placed(frames.f, frames.F, frames.t, frames.T, usual)
 
 
 def _fit_views(

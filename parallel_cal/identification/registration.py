@@ -23,6 +23,7 @@ from parallel_cal.base.rotation import (
 )
 from parallel_cal.base.units import MM
 from parallel_cal.identification.checks import free_mask
+from parallel_cal.identification.image_poses import move_parts_to_shown_poses
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.methods import implicit
 from parallel_cal.identification.observability import find_independent_columns
@@ -191,14 +192,16 @@ def place_frames(
     own = placed.table.matching(patterns) & ~np.asarray(placed.fixed)
     # A fit fixes where parts stand as far as the robot explains it. Here the robot does not move.
     known = placed.table.matching(p for s in placed.sensors for p in s.fixed_patterns())
-    own |= _placements(placed) & ~_numbers(placed) & ~known
+    parts = _placements(placed) & ~_numbers(placed) & ~known
+    own |= parts
     if not own.any():
         return placed
     try:
         values = implicit.estimate(placed, observations, own, prior=None).values
     except FitError:  # the search does not converge: the views stay
         return placed
-    return placed.with_values(values, placed.covariance)
+    placed = placed.with_values(values, placed.covariance)
+    return move_parts_to_shown_poses(placed, observations, parts) if shows_pose(model) else placed
 
 
 def is_registrable(model: Model, there: DevicePoses | None) -> bool:

@@ -235,7 +235,7 @@ class Kinematics:
         """Solve one sample in microseconds; None unless it is regular and within limits."""
         one = problem.single_solver
         with one.lock:
-            row, a, k = one.arguments
+            row, a, _ = one.arguments
             try:
                 row[place] = given
                 if rotation is not None:
@@ -249,13 +249,15 @@ class Kinematics:
             one.evaluate()
             x, step, residual, pivot = one.results
             if not step.item() < MAX_SETTLED_STEP_M:
-                x, step, residual, pivot = problem.calls.refine_one(x, a, k)
+                problem.single_refiner.evaluate()
+                x, step, residual, pivot = problem.single_refiner.results
             usual = step.item() < MAX_SETTLED_STEP_M and pivot.item() > SUSPECT_PIVOT
             if not (usual and residual.item() < problem.largest):
                 return None
             x, error = x.copy(), residual[0]  # copies: the buffers are shared
         q = x[self._joints]
-        for (low, high), angle in zip(self._limits, q.tolist(), strict=True):
+        # The keyword `strict` would take as long as three comparisons; the lengths are the model's.
+        for (low, high), angle in zip(self._limits, q.tolist()):  # noqa: B905
             if not low <= angle <= high:
                 return None
         return Solutions.from_converged(q, x[self._position], x[self._turn].reshape(3, 3), error)

@@ -24,10 +24,6 @@ class _Calls:
         self.many = Batch(functions.solve, compile)
 
     @cached_property
-    def refine_one(self) -> Single:
-        return Single(self.refine.function)
-
-    @cached_property
     def refine(self) -> Batch:
         return Batch(self._refine, self._compile)
 
@@ -79,6 +75,12 @@ class Problem:
         for array, known in zip(single.arguments, (home, self.neutral, self.k), strict=True):
             array[:] = known
         return single
+
+    @cached_property
+    def single_refiner(self) -> Single:
+        """`refine` for one sample, from the end of `single_solver`, whose buffers it reads."""
+        begin, (_, a, k) = self.single_solver.results[0], self.single_solver.arguments
+        return Single(self.calls.refine.function, (begin, a, k))
 
     @cached_property
     def neutral(self) -> np.ndarray:

@@ -95,7 +95,9 @@ class Solutions:
         It bypasses `__init__`, which would take a microsecond of every solution.
         """
         one = object.__new__(cls)
-        one.__dict__.update(joints=q, position=r, rotation=R, residual=residual, status=CONVERGED)
+        own = one.__dict__
+        own["joints"], own["position"], own["rotation"] = q, r, R
+        own["residual"], own["status"] = residual, CONVERGED
         return one
 
     @classmethod

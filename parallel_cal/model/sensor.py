@@ -144,9 +144,12 @@ class Sensor(ABC):
         """
         return iter(())
 
-    def placed(self, f: np.ndarray, F: np.ndarray, t: np.ndarray, T: np.ndarray) -> Sensor:
+    def placed(
+        self, f: np.ndarray, F: np.ndarray, t: np.ndarray, T: np.ndarray, R: np.ndarray
+    ) -> Sensor:
         """Return a copy of the sensor whose parts have these start poses: position f and rotation F
-        of the part on the base, in {B}; t and T of the part on the platform, in {P}."""
+        of the part on the base, in {B}; t and T of the part on the platform, in {P}. R is the mean
+        rotation of the platform. Stated positions are kept."""
         return self
 
     def pose(self, r: Any, R: Any, s: Named) -> tuple[Any, Any]:

@@ -388,7 +388,9 @@ def _column(seen: Seen) -> Any:
     return ca.vertcat(ca.SX(seen.q), ca.SX(seen.r), ca.vec(ca.SX(seen.R).T), seen.p.column)
 
 
-@lru_cache(maxsize=256)  # a diagnosis of two effects uses ninety of 2 MB each
+# A diagnosis of three effects makes five hundred. Most of them are symbols alone; those that were
+# solved or fitted have functions of 2 MB. A smaller cache derives them anew in every diagnosis.
+@lru_cache(maxsize=640)
 def _cached_structure(
     mechanism: Mechanism, effects: tuple[str, ...], sensors: tuple[Sensor, ...]
 ) -> Structure:

@@ -160,10 +160,8 @@ def certificate(report: Report) -> str:
     )
     return (
         facts(rows)
-        + "<h3>Decision</h3>"
-        + items(decided)
-        + note
-        + f'<div class="signature">{signature}</div>'
+        + f'<div class="decision"><h3>Decision</h3>{items(decided)}{note}'
+        + f'<div class="signature">{signature}</div></div>'
     )
 
 

@@ -26,8 +26,8 @@ def body(report: Report, plot: Plot) -> str:
         section("Parameters", identified.parameters(report, plot), f"{free} free", closed=True),
         section("What the data do not determine", identified.combinations(report), closed=True),
         section("Unexplained structure", failures.structure(report, plot), closed=True),
-        section("Samples", failures.samples(report), worst_first, closed=True),
         section("Provenance", identified.provenance(report), closed=True),
+        section("Samples", failures.samples(report), worst_first, closed=True),
     ]
     if report.against:
         parts.insert(

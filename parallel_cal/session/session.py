@@ -104,8 +104,9 @@ class Session(History):
                 f"{target}: already holds a session; open it, or name another folder"
             )
         paths = [str(Path(path).resolve()) for path in recordings]
+        samples = {}
         if paths:  # report a bad recording now, not at the first step
-            load_sessions(paths, reading, mechanism=model.mechanism)
+            samples[tuple(paths)] = load_sessions(paths, reading, mechanism=model.mechanism)
         (target / "models").mkdir(parents=True, exist_ok=True)
         first = State(number=0, parent=None, step="begin", model="models/0.yaml")
         write_model(model, target / first.model)
@@ -117,7 +118,9 @@ class Session(History):
             branches={"main": 0},
         )
         write_atomically(target / FILE, record.model_dump_json(indent=1) + "\n")
-        return cls(target)
+        session = cls(target)
+        session._samples |= samples
+        return session
 
     # ------------------------------------------------------------------ contents
 

@@ -6,7 +6,7 @@ import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import lru_cache, partial
 from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING, Any, Protocol
@@ -71,11 +71,17 @@ class Bench:
     session unchanged.
     """
 
-    def __init__(self, folder: Path, output: Path | None = None, live: Live | None = None):
+    def __init__(
+        self,
+        folder: Path,
+        output: Path | None = None,
+        live: Live | None = None,
+        worker: Worker | None = None,
+    ):
         """Open a session.
 
         `output` is the robot's model file, the only file outside the folder that is written.
-        `live` are the nodes at the robot.
+        `live` are the nodes at the robot. `worker` is one of `make_worker`; by default a new one.
         """
         self.session, self.output = History(folder), output or folder / "model.yaml"
         self.live = live
@@ -84,7 +90,7 @@ class Bench:
         self.message, self.failed = "", False
         self.question: Question | None = None
         self.busy, self._cancelled = False, False
-        self._worker = Worker(first=_import_views)
+        self._worker = worker or make_worker()
         self.view: dict[str, Any] | None = None
         self._update_view()
 
@@ -250,6 +256,8 @@ class Bench:
         self.version += 1
 
 
+# Views kept in memory for undo and redo. That of many samples takes 20 MB, and 0.05 s to parse.
+MAX_LOADED_VIEWS = 6
 VIEW_VERSION = 15  # of the stored views; a view of another version is computed again
 
 
@@ -278,9 +286,15 @@ def load_view(session: History, state: int | None = None) -> dict[str, Any] | No
 def _load_stored_view(file: Path) -> dict[str, Any] | None:
     """Load a view; None if there is none, or only one of another version."""
     try:
-        found: dict[str, Any] = json.loads(read_text(file, most=256 << 20))
+        return _parse_view(file, file.stat().st_mtime_ns)
     except (OSError, ValueError):
         return None
+
+
+@lru_cache(maxsize=MAX_LOADED_VIEWS)
+def _parse_view(file: Path, written: int) -> dict[str, Any] | None:
+    """Parse the file of a view that was `written` at a time (ns)."""
+    found: dict[str, Any] = json.loads(read_text(file, most=256 << 20))
     return found["view"] if found.get("version") == VIEW_VERSION else None
 
 
@@ -289,17 +303,30 @@ def _store_view(file: Path, view: dict[str, Any]) -> None:
     write_atomically(file, json.dumps({"version": VIEW_VERSION, "view": view}))
 
 
+def make_worker() -> Worker:
+    """Make the process that works for a bench."""
+    return Worker(first=_import_views)
+
+
 def _import_views() -> None:
     """Import in the worker, before its first task, what takes long to import."""
     import parallel_cal.workbench.views  # noqa: F401
 
 
-@cache
+_sessions: dict[Path, Session] = {}  # of the worker, which reads the samples of each only once
+
+
+def keep_open(session: Session) -> None:
+    """Keep a session, with the samples that it has read, for the steps of the worker."""
+    _sessions[session.folder] = session
+
+
 def _open_session(folder: Path) -> Session:
-    """Open the worker's own session once, so that it reads the samples only once."""
     from parallel_cal.session.session import Session
 
-    return Session(folder)
+    if folder not in _sessions:
+        keep_open(Session(folder))
+    return _sessions[folder]
 
 
 def _work(

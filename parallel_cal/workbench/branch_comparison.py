@@ -26,7 +26,9 @@ class BranchComparison:
         states = session.compared()
         views = {name: load_view(session, state.number) or {} for name, state in states.items()}
         fields = {name: v["arrows"]["field"] for name, v in views.items() if v.get("arrows")}
-        with ui.dialog(value=True).props("maximized") as dialog, ui.card():
+        # A dialog that grows from nothing has no size by which Plotly could draw in space.
+        dialog = ui.dialog(value=True).props("maximized transition-show=fade")
+        with dialog, ui.card():
             ui.label("Compare branches").classes("text-lg font-bold")
             rows = [
                 {

@@ -178,7 +178,7 @@ class VerdictCard:
                         budget["about"]
                     )
             if words := " · ".join(filter(None, (view.get("counts"), view.get("chi2")))):
-                ui.label(words).props("id=counts").classes("text-xs")
+                ui.label(words).props("id=counts").classes("text-xs w-full")
             if iso := view.get("iso"):
                 figures = ui.label(iso[0]).props("id=iso").classes("text-xs")
                 if iso[1:]:

@@ -11,9 +11,9 @@ from parallel_cal.workbench.bench import Bench
 from parallel_cal.workbench.widgets import card, draw_figure, table
 
 OFFER = (
-    "The effects of the catalogue do not describe this error completely. The search finds where "
-    "the error enters and on what it depends, without the catalogue. It takes about as long as a "
-    "diagnosis."
+    "The effects of the catalogue do not describe this error completely, or only with an effect "
+    "that is larger than usual. The search finds where the error enters and on what it depends, "
+    "without the catalogue. It takes about as long as a diagnosis."
 )
 
 

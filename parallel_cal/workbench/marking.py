@@ -11,8 +11,9 @@ from parallel_cal.reporting.colours import PATTERN
 from parallel_cal.workbench.widgets import draw_figure
 
 # Marks samples in every view as Plotly marks its own selection. Its 'restyle' redraws each view,
-# which takes twenty times as long. A view out of sight is drawn when it comes into sight: to draw
-# all of them takes a second.
+# which takes twenty times as long. To draw all views takes seconds: the numbers are painted first,
+# then one view after the other, those in space last, and a view out of sight when it comes into
+# sight.
 SCRIPT = """<script>
 let marked = new Set();
 function markSamples(numbers) {
@@ -32,36 +33,38 @@ function markView(view) {
 </script>
 <script type="module">
 const { Plotly } = await import("nicegui-plotly");
-const { react, newPlot } = Plotly, postponed = new WeakMap(), margin = 200;  // px
-const coming = new IntersectionObserver(views => {
-  for (const { isIntersecting, target } of views) {
+const { react, newPlot } = Plotly, waiting = new WeakMap(), margin = 200;  // px
+const coming = new IntersectionObserver(views => {  // called after the page is painted
+  for (const { isIntersecting, target } of views.sort((a, b) => isSpatial(a) - isSpatial(b))) {
     if (!isIntersecting) continue;
     coming.unobserve(target);
-    const figure = postponed.get(target);
-    postponed.delete(target);
-    if (figure) react(target, ...figure).then(() => markView(target));
+    turn = turn.then(() => draw(target)).then(() => new Promise(painted));
   }
 }, { rootMargin: `${margin}px` });
-function isNear(box) {
-  return box.bottom > -margin && box.top < innerHeight + margin;
+let turn = Promise.resolve();
+function isSpatial({ target }) {
+  return waiting.get(target)?.[0].layout.scene ? 1 : 0;
 }
-function postpone(view, figure) {
-  postponed.set(view, figure);
+function painted(done) {
+  requestAnimationFrame(() => setTimeout(done));
+}
+function draw(view) {
+  const figure = waiting.get(view);
+  waiting.delete(view);
+  if (figure) return react(view, ...figure).then(() => markView(view), console.error);
+}
+function postpone(view, ...figure) {
+  waiting.set(view, figure);
+  coming.unobserve(view);
   coming.observe(view);
   return Promise.resolve(view);
 }
-Plotly.react = (view, ...figure) => {
-  const box = view.getBoundingClientRect();
-  if (!box.height || !isNear(box)) return postpone(view, figure);
-  postponed.delete(view);
-  return react(view, ...figure);
-};
-Plotly.newPlot = (view, figure, config) => {  // an empty figure keeps the place of a postponed one
-  if (isNear(view.getBoundingClientRect())) return newPlot(view, figure, config);
+Plotly.react = postpone;
+Plotly.newPlot = (view, figure, config) => {  // an empty figure keeps the place
   const { height, paper_bgcolor, plot_bgcolor } = figure.layout, none = { visible: false };
   const empty = { height, paper_bgcolor, plot_bgcolor, xaxis: none, yaxis: none };
   newPlot(view, [], empty, config);
-  return postpone(view, [figure, config]);
+  return postpone(view, figure, config);
 };
 </script>"""
 SELECTION_HANDLER = "event => emit((event?.points ?? []).map(point => point.customdata))"

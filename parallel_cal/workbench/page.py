@@ -72,15 +72,15 @@ class Window:
             with ui.row().classes("items-center") as self.empty_row:
                 self.empty = ui.label().props("id=empty")
                 self._import_button()
-            with _columns() as self.work:
+            with ui.element().classes("columns") as self.work:
                 with ui.column().classes("w-full gap-3"):
                     self.verdict = VerdictCard(bench)
                     self.missing = ui.column().classes("w-full gap-3")
                     if bench.live is not None:
                         LiveCard(bench, bench.live, self._follow_campaign)
-                with ui.column().classes("w-full gap-3") as self.right:
+                with ui.column().classes("w-full gap-3 right") as self.right:
                     self.failing = ResidualsCard(self.marking)
-            self.rest = _columns()
+                self.rest = ui.element().classes("rest")  # its cards stand in the columns in turn
         self.layer = ui.element()  # dialogs stay while the page is redrawn
         self._draw()
         ui.timer(POLL_INTERVAL_S, self._poll)
@@ -457,11 +457,6 @@ class Window:
         kept[step] += names
         changed = {k: v for k, v in kept.items() if k == step or v != list(getattr(asked, k))}
         self.bench.begin("choose", nominal=names if at_nominal else [], **changed)
-
-
-def _columns() -> Any:
-    """Make two columns, of which a narrow window shows the second below the first."""
-    return ui.element().classes("columns paired")
 
 
 def _list_untested(untested: list[dict[str, Any]]) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
+from parallel_cal.base.worker import Worker
 from parallel_cal.workbench.bench import Bench, Live
 
 # A window may be silent this long: drawing in 3D without a graphics card takes seconds.
@@ -65,6 +66,7 @@ def serve(
     output: Path | None = None,
     live: Live | None = None,
     *,
+    worker: Worker | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
     token: str = "",
@@ -72,9 +74,9 @@ def serve(
 ) -> None:
     """Serve the session in `folder` until the process ends.
 
-    Save writes `output`; `live` are the nodes at the robot.
+    Save writes `output`; `live` are the nodes at the robot. `worker` is as in `Bench`.
     """
-    bench = Bench(folder, output, live)  # its worker starts while NiceGUI is imported
+    bench = Bench(folder, output, live, worker)  # its worker starts while NiceGUI is imported
     from nicegui import app, run, ui
 
     from parallel_cal.workbench.page import build

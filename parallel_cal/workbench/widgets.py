@@ -85,8 +85,13 @@ CSS = f"""
 .nicegui-content {{ padding: 12px 16px }}
 .columns {{ display: grid; grid-template-columns: minmax(0, 1fr); gap: 12px; width: 100%;
   align-items: start }}
+.columns > .rest {{ display: contents }}
 @media (min-width: {TWO_COLUMNS_PX}px) {{
-  .columns.paired {{ grid-template-columns: repeat(2, minmax(0, 1fr)) }} }}
+  .columns.paired {{ display: flow-root }}
+  .columns.paired > :not(.rest), .columns.paired > .rest > * {{ float: left; clear: left;
+    width: calc(50% - 6px); margin-bottom: 12px }}
+  .columns.paired > .right, .columns.paired > .rest > :nth-child(even) {{ float: right;
+    clear: right }} }}
 @media (max-width: {TWO_COLUMNS_PX - 1}px) {{ .headline-about {{ display: none }} }}
 @media (max-width: {NARROW_PX}px) {{
   .headline {{ display: none }}
@@ -199,7 +204,9 @@ def draw_figure(figure: dict[str, Any], words: str, before: Any = None) -> Any:
     """
     kept = {"uirevision": words}  # keeps zoom and camera
     config = {"displaylogo": False} | figure.get("config", {})
-    figure = figure | {"layout": figure["layout"] | FIGURE_LAYOUT | kept, "config": config}
+    layout = figure["layout"] | FIGURE_LAYOUT | kept
+    # NiceGUI watches every number of a list for changes, but not those of a tuple.
+    figure = figure | {"data": tuple(figure["data"]), "layout": layout, "config": config}
     if before is None:
         before = ui.plotly(figure).classes("w-full")
     else:
