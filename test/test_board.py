@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import zlib
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra camera)"
 
 from parallel_cal.imaging.board import Board, read_board  # noqa: E402
 from parallel_cal.imaging.opencv import ImageError  # noqa: E402
-from parallel_cal.imaging.sheet import make_sheet  # noqa: E402
+from parallel_cal.imaging.sheet import LETTER_MM, make_sheet  # noqa: E402
 
 PER_MM = 12  # pixels of a rasterised sheet
 
@@ -82,6 +83,23 @@ def test_the_rulers_are_as_long_as_the_board():
     ends = np.array(sheet.board)
     assert x.max() + 0.2 == pytest.approx((ends[:, 0] + ends[:, 2]).max(), abs=1e-9)
     assert any("square: 0.03" in text.words for text in sheet.texts)
+
+
+@pytest.mark.parametrize("square", [20.0, 21.0, 24.0, 26.0, 30.0])
+def test_labels_of_a_ruler_do_not_touch(square):
+    """On a board of 160 mm, the labels 150 and 160 mm were one word."""
+    sheet = make_sheet(Board(), square)
+    labels = [text for text in sheet.texts if re.fullmatch(r"\d+( mm)?", text.words)]
+    for upward, length in ((False, 8 * square), (True, 6 * square)):
+        ruler = [text for text in labels if text.upward == upward]
+        spans = sorted(
+            (text.y - LETTER_MM * len(text.words), text.y)
+            if upward
+            else (text.x, text.x + LETTER_MM * len(text.words))
+            for text in ruler
+        )
+        assert f"{length:g} mm" in [text.words for text in ruler]
+        assert all(after[0] - before[1] > 1.0 for before, after in pairwise(spans))
 
 
 @pytest.mark.wide

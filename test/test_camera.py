@@ -13,8 +13,15 @@ from virtual_effects_hidden import JointCompliance
 import parallel_cal as pc
 from parallel_cal.base.errors import FitError, ModelError, ModelFileError
 from parallel_cal.base.rotation import matrix_to_quaternion, quaternion_to_matrix, rotation_vector
+from parallel_cal.identification.image_poses import (
+    add_joint_noise,
+    estimate_robot_error,
+    find_shown_poses,
+)
+from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.placement import place_sensors
+from parallel_cal.identification.predictions import predict_configurations
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.parameters import Named
@@ -86,8 +93,36 @@ def test_the_text_says_the_error_without_the_noise_of_images_and_what_determines
     assert re.search(r"camera.k3 .* fixed", text)
     own, sigma = map(float, re.search(r"noise of the images: (\d+) \+- (\d+) um", text).groups())
     assert own < 45 + 3 * sigma
+    assert re.search(r"without the noise of the joint readings, too: \d+ \+- \d+ um\.", text)
     wide = float(re.search(r"with that of the lens: (\d+) um", text)[1])
     assert 0.5 < cell.error_at_unseen_poses(found.model) / (1e-6 * wide) < 2
+
+
+@pytest.mark.wide
+def test_the_error_of_the_robot_contains_the_noise_of_the_joints_unless_it_is_subtracted(
+    hexapod_fit,
+):
+    """The readings of a perfect model, at joint readings that err by a known noise."""
+    _, found = hexapod_fit
+    model, at = found.model, found.observations
+    n, sigma = len(model.joints), 100e-6
+    true = predict_configurations(model, at)
+    noise = sigma * np.random.default_rng(3).standard_normal((len(true), n))
+    S = at.S.copy()
+    S[:, range(n), range(n)] = sigma**2
+    wrong = true.copy()
+    wrong[:, :n] += noise
+    exact = Linearisation(model, at, np.zeros(len(model.values), dtype=bool), weighted=True)
+    residual = exact.blocks(model.values, true)[0][:, model.structure.phi.shape[0] :]
+    at = dataclasses.replace(at, x=wrong, S=S, reading=at.reading + residual)
+    predicted = predict_configurations(model, at)
+    shown = find_shown_poses(model, at, predicted)
+    moved = predicted[:, n : n + 3] - true[:, n : n + 3]
+    np.testing.assert_allclose(shown.change[:, :3], -moved, atol=2e-6)
+    contained, sigma_of_it = estimate_robot_error(shown)
+    assert contained > 5 * sigma_of_it
+    alone, sigma_of_it = estimate_robot_error(add_joint_noise(shown, model, at, predicted))
+    assert alone < min(2 * sigma_of_it, 0.5 * contained)
 
 
 @pytest.mark.wide

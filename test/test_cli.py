@@ -524,8 +524,7 @@ def test_an_output_that_cannot_be_written_is_a_clear_error(run, tmp_path):
 def test_an_option_that_would_do_nothing_is_wrong_usage(run, tmp_path):
     single = ("direct", DELTA24, "--joints", ".5", ".5", ".5")
     fails(run(*single, "--output", tmp_path / "p.csv"), "--output needs --input", code=2)
-    for extra in ("--all", "--covariance"):
-        fails(run("direct", DELTA24, "--input", tmp_path / "q.csv", extra), "--input", code=2)
+    fails(run("direct", DELTA24, "--input", tmp_path / "q.csv", "--all"), "--input", code=2)
 
 
 # ------------------------------------------------------------------- calibration
@@ -591,6 +590,21 @@ def test_answers_carry_the_uncertainty_of_the_fit_on_request(document, run, tmp_
     joints = document("inverse", fitted, "--position", "0 0 0.2", "--covariance")["solutions"][0]
     assert np.shape(joints["covariance"]) == (3, 3)
     fails(run("direct", NOMINAL, "--joints", "0.5 0.5 0.5", "--covariance"), "has no covariance")
+    for command, table, single, sigmas in (
+        ("direct", "joint1,joint2,joint3\n0.5,0.5,0.5\n", pose, ["x", "y", "z", "rx", "ry", "rz"]),
+        ("inverse", "x,y,z\n0,0,0.2\n", joints, ["joint1", "joint2", "joint3"]),
+    ):
+        given, output = tmp_path / "given.csv", tmp_path / "answers.csv"
+        given.write_text(table + "x,1,1\n")
+        words = (command, fitted, "--input", given, "--covariance")
+        solved, invalid = document(*words)["solutions"]
+        np.testing.assert_allclose(solved["covariance"], single["covariance"], rtol=1e-6)
+        assert {number for row in invalid["covariance"] for number in row} == {None}
+        document(*words, "--output", output)
+        first, second = rows(output)
+        stated = [float(first[f"sigma.{name}"]) for name in sigmas]
+        assert stated == pytest.approx(np.sqrt(np.diag(single["covariance"])), rel=1e-6)
+        assert {second[f"sigma.{name}"] for name in sigmas} == {""}
 
 
 def test_a_failed_fit_writes_nothing(run, tmp_path, clean):

@@ -16,6 +16,7 @@ import parallel_cal.identification.fit as fitting
 import parallel_cal.identification.given_model as given_model
 from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.diagnosis.search import Chosen
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.recordings.dataset import Dataset
@@ -178,6 +179,14 @@ def test_an_unknown_gear_ratio_is_found_and_add_finds_it_too():
     step = add(MODEL, "gear_transmission_error", data)
     ratio = step.document()["parameters"]["gear_transmission_error.ratio"]["value"]
     assert ratio == pytest.approx(best["settings"]["ratio"], rel=1e-6)
+    alone = f"gear_transmission_error: ratio {ratio:.4g} +- "
+    assert alone in show(found)
+    # Beside another effect, another ratio may fit best. The text states the one that is proposed.
+    beside = Chosen("gear_transmission_error", (("ratio", 41.5),))
+    text = show(replace(found, best=replace(found.best, chosen=(Chosen("backlash"), beside))))
+    assert f"ratio 41.5 fits best beside the other effects found ({ratio:.4g} +- " in text
+    assert "backlash+gear_transmission_error:ratio=41.5 " in text
+    assert alone not in text
 
 
 @pytest.mark.wide

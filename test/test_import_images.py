@@ -177,6 +177,40 @@ def test_poses_in_the_table_and_a_column_map_are_read_as_in_other_tables(folder,
         samples("images", [folder], joints=table(folder, range(N), header))
 
 
+def test_columns_of_conditions_are_recorded_and_the_unused_ones_are_named(folder):
+    """A stranger stated the side of each stop in a column, as docs/camera.md says."""
+    sides = [1, 1, -1, -1, 1, -1]
+    header = (
+        "image,joint1 [deg],joint2 [deg],joint3 [deg],direction.joint1,direction.joint3,"
+        "travel.joint1 [mrad],payload [g],temperature.arms [K],time [ms],direction.joint7,remark"
+    )
+    lines = [
+        ",".join(map(str, (name_of(k), *joints_of(k), side, -side, 7, 500, 300, 40 * k, 1, "ok")))
+        for k, side in enumerate(sides)
+    ]
+    path = folder.parent / "joints.csv"
+    path.write_text("\n".join([header, *lines]) + "\n")
+    dataset = samples("images", [folder], joints=str(path))
+    found = dataset.conditions
+    assert dataset.joint_names == ("joint1", "joint2", "joint3")
+    assert found["direction.joint1"].tolist() == sides
+    assert found["direction.joint3"].tolist() == [-side for side in sides]
+    assert found["travel.joint1"] == pytest.approx(np.full(N, 0.007))
+    assert found["payload"] == pytest.approx(np.full(N, 0.5))
+    assert found["temperature.arms"] == pytest.approx(np.full(N, 26.85))
+    assert found["time"] == pytest.approx(0.04 * np.arange(N))
+    assert not any("order of the rows" in note for note in dataset.warnings)
+    assert f"{path}: columns that are not used: direction.joint7, remark" in dataset.warnings
+
+
+def test_columns_that_a_column_map_does_not_name_are_listed(folder, tmp_path):
+    header = "image,leg,direction.leg1,remark"
+    (tmp_path / "map.yaml").write_text("joints: {leg1: {column: leg, unit: mm}}\n")
+    joints = table(folder, range(N), header)
+    dataset = samples("images", [folder], joints=joints, columns=str(tmp_path / "map.yaml"))
+    assert f"{joints}: columns that are not used: direction.leg1, remark" in dataset.warnings
+
+
 def test_a_printer_without_encoders_gets_its_joints_from_commanded_positions(folder, images):
     """The commands of docs/camera.md for a robot with stepper motors."""
     work = folder.parent

@@ -19,15 +19,24 @@ from parallel_cal.reporting.readable import format_fixed_vector, value_unit
 if TYPE_CHECKING:
     import numpy as np
 
+    from parallel_cal.cli.tables import Answer
     from parallel_cal.kinematics.kinematics import Solutions
     from parallel_cal.model.model import Model
 
 At = Annotated[
     list[str] | None, typer.Option("--at", help="conditions, NAME=VALUE (temperature=25)")
 ]
-Every = Annotated[bool, typer.Option("--all", help="show all solutions, not only the home branch")]
+Every = Annotated[
+    bool,
+    typer.Option("--all", help="show all solutions, not only the home branch; not with --input"),
+]
 Covariance = Annotated[
-    bool, typer.Option("--covariance", help="also show the model uncertainty of the answer")
+    bool,
+    typer.Option(
+        "--covariance",
+        help="also show the model uncertainty of the answer; in a table, 1 sigma in columns such "
+        "as sigma.x (m, rad)",
+    ),
 ]
 
 
@@ -76,7 +85,7 @@ def direct(
 ) -> None:
     """Compute the pose for joints (forward kinematics)."""
     q = _numbers(joints, "--joints")
-    _check_one_input(q, table, "--joints", output, every or covariance)
+    _check_one_input(q, table, "--joints", output, every)
     import numpy as np
 
     from parallel_cal.cli.tables import direct_table
@@ -84,9 +93,9 @@ def direct(
 
     robot, conditions = _read_robot_and_conditions(model, at)
     if table is not None:
-        text, found, own = direct_table(robot, table, conditions, solver)
-        _warn_outside_region(found, robot, own)
-        return _output_table(text, found, output, as_json)
+        answer = direct_table(robot, table, conditions, solver, covariance)
+        _warn_outside_region(answer.found, robot, answer.conditions)
+        return _output_table(answer, output, as_json)
     if q is not None and len(q) != len(robot.joints):
         raise ParallelCalError(
             f"--joints: {len(q)} values given, {robot.mechanism.name} has {len(robot.joints)} "
@@ -114,7 +123,7 @@ def inverse(
     """Compute the joints for a pose (inverse kinematics)."""
     place = _numbers(position, "--position", 3)
     quaternion = _numbers(orientation, "--orientation", 4)
-    _check_one_input(place or quaternion, table, "--position", output, every or covariance)
+    _check_one_input(place or quaternion, table, "--position", output, every)
     import numpy as np
 
     from parallel_cal.cli.tables import inverse_table
@@ -123,9 +132,9 @@ def inverse(
 
     robot, conditions = _read_robot_and_conditions(model, at)
     if table is not None:
-        text, found, own = inverse_table(robot, table, conditions, solver)
-        _warn_outside_region(found, robot, own)
-        return _output_table(text, found, output, as_json)
+        answer = inverse_table(robot, table, conditions, solver, covariance)
+        _warn_outside_region(answer.found, robot, answer.conditions)
+        return _output_table(answer, output, as_json)
     r = np.array(robot.mechanism.home.position if place is None else place)
     R = None if quaternion is None else answers.parse_rotation(quaternion)
     # The orientation of a Delta, for example, follows from its position.
@@ -154,12 +163,12 @@ def _numbers(text: str | None, option: str, n: int | None = None) -> list[float]
 
 
 def _check_one_input(
-    values: list[float] | None, table: Path | None, option: str, output: Path | None, more: bool
+    values: list[float] | None, table: Path | None, option: str, output: Path | None, every: bool
 ) -> None:
     if (values is None) == (table is None):
         raise typer.BadParameter(f"give either {option} or --input")
-    if table is not None and more:
-        raise typer.BadParameter("--all and --covariance cannot be combined with --input")
+    if table is not None and every:
+        raise typer.BadParameter("--all cannot be combined with --input")
     if table is None and output is not None:
         raise typer.BadParameter("--output needs --input; the answer to one problem is printed")
 
@@ -192,17 +201,14 @@ def _print_solutions(
     solutions: Solutions,
     model: Model,
     conditions: Mapping[str, Any],
-    covariances: list[np.ndarray] | None,
+    covariances: np.ndarray | None,
     words: Callable[[np.ndarray], str],
     as_json: bool,
 ) -> None:
     from parallel_cal.kinematics.answers import to_rows
 
     _warn_outside_region(solutions, model, conditions)
-    rows = to_rows(solutions)
-    if covariances is not None:
-        for row, covariance in zip(rows, covariances, strict=True):
-            row["covariance"] = covariance
+    rows = to_rows(solutions, covariances)
     if as_json:
         about = {key: getattr(solutions, key) for key in ("count_complex", "complete")}
         known = {key: value for key, value in about.items() if value is not None}
@@ -228,7 +234,7 @@ def _print_solutions(
         console.say(
             f"{n} solution{'' if n == 1 else 's'} found{first}; {usable} within limits{others}"
         )
-    for covariance in covariances or []:
+    for covariance in () if covariances is None else covariances[solutions.solved]:
         console.say(f"1 sigma from the fit: {words(covariance.diagonal() ** 0.5)}")
 
 
@@ -247,11 +253,12 @@ def _joint_unit(model: Model) -> tuple[str, float]:
     return value_unit(units.pop()) if len(units) == 1 else ("rad|m", 1.0)
 
 
-def _output_table(text: str, found: Solutions, output: Path | None, as_json: bool) -> None:
+def _output_table(answer: Answer, output: Path | None, as_json: bool) -> None:
     from parallel_cal.base.files import write_atomically
     from parallel_cal.cli.tables import counts
     from parallel_cal.kinematics.answers import to_rows
 
+    text, found = answer.text, answer.found
     if output is not None:
         write_atomically(output, text)
     statuses = counts(found)
@@ -259,7 +266,7 @@ def _output_table(text: str, found: Solutions, output: Path | None, as_json: boo
     said = {} if found.message is None else {"message": found.message}
     summary = "; ".join([summary, *said.values()])
     if as_json and output is None:
-        console.emit({"solutions": to_rows(found), **said})
+        console.emit({"solutions": to_rows(found, answer.covariances), **said})
     elif as_json:
         console.emit({"output": str(output), "rows": len(found), "statuses": statuses, **said})
     elif output is None:

@@ -14,9 +14,16 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError, SolveError
 from parallel_cal.base.rotation import quaternion_to_matrix
-from parallel_cal.kinematics.answers import named_conditions, status_text
+from parallel_cal.kinematics.answers import (
+    direct_covariances,
+    inverse_covariances,
+    named_conditions,
+    select_rows,
+    status_text,
+)
 from parallel_cal.kinematics.kinematics import Solutions, Status
 from parallel_cal.kinematics.solving import Conditions, direct, inverse
+from parallel_cal.model.mechanism import POSE
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.table import Table, read_table
 
@@ -60,14 +67,18 @@ def _columns(table: Table, names: Sequence[str]) -> np.ndarray:
 
 
 class Answer(NamedTuple):
-    """The solutions of a table: as CSV, as numbers, and the conditions of its rows."""
+    """The solutions of a table: as CSV, as numbers with their covariances (N, n, n) if these were
+    asked for, and the conditions of its rows."""
 
     text: str
     found: Solutions
+    covariances: np.ndarray | None
     conditions: Conditions
 
 
-def direct_table(model: Model, path: Path, at: Conditions, solver: str) -> Answer:
+def direct_table(
+    model: Model, path: Path, at: Conditions, solver: str, covariance: bool = False
+) -> Answer:
     """Solve a table of joint readings."""
     table = _check_columns(read_table(path), model.joints, model.conditions, model)
     q = _columns(table, model.joints)
@@ -75,14 +86,17 @@ def direct_table(model: Model, path: Path, at: Conditions, solver: str) -> Answe
     good = _find_finite_rows(q, conditions)
     found = _make_invalid_solutions(model, good)
     if good.any():
-        some = direct(model, q[good], _select_rows(conditions, good), solver=solver)
+        some = direct(model, q[good], select_rows(conditions, good), solver=solver)
         found = _insert_solutions(found, some, good)
-    names = (*POSITION, *QUATERNION)
-    text = _text(table, names, np.hstack([found.position, found.quaternion]), found)
-    return Answer(text, found, conditions)
+    known = direct_covariances(model, found, conditions) if covariance else None
+    names, values = (*POSITION, *QUATERNION), np.hstack([found.position, found.quaternion])
+    text = _text(table, names, values, found, POSE, known)
+    return Answer(text, found, known, conditions)
 
 
-def inverse_table(model: Model, path: Path, at: Conditions, solver: str) -> Answer:
+def inverse_table(
+    model: Model, path: Path, at: Conditions, solver: str, covariance: bool = False
+) -> Answer:
     """Solve a table of positions, orientations or both, according to header and mechanism."""
     table = read_table(path)
     header = {*table.header}
@@ -104,9 +118,11 @@ def inverse_table(model: Model, path: Path, at: Conditions, solver: str) -> Answ
     found = _make_invalid_solutions(model, good)
     if good.any():
         turned = None if R is None else R[good]
-        some = inverse(model, r[good], turned, _select_rows(conditions, good), solver=solver)
+        some = inverse(model, r[good], turned, select_rows(conditions, good), solver=solver)
         found = _insert_solutions(found, some, good)
-    return Answer(_text(table, model.joints, found.joints, found), found, conditions)
+    known = inverse_covariances(model, found, conditions) if covariance else None
+    text = _text(table, model.joints, found.joints, found, model.joints, known)
+    return Answer(text, found, known, conditions)
 
 
 def _find_finite_rows(numbers: np.ndarray, conditions: Conditions) -> np.ndarray:
@@ -141,17 +157,23 @@ def _conditions(model: Model, table: Table, at: Conditions) -> dict[str, np.ndar
     return {**{name: np.array(value) for name, value in at.items()}, **columns}
 
 
-def _select_rows(conditions: Conditions, good: np.ndarray) -> dict[str, np.ndarray]:
-    return {
-        name: column[good] if np.ndim(column) else column for name, column in conditions.items()
-    }
-
-
-def _text(table: Table, names: Sequence[str], values: np.ndarray, found: Solutions) -> str:
-    """Format the given cells, the solution, its residual (m) and its status as CSV.
+def _text(
+    table: Table,
+    names: Sequence[str],
+    values: np.ndarray,
+    found: Solutions,
+    uncertain: Sequence[str],
+    covariances: np.ndarray | None,
+) -> str:
+    """Format the given cells, the solution, the standard deviations of the `uncertain` numbers
+    (`sigma.x`) if they are known, the residual (m) and the status as CSV.
 
     A row that is not solved keeps its cells.
     """
+    if covariances is not None:
+        names = [*names, *(f"sigma.{name}" for name in uncertain)]
+        variances = np.diagonal(covariances, axis1=1, axis2=2)
+        values = np.hstack([values, np.sqrt(variances)])
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow([*table.header, *names, "residual", "status"])

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from parallel_cal.identification.linearisation import Linearisation
+from parallel_cal.identification.linearisation import Linearisation, compute_joint_jacobians
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.predictions import predict_configurations
 from parallel_cal.identification.thresholds import (
@@ -67,6 +67,23 @@ def find_shown_poses(model: Model, observations: Observations, x: np.ndarray) ->
         vague = variance > MAX_IMAGE_POSE_SIGMA_RATIO**2 * usual
     change[vague.any(axis=1)], covariance[vague.any(axis=1)] = np.nan, np.nan
     return ShownPoses(change, covariance)
+
+
+def add_joint_noise(
+    shown: ShownPoses, model: Model, observations: Observations, x: np.ndarray
+) -> ShownPoses:
+    """Add the noise of the joints, which moves the predicted poses, to the covariance of the
+    changes, at the configurations x (N, nq+12) that the model predicts."""
+    known = np.flatnonzero(shown.known)
+    n, moved = len(model.joints), model.mechanism.moved
+    none = np.zeros(len(model.values), dtype=bool)
+    linearise = Linearisation(model, observations.select(known), none, weighted=True)
+    to_pose = compute_joint_jacobians(model, linearise.blocks(model.values, x[known])[1])[0]
+    covariance = shown.covariance.copy()
+    covariance[np.ix_(known.tolist(), moved, moved)] += np.einsum(
+        "nij,njk,nlk->nil", to_pose, observations.S[known, :n, :n], to_pose
+    )
+    return replace(shown, covariance=covariance)
 
 
 def move_parts_to_shown_poses(model: Model, observations: Observations, parts: np.ndarray) -> Model:
@@ -190,7 +207,8 @@ def estimate_robot_error(shown: ShownPoses) -> tuple[float, float] | None:
     standard deviation (m); None for fewer than two samples.
 
     Maximum likelihood for errors of the same size along all axes that the readings see with their
-    own noise: directions that an image shows precisely count most.
+    own noise: directions that an image shows precisely count most. The error contains the scatter
+    of the joints, unless `add_joint_noise` has added it to the covariance.
     """
     known = shown.known
     if known.sum() < 2:

@@ -37,6 +37,9 @@ LINE_MM = 0.2
 TEXT_MM = 2.4  # size of the letters
 LETTER_MM = 0.55 * TEXT_MM  # usual width of a letter of Helvetica
 POINT_MM = 25.4 / 72
+# Of the scales along and across, if one size of the squares stands for both: an error of half of
+# this, which a steel rule measures on a page.
+MAX_PRINT_DIFFERENCE = 0.003
 SQUARE_DECIMALS = 6  # of the size in m: 1 um
 
 Shape = tuple[float, float, float, float]  # x, y, width, height from the top left corner, mm
@@ -183,9 +186,10 @@ def _describe(board: Board, square: float, width: float, height: float) -> list[
         f"{board.marker * square:g} mm, dictionary {board.dictionary}. "
         f"import images: board={board.text}. Sensor: camera: {{columns: {board.columns}, "
         f"rows: {board.rows}, square: {size:g}}}.",
-        f"Print at 100 % (actual size). The rulers are {width:g} mm and {height:g} mm long. If "
-        f"they measure L and H mm instead, state square: {size:g} * (L / {width:g} + "
-        f"H / {height:g}) / 2 (m) there.",
+        f"Print at 100 % (actual size). The rulers are {width:g} and {height:g} mm long. If they "
+        f"measure L and H mm, state square: {size:g} * (L / {width:g} + H / {height:g}) / 2 (m). "
+        f"Print again if L / {width:g} and H / {height:g} differ by more than "
+        f"{MAX_PRINT_DIFFERENCE:g}.",
     ]
     room = max(int(1.15 * width / LETTER_MM), 40)
     return [part for line in lines for part in wrap(line, room)]
@@ -207,11 +211,12 @@ def _add_rulers(sheet: Sheet, left: float, top: float, width: float, height: flo
                 sheet.rulers.append((left + shift, y, LINE_MM, tick))
             else:
                 sheet.rulers.append((x - tick, top + shift, tick, LINE_MM))
-            near_end = 0.0 < length - at < 4 * TEXT_MM
-            if not labelled or near_end:
-                continue
             words = f"{at:g} mm" if at == length else f"{at:g}"
             wide = LETTER_MM * len(words)
+            last = length - LETTER_MM * len(f"{length:g} mm")  # where the label of the end begins
+            near_end = at < length and at + wide / 2 + TEXT_MM > last
+            if not labelled or near_end:
+                continue
             if horizontal:
                 place = left + min(at - wide / 2, length - wide)
                 sheet.texts.append(Text(place, y + RULER_MM + TEXT_MM, words))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -60,16 +60,32 @@ def parse_rotation(quaternion: Sequence[float]) -> np.ndarray:
     return quaternion_to_matrix(q)
 
 
-def direct_covariances(model: Model, found: Solutions, at: Mapping[str, Any]) -> list[np.ndarray]:
-    """Compute the covariance (6, 6) of each solved pose; ModelError if the model has none."""
-    kinematics = _with_covariance(model)
-    return [kinematics.direct_covariance(s, at) for s in found]
+def direct_covariances(model: Model, found: Solutions, at: Mapping[str, Any]) -> np.ndarray:
+    """Compute the covariance (N, 6, 6) of each pose, NaN for one that is not solved; ModelError if
+    the model has none."""
+    return _of_solved(_with_covariance(model).direct_covariance, found, at, 6)
 
 
-def inverse_covariances(model: Model, found: Solutions, at: Mapping[str, Any]) -> list[np.ndarray]:
-    """Compute the covariance (nq, nq) of each solved joint set; ModelError as above."""
-    kinematics = _with_covariance(model)
-    return [kinematics.inverse_covariance(s, at) for s in found]
+def inverse_covariances(model: Model, found: Solutions, at: Mapping[str, Any]) -> np.ndarray:
+    """Compute the covariance (N, nq, nq) of each joint set; NaN and ModelError as above."""
+    return _of_solved(_with_covariance(model).inverse_covariance, found, at, len(model.joints))
+
+
+def _of_solved(
+    compute: Callable[[Solutions, Mapping[str, Any]], np.ndarray],
+    found: Solutions,
+    at: Mapping[str, Any],
+    size: int,
+) -> np.ndarray:
+    covariances = np.full((len(found), size, size), np.nan)
+    if (solved := found.solved).any():
+        covariances[solved] = compute(found[solved], select_rows(at, solved))
+    return covariances
+
+
+def select_rows(conditions: Mapping[str, Any], rows: np.ndarray) -> dict[str, Any]:
+    """Select rows of the conditions that have a value for each row."""
+    return {name: value[rows] if np.ndim(value) else value for name, value in conditions.items()}
 
 
 def _with_covariance(model: Model) -> Kinematics:
@@ -78,9 +94,10 @@ def _with_covariance(model: Model) -> Kinematics:
     return Kinematics(model)
 
 
-def to_rows(solutions: Solutions) -> list[dict[str, Any]]:
-    """Convert solutions to dictionaries with the keys of the command line's JSON documents."""
-    return [
+def to_rows(solutions: Solutions, covariances: np.ndarray | None = None) -> list[dict[str, Any]]:
+    """Convert solutions, and their covariances if they are known, to dictionaries with the keys of
+    the command line's JSON documents."""
+    rows: list[dict[str, Any]] = [
         {
             "position": s.position,
             "quaternion": s.quaternion,
@@ -90,6 +107,10 @@ def to_rows(solutions: Solutions) -> list[dict[str, Any]]:
         }
         for s in solutions
     ]
+    if covariances is not None:
+        for row, covariance in zip(rows, covariances, strict=True):
+            row["covariance"] = covariance
+    return rows
 
 
 def status_text(status: Any) -> str:

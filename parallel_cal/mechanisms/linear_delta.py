@@ -48,7 +48,8 @@ class LinearDelta(Mechanism):
     Position and orientation of the platform vary.
 
     Options: `inclination` (rad), the angle by which the rails lean outwards from the vertical;
-    `direction` (rad), the angle of the first rail about z, measured from x.
+    `direction` (rad), the angle of the first rail about z, measured from x. Both are 0 by default:
+    vertical rails, the first of them on the x axis. The others follow at 120 and 240 degrees.
     """
 
     joints = ("joint1", "joint2", "joint3")

@@ -238,12 +238,7 @@ def map_by_names(table: Table, joints: Sequence[str], beside: Path) -> ColumnMap
         [name for name in names if name not in joints and table.find(name) is not None]
         for names in (POSITION, QUATERNION)
     )
-    named = [split_unit(word)[0] for word in table.header]
-    readings = {
-        name.removeprefix(READING): ReadingColumn(column=name)
-        for name in named
-        if name.startswith(READING)
-    }
+    readings = find_readings(table)
     measured = len(position) == 3 or len(orientation) == 4 or readings
     if missing or not joints or not measured:
         raise DatasetError(_explain_missing(table, joints, missing, beside))
@@ -252,7 +247,7 @@ def map_by_names(table: Table, joints: Sequence[str], beside: Path) -> ColumnMap
         position=PositionColumns(columns=position) if len(position) == 3 else None,
         orientation=orientation if len(orientation) == 4 else None,
         readings=readings,
-        conditions=_find_conditions(table, joints),
+        conditions=find_conditions(table, joints),
     )
 
 
@@ -280,7 +275,17 @@ def _explain_missing(
     return f"{table.path}:1: {problem}; the table has {header}. {expected} (see docs/import_csv.md)"
 
 
-def _find_conditions(table: Table, joints: Sequence[str]) -> dict[str, str | float]:
+def find_readings(table: Table) -> dict[str, ReadingColumn]:
+    """Return the columns of a table that are named `reading.CHANNEL`."""
+    named = [split_unit(word)[0] for word in table.header]
+    return {
+        name.removeprefix(READING): ReadingColumn(column=name)
+        for name in named
+        if name.startswith(READING)
+    }
+
+
+def find_conditions(table: Table, joints: Sequence[str]) -> dict[str, str | float]:
     """Return the columns of a table that have the name of a condition, with its unit or without;
     DatasetError for a unit that is none of this quantity."""
     found: dict[str, str | float] = {}

@@ -9,7 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from parallel_cal.identification.fit import FitResult
-from parallel_cal.identification.image_poses import estimate_robot_error, find_shown_poses
+from parallel_cal.identification.image_poses import (
+    add_joint_noise,
+    estimate_robot_error,
+    find_shown_poses,
+)
+from parallel_cal.identification.observations import UNMEASURED
 from parallel_cal.identification.position_uncertainty import compute_shape_sigma
 from parallel_cal.identification.prediction_errors import Errors
 from parallel_cal.identification.predictions import predict_configurations
@@ -96,30 +101,40 @@ def describe_robot_error(result: FitResult) -> Iterator[str]:
     the positions; nothing without a camera."""
     if not list_cameras(result):
         return
-    shown = find_shown_poses(
-        result.model,
-        result.observations,
-        predict_configurations(result.model, result.observations),
-    )
+    model, observations = result.model, result.observations
+    x = predict_configurations(model, observations)
+    shown = find_shown_poses(model, observations, x)
     if shown is None:
         return
     errors = result.judged_errors
     change = np.hstack([errors.position, errors.orientation])
     change = np.where(np.isfinite(change), change, np.where(shown.known[:, None], 0.0, np.nan))
     judged = np.isfinite(errors.position).all(axis=1)
-    own = estimate_robot_error(replace(shown, change=np.where(judged[:, None], change, np.nan)))
-    if own is not None:
-        yield (
+    shown = replace(shown, change=np.where(judged[:, None], change, np.nan))
+    if (own := estimate_robot_error(shown)) is not None:
+        text = (
             "position error of the robot without the noise of the images: "
-            f"{format_fixed(own[0], 1e6, 0)} +- {format_fixed(own[1], 1e6, 0)} um rms at "
-            f"{'held-out' if result.held_out.judged.any() else 'all'} poses. The images do not "
-            "show an error that camera and robot share"
+            f"{_format_micrometres(own)} rms at "
+            f"{'held-out' if result.held_out.judged.any() else 'all'} poses"
         )
-    if (sigma := compute_shape_sigma(result.model, result.observations)) is not None:
+        if observations.noise_from["joint"] in UNMEASURED:
+            text += (
+                ". It contains the noise of the joint readings. If you know this noise, state it "
+                "(--joint-sigma)"
+            )
+        elif alone := estimate_robot_error(add_joint_noise(shown, model, observations, x)):
+            text += f"; without the noise of the joint readings, too: {_format_micrometres(alone)}"
+        yield f"{text}. The images do not show an error that camera and robot share"
+    if (sigma := compute_shape_sigma(model, observations)) is not None:
         yield (
             f"uncertainty of the identified positions, with that of the lens: "
             f"{format_fixed(sigma, 1e6, 0)} um rms, whatever the frames of base and platform"
         )
+
+
+def _format_micrometres(estimate: tuple[float, float]) -> str:
+    value, sigma = (format_fixed(each, 1e6, 0) for each in estimate)
+    return f"{value} +- {sigma} um"
 
 
 def describe_stated_length(result: FitResult, camera: Camera) -> str:

@@ -38,6 +38,7 @@ from parallel_cal.reporting.readable import (
 )
 
 if TYPE_CHECKING:
+    from parallel_cal.diagnosis.catalogue import Candidate
     from parallel_cal.diagnosis.comparison import Comparison
     from parallel_cal.diagnosis.diagnose import Diagnosis
     from parallel_cal.diagnosis.entries import Entry
@@ -338,10 +339,7 @@ def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
     yield errors_table(judged, diagnosis.best.fitted.noise_floor, diagnosis.model)
     tested = [e for e in diagnosis.entries if e.p_adjusted is not None][:MAX_CANDIDATES]
     yield candidate_table(diagnosis, tested)
-    for entry in tested:
-        for key, sigma in entry.candidate.sigma.items():
-            best = entry.candidate.settings[key]
-            yield f"{entry.name}: {key} {best:.4g} +- {sigma:.2g} fits best"
+    yield from _describe_settings(diagnosis, [entry.candidate for entry in tested])
     for entry in diagnosis.entries:
         was_scored = entry in tested or entry.candidate.score is not None
         if entry.candidate.missing or (entry.reason and was_scored):
@@ -363,6 +361,26 @@ def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
             f"{' from '.join(plan.separates)} "
             f"by {plan.sigmas.then:.1f} sigmas; the present samples do by {plan.sigmas.now:.1f}"
         )
+
+
+def _describe_settings(diagnosis: Diagnosis, tested: Sequence[Candidate]) -> Iterator[str]:
+    """Describe the fixed numbers that fit best, such as the lead of a screw: those of the effects
+    found, with which the diagnosis proposes to add them, and those of the other candidates."""
+    found = {one.name: one.settings for one in diagnosis.best.chosen}
+    for one in tested:
+        settings = found.pop(one.name, one.settings)
+        for key, sigma in one.sigma.items():
+            value, alone = (f"{numbers[key]:.4g}" for numbers in (settings, one.settings))
+            if value == alone:
+                yield f"{one.name}: {key} {value} +- {sigma:.2g} fits best"
+            else:
+                yield (
+                    f"{one.name}: {key} {value} fits best beside the other effects found "
+                    f"({alone} +- {sigma:.2g} without them)"
+                )
+    for name, settings in found.items():
+        for key, setting in settings.items():
+            yield f"{name}: {key} {setting:.4g} fits best beside the other effects found"
 
 
 def describe_discovery(found: Discovery) -> Iterator[Block]:

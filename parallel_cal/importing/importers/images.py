@@ -26,6 +26,8 @@ from parallel_cal.recordings.columns import (
     ColumnMap,
     JointColumn,
     PositionColumns,
+    find_conditions,
+    find_readings,
     read_column_map,
 )
 from parallel_cal.recordings.dataset import Dataset
@@ -75,7 +77,7 @@ def samples(
     key = next(iter(matches.values())).column
     wanted = _wanted_columns(table, columns, key, joint_sigma)
     dataset = make_dataset([table], wanted, columns or "import images")
-    seen, notes = np.zeros(len(dataset), bool), list[str]()
+    seen, notes = np.zeros(len(dataset), bool), _name_unused_columns(table, wanted, key)
     dropped = list(dataset.dropped)
     conditions = dict(dataset.conditions)
     for name, files in cameras.items():
@@ -211,7 +213,14 @@ def _wanted_columns(table: Table, columns: str, key: str, sigma: float | None) -
     if columns:
         return read_column_map(Path(columns), measured_elsewhere=True)
     names = [split_unit(word) for word in table.header if word != key]
-    joints = [name for name, unit in names if unit and name not in (*MEASURED, *CONDITIONS)]
+    joints = [
+        name
+        for name, unit in names
+        if unit
+        and name not in MEASURED
+        and name.partition(".")[0] not in CONDITIONS
+        and not name.startswith(READING)
+    ]
     if not joints:
         raise DatasetError(
             f"{table.path}:1: no joints in {', '.join(table.header)}: state the unit of each joint "
@@ -225,9 +234,19 @@ def _wanted_columns(table: Table, columns: str, key: str, sigma: float | None) -
         joints={name: JointColumn(column=name) for name in joints},
         position=PositionColumns(columns=position) if len(position) == 3 else None,
         orientation=orientation if len(orientation) == 4 else None,
-        conditions={name: name for name in CONDITIONS if name in table.header},
+        readings=find_readings(table),
+        conditions=find_conditions(table, joints),
         noise=NoisePart(joint=sigma),
     )
+
+
+def _name_unused_columns(table: Table, wanted: ColumnMap, key: str) -> list[str]:
+    """Return a note with the columns of a table that are not used; none if all are."""
+    used = {key, *(table.find(name) for name in wanted.columns)}
+    unused = [word for word in table.header if word and word not in used]
+    if not unused:
+        return []
+    return [f"{table.path}: columns that are not used: {', '.join(unused)}"]
 
 
 def _readings(
