@@ -17,7 +17,7 @@ from parallel_cal.model.model import Model
 
 __all__ = ["Estimate", "estimate"]
 
-ITERATIONS = 200
+ITERATIONS = 600  # most fits need 10; a curved valley, hundreds
 
 
 def estimate(
