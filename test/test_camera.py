@@ -259,6 +259,15 @@ def test_a_board_may_sit_anywhere_on_a_platform_that_hardly_turns():
 
 
 @pytest.mark.wide
+def test_a_camera_and_a_board_that_are_held_where_the_start_has_them_stay_there():
+    cell = Cell("stewart", 1)
+    model = with_camera(cell, fixed=("pose.*", "board.*", "k3", "scale"))
+    found = pc.fit(model, cell.seen_by_camera(20), hold_out=0, insist=True)
+    held = found.model.table.matching(["camera.pose.*", "camera.board.*"])
+    assert not found.model.values[held].any()
+
+
+@pytest.mark.wide
 def test_a_descent_along_a_curved_valley_ends():
     """The platform hardly tells where the board sits."""
     gears = JointCompliance((0.36985896e-3, 0.30828404e-3, 0.39870595e-3))

@@ -26,10 +26,10 @@ from parallel_cal.identification.thresholds import (
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 
-PART_STEPS, PART_STEP = 2, 1e-6  # steps of Gauss-Newton; a finite difference, m or rad
-PART_RANK = (
-    1e-2  # what a platform tells of its parts by turning less is no matter of where they are
-)
+PART_STEPS = 2  # of Gauss-Newton
+PART_DIFFERENCE = 1e-6  # m or rad, of a numerical derivative
+# Of singular values: where a part sits on a platform that turns by less is left as it is.
+MIN_PART_RANK = 1e-2
 IMAGE_SCATTER = "scatter within images"  # source of a noise that is not stated
 
 
@@ -94,30 +94,35 @@ def move_parts_to_shown_poses(model: Model, observations: Observations, parts: n
     millimetres that all poses share, although they are an error of where the parts stand.
     """
     own = np.flatnonzero(parts)
+    if not len(own):
+        return model
     x = predict_configurations(model, observations)
     scale = np.repeat([1.0, model.mechanism.length], 3)
 
-    def away(values: np.ndarray) -> np.ndarray:
+    def compute_errors(change: np.ndarray) -> np.ndarray:
+        """Compute the errors (N, 6) of the shown poses after a change of the parts (k,)."""
+        values = model.values.copy()
+        values[own] += change
         shown = find_shown_poses(model.with_values(values), observations, x)
         assert shown is not None
         return shown.change * scale
 
+    change = np.zeros(len(own))
     for _ in range(PART_STEPS):
-        here = away(model.values)
-        used = np.isfinite(here).all(axis=1)
-        if not used.any():
+        errors = compute_errors(change)
+        columns = [
+            (compute_errors(change + step) - errors) / PART_DIFFERENCE
+            for step in PART_DIFFERENCE * np.eye(len(own))
+        ]
+        J = np.stack(columns, axis=2)
+        known = np.isfinite(J).all(axis=(1, 2))
+        if not known.any():
             break
-        columns = []
-        for k in own:
-            moved = model.values.copy()
-            moved[k] += PART_STEP
-            columns.append((away(moved) - here)[used].ravel() / PART_STEP)
-        kept = np.isfinite(columns).all(axis=0)
-        J, e = np.stack(columns, axis=1)[kept], here[used].ravel()[kept]
-        values = model.values.copy()
-        values[own] -= np.linalg.lstsq(J, e, rcond=PART_RANK)[0]
-        model = model.with_values(values, model.covariance)
-    return model
+        J, e = J[known].reshape(-1, len(own)), errors[known].ravel()
+        change -= np.linalg.lstsq(J, e, rcond=MIN_PART_RANK)[0]
+    values = model.values.copy()
+    values[own] += change
+    return model.with_values(values, model.covariance)
 
 
 def measure_image_noise(model: Model, observations: Observations) -> Observations:

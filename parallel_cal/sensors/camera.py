@@ -331,7 +331,8 @@ class Camera(Sensor):
         else:
             t = t - T @ self._middle
             on_base, on_platform = self.position, self.board_position
-        # On a platform that hardly turns, a shift of one part is the same as one of the other.
+        # While the platform hardly turns, images only tell how far the parts are from each other:
+        # if one position is stated, the other part is shifted by as much.
         if on_platform is not None:
             f, t = f + R @ (on_platform - t), np.array(on_platform)
         elif on_base is not None:
