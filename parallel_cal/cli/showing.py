@@ -36,8 +36,7 @@ def demo(
 
 def bench(
     names: Annotated[
-        list[str] | None,
-        typer.Argument(help="names of benchmarks [default: all]"),
+        list[str] | None, typer.Argument(help="names of benchmarks [default: all]")
     ] = None,
 ) -> None:
     """Run the benchmarks of speed and accuracy in bench/. Needs the repository."""

@@ -36,9 +36,7 @@ from parallel_cal.discovery.places import (
 from parallel_cal.discovery.proof import Proof, prove_all
 from parallel_cal.discovery.screening import Screening
 from parallel_cal.discovery.search import Search, Winner, find_thresholds, find_winners
-from parallel_cal.discovery.thresholds import (
-    MAX_SCREENED_SAMPLES,
-)
+from parallel_cal.discovery.thresholds import MAX_SCREENED_SAMPLES
 from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.fit import FitResult, fit
 from parallel_cal.identification.options import FitKeywords, FitOptions

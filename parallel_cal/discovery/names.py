@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from parallel_cal.discovery.drivers import (
-    WORDS,
-)
+from parallel_cal.discovery.drivers import WORDS
 from parallel_cal.discovery.places import (
     BASE,
     DEVICE,

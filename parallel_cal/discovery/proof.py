@@ -13,9 +13,7 @@ from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.verdict import share_explained
-from parallel_cal.discovery.drivers import (
-    PLACES,
-)
+from parallel_cal.discovery.drivers import PLACES
 from parallel_cal.discovery.effect_file import (
     list_coefficients,
     load_text,
@@ -31,9 +29,7 @@ from parallel_cal.discovery.names import (
     name_law,
     name_place,
 )
-from parallel_cal.discovery.places import (
-    DEVICE,
-)
+from parallel_cal.discovery.places import DEVICE
 from parallel_cal.discovery.screening import Targets
 from parallel_cal.discovery.search import Winner
 from parallel_cal.discovery.shape import find_shape
