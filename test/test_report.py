@@ -319,6 +319,26 @@ def test_two_models_stand_side_by_side_on_the_same_samples(document, text):
     ]
 
 
+def test_models_side_by_side_have_one_scale_one_bar_and_one_space():
+    from parallel_cal.reporting.spaces import sides
+
+    rng = np.random.default_rng(4)
+    places = rng.uniform(-0.1, 0.1, (30, 3))
+    models = [(places, 1e-3 * rng.normal(size=(30, 3)), np.arange(30))]
+    models += [(places[:20], 1e-4 * rng.normal(size=(20, 3)), np.arange(20))]
+    figures, scale = sides(models, "position")
+    one, other = (figure["layout"]["scene"] for figure in figures)
+    assert one["annotations"] == other["annotations"]
+    assert figures[0]["data"][-1] == figures[1]["data"][-1]
+    for axis in ("xaxis", "yaxis", "zaxis"):
+        assert one[axis]["range"] == other[axis]["range"]
+    ends = np.concatenate([p + scale * f for p, f, _ in models]) * 1e3
+    for axis, values in zip("xyz", ends.T, strict=True):
+        low, high = one[f"{axis}axis"]["range"]
+        assert low < values.min()
+        assert values.max() < high
+
+
 def test_a_parameter_that_one_model_lacks_has_no_difference(calibrated, data):
     from parallel_cal.diagnosis.comparison import compare
     from parallel_cal.reporting.versus import Versus

@@ -11,7 +11,7 @@ from parallel_cal.base.units import ERROR_SI_UNITS
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting import drawings, spaces
 from parallel_cal.reporting.blocks import Number, Row
-from parallel_cal.reporting.contents import CertifiedErrors, Residuals
+from parallel_cal.reporting.contents import CertifiedErrors
 from parallel_cal.reporting.figures import MAX_MOVED_TOLERANCES
 from parallel_cal.reporting.markup import (
     Plot,
@@ -39,7 +39,7 @@ from parallel_cal.reporting.results import (
     parameter_table,
     select_shown_parameters,
 )
-from parallel_cal.reporting.versus import Side, Versus
+from parallel_cal.reporting.versus import Versus
 
 MAX_NAMED_SAMPLES = 20  # excluded for one reason
 IDENTIFIED_HERE = (
@@ -91,7 +91,17 @@ def render_comparison(versus: Versus, report: Report, plot: Plot) -> str:
     """Render two models side by side: errors, arrows, and the parameters that differ."""
     sides = dict(zip(("this model", "other model"), versus.sides, strict=True))
     columns = {name: side.errors for name, side in sides.items()}
-    pictures = "".join(_side(name, side, report.residuals, plot) for name, side in sides.items())
+    drawn, residuals = [""] * 2, report.residuals
+    if residuals.kind is not None:
+        models = [(side.place, side.residual, residuals.sample) for side in versus.sides]
+        figures, scale = spaces.sides(models, residuals.kind)
+        drawn = [plot(figure) for figure in figures]
+    pictures = ""
+    for (name, side), picture in zip(sides.items(), drawn, strict=True):
+        about = f"{side.mechanism}, {' + '.join(side.effects) or 'no effects'}"
+        about += f", sha256 {side.model_sha256[:12]}" + (f", arrows × {scale:g}" if picture else "")
+        caption = f"<figcaption><b>{escape(name)}</b> {escape(about)}</figcaption>"
+        pictures += f"<figure>{caption}{picture}</figure>"
     rows: list[Row] = []
     for row in versus.parameters:
         unit, factor = value_unit(row.unit)
@@ -108,16 +118,6 @@ def render_comparison(versus: Versus, report: Report, plot: Plot) -> str:
             else paragraph("All parameters are equal.", "none")
         )
     )
-
-
-def _side(name: str, side: Side, residuals: Residuals, plot: Plot) -> str:
-    effects = " + ".join(side.effects) or "no effects"
-    about, picture = f"{side.mechanism}, {effects}, sha256 {side.model_sha256[:12]}", ""
-    if residuals.kind is not None:
-        figure, scale = spaces.side(side.place, side.residual, residuals.kind, residuals.sample)
-        about, picture = f"{about}, arrows × {scale:g}", plot(figure)
-    caption = f"<figcaption><b>{escape(name)}</b> {escape(about)}</figcaption>"
-    return f"<figure>{caption}{picture}</figure>"
 
 
 def certificate(report: Report) -> str:

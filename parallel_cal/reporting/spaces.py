@@ -34,15 +34,30 @@ def residual_arrows(
     return _add_scale_arrow(traces, places, fields[0], scale, kind), scale
 
 
-def side(
-    places: np.ndarray, field: np.ndarray, kind: str, numbers: np.ndarray, scale: float = 0.0
-) -> tuple[Spec, float]:
-    """Draw the residuals of one of several models; without a scale, choose one."""
-    scale = scale or scale_of(places, [field])
-    drawn = _add_scale_arrow(
-        _draw_arrows(places, field, scale, kind, numbers), places, field, scale, kind
-    )
-    return drawn | {"layout": drawn["layout"] | {"height": 380}}, scale
+def sides(
+    models: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], kind: str
+) -> tuple[list[Spec], float]:
+    """Draw the residuals of several models: one magnification, one bar and the same axes for all.
+
+    A model is its places (N, 3), residuals (N, 3) and sample numbers (N,). The result is a figure
+    for each model, and the magnification.
+    """
+    scale = min(scale_of(places, [field]) for places, field, _ in models)
+    places = np.concatenate([places for places, _, _ in models])
+    fields = np.concatenate([field for _, field, _ in models])
+    ends = np.concatenate([places, places + scale * fields])
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    margin = 0.1 * (high - low).max()  # the bar lies there
+    ranges = _axis_factor(kind) * np.stack([low - margin, high + margin], axis=1)
+    axes = {f"{a}axis": {"range": pair} for a, pair in zip("xyz", ranges.tolist(), strict=True)}
+    figures = []
+    for own_places, own_field, numbers in models:
+        traces = _draw_arrows(own_places, own_field, scale, kind, numbers)
+        figure = _add_scale_arrow(traces, places, fields, scale, kind)
+        scene = figure["layout"]["scene"]
+        scene |= {name: scene.get(name, {}) | axis for name, axis in axes.items()}
+        figures.append(figure | {"layout": figure["layout"] | {"height": 380}})
+    return figures, scale
 
 
 def smooth_map(found: SmoothMap) -> tuple[Spec, float] | None:
@@ -70,7 +85,12 @@ def _draw_arrows(
     places, field, numbers = places[kept], field[kept], numbers[kept]
     sizes = np.linalg.norm(field, axis=1)
     words = [f"{n}: {with_unit(size, SI[kind])}" for n, size in zip(numbers, sizes, strict=True)]
-    return arrows(places, field, scale, words, 1e3 if kind == "position" else 1.0)
+    return arrows(places, field, scale, words, _axis_factor(kind))
+
+
+def _axis_factor(kind: str) -> float:
+    """Return the factor from SI to the unit of the axes: mm, or rad."""
+    return 1e3 if kind == "position" else 1.0
 
 
 def _add_scale_arrow(
@@ -78,8 +98,8 @@ def _add_scale_arrow(
 ) -> Spec:
     """Add a length to compare arrows with, outside the lowest corner, where no arrow covers it."""
     size, low = typical(field), places.min(axis=0)
-    x, y, z = (1e3 if kind == "position" else 1.0) * (low - 0.1 * (places.max(axis=0) - low))
-    long = (1e3 if kind == "position" else 1.0) * scale * size
+    x, y, z = _axis_factor(kind) * (low - 0.1 * (places.max(axis=0) - low))
+    long = _axis_factor(kind) * scale * size
     bar = {
         "type": "scatter3d",
         "mode": "lines",

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from nicegui import run, ui
 
-from parallel_cal.reporting.arrows import scale_of
 from parallel_cal.reporting.readable import MISSING, format_judged_error, write_micro
-from parallel_cal.reporting.spaces import side
+from parallel_cal.reporting.spaces import sides
 from parallel_cal.session.history import History, format_first_error
 from parallel_cal.workbench.bench import load_view
 from parallel_cal.workbench.prediction_difference import compare_predictions
@@ -79,25 +78,20 @@ class BranchComparison:
 
     def _plots(self, fields: dict[str, Any]) -> list[Any]:
         """Draw the residuals of each branch with a common scale and common axes."""
-        places, vectors = (
-            {k: np.array(f[key], dtype=float).reshape(-1, 3) for k, f in fields.items()}
-            for key in ("places", "vectors")
-        )
-        scale = min(scale_of(places[k], [vectors[k]]) for k in fields)
-        every = 1e3 * np.concatenate(list(places.values()))
-        low, high = every.min(axis=0), every.max(axis=0)
-        ends = np.stack([low, high], axis=1) + 0.1 * (high - low).max() * np.array([-1, 1])
+        models = [
+            (
+                np.array(field["places"], dtype=float).reshape(-1, 3),
+                np.array(field["vectors"], dtype=float).reshape(-1, 3),
+                np.array(field["numbers"]),
+            )
+            for field in fields.values()
+        ]
+        figures, scale = sides(models, next(iter(fields.values()))["kind"])
         plots = []
-        for name, field in fields.items():
-            numbers = np.array(field["numbers"])
-            figure, _ = side(places[name], vectors[name], field["kind"], numbers, scale)
-            scene = dict(figure["layout"]["scene"])
-            for axis, both in zip(("xaxis", "yaxis", "zaxis"), ends.tolist(), strict=True):
-                scene[axis] = scene.get(axis, {}) | {"range": both}
+        for name, figure in zip(fields, figures, strict=True):
             with ui.column().classes("flex-1 min-w-0 gap-0"):
                 ui.label(f"{name}: residuals, magnified {scale:g} times")
-                layout = figure["layout"] | {"scene": scene}
-                plot = draw_figure(figure | {"layout": layout}, f"residuals of {name}")
+                plot = draw_figure(figure, f"residuals of {name}")
                 plot.on("plotly_relayout", partial(self._turn, plot))
             plots.append(plot)
         return plots
