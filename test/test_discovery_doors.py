@@ -199,7 +199,7 @@ def test_the_page_does_not_offer_a_search_where_an_effect_explains_the_error(tmp
     session = Session.new(tmp_path / "s", read_model(MODEL), ["bags/delta_backlash"])
     session.fit()
     bench = Bench(session.folder)
-    until(lambda: not bench.busy, "the first look")
+    until(lambda: not bench.working, "the first look")
     assert bench.session.state.verdict == "explained"
     assert not bench.view["find_law"]
     bench.close()

@@ -70,7 +70,7 @@ def test_the_workbench_offers_two_effects_together(tmp_path):
     data.to_json(tmp_path / "samples.json")
     Session.new(tmp_path / "s", model, [tmp_path / "samples.json"])
     bench = Bench(tmp_path / "s")
-    until(lambda: not bench.busy, "the first look")
+    until(lambda: not bench.working, "the first look")
     bench.begin("fit")
     until(lambda: not bench.busy, "fit")
     names = bench.view["together"]["names"]

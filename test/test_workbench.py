@@ -41,7 +41,7 @@ def test_a_bench_takes_steps_beside_and_shows_what_came_out(folder):
     from parallel_cal.workbench.bench import Bench
 
     bench = Bench(folder)  # nothing is kept yet: it looks by itself
-    until(lambda: not bench.busy, "the first look")
+    until(lambda: not bench.working, "the first look")
     assert bench.view["verdict"]["colour"] == "grey"
     version = bench.version
     bench.begin("fit")
@@ -68,14 +68,68 @@ def test_a_bench_takes_steps_beside_and_shows_what_came_out(folder):
     assert bench.message == "cancelled; the session is unchanged"
     assert bench.session.state.step == "save to model.yaml, forced"
     again = Bench(folder)  # what was looked at is kept
-    assert not again.busy
+    assert not again.working
     assert again.view == bench.view
     again.run_now("undo")
     again.run_now("undo")
     assert again.session.state.step == "begin"
-    until(lambda: not again.busy, "the kept view")
+    until(lambda: not again.working, "the kept view")
     bench.follow()
     assert bench.session.state.step == "begin"
+
+
+class SlowLooks:
+    """A worker whose looks last until nobody wants them, and whose steps are done at once."""
+
+    def __init__(self):
+        self.begun = []
+
+    def work(self, function, folder, step, *given, tell, wanted):
+        from parallel_cal.base.worker import WorkCancelled
+        from parallel_cal.workbench.bench import Done
+
+        self.begun.append(step)
+        if step == "look":
+            tell("reading", 0.5, {"verdict": "preliminary"})
+            until(lambda: not wanted(), "the end of the look")
+            tell("running the diagnosis", 0.5, {"verdict": "of another state"})
+            raise WorkCancelled
+        return Done(f"{step} is done")
+
+    def end(self):
+        pass
+
+
+def test_a_step_ends_a_look_and_follows_it(folder):
+    from parallel_cal.workbench.bench import Bench
+
+    worker = SlowLooks()
+    bench = Bench(folder, worker=worker)
+    until(lambda: bench.stage == "reading", "the first look")
+    assert bench.working
+    assert not bench.busy
+    bench.begin("fit")
+    until(lambda: bench.message == "fit is done", "the fit")
+    assert worker.begun == ["look", "fit"]
+    # What the look found when it was no longer wanted is not shown.
+    assert bench.view == {"verdict": "preliminary"}
+    assert not bench.working
+
+
+def test_a_look_at_another_state_begins_anew_and_an_owner_can_cancel_it(folder):
+    from parallel_cal.workbench.bench import Bench
+
+    worker = SlowLooks()
+    bench = Bench(folder, worker=worker)
+    until(lambda: bench.stage == "reading", "the first look")
+    bench.run_now("start_branch", "other")
+    until(lambda: worker.begun == ["look", "look"] and bench.stage == "reading", "another look")
+    assert bench.view == {"verdict": "preliminary"}
+    assert bench.message == ""
+    bench.cancel()
+    until(lambda: not bench.working, "the end")
+    assert bench.message == "cancelled; the session is unchanged"
+    assert worker.begun == ["look", "look"]
 
 
 def asked(headers, token="", query=b"", kind="http"):
@@ -423,7 +477,7 @@ def test_a_full_disk_is_reported_and_the_session_is_unchanged(folder):
     from parallel_cal.workbench.bench import Bench
 
     bench = Bench(folder)
-    until(lambda: not bench.busy, "the first look")
+    until(lambda: not bench.working, "the first look")
     state = bench.session.state
     usual = resource.getrlimit(resource.RLIMIT_FSIZE)
 
@@ -556,7 +610,7 @@ def test_the_server_writes_over_a_better_model_only_what_the_owner_confirmed(fol
     bench = Bench(folder, output)
 
     def save(*confirmed):
-        until(lambda: not bench.busy, "the look or step before")
+        until(lambda: not bench.working, "the look or step before")
         bench.save(*confirmed)
         until(lambda: not bench.busy, "Save")
 

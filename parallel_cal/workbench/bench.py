@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from threading import Thread
+from threading import Lock, Thread
 from typing import TYPE_CHECKING, Any, Protocol
 
 from parallel_cal.base.errors import ParallelCalError
@@ -19,6 +19,7 @@ from parallel_cal.session.history import History
 if TYPE_CHECKING:
     from parallel_cal.session.session import Session
 
+LOOK = "look"  # makes the view of a state, and changes nothing
 CERTIFICATE_FILE = "certificate.yaml"  # fields of the certificate, in a session's folder
 # Methods of a session that take long.
 STEPS = ("fit", "add", "remove", "exclude", "include", "choose", "plan", "import_table")
@@ -68,7 +69,8 @@ class Bench:
     """The state that all windows of a session share; `version` rises with every visible change.
 
     A step runs in another process and is on disk when it is complete. A cancelled step leaves the
-    session unchanged.
+    session unchanged. The bench is `busy` while a step runs that the owner began. It is only
+    `working` while it makes the view of a state that has none; the next step ends this.
     """
 
     def __init__(
@@ -89,10 +91,18 @@ class Bench:
         self.stage, self.fraction = "", 0.0
         self.message, self.failed = "", False
         self.question: Question | None = None
-        self.busy, self._cancelled = False, False
+        self.working, self._looking, self._cancelled = False, False, False
+        self._next: Callable[[], None] | None = None  # what ended a look, and follows it
+        self._turn = Lock()
         self._worker = worker or make_worker()
         self.view: dict[str, Any] | None = None
+        self._preliminary: dict[int, dict[str, Any]] = {}  # by states whose look was ended
         self._update_view()
+
+    @property
+    def busy(self) -> bool:
+        """Whether a step runs that the owner began."""
+        return self.working and not self._looking
 
     def close(self) -> None:
         """End the worker and the connection to the nodes."""
@@ -137,9 +147,13 @@ class Bench:
             self._mark_changed()
 
     def _begin(self, function: Callable[..., Done], *given: Any) -> None:
-        if self.busy:
-            return
-        self.busy, self._cancelled = True, False
+        with self._turn:
+            if self._looking:
+                self._next, self._cancelled = partial(self._begin, function, *given), True
+            if self.working:
+                return
+            self.working, self._looking = True, given[:1] == (LOOK,)
+            self._cancelled = False
         self.stage, self.fraction = "starting", 0.0
         self.message, self.failed, self.question = "", False, None
         self._mark_changed()
@@ -210,29 +224,38 @@ class Bench:
                 wanted=lambda: not self._cancelled,
             )
             self.message, self.question = done.message, done.question
-        except WorkCancelled:
-            self.message = "cancelled"
-        except WorkError as error:
-            self.message, self.failed = str(error), True
-        else:
-            before = -1
+        except (WorkCancelled, WorkError) as end:
+            if self._next is None:
+                self._explain(end, before)
         self._refresh_session()
-        if before == self.session.state.number:
-            self.message += "; the session is unchanged"
-        elif before >= 0:  # the step was completed, only its diagnosis was not
-            self.message += f"; {self.session.state.step} was kept, the diagnosis was not completed"
         # If the diagnosis was cancelled, the preliminary view stays.
         found = load_view(self.session)
         self.view, self.seen = (self.view if found is None else found), self.seen + 1
-        self.busy = False
+        with self._turn:
+            self.working = self._looking = False
+            follow, self._next = self._next, None
+        if follow is not None:
+            follow()
         self._mark_changed()
+
+    def _explain(self, end: WorkCancelled | WorkError, before: int) -> None:
+        """Say why a step ended, and what it left of the session, whose state was `before`."""
+        self.failed = isinstance(end, WorkError)
+        self.message = str(end) if self.failed else "cancelled"
+        self._refresh_session()
+        if before == self.session.state.number:
+            self.message += "; the session is unchanged"
+        else:  # the step was completed, only its diagnosis was not
+            self.message += f"; {self.session.state.step} was kept, the diagnosis was not completed"
 
     def _on_progress(self, stage: str, fraction: float, view: dict[str, Any] | None = None) -> None:
         """Show the progress of the step, and its preliminary view."""
         self.stage, self.fraction = stage, fraction
-        if view is not None:
+        if view is not None and not self._cancelled:
             self._refresh_session()
             self.view, self.seen = view, self.seen + 1
+            if self._looking:
+                self._preliminary[self.session.state.number] = view
         self._mark_changed()
 
     def _refresh_session(self) -> bool:
@@ -247,10 +270,15 @@ class Bench:
     def _update_view(self) -> None:
         """Show the stored view of the present state, or begin to compute it."""
         self.question = None  # it was about the previous state
-        self.view, self.seen = load_view(self.session), self.seen + 1
+        with self._turn:
+            if self._looking:
+                self._next, self._cancelled = self._next or self._update_view, True
+                return
+        stored, self.seen = load_view(self.session), self.seen + 1
+        self.view = stored or self._preliminary.get(self.session.state.number)
         self._mark_changed()
-        if self.view is None:
-            self.begin("look")
+        if stored is None:
+            self.begin(LOOK)
 
     def _mark_changed(self) -> None:
         self.version += 1

@@ -79,8 +79,8 @@ class Header:
             (self.save, record.state.parent is not None),
         ):
             button.set_enabled(usable and not bench.busy)
-        self.work.set_visibility(bench.busy)
-        self.headline.set_visibility(not bench.busy)
+        self.work.set_visibility(bench.working)
+        self.headline.set_visibility(not bench.working)
         self.stage.set_text(bench.stage)
         self.fraction.set_value(bench.fraction)
 

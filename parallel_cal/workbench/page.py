@@ -170,7 +170,7 @@ class Window:
                         button.set_enabled(not self.bench.busy)
             if not candidates:
                 running = "The effects are being tested."
-                ui.label(running if self.bench.busy else "No effect has been tested. Press Fit.")
+                ui.label(running if self.bench.working else "No effect has been tested. Press Fit.")
             if both := view["together"]:
                 add = ui.button(
                     f"Add {both['names']}", on_click=partial(self.bench.begin, "add", both["text"])
