@@ -429,7 +429,7 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
         page.get_by_role("button", name="Fix and fit again", exact=True).click()
         until(lambda: Session(folder).state != before, "the parameter held")
         assert "chain1.Lb" in Session(folder).options.fix
-        assert Session(folder).state.step == "fix chain1.Lb, nominal chain1.Lb"
+        assert Session(folder).state.step == "fix chain1.Lb at nominal"
         number = Session(folder).state.number
         until((folder / "views" / f"{number}.json").exists, "a look at what is left")
 
@@ -765,6 +765,74 @@ def test_a_table_is_imported_with_its_columns_named_on_the_page(browser, tmp_pat
     assert session.state.position_rms < 60e-6
 
 
+def test_a_table_with_the_documented_names_is_previewed_as_the_command_line_reads_it(folder):
+    from parallel_cal.session.table_preview import preview_table
+
+    table = folder / "table.csv"
+    names = [f"joint{k} [deg]" for k in (1, 2, 3)] + ["x [mm]", "y [mm]", "z [mm]"]
+    names += ["Rx", "Ry", "Rz", "direction.joint1", "direction.joint2", "Temperature [degC]"]
+    names += ["temperature.arms [degC]", "reading.probe.gauge [um]", "Shot"]
+    table.write_text(",".join(names) + "\n" + ",".join(["1"] * len(names)) + "\n")
+    found = preview_table(table, folder)
+    assert not found["error"]
+    assert found["angles"] == ["Rx", "Ry", "Rz"]
+    assert found["conditions"] == {
+        "time": None,
+        "temperature": "Temperature [degC]",
+        "payload": None,
+        "direction.joint1": "direction.joint1",
+        "direction.joint2": "direction.joint2",
+        "temperature.arms": "temperature.arms [degC]",
+    }
+    assert found["readings"] == {"probe.gauge": "reading.probe.gauge"}
+    table.write_text("joint1 [deg],temperature [Pa]\n1,2\n")
+    assert "'Pa' is no unit of temperature" in preview_table(table, folder)["error"]
+
+
+@pytest.mark.wide
+def test_the_sides_of_a_table_and_its_angles_reach_the_samples(browser, tmp_path):
+    data, folder, table = load_dataset(BAG), tmp_path / "s", tmp_path / "sides.csv"
+    sides = np.column_stack([data.conditions[f"direction.joint{k}"] for k in (1, 2, 3)])
+    names = [f"joint{k} [deg]" for k in (1, 2, 3)] + ["x [mm]", "y [mm]", "z [mm]"]
+    names += [f"direction.joint{k}" for k in (1, 2, 3)] + ["A", "B", "C", "Shot"]
+    rows = np.column_stack([np.degrees(data.q), 1e3 * data.r, sides, np.zeros((len(data), 4))])
+    text = [",".join(names), *(",".join(map(repr, row)) for row in rows.tolist())]
+    table.write_text("\n".join(text))
+    served = Served(MODEL, "--session", folder)
+    try:
+        page = browser.new_page(viewport={"width": 1280, "height": 900})
+        page.set_default_timeout(1000 * LONG)
+        page.goto(served.url)
+        page.get_by_role("button", name="Import a table", exact=True).first.click()
+        page.locator("input[type=file]").set_input_files(table)
+        unused = page.locator("#unused")
+        unused.get_by_text("not used: A, B, C, Shot").wait_for()
+        page.get_by_label("column of joint2", exact=True).click()
+        page.get_by_role("option", name="joint1 [deg]", exact=True).click()
+        page.get_by_role("button", name="Import", exact=True).click()
+        answer = page.locator("#import-answer")
+        answer.get_by_text("joint1 [deg] is chosen for joint1 and joint2").wait_for()
+        page.get_by_label("column of joint2", exact=True).click()
+        page.get_by_role("option", name="joint2 [deg]", exact=True).click()
+        page.get_by_label("orientation", exact=True).click()
+        page.get_by_role("option", name="three angles", exact=True).click()
+        unused.get_by_text("not used: Shot", exact=True).wait_for()
+        page.get_by_label("unit of the angles", exact=True).click()
+        page.get_by_role("option", name="deg", exact=True).click()
+        page.get_by_label("position [µm]").fill("20")
+        page.get_by_role("button", name="Import", exact=True).click()
+        answer.wait_for(state="hidden")
+        page.get_by_role("cell", name=f"import {len(data)} samples of sides.csv").wait_for()
+    finally:
+        served.end()
+    found = Session(folder).samples
+    for k in (1, 2, 3):
+        np.testing.assert_array_equal(found.conditions[f"direction.joint{k}"], sides[:, k - 1])
+    assert not found.sides_from_order
+    assert found.measured.all()
+    np.testing.assert_allclose(found.pose_cov[0, 0, 0], 20e-6**2)
+
+
 # ------------------------------------------------------------------ samples set aside
 
 
@@ -784,8 +852,9 @@ def test_a_sample_that_the_verdict_set_aside_can_be_excluded_on_the_page(browser
         page.locator("#verdict").get_by_text("sample 17 (").wait_for()
         assert "--data" not in page.locator("#verdict-words").inner_text()  # no option of a command
         assert page.locator("#included").inner_text().endswith("does not use: sample 17.")
+        page.get_by_label("reason", exact=True).fill("the reflector was touched")
         page.get_by_role("button", name="Exclude sample 17", exact=True).click()
-        page.get_by_text("sample 17 is excluded: far from what all others show").wait_for()
+        page.get_by_text("sample 17 is excluded: the reflector was touched").wait_for()
         until(lambda: set(Session(folder).state.excluded) == {17}, "the exclusion on disk")
         page.locator("#included").wait_for(state="hidden")
     finally:

@@ -128,7 +128,12 @@ class Comparison(ShownInNotebook):
     @cached_property
     def iso_9283(self) -> tuple[Iso9283, ...]:
         """Pose accuracy and repeatability with the unchanged model."""
-        return iso_9283(self.errors, self.observations.group, list_sides(self.dataset))
+        return iso_9283(
+            self.errors,
+            self.observations.group,
+            list_sides(self.dataset),
+            sides_from_order=self.dataset.sides_from_order,
+        )
 
     @property
     def position(self) -> np.ndarray:

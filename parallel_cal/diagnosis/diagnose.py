@@ -459,6 +459,7 @@ def _diagnose_trusted(
         ambiguous=describe_ambiguities(ambiguous, measure_next.plan) if ambiguous else (),
         unseparated=explain_unseparated_device(base.fitted, best.fitted) if best.chosen else "",
         like_drift=tuple(sorted(catalogue.like_drift)),
+        sides_from_order=dataset.sides_from_order,
     )
     return Diagnosis(
         model=model,

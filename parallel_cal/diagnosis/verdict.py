@@ -67,7 +67,7 @@ class Findings:
     larger than usual. `ambiguous` are sentences about effects of the model that another effect
     would replace without loss. `unseparated` says that effects of the device move the robot further
     than the errors show. `like_drift` lists effects of time that explain no more than noise that
-    drifts.
+    drifts. `sides_from_order` is that of the dataset.
     """
 
     base: Trial
@@ -87,6 +87,7 @@ class Findings:
     remaining: RemainingCondition | None = None
     unseparated: str = ""
     like_drift: tuple[str, ...] = ()
+    sides_from_order: bool = False
 
     @property
     def final_estimate(self) -> Estimate:
@@ -370,9 +371,15 @@ def _doubt_noise(found: Findings, errors: str) -> Verdict:
             "Record what differed and diagnose again; if nothing did, because encoders and device "
             "repeat no better, state the noise of repeated visits in the model file"
         )
+    unknown = "the difference depends on no recorded condition"
+    if found.sides_from_order:
+        unknown += (
+            ". The sides from which the joints came were not recorded, but taken from the order of "
+            "the rows: if they were others, state them (direction.JOINT) and diagnose again"
+        )
     return Verdict(
         "cannot_know",
-        f"{differ}, and the difference depends on no recorded condition. What differed between the "
+        f"{differ}, and {unknown}. What differed between the "
         "visits? If the robot moved (friction, backlash, load, warming), an effect is missing; if "
         f"all of it is noise, the model is complete. {test}"
         f"{''.join(f'. By the residuals, {words}' for words in found.shape.remarks)}",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -157,6 +157,7 @@ class Iso9283:
     (`repeated_poses`, and `visits` in total); None if there are none. Both contain the noise of the
     device. `poses` counts the poses, `samples` all visits. If the recording does not know the side
     from which a pose was approached (`sides_known`), all its visits count as from one side.
+    `sides_from_order`: these sides follow from the order of a table's rows.
     """
 
     kind: str
@@ -171,16 +172,22 @@ class Iso9283:
     visits: int
     sides_known: bool
     held_out: bool
+    sides_from_order: bool = False
 
 
 def iso_9283(
-    errors: Errors, group: np.ndarray, sides: np.ndarray | None = None, held_out: bool = False
+    errors: Errors,
+    group: np.ndarray,
+    sides: np.ndarray | None = None,
+    held_out: bool = False,
+    sides_from_order: bool = False,
 ) -> tuple[Iso9283, ...]:
     """Figures for each kind of error that was measured; the measured pose counts as the attained
     pose.
 
     `group` (N,) is equal for visits of one pose; `sides` (N,) is equal for visits from the same
-    side (`list_sides`). `held_out`: the errors are at held-out poses.
+    side (`list_sides`). `held_out`: the errors are at held-out poses. `sides_from_order` is that of
+    the dataset.
     """
     found = []
     for kind in KINDS:
@@ -188,7 +195,8 @@ def iso_9283(
         if known.any():
             e, seen = getattr(errors, kind)[known], group[known]
             side = None if sides is None else sides[known]
-            found.append(_compute_iso_figures(kind, np.nan_to_num(e), seen, side, held_out))
+            figures = _compute_iso_figures(kind, np.nan_to_num(e), seen, side, held_out)
+            found.append(replace(figures, sides_from_order=sides_from_order))
     return tuple(found)
 
 

@@ -359,9 +359,12 @@ class FitResult(ShownInNotebook):
     @cached_property
     def iso_9283(self) -> tuple[Iso9283, ...]:
         """Pose accuracy and repeatability with the identified model."""
-        held_out = bool(self.held_out.judged.any())
         return iso_9283(
-            self.judged_errors, self.observations.group, list_sides(self.dataset), held_out
+            self.judged_errors,
+            self.observations.group,
+            list_sides(self.dataset),
+            held_out=bool(self.held_out.judged.any()),
+            sides_from_order=self.dataset.sides_from_order,
         )
 
     @property

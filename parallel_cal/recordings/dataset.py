@@ -92,6 +92,8 @@ class Dataset:
         measured.
     excluded : dict of str
         The reason for each sample that was excluded, by its number.
+    sides_from_order : bool
+        direction.JOINT was not recorded. It follows from the order of a table's rows.
     """
 
     joint_names: tuple[str, ...]
@@ -119,6 +121,7 @@ class Dataset:
     configuration: dict[str, float] = dataclasses.field(default_factory=dict)
     recordings: tuple[str, ...] = ()
     excluded: dict[int, str] = dataclasses.field(default_factory=dict)
+    sides_from_order: bool = False
 
     def __repr__(self) -> str:
         kinds = sorted({name.partition(".")[0] for name in self.conditions})

@@ -84,6 +84,7 @@ def join_datasets(
         conditions=shared,
         dropped=tuple(dropped for d in parts for dropped in d.dropped),
         warnings=tuple(dict.fromkeys(warnings)),
+        sides_from_order=any(d.sides_from_order for d in parts),
         source=", ".join(dict.fromkeys(d.source for d in parts)),
     )
     hashes = [d.sha256 for d in parts]

@@ -33,7 +33,7 @@ PER_SAMPLE = (
 )
 MAX_SAMPLE_FILE_BYTES = 512 * MEGABYTE  # a million samples
 NULLABLE_FIELDS = ("pose_cov", "scatter_q", "scatter_pose")  # null if the device does not state it
-OPTIONAL_FIELDS = ("joint_units", "recordings", "excluded")
+OPTIONAL_FIELDS = ("joint_units", "recordings", "excluded", "sides_from_order")
 MAX_ORTHOGONALITY_ERROR = 1e-6  # largest difference of an entry of R R^T from the identity
 
 
@@ -85,6 +85,8 @@ def restore_field(name: str, document: Mapping[str, Any]) -> Any:
     if name == "conditions":
         for key, column in value.items():
             _check_length(f"conditions.{key}", column, len(document["time"]))
+    if name == "sides_from_order" and not isinstance(value, bool):
+        raise DatasetError(f"sides_from_order is {value}: expected true or false")
     if name == "joint_names":
         good = isinstance(value, tuple) and all(isinstance(n, str) for n in value)
         if not good or not value or len(set(value)) < len(value):

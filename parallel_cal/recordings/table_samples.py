@@ -41,13 +41,15 @@ def make_dataset(given: Sequence[Table], wanted: ColumnMap, asks: str) -> Datase
     if order is None and wanted.join and wanted.join.within and len(tables) > 1:
         order = found.numbers([wanted.join.by])[:, 0]
     stated = any(name.split(".")[0] in ("direction", "travel") for name in wanted.conditions)
-    if wanted.visits == "in order" and not stated and n > 1:
+    from_order = wanted.visits == "in order" and not stated and n > 1
+    if from_order:
         conditions |= _directions_of_visits(wanted, q, order)
         where = "times" if order is not None else "order"
         notes.append(
             f"{source}: direction and travel of the joints were taken from the {where} of "
-            "the rows, as if each joint moved straight from row to row; if not, state visits: "
-            "unordered in the column map"
+            "the rows, as if each joint moved straight from row to row. If it did not, name "
+            "columns direction.JOINT (1 if the reading of the joint rose before the stop, else "
+            "-1), or state visits: unordered in the column map"
         )
     noise = wanted.noise  # as the manufacturers state it; NaN if they do not
     sigma = np.repeat([noise.position or np.nan, noise.orientation or np.nan], 3)
@@ -68,6 +70,7 @@ def make_dataset(given: Sequence[Table], wanted: ColumnMap, asks: str) -> Datase
         dropped=tuple(dropped),
         warnings=tuple(notes),
         joint_units=tuple(found.joint_unit(joint) for joint in wanted.joints.values()),
+        sides_from_order=from_order,
     )
     # Of the numbers, not of the files: another column map makes other samples of the same files.
     return dataclasses.replace(dataset, sha256=fingerprint(dataset))

@@ -161,6 +161,8 @@ def iso_sentence(figures: Iso9283) -> str:
     """Describe the figures after ISO 9283, with their counts and the sides of approach."""
     unit, factor = ascii_unit(figures.kind)
     side = "from the same side" if figures.sides_known else "(sides of approach not recorded)"
+    if figures.sides_from_order:
+        side += " (sides taken from the order of the rows)"
     again = f"repeatability RP not known: no pose was visited twice {side}"
     if figures.repeatability is not None:
         shown = with_sigma(figures.repeatability, figures.repeatability_sigma, factor)

@@ -280,8 +280,12 @@ class Session(History):
         words = [
             f"{key} {', '.join(v) or 'none' if isinstance(v, (list, tuple)) else v}"
             for key, v in options.items()
+            if v not in ([], ()) or len(options) == 1  # to free a parameter may empty `fix`
         ]
-        words += [f"nominal {', '.join(nominal)}"] if nominal else []
+        if nominal and list(nominal) == list(options.get("fix", ())):
+            words = [f"{word} at nominal" if word.startswith("fix ") else word for word in words]
+        elif nominal:
+            words.append(f"{', '.join(nominal)} at nominal")
         words += [f"with {' and '.join(effects)}"] if effects else []
         start = self.model
         if nominal:

@@ -454,7 +454,7 @@ def _save(
         found = session.save(output, lambda replacement: replacement.key == confirmed, tell, reason)
     except SaveRefused as refused:
         asked = refused.replacement
-        words = f"{'; '.join(asked.reasons)}. Write this model to {output} anyway?"
+        words = "\n".join((*asked.reasons, f"Write this model to {output} anyway?"))
         return Done(
             "",
             Question(

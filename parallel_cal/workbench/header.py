@@ -105,7 +105,7 @@ class Notice:
         with ui.footer(value=False) as self.footer:
             with ui.row().classes("w-full items-center gap-2") as self.asked:
                 self.question = ui.label().props("id=question role=alert").classes("grow basis-64")
-                self.question.style(f"color: {COLOURS['amber']}")
+                self.question.style(f"color: {COLOURS['amber']}; white-space: pre-line")
                 self.reason = ui.input("say why", on_change=self._allow_yes)
                 self.reason.classes("w-64").props("dense")
                 self.no = _button("", bench.decline)

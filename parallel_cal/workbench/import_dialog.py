@@ -14,8 +14,14 @@ from parallel_cal.workbench.bench import Bench
 
 NONE = "none"
 IN_HEADER = "as in the header"
-QUATERNION, ANGLE_KIND = "quaternion x y z w", "three angles"
-ORIENTATIONS = {NONE: (), QUATERNION: ("qx", "qy", "qz", "qw"), ANGLE_KIND: ("1", "2", "3")}
+QUATERNION, ANGLE_KIND, VECTOR = "quaternion x y z w", "three angles", "rotation vector"
+# The names of the columns of an orientation.
+ORIENTATIONS = {
+    NONE: (),
+    QUATERNION: ("qx", "qy", "qz", "qw"),
+    ANGLE_KIND: ("first angle", "second angle", "third angle"),
+    VECTOR: ("x of the vector", "y of the vector", "z of the vector"),
+}
 AXES = {
     "xyz": "about fixed x, y, z",
     "zyx": "about fixed z, y, x",
@@ -24,7 +30,9 @@ AXES = {
     "ZXZ": "about moving z, x, z",
     "ZYZ": "about moving z, y, z",
 }
-NOISES = {"joint": "joints [rad or m]", "position": "position [m]", "orientation": "rotation [rad]"}
+UNITS = {"time": "s", "temperature": "degC", "payload": "kg"}
+# The units in which people enter noise, and their factors to SI.
+NOISE_UNITS = {"m": ("µm", 1e-6), "rad": ("mrad", 1e-3), "m or rad": ("m or rad", 1.0)}
 SUFFIXES = ".csv,.tsv,.txt"
 POLL_INTERVAL_S = 0.1
 
@@ -81,8 +89,8 @@ class ImportDialog:
     def _begin(self) -> None:
         if self._file is None:
             return
-        if missing := self._columns.list_missing():
-            self._answer.set_text(f"choose a column for {', '.join(missing)}")
+        if problem := self._columns.find_problem():
+            self._answer.set_text(problem)
             return
         self._answer.set_text("")
         self._awaits_result = True
@@ -117,45 +125,85 @@ class ColumnForm:
             self._position = [self._pick(axis, guessed[axis]) for axis in "xyz"]
             self._position_unit = self._pick_unit("unit of x, y, z", LENGTHS)
         with _row("orientation"):
-            names = ORIENTATIONS[QUATERNION]
-            known = all(guessed[name] for name in names)
+            guesses = {QUATERNION: [guessed[name] for name in ORIENTATIONS[QUATERNION]]}
+            guesses |= dict.fromkeys((ANGLE_KIND, VECTOR), found["angles"])
+            known = all(guesses[QUATERNION])
             self._kind = ui.select(
                 list(ORIENTATIONS), value=QUATERNION if known else NONE, label="orientation"
             ).classes("w-48")
-            self._orientation = [self._pick(name, guessed[name]) for name in names]
-            for k, column in enumerate(self._orientation):
-                column.bind_visibility_from(
-                    self._kind, "value", lambda kind, k=k: k < len(ORIENTATIONS[kind])
-                )
+            self._orientations = {
+                kind: list(map(self._pick, ORIENTATIONS[kind], guess))
+                for kind, guess in guesses.items()
+            }
+            for kind, columns in self._orientations.items():
+                for column in columns:
+                    column.bind_visibility_from(self._kind, "value", value=kind)
             self._axes = ui.select(AXES, value="xyz", label="rotations").classes("w-48")
             self._angle_unit = self._pick_unit("unit of the angles", ANGLES)
-            for part in (self._axes, self._angle_unit):
-                part.bind_visibility_from(self._kind, "value", lambda kind: kind == ANGLE_KIND)
+            self._axes.bind_visibility_from(self._kind, "value", value=ANGLE_KIND)
+            self._angle_unit.bind_visibility_from(
+                self._kind, "value", lambda kind: kind in (ANGLE_KIND, VECTOR)
+            )
+        given: dict[str, str | None] = found["conditions"]
+        sides = [f"direction.{joint}" for joint in found["joints"]]
+        with _row("sides"):
+            self._conditions = {name: self._pick(name, given.get(name)) for name in sides}
+            for one in self._conditions.values():
+                one.tooltip("1 if the reading of the joint rose before the stop, -1 if it fell")
         with _row("conditions"):
-            self._conditions = {
-                name: self._pick(f"{name} [{unit}]", guessed[name])
-                for name, unit in (("time", "s"), ("temperature", "degC"), ("payload", "kg"))
+            others = [name for name in given if name not in sides]
+            self._conditions |= {
+                name: self._pick(f"{name} [{UNITS[name]}]" if name in UNITS else name, given[name])
+                for name in others
             }
             self._group = self._pick("number of the pose", None)
             self._in_order = ui.checkbox("rows in the order of the visits", value=True)
+            self._in_order.tooltip(
+                "Without columns of the sides, the sides from which the joints came then follow "
+                "from the order of the rows."
+            )
         with _row("noise, 1 sigma"):
-            self._noise = {
-                name: ui.number(words, min=0, format="%.3g").classes("w-40")
-                for name, words in NOISES.items()
-            }
+            moves = set(found["joints"].values())
+            units = {"joint": moves.pop() if len(moves) == 1 else "m or rad"}
+            units |= {"position": "m", "orientation": "rad"}
+            self._noise = {}
+            for name, si in units.items():
+                unit, factor = NOISE_UNITS[si]
+                entry = ui.number(f"{name} [{unit}]", min=0, format="%.3g").classes("w-40")
+                self._noise[name] = (entry, factor)
+        self._readings: dict[str, str] = found["readings"]
+        ui.label().classes("text-sm").props("id=unused").bind_text_from(self, "unused")
+
+    @property
+    def unused(self) -> str:
+        """The columns that the map does not name, in words."""
+        chosen = [column for column, _, _ in self._joints.values()]
+        chosen += [*self._position, *self._chosen_orientation, *self._conditions.values()]
+        used = {one.value for one in (*chosen, self._group)} | {*self._readings.values()}
+        left = [word for word in self._header if word not in used]
+        return f"not used: {', '.join(left)}" if left else ""
 
     @property
     def _chosen_orientation(self) -> list[Any]:
-        return self._orientation[: len(ORIENTATIONS[self._kind.value])]
+        return self._orientations.get(self._kind.value, [])
 
-    def list_missing(self) -> list[str]:
-        """List what needs a column and has none. A position is complete, or not measured."""
+    def find_problem(self) -> str:
+        """Say what needs a column and has none, or which two quantities have the same; empty if
+        none. A position is complete, or not measured."""
         asked = {name: column for name, (column, _, _) in self._joints.items()}
         if any(one.value for one in self._position):
             asked |= dict(zip("xyz", self._position, strict=True))
         each = zip(ORIENTATIONS[self._kind.value], self._chosen_orientation, strict=True)
         asked |= {f"{self._kind.value} ({name})": column for name, column in each}
-        return [name for name, column in asked.items() if not column.value]
+        if missing := [name for name, column in asked.items() if not column.value]:
+            return f"choose a column for {', '.join(missing)}"
+        owners: dict[str, list[str]] = {}
+        for name, column in asked.items():
+            owners.setdefault(column.value, []).append(name)
+        shared = {column: names for column, names in owners.items() if len(names) > 1}
+        return "; ".join(
+            f"{column} is chosen for {' and '.join(n)}" for column, n in shared.items()
+        )
 
     def document(self) -> dict[str, Any]:
         """Return the column map. A quantity without a column is left out."""
@@ -177,14 +225,20 @@ class ColumnForm:
         columns = [one.value for one in self._chosen_orientation]
         if self._kind.value == QUATERNION:
             found["orientation"] = columns
-        elif self._kind.value == ANGLE_KIND:
-            found["angles"] = {"columns": columns, "axes": self._axes.value}
-            found["angles"] |= _without_empty({"unit": _stated(self._angle_unit.value)})
+        elif self._kind.value != NONE:
+            unit = _without_empty({"unit": _stated(self._angle_unit.value)})
+            if self._kind.value == ANGLE_KIND:
+                found["angles"] = {"columns": columns, "axes": self._axes.value} | unit
+            else:
+                found["rotation_vector"] = {"columns": columns} | unit
+        if self._readings:
+            found["readings"] = {k: {"column": column} for k, column in self._readings.items()}
         found["conditions"] = {k: c.value for k, c in self._conditions.items() if c.value}
         if self._group.value:
             found["group"] = self._group.value
         found["visits"] = "in order" if self._in_order.value else "unordered"
-        found["noise"] = {k: float(n.value) for k, n in self._noise.items() if n.value}
+        stated = {k: (entry.value, factor) for k, (entry, factor) in self._noise.items()}
+        found["noise"] = {k: value * factor for k, (value, factor) in stated.items() if value}
         return found
 
     def _show_rows(self, found: Mapping[str, Any]) -> None:
@@ -200,7 +254,8 @@ class ColumnForm:
         """Pick the column of a joint, its unit, and the travel per turn of a joint that slides."""
         with _row(name):
             column = self._pick(f"column of {name}", guess)
-            chosen = self._pick_unit(f"unit of {name}", ANGLES | LENGTHS)
+            units = LENGTHS | ANGLES if unit == "m" else ANGLES | LENGTHS
+            chosen = self._pick_unit(f"unit of {name}", units)
             travel = None
             if unit == "m":
                 travel = ui.input("travel per turn", placeholder="71.2 mm").classes("w-36")
@@ -215,10 +270,10 @@ class ColumnForm:
 
 
 def _row(title: str) -> Any:
-    row = ui.row().classes("items-center gap-x-3 gap-y-0 w-full")
-    with row:
-        ui.label(title).classes("w-28 text-sm font-bold")
-    return row
+    """Return a row behind a title; what does not fit into a line continues under its start."""
+    with ui.row().classes("items-center gap-x-3 w-full no-wrap"):
+        ui.label(title).classes("w-28 shrink-0 text-sm font-bold")
+        return ui.row().classes("items-center gap-x-3 gap-y-0 grow")
 
 
 def _stated(unit: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -59,6 +59,10 @@ class Window:
         self.bench, self.version, self.seen = bench, -1, -1
         self.marking = Marking(self._show_marked)
         self.opened = set[str]()  # keys of the expansions that stay open
+        self.pages: dict[str, dict[str, Any]] = {  # which rows of the long tables are shown
+            "samples": {"rowsPerPage": 12, "sortBy": "sigmas", "descending": True},
+            "parameters": {"rowsPerPage": 12},
+        }
         ui.dark_mode(None)  # use the setting of the browser
         ui.colors(primary=MEASURED)
         ui.add_head_html(HEAD + HEADER_HEIGHT + SCRIPT)
@@ -323,8 +327,9 @@ class Window:
                 **view["samples"],
                 key="sample",
                 selection="multiple",
-                pagination={"rowsPerPage": 12, "sortBy": "sigmas", "descending": True},
+                pagination=self.pages["samples"],
             ).classes("one-line-rows")
+            self._keep_page(self.table, "samples")
             self.table.on_select(
                 lambda e: self.marking.mark({row["sample"] for row in e.selection})
             )
@@ -338,23 +343,51 @@ class Window:
             self._show_count(set())
             for number, size in view["knocked"].items():
                 self._offer_exclusion(int(number), size)
-            excluded = bench.session.state.excluded
-            if len(excluded) > 1:
-                with ui.row().classes("items-center"):
-                    ui.label(f"{len(excluded)} samples are excluded")
-                    self._include("Include all", list(excluded))
-            for number, reason in excluded.items():
-                with ui.row().classes("items-center"):
-                    ui.label(f"sample {number} is excluded: {reason or 'no reason given'}")
-                    self._include("Include", [number])
+            self._list_excluded(bench.session.state.excluded)
+
+    def _keep_page(self, shown: Any, name: str) -> None:
+        """Show the next table of this name with the same order and number of rows."""
+
+        def keep() -> None:
+            kept = {key: shown.pagination.get(key) for key in ("rowsPerPage", "sortBy")}
+            self.pages[name] = kept | {"descending": bool(shown.pagination.get("descending"))}
+
+        shown.on_pagination_change(keep)
+
+    def _list_excluded(self, excluded: Mapping[int, str]) -> None:
+        """List the excluded samples by reason, with buttons that include them again."""
+        by_reason: dict[str, list[int]] = {}
+        for number, reason in excluded.items():
+            by_reason.setdefault(reason or "no reason given", []).append(number)
+        if len(by_reason) > 1:
+            with ui.row().classes("items-center"):
+                ui.label(f"{len(excluded)} samples are excluded")
+                self._include("Include all", list(excluded))
+        for reason, numbers in by_reason.items():
+            one = len(numbers) == 1
+            with ui.row().classes("items-center"):
+                which = f"sample {numbers[0]} is" if one else f"{len(numbers)} samples are"
+                ui.label(f"{which} excluded: {reason}")
+                self._include("Include" if one else f"Include these {len(numbers)}", numbers)
+            if not one:
+                draw = partial(self._include_one_by_one, numbers)
+                self._unfolded("Include one by one", f"excluded: {reason}", draw)
+
+    def _include_one_by_one(self, numbers: list[int]) -> None:
+        with ui.row().classes("items-center"):
+            for number in numbers:
+                self._include(f"Include {number}", [number])
 
     def _offer_exclusion(self, number: int, size: str) -> None:
         """Offer to exclude a sample that the verdict set aside: no view shows it."""
         why = f"far from what all others show ({size})"
         with ui.row().classes("items-center"):
             ui.label(f"sample {number} is {why}; the verdict does not use it")
-            step = partial(self.bench.begin, "exclude", {number: why})
-            button = ui.button(f"Exclude sample {number}", on_click=step).props("dense outline")
+            button = ui.button(f"Exclude sample {number}").props("dense outline")
+            button.on_click(
+                lambda: self.bench.begin("exclude", {number: self.reason.value.strip() or why})
+            )
+            button.tooltip("The history states this reason, or yours if you enter one.")
             button.set_enabled(not self.bench.busy)
 
     def _include(self, words: str, numbers: list[int]) -> None:
@@ -406,7 +439,9 @@ class Window:
             return
         bench = self.bench
         with card("Parameters"):
-            rows = table(**view["parameters"], key="name", selection="multiple", pagination=12)
+            page = self.pages["parameters"]
+            rows = table(**view["parameters"], key="name", selection="multiple", pagination=page)
+            self._keep_page(rows, "parameters")
             with ui.row().classes("items-center"):
                 count = ui.label().props("id=marked-parameters aria-live=polite")
                 buttons = [

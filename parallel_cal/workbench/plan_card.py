@@ -61,14 +61,17 @@ def draw_plan_card(bench: Bench, view: dict[str, Any]) -> None:
         if separation := view["separation"]:
             poses = PlannedPoses.parse(separation)
             _draw_poses(bench, view, poses, "distinguish_effects.csv", DISTINGUISHING)
+        planned = PlannedPoses.parse(read_text(bench.planned)) if bench.planned else None
         with ui.row().classes("items-center"):
-            count = ui.number("poses", value=20, min=1, max=500, precision=0).classes("w-24")
-            plan = ui.button("Plan", on_click=lambda: bench.begin("plan", int(count.value or 20)))
+            usual = len(planned.rows) if planned else 20
+            count = ui.number("poses", value=usual, min=1, max=500, precision=0).classes("w-24")
+            plan = ui.button(
+                "Plan", on_click=lambda: bench.begin("plan", int(count.value or usual))
+            )
             plan.props("dense").set_enabled(not bench.busy)
             ui.label("poses that determine the free parameters of this step").classes("quiet")
-        if planned := bench.planned:
-            poses = PlannedPoses.parse(read_text(planned))
-            _draw_poses(bench, view, poses, planned.name, PLANNED)
+        if planned and bench.planned:
+            _draw_poses(bench, view, planned, bench.planned.name, PLANNED)
 
 
 def _draw_poses(
