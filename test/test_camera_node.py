@@ -12,14 +12,18 @@ pytest.importorskip("parallel_cal_msgs")
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra camera)")
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from parallel_cal_msgs.msg import CollectionStatus
 from parallel_cal_msgs.srv import ListSamples
 from ros_helpers import NodeProcess
 from sensor_msgs.msg import CompressedImage
 
+from parallel_cal.base.worker import Worker
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.nodes.calibrate import Calibration
 from parallel_cal.nodes.client import Client, use_private_domain
+from parallel_cal.nodes.photographer import Photographer
+from parallel_cal.virtual.cell import Circumstances
 
 
 @pytest.mark.wide
@@ -64,3 +68,50 @@ def test_a_camera_names_a_hidden_backlash_through_the_nodes(tmp_path):
     assert "backlash" in [effect.name for effect in read_model(file).effects], result.message
     curve = json.loads(result.json)["curve"]
     assert curve[0]["error_unseen"] > 4 * curve[-1]["error_unseen"]
+
+
+class RestingCell:
+    """A cell in which nothing moves."""
+
+    idle, time, now = True, 0.0, Circumstances()
+
+    def true_pose(self):
+        return np.zeros(3), np.eye(3)
+
+
+class Listener:
+    """A node that keeps what is published."""
+
+    def __init__(self):
+        self.published = []
+
+    def create_publisher(self, *_):
+        return self
+
+    def publish(self, message):
+        self.published.append(message.header.stamp.sec)
+
+
+def test_a_robot_that_rests_for_long_is_photographed_seldom(monkeypatch):
+    monkeypatch.setattr(Worker, "work", lambda *_: b"")
+    cell, node = RestingCell(), Listener()
+    camera = Photographer(node, cell, 0, lambda time: Time(sec=round(100 * time)))
+
+    def rest(begin, end):
+        for cell.time in np.arange(begin, end, 0.05):
+            camera.watch()
+            if camera._rendering is not None:
+                camera._rendering.result()  # as if it took no time
+
+    rest(0.0, 40.0)
+    taken = [stamp / 100 for stamp in node.published]
+    assert taken[0] == pytest.approx(0.25, abs=0.06)
+    assert taken[1] == pytest.approx(2.25, abs=0.11)
+    assert len(taken) <= 7  # every 2 s: 20
+    assert max(np.diff(taken)) < 20  # a campaign waits as long for a sample
+    cell.idle = False
+    camera.watch()
+    cell.idle = True
+    rest(40.0, 43.0)
+    assert len(node.published) == len(taken) + 2
+    camera.close()

@@ -219,6 +219,22 @@ def test_a_condition_of_a_map_has_the_unit_of_its_header(files):
     assert data.conditions["temperature"][0] == pytest.approx(20)
 
 
+@pytest.mark.parametrize(("unit", "per_second"), [("s", 1), ("ms", 10**3), ("ns", 10**9)])
+def test_times_since_1970_tell_their_unit_by_their_size(unit, per_second, tmp_path):
+    path = tmp_path / "data.csv"
+    rows = [f"{k},0.{k},0,0,{(1_700_000_000 + 20 * k) * per_second},ok" for k in range(4)]
+    path.write_text("\n".join(["joint1 [m],x [m],y [m],z [m],time,remark", *rows]) + "\n")
+    data = load_dataset(path, joints=("joint1",))
+    assert data.time - data.time[0] == pytest.approx([0.0, 20.0, 40.0, 60.0])
+    said = f"column time states no unit; its numbers are times since 1970 in {unit}"
+    assert any(said in note for note in data.warnings) == (unit != "s")
+    assert f"{path}: columns that are not used: remark" in data.warnings
+    if unit != "s":
+        path.write_text(path.read_text().replace("time,", "time [s],"))
+        with pytest.raises(ParallelCalError, match=rf"no times in s: .* \(time \[{unit}\]\)"):
+            load_dataset(path, joints=("joint1",))
+
+
 @pytest.mark.parametrize(
     ("word", "words"),
     [

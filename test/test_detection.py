@@ -9,6 +9,7 @@ from board_images import LENS, SQUARE, printed, shots
 
 from parallel_cal.imaging.board import Board, read_board
 from parallel_cal.virtual.camera import Camera, FlatBoard
+from parallel_cal.virtual.robot import turn
 
 pytest.importorskip("cv2", reason="OpenCV is not installed (extra camera)")
 
@@ -182,3 +183,20 @@ def test_a_pixel_of_the_rendered_image_is_on_the_ray_of_its_point():
         du, dv = np.meshgrid(np.arange(u - 8, u + 9), np.arange(v - 8, v + 9))
         centre = [(window * d).sum() / window.sum() for d in (du, dv)]
         assert centre == pytest.approx(list(at), abs=0.05)
+
+
+class FullyTracedBoard(FlatBoard):
+    """A board of which every pixel gets all its rays."""
+
+    def find_edges(self, x, y, reach):
+        return np.ones(x.shape, dtype=bool)
+
+
+@pytest.mark.parametrize("turned", [[0.4, 0.2, 0.3], [1.2, 0.1, 0.0], [0.5, np.pi, 0.2]])
+def test_pixels_that_see_no_edge_need_one_ray_only(turned, monkeypatch):
+    board, R = printed(), turn(np.array(turned))
+    r = np.array([0.0, 0.0, 0.4]) - R @ [0.12, 0.09, 0.0]
+    image = SMALL.render(board, r, R)
+    assert (image == SMALL.render(FullyTracedBoard(board.ink, board.cell), r, R)).all()
+    monkeypatch.setattr(FlatBoard, "find_edges", lambda self, x, y, reach: x != x)
+    assert (image != SMALL.render(board, r, R)).mean() > 0.01  # the edges do need them

@@ -79,6 +79,8 @@ def test_a_take_and_a_log_of_joints_on_another_clock_make_samples(tmp_path):
     (tmp_path / "columns.yaml").write_text(COLUMNS)
     tables = [tmp_path / "joints.csv", tmp_path / "take.csv"]
     data = import_csv(tables, tmp_path / "columns.yaml")
+    # A take has many more columns than those of the body.
+    assert not any("not used" in note for note in data.warnings)
     assert len(data) == len(STOPS)
     np.testing.assert_allclose(data.r, STOPS, atol=1e-6)
     np.testing.assert_allclose(data.q, STOPS, atol=1e-6)

@@ -3,12 +3,14 @@
 import json
 
 import pytest
+from camera_cells import Cell
 
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.platform_shift import compute_platform_shift
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.session.steps import add
+from parallel_cal.virtual.robot import Backlash
 
 MODEL, BAG = "config/delta_mockup_nominal.yaml", "bags/delta_backlash"
 
@@ -32,6 +34,17 @@ def test_an_effect_that_is_not_there_moves_it_by_more(fitted):
     step = add(base.model, "thermal_expansion", data, force=True)
     assert step.platform_shift.shown == 0
     assert step.platform_shift.measured > 1e-6
+
+
+@pytest.mark.wide
+def test_a_common_motion_that_no_pixel_shows_is_not_counted():
+    cell = Cell("delta", 1, (Backlash((5e-4, 4e-4, 6e-4)),), board_at=(0.03, -0.02, -0.08))
+    data = cell.seen_by_camera(40)
+    base = fit(cell.drawn.with_sensors((cell.sensor(),)), data)
+    shift = add(base.model, "backlash", data, force=True).platform_shift
+    # Half a milliradian moves this platform by about 50 um. The frames move by ten times as much.
+    assert 30e-6 < shift.measured < 100e-6
+    assert 30e-6 < shift.workspace < 100e-6
 
 
 def test_nothing_moves_between_a_result_and_itself(fitted):

@@ -6,7 +6,9 @@ Files and messages hold SI units. Other units come from tables and controllers, 
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Any, Literal
+
+import numpy as np
 
 Length = Literal["m", "cm", "mm", "um", "nm", "in", "ft", "mil"]
 Angle = Literal["rad", "mrad", "deg", "arcmin", "arcsec", "gon", "rev"]
@@ -66,13 +68,12 @@ UNIT_ALIASES = {
     "meter": "m",
     "metre": "m",
 }
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+MAX_TIME_S = 1e11  # from 1970 to the year 5138; times of clocks in ms, us or ns are larger
 # SI unit of a condition -> unit in a table -> factor and offset to SI.
 CONDITION_UNITS: dict[str, dict[str, tuple[float, float]]] = {
     "s": {
-        "s": (1.0, 0.0),
-        "ms": (1e-3, 0.0),
-        "us": (1e-6, 0.0),
-        "ns": (1e-9, 0.0),
+        **{unit: (seconds, 0.0) for unit, seconds in SECONDS.items()},
         "min": (60.0, 0.0),
         "h": (3600.0, 0.0),
     },
@@ -116,3 +117,11 @@ ERROR_UNITS = {kind: SMALL_UNITS[unit] for kind, unit in ERROR_SI_UNITS.items()}
 def si_factor(name: str) -> float:
     """Return what one of a unit is in m or rad; KeyError for an unknown name."""
     return UNITS[UNIT_ALIASES.get(name, name)]
+
+
+def find_clock_unit(times: Any) -> str:
+    """Return the unit (s, ms, us or ns) of a clock's times since 1970, which follows from their
+    usual size; s for smaller times."""
+    size = float(np.median(np.abs(times))) if np.size(times) else 0.0
+    fits = (unit for unit, seconds in SECONDS.items() if size * seconds < MAX_TIME_S)
+    return next(fits, "ns")

@@ -93,8 +93,11 @@ def calibrate(
         raise ParallelCalError(f"{model}: no such file: expected the model of the robot")
     if camera and not robot:
         raise ParallelCalError("--camera needs --simulated: a real camera needs no option here")
-    device, rate = ("camera", 2.0) if camera else ("tracker", 4.0)
-    cell = {"robot": robot, "effects": hidden, "device": device, "rate": rate} if robot else None
+    cell: dict[str, Any] | None = None
+    if robot:
+        cell = {"robot": robot, "effects": hidden, "device": "tracker", "rate": 4.0}
+    if cell and camera:  # images are found where the robot rests: few joint states show that
+        cell |= {"device": "camera", "joint_rate": 50.0}
     last = [""]
     with Calibration(model, namespace, cell, interrupted=lambda: bool(asked)) as calibration:
 

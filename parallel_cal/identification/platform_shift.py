@@ -10,6 +10,12 @@ import numpy as np
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.predictions import condition_columns
+from parallel_cal.identification.registration import (
+    IDENTITY_FRAMES,
+    DevicePoses,
+    Frames,
+    shows_pose,
+)
 from parallel_cal.identification.thresholds import (
     MAX_DEVICE_TOLERANCES,
     MAX_SHIFT_TO_SHOWN_RATIO,
@@ -24,7 +30,8 @@ class PlatformShift:
     """Rms distance (m) of the platform between two models at the same joints.
 
     `measured` is at the measured poses, `workspace` over the workspace under neutral conditions.
-    `shown` is the root of the fall of the squared validation errors. None if not known.
+    `shown` is the root of the fall of the squared validation errors. None if not known. Where only
+    images were measured, a common motion of {B} or of {P} is not counted: no pixel shows it.
     """
 
     measured: float
@@ -49,7 +56,14 @@ def compute_platform_shift(before: FitResult, after: FitResult) -> PlatformShift
     shown = None
     if rms[0] is not None and rms[1] is not None:
         shown = math.sqrt(max(rms[0] ** 2 - rms[1] ** 2, 0.0))
-    measured, workspace = _compute_rms_distance(*reached), _compute_rms_distance(*anywhere)
+    frames = IDENTITY_FRAMES
+    device = after.observations.measured[:, len(old.joints) :].any()
+    if shows_pose(after.model) and not device:
+        poses = _compare_poses(*reached)
+        frames = poses.descend(frames, poses.placed)
+    measured, workspace = (
+        _compute_rms_distance(_compare_poses(*pair), frames) for pair in (reached, anywhere)
+    )
     return PlatformShift(measured or 0.0, workspace, shown)
 
 
@@ -88,8 +102,27 @@ def explain_unseparated_device(before: FitResult, after: FitResult) -> str:
     )
 
 
-def _compute_rms_distance(one: Solutions, other: Solutions) -> float | None:
-    """Rms distance (m) of the poses that both models reach."""
+def _compare_poses(one: Solutions, other: Solutions) -> DevicePoses:
+    """The positions that one model predicts, compared with those of another model at the same
+    joints; both frames, {B} and {P}, may move."""
     both = one.solved & other.solved
-    off = np.linalg.norm(one.position[both] - other.position[both], axis=1)
-    return float(np.sqrt(np.mean(off**2))) if len(off) else None
+    return DevicePoses(
+        other.position,
+        other.rotation,
+        one.position,
+        one.rotation,
+        placed=both,
+        turned=np.zeros(len(both), bool),
+        length=1.0,
+        turns=True,
+        tilts=True,
+        target_known=False,
+        poses=int(both.sum()),
+        now=IDENTITY_FRAMES,
+        expected=np.zeros(2),
+    )
+
+
+def _compute_rms_distance(poses: DevicePoses, frames: Frames) -> float | None:
+    """Rms distance (m) of the poses that both models reach, after motions of the frames."""
+    return poses.compute_position_rms(frames) if poses.placed.any() else None

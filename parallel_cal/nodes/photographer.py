@@ -19,14 +19,17 @@ from parallel_cal.nodes.rendering import render
 from parallel_cal.virtual.cell import Cell
 
 SETTLING_TIME_S = 0.25  # s of rest before the first image
-PERIOD_S = 2.0  # s between two images of one rest
+PERIOD_S = 2.0  # s between the first two images of one rest
+# The next image comes when the rest has lasted so many times as long as at the one before: a robot
+# that waits for a computation needs few, and rendering would slow the computation down.
+REST_GROWTH = 2.0
 
 
 class Photographer:
     """Publishes `camera/image_raw/compressed`, stamped by the robot's clock.
 
-    An image takes about a second of processor time. Another process renders it, and it comes that
-    much later than its stamp, as the images of a slow camera do.
+    An image takes a tenth of a second of processor time. Another process renders it, and it comes
+    that much later than its stamp, as the images of a slow camera do.
     """
 
     def __init__(self, node: Node, cell: Cell, seed: int, stamp: Callable[[float], Any]):
@@ -47,11 +50,17 @@ class Photographer:
             self._rested, self._taken = now, -np.inf
             return
         busy = self._rendering is not None and not self._rendering.done()
-        if busy or now < self._rested + SETTLING_TIME_S or now < self._taken + PERIOD_S:
+        if busy or now < self._find_next_time():
             return
         self._taken = now
         pose = None if self._cell.now.lost_target else self._cell.true_pose()
         self._rendering = self._waiting.submit(self._render, now, pose)
+
+    def _find_next_time(self) -> float:
+        """Return when the next image of this rest is due, s."""
+        if self._taken == -np.inf:
+            return self._rested + SETTLING_TIME_S
+        return self._taken + max(PERIOD_S, (REST_GROWTH - 1) * (self._taken - self._rested))
 
     def close(self) -> None:
         """End the process that renders; the node is destroyed next."""

@@ -133,23 +133,24 @@ class Join(Part):
 
     Their cells in the column `by` are equal, or, if `by` contains seconds, the nearest ones that
     differ by at most `within` seconds. `offset` is the time of the poses' clock minus that of the
-    joints' clock, s; it is estimated from the motion if it is not stated.
+    joints' clock, s; it is estimated from the motion if it is not stated. Without `unit`, times
+    since 1970 tell it by their size, and others are in s.
     """
 
     by: str
     within: Annotated[float, Field(gt=0)] | None = None
-    unit: Literal["s", "ms", "us", "ns"] = "s"
+    unit: Literal["s", "ms", "us", "ns"] | None = None
     offset: float | None = None
 
 
 class Log(Part):
     """The rows are readings over time of a robot that moves, not one pose each.
 
-    Each table has the column `time`. `offset` is as in Join.
+    Each table has the column `time`. `unit` and `offset` are as in Join.
     """
 
     time: str
-    unit: Literal["s", "ms", "us", "ns"] = "s"
+    unit: Literal["s", "ms", "us", "ns"] | None = None
     offset: float | None = None
 
 

@@ -42,6 +42,7 @@ class Table:
     rows: list[list[str]]
     lines: list[int]
     decimal: str = "."
+    exported: bool = False  # by a program whose tables have many columns besides those of interest
 
     def find(self, name: str) -> str | None:
         """Return the header's word for a column: its name, or name and unit (`x [mm]`, `x_mm`)."""
@@ -148,12 +149,13 @@ def read_table(path: Path) -> Table:
         raise DatasetError(f"{path}: not a CSV table: {error}") from None
     if not found or not any(found[0][1]):
         raise DatasetError(f"{path}:1: the file is empty; expected a header line")
-    if is_vicon([row for _, row in found]):
-        header, converted = convert_rows([row for _, row in found])
+    cells = [row for _, row in found]
+    if is_vicon(cells):
+        header, converted = convert_rows(cells)
         numbers = [line for line, _ in found[HEADER_LINES:]]
         rows = [*zip(numbers, converted, strict=False)]
-    elif is_motive([row for _, row in found]):
-        last, header = merge_header([row for _, row in found])
+    elif is_motive(cells):
+        last, header = merge_header(cells)
         rows = [
             (line, [*row, *[""] * len(header)][: len(header)]) for line, row in found[last + 1 :]
         ]
@@ -161,7 +163,9 @@ def read_table(path: Path) -> Table:
         (_, header), *rows = found
     names = [" ".join(name.split()) for name in header]  # Excel breaks lines within a cell
     decimal = "." if apart == "," else ","
-    return Table(path, names, [row for _, row in rows], [line for line, _ in rows], decimal)
+    exported = is_vicon(cells) or is_motive(cells)
+    texts, numbers = [row for _, row in rows], [line for line, _ in rows]
+    return Table(path, names, texts, numbers, decimal, exported)
 
 
 def is_table(path: Path) -> bool:

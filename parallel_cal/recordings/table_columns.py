@@ -9,7 +9,14 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.rotation import quaternion_to_matrix
-from parallel_cal.base.units import CONDITION_UNITS, LENGTHS, PIXEL, UNITS
+from parallel_cal.base.units import (
+    CONDITION_UNITS,
+    LENGTHS,
+    PIXEL,
+    SECONDS,
+    UNITS,
+    find_clock_unit,
+)
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.recordings.columns import (
     ColumnMap,
@@ -23,6 +30,20 @@ from parallel_cal.recordings.table import Table, split_condition, split_unit
 
 MAX_QUATERNION_LENGTH_ERROR = 0.05
 MAX_MATRIX_ERROR = 0.02  # of an element of R R^T
+
+
+def name_unused_columns(
+    tables: Sequence[Table], wanted: ColumnMap, used: Sequence[str]
+) -> list[str]:
+    """Return a note for each table with columns that are neither wanted nor `used` otherwise; none
+    for an export of a device's program, which always has such columns."""
+    notes = []
+    for table in tables:
+        taken = {table.find(name) for name in (*wanted.columns, *used) if name}
+        unused = [word for word in table.header if word and word not in taken]
+        if unused and not table.exported:
+            notes.append(f"{table.path}: columns that are not used: {', '.join(unused)}")
+    return notes
 
 
 @dataclass(frozen=True)
@@ -106,7 +127,8 @@ class Columns:
 
     def condition(self, name: str, column: str) -> Array:
         """Return a condition (N,) in its SI unit, degC for a temperature. A header without a unit
-        means this unit; DatasetError for a unit of another quantity."""
+        means this unit, except for times since 1970, which tell theirs by their size. DatasetError
+        for a unit of another quantity."""
         table, word = self._find_column(column)
         own = CONDITIONS.get(name.split(".")[0], ("", 0.0, False))[0]
         known = CONDITION_UNITS.get(own, {})
@@ -116,8 +138,31 @@ class Columns:
                 f"{table.path}:1: column {word} is in {unit}, but {name} is in {own}: expected one "
                 f"of {', '.join(known)}"
             )
+        shown = self.numbers([column])[:, 0]
+        if own == "s":
+            clock = find_clock_unit(shown)
+            unit = unit or clock
+            if SECONDS.get(unit, 1.0) > SECONDS[clock]:
+                raise DatasetError(
+                    f"{table.path}:1: column {word} contains times up to {shown.max():.4g}, which "
+                    f"are no times in {unit}: state their unit in the header (time [{clock}])"
+                )
         factor, offset = known.get(unit or own, (UNITS.get(unit or "", 1.0), 0.0))
-        return self.numbers([column])[:, 0] * factor + offset
+        return shown * factor + offset
+
+    def describe_clocks(self, wanted: ColumnMap) -> list[str]:
+        """Return a note if the unit of the condition `time` follows from its size only."""
+        column = wanted.conditions.get("time")
+        if not isinstance(column, str):
+            return []
+        table, word = self._find_column(column)
+        unit = find_clock_unit(self.numbers([column]))
+        if unit == "s" or split_condition(word)[1]:
+            return []
+        return [
+            f"{table.path}: column {word} states no unit; its numbers are times since 1970 in "
+            f"{unit}"
+        ]
 
     def texts(self, name: str) -> list[str]:
         table, word = self._find_column(name)

@@ -10,6 +10,7 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.rotation import matrix_to_quaternion
+from parallel_cal.base.units import MAX_TIME_S, SECONDS, find_clock_unit
 from parallel_cal.recordings.cleaning import assemble
 from parallel_cal.recordings.clocks import clock_offset, describe_offset
 from parallel_cal.recordings.columns import ColumnMap, Join, Log
@@ -24,11 +25,9 @@ from parallel_cal.recordings.recording import (
     ScalarStream,
 )
 from parallel_cal.recordings.table import Table
-from parallel_cal.recordings.table_columns import Columns
+from parallel_cal.recordings.table_columns import Columns, name_unused_columns
 
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 FIRST_STAMP_NS = 1_000_000_000  # a stamp of zero would count as missing
-MAX_TIME_S = 1e11  # from 1970 to the year 5138; times of clocks in ms or ns are larger
 NOT_MEASURED_VARIANCE = 1e6  # as a driver marks a coordinate that its device does not measure
 
 
@@ -59,14 +58,14 @@ def read_log(found: Columns, wanted: ColumnMap, clock: Join | Log) -> TableLog:
     """
     key = clock.by if isinstance(clock, Join) else clock.time
     joint_table = found.require_one_table(wanted.joint_columns)
-    time = _times(joint_table, key, clock.unit)
+    time = read_times(joint_table, key, clock.unit)
     q = np.hstack([found.joint(joint, gaps=True) for joint in wanted.joints.values()])
     rows = _complete_rows(joint_table, q, "joints", time)
     none = np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 6), bool)
     if not wanted.pose_columns:
         return TableLog(joint_table, None, time[rows], q[rows], np.zeros(0), *none)
     pose_table = found.require_one_table(wanted.pose_columns)
-    pose_time = _times(pose_table, key, clock.unit)
+    pose_time = read_times(pose_table, key, clock.unit)
     r, R = found.position(wanted, gaps=True), found.rotation(wanted, gaps=True)
     parts = [] if r is None or wanted.position is None else [r[:, wanted.position.measured]]
     parts += [] if R is None else [R.reshape(len(pose_time), -1)]
@@ -148,7 +147,8 @@ def make_recording(
             turned = tuple(quaternion) if rows.measured[0, 3] else None
             poses.append(stamp, stamp, ("", tuple(r), turned, covariance))
     options = options.with_values(joints=names, mechanism=None)
-    recording = assemble(raws, options, " + ".join(str(table.path) for table in given), shift.notes)
+    notes = (*shift.notes, *name_unused_columns(given, wanted, [log.time]))
+    recording = assemble(raws, options, " + ".join(str(table.path) for table in given), notes)
 
     def stream(column: str, values: Array) -> ScalarStream:
         """Return a column over time in s since the first row; an empty cell is no reading."""
@@ -156,7 +156,7 @@ def make_recording(
         kept = np.flatnonzero(np.isfinite(values))
         if not len(kept):
             raise DatasetError(f"{table.path}: column {column} is empty, expected numbers in it")
-        time = _times(table, log.time, log.unit) - first
+        time = read_times(table, log.time, log.unit) - first
         if rows.clocks_differ and table is rows.poses:
             time = time - shift.offset
         kept = kept[np.argsort(time[kept], kind="stable")]
@@ -183,14 +183,16 @@ def _stamps(time: Array, first: float) -> list[int]:
     return [int(stamp) for stamp in ns]
 
 
-def _times(table: Table, key: str, unit: str) -> Array:
+def read_times(table: Table, key: str, unit: str | None) -> Array:
+    """Return the times (N,) of the rows, s. Without a unit, it follows from their size."""
     word = table.find(key)
     if word is None:
         raise DatasetError(
             f"{table.path}:1: no column {key}, which states the time of its rows; the table has "
             f"{', '.join(table.header)}"
         )
-    time = table.numbers([word])[:, 0] * SECONDS[unit]
+    shown = table.numbers([word])[:, 0]
+    time = shown * SECONDS[unit or find_clock_unit(shown)]
     for k in np.flatnonzero(np.abs(time) > MAX_TIME_S)[:1]:
         raise DatasetError(
             f"{table.path}:{table.lines[k]}: column {word} contains {table.texts(word)[k]!r:.60}, "

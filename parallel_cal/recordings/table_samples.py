@@ -16,8 +16,8 @@ from parallel_cal.recordings.joining import fingerprint
 from parallel_cal.recordings.recording import Array, Dropped
 from parallel_cal.recordings.samples import READING
 from parallel_cal.recordings.table import Table
-from parallel_cal.recordings.table_columns import Columns
-from parallel_cal.recordings.table_log import SECONDS, find_clock_offset, read_log
+from parallel_cal.recordings.table_columns import Columns, name_unused_columns
+from parallel_cal.recordings.table_log import find_clock_offset, read_log, read_times
 from parallel_cal.recordings.travel import travel
 
 # A joint that moves by less between two rows keeps its direction: share of its travel, and sigmas
@@ -26,9 +26,14 @@ MAX_STILL_SHARE = 1e-3
 MAX_STILL_SIGMAS = 5.0
 
 
-def make_dataset(given: Sequence[Table], wanted: ColumnMap, asks: str) -> Dataset:
-    """Return the dataset of tables that contain what is `wanted`; `asks` names the requester."""
+def make_dataset(
+    given: Sequence[Table], wanted: ColumnMap, asks: str, used: Sequence[str] = ()
+) -> Dataset:
+    """Return the dataset of tables that contain what is `wanted`; `asks` names the requester, which
+    has `used` further columns itself."""
     tables, dropped, notes = _match_rows([*given], wanted, asks)
+    join = [wanted.join.by] if wanted.join else []
+    notes += name_unused_columns(given, wanted, [*used, *join])
     found = Columns(tables, asks).check(wanted)
     q = np.hstack([found.joint(joint) for joint in wanted.joints.values()])
     r, R, n = found.position(wanted), found.rotation(wanted), len(tables[0].rows)
@@ -37,6 +42,7 @@ def make_dataset(given: Sequence[Table], wanted: ColumnMap, asks: str) -> Datase
         name: found.condition(name, given) if isinstance(given, str) else np.full(n, given)
         for name, given in wanted.conditions.items()
     }
+    notes += found.describe_clocks(wanted)
     order, source = conditions.get("time"), " + ".join(str(table.path) for table in given)
     if order is None and wanted.join and wanted.join.within and len(tables) > 1:
         order = found.numbers([wanted.join.by])[:, 0]
@@ -187,7 +193,7 @@ def _find_partners(
     mine, its = one.find(join.by) or "", other.find(join.by) or ""
     if join.within is not None:
         at, among = (
-            table.numbers([word])[:, 0] * SECONDS[join.unit] - offsets.get(str(table.path), 0.0)
+            read_times(table, word, join.unit) - offsets.get(str(table.path), 0.0)
             for table, word in ((one, mine), (other, its))
         )
         order = np.argsort(among, kind="stable")

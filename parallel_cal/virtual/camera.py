@@ -58,17 +58,41 @@ class FlatBoard:
         edges = [(x, first), (x, bottom), (first, y), (right, y)]
         return np.concatenate([np.stack([a, b, 0.0 * a], -1) for a, b in edges])
 
+    def find_paper(self, x: Array, y: Array) -> Any:
+        """Mark (...) the points x, y (...) that are on the paper, m."""
+        width, height = self.size
+        inside = (x > -self.paper) & (x < width + self.paper)
+        return inside & (y > -self.paper) & (y < height + self.paper)
+
     def brightness(self, x: Array, y: Array, background: float, printed_side: bool) -> Array:
         """Return the brightness (...) at points x, y (...) of one side of the board, m."""
-        (width, height), (rows, columns) = self.size, self.ink.shape
-        on_paper = (x > -self.paper) & (x < width + self.paper)
-        on_paper &= (y > -self.paper) & (y < height + self.paper)
+        rows, columns = self.ink.shape
+        on_paper = self.find_paper(x, y)
         if not printed_side:
             return np.where(on_paper, 1.0, background)
         i, j = np.floor(y / self.cell).astype(np.int64), np.floor(x / self.cell).astype(np.int64)
         printed = (i >= 0) & (i < rows) & (j >= 0) & (j < columns)
         ink = self.ink[i.clip(0, rows - 1), j.clip(0, columns - 1)]
         return np.where(printed, ink, np.where(on_paper, 1.0, background))
+
+    def find_edges(self, x: Array, y: Array, reach: Array) -> Any:
+        """Mark (...) the points x, y (...) that may have an edge of the brightness less than
+        `reach` (2,) away along x and y, m."""
+        from scipy.ndimage import maximum_filter, minimum_filter
+
+        cells = np.ceil(reach[::-1] / self.cell).astype(int)  # rows, columns
+        around = np.pad(self.ink, [(2 * n, 2 * n) for n in cells], constant_values=1.0)
+        window = 2 * cells + 1
+        edges = maximum_filter(around, window) > minimum_filter(around, window)
+        at = [
+            (np.floor(value / self.cell).astype(np.int64) + 2 * n).clip(0, size - 1)
+            for value, n, size in zip((y, x), cells, edges.shape, strict=True)
+        ]
+        found = edges[at[0], at[1]]
+        for value, size, near in zip((x, y), self.size, reach, strict=True):
+            middle = size / 2
+            found |= np.abs(np.abs(value - middle) - middle - self.paper) < near
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,12 +167,28 @@ class Camera:
         ray, along_u, along_v = (grid[part] for grid in self._rays)
         to_board = np.linalg.inv(np.column_stack([R[:, 0], R[:, 1], r]))
         printed_side = bool(R[:, 2] @ r > 0.0)
-        total = np.zeros(ray.shape[:2])
-        for du, dv in RAYS - 0.5:
-            a, b = np.moveaxis(ray + du * along_u + dv * along_v, -1, 0)
+
+        def meet(rays: Array) -> tuple[Array, Array]:
+            """Return x and y (...) of the points of the board that rays (..., 2) meet, m."""
+            a, b = rays[..., 0], rays[..., 1]
             x, y, scale = (row[0] * a + row[1] * b + row[2] for row in to_board)
-            total += board.brightness(x / scale, y / scale, self.background, printed_side)
-        light[part] = total / len(RAYS)
+            return x / scale, y / scale
+
+        x, y = meet(ray)
+        light[part] = board.brightness(x, y, self.background, printed_side)
+        # Many rays only where a pixel may see an edge: they do not change the others. A pixel sees
+        # at most half of `span` on each side of its middle.
+        span = np.stack([np.abs(np.gradient(one)).sum(axis=0) for one in (x, y)])
+        on_paper = board.find_paper(x, y)
+        widest = span[:, on_paper].max(axis=1, initial=0.0)  # rays next to the horizon go far
+        mixed = board.find_edges(x, y, np.minimum(widest, board.size))
+        mixed |= (span > 2 * widest[:, None, None]).any(axis=0)
+        total = np.zeros(np.count_nonzero(mixed))
+        ray, along_u, along_v = ray[mixed], along_u[mixed], along_v[mixed]
+        for du, dv in RAYS - 0.5:
+            x, y = meet(ray + du * along_u + dv * along_v)
+            total += board.brightness(x, y, self.background, printed_side)
+        light[part][mixed] = total / len(RAYS)
         return light
 
     @cached_property
@@ -228,14 +268,13 @@ def _bend_angle(angle: Array, k: Array) -> Array:
 
 def _blur(image: Array, sigma: float) -> Array:
     """Return the image after a Gaussian of `sigma` px in both directions."""
+    from scipy.ndimage import correlate1d
+
     if sigma <= 0.0:
         return image
     reach = int(np.ceil(4.0 * sigma))
     taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
     taps /= taps.sum()
     for axis in (0, 1):
-        widths = [(reach, reach) if k == axis else (0, 0) for k in (0, 1)]
-        padded = np.pad(image, widths, mode="edge")
-        n = image.shape[axis]
-        image = sum(tap * np.take(padded, range(k, k + n), axis=axis) for k, tap in enumerate(taps))
+        image = correlate1d(image, taps, axis=axis, mode="nearest")
     return image

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError
+from parallel_cal.base.units import SECONDS, find_clock_unit
 from parallel_cal.imaging.board import read_board
 from parallel_cal.imaging.folder import BoardImage, detect_in_files, list_images
 from parallel_cal.model.effect import CONDITIONS
@@ -41,8 +42,6 @@ ROW = "row"  # joins images and rows by their order
 TIMES = ("t", "time", "timestamp", "stamp")
 NUMBERS = ("image", "index", "number", "frame", "shot", "sample", "pose")
 MEASURED = ("x", "y", "z", "qx", "qy", "qz", "qw")
-# Digits before the decimal point of a time since 1970, and the seconds of its unit.
-CLOCKS = ((18, 1e-9), (15, 1e-6), (12, 1e-3))
 MAX_LISTED = 20  # images in one line of text
 
 
@@ -76,8 +75,8 @@ def samples(
     matches = {name: match_images(table, files, by, within) for name, files in cameras.items()}
     key = next(iter(matches.values())).column
     wanted = _wanted_columns(table, columns, key, joint_sigma)
-    dataset = make_dataset([table], wanted, columns or "import images")
-    seen, notes = np.zeros(len(dataset), bool), _name_unused_columns(table, wanted, key)
+    dataset = make_dataset([table], wanted, columns or "import images", used=(key,))
+    seen, notes = np.zeros(len(dataset), bool), list[str]()
     dropped = list(dataset.dropped)
     conditions = dict(dataset.conditions)
     for name, files in cameras.items():
@@ -204,8 +203,8 @@ def _seconds(text: str) -> float:
     found = re.findall(r"\d+(?:\.\d+)?", text)
     if not found:
         return np.nan
-    digits = len(found[-1].partition(".")[0])
-    return float(found[-1]) * next((unit for least, unit in CLOCKS if digits >= least), 1.0)
+    digits = len(found[-1].partition(".")[0])  # leading zeros count, too
+    return float(found[-1]) * SECONDS[find_clock_unit(10.0 ** (digits - 1))]
 
 
 def _wanted_columns(table: Table, columns: str, key: str, sigma: float | None) -> ColumnMap:
@@ -238,15 +237,6 @@ def _wanted_columns(table: Table, columns: str, key: str, sigma: float | None) -
         conditions=find_conditions(table, joints),
         noise=NoisePart(joint=sigma),
     )
-
-
-def _name_unused_columns(table: Table, wanted: ColumnMap, key: str) -> list[str]:
-    """Return a note with the columns of a table that are not used; none if all are."""
-    used = {key, *(table.find(name) for name in wanted.columns)}
-    unused = [word for word in table.header if word and word not in used]
-    if not unused:
-        return []
-    return [f"{table.path}: columns that are not used: {', '.join(unused)}"]
 
 
 def _readings(
