@@ -1,5 +1,9 @@
 """Status, limits, uncertainty and input checks of the direct and inverse problem."""
 
+import pickle
+from copy import copy
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from datasets import measured
@@ -8,7 +12,7 @@ from parallel_cal.base.errors import ModelError, SolveError
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
 from parallel_cal.identification.fit import fit
 from parallel_cal.kinematics.all_solutions import inverse_all
-from parallel_cal.kinematics.kinematics import Kinematics, Status
+from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
 from parallel_cal.virtual import robot as vr
@@ -238,3 +242,56 @@ def test_a_solution_that_needs_more_iterations_is_that_of_many_and_owns_its_arra
         assert one.residual == other.residual
         assert one.ok
         assert other.ok
+
+
+@pytest.mark.parametrize("problem", ["direct", "inverse"])
+def test_a_single_call_makes_its_arrays_when_one_is_read(problem):
+    kinematics = Kinematics(new_model("delta54", vr.TABLE_5_18))
+    found = kinematics.direct([0.5, 0.5, 0.5])
+    if problem == "inverse":
+        found = kinematics.inverse(found.position, found.rotation)
+    assert not {"joints", "position", "rotation", "residual"} & vars(found).keys()
+    again = pickle.loads(pickle.dumps(found))
+    shallow = replace(copy(found), message="moved")
+    assert repr(again) == repr(found)
+    assert shallow.message == "moved"
+    for name in ("joints", "position", "rotation", "residual", "status"):
+        assert np.array_equal(getattr(again, name), getattr(found, name))
+        assert np.array_equal(getattr(shallow, name), getattr(found, name))
+    assert found.rotation.flags.writeable
+    assert isinstance(found, Solutions)
+    with pytest.raises(AttributeError, match="no attribute 'positions'"):
+        found.positions  # noqa: B018
+
+
+def test_a_single_solution_keeps_its_numbers_when_the_next_is_computed():
+    kinematics = Kinematics(new_model("delta54", vr.TABLE_5_18))
+    first = kinematics.direct([0.5, 0.5, 0.5])
+    kinematics.direct([0.6, 0.4, 0.5])
+    assert first.joints.tolist() == [0.5, 0.5, 0.5]
+    assert np.array_equal(first.position, kinematics.direct([[0.5, 0.5, 0.5]]).position[0])
+
+
+def test_a_rotation_in_a_row_is_an_error_for_one_pose_as_for_many():
+    kinematics = Kinematics(new_model("stewart42"))
+    position = kinematics.model.mechanism.home.position
+    with pytest.raises(SolveError, match=r"rotation has the shape \(9,\)"):
+        kinematics.inverse(position, np.eye(3).ravel())
+
+
+@pytest.mark.parametrize("effects", [[], ["backlash"]])
+def test_conditions_of_the_wrong_kind_are_an_error_for_one_sample_as_for_many(effects):
+    kinematics = Kinematics(new_model("delta54", effects=effects))
+    for q in ([0.5, 0.5, 0.5], [[0.5, 0.5, 0.5]]):
+        with pytest.raises(ModelError, match="at is 3 "):
+            kinematics.direct(q, at=3)
+
+
+def test_a_call_without_conditions_forgets_those_of_the_call_before():
+    values = {**vr.TABLE_5_18, "backlash.joint2.width": 4e-4}
+    kinematics = Kinematics(new_model("delta54", values, effects=["backlash"]))
+    q = [0.5, 0.5, 0.5]
+    before = kinematics.direct(q).position
+    moved = kinematics.direct(q, at={"direction.joint2": 1.0}).position
+    assert not np.array_equal(moved, before)
+    assert np.array_equal(kinematics.direct(q).position, before)

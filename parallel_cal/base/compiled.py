@@ -34,6 +34,7 @@ class Single:
 
     A thread that holds the `lock` may fill `arguments` and `evaluate` into `results` in place. The
     `arguments` may be arrays that another function reads or writes: then nothing is copied.
+    `output` is the memory of all results, one after the other.
     """
 
     def __init__(self, function: ca.Function, arguments: Sequence[np.ndarray] = ()):
@@ -41,7 +42,9 @@ class Single:
         self.lock = Lock()
         sizes = range(function.n_in())
         self.arguments = list(arguments) or [np.zeros(function.numel_in(i)) for i in sizes]
-        self.results = [np.zeros(function.numel_out(i)) for i in range(function.n_out())]
+        ends = np.cumsum([function.numel_out(i) for i in range(function.n_out())])
+        self.output = np.zeros(ends[-1])
+        self.results = np.split(self.output, ends[:-1])
         for i, array in enumerate(self.arguments):
             self._buffer.set_arg(i, array.data)
         for i, array in enumerate(self.results):

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from parallel_cal.base.arguments import require, require_model
 from parallel_cal.base.compiled import Single
 from parallel_cal.base.errors import SolveError
+from parallel_cal.kinematics.one_sample import FastSolver, fast_solver
 from parallel_cal.kinematics.problem import Problem
 from parallel_cal.kinematics.rows import joint_rows, pose_rows
 from parallel_cal.kinematics.solutions import (
@@ -68,10 +69,6 @@ class Kinematics:
         self._compile, self._quick = compile, quick
         self._n = len(model.joints)
         self._limits = model.mechanism.joint_limits
-        n = self._n
-        self._one = (n,)  # shape of one sample's joints
-        self._joints, self._position, self._turn = slice(n), slice(n, n + 3), slice(n + 3, None)
-        self._home_rotation = model.mechanism.home.configuration[n + 3 :]
 
     def __repr__(self) -> str:
         return f"Kinematics({self.model!r})"
@@ -102,8 +99,8 @@ class Kinematics:
         SolveError
             If q has the wrong shape.
         """
-        if start is None and _shape(q) == self._one:
-            found = self._solve_fast(self.direct_problem, self._joints, q, None, at)
+        if start is None:
+            found = self._direct_one(q, None, at)
             if found is not None:
                 return found
         require("start", start, "Solutions | None", SolveError)
@@ -138,8 +135,8 @@ class Kinematics:
         SolveError
             If position or rotation has the wrong shape.
         """
-        if start is None and _shape(position) == (3,):
-            found = self._solve_fast(self.inverse_problem, self._position, position, rotation, at)
+        if start is None:
+            found = self._inverse_one(position, rotation, at)
             if found is not None:
                 return found
         require("start", start, "Solutions | None", SolveError)
@@ -194,6 +191,14 @@ class Kinematics:
         """Inverse kinematics: the joints, and coordinates that they do not control, are unknown."""
         return Problem(self.model, "inverse", self._compile)
 
+    @cached_property
+    def _direct_one(self) -> FastSolver:
+        return fast_solver(self.direct_problem)
+
+    @cached_property
+    def _inverse_one(self) -> FastSolver:
+        return fast_solver(self.inverse_problem)
+
     def _solve(
         self,
         problem: Problem,
@@ -223,44 +228,6 @@ class Kinematics:
         else:
             reached = problem.refine(problem.begin(given, start), rows)
         return self._classify(problem, given, rows, NewtonResult(*reached))
-
-    def _solve_fast(
-        self,
-        problem: Problem,
-        place: slice,
-        given: np.ndarray,
-        rotation: np.ndarray | None,
-        at: Mapping[str, Any] | None,
-    ) -> Solutions | None:
-        """Solve one sample in microseconds; None unless it is regular and within limits."""
-        one = problem.single_solver
-        with one.lock:
-            row, a, _ = one.arguments
-            try:
-                row[place] = given
-                if rotation is not None:
-                    row[self._turn] = np.asarray(rotation, dtype=float).reshape(9)
-                elif problem.unknown_joints:
-                    row[self._turn] = self._home_rotation
-            except (TypeError, ValueError):
-                return None  # no numbers: the way of many samples says what was expected
-            if len(a):
-                a[:] = problem.neutral if at is None else self.model.condition_rows(at, 1)[0]
-            one.evaluate()
-            x, step, residual, pivot = one.results
-            if not step.item() < MAX_SETTLED_STEP_M:
-                problem.single_refiner.evaluate()
-                x, step, residual, pivot = problem.single_refiner.results
-            usual = step.item() < MAX_SETTLED_STEP_M and pivot.item() > SUSPECT_PIVOT
-            if not (usual and residual.item() < problem.largest):
-                return None
-            x, error = x.copy(), residual[0]  # copies: the buffers are shared
-        q = x[self._joints]
-        # The keyword `strict` would take as long as three comparisons; the lengths are the model's.
-        for (low, high), angle in zip(self._limits, q.tolist()):  # noqa: B905
-            if not low <= angle <= high:
-                return None
-        return Solutions.from_converged(q, x[self._position], x[self._turn].reshape(3, 3), error)
 
     def _classify(
         self, problem: Problem, given: np.ndarray, rows: np.ndarray, reached: NewtonResult
@@ -374,11 +341,3 @@ def _wrap_towards_home(q: np.ndarray, unknown: bool, model: Model) -> np.ndarray
     other = q - turn * np.sign(q - home)
     better = outside & (low <= other) & (other <= high)
     return np.where(better, other, q)
-
-
-def _shape(given: Any) -> tuple[int, ...]:
-    """Shape of an array or sequence: np.shape alone takes a third of the time of a solution."""
-    try:
-        return given.shape if isinstance(given, np.ndarray) else np.shape(given)
-    except ValueError:  # rows of different lengths
-        return ()

@@ -36,7 +36,7 @@ class Problem:
 
     def __init__(self, model: Model, name: str, compile: bool):
         self.calls = _calls(model.structure, name, compile)
-        self._model, self.name = model, name
+        self.model, self.name = model, name
         self._n = len(model.joints)
         self.unknown_joints = name == "inverse"
         self.k = self.calls.tables(model.values)[0]
@@ -60,7 +60,7 @@ class Problem:
         begin, n = given.copy(), self._n
         if self.unknown_joints:
             begin[:, :n] = start.joints
-        from_start = self._model.mechanism.passive if self.unknown_joints else range(6)
+        from_start = self.model.mechanism.passive if self.unknown_joints else range(6)
         for i in from_start:
             if i < 3:
                 begin[:, n + i] = np.asarray(start.position)[..., i]
@@ -71,7 +71,7 @@ class Problem:
     @cached_property
     def single_solver(self) -> Single:
         """`solve_many` for one sample; its buffers hold home, neutral conditions and the tables."""
-        single, home = Single(self.calls.many.function), self._model.mechanism.home.configuration
+        single, home = Single(self.calls.many.function), self.model.mechanism.home.configuration
         for array, known in zip(single.arguments, (home, self.neutral, self.k), strict=True):
             array[:] = known
         return single
@@ -84,18 +84,18 @@ class Problem:
 
     @cached_property
     def neutral(self) -> np.ndarray:
-        return self._model.condition_rows(None, 1)[0]
+        return self.model.condition_rows(None, 1)[0]
 
     # ------------------------------------------------------------------ the careful solver
 
     @cached_property
     def _evaluate(self) -> Single:
-        return Single(self._model.structure.closure_configuration)
+        return Single(self.model.structure.closure_configuration)
 
     def _phi_and_jacobian(self, x: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        phi, J = self._evaluate(x, a, self._model.values)
+        phi, J = self._evaluate(x, a, self.model.values)
         J = J.reshape(-1, len(phi)).T[:, self.columns]
-        return phi, J / self._model.structure.scale[self.columns]
+        return phi, J / self.model.structure.scale[self.columns]
 
     def smallest_singular_value(self, x: np.ndarray, a: np.ndarray) -> float:
         """Smallest singular value of the closure's Jacobian in the unknowns, scaled to metres.
@@ -129,7 +129,7 @@ class Problem:
             if np.linalg.norm(step) < 1e-15:
                 break
             change = np.zeros(self._n + 6)
-            change[self.columns] = step / self._model.structure.scale[self.columns]
+            change[self.columns] = step / self.model.structure.scale[self.columns]
             candidate = Configuration.from_rows(x).apply_change(change).rows
             new_phi, new_J = self._phi_and_jacobian(candidate, a)
             new_size = float(np.linalg.norm(new_phi))

@@ -87,20 +87,6 @@ class Solutions:
     complete: bool | None = None
 
     @classmethod
-    def from_converged(
-        cls, q: np.ndarray, r: np.ndarray, R: np.ndarray, residual: np.ndarray
-    ) -> Solutions:
-        """A converged solution that owns its arrays.
-
-        It bypasses `__init__`, which would take a microsecond of every solution.
-        """
-        one = object.__new__(cls)
-        own = one.__dict__
-        own["joints"], own["position"], own["rotation"] = q, r, R
-        own["residual"], own["status"] = residual, CONVERGED
-        return one
-
-    @classmethod
     def of(cls, rows: np.ndarray, residual: np.ndarray, status: np.ndarray) -> Solutions:
         """Solutions from configurations (N, nq + 12) or (nq + 12,)."""
         x = Configuration.from_rows(rows)

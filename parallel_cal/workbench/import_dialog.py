@@ -200,10 +200,8 @@ class ColumnForm:
         owners: dict[str, list[str]] = {}
         for name, column in asked.items():
             owners.setdefault(column.value, []).append(name)
-        shared = {column: names for column, names in owners.items() if len(names) > 1}
-        return "; ".join(
-            f"{column} is chosen for {' and '.join(n)}" for column, n in shared.items()
-        )
+        shared = {column: " and ".join(names) for column, names in owners.items() if names[1:]}
+        return "; ".join(f"{column} is chosen for {names}" for column, names in shared.items())
 
     def document(self) -> dict[str, Any]:
         """Return the column map. A quantity without a column is left out."""

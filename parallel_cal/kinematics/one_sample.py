@@ -1,0 +1,128 @@
+"""Solve one sample in microseconds, through the buffers of a problem."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from struct import Struct
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.compiled import Single
+from parallel_cal.kinematics.problem import Problem
+from parallel_cal.kinematics.solutions import (
+    CONVERGED,
+    MAX_SETTLED_STEP_M,
+    SUSPECT_PIVOT,
+    Solutions,
+)
+
+# (joints or position, rotation, conditions) -> the solution; None unless it is usual
+FastSolver = Callable[[Any, Any, Mapping[str, Any] | None], Solutions | None]
+
+
+class _Part:
+    """An array of a `ConvergedSolution`: a part of its output, made when it is read first.
+
+    A `cached_property` would lock, which takes as long as the rest of a reading.
+    """
+
+    def __init__(self, place: slice | int, shape: tuple[int, ...] = ()):
+        self._place, self._shape = place, shape
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, one: Any, owner: type) -> Any:
+        own = one.__dict__
+        part = own["_output"][self._place]
+        if self._shape:
+            part = part.reshape(self._shape)
+        own[self._name] = part
+        return part
+
+
+class ConvergedSolution(Solutions):
+    """One converged solution, whose arrays are made when they are read.
+
+    `_output` holds the results of `NewtonFunctions.solve`: configuration, last step, residual and
+    pivot. The `__init__` of a dataclass is bypassed: it takes a microsecond.
+    """
+
+    joints = _Part(slice(-15))
+    position = _Part(slice(-15, -12))
+    rotation = _Part(slice(-12, -3), (3, 3))
+    residual = _Part(-2)
+    status = CONVERGED
+
+
+def fast_solver(problem: Problem) -> FastSolver:
+    """Return the function that solves one sample; None unless it is regular and within limits.
+
+    It looks up here what does not depend on the sample, and it compares Python numbers: every
+    look-up and every operation on arrays would be some per cent of a call.
+    """
+    model, first = problem.model, problem.single_solver
+    row, conditions, _ = first.arguments
+    n, home = len(model.joints), model.mechanism.home.configuration
+    given_part = row[n : n + 3] if problem.unknown_joints else row[:n]
+    rotation_part, home_rotation = row[n + 3 :].reshape(3, 3), home[n + 3 :].reshape(3, 3)
+    shape, has_conditions = given_part.shape, bool(len(conditions))
+    limits = [(i, *pair) for i, pair in enumerate(model.mechanism.joint_limits)]
+    # Reads the joints, the last step, the residual and the pivot; skips the pose between them.
+    read = Struct(f"{n}d{12 * 8}x3d").unpack
+    acquire, release = first.lock.acquire, first.lock.release
+    evaluate, output, memory = first.evaluate, first.output, first.output.data
+    inverse, neutral, largest = problem.unknown_joints, problem.neutral, problem.largest
+    array, new, kind = np.ndarray, object.__new__, ConvergedSolution
+    more: Single | None = None  # made once it is needed
+    memory_of_more = memory
+
+    def solve(given: Any, rotation: Any, at: Mapping[str, Any] | None) -> Solutions | None:
+        nonlocal more, memory_of_more
+        acquire()
+        try:
+            if type(given) is not array:
+                given = np.asarray(given)
+            if given.shape != shape:
+                return None
+            given_part[...] = given
+            if inverse:
+                if rotation is None:
+                    rotation_part[...] = home_rotation
+                else:
+                    rotation = np.asarray(rotation)
+                    if rotation.shape != (3, 3):
+                        return None
+                    rotation_part[...] = rotation
+            if at is not None:
+                conditions[...] = model.condition_rows(at, 1)[0]
+            elif has_conditions:
+                conditions[...] = neutral
+            evaluate()
+            numbers = read(memory)
+            if numbers[-3] < MAX_SETTLED_STEP_M:
+                end = output.copy()  # a copy, because the buffers are shared
+            else:
+                if more is None:
+                    more = problem.single_refiner
+                    memory_of_more = more.output.data
+                more.evaluate()
+                numbers = read(memory_of_more)
+                end = more.output.copy()
+                if not numbers[-3] < MAX_SETTLED_STEP_M:
+                    return None
+        except (TypeError, ValueError):
+            return None  # no numbers: the way of many samples says what was expected
+        finally:
+            release()
+        if not (numbers[-1] > SUSPECT_PIVOT and numbers[-2] < largest):
+            return None
+        for i, low, high in limits:
+            if not low <= numbers[i] <= high:
+                return None
+        one = new(kind)
+        one.__dict__["_output"] = end
+        return one
+
+    return solve
