@@ -44,7 +44,7 @@ def off(name, tolerances=0.3, seed=1):
 
 def simulated(target, folder):
     """The firmware that reads what was written."""
-    text = {path.name: path.read_text() for path in folder.iterdir()}
+    text = {path.name: path.read_text() for path in folder.rglob("*") if path.is_file()}
     if target == "linuxcnc":
         return vf.LinuxCnc(text["machine.hal"], text["machine.ini"])
     kinds = {"klipper": vf.Klipper, "rrf": vf.Duet, "grblhal": vf.GrblHal}
@@ -262,7 +262,7 @@ def plain_delta():
 )
 def test_a_linear_delta_has_the_numbers_of_its_drawing(target, lines, tmp_path):
     export(plain_delta(), target, tmp_path)
-    written = [line for path in tmp_path.iterdir() for line in path.read_text().splitlines()]
+    written = [line for path in tmp_path.rglob("*.*") for line in path.read_text().splitlines()]
     assert not set(lines) - {line.replace("-0.00000", "0.00000") for line in written}
 
 

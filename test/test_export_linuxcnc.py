@@ -54,6 +54,7 @@ class Component:
 
     def __init__(self, model, folder):
         export(model, "linuxcnc:name=robot", folder)
+        folder = folder / "component"
         for name, text in HEADERS.items():
             (folder / name).write_text(text)
         (folder / "hal.c").write_text(HAL)

@@ -158,19 +158,88 @@ def test_a_hexapod_in_inches_has_readings_that_are_the_lengths_of_its_struts(tmp
     assert model.value("leg1.C_x") == pytest.approx(-23 * INCH * 1e-3)
 
 
-def test_a_hexapod_homed_with_short_struts_has_its_switches_as_upper_limits(tmp_path):
+def short_struts(folder):
+    """Files of a hexapod in inches that is homed 3 inches shorter than at HOME, and has a SCALE."""
     pins, lengths = hexapod_pins()
-    files = machine(tmp_path, pins, "inch", lengths - 3)
-    text = files[1].read_text()
+    files = machine(folder, pins, "inch", lengths - 3)
+    text = files[1].read_text().replace("MAX_LIMIT = 90.0\n", "")
     for i, length in enumerate(lengths):
-        text = text.replace(f"[JOINT_{i}]\n", f"[JOINT_{i}]\nHOME = {length}\n")
+        stated = f"HOME = {length}\nMIN_LIMIT = {length - 3.1}\nMAX_LIMIT = {length + 4}\n"
+        text = text.replace(f"[JOINT_{i}]\n", f"[JOINT_{i}]\nSCALE = -4000\n{stated}")
     files[1].write_text(text)
+    return files, lengths
+
+
+def test_a_hexapod_has_the_limits_and_the_switches_of_its_ini_file(tmp_path):
+    files, lengths = short_struts(tmp_path)
     found = configured(files)
-    assert found.remarks == (linuxcnc.BEYOND_SWITCHES,)
+    assert found.remarks == ()
     mechanism = found.model.mechanism
-    tops = [high for _, high in mechanism.joint_limits]
-    np.testing.assert_allclose(tops, (lengths - 3) * INCH * 1e-3)
+    limits = np.column_stack([lengths - 3.1, lengths + 4]) * INCH * 1e-3
+    np.testing.assert_allclose(mechanism.joint_limits, limits)
+    np.testing.assert_allclose(mechanism.switches, (lengths - 3) * INCH * 1e-3)
+    np.testing.assert_allclose(mechanism.scale, -4000 / (INCH * 1e-3))
     np.testing.assert_allclose(mechanism.home.joints, lengths * INCH * 1e-3)
+    r, R = poses_in_workspace(mechanism, 500, np.random.default_rng(3))
+    q = Kinematics(found.model).inverse(r, R).joints
+    assert ((q > limits[:, 0]) & (q < limits[:, 1])).all()
+
+
+def test_a_wrong_pitch_goes_into_scale_and_a_zero_into_home_offset(tmp_path):
+    """Counts of true screws, by hand: a strut is zero + (1 + gain) * (counts / old SCALE)."""
+    files, lengths = short_struts(tmp_path)
+    drawing = configured(files).model
+    model = drawing.with_effect("encoder_gain")
+    gains, zeros = 1e-4 * np.arange(1, 7), 1e-4 * np.arange(-3, 3)
+    values = model.values.copy()
+    for i in range(6):
+        values[model.table.index_of(f"encoder_gain.leg{i + 1}.gain")] = gains[i]
+        values[model.table.index_of(f"leg{i + 1}.L0")] = zeros[i]
+    model = model.with_values(values)
+    for _ in range(2):  # a second export changes nothing
+        done = export_into(model, "linuxcnc", files)
+        ini = files[1].read_text()
+        scale, homed = (
+            np.array([float(line.split()[-1]) for line in ini.splitlines() if line.startswith(key)])
+            for key in ("SCALE", "HOME_OFFSET")
+        )
+        switch = (lengths - 3) * INCH * 1e-3
+        np.testing.assert_allclose(scale, -4000 / (1 + gains), rtol=1e-7)
+        travel = np.linspace(0, 3, 5)[:, None]  # inches from the switch, as LinuxCNC counts
+        counts = travel * scale
+        true = zeros + (1 + gains) * (switch + counts / -4000 * INCH * 1e-3)
+        np.testing.assert_allclose((homed + travel) * INCH * 1e-3, true, atol=2e-7)
+    assert done.loss["position_max"] < 0.3e-6
+    assert done.before["position_max"] < 0.3e-6
+
+
+def test_a_hexapod_with_switches_elsewhere_is_not_written(tmp_path):
+    """A model whose upper limits were taken for switches: HOME_OFFSET would move by 7 inches."""
+    files, _ = short_struts(tmp_path)
+    model = configured(files).model
+    model.mechanism.switches = model.mechanism.scale = None
+    before = [file.read_text() for file in files]
+    with pytest.raises(ParallelCalError, match=r"leg1 would read 177.8 mm differently .* Nothing"):
+        export_into(model, "linuxcnc", files)
+    assert [file.read_text() for file in files] == before
+
+
+def test_a_twist_correction_of_the_hal_file_is_not_left_active(tmp_path):
+    files, _ = short_struts(tmp_path)
+    model = configured(files).model
+    files[0].write_text(files[0].read_text() + "setp genhexkins.screw-lead 0.2\n")
+    with pytest.raises(ParallelCalError, match=r"screw-lead is '0.2', expected 0: the export"):
+        export_into(model, "linuxcnc", files)
+
+
+def test_component_and_parameters_are_in_separate_folders(tmp_path):
+    files, _ = short_struts(tmp_path)
+    export(configured(files).model, "linuxcnc", tmp_path / "out")
+    out = tmp_path / "out"
+    assert {path.name for path in out.iterdir()} == {"component", "genhexkins"}
+    assert {path.name for path in (out / "genhexkins").iterdir()} == {"machine.hal", "machine.ini"}
+    assert "HOME_OFFSET and SCALE must be" in (out / "component/stewart42_kins.c").read_text()
+    assert "Do not use" in (out / "genhexkins/machine.ini").read_text().splitlines()[0]
 
 
 @pytest.mark.parametrize("kind", ["rotary", "hexapod"])
@@ -230,13 +299,14 @@ def test_pins_may_lead_to_keys_of_the_ini_file_and_joints_may_be_axes(joint, tmp
 def test_what_was_exported_for_its_own_kinematics_is_read_again(name, tmp_path):
     model = new_model(name)
     export(model, "linuxcnc", tmp_path)
-    files = [tmp_path / "machine.hal", tmp_path / "machine.ini"]
+    (folder,) = (path for path in tmp_path.iterdir() if path.name != "component")
+    files = [folder / "machine.hal", folder / "machine.ini"]
     again = configured(files)
     assert any("lengths are assumed to be in mm" in remark for remark in again.remarks)
     done = export(again.model, "linuxcnc", tmp_path / "again")
     assert done.loss["position_max"] < 0.1e-6
     for file in files:
-        assert (tmp_path / "again" / file.name).read_text() == file.read_text()
+        assert (tmp_path / "again" / folder.name / file.name).read_text() == file.read_text()
 
 
 def test_what_is_wrong_in_files_of_its_own_kinematics_is_said(tmp_path):
@@ -244,8 +314,8 @@ def test_what_is_wrong_in_files_of_its_own_kinematics_is_said(tmp_path):
     for hal, unit, homed, message in (
         (ROTARY, "furlong", [0, 0, 0], "LINEAR_UNITS is 'furlong', expected one of mm, metric, i"),
         (ROTARY.replace("sl 18", "sl 9"), "mm", [0, 0, 0], "shinlength is '9', expected a length"),
-        (pins, "inch", [0.0] * 6, "HOME_OFFSET is '0.0', expected the strut's length"),
-        (pins, "inch", [10.0] * 6, "struts of 254 mm at home do not reach"),
+        (pins, "inch", [0.0] * 6, "HOME_OFFSET is '0.0', expected"),
+        (pins, "inch", [10.0] * 6, "struts of 254 mm do not reach"),
         (pins.replace("base.3.y", "base.3.q"), "mm", lengths, "no genhexkins.base.3.y, expected"),
         ("loadrt trivkins\n", "mm", [0], "no genhexkins.base.0.x, expected pins of genhexkins, l"),
     ):

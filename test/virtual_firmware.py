@@ -352,7 +352,8 @@ class LinuxCnc:
     number = np.float64
 
     def __init__(self, hal: str, ini: str) -> None:
-        self.pins = {p[1]: float(p[2]) for line in hal.splitlines() if (p := line.split())}
+        lines = (line.split() for line in hal.splitlines() if not line.startswith("#"))
+        self.pins = {words[1]: float(words[2]) for words in lines if words}
         self.ini = ConfigParser()
         self.ini.read_string(ini)
 

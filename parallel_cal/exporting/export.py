@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from inspect import signature
 from pathlib import Path
@@ -20,7 +20,7 @@ from parallel_cal.base.threads import single_threaded
 from parallel_cal.exporting.bed_fit import MAX_UNMEASURED_MOVE, BedFit, Movement, Present
 from parallel_cal.exporting.editing import edit_files, format_settings, read_verbatim
 from parallel_cal.exporting.heights import BedHeights, nozzle_heights, rms_height, why_not
-from parallel_cal.exporting.projection import Firmware, Machine, Projection, loss
+from parallel_cal.exporting.projection import Firmware, Machine, Projection, TargetPoses, loss
 from parallel_cal.importing.settings import Settings
 from parallel_cal.importing.touch_samples import Touches
 from parallel_cal.model.model import Model
@@ -29,6 +29,8 @@ from parallel_cal.model.shelf import list_plugins, load_module, wrap_plugin_func
 
 SHELF = "exporting.targets"
 N_FOLDS, FOLD_SEED = 4, 3
+N_COMPARED_POSES = 100
+MAX_MOVED_TRAVEL = 0.5  # of a joint's travel, between the previous and the new numbers
 MIN_FOLDED_TOUCHES = 24  # twice the numbers of a linear Delta in RepRapFirmware
 
 
@@ -117,7 +119,10 @@ def export(
         )
     if _holds(module, model):
         projection, found = _project(name, module, robot)
-        made |= {file: format_settings(numbers) for file, numbers in projection.settings.items()}
+        made |= {
+            file: projection.head + format_settings(numbers)
+            for file, numbers in projection.settings.items()
+        }
         heights = None
         if touches is not None:
             _check_touches_apply(robot, touches)
@@ -126,6 +131,7 @@ def export(
         result = ExportResult([], loss(robot, found), None, _remarks(robot, projection), heights)
     Path(folder).mkdir(parents=True, exist_ok=True)
     for file, text in made.items():
+        (Path(folder) / file).parent.mkdir(exist_ok=True)
         write_atomically(Path(folder) / file, text)
         result.paths.append(Path(folder) / file)
     result.remarks.extend(_describe_limits(model))
@@ -155,7 +161,7 @@ def export_into(
     given = {file.resolve() for file in files}
     later: list[Path] = module.read_later(files) if hasattr(module, "read_later") else []
     later = [path for path in later if path.resolve() not in given]
-    now = module.firmware(module.settings([*files, *later]))
+    now = _firmware(module, module.settings([*files, *later]), robot)
     projection, found = _project(target, module, robot)
     if type(now) is not type(found.firmware):
         raise ModelError(f"{files[0]}: it is configured for another kind of machine")
@@ -174,7 +180,7 @@ def export_into(
             its = list(files)
         if not its:
             raise ModelError(
-                f"{target}: some numbers belong in {file}: pass that file with --into as well"
+                f"{target}: some numbers belong in {Path(file).name}: pass that file with --into as well"
             )
         if hasattr(module, "adapt"):
             numbers = module.adapt(stated, numbers)
@@ -182,8 +188,9 @@ def export_into(
         cleared = []
     texts = edit_files(stated, groups)
     old, new = (
-        replace(found, firmware=firmware) for firmware in (now, _read(module, files, texts))
+        replace(found, firmware=firmware) for firmware in (now, _read(module, files, texts, robot))
     )
+    _check_previous_numbers(files, robot, old, new)
     heights = movement = None
     if touches is not None:
         new_height = rms_height(robot, new, touches, "the new")
@@ -294,18 +301,62 @@ def _project(
     given = {} if present is None else {"present": present}
     projection: Projection = wrap_plugin_function(name, module.project)(robot, **given)
     texts = {Path(file): format_settings(numbers) for file, numbers in projection.settings.items()}
-    firmware = _read(module, [*texts], texts)
+    firmware = _read(module, [*texts], texts, robot)
     return projection, Machine(firmware, projection.frame, projection.stops)
 
 
-def _read(module: ModuleType, files: Sequence[Path], texts: Mapping[Path, str]) -> Firmware:
+def _keep(read: Firmware, robot: Model) -> Firmware:
+    return read
+
+
+def _firmware(module: ModuleType, stated: Settings, robot: Model) -> Firmware:
+    """Return the firmware that has these settings, with motors in the unit of the model's."""
+    read: Firmware = module.firmware(stated)
+    complete: Callable[[Firmware, Model], Firmware] = getattr(module, "complete", _keep)
+    return complete(read, robot)
+
+
+def _check_previous_numbers(
+    files: Sequence[Path], robot: Model, old: Machine, new: Machine
+) -> None:
+    """Refuse new numbers if they move a joint by much of its travel at the same pose.
+
+    No calibration corrects so much: the model then has other switches, limits or units than the
+    machine.
+    """
+    wanted = TargetPoses.over_workspace(robot, N_COMPARED_POSES, seed=1).at
+    before, after = (m.readings(wanted.position, wanted.rotation) for m in (old, new))
+    known = np.isfinite(before - after).all(axis=1)
+    if not known.any():
+        return
+    moved = np.abs(np.median((after - before)[known], axis=0))
+    travel = np.ptp(np.array(robot.mechanism.joint_limits, dtype=float), axis=1)
+    worst = int((moved / travel).argmax())
+    if moved[worst] <= MAX_MOVED_TRAVEL * travel[worst]:
+        return
+    unit, factor = (
+        ("mm", 1e3) if robot.mechanism.joint_units[worst] == "m" else ("deg", 180 / np.pi)
+    )
+    raise ModelError(
+        f"{', '.join(map(str, files))}: at the same poses, {robot.joints[worst]} would read "
+        f"{factor * moved[worst]:.4g} {unit} differently with the new numbers; expected at most "
+        f"{factor * MAX_MOVED_TRAVEL * travel[worst]:.4g} {unit}, half of its travel. Nothing was "
+        "written. Either the model file has other switches than the machine (its option switches, or "
+        "else the joint limits, state where they are), or another frame or unit: write the model "
+        "file with new --from from these files and fit again"
+    )
+
+
+def _read(
+    module: ModuleType, files: Sequence[Path], texts: Mapping[Path, str], robot: Model
+) -> Firmware:
     """Return the firmware that reads these texts in place of the files' present texts."""
     with TemporaryDirectory() as kept:
         copies = [Path(kept) / str(k) / path.name for k, path in enumerate(files)]
         for copy, path in zip(copies, files, strict=True):
             copy.parent.mkdir()
             write_atomically(copy, texts[path] if path in texts else read_verbatim(path))
-        return module.firmware(module.settings(copies))  # type: ignore[no-any-return]
+        return _firmware(module, module.settings(copies), robot)
 
 
 def _describe_limits(model: Model) -> list[str]:

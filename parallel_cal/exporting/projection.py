@@ -45,7 +45,8 @@ class Firmware(Protocol):
 class Frame:
     """The frame of a firmware: r = origin + axes r_F in {B}.
 
-    Motor k is joint order[k] of the model, and the reading grows by signs[k] times the motor.
+    Motor k is joint order[k] of the model, and the reading grows by signs[k] times the
+    motor: 1 or -1, or m per count.
     """
 
     order: tuple[int, ...]
@@ -59,7 +60,7 @@ class Frame:
 
     def motors(self, q: Array) -> Array:
         """Return readings (..., n) in the firmware's order and direction."""
-        return np.asarray(q)[..., list(self.order)] * self.signs
+        return np.asarray(q)[..., list(self.order)] / self.signs
 
     def readings(self, motors: Array) -> Array:
         return np.asarray((motors * self.signs)[..., np.argsort(self.order)])
@@ -92,6 +93,7 @@ class Projection:
     frame: Frame
     stops: Array
     remarks: tuple[str, ...] = ()
+    head: str = ""  # comment at the head of each file
 
 
 @dataclass(frozen=True)
@@ -171,6 +173,15 @@ class TargetPoses:
         return np.stack(columns, axis=2)
 
     @property
+    def weights(self) -> Array:
+        """Weights (m,) of the rows of `controlled_jacobian`: an angle weighs as the motion of the
+        platform's joints that it causes."""
+        if self.more:
+            return np.ones(len(self.winds))
+        length = self.kinematics.model.mechanism.length
+        return np.array([1.0 if i < 3 else length for i in self.controlled])
+
+    @property
     def winds(self) -> Array:
         m = self.kinematics.model.mechanism
         return np.array(m.winds or (1.0,) * len(m.joints))
@@ -198,7 +209,7 @@ def fit_numbers(
     from scipy.optimize import least_squares
 
     wanted = TargetPoses.over_workspace(model, N_FIT_POSES, seed=2)
-    parts = [(wanted.at, wanted.controlled_jacobian)]
+    parts = [(wanted.at, wanted.weights[:, None] * wanted.controlled_jacobian)]
     if bed is not None:
         on_bed = TargetPoses.on_bed(model, bed, machine(start))
         heights = np.einsum("i,nij->nj", bed.normal, on_bed.controlled_jacobian)[:, None]

@@ -7,52 +7,96 @@ documentation, kins(9), "genhexkins".
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
-from parallel_cal.model.mechanism import Home, Mechanism
+from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.shelf import load_mechanism
 from parallel_cal.recordings.recording import Array
+
+SHRINK = np.linspace(1.0, 0.02, 50)  # of the default workspace
 
 
 @dataclass(frozen=True)
 class Struts:
-    """Ends of the struts on base and platform (6, 3) m, and their lengths (6,) when homed."""
+    """Ends of the struts on base and platform (6, 3) m, and their lengths at the switches (6,) m.
+
+    A motor's position is the length of its strut times `scale` (6,), counts per m, if it is known.
+    A strut is then as long as its count says.
+    """
 
     base: Array
     platform: Array
-    homed: Array
+    switches: Array
+    scale: Array | None = None
+
+    @property
+    def counts(self) -> Array:
+        """Return motor positions per m of a strut (6,)."""
+        return np.ones(6) if self.scale is None else self.scale
+
+    @property
+    def homed(self) -> Array:
+        return self.switches * self.counts
 
     def joints(self, r: Array, R: Array) -> Array:
+        return self.lengths(r, R) * self.counts
+
+    def lengths(self, r: Array, R: Array) -> Array:
+        """Return the lengths (N, 6) m of the struts."""
         ends = r[:, None] + np.einsum("nij,kj->nki", R, self.platform) - self.base
         return np.asarray(np.linalg.norm(ends, axis=2))
 
-    def mechanism(self, lengths: Array) -> Mechanism:
+    def mechanism(self, lengths: Array, limits: Array) -> Mechanism:
         """Return the hexapod whose joint readings are the lengths of its struts.
 
-        `lengths` (6,) m are about those at home, where the platform is parallel to the base.
+        `lengths` (6,) m are about those at home, where the platform is parallel to the base. The
+        default workspace shrinks until the struts reach its corners inside their `limits` (6, 2) m.
         """
         ends = self.platform - self.base
         tall = np.mean(lengths**2 - (ends[:, :2] ** 2).sum(axis=1))
         if tall <= 0:
             raise ModelError(
-                f"struts of {1e3 * lengths.mean():.4g} mm at home do not reach from the base to "
-                "the platform: expected longer struts"
+                f"struts of {1e3 * lengths.mean():.4g} mm do not reach from the base to the "
+                "platform"
             )
         height = float(np.sqrt(tall) - ends[:, 2].mean())
-        limits = (float(lengths.min()) / 2, float(self.homed.max()))
+        stated = {} if self.scale is None else {"scale": self.scale.tolist()}
         found = load_mechanism(
             "stewart42",
             base=self.base.tolist(),
             platform=self.platform.tolist(),
             height=height,
-            limits=limits,
+            limits=(float(limits[:, 0].min()), float(limits[:, 1].max())),
+            switches=self.switches.tolist(),
+            **stated,
         )
         zero = {f"leg{i}.L0": 0.0 for i in range(1, 7)}
         found.parameters = found.parameters.with_nominal(zero)
         position = np.array([[0.0, 0.0, height]])
-        home = self.joints(position, np.eye(3)[None])[0]
+        home = self.lengths(position, np.eye(3)[None])[0]
         found.home = Home(tuple(map(float, home)), (0.0, 0.0, height))
-        found.joint_limits = tuple((limits[0], float(top)) for top in self.homed)
+        found.joint_limits = tuple((float(low), float(high)) for low, high in limits)
+        found.workspace = self._reachable(found)
         return found
+
+    def _reachable(self, mechanism: Mechanism) -> Workspace:
+        """Return the mechanism's workspace, smaller if needed: with corners inside the limits.
+
+        It is unchanged if even home is outside.
+        """
+        box, home = mechanism.workspace, np.array([*mechanism.home.position, 0.0, 0.0, 0.0])
+        low, high = np.array(mechanism.joint_limits).T
+        corners = np.array([*product(*zip(box.low, box.high, strict=True))]) - home
+
+        def fits(part: float) -> bool:
+            lengths = self.lengths(*mechanism.poses(home + part * corners))
+            return bool(((lengths >= low) & (lengths <= high)).all())
+
+        if not fits(0.0):
+            return box
+        part = next((part for part in SHRINK if fits(part)), SHRINK[-1])
+        sides = (home + part * (np.array(side) - home) for side in (box.low, box.high))
+        return Workspace(*(tuple(map(float, side)) for side in sides))

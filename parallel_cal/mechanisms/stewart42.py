@@ -87,6 +87,17 @@ PLATFORM, BASE = ring(PLATFORM_RADIUS, PLATFORM_ANGLES), ring(BASE_RADIUS, BASE_
 BODIES = {"base": ("*.C_?",), "platform": ("*.B_?",), "legs": ("*.L0",)}
 
 
+def _one_per_leg(name: str, given: Sequence[float], n: int) -> tuple[float, ...]:
+    """Return an option that has one finite number for each leg."""
+    try:
+        values = np.array(given, dtype=float)
+    except (TypeError, ValueError):
+        values = np.empty(0)
+    if values.shape != (n,) or not np.isfinite(values).all():
+        raise ModelError(f"{name} is {given!r}: expected {n} numbers, one for each leg")
+    return tuple(map(float, values))
+
+
 class Stewart42(Mechanism):
     """Stewart platform: six legs with measured lengths (6-SPS).
 
@@ -105,6 +116,11 @@ class Stewart42(Mechanism):
     that the readings at home are 0, it is -L to L, with L = 0.1 m at the default `height`, and in
     proportion to `height`.
 
+    Two further options describe the controller with which the legs were recorded; an export for it
+    starts from them. `switches` are the readings in m at which the legs are homed (default: the
+    upper limits). `scale` is how many counts of its encoder or steps of its motor make a leg's
+    reading 1 m longer (default: unknown).
+
     A robot with more than six legs needs no measuring device: if its parameters are wrong, the
     lengths of the legs do not agree on one pose.
     """
@@ -122,6 +138,8 @@ class Stewart42(Mechanism):
         retracted: float | None = None,
         limits: Sequence[float] | None = None,
         tolerance: float = 1e-3,
+        switches: Sequence[float] | None = None,
+        scale: Sequence[float] | None = None,
     ):
         drawn = base is not None or platform is not None
         C = BASE if base is None else _points("base", base)
@@ -167,6 +185,10 @@ class Stewart42(Mechanism):
             high=(*(float(v) for v in middle + reach), *turn),
         )
         self.joint_limits = ((low, high),) * n
+        self.switches = None if switches is None else _one_per_leg("switches", switches, n)
+        self.scale = None if scale is None else _one_per_leg("scale", scale, n)
+        if self.scale is not None and not all(self.scale):
+            raise ModelError(f"scale {scale}: expected numbers other than 0")
         # Rounded as the lengths are: the last bit of a root depends on the machine.
         self.length = round(float(np.sqrt(np.mean(np.sum((B - B.mean(axis=0)) ** 2, axis=1)))), 13)
 

@@ -3,12 +3,17 @@
 Its own kinematics are genhexkins for hexapods, and lineardeltakins and rotarydeltakins for Deltas
 with equal chains. The numbers are pins in a .hal file and HOME_OFFSET in the .ini file, in mm and
 degrees. Source: LinuxCNC documentation,
-kins(9), lineardeltakins(9), "INI configuration", and src/emc/kinematics.
+kins(9), lineardeltakins(9), "INI configuration" ([JOINT_n] HOME_OFFSET is the position of the joint
+at its switch, SCALE its counts or steps per machine unit), and src/emc/kinematics.
+
+The component and the built-in kinematics go to separate folders: the component contains the zero
+corrections of the joints, and the HOME_OFFSET for the built-in kinematics contains them, too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib.resources import files as resources
 from pathlib import Path
 
@@ -32,16 +37,35 @@ from parallel_cal.importing.importers.linuxcnc import HEXAPOD, HOMED, ROTARY_PIN
 from parallel_cal.importing.settings import Settings
 from parallel_cal.importing.struts import Struts
 from parallel_cal.model.model import Model
+from parallel_cal.model.region import IdentifiedRegion
 
 HOLDS = ("stewart42", *LINEAR, *ROTARY)
 CLEARED = tuple(f"lineardeltakins.J{i}off" for i in range(3))  # the offsets of older versions
+COMPONENT = "component"  # folder of the component
 HAL, INI = "machine.hal", "machine.ini"
 INCH_DECIMALS = 7  # as fine as the digits of mm
+SCALE_DIGITS = 10  # 0.1 um in 100 m
+MARGIN = MM  # by which samples may be outside the workspace without a remark
+LEAD = f"{HEXAPOD}.screw-lead"
 STRUTS = 6  # of genhexkins
 SWITCHES = (
     "HOME_OFFSET assumes switches at the joints' upper limits in the model "
     "file: if yours are elsewhere, change these limits"
 )
+STATED_SWITCHES = (
+    "HOME_OFFSET is for switches at the readings {} mm (option switches of the model file)"
+)
+NO_SCALE = (
+    "SCALE is not exported, because the model file does not state it: state the SCALE of the "
+    "recording (option scale of stewart42, in counts per m), and errors that grow with the length "
+    "of a strut become smaller. new --from HAL --from INI states it"
+)
+WIDTHS = "set BACKLASH in your .ini file, in mm: {}"
+HEAD = """\
+# For {} only. Do not use these values together with the exported component.
+# The component contains the zero corrections of the joints, HOME_OFFSET here does, too.
+# Lengths are in mm{}.
+"""
 TOWERS = np.radians([90.0, 210.0, 330.0])
 
 
@@ -61,14 +85,25 @@ def files(model: Model, name: str = "") -> dict[str, str]:
             "robot": robot,
             "ROBOT": robot.upper(),
             "factors": ", ".join(map(repr, factors)),
+            "recorded": _recorded(model),
             "turns": str(int(any(i >= 3 for i in m.controlled))),
         },
     )
     return {
-        f"{robot}.h": made[f"{robot}.h"],
-        f"{robot}.c": made[f"{robot}.c"],
-        f"{robot}_kins.c": text,
+        f"{COMPONENT}/{robot}.h": made[f"{robot}.h"],
+        f"{COMPONENT}/{robot}.c": made[f"{robot}.c"],
+        f"{COMPONENT}/{robot}_kins.c": text,
     }
+
+
+def _recorded(model: Model) -> str:
+    """Return lines of a comment: HOME_OFFSET and SCALE of the recording, if they are known."""
+    lines = ""
+    for key, unit in (("switches", 1 / MM), ("scale", MM)):
+        if values := getattr(model.mechanism, key, None):
+            name = {"switches": "HOME_OFFSET, in mm", "scale": "SCALE, per mm"}[key]
+            lines += f" * {name}: {', '.join(f'{v * unit:.10g}' for v in values)}.\n"
+    return lines
 
 
 def settings(paths: Sequence[Path]) -> Settings:
@@ -77,7 +112,38 @@ def settings(paths: Sequence[Path]) -> Settings:
 
 def firmware(stated: Settings) -> Firmware:
     """Return the kinematics whose pins are set."""
+    if stated.number(LEAD, "a length", 0.0):
+        raise stated.error(
+            LEAD,
+            "0: the export does not compute with this correction, so its parameters would be wrong "
+            "with it. Set it to 0, or use the component, which contains the effect strut_rotation",
+        )
     return linuxcnc.kinematics(stated)
+
+
+def complete(read: Firmware, model: Model) -> Firmware:
+    """Return kinematics that were read from files, with positions in the counts of a model.
+
+    A model that does not state SCALE compares lengths.
+    """
+    if not isinstance(read, Struts):
+        return read
+    scale = getattr(model.mechanism, "scale", None)
+    if scale is not None and read.scale is None:
+        raise ModelError(
+            f"the model file states the scale of its legs, but the .ini file has no "
+            f"{linuxcnc.SCALE.format(0)} to {STRUTS - 1}: state it as it was in the recording"
+        )
+    if (
+        scale is not None
+        and read.scale is not None
+        and (np.sign(scale) != np.sign(read.scale)).any()
+    ):
+        raise ModelError(
+            "SCALE in the .ini file and the scale in the model file have different signs: state "
+            "in the model file (option scale) the SCALE of the recording"
+        )
+    return read if scale is not None else replace(read, scale=None)
 
 
 def adapt(stated: Settings, numbers: Mapping[str, str]) -> dict[str, str]:
@@ -86,16 +152,23 @@ def adapt(stated: Settings, numbers: Mapping[str, str]) -> dict[str, str]:
     if factor == 1.0:
         return dict(numbers)
     angular = any(field.startswith(linuxcnc.ROTARY) for field in stated.texts)
-    return {
-        field: text
-        if angular and field.endswith("HOME_OFFSET")
-        else f"{float(text) * factor:.{INCH_DECIMALS}f}"
-        for field, text in numbers.items()
-    }
+
+    def convert(field: str, text: str) -> str:
+        if field.endswith(" SCALE"):
+            return _format_scale(float(text) / factor)
+        if angular and field.endswith("HOME_OFFSET"):
+            return text
+        return f"{float(text) * factor:.{INCH_DECIMALS}f}"
+
+    return {field: convert(field, text) for field, text in numbers.items()}
+
+
+def _format_scale(scale: float) -> str:
+    return f"{scale:.{SCALE_DIGITS}g}"
 
 
 def project(model: Model, present: Refinement | None = None) -> Projection:
-    name = model.mechanism.name
+    name, scale, remarks = model.mechanism.name, None, [SWITCHES]
     if name in LINEAR:
         tall, found = fit_equal_towers(model, TOWERS, present)
         pins = {"lineardeltakins.R": tall.radius[0], "lineardeltakins.L": tall.rods[0]}
@@ -113,14 +186,59 @@ def project(model: Model, present: Refinement | None = None) -> Projection:
             for k in range(6)
             for i, axis in enumerate("xyz")
         }
-        homed = struts.homed / MM
+        homed, scale, remarks = struts.switches / MM, struts.scale, _remarks(model)
     written = {field: f"{float(size) / MM + 0.0:.5f}" for field, size in pins.items()}
     offsets = {HOMED.format(i): f"{value:.6f}" for i, value in enumerate(homed)}
-    return Projection({HAL: written, INI: offsets}, found.frame, found.stops, (SWITCHES,))
+    if scale is not None:  # per mm
+        offsets |= {linuxcnc.SCALE.format(i): _format_scale(s * MM) for i, s in enumerate(scale)}
+    kinematics = next(iter(written)).split(".")[0]
+    settings = {f"{kinematics}/{HAL}": written, f"{kinematics}/{INI}": offsets}
+    units = " and SCALE is per mm" if scale is not None else ""
+    head = HEAD.format(kinematics, units)
+    return Projection(settings, found.frame, found.stops, tuple(remarks), head)
+
+
+def _remarks(model: Model) -> list[str]:
+    """Say what the numbers of a hexapod assume, and what the user must set."""
+    m, remarks = model.mechanism, [SWITCHES]
+    if switches := getattr(m, "switches", None):
+        remarks = [STATED_SWITCHES.format(" ".join(f"{q / MM:.3f}" for q in switches))]
+    if getattr(m, "scale", None) is None and model.effects:
+        remarks.append(NO_SCALE)
+    remarks.extend(filter(None, [_describe_unfitted_region(model)]))
+    widths = [f"backlash.{leg}.width" for leg in m.joints]
+    if {*widths} <= {*model.table.names}:
+        text = ", ".join(f"JOINT_{i} {model.value(w) / MM:.4f}" for i, w in enumerate(widths))
+        remarks.append(WIDTHS.format(text))
+    return remarks
+
+
+def _describe_unfitted_region(model: Model) -> str:
+    """Say where the samples of the model's fit are outside its workspace; empty if nowhere."""
+    region, box = IdentifiedRegion.of_model(model), model.mechanism.workspace
+    beyond = [
+        f"{axis} {low / MM:.0f}..{high / MM:.0f} (workspace {box.low[i] / MM:.0f}.."
+        f"{box.high[i] / MM:.0f})"
+        for i, axis in enumerate("xyz")
+        if region and axis in region.position
+        for low, high in [region.position[axis]]
+        if low < box.low[i] - MARGIN or high > box.high[i] + MARGIN
+    ]
+    if not beyond:
+        return ""
+    return (
+        "the numbers are fitted and their error is stated over the workspace of the model file, but "
+        f"the model was measured at {', '.join(beyond)} mm: the error may be larger there. If the "
+        "robot works there, enlarge workspace in the model file and export again"
+    )
 
 
 def _struts(model: Model) -> tuple[Struts, Machine]:
-    """Fit both hexagons, and the lengths at the upper limits of the legs."""
+    """Fit both hexagons, the lengths at the switches, and SCALE if the model states it.
+
+    SCALE expresses errors that grow with the length of a strut, such as a wrong pitch. A model
+    without effects has none, and keeps its SCALE.
+    """
     if len(model.joints) != STRUTS:
         raise ModelError(
             f"{HEXAPOD} has {STRUTS} struts, this robot {len(model.joints)}: leave out the "
@@ -128,12 +246,18 @@ def _struts(model: Model) -> tuple[Struts, Machine]:
         )
     legs = [f"{leg}." for leg in model.joints]
     ends = [[[model.value(f"{leg}{end}_{a}") for a in "xyz"] for leg in legs] for end in "CB"]
-    stops = np.array(model.mechanism.joint_limits, float)[:, 1]
+    m = model.mechanism
+    stops = np.array(getattr(m, "switches", None) or [high for _, high in m.joint_limits], float)
+    scale = getattr(m, "scale", None)
+    counts = np.ones(STRUTS) if scale is None else np.array(scale)
     lengths = stops + [model.value(f"{leg}L0") for leg in legs]
 
     def machine(v: np.ndarray) -> Machine:
-        struts = Struts(v[:18].reshape(6, 3), v[18:36].reshape(6, 3), v[36:])
-        return Machine(struts, Frame(tuple(range(6)), np.ones(6)), stops)
+        parts = v[42:] if len(v) > 42 else np.ones(STRUTS)
+        written = None if scale is None else counts * parts
+        struts = Struts(v[:18].reshape(6, 3), v[18:36].reshape(6, 3), v[36:42], written)
+        return Machine(struts, Frame(tuple(range(6)), 1 / counts), stops)
 
-    found = machine(fit_numbers(model, np.array([*np.ravel(ends), *lengths]), machine))
+    fitted = np.ones(STRUTS if scale is not None and model.effects else 0)
+    found = machine(fit_numbers(model, np.array([*np.ravel(ends), *lengths, *fitted]), machine))
     return found.firmware, found  # type: ignore[return-value]

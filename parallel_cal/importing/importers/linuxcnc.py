@@ -1,7 +1,9 @@
 """LinuxCNC: a probe log of a linear Delta, and the files that configure its own kinematics.
 
 Its own kinematics are lineardeltakins, rotarydeltakins and genhexkins. Their pins are set in a HAL
-file; the .ini file has their unit (LINEAR_UNITS) and where the joints are homed (HOME_OFFSET).
+file; the .ini file has their unit (LINEAR_UNITS) where the joints are homed (HOME_OFFSET:
+the position of a joint at its switch), their range (MIN_LIMIT, MAX_LIMIT) and their counts or steps
+per unit (SCALE).
 
 A log that (PROBEOPEN) opened contains X Y Z A B C U V W of each touch, one touch per line, in the
 program's coordinates and units. So no offsets may be active while probing. Sources: LinuxCNC
@@ -35,13 +37,21 @@ ANY = "pins of genhexkins, lineardeltakins or rotarydeltakins"
 ROTARY_PINS = {"platformradius": "R", "thighlength": "U", "shinlength": "L", "footradius": "E"}
 HOMED = "[JOINT_{}] HOME_OFFSET"  # in the .ini file: the joint at its switch
 HOME = "[JOINT_{}] HOME"  # where the joint goes when it is homed
+# Counts or steps per unit of the joint's position, and the range in which it may move.
+SCALE = "[JOINT_{}] SCALE"
+MIN_LIMIT, MAX_LIMIT = "[JOINT_{}] MIN_LIMIT", "[JOINT_{}] MAX_LIMIT"
 UNIT = "[TRAJ] LINEAR_UNITS"
 LINEAR_UNITS = {"mm": "mm", "metric": "mm", "inch": "in", "in": "in", "imperial": "in"}
 INI_VALUE = re.compile(r"\[(\w+)\]\(?(\w+)\)?")  # in a .hal file
-BEYOND_SWITCHES = (
-    "the switches (HOME_OFFSET) are the upper joint limits in the model file, because an export "
-    "takes them from there, but the struts move beyond them to HOME: plan with other limits"
+NO_LIMITS = (
+    "the .ini file has no MIN_LIMIT or MAX_LIMIT: joint limits are assumed in the model file; "
+    "correct them there"
 )
+BEYOND_LIMITS = (
+    "at HOME a strut is outside MIN_LIMIT and MAX_LIMIT: the platform cannot be "
+    "parallel to the base at these lengths; correct the joint limits or home in the model file"
+)
+OFFSETS = (f"{HEXAPOD}.spindle-offset", f"{HEXAPOD}.tool-offset")
 NO_PROBE = np.zeros(3)
 
 
@@ -87,14 +97,34 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     if stated.number(f"{HEXAPOD}.screw-lead", "a length", 0.0):
         remarks.append(f"{HEXAPOD}.screw-lead: the correction of the struts' lengths is not used")
     unit = length_unit(stated)
-    home = _joints_at(stated, HOME, 6, unit, machine.homed)
-    if (home > machine.homed).any():
-        remarks.append(BEYOND_SWITCHES)
+    for pin in OFFSETS:
+        if stated.number(pin, "a length", 0.0):
+            remarks.append(f"{pin} is not used: poses in the model are those with {pin} 0")
+    home = _joints_at(stated, HOME, 6, unit, machine.switches)
+    if (home <= 0).any():
+        field = (HOME if HOME.format(0) in stated else HOMED).format(int(home.argmin()))
+        raise stated.error(field, "the length of a strut, more than 0")
+    limits = np.column_stack(
+        [
+            _joints_at(stated, MIN_LIMIT, 6, unit, np.full(6, float(home.min()) / 2)),
+            _joints_at(stated, MAX_LIMIT, 6, unit, np.maximum(2 * home - machine.switches, home)),
+        ]
+    )
+    if any(k.format(i) not in stated for k in (MIN_LIMIT, MAX_LIMIT) for i in range(6)):
+        remarks.append(NO_LIMITS)
+    for i, (low, high) in enumerate(limits):
+        if not 0 < low < high:
+            field = MAX_LIMIT if MAX_LIMIT.format(i) in stated else MIN_LIMIT
+            raise stated.error(field.format(i), "limits of a strut's length, MIN_LIMIT < MAX_LIMIT")
     try:
-        return ConfiguredRobot(new_model(machine.mechanism(home)), tuple(remarks))
+        mechanism = machine.mechanism(home, limits)
     except ModelError as error:
-        field = HOMED.format(int(home.argmin()))
-        raise stated.error(field, f"the strut's length at its switch: {error}") from None
+        field = (HOME if HOME.format(0) in stated else HOMED).format(int(home.argmin()))
+        raise stated.error(field, f"a longer strut: {error}") from None
+    at_home = np.array(mechanism.home.joints)
+    if ((at_home < limits[:, 0]) | (at_home > limits[:, 1])).any():
+        remarks.append(BEYOND_LIMITS)
+    return ConfiguredRobot(new_model(mechanism), tuple(remarks))
 
 
 def length_unit(stated: Settings) -> float:
@@ -126,7 +156,18 @@ def kinematics(stated: Settings) -> Towers | Shoulders | Struts:
         np.array([[pin(f"{HEXAPOD}.{ends}.{k}.{a}") for a in "xyz"] for k in range(6)])
         for ends in ("base", "platform")
     )
-    return Struts(base, platform, _joints_at(stated, HOMED, 6, unit))
+    return Struts(base, platform, _joints_at(stated, HOMED, 6, unit), _scale(stated, unit))
+
+
+def _scale(stated: Settings, unit: float) -> np.ndarray | None:
+    """Return SCALE of the six joints (6,), counts per m, or None if a joint has none."""
+    fields = [SCALE.format(i) for i in range(6)]
+    if not all(field in stated for field in fields):
+        return None
+    scale = np.array([stated.number(field, "counts per unit of the joint") for field in fields])
+    for field in (fields[int(i)] for i in np.flatnonzero(scale == 0)):
+        raise stated.error(field, "counts per unit of the joint, not 0")
+    return scale / unit
 
 
 def _joints_at(

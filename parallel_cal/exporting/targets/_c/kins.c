@@ -4,7 +4,10 @@
  * Machine units mm and degrees. A, B, C turn about x, then y, then z of the machine where the robot
  * controls its orientation; letters that it does not use take the joints behind its own.
  * Conditions are neutral.
- */
+ * In the .ini file, HOME_OFFSET and SCALE must be those with which the robot was recorded: this
+ * component corrects the zeros and the scales of the joints itself. The exported machine.ini is for
+ * LinuxCNC's built-in kinematics; with this component it would correct the zeros twice.
+@recorded@ */
 #include "rtapi.h"
 #include "rtapi_app.h"
 #include "hal.h"
