@@ -85,7 +85,8 @@ class Scene:
         of other models of the same samples may have the same `shared` derivatives."""
         x = predict_configurations(model, observations)
         linearise = Linearisation(model, observations, free, True)
-        system, C = linearise(model.values, x), linearise.by_measured(model.values, x)
+        C = np.empty((len(x), model.structure.rows.shape[0], len(model.joints) + 6))
+        system = linearise(model.values, x, by_measured=C)
         r = system.residual.reshape(-1)
         J = system.jacobian.reshape(len(r), -1) * model.table.prior_sigma[free]
         basis = compute_orthonormal_basis(

@@ -152,14 +152,28 @@ class Linearisation:
             x[blind] = np.where(taken & solved, own, here)
         return x
 
-    def __call__(self, values: np.ndarray, x: np.ndarray) -> System:
-        """Residuals and Jacobian at parameters and adjusted configurations x (N, nq+12)."""
+    def __call__(
+        self, values: np.ndarray, x: np.ndarray, by_measured: np.ndarray | None = None
+    ) -> System:
+        """Residuals and Jacobian at parameters and adjusted configurations x (N, nq+12).
+
+        The derivatives of the rows by the measured quantities (q, r, w) are written to
+        `by_measured` (N, rows, nq+6), if it is given.
+        """
         residual, informative = np.empty((len(x), self._rows)), np.full(len(x), self._rows)
         if len(x) * self._rows * self._n_free * 8 > MAX_JACOBIAN_BYTES:
-            return self._streamed(values, x, residual, informative)
+            return self._streamed(values, x, residual, informative, by_measured)
         jacobian = np.empty((len(x), self._rows, self._n_free))
         adjusts = [
-            self._fill(residual[part], jacobian[part], informative[part], values, x[part], part)
+            self._fill(
+                residual[part],
+                jacobian[part],
+                informative[part],
+                values,
+                x[part],
+                part,
+                None if by_measured is None else by_measured[part],
+            )
             for part in _parts(x)
         ]
         return System(
@@ -170,7 +184,12 @@ class Linearisation:
         )
 
     def _streamed(
-        self, values: np.ndarray, x: np.ndarray, residual: np.ndarray, informative: np.ndarray
+        self,
+        values: np.ndarray,
+        x: np.ndarray,
+        residual: np.ndarray,
+        informative: np.ndarray,
+        by_measured: np.ndarray | None,
     ) -> Streamed:
         """The system with only a part of the Jacobian in memory at a time."""
         work = np.empty((BLOCK, self._rows, self._n_free))
@@ -178,7 +197,8 @@ class Linearisation:
         def filled() -> Iterator[tuple[slice, np.ndarray, Adjust]]:
             for part in _parts(x):
                 A = work[: len(x[part])]
-                args = residual[part], A, informative[part], values, x[part], part
+                C = None if by_measured is None else by_measured[part]
+                args = residual[part], A, informative[part], values, x[part], part, C
                 yield part, A, self._fill(*args)
 
         def adjusted(step: np.ndarray) -> np.ndarray:
@@ -203,10 +223,13 @@ class Linearisation:
         values: np.ndarray,
         x: np.ndarray,
         part: slice,
+        by_measured: np.ndarray | None,
     ) -> Adjust:
-        """Fill in residuals, Jacobian and number of rows of some samples; return how a step adjusts
-        their configurations."""
+        """Fill in residuals, Jacobian, number of rows and, if asked, derivatives by the measured
+        quantities of some samples; return how a step adjusts their configurations."""
         phi, C, J = self.blocks(values, x, part)
+        if by_measured is not None:
+            by_measured[:] = C
         away, here = self.compute_adjustments(x, part), Configuration.from_rows(x)
         SC = self._covariance(part) @ C.transpose(0, 2, 1)
         K = self._whitening(C @ SC + self._reading_covariance(part))
@@ -228,13 +251,6 @@ class Linearisation:
         A -= explained @ (across @ A)
         informative -= np.rint(np.sum(explained**2, axis=(1, 2))).astype(int)
         return lambda step: here.apply_change(explain(r_all + A_all @ step, corrections)).rows
-
-    def by_measured(self, values: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Derivatives C (N, rows, nq+6) of the rows by the measured quantities (q, r, w)."""
-        C = np.empty((len(x), self._rows, self._n + 6))
-        for part in _parts(x):
-            C[part] = self.blocks(values, x[part], part)[1]
-        return C
 
     def whiten(self, C: np.ndarray, part: slice = slice(None)) -> np.ndarray:
         """T (N, rows, rows) that converts rows with the derivatives C into noise units, projects
