@@ -12,9 +12,10 @@ from parallel_cal.diagnosis.patterns import compute_mean_profile
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.reporting.axes import log_axis
+from parallel_cal.reporting.error_steps import FallingError, Step, describe_steps, draw_steps
 from parallel_cal.session.history import Record, State, format_first_error
 from parallel_cal.session.session import Session
-from parallel_cal.workbench.error_steps import describe_steps, draw_steps, find_steps
+from parallel_cal.workbench.error_steps import find_steps
 
 MODEL, BAG = "config/delta_mockup_nominal.yaml", "bags/delta_backlash"
 # A window of 1280 x 800 at a zoom of 150 % has 853 x 533 pixels of CSS.
@@ -63,6 +64,18 @@ def test_the_falling_error_begins_before_the_calibration_and_shows_every_branch(
     figure = draw_steps(found)
     assert "noise floor 30.0 µm" in str(figure["layout"]["annotations"])
     assert "<b>other</b>" in str(figure["data"])
+
+
+def test_the_labels_of_many_steps_are_whole_words_that_plotly_may_not_omit():
+    long = "add thermal_expansion, gear_transmission_error"
+    for count in (2, 11):
+        steps = [Step("before calibration", 1e-4), *(Step(long, 1e-5) for _ in range(count))]
+        axis = draw_steps(FallingError("position", steps))["layout"]["xaxis"]
+        words = axis["ticktext"][-1].replace("<br>", " ").replace(" …", "").split()
+        assert set(words) <= set(long.replace(",", "").split()) | {"thermal_expansion,"}
+        # A slanted last label extends beyond the axis, where Plotly omits it.
+        assert axis["autotickangles"] == [0, 90]
+        assert axis["ticklabeloverflow"] == "allow"
 
 
 def test_a_step_on_other_samples_is_joined_by_a_dotted_line():

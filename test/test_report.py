@@ -13,10 +13,11 @@ from tied import dataset as tied
 
 import parallel_cal as pc
 from parallel_cal.cli import main as cli
+from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.model.file.modelfile import model_hash, write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
-from parallel_cal.reporting import contents, results
+from parallel_cal.reporting import contents, figures, results
 from parallel_cal.reporting.arrows import arrows, colour, scale_of
 from parallel_cal.reporting.figures import select_evenly
 from parallel_cal.reporting.page import page
@@ -193,11 +194,20 @@ def test_every_error_is_at_the_same_samples_though_the_model_was_fitted_to_more(
 
 def test_the_history_falls_from_the_nominal_model_to_the_noise(document):
     rows, errors = document["history"], document["errors"]
-    assert [row["name"] for row in rows] == ["before", "fit", "with backlash"]
+    assert [row["name"] for row in rows] == ["before calibration", "fit", "with backlash"]
     falling = [row["error"]["position_rms"] for row in rows]
     assert falling == sorted(falling, reverse=True)
     assert falling[0] > 5 * falling[1] > 5 * falling[2]
     assert falling[2] < 1.3 * errors["noise"]["position_rms"]
+
+
+def test_the_history_has_the_names_of_the_steps_and_dots_between_different_samples(document):
+    error = Summary(**document["history"][0]["error"])
+    row = {"name": "fit", "error": error, "samples": 85, "sha256": "ab", "excluded": []}
+    rows = [row, row | {"name": "exclude 40", "samples": 84, "excluded": [40]}]
+    found = figures.find_steps(rows, error, "position", "m")
+    assert [step.name for step in found.steps] == ["fit", "exclude 40"]
+    assert [step.is_comparable for step in found.steps] == [True, False]
 
 
 def test_evidence_and_reasons_stand_beside_every_effect(document, text):

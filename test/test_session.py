@@ -289,7 +289,11 @@ def test_the_command_line_takes_the_same_steps_and_remembers_options(session, ru
     assert [state["step"] for state in document["history"]][-1] == "include 3"
     run_cli("session", "switch", folder, "main")
     run_cli("session", "save", folder, "-o", tmp_path / "out.yaml")
-    assert read_model(tmp_path / "out.yaml").history[-1]["step"] == "fit"
+    entry = read_model(tmp_path / "out.yaml").history[-1]
+    # Reports show the step under its name in the session, and know the samples that judged it.
+    assert (entry["step"], entry["label"], entry.get("excluded")) == ("fit", "fit", None)
+    entry = Session(folder)._model(Session(folder).history("beside")[-1]).history[-1]
+    assert (entry["step"], entry["label"], entry["excluded"]) == ("fit", "include 3", [4])
 
 
 @pytest.mark.wide

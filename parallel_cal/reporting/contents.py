@@ -24,6 +24,7 @@ from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.mechanism import POSE, Mechanism
 from parallel_cal.model.model import Model
 from parallel_cal.model.words import describe
+from parallel_cal.reporting.error_steps import BEFORE
 
 MAX_REST_SPEED = 1e-3  # rad/s or m/s: below it the robot stands still
 MIN_STRONG_CORRELATION = 0.98  # correlation from which two parameters are hardly distinguishable
@@ -111,20 +112,22 @@ def _list_judged_steps(diagnosis: Diagnosis) -> list[dict[str, Any]]:
 
 def history(diagnosis: Diagnosis, errors: HeldOutErrors) -> list[dict[str, Any]]:
     """Make one row per step: its `name`, its validation `error`, and the data it was judged on."""
-    data = diagnosis.dataset
-    here = {"samples": len(data), "sha256": data.sha256}
+    data = diagnosis.base.fitted.dataset
+    here = {"samples": len(data), "sha256": data.sha256, "excluded": sorted(data.excluded)}
     steps: list[dict[str, Any]] = [
         {
-            "name": " ".join(str(entry[key]) for key in ("step", "effect") if key in entry),
+            "name": entry.get("label")
+            or " ".join(str(entry[key]) for key in ("step", "effect") if key in entry),
             "error": Summary(**entry["held_out"]["after"]),
             "samples": entry.get("samples"),
             "sha256": (entry.get("dataset") or {}).get("sha256", ""),
+            "excluded": entry.get("excluded", []),
         }
         for entry in _list_judged_steps(diagnosis)
     ]
     first = _list_judged_steps(diagnosis)[:1]
     before = Summary(**first[0]["held_out"]["before"]) if first else errors.before
-    rows = [(steps[0] if steps else here) | {"name": "before", "error": before}, *steps]
+    rows = [(steps[0] if steps else here) | {"name": BEFORE, "error": before}, *steps]
     is_last_now = False  # whether the last step has the errors of now: it was written and repeated
     if steps:
         last, now = ([v or 0.0 for v in vars(e).values()] for e in (steps[-1]["error"], errors.now))

@@ -11,9 +11,9 @@ import numpy as np
 
 from parallel_cal.discovery.shape import Shape
 from parallel_cal.identification.prediction_errors import Summary
-from parallel_cal.reporting.axes import draw_noise_floor, log_axis
 from parallel_cal.reporting.colours import ACCENT, BAND, MEASURED, PATTERN, QUIET, WARNING
 from parallel_cal.reporting.contents import DescribedParameter
+from parallel_cal.reporting.error_steps import FallingError, Step
 from parallel_cal.reporting.readable import error_unit, number, value_unit
 
 Spec = dict[str, Any]
@@ -137,45 +137,24 @@ def round_with_gaps(values: np.ndarray) -> list[float | None]:
     return [float(f"{v:.5g}") if math.isfinite(v) else None for v in values.ravel().tolist()]
 
 
-def history(rows: Sequence[Mapping[str, Any]], floor: Summary, kind: str, si: str) -> Spec:
-    """Draw the validation errors of a kind, step by step, with the noise floor."""
-    unit, factor = error_unit(si)
-    values = [row["error"].rms(kind) for row in rows]
-    shown = [None if v is None else v * factor for v in values]
-    noise, ends = (floor.rms(kind) or 0.0) * factor, [-0.3, len(rows) - 0.4]
-    ticks = {"tickvals": list(range(len(rows))), "ticktext": [escape(r["name"]) for r in rows]}
-    data, annotations = [_steps(rows, shown)], []
-    if noise:
-        floor_line, label = draw_noise_floor(noise, ends, unit)
-        data, annotations = [floor_line, *data], [label]
-    return {
-        "data": data,
-        "layout": {
-            "height": 300,
-            "xaxis": {**ticks, "range": ends, "showgrid": False, "zeroline": False},
-            "yaxis": log_axis([noise, *shown], f"{kind}, rms [{unit}]"),
-            "annotations": annotations,
-            "margin": {"t": 16, "r": 16},
-        },
-    }
-
-
-def _steps(rows: Sequence[Mapping[str, Any]], values: Sequence[float | None]) -> Spec:
-    return {
-        "type": "scatter",
-        "mode": "lines+markers+text",
-        "x": list(range(len(rows))),
-        "y": list(values),
-        "text": [number(v) for v in values],
-        "textposition": "top right",
-        "hovertext": [
-            f"{escape(r['name'])}: {r['samples']} samples, data {r['sha256'][:12]}" for r in rows
-        ],
-        "hoverinfo": "text",
-        "line": {"color": ACCENT, "width": 3},
-        "marker": {"size": 9},
-        "cliponaxis": False,
-    }
+def find_steps(
+    rows: Sequence[Mapping[str, Any]], floor: Summary, kind: str, si: str
+) -> FallingError:
+    """Return the validation errors of a kind, step by step, with the noise floor; `si` is the unit
+    of the kind."""
+    steps: list[Step] = []
+    samples: list[tuple[Any, ...]] = []
+    for row in rows:
+        error = row["error"].rms(kind)
+        if not error:
+            continue
+        judged_on = row["sha256"], row["samples"], tuple(row["excluded"])
+        same = not samples or samples[-1] == judged_on
+        about = f"{row['samples']} samples, data {row['sha256'][:12]}"
+        before = len(steps) - 1 if steps else None
+        steps.append(Step(row["name"], error, before, 0, same, about))
+        samples.append(judged_on)
+    return FallingError(kind, steps, noise=floor.rms(kind), words=f"{kind}, rms", unit=si)
 
 
 def parameter_bars(parameters: Mapping[str, DescribedParameter]) -> Spec:

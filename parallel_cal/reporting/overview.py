@@ -6,6 +6,7 @@ from html import escape
 
 from parallel_cal.reporting import figures
 from parallel_cal.reporting.blocks import Block
+from parallel_cal.reporting.error_steps import DOTTED, draw_steps
 from parallel_cal.reporting.markup import Plot, as_html, micro, paragraph, sentence
 from parallel_cal.reporting.readable import unit_of
 from parallel_cal.reporting.report import Report
@@ -79,13 +80,13 @@ def budget(report: Report) -> str:
 def history(report: Report, plot: Plot) -> str:
     """Render the validation error step by step, a chart for each kind."""
     rows, errors, units = report.history, report.errors, report.provenance.joint_units
-    charts = [
-        figures.history(rows, errors.noise, kind, unit_of(kind, units)) for kind in errors.kinds
+    falls = [
+        figures.find_steps(rows, errors.noise, kind, unit_of(kind, units)) for kind in errors.kinds
     ]
-    if not charts:
+    if not falls:
         return paragraph("There is no error to show: no suitable quantity was measured.", "none")
     note = "Validation error of each step. On average it cannot fall below the noise floor."
-    if len({row["sha256"] for row in rows}) > 1:
-        note += " The steps were judged on different data. Point at a step to see its data."
-    drawn = "".join(f"<div>{plot(chart)}</div>" for chart in charts)
+    if not all(step.is_comparable for fall in falls for step in fall.steps):
+        note += f" {DOTTED} Point at a step to see its data."
+    drawn = "".join(f"<div>{plot(draw_steps(fall))}</div>" for fall in falls)
     return paragraph(note, "note") + f'<div class="pair">{drawn}</div>'

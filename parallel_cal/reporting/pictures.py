@@ -12,6 +12,7 @@ from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.discovery.law import Discovery
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.reporting import contents, figures, spaces
+from parallel_cal.reporting.error_steps import draw_steps
 from parallel_cal.reporting.readable import unit_of
 
 if TYPE_CHECKING:
@@ -77,7 +78,8 @@ def _(diagnosis: Diagnosis) -> Any:
         raise ParallelCalError("no error to draw: no suitable quantity was measured")
     unit = unit_of(errors.kinds[0], dict(zip(mechanism.joints, mechanism.joint_units, strict=True)))
     rows = contents.history(diagnosis, errors)
-    return _make_figure(figures.history(rows, errors.noise, errors.kinds[0], unit))
+    drawn = draw_steps(figures.find_steps(rows, errors.noise, errors.kinds[0], unit))
+    return _make_figure({key: drawn[key] for key in ("data", "layout")})
 
 
 @_draw.register

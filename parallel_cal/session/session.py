@@ -501,7 +501,10 @@ class Session(History):
             "sigmas": step.result.rms_sigmas(step.result.held_out),
             "sigmas_before": step.sigmas_to_beat,
         }
-        return self._append_state(words, step.model, **{**judged, **changes})
+        # Reports of the model show the step under the name that it has in the session.
+        *past, last = step.model.history
+        named = dataclasses.replace(step.model, history=(*past, {**last, "label": words}))
+        return self._append_state(words, named, **{**judged, **changes})
 
     def _append_state(self, words: str, model: Model | None, **changes: Any) -> State:
         """Append a state to the branch with its model (None: unchanged); other fields persist

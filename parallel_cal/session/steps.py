@@ -463,6 +463,7 @@ def _step(
     unusual = {
         "loss": result.options.loss if result.options.loss != "linear" else None,
         "refit": list(result.refitted_parameters),
+        "excluded": sorted(result.dataset.excluded),
         "knocked": list(knocked),
         "down_weighted": [doubted.sample for doubted in result.down_weighted],
         "registered": result.registration.description if result.registration else None,

@@ -10,8 +10,8 @@ from typing import Any
 from nicegui import ui
 
 from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.reporting.error_steps import FallingError, Step, describe_steps, draw_steps
 from parallel_cal.workbench.bench import Live
-from parallel_cal.workbench.error_steps import FallingError, Step, describe_steps, draw_steps
 from parallel_cal.workbench.marking import FigureSlot
 from parallel_cal.workbench.widgets import COLOURS, card
 

@@ -9,10 +9,11 @@ from typing import Any
 from nicegui import ui
 
 from parallel_cal.reporting.colours import QUIET
+from parallel_cal.reporting.error_steps import DOTTED, describe_steps, draw_steps
 from parallel_cal.reporting.readable import write_micro
 from parallel_cal.workbench.bench import Bench
 from parallel_cal.workbench.campaign_card import CampaignBar
-from parallel_cal.workbench.error_steps import describe_steps, draw_steps, find_steps
+from parallel_cal.workbench.error_steps import find_steps
 from parallel_cal.workbench.marking import FigureSlot
 from parallel_cal.workbench.widgets import COLOURS, card
 
@@ -156,7 +157,7 @@ class VerdictCard:
             self.words = ui.label().classes("font-bold").props("id=verdict-words")
             self.numbers = ui.row().classes("items-start gap-x-4 gap-y-1")
             self.steps = FigureSlot()
-            self.dotted = ui.label("A dotted line joins the errors of different samples.")
+            self.dotted = ui.label(DOTTED)
             self.dotted.classes("text-xs quiet")
             self.included = ui.label().props("id=included").classes("text-xs quiet")
 

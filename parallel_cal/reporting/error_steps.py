@@ -1,0 +1,179 @@
+"""The picture "how the error fell", step by step and branch by branch: of the page and reports.
+
+It needs no NumPy, so that the page can draw it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from html import escape
+from textwrap import wrap
+from typing import Any
+
+from parallel_cal.base.units import ERROR_SI_UNITS
+from parallel_cal.reporting.axes import draw_noise_floor, log_axis
+from parallel_cal.reporting.colours import MEASURED
+from parallel_cal.reporting.readable import error_unit, number
+
+BEFORE = "before calibration"  # name of the first step
+DOTTED = "A dotted line joins the errors of different samples."
+# Of the branches, the one in use first (Okabe and Ito).
+BRANCH_COLOURS = (MEASURED, "#cc79a7", "#009e73", "#e69f00", "#56b4e9")
+MAX_LABEL_WIDTH, MAX_LABEL_LINES = 14, 2  # of the name of a step below the axis
+# With more steps their labels stand upright on most screens: one line each, and a higher picture.
+MANY_STEPS, MAX_UPRIGHT_WIDTH = 6, 26
+HEIGHT, HEIGHT_OF_MANY = 230, 320
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step with its error (m or rad); `before` is the index of the step that it follows.
+
+    `is_comparable` is false if the two errors are of different samples.
+    """
+
+    name: str
+    error: float
+    before: int | None = None
+    branch: int = 0
+    is_comparable: bool = True
+    details: str = ""
+
+
+@dataclass(frozen=True)
+class FallingError:
+    """The steps of all branches in the order in which they are drawn; `noise` is the floor."""
+
+    kind: str
+    steps: Sequence[Step]
+    branches: Sequence[str] = ("",)
+    noise: float | None = None
+    now: int | None = None  # index of the step whose model is on the page
+    words: str = "validation error"
+    unit: str = ""  # SI; needed for kinds whose unit depends on the joints
+
+
+def draw_steps(found: FallingError) -> dict[str, Any]:
+    """Draw the errors over the steps on a logarithmic axis, with the noise floor."""
+    unit, factor = error_unit(found.unit or ERROR_SI_UNITS[found.kind])
+    values = [factor * step.error for step in found.steps]
+    noise = factor * found.noise if found.noise else None
+    ends = [-0.4, len(values) - 0.4]
+    floor = draw_noise_floor(noise, ends, unit) if noise else ()
+    return {
+        "data": [
+            *floor[:1],
+            *_draw_lines(found.steps, values),
+            *_draw_points(found, values, unit),
+        ],
+        "layout": {
+            "height": HEIGHT_OF_MANY if len(values) > MANY_STEPS else HEIGHT,
+            "margin": {"t": 30, "r": 12, "l": 56, "b": 48},
+            "showlegend": False,
+            "xaxis": {
+                "tickvals": list(range(len(values))),
+                "ticktext": _make_labels(found.steps),
+                "range": ends,
+                # Plotly chooses the first angle at which no labels overlap. At any slanted angle it
+                # omits the last label, which extends beyond the axis.
+                "autotickangles": [0, 90],
+                "ticklabeloverflow": "allow",
+                "showgrid": False,
+                "zeroline": False,
+                "automargin": True,
+            },
+            "yaxis": log_axis([noise, *values], f"{found.words} [{unit}]"),
+            "annotations": [*floor[1:]],
+        },
+        "config": {"displaylogo": False, "displayModeBar": False},
+    }
+
+
+def describe_steps(found: FallingError) -> str:
+    """Describe the picture for a screen reader."""
+    unit, factor = error_unit(found.unit or ERROR_SI_UNITS[found.kind])
+    steps = ", ".join(f"{step.name} {number(step.error, factor)} {unit}" for step in found.steps)
+    floor = f"; noise floor {number(found.noise, factor)} {unit}" if found.noise else ""
+    return f"{found.words} over the steps: {steps}{floor}"
+
+
+def _draw_lines(steps: Sequence[Step], values: Sequence[float]) -> Iterator[dict[str, Any]]:
+    """Draw a line from each step to its successors; a dotted one if the samples changed."""
+    for branch in sorted({step.branch for step in steps}):
+        for same, dash in ((True, "solid"), (False, "dot")):
+            ends = [
+                (step.before, k)
+                for k, step in enumerate(steps)
+                if step.branch == branch and step.before is not None and step.is_comparable == same
+            ]
+            if ends:
+                yield {
+                    "type": "scatter",
+                    "mode": "lines",
+                    "x": [x for pair in ends for x in (*pair, None)],
+                    "y": [y for a, b in ends for y in (values[a], values[b], None)],
+                    "line": {"color": _colour(branch), "width": 2, "dash": dash},
+                    "hoverinfo": "skip",
+                }
+
+
+def _draw_points(
+    found: FallingError, values: Sequence[float], unit: str
+) -> Iterator[dict[str, Any]]:
+    names = found.branches if len(found.branches) > 1 else ()
+    for branch in sorted({step.branch for step in found.steps}):
+        own = [k for k, step in enumerate(found.steps) if step.branch == branch]
+        yield {
+            "type": "scatter",
+            "mode": "markers+text",
+            "x": own,
+            "y": [values[k] for k in own],
+            "text": [
+                f"<b>{escape(names[branch])}</b><br>{number(values[k])}"
+                if names and k == own[-1]
+                else number(values[k])
+                for k in own
+            ],
+            "textposition": "top center",
+            "hovertext": [
+                "<br>".join(
+                    filter(
+                        None,
+                        (
+                            escape(found.steps[k].name),
+                            f"{number(values[k])} {unit}",
+                            escape(found.steps[k].details),
+                        ),
+                    )
+                )
+                for k in own
+            ],
+            "hoverinfo": "text",
+            "marker": {
+                "color": _colour(branch),
+                "size": [13 if k == found.now else 8 for k in own],
+                "symbol": [
+                    "circle" if found.steps[k].is_comparable else "circle-open" for k in own
+                ],
+            },
+            "cliponaxis": False,
+        }
+
+
+def _colour(branch: int) -> str:
+    return BRANCH_COLOURS[branch % len(BRANCH_COLOURS)]
+
+
+def _make_labels(steps: Sequence[Step]) -> list[str]:
+    """Shorten the names of the steps to lines of whole words."""
+    many = len(steps) > MANY_STEPS
+    width, most = (MAX_UPRIGHT_WIDTH, 1) if many else (MAX_LABEL_WIDTH, MAX_LABEL_LINES)
+    return [_shorten(step.name, width, most) for step in steps]
+
+
+def _shorten(name: str, width: int, most: int) -> str:
+    lines = wrap(name, width, break_long_words=False, break_on_hyphens=False) or [""]
+    more = " …" if len(lines) > most else ""
+    shown = "<br>".join(map(escape, lines[:most]))
+    return f"{shown.removesuffix(',')}{more}" if more else shown
