@@ -17,6 +17,7 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import BACKUP_SUFFIX, write_atomically
 from parallel_cal.base.options import convert_options, split_options
 from parallel_cal.base.threads import single_threaded
+from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.exporting.bed_fit import MAX_UNMEASURED_MOVE, BedFit, Movement, Present
 from parallel_cal.exporting.editing import edit_files, format_settings, read_verbatim
 from parallel_cal.exporting.heights import BedHeights, nozzle_heights, rms_height, why_not
@@ -180,7 +181,8 @@ def export_into(
             its = list(files)
         if not its:
             raise ModelError(
-                f"{target}: some numbers belong in {Path(file).name}: pass that file with --into as well"
+                f"{target}: some numbers belong in {Path(file).name}: pass that file with "
+                "--into as well"
             )
         if hasattr(module, "adapt"):
             numbers = module.adapt(stated, numbers)
@@ -334,14 +336,14 @@ def _check_previous_numbers(
     worst = int((moved / travel).argmax())
     if moved[worst] <= MAX_MOVED_TRAVEL * travel[worst]:
         return
-    unit, factor = (
-        ("mm", 1e3) if robot.mechanism.joint_units[worst] == "m" else ("deg", 180 / np.pi)
-    )
+    length = robot.mechanism.joint_units[worst] == "m"
+    unit, factor = ("mm", 1 / MM) if length else ("deg", 1 / DEGREE)
     raise ModelError(
         f"{', '.join(map(str, files))}: at the same poses, {robot.joints[worst]} would read "
         f"{factor * moved[worst]:.4g} {unit} differently with the new numbers; expected at most "
         f"{factor * MAX_MOVED_TRAVEL * travel[worst]:.4g} {unit}, half of its travel. Nothing was "
-        "written. Either the model file has other switches than the machine (its option switches, or "
+        "written. Either the model file has other switches than the machine (its option "
+        "switches, or "
         "else the joint limits, state where they are), or another frame or unit: write the model "
         "file with new --from from these files and fit again"
     )
