@@ -110,6 +110,7 @@ def part(text, name):
 @pytest.mark.wide
 def test_the_certificate_shows_what_was_stated_and_leaves_the_rest_blank(made):
     shown = part(page(made), "certificate")
+    assert "<details open" in shown
     assert "<dd>&lt;D-0042&gt;</dd>" in shown
     assert '<dt>Place</dt><dd class="blank"></dd>' in shown
     assert '<dt>Approved by</dt><dd class="blank"></dd>' in shown

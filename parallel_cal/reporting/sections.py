@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from parallel_cal.reporting import evidence, failures, identified, overview
+from parallel_cal.reporting.certificate import CertificateFields
 from parallel_cal.reporting.markup import Plot, section
 from parallel_cal.reporting.report import Report
 
@@ -11,11 +12,12 @@ def body(report: Report, plot: Plot) -> str:
     """Render all sections; a section without data says so."""
     free = sum(not p.fixed for p in report.parameters.values())
     worst_first = f"{len(report.samples)}, worst first"
+    blank = report.certificate == CertificateFields()  # nobody asked for a certificate
     images = failures.over_images(report, plot)  # empty without a camera
     parts = [
         overview.verdict(report),
         overview.numbers(report),
-        section("Certificate", identified.certificate(report), closed=True),
+        section("Certificate", identified.certificate(report), closed=blank),
         section("History", overview.history(report, plot)),
         section("Error budget", overview.budget(report)),
         section("Residuals in space", failures.in_space(report, plot)),

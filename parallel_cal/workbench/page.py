@@ -365,10 +365,11 @@ class Window:
                 self._include("Include all", list(excluded))
         for reason, numbers in by_reason.items():
             one = len(numbers) == 1
+            these = "all" if len(by_reason) == 1 else f"these {len(numbers)}"
             with ui.row().classes("items-center"):
                 which = f"sample {numbers[0]} is" if one else f"{len(numbers)} samples are"
                 ui.label(f"{which} excluded: {reason}")
-                self._include("Include" if one else f"Include these {len(numbers)}", numbers)
+                self._include("Include" if one else f"Include {these}", numbers)
             if not one:
                 draw = partial(self._include_one_by_one, numbers)
                 self._unfolded("Include one by one", f"excluded: {reason}", draw)
