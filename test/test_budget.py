@@ -52,6 +52,9 @@ def test_a_budget_ranks_parts_by_what_each_removes_and_no_part_is_negative(resul
     assert [p.name for p in position.parts] == ["geometry", "backlash", "noise", "rest"]
     assert position.held_out
     assert (position.samples, position.poses) == (90, 90)
+    # The error of the nominal model has one standard deviation, here and in every other place.
+    assert position.total == pytest.approx(found.held_out_before.summary.position_rms)
+    assert position.sigma == pytest.approx(found.rms_sigmas(found.held_out_before)["position"])
     for part in (*position.parts, *orientation.parts):
         assert part.removed >= 0
         assert part.sigma > 0

@@ -81,6 +81,9 @@ def test_a_diagnosis_names_the_unusual_effect_its_size_and_its_gain_and_add_acce
     assert "larger than usual (15.9 mrad; usual up to 3)" in one["text"]
     assert one["parameters"][0]["usual"] == pytest.approx([0.0, 3e-3])
     assert one["holdout_with"]["position_rms"] < 0.1 * one["holdout_without"]["position_rms"]
+    [row] = [one for one in found.entries if one.name == "backlash"]
+    assert not row.reason  # it was named, not refused
+    assert row.alone.after.position_rms == one["holdout_with"]["position_rms"]
     step = add(model, found.additions[0], worn)
     assert not step.acceptance.against
     [words] = [w for w in step.warnings if "larger than usual" in w]

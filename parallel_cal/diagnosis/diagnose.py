@@ -438,6 +438,9 @@ def _diagnose_trusted(
     rivals |= {one.effect: one.names for one in ambiguous}
     replacements = {c.name: c for one in ambiguous for c in one.rivals}
     measure_next = NextMeasurement(best, rivals, (*ranked, *replacements.values()))
+    # What was refused at first, and chosen in the end, is not refused.
+    named = {chosen.name for chosen in best.chosen}
+    against = {name: words for name, words in against.items() if name not in named}
     for one in ambiguous:
         looks_like = f"the samples do not distinguish it from {one.effect} of the model"
         against |= dict.fromkeys(one.names, looks_like)
@@ -467,7 +470,7 @@ def _diagnose_trusted(
         base=base,
         best=best,
         ranked=tuple(ranked),
-        entries=entries(ranked, base, search, noise, against),
+        entries=entries(ranked, base, search, noise, against, best),
         negative_control=negative_control(base.scene, ranked),
         noise=noise,
         noise_shape=shape,

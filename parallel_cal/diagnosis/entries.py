@@ -113,8 +113,13 @@ def entries(
     search: Search,
     noise: NoiseLevel,
     against: Mapping[str, str],
+    best: Trial,
 ) -> tuple[Entry, ...]:
-    """Make one entry for each candidate: evidence if it is testable, else a reason."""
+    """Make one entry for each candidate: evidence if it is testable, else a reason.
+
+    The effects that `best` chose are fitted as large as the data show, even if that is unusual.
+    """
+    named = {chosen.name for chosen in best.chosen}
     tested = [c for c in ranked if c.testable]
     raised = holm(np.array([c.p_value for c in tested]))
     adjusted = dict(zip([c.name for c in tested], raised.tolist(), strict=True))
@@ -131,7 +136,8 @@ def entries(
             and rank <= MAX_REFITTED_CANDIDATES
             and one.p_value < EFFECT_SIGNIFICANCE_LEVEL
         ):
-            trial = search.fit(Chosen.of(one))
+            fit = search.fit_as_shown if one.name in named else search.fit
+            trial = fit(Chosen.of(one))
             reason = trial.reason or reason
             alone = _summarise_single_fit(one, base, trial, noise) if trial.result else None
         p, first = adjusted.get(one.name), picks.get(one.name)

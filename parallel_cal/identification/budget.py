@@ -14,6 +14,7 @@ from parallel_cal.identification.observations import Observations, blocks
 from parallel_cal.identification.prediction_errors import (
     Errors,
     compute_mean_and_sigma,
+    compute_rms_and_sigma,
     find_judgeable_samples,
 )
 from parallel_cal.identification.predictions import predict_configurations
@@ -95,7 +96,7 @@ def budgets(
         if not known.any():
             continue
         at, now = groups[known], present.norms(kind)[known] ** 2
-        total, sigma = _root(*compute_mean_and_sigma(nominal.norms(kind)[known] ** 2, at))
+        total, sigma = compute_rms_and_sigma(nominal.norms(kind)[known] ** 2, at)
         parts = []
         for name, other in without.items():
             removed: tuple[float | None, float | None] = (None, None)
@@ -109,7 +110,7 @@ def budgets(
         floor = noise.summary.rms(kind)
         if floor is not None:
             # Stated noise may be larger than all that remains.
-            left = _root(*compute_mean_and_sigma(now, at))
+            left = compute_rms_and_sigma(now, at)
             less = floor < left[0]
             remaining = (floor, noise.sigmas.get(kind)) if less else left
             parts.append(Part(NOISE, *remaining, None))
@@ -121,8 +122,8 @@ def budgets(
 
 
 def _root(mean: float, sigma: float) -> tuple[float, float | None]:
-    """Root of a mean square, 0 for a negative one, and its standard deviation: the distance to the
-    root of a mean that is larger by its own sigma."""
+    """Root of a difference of mean squares, 0 for a negative one, and its standard deviation: the
+    distance to the root of a difference that is larger by its own sigma."""
     root = math.sqrt(max(mean, 0.0))
     return root, None if math.isnan(sigma) else math.sqrt(max(mean, 0.0) + sigma) - root
 

@@ -146,6 +146,14 @@ def compute_mean_and_sigma(values: np.ndarray, groups: np.ndarray) -> tuple[floa
     return mean, math.sqrt(count / (count - 1) * float(totals @ totals)) / len(values)
 
 
+def compute_rms_and_sigma(squares: np.ndarray, groups: np.ndarray) -> tuple[float, float | None]:
+    """Root of the mean of squares (N,), and its standard deviation from the scatter between groups
+    (as in `compute_mean_and_sigma`); None if it is not known."""
+    mean, sigma = compute_mean_and_sigma(squares, groups)
+    root = math.sqrt(mean)
+    return root, sigma / (2 * root) if root > 0 and math.isfinite(sigma) else None
+
+
 def compute_rms_sigmas(found: Errors, groups: np.ndarray) -> dict[str, float]:
     """Standard deviation of the rms of each known kind of error, from the scatter between groups
     (N,) of samples; without the kinds for which it is not known."""
@@ -155,9 +163,9 @@ def compute_rms_sigmas(found: Errors, groups: np.ndarray) -> dict[str, float]:
         known = np.isfinite(norms)
         if not known.any():
             continue
-        mean, sigma = compute_mean_and_sigma(norms[known] ** 2, groups[known])
-        if mean > 0 and math.isfinite(sigma):
-            sigmas[kind] = sigma / (2 * math.sqrt(mean))
+        _, sigma = compute_rms_and_sigma(norms[known] ** 2, groups[known])
+        if sigma is not None:
+            sigmas[kind] = sigma
     return sigmas
 
 
