@@ -377,9 +377,8 @@ def _set_knocked_samples_aside(
     if aside is None or aside[1].verdict.word in ("unexplained", "partly_explained"):
         return found
     confirmed, others = aside
-    verdict = replace(
-        others.verdict, summary=f"{describe_knocked_samples(confirmed)}{others.verdict.summary}"
-    )
+    words = f"{others.verdict.summary.rstrip('.')}. {describe_knocked_samples(confirmed)}"
+    verdict = replace(others.verdict, summary=words)
     numbers = {one.sample for one in confirmed}
     odd = [one for one in others.odd_samples if one.sample not in numbers]
     return replace(

@@ -232,10 +232,10 @@ def _find_still_far(knocked: Sequence[OddSample], base: FitResult, other: Model)
 
 
 def describe_knocked_samples(knocked: Sequence[OddSample]) -> str:
-    """Name the samples that a verdict leaves out, to be put before it."""
+    """Name the samples that a verdict leaves out, to be put behind it."""
     names = " and ".join(f"sample {one.sample} ({one.size})" for one in knocked)
     verb, them = ("are", "them") if len(knocked) > 1 else ("is", "it")
     return (
-        f"{names} {verb} far from what all others show, as if somebody knocked the device: check "
-        f"{them}, or exclude {them}. Without {them}: "
+        f"Not used: {names}, which {verb} far from what all others show, as if somebody knocked "
+        f"the device. Check {them}, or exclude {them}"
     )
