@@ -224,7 +224,8 @@ def test_provenance_names_model_data_noise_and_options(calibrated, document, tex
     said = section(text, "provenance")
     assert model_hash(calibrated) in said
     assert "virtual robot" in said
-    assert "hold_out=0.25" in said
+    assert "hold_out 0.25" in said
+    assert "False" not in said
     assert document["provenance"]["dataset"]["samples"] == len(document["samples"])
 
 

@@ -99,7 +99,9 @@ def _regions(rows: Sequence[Region]) -> str:
             for r in rows
         ],
     )
-    return folded(f"By octant of the workspace about ({vector(rows[0].middle, 'm', 0)}) mm", listed)
+    note = "Residuals of the fit of all samples; validation errors are larger."
+    title = f"By octant of the workspace about ({vector(rows[0].middle, 'm', 0)}) mm"
+    return folded(title, paragraph(note, "note") + listed)
 
 
 def along_everything(report: Report, plot: Plot) -> str:
@@ -184,6 +186,7 @@ def samples(report: Report) -> str:
     if len(rows) > MAX_SAMPLE_ROWS:
         note += f" The worst {MAX_SAMPLE_ROWS} are shown; all are in the JSON document."
     odd = [f"{row.sample} ({row.odd})" for row in rows if row.odd]
+    note += " Samples are counted from 0, in the order of the recording."
     note += f" Odd samples: {', '.join(odd)}." if odd else " There are no odd samples."
     shown = sample_table(rows[:MAX_SAMPLE_ROWS], report.errors.kinds, report.provenance.joint_units)
     printed = ""

@@ -211,7 +211,11 @@ def provenance(report: Report) -> str:
         "Data, sha256": data.sha256 or "none: not read from a recording",
         "Noise": f"{'; '.join(noise)}; judged by: {found.noise.source}",
         "chi2/dof": f"{number(base)} now, {number(best)} with the effects found{band}",
-        "Options": ", ".join(f"{key}={value}" for key, value in p.options.items()),
+        "Options": ", ".join(
+            f"{key} {', '.join(map(str, value)) if isinstance(value, (list, tuple)) else value}"
+            for key, value in p.options.items()
+            if value not in (None, False, "", [], (), {})
+        ),
         "Made": f"{day(p.made)} by parallel_cal {p.version}",
     }
     warned = items(dict.fromkeys(found.best.fitted.warnings))

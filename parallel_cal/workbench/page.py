@@ -340,6 +340,7 @@ class Window:
                 self.open = ui.button("Open", on_click=self._open).props("dense outline")
                 self.open.tooltip("show the readings that the first marked sample averages")
                 self._import_button()
+            ui.label("Samples are counted from 0, in the order of the recording.").classes("quiet")
             self._show_count(set())
             for number, size in view["knocked"].items():
                 self._offer_exclusion(int(number), size)
