@@ -8,8 +8,6 @@ from __future__ import annotations
 import math
 from typing import Any, Literal
 
-import numpy as np
-
 Length = Literal["m", "cm", "mm", "um", "nm", "in", "ft", "mil"]
 Angle = Literal["rad", "mrad", "deg", "arcmin", "arcsec", "gon", "rev"]
 
@@ -122,6 +120,8 @@ def si_factor(name: str) -> float:
 def find_clock_unit(times: Any) -> str:
     """Return the unit (s, ms, us or ns) of a clock's times since 1970, which follows from their
     usual size; s for smaller times."""
+    import numpy as np  # commands that read no table need not wait for it
+
     size = float(np.median(np.abs(times))) if np.size(times) else 0.0
     fits = (unit for unit, seconds in SECONDS.items() if size * seconds < MAX_TIME_S)
     return next(fits, "ns")
