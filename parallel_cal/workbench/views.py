@@ -184,16 +184,22 @@ def _make_comparison_view(found: Comparison) -> View:
     name, groups = "now, in-sample" if in_sample else "now", blocks(found.dataset)
     sigmas = compute_rms_sigmas(found.errors, groups)
     tiles = [results.make_tile(name, found.errors.summary, kinds, {}, where, sigmas=sigmas)]
+    count, poses = len(found.dataset), len(np.unique(found.dataset.pose_id))
+    counts = f"{count} samples of {poses} poses; ± 1 sigma"
     if found.given.is_registered:
         # The error that a fit has to lower: "now" contains the registration to the same poses.
         held_out, sigmas = found.held_out.summary, compute_rms_sigmas(found.held_out, groups)
-        tiles.append(results.make_tile(found.given.label, held_out, kinds, {}, sigmas=sigmas))
+        label = found.given.label
+        tiles.append(results.make_tile(label, held_out, kinds, {}, sigmas=sigmas))
+        counts += (
+            f". The frames of the device were estimated from the same poses ({name}), or from "
+            f"poses other than those of the error ({label})."
+        )
     if found.noise.is_known:
         floor = results.make_tile(
             "noise floor", found.noise, kinds, {}, where, sigmas=found.noise_sigmas
         )
         tiles.append(floor)
-    count, poses = len(found.dataset), len(np.unique(found.dataset.pose_id))
     mechanism = found.model.mechanism
     units = dict(zip(mechanism.joints, mechanism.joint_units, strict=True))
     samples = contents.compared_samples(found)
@@ -202,7 +208,7 @@ def _make_comparison_view(found: Comparison) -> View:
         "shown": shown,
         "verdict": {"colour": GREY, "words": _compared_words(found)},
         "tiles": to_json_value(tiles),
-        "counts": f"{count} samples of {poses} poses; ± 1 sigma",
+        "counts": counts,
         "budget": None,
         "iso": _iso(found.iso_9283),
         "chi2": "",
