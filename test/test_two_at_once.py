@@ -50,7 +50,9 @@ def test_play_alone_is_named_as_larger_than_usual_where_a_wind_up_beside_it_expl
     assert found.verdict.word == "partly_explained"
     assert found.effects == ("backlash",)
     reasons = {entry.name: entry.reason for entry in found.entries}
-    assert "larger than usual" in reasons["backlash"]
+    [backlash] = found.unusual
+    assert "larger than usual" in backlash.description
+    assert not reasons["backlash"]  # it is named, not refused
     assert "the joint would turn back while its drive continues" in reasons["hysteresis"]
 
 
