@@ -342,10 +342,9 @@ def _check_previous_numbers(
         f"{', '.join(map(str, files))}: at the same poses, {robot.joints[worst]} would read "
         f"{factor * moved[worst]:.4g} {unit} differently with the new numbers; expected at most "
         f"{factor * MAX_MOVED_TRAVEL * travel[worst]:.4g} {unit}, half of its travel. Nothing was "
-        "written. Either the model file has other switches than the machine (its option "
-        "switches, or "
-        "else the joint limits, state where they are), or another frame or unit: write the model "
-        "file with new --from from these files and fit again"
+        "written. Either the model file has other switches than the machine (its option switches, "
+        "or else the joint limits, state where they are), or another frame or unit: write the "
+        "model file with new --from from these files and fit again"
     )
 
 

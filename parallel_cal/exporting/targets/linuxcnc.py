@@ -228,9 +228,8 @@ def _describe_unfitted_region(model: Model) -> str:
         return ""
     return (
         "the numbers are fitted, and their error is stated, over the workspace of the model file, "
-        f"but the model was measured at {', '.join(beyond)} mm: the error may be larger "
-        f"there. If the "
-        "robot works there, enlarge workspace in the model file and export again"
+        f"but the model was measured at {', '.join(beyond)} mm: the error may be larger there. If "
+        "the robot works there, enlarge workspace in the model file and export again"
     )
 
 

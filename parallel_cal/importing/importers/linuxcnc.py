@@ -1,7 +1,7 @@
 """LinuxCNC: a probe log of a linear Delta, and the files that configure its own kinematics.
 
 Its own kinematics are lineardeltakins, rotarydeltakins and genhexkins. Their pins are set in a HAL
-file; the .ini file has their unit (LINEAR_UNITS) where the joints are homed (HOME_OFFSET:
+file; the .ini file has their unit (LINEAR_UNITS), where the joints are homed (HOME_OFFSET:
 the position of a joint at its switch), their range (MIN_LIMIT, MAX_LIMIT) and their counts or steps
 per unit (SCALE).
 
