@@ -20,6 +20,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -81,22 +82,19 @@ def soft_shafts(size: float, rng: np.random.Generator) -> tuple[Any, ...]:
     return (JointCompliance(positive(size, rng)),)
 
 
-def loose_arm(size: float, rng: np.random.Generator) -> tuple[Any, ...]:
-    """Backlash of the two joints that carry the arm."""
-    return tuple(va.Play(k, backlash=width) for k, width in enumerate(positive(size, rng, 2)))
-
-
-def eccentric_arm(size: float, rng: np.random.Generator) -> tuple[Any, ...]:
-    """Eccentric encoders of the two joints that carry the arm."""
-    return tuple(va.Play(k, eccentric=width) for k, width in enumerate(positive(size, rng, 2)))
+def faulty_arm(fault: str, size: float, rng: np.random.Generator) -> tuple[Any, ...]:
+    """A fault of `va.Play` at the two joints that carry the arm."""
+    return tuple(va.Play(k, **{fault: width}) for k, width in enumerate(positive(size, rng, 2)))
 
 
 KINDS = {
     "backlash": Kind("delta", ("backlash",), 1e-3, loose_gears),
     "eccentricity": Kind("delta", ("encoder_eccentricity",), 8e-3, eccentric_discs),
     "compliance": Kind("delta", ("joint_compliance",), 1e-3, soft_shafts, (0.0, 1.5, 3.0)),
-    "backlash of an arm": Kind("ur5", ("backlash",), 1e-3, loose_arm),
-    "eccentricity of an arm": Kind("ur5", ("encoder_eccentricity",), 1e-3, eccentric_arm),
+    "backlash of an arm": Kind("ur5", ("backlash",), 1e-3, partial(faulty_arm, "backlash")),
+    "eccentricity of an arm": Kind(
+        "ur5", ("encoder_eccentricity",), 8e-3, partial(faulty_arm, "eccentric")
+    ),
 }
 
 
