@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from inspect import signature
 from pathlib import Path
@@ -307,15 +307,10 @@ def _project(
     return projection, Machine(firmware, projection.frame, projection.stops)
 
 
-def _keep(read: Firmware, robot: Model) -> Firmware:
-    return read
-
-
 def _firmware(module: ModuleType, stated: Settings, robot: Model) -> Firmware:
     """Return the firmware that has these settings, with motors in the unit of the model's."""
     read: Firmware = module.firmware(stated)
-    complete: Callable[[Firmware, Model], Firmware] = getattr(module, "complete", _keep)
-    return complete(read, robot)
+    return module.complete(read, robot) if hasattr(module, "complete") else read
 
 
 def _check_previous_numbers(

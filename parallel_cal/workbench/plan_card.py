@@ -61,7 +61,8 @@ def draw_plan_card(bench: Bench, view: dict[str, Any]) -> None:
         if separation := view["separation"]:
             poses = PlannedPoses.parse(separation)
             _draw_poses(bench, view, poses, "distinguish_effects.csv", DISTINGUISHING)
-        planned = PlannedPoses.parse(read_text(bench.planned)) if bench.planned else None
+        file = bench.planned
+        planned = PlannedPoses.parse(read_text(file)) if file else None
         with ui.row().classes("items-center"):
             usual = len(planned.rows) if planned else 20
             count = ui.number("poses", value=usual, min=1, max=500, precision=0).classes("w-24")
@@ -70,8 +71,8 @@ def draw_plan_card(bench: Bench, view: dict[str, Any]) -> None:
             )
             plan.props("dense").set_enabled(not bench.busy)
             ui.label("poses that determine the free parameters of this step").classes("quiet")
-        if planned and bench.planned:
-            _draw_poses(bench, view, planned, bench.planned.name, PLANNED)
+        if file and planned:
+            _draw_poses(bench, view, planned, file.name, PLANNED)
 
 
 def _draw_poses(

@@ -129,21 +129,19 @@ def complete(read: Firmware, model: Model) -> Firmware:
     if not isinstance(read, Struts):
         return read
     scale = getattr(model.mechanism, "scale", None)
-    if scale is not None and read.scale is None:
+    if scale is None:
+        return replace(read, scale=None)
+    if read.scale is None:
         raise ModelError(
             f"the model file states the scale of its legs, but the .ini file has no "
             f"{linuxcnc.SCALE.format(0)} to {STRUTS - 1}: state it as it was in the recording"
         )
-    if (
-        scale is not None
-        and read.scale is not None
-        and (np.sign(scale) != np.sign(read.scale)).any()
-    ):
+    if (np.sign(scale) != np.sign(read.scale)).any():
         raise ModelError(
             "SCALE in the .ini file and the scale in the model file have different signs: state "
             "in the model file (option scale) the SCALE of the recording"
         )
-    return read if scale is not None else replace(read, scale=None)
+    return read
 
 
 def adapt(stated: Settings, numbers: Mapping[str, str]) -> dict[str, str]:

@@ -101,9 +101,9 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
         if stated.number(pin, "a length", 0.0):
             remarks.append(f"{pin} is not used: poses in the model are those with {pin} 0")
     home = _joints_at(stated, HOME, 6, unit, machine.switches)
+    shortest = (HOME if HOME.format(0) in stated else HOMED).format(int(home.argmin()))
     if (home <= 0).any():
-        field = (HOME if HOME.format(0) in stated else HOMED).format(int(home.argmin()))
-        raise stated.error(field, "the length of a strut, more than 0")
+        raise stated.error(shortest, "the length of a strut, more than 0")
     limits = np.column_stack(
         [
             _joints_at(stated, MIN_LIMIT, 6, unit, np.full(6, float(home.min()) / 2)),
@@ -119,8 +119,7 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     try:
         mechanism = machine.mechanism(home, limits)
     except ModelError as error:
-        field = (HOME if HOME.format(0) in stated else HOMED).format(int(home.argmin()))
-        raise stated.error(field, f"a longer strut: {error}") from None
+        raise stated.error(shortest, f"a longer strut: {error}") from None
     at_home = np.array(mechanism.home.joints)
     if ((at_home < limits[:, 0]) | (at_home > limits[:, 1])).any():
         remarks.append(BEYOND_LIMITS)
