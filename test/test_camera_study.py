@@ -6,6 +6,7 @@ the bench.
 
 import os
 
+import numpy as np
 import pytest
 
 from bench import camera
@@ -67,20 +68,46 @@ def test_a_case_that_is_in_the_file_is_not_run_again(monkeypatch, tmp_path):
     assert [o.case for o in done] == cases == [*camera.kept(results)]
 
 
+@pytest.fixture(scope="module")
+def measured():
+    """Runs with nothing hidden, by robot."""
+    return {
+        robot: [camera.measure(c) for c in camera.list_cases(RUNS, [1.0], [f"nothing on {robot}"])]
+        for robot in camera.ROBOTS
+    }
+
+
+@pytest.mark.slow
+def test_intervals_of_positions_and_of_the_lens_hold_the_truth(measured):
+    # All robots together, as the page counts: the share of 20 runs of one is uncertain by 1.5 %.
+    some = [one for runs in measured.values() for one in runs]
+    assert np.mean([one.positions for one in some]) >= 0.93
+    assert np.mean([one.lens for one in some]) >= 0.93
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("robot", "limit"), [("delta", 70e-6), ("stewart", 40e-6), ("ur5", 65e-6)])
-def test_intervals_of_the_lens_and_of_positions_hold_the_truth(robot, limit):
-    some = [camera.measure(c) for c in camera.list_cases(RUNS, [1.0], [f"nothing on {robot}"])]
-    errors, stated = (rms([getattr(o, n) for o in some]) for n in ("camera", "stated"))
-    assert sum(o.positions for o in some) >= 0.93 * len(some)
-    assert sum(o.lens for o in some) >= 0.93 * len(some)
+def test_a_camera_identifies_a_robot_as_well_as_its_fit_states(measured, robot, limit):
+    errors, stated = (rms([getattr(o, n) for o in measured[robot]]) for n in ("camera", "stated"))
     assert errors < limit
     assert 0.75 < errors / stated < 1.33
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("hidden", camera.KINDS)
-def test_a_hidden_effect_is_named(hidden):
+def look_for_all(hidden):
     robot = camera.KINDS[hidden].robot
-    some = [camera.look_for(c) for c in camera.list_cases(RUNS, [1.0], [f"{hidden} on {robot}"])]
+    cases = camera.list_cases(RUNS, [1.0], [f"{hidden} on {robot}"])
+    return [camera.look_for(case) for case in cases]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hidden", [kind for kind in camera.KINDS if kind != "eccentricity"])
+def test_a_hidden_effect_is_named(hidden):
+    some = look_for_all(hidden)
     assert sum(o.how != "not" for o in some) >= 0.95 * len(some)
+
+
+@pytest.mark.slow
+def test_what_is_named_of_an_eccentricity_that_the_geometry_hides_makes_no_robot_worse():
+    # The joints of a Delta turn too little to tell it from wrong lengths; the page says so.
+    some = look_for_all("eccentricity")
+    assert rms([o.after for o in some]) <= 1.05 * rms([o.before for o in some])

@@ -243,6 +243,29 @@ def test_an_unmeasured_move_of_x_and_y_is_refused_without_force(tmp_path, monkey
 
 
 @pytest.mark.wide
+def test_heights_are_never_given_up_for_x_and_y_that_nothing_measured(tmp_path):
+    """Towers that are a millimetre and a third of a degree off: x and y must move, too."""
+    zero = np.zeros(3)
+    radius, angle = np.full(3, 1.2e-3), np.radians([0.35, -0.3, 0.2])
+    printer = vp.Printer(np.array([0.7, -0.5, 0.3]) * 1e-3, radius, zero, angle, zero)
+    (tmp_path / "config.g").write_text(vp.CONFIG)
+    (tmp_path / "map.csv").write_text(vp.height_map(printer, 1, 12e-3, 6e-6))
+    files = [tmp_path / "config.g"]
+    dataset = samples("rrf", [tmp_path / "map.csv", *files])
+    model = fit(configured(files).model, dataset, hold_out=0).model
+    touches = touches_in(dataset, model.joints)
+    with pytest.raises(ParallelCalError, match="The rms height at the touches would go from"):
+        export_into(model, "rrf", files, touches)
+    assert files[0].read_text() == vp.CONFIG
+    done = export_into(model, "rrf", files, touches, force=True)
+    assert done.heights.after < 8e-6
+    (tmp_path / "check.csv").write_text(vp.height_map(printer, 1, 9e-3, 0.0))
+    check = map_points(tmp_path / "check.csv", 0.1)
+    old, new = vf.Duet(vp.CONFIG), vf.Duet(files[0].read_text())
+    assert rms_height(old, new, check, 0.1) < 6e-6
+
+
+@pytest.mark.wide
 def test_a_real_printer_gets_what_nine_factors_reach_at_held_out_touches(tmp_path):
     """Before this fit, the export moved x and y of this printer by 2.7 mm."""
     files = [tmp_path / name for name in ("config.g", "config-override.g")]

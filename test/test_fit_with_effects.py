@@ -9,9 +9,12 @@ from datasets import measured
 
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.cli import main as cli
+from parallel_cal.diagnosis import first_effect
 from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.diagnosis.search import Chosen
 from parallel_cal.identification.checks import ImplausibleGeometryError
 from parallel_cal.identification.fit import fit
+from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.session.session import Session
@@ -77,6 +80,34 @@ def test_a_fit_and_a_diagnosis_that_find_no_plausible_geometry_name_the_effect_t
 def test_where_no_effect_makes_the_geometry_plausible_the_error_says_so(with_a_wrong_pitch):
     with pytest.raises(FitError, match="No effect of the catalogue in the first fit leads"):
         diagnose(new_model("stewart42"), with_a_wrong_pitch, effects=["backlash"])
+
+
+@pytest.mark.parametrize(
+    ("chi2_per_dof", "proposed"),
+    [
+        (1.10, ["encoder_second_harmonic", "encoder_eccentricity"]),  # 50 % of chi2 are not left
+        (0.95, []),  # the geometry explains more, however implausible
+    ],
+)
+def test_where_hardly_more_than_noise_is_left_small_differences_of_chi2_decide(
+    monkeypatch, chi2_per_dof, proposed
+):
+    """An arm seen by a camera: its geometry imitates an eccentric encoder nearly perfectly."""
+    ranked = [
+        first_effect.FirstEffect(Chosen(name), chi2, chi2 / 4110)
+        for name, chi2 in (
+            ("encoder_second_harmonic", 4064.9),
+            ("encoder_eccentricity", 4067.1),
+            ("encoder_gain", 4137.8),
+        )
+    ]
+    monkeypatch.setattr(first_effect, "rank_first_effects", lambda *given: ranked)
+    with pytest.raises(ImplausibleGeometryError) as error:  # noqa: SIM117
+        with first_effect.proposing_first_effect(None, None, FitOptions()):
+            raise ImplausibleGeometryError("link1.a is implausible", chi2_per_dof)
+    words = str(error.value)
+    assert [name for name in ("encoder_gain", *proposed) if f"{name} (chi2" in words] == proposed
+    assert ("No effect of the catalogue" in words) == (not proposed)
 
 
 def test_a_step_records_the_effects_that_its_fit_added(with_backlash):

@@ -29,6 +29,10 @@ from parallel_cal.recordings.dataset import Dataset
 # How much larger chi2 must be with every other effect: two effects that explain the samples nearly
 # as well leave it open which one the robot has.
 MIN_CHI2_RATIO = 2.0
+# A fit below this chi2/dof leaves little but noise. No effect can halve that, and a difference of
+# chi2 then speaks for itself: this one is five standard deviations of one parameter.
+MAX_NOISE_CHI2_PER_DOF = 1.5
+MIN_CHI2_DIFFERENCE = 25.0
 # Effects with more settings to scan are not tried: they are ripples, too small to mislead the
 # geometry, and each setting costs a fit.
 MAX_SETTINGS = 32
@@ -41,6 +45,11 @@ class FirstEffect:
     chosen: Chosen
     chi2: float
     chi2_per_dof: float
+
+    @property
+    def leaves_noise(self) -> bool:
+        """Whether the fit leaves hardly more than noise."""
+        return self.chi2_per_dof < MAX_NOISE_CHI2_PER_DOF
 
 
 def rank_first_effects(
@@ -71,15 +80,21 @@ def rank_first_effects(
 
 
 def select_equally_good(ranked: Sequence[FirstEffect]) -> list[FirstEffect]:
-    """Select the first, and those that leave less than MIN_CHI2_RATIO times as much."""
-    return [one for one in ranked if one.chi2 < MIN_CHI2_RATIO * ranked[0].chi2 or one is ranked[0]]
+    """Select the first, and those that explain the samples nearly as well: they leave less than
+    MIN_CHI2_RATIO times as much, or, where only noise is left, less than MIN_CHI2_DIFFERENCE more.
+    """
+    first = ranked[0]
+    limit = MIN_CHI2_RATIO * first.chi2
+    if first.leaves_noise:
+        limit = min(limit, first.chi2 + MIN_CHI2_DIFFERENCE)
+    return [one for one in ranked if one.chi2 < limit or one is first]
 
 
 def find_first_effect(
     model: Model, dataset: Dataset, effects: Iterable[str], options: FitOptions
 ) -> Chosen | None:
     """Return the effect with which alone the samples can be fitted, if it is clear which: every
-    other one leaves MIN_CHI2_RATIO times as much or permits no fit at all; else None."""
+    other one explains clearly less or permits no fit at all; else None."""
     best = select_equally_good(rank_first_effects(model, dataset, effects, options))
     return best[0].chosen if len(best) == 1 else None
 
@@ -103,10 +118,19 @@ def proposing_first_effect(
 
 
 def _describe_proposal(ranked: Sequence[FirstEffect], chi2_per_dof: float) -> str:
-    """Say with which effects a plausible geometry explains clearly more."""
-    helpful = [one for one in ranked if MIN_CHI2_RATIO * one.chi2_per_dof < chi2_per_dof]
+    """Say with which effects a plausible geometry explains clearly more than the implausible one,
+    or as much where that one leaves only noise."""
+    helpful = [
+        one
+        for one in ranked
+        if MIN_CHI2_RATIO * one.chi2_per_dof < chi2_per_dof
+        or (one.leaves_noise and one.chi2_per_dof <= chi2_per_dof)
+    ]
     if not helpful:
-        return "No effect of the catalogue in the first fit leads to a plausible geometry"
+        return (
+            "No effect of the catalogue in the first fit leads to a plausible geometry that "
+            "explains as much"
+        )
     likely = select_equally_good(helpful)
     names = " or ".join(
         f"{one.chosen.text} (chi2/dof {format_distinctly([one.chi2_per_dof, chi2_per_dof])[0]})"

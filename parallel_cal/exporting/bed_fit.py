@@ -35,6 +35,8 @@ COMMON_SIGMA = 0.5e-3  # m, rms: how exact the common shift and turn of all poin
 ROD_SIGMA = 1e-3  # m: how exact the rods' present lengths are taken to be
 MAX_UNMEASURED_MOVE = 0.5e-3  # m, of x and y against each other, if nothing measured it
 MAX_TIGHTENINGS = 8  # each halves XY_SIGMA, until the movement is within MAX_UNMEASURED_MOVE
+LOOSEST = 1 / 16  # of the tightenings: heights alone decide, as far as they can
+MAX_HEIGHT_LOSS = 1.1  # the most by which a tightening may multiply the rms height at the touches
 NOISE_ROUNDS = 3  # of estimating the noise of the heights from the residuals of the fit before
 N_BED_POINTS = 60  # where x and y are compared in a fit, at each of the LAYERS
 N_JUDGED_POINTS = 240  # where the largest movement is searched: 60 miss up to 15 % of it
@@ -235,12 +237,26 @@ class BedFit:
         return present @ both @ target, np.linalg.inv(np.linalg.cholesky(combined))
 
     def fit(self, start: Array, machine: Callable[[Array], Machine]) -> Array:
-        """Return the numbers (k,) of the machine that fits best, from `start`."""
+        """Return the numbers (k,) of the machine that fits best, from `start`.
+
+        x and y are held ever more tightly while they move too far. If the heights suffer, x and y
+        are nearly free: heights were measured, and x and y were not.
+        """
+        free = self._fit(start, machine, LOOSEST)
+        limit = MAX_HEIGHT_LOSS * self._rms_height(machine(free).firmware)
         for tightening in 2.0 ** np.arange(MAX_TIGHTENINGS + 1):
             found = self._fit(start, machine, tightening)
-            if self.movement(machine(found).firmware).unsupported <= MAX_UNMEASURED_MOVE:
+            firmware = machine(found).firmware
+            if self._rms_height(firmware) > limit:
                 break
-        return found
+            if self.movement(firmware).unsupported <= MAX_UNMEASURED_MOVE:
+                return found
+        return free
+
+    def _rms_height(self, firmware: Firmware) -> float:
+        """Return the rms height (m) of the nozzle above the touches."""
+        off = self.touched.positions(firmware)[:, 2] - self.touched.height
+        return float(np.sqrt(np.mean(off**2)))
 
     def _fit(
         self,

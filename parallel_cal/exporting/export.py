@@ -201,7 +201,7 @@ def export_into(
         if heights.worse and not force:
             raise _worse_bed(files, heights)
         if movement.unsupported > MAX_UNMEASURED_MOVE and not force:
-            raise _moves_too_far(files, movement)
+            raise _moves_too_far(files, movement, heights)
         held_out = _held_out_height(target, module, robot, Present(now, touches))
         heights = replace(heights, held_out=held_out)
     before, after = loss(robot, old), loss(robot, new)
@@ -233,17 +233,19 @@ def _worse_bed(files: Sequence[Path], heights: BedHeights) -> ModelError:
     return ModelError(f"{', '.join(map(str, files))}: {words}; nothing was written: {cure}")
 
 
-def _moves_too_far(files: Sequence[Path], movement: Movement) -> ModelError:
+def _moves_too_far(files: Sequence[Path], movement: Movement, heights: BedHeights) -> ModelError:
     """Return the error for new parameters that move x and y without a measurement of them."""
+    before, after = 1e6 * (heights.before or 0.0), 1e6 * heights.after
     known = "" if movement.sigma is None else f" (the data leave {1e3 * movement.sigma:.2g} mm)"
     words = (
         f"points on the bed move by up to {1e3 * movement.unsupported:.2f} mm relative to each "
         f"other in x and y with the new parameters, and no measurement shows this{known}: expected "
-        f"at most {1e3 * MAX_UNMEASURED_MOVE:g} mm"
+        f"at most {1e3 * MAX_UNMEASURED_MOVE:g} mm. The rms height at the touches would go from "
+        f"{before:.1f} to {after:.1f} um"
     )
     cure = (
         "measure one printed length (import --option printed_x=[sent, measured]) and fit again, "
-        "or pass --force"
+        "or, if the present parameters are only those of the drawing, pass --force"
     )
     return ModelError(f"{', '.join(map(str, files))}: {words}; nothing was written: {cure}")
 

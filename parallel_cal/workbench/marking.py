@@ -51,7 +51,7 @@ function painted(done) {
 function draw(view) {
   const figure = waiting.get(view);
   waiting.delete(view);
-  if (figure) return react(view, ...figure).then(() => markView(view), console.error);
+  if (figure) return react(view, ...figure).then(() => marked.size && markView(view), console.error);
 }
 function postpone(view, ...figure) {
   waiting.set(view, figure);

@@ -40,7 +40,7 @@ CAMPAIGN_RUNS = (
 )
 PRIORS = {None: "of weakly determined parameters", True: "of all parameters", False: "none"}
 # Seconds between checks of the bench, and of the disk for changes by other programs.
-POLL_INTERVAL_S = 0.05
+POLL_INTERVAL_S = 0.02
 REFRESH_INTERVAL_S = 0.3
 
 

@@ -45,7 +45,7 @@ from parallel_cal.session.steps import fitted
 
 View = dict[str, Any]
 # Samples on a page. A browser needs seconds to draw more, and more hide each other.
-MAX_SHOWN_SAMPLES, MAX_WORST_SAMPLES = 600, 200
+MAX_SHOWN_SAMPLES, MAX_WORST_SAMPLES = 400, 150
 # Samples from which a preliminary view of many is made: their numbers come in seconds.
 MAX_PRELIMINARY_SAMPLES = 2000
 # Samples that are diagnosed: a diagnosis of 10^5 takes a quarter of an hour. In 10^4 samples, a
