@@ -51,7 +51,8 @@ function painted(done) {
 function draw(view) {
   const figure = waiting.get(view);
   waiting.delete(view);
-  if (figure) return react(view, ...figure).then(() => marked.size && markView(view), console.error);
+  const mark = () => marked.size && markView(view);
+  if (figure) return react(view, ...figure).then(mark, console.error);
 }
 function postpone(view, ...figure) {
   waiting.set(view, figure);
