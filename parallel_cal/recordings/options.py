@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
@@ -104,7 +105,7 @@ class ReadOptions(SampleOptions):
     max_samples : int, optional
         About how many samples to use at most: all visits of poses that are evenly spread over the
         recording. Default: all samples.
-    columns : str, optional
+    columns : str or Path, optional
         Column map of a table (YAML). Default: the file `TABLE.columns.yaml` beside `TABLE.csv`, or
         else the names in the header.
     images : str or sequence of str
@@ -150,7 +151,7 @@ class ReadOptions(SampleOptions):
     stamps: str = "header"
     exclude: Sequence[int] = ()
     max_samples: int | None = None
-    columns: str | None = None
+    columns: str | Path | None = None
     images: str | Sequence[str] = ()
     board: str = "8x6"
     mechanism: Mechanism | None = None
@@ -205,7 +206,7 @@ class ReadKeywords(TypedDict, total=False):
     stamps: str
     exclude: Sequence[int]
     max_samples: int | None
-    columns: str | None
+    columns: str | Path | None
     images: str | Sequence[str]
     board: str
     mechanism: Mechanism | None
