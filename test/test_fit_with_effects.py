@@ -110,6 +110,16 @@ def test_where_hardly_more_than_noise_is_left_small_differences_of_chi2_decide(
     assert ("No effect of the catalogue" in words) == (not proposed)
 
 
+def test_an_effect_that_explains_a_part_is_a_start_where_several_are_missing():
+    """Winches of a cable robot: build-up alone leaves 21, with unequal spools it leaves 1.5."""
+    ranked = [first_effect.FirstEffect(Chosen("spool_buildup"), 2100.0, 21.0)]
+    words = first_effect._describe_proposal(ranked, 33.0)
+    assert "With spool_buildup (chi2/dof 21.00) in the first fit" in words
+    assert "explains only a part of the error" in words
+    assert "--effect spool_buildup" in words
+    assert "No effect" in first_effect._describe_proposal(ranked, 20.0)
+
+
 def test_a_step_records_the_effects_that_its_fit_added(with_backlash):
     step = fitted(new_model("delta54"), with_backlash, effects=["backlash"])
     entry = step.model.history[-1]

@@ -314,9 +314,10 @@ def _smooth_functions(places: np.ndarray, length: float) -> np.ndarray:
 
 def _joint_fields(scene: Scene) -> Iterator[np.ndarray]:
     """Columns (n, m), off the geometry, of errors of one joint, or (n, nq m) of all, that change
-    smoothly with the robot's configuration.
+    smoothly with the robot's configuration, and of errors of all joints, each with its own reading.
 
-    A flaw of a joint, such as a leg that is softer on one side, moves the platform everywhere.
+    A flaw of a joint, such as a leg that is softer on one side, moves the platform everywhere. A
+    flaw that all drives have, such as a spool on which the line piles up, depends on the reading.
     """
     n = len(scene.model.joints)
     q = scene.x[:, :n] - scene.x[:, :n].mean(axis=0)
@@ -333,6 +334,9 @@ def _joint_fields(scene: Scene) -> Iterator[np.ndarray]:
         )
         yield F.reshape(len(F), -1)
         yield from (F[:, joint] for joint in range(n))
+        own = [_smooth_functions(q[:, [j]] / max(q[:, j].std(), 1e-12), length) for j in range(n)]
+        F = np.hstack([by_joint[:, :, [j]] * own[j][:, None] for j in range(n)])
+        yield scene.project_off_geometry(F.reshape(len(scene.residual), -1))
 
 
 def _gaussian_kernel(a: np.ndarray, b: np.ndarray, length: float) -> np.ndarray:

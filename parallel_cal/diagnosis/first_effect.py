@@ -118,28 +118,34 @@ def proposing_first_effect(
 
 
 def _describe_proposal(ranked: Sequence[FirstEffect], chi2_per_dof: float) -> str:
-    """Say with which effects a plausible geometry explains clearly more than the implausible one,
-    or as much where that one leaves only noise."""
+    """Say with which effects in the first fit the geometry is plausible.
+
+    An effect is the likely cause if it explains clearly more than the implausible geometry, or as
+    much where that one leaves only noise. If there is none, the best that explains more is named:
+    it is a start where several effects are missing.
+    """
     helpful = [
         one
         for one in ranked
         if MIN_CHI2_RATIO * one.chi2_per_dof < chi2_per_dof
         or (one.leaves_noise and one.chi2_per_dof <= chi2_per_dof)
     ]
-    if not helpful:
+    likely = select_equally_good(helpful) if helpful else []
+    started = [one for one in ranked[:1] if one.chi2_per_dof < chi2_per_dof]
+    if not (proposed := likely or started):
         return (
             "No effect of the catalogue in the first fit leads to a plausible geometry that "
             "explains as much"
         )
-    likely = select_equally_good(helpful)
     names = " or ".join(
         f"{one.chosen.text} (chi2/dof {format_distinctly([one.chi2_per_dof, chi2_per_dof])[0]})"
-        for one in likely
+        for one in proposed
     )
-    each = "each of them alone " if len(likely) > 1 else ""
+    each = "each of them alone " if len(proposed) > 1 else ""
+    more = "" if likely else ", but it explains only a part of the error: more is missing. Begin"
     return (
-        f"With {names} in the first fit, {each}the geometry is plausible: parallel-cal fit MODEL "
-        f"RECORDING --effect {likely[0].chosen.text} -o FITTED.yaml"
+        f"With {names} in the first fit, {each}the geometry is plausible{more}: parallel-cal fit "
+        f"MODEL RECORDING --effect {proposed[0].chosen.text} -o FITTED.yaml"
     )
 
 
