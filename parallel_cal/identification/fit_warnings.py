@@ -66,7 +66,8 @@ def _describe_sigma(tolerances: float) -> str:
 
 
 def on_priors(model: Model, estimate: Estimate) -> list[str]:
-    """List weak directions, which the tolerances determine as priors."""
+    """Say which weak directions the tolerances decide as priors, what this means, and what to
+    do."""
     weak = estimate.spectrum.weak
     if not (estimate.spectrum.held and weak):
         return []
@@ -74,9 +75,16 @@ def on_priors(model: Model, estimate: Estimate) -> list[str]:
         direction_in_words(c, model.table) for c in weak[: -MAX_NAMED_WEAK_DIRECTIONS - 1 : -1]
     ]
     more = f"; and {len(weak) - len(named)} more" if len(weak) > len(named) else ""
+    one = len(weak) == 1
     return [
-        f"the tolerances determine {len(weak)} combination{'s' * (len(weak) > 1)} of parameters as "
-        f"priors, because the data determine them less well: {'; '.join(named)}{more}"
+        f"these samples hardly determine {len(weak)} combination{'' if one else 's'} of "
+        f"parameters: {'; '.join(named)}{more}. A change of {'it' if one else 'one'} by its "
+        f"tolerance moves the residuals by less than one sigma. So the tolerances decided: "
+        f"{'it stays' if one else 'they stay'} near nominal, and {'its' if one else 'their'} sigma "
+        f"is about the tolerance that the model file states, not a result of the measurement. "
+        f"Errors near the measured poses hardly depend on {'it' if one else 'them'}; elsewhere "
+        f"they may. To determine {'it' if one else 'them'}, measure more varied poses (plan "
+        "proposes them), or state a smaller tolerance if you know the part better"
     ]
 
 
