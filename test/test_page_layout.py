@@ -300,7 +300,7 @@ def page(browser, folder, tmp_path_factory):
     told = tmp_path_factory.mktemp("told") / "words"
     served = Served(folder, told, command=beside_a_played_robot)
     page = open_page(browser, served.url)
-    page.locator("#verdict").get_by_text("one effect missing").wait_for()
+    page.locator("#verdict").get_by_text("explained, not yet in the model").wait_for()
     page.get_by_role("figure", name="residual of x against").wait_for()
     page.locator("#campaign").get_by_text("moving: pose 27").wait_for()
     yield page

@@ -50,6 +50,12 @@ def test_it_is_reported_in_one_line_and_in_the_document():
     assert len(said) == 1
     assert f"{len(document['weak'])} combinations" in said[0]
     assert document["weak"][-1]["text"] in said[0]  # the weakest first
+    for part in (
+        "the tolerances decided",
+        "not a result of the measurement",
+        "measure more varied",
+    ):
+        assert part in said[0]
     assert document["priors"] == "weak"
     assert len(document["unidentifiable"]) == 1
     none = fit(new_model("delta24"), measured(0), hold_out=0)

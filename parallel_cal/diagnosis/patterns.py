@@ -125,10 +125,10 @@ def regions(scene: Scene, field: Field) -> tuple[Region, ...]:
 class OddSample:
     """A sample that is an outlier, or without which the geometry would be another.
 
-    `sigmas` is its rms residual, the typical one taken for the noise, `p_value` the chance of one
-    as large in a whole data set; `leverage` the share of the geometry's freedoms that it alone
-    decides; position_error (3,) in m; `place` (3,) m where the model puts the platform. `time` is
-    NaN if it was not recorded.
+    `sigmas` is its rms residual in sigmas of the noise, as Scene.sigmas. `p_value` is the chance of
+    one as large in a whole data set, if the noise is as large as the typical residual. `leverage`
+    is the share of the geometry's freedoms that it alone decides; position_error (3,) in m;
+    `place` (3,) m where the model puts the platform. `time` is NaN if it was not recorded.
     """
 
     sample: int
@@ -143,8 +143,9 @@ class OddSample:
 
     @property
     def size(self) -> str:
-        """Its residual in words: `19 sigmas, 0.324 mm`."""
-        return f"{self.sigmas:.0f} sigmas, {np.linalg.norm(self.position_error) / MM:.3g} mm"
+        """Its residual in words: `19 sigmas of the noise, 0.324 mm`."""
+        size = np.linalg.norm(self.position_error) / MM
+        return f"{self.sigmas:.0f} sigmas of the noise, {size:.3g} mm"
 
     @property
     def label(self) -> str:
@@ -154,8 +155,8 @@ class OddSample:
 def odd_samples(scene: Scene, field: Field) -> tuple[OddSample, ...]:
     """Find outliers and influential samples, largest residual first.
 
-    The typical residual serves as the noise. An outlier's squared residual would occur once in a
-    thousand data sets. A Cook's distance above 1 moves the estimate by about its sigma.
+    For p_value, the typical residual serves as the noise. An outlier's squared residual would occur
+    once in a thousand data sets. A Cook's distance above 1 moves the estimate by about its sigma.
     """
     from scipy.special import chdtrc
 
@@ -170,7 +171,7 @@ def odd_samples(scene: Scene, field: Field) -> tuple[OddSample, ...]:
         OddSample(
             sample=int(scene.dataset.numbers[i]),
             time=float(scene.dataset.time[i]) if scene.dataset.has_time else math.nan,
-            sigmas=float(np.sqrt(squared[i] / max(k * scale, 1e-300))),
+            sigmas=float(scene.sigmas[i]),
             p_value=float(min(p[i], 1.0)),
             outlier=bool(p[i] < OUTLIER_SIGNIFICANCE_LEVEL),
             cooks_distance=float(cook[i]),

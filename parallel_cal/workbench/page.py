@@ -8,8 +8,14 @@ from typing import Any
 
 from nicegui import run, ui
 
+from parallel_cal.diagnosis.verdict_words import describe_verdict
 from parallel_cal.reporting.colours import MEASURED
-from parallel_cal.reporting.readable import format_judged_error, name_p_value, write_micro
+from parallel_cal.reporting.readable import (
+    ABOUT_SAMPLES,
+    format_judged_error,
+    name_p_value,
+    write_micro,
+)
 from parallel_cal.workbench.bench import Bench
 from parallel_cal.workbench.fixing import ask_where_to_fix
 from parallel_cal.workbench.header import Header, Notice, VerdictCard
@@ -247,7 +253,9 @@ class Window:
                     "before": format_judged_error(state.before, state.sigmas_before),
                     "after": format_judged_error(state.errors, state.sigmas),
                     "out": len(state.excluded),
-                    "verdict": write_micro(state.verdict_text or state.against),
+                    "verdict": write_micro(
+                        describe_verdict(state.verdict, state.summary) or state.against
+                    ),
                     "reason": state.reason,
                 }
                 for state in session.history()
@@ -340,7 +348,7 @@ class Window:
                 self.open = ui.button("Open", on_click=self._open).props("dense outline")
                 self.open.tooltip("show the readings that the first marked sample averages")
                 self._import_button()
-            ui.label("Samples are counted from 0, in the order of the recording.").classes("quiet")
+            ui.label(ABOUT_SAMPLES).classes("quiet")
             self._show_count(set())
             for number, size in view["knocked"].items():
                 self._offer_exclusion(int(number), size)
