@@ -17,6 +17,7 @@ import virtual_findings as vf
 from findings import hiding
 from workbench_page import LONG, Served, beside_a_played_robot, opened, until
 
+from parallel_cal.diagnosis.verdict_words import describe_verdict
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.model import new_model
@@ -48,12 +49,18 @@ def test_a_bench_takes_steps_beside_and_shows_what_came_out(folder):
     bench.begin("fit")  # one step at a time: nothing
     until(lambda: not bench.busy, "fit")
     assert bench.version > version
-    assert bench.view["verdict"]["words"].startswith("one effect missing: backlash")
+    assert bench.view["verdict"]["words"].startswith("explained, not yet in the model: backlash")
     assert bench.view["verdict"]["colour"] == "amber"
-    assert bench.session.state.verdict == "explained"
+    state = bench.session.state
+    assert state.verdict == "explained"
+    # The header and the history have the same words.
+    assert bench.view["verdict"]["words"] == describe_verdict(state.verdict, state.summary)
     bench.save()
     until(lambda: not bench.busy, "Save")
-    assert "the verdict on this model is explained: backlash" in bench.question.words
+    assert (
+        "the verdict on this model is explained, not yet in the model: backlash"
+        in bench.question.words
+    )
     assert not bench.output.exists()
     bench.save(bench.question.key)
     until(lambda: not bench.busy, "Save")
@@ -273,7 +280,7 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
         page.get_by_text("Where it fails").wait_for()
 
         page.get_by_role("button", name="Fit", exact=True).click()
-        page.locator("#verdict").get_by_text("one effect missing: backlash").wait_for()
+        page.locator("#verdict").get_by_text("explained, not yet in the model: backlash").wait_for()
         fitted = page.locator("header").inner_text()
         assert "606 ± 11 µm" in fitted
         page.get_by_role("cell", name="606 ± 11 µm").wait_for()  # before the fit, in the history
@@ -296,7 +303,7 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
         other = browser.new_page()
         other.set_default_timeout(1000 * LONG)
         other.goto(served.url)
-        other.locator("#verdict").get_by_text("one effect missing").wait_for()
+        other.locator("#verdict").get_by_text("explained, not yet in the model").wait_for()
 
         page.get_by_role("button", name="add backlash").click()
         page.locator("#verdict").get_by_text("down to the noise").wait_for()
@@ -314,7 +321,7 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
         assert "backlash" in [effect.name for effect in read_model(output).effects]
 
         page.get_by_role("button", name="Undo", exact=True).click()
-        page.locator("#verdict").get_by_text("one effect missing").wait_for()
+        page.locator("#verdict").get_by_text("explained, not yet in the model").wait_for()
         page.get_by_label("name of new branch").fill("careful")
         page.get_by_role("button", name="Branch", exact=True).click()
         page.get_by_role("cell", name="careful").wait_for()
@@ -375,7 +382,7 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
         page = browser.new_page(viewport={"width": 1280, "height": 1000})
         page.set_default_timeout(1000 * LONG)
         page.goto(served.url)
-        page.locator("#verdict").get_by_text("one effect missing: backlash").wait_for()
+        page.locator("#verdict").get_by_text("explained, not yet in the model: backlash").wait_for()
         assert "AP" in page.locator("#iso").inner_text()
         counts = page.locator("#counts").inner_text()
         assert "rms at 94 samples of 74 held-out poses" in counts
@@ -563,7 +570,7 @@ def test_stop_and_pause_are_in_view_at_every_size_and_act(browser, at_robot, tmp
     page = browser.new_page(viewport={"width": 1280, "height": 800})
     page.set_default_timeout(1000 * LONG)
     page.goto(at_robot.url)
-    page.locator("#verdict").get_by_text("one effect missing").wait_for()
+    page.locator("#verdict").get_by_text("explained, not yet in the model").wait_for()
     page.locator("#campaign").get_by_text("moving: pose 27").wait_for()
     for width, height in ((800, 600), (1280, 800), (1920, 1080), (853, 480), (640, 400)):
         page.set_viewport_size({"width": width, "height": height})
@@ -616,13 +623,24 @@ def test_the_server_writes_over_a_better_model_only_what_the_owner_confirmed(fol
 
     save()
     first = bench.question
-    assert "the model in use has an error of 32.5 um" in first.words
-    assert "this model of 37 um" in first.words
+    assert first.words.startswith("this model is worse by a factor of 1.07")
+    in_use, this = bench.table["rows"]
+    assert (in_use["model"], in_use["effects"]) == ("model in use", "backlash")
+    assert (this["model"], this["effects"]) == ("this model", "none")
+    for row, error in ((in_use, 32.5), (this, 37.0)):
+        value, sigma = re.match(
+            r"([\d.]+) ± ([\d.]+) µm, [\d.]+ ± [\d.]+ arcmin", row["rms error"]
+        ).groups()
+        assert float(value) == pytest.approx(error, rel=0.01)
+        assert 0.5 < float(sigma) < 5
+        assert row["judged"] == "at held-out poses"
+        assert int(row["samples"]) == 94
     save("yes")  # no page's click, but a request that knows of none
     assert bench.question == first
     assert output.read_text() == better
     bench.decline()
     assert bench.question is None
+    assert bench.table is None
     assert "is unchanged" in bench.message
     output.write_text(better + "# written by a campaign meanwhile\n")
     save(first.key)
@@ -630,7 +648,8 @@ def test_the_server_writes_over_a_better_model_only_what_the_owner_confirmed(fol
     assert "campaign" in output.read_text()
     save(bench.question.key)
     assert bench.question is None
-    assert bench.message.startswith(f"written: {output}")
+    assert bench.message.startswith(f"written: {output}; this model is worse")
+    assert len(bench.table["rows"]) == 2
     assert not read_model(output).effects
     assert "this model is worse" in read_model(output).history[-1]["forced"]
     assert bench.session.state.step == "save to robot.yaml, forced"
@@ -652,9 +671,14 @@ def test_the_page_asks_before_it_overwrites_a_better_model(browser, folder, tmp_
         page = browser.new_page(viewport={"width": 1280, "height": 800})
         page.set_default_timeout(1000 * LONG)
         page.goto(served.url)
-        page.locator("#verdict").get_by_text("one effect missing: backlash").wait_for()
+        page.locator("#verdict").get_by_text("explained, not yet in the model: backlash").wait_for()
         page.get_by_role("button", name="Save", exact=True).click()
         page.locator("#question").get_by_text("this model is worse by a factor of").wait_for()
+        rows = page.locator("#compared tbody tr")
+        assert [row.split("\t")[0] for row in rows.all_inner_texts()] == [
+            "model in use",
+            "this model",
+        ]
         page.get_by_role("button", name="Keep the model in use", exact=True).click()
         page.locator("#message").get_by_text("not saved").wait_for()
         assert output.read_text() == better
@@ -683,7 +707,7 @@ def test_a_refused_effect_is_added_with_a_reason_that_both_histories_keep(browse
         page = browser.new_page(viewport={"width": 1280, "height": 800})
         page.set_default_timeout(1000 * LONG)
         page.goto(served.url)
-        page.locator("#verdict").get_by_text("one effect missing: backlash").wait_for()
+        page.locator("#verdict").get_by_text("explained, not yet in the model: backlash").wait_for()
         page.get_by_text("tested effects not significant").click()
         page.get_by_role("button", name="add encoder_gain").click()
         page.locator("#question").get_by_text("Add encoder_gain anyway?").wait_for()

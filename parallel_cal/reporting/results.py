@@ -11,7 +11,7 @@ import numpy as np
 
 from parallel_cal.base.arguments import describe_argument
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.base.units import ARCMIN
+from parallel_cal.base.units import ARCMIN, ERROR_SI_UNITS
 from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.budget import Budget, Iso9283
 from parallel_cal.identification.fit import FitResult, ParameterEstimate
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from parallel_cal.diagnosis.diagnose import Diagnosis
     from parallel_cal.diagnosis.entries import Entry
     from parallel_cal.discovery.law import Discovery
+    from parallel_cal.session.saving import ComparedModel
     from parallel_cal.session.steps import Step
 
 # Limits on what one screen shows.
@@ -120,6 +121,20 @@ def describe_fit(result: FitResult, without: FitResult | None = None) -> Iterato
         yield budget_sentence(budget)
     yield from map(iso_sentence, result.iso_9283[:1])
     yield parameter_table(select_shown_parameters(result.model, describe_parameters(result)))
+
+
+def saving_table(models: Sequence[ComparedModel]) -> Table:
+    """Describe the models that a save compares, each with its errors at the same samples."""
+    rows: list[Row] = []
+    for one in models:
+        shown = []
+        for kind, unit in ERROR_SI_UNITS.items():
+            if is_known(error := one.errors.rms(kind)):
+                name, factor = error_unit(unit)
+                shown.append(f"{with_sigma(error, one.sigmas.get(kind), factor)} {name}")
+        effects = ", ".join(one.effects) or "none"
+        rows.append((one.name, ", ".join(shown), one.where, str(one.samples), effects))
+    return Table(("model", "rms error", "judged", "samples", "effects"), rows)
 
 
 def budget_table(budget: Budget) -> Table:
@@ -477,7 +492,7 @@ def _format_estimates(parameters: Mapping[str, ParameterEstimate]) -> str:
         words.append(
             f"{name} not identified"
             if p.sigma is None
-            else f"{name} {number(p.value, factor)} ± {number(p.sigma, factor, 2)} {unit}".rstrip()
+            else f"{name} {with_sigma(p.value, p.sigma, factor)} {unit}".rstrip()
         )
     rest = len(free) - len(words)
     return ", ".join(words) + (f" and {rest} more" if rest else "")
