@@ -449,6 +449,23 @@ def test_the_page_has_no_fault_of_access(page, theme):
 
 
 @pytest.mark.wide
+def test_the_text_of_figures_in_space_has_the_colour_of_the_page(page):
+    """A style sheet does not reach it."""
+    colours = """() => [...document.querySelectorAll(".js-plotly-plot")]
+        .filter(view => view._fullLayout?.scene)
+        .map(view => [view._fullLayout.font.color, getComputedStyle(view).color])"""
+    seen = set()
+    for scheme in ("dark", "light"):
+        page.emulate_media(color_scheme=scheme)
+        page.evaluate("window.scrollTo(0, 0)")
+        page.get_by_role("figure", name="residual arrows in space").scroll_into_view_if_needed()
+        alike = f"(found => found.length && found.every(([a, b]) => a === b))(({colours})())"
+        page.wait_for_function(alike)
+        seen |= {page_colour for _, page_colour in page.evaluate(colours)}
+    assert len(seen) == 2
+
+
+@pytest.mark.wide
 def test_the_keyboard_reaches_the_first_effect_in_ten_stops_and_shows_where_it_is(page):
     page.reload()
     page.get_by_role("button", name="add backlash").wait_for()

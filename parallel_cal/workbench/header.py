@@ -8,7 +8,6 @@ from typing import Any
 
 from nicegui import ui
 
-from parallel_cal.reporting.colours import QUIET
 from parallel_cal.reporting.error_steps import DOTTED, describe_steps, draw_steps
 from parallel_cal.reporting.readable import write_micro
 from parallel_cal.workbench.bench import Bench
@@ -107,8 +106,8 @@ class Notice:
         with ui.footer(value=False) as self.footer:
             self.compared = ui.column().classes("w-full").props("id=compared")
             with ui.row().classes("w-full items-center gap-2") as self.asked:
-                self.question = ui.label().props("id=question role=alert").classes("grow basis-64")
-                self.question.style(f"color: {COLOURS['amber']}; white-space: pre-line")
+                self.question = ui.label().props("id=question role=alert")
+                self.question.classes("grow basis-64 amber").style("white-space: pre-line")
                 self.reason = ui.input("say why", on_change=self._allow_yes)
                 self.reason.classes("w-64").props("dense")
                 self.no = _button("", bench.decline)
@@ -146,7 +145,7 @@ class Notice:
         answered = bool(bench.message) and not bench.busy and bench.message != self._dismissed
         self.answer.set_visibility(answered)
         self.message.set_text(write_micro(bench.message))
-        self.message.style(f"color: {COLOURS['amber'] if bench.failed else QUIET}")
+        self.message.classes(**{"add" if bench.failed else "remove": "amber"})
         self._show_table()
         self.footer.set_value(answered or question is not None)
 

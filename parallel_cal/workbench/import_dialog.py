@@ -246,7 +246,8 @@ class ColumnForm:
             for k, word in enumerate(self._header)
         ]
         rows = [{str(k): cell for k, cell in enumerate(row)} for row in found["rows"]]
-        ui.table(columns=columns, rows=rows).classes("w-full one-line-rows").props("dense flat")
+        shown = ui.table(columns=columns, rows=rows)
+        shown.classes("w-full one-line-rows wide-table").props("dense flat")
 
     def _pick_joint(self, name: str, unit: str, guess: str | None) -> tuple[Any, Any, Any]:
         """Pick the column of a joint, its unit, and the travel per turn of a joint that slides."""
