@@ -8,6 +8,7 @@ import resource
 import shutil
 import signal
 import socket
+import subprocess
 import time
 from pathlib import Path
 
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 import virtual_findings as vf
 from findings import hiding
-from workbench_page import LONG, Served, beside_a_played_robot, opened, until
+from workbench_page import LONG, Served, beside_a_played_robot, command, opened, until
 
 from parallel_cal.diagnosis.verdict_words import describe_verdict
 from parallel_cal.identification.options import FitOptions
@@ -247,6 +248,24 @@ def test_a_port_in_use_is_refused_before_a_session_is_made(tmp_path, capsys):
     assert f"--port {port}: the server cannot listen there (Address already in use)" in words
     assert "choose another port by --port" in words
     assert not folder.exists()
+
+
+def test_a_second_server_of_a_session_is_refused_and_a_dead_one_leaves_no_lock(folder, tmp_path):
+    first = Served(folder)
+    try:
+        answer = subprocess.run(
+            command(folder, port=first.port + 1), capture_output=True, text=True, timeout=LONG
+        )
+        assert answer.returncode == 1
+        said = f"{folder}: process {first.process.pid} at {first.url} serves this session already"
+        assert said in answer.stderr
+        assert "Traceback" not in answer.stderr
+    finally:
+        first.end(signal.SIGKILL)
+    log = (tmp_path / "log").open("w")
+    again = Served(folder, log=log)
+    again.end()
+    assert "already" not in (tmp_path / "log").read_text()
 
 
 def test_a_session_that_cannot_be_written_says_so(folder):
