@@ -835,6 +835,7 @@ def test_a_table_with_the_documented_names_is_previewed_as_the_command_line_read
         "temperature.arms": "temperature.arms [degC]",
     }
     assert found["readings"] == {"probe.gauge": "reading.probe.gauge"}
+    assert found["name"] == "Shot"
     table.write_text("joint1 [deg],temperature [Pa]\n1,2\n")
     assert "'Pa' is no unit of temperature" in preview_table(table, folder)["error"]
 
@@ -844,8 +845,8 @@ def test_the_sides_of_a_table_and_its_angles_reach_the_samples(browser, tmp_path
     data, folder, table = load_dataset(BAG), tmp_path / "s", tmp_path / "sides.csv"
     sides = np.column_stack([data.conditions[f"direction.joint{k}"] for k in (1, 2, 3)])
     names = [f"joint{k} [deg]" for k in (1, 2, 3)] + ["x [mm]", "y [mm]", "z [mm]"]
-    names += [f"direction.joint{k}" for k in (1, 2, 3)] + ["A", "B", "C", "Shot"]
-    rows = np.column_stack([np.degrees(data.q), 1e3 * data.r, sides, np.zeros((len(data), 4))])
+    names += [f"direction.joint{k}" for k in (1, 2, 3)] + ["A", "B", "C", "Shot", "Remark"]
+    rows = np.column_stack([np.degrees(data.q), 1e3 * data.r, sides, np.zeros((len(data), 5))])
     text = [",".join(names), *(",".join(map(repr, row)) for row in rows.tolist())]
     table.write_text("\n".join(text))
     served = Served(MODEL, "--session", folder)
@@ -856,7 +857,7 @@ def test_the_sides_of_a_table_and_its_angles_reach_the_samples(browser, tmp_path
         page.get_by_role("button", name="Import a table", exact=True).first.click()
         page.locator("input[type=file]").set_input_files(table)
         unused = page.locator("#unused")
-        unused.get_by_text("not used: A, B, C, Shot").wait_for()
+        unused.get_by_text("not used: A, B, C, Remark").wait_for()
         page.get_by_label("column of joint2", exact=True).click()
         page.get_by_role("option", name="joint1 [deg]", exact=True).click()
         page.get_by_role("button", name="Import", exact=True).click()
@@ -866,7 +867,7 @@ def test_the_sides_of_a_table_and_its_angles_reach_the_samples(browser, tmp_path
         page.get_by_role("option", name="joint2 [deg]", exact=True).click()
         page.get_by_label("orientation", exact=True).click()
         page.get_by_role("option", name="three angles", exact=True).click()
-        unused.get_by_text("not used: Shot", exact=True).wait_for()
+        unused.get_by_text("not used: Remark", exact=True).wait_for()
         page.get_by_label("unit of the angles", exact=True).click()
         page.get_by_role("option", name="deg", exact=True).click()
         page.get_by_label("position [µm]").fill("20")
@@ -879,6 +880,7 @@ def test_the_sides_of_a_table_and_its_angles_reach_the_samples(browser, tmp_path
     for k in (1, 2, 3):
         np.testing.assert_array_equal(found.conditions[f"direction.joint{k}"], sides[:, k - 1])
     assert not found.sides_from_order
+    assert found.names == dict.fromkeys(range(len(data)), "0.0")  # the column Shot
     assert found.measured.all()
     np.testing.assert_allclose(found.pose_cov[0, 0, 0], 20e-6**2)
 

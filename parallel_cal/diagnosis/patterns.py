@@ -11,6 +11,7 @@ import numpy as np
 
 from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL
 from parallel_cal.base.errors import FitError
+from parallel_cal.base.sample_names import format_sample
 from parallel_cal.base.units import MM
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import find_varying_coordinates, regressors
@@ -140,6 +141,12 @@ class OddSample:
     leverage: float
     position_error: np.ndarray
     place: np.ndarray
+    name: str = ""
+
+    @property
+    def title(self) -> str:
+        """Its number, and its name if it has one."""
+        return format_sample(self.sample, self.name)
 
     @property
     def size(self) -> str:
@@ -178,6 +185,7 @@ def odd_samples(scene: Scene, field: Field) -> tuple[OddSample, ...]:
             leverage=float(leverage[i]),
             position_error=field.pose[i, :3],
             place=scene.x[i, n : n + 3],
+            name=scene.dataset.names.get(int(scene.dataset.numbers[i]), ""),
         )
         for i in np.flatnonzero(
             (p < OUTLIER_SIGNIFICANCE_LEVEL) | (cook > MIN_INFLUENTIAL_COOKS_DISTANCE)
@@ -234,7 +242,7 @@ def _find_still_far(knocked: Sequence[OddSample], base: FitResult, other: Model)
 
 def describe_knocked_samples(knocked: Sequence[OddSample]) -> str:
     """Name the samples that a verdict leaves out, to be put behind it."""
-    names = " and ".join(f"sample {one.sample} ({one.size})" for one in knocked)
+    names = " and ".join(f"sample {one.title} ({one.size})" for one in knocked)
     verb, them = ("are", "them") if len(knocked) > 1 else ("is", "it")
     return (
         f"Not used: {names}, which {verb} far from what all others show, as if somebody knocked "

@@ -75,16 +75,18 @@ def on_priors(model: Model, estimate: Estimate) -> list[str]:
         direction_in_words(c, model.table) for c in weak[: -MAX_NAMED_WEAK_DIRECTIONS - 1 : -1]
     ]
     more = f"; and {len(weak) - len(named)} more" if len(weak) > len(named) else ""
-    one = len(weak) == 1
+    if one := len(weak) == 1:
+        it, its, stays = "it", "its", "it stays"
+    else:
+        it, its, stays = "them", "their", "they stay"
     return [
         f"these samples hardly determine {len(weak)} combination{'' if one else 's'} of "
-        f"parameters: {'; '.join(named)}{more}. A change of {'it' if one else 'one'} by its "
-        f"tolerance moves the residuals by less than one sigma. So the tolerances decided: "
-        f"{'it stays' if one else 'they stay'} near nominal, and {'its' if one else 'their'} sigma "
-        f"is about the tolerance that the model file states, not a result of the measurement. "
-        f"Errors near the measured poses hardly depend on {'it' if one else 'them'}; elsewhere "
-        f"they may. To determine {'it' if one else 'them'}, measure more varied poses (plan "
-        "proposes them), or state a smaller tolerance if you know the part better"
+        f"parameters: a change by one tolerance moves the residuals by less than one sigma. So the "
+        f"tolerances decided: {stays} near nominal, and {its} sigma is about the tolerance that "
+        f"the model file states, not a result of the measurement. Errors near the measured poses "
+        f"hardly depend on {it}; elsewhere they may. To determine {it}, measure more varied poses "
+        f"(plan proposes them), or state a smaller tolerance if you know the part better. "
+        f"{'The combination' if one else 'The combinations'}: {'; '.join(named)}{more}"
     ]
 
 

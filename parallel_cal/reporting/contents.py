@@ -263,6 +263,7 @@ class JudgedSample:
     now: Mapping[str, float]
     found: Mapping[str, float] | None
     odd: str
+    name: str = ""
 
 
 def samples(diagnosis: Diagnosis) -> list[JudgedSample]:
@@ -299,6 +300,7 @@ def _list_samples(
             now=now[i],
             found=None if found is None else found[i],
             odd=odd.get(data.numbers[i], ""),
+            name=data.names.get(int(data.numbers[i]), ""),
         )
         for i in np.argsort(-scene.sigmas, kind="stable")
     ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
+from parallel_cal.base.sample_names import format_sample
 from parallel_cal.diagnosis.lack_of_fit import SmoothMap
 from parallel_cal.diagnosis.patterns import Region
 from parallel_cal.diagnosis.signature import signature
@@ -88,14 +89,15 @@ def _regions(rows: Sequence[Region]) -> str:
     """Render the rms errors of the workspace's octants, worst first."""
     if not rows:
         return ""
+    turns = any(r.orientation_rms for r in rows)  # 0 if orientations were not measured
     listed = table(
-        ("octant", "samples", "position rms", "orientation rms"),
+        ("octant", "samples", "position rms", *(["orientation rms"] if turns else [])),
         [
             (
                 r.region,
                 str(r.samples),
                 with_unit(r.position_rms, "m"),
-                with_unit(r.orientation_rms, "rad"),
+                *([with_unit(r.orientation_rms, "rad")] if turns else []),
             )
             for r in rows
         ],
@@ -197,8 +199,8 @@ def samples(report: Report) -> str:
     note = f"{len(rows)} samples, worst first, with their validation errors."
     if len(rows) > MAX_SAMPLE_ROWS:
         note += f" The worst {MAX_SAMPLE_ROWS} are shown; all are in the JSON document."
-    odd = [f"{row.sample} ({row.odd})" for row in rows if row.odd]
-    aside = [f"{one.sample} ({one.size})" for one in report.diagnosis.knocked]
+    odd = [f"{format_sample(row.sample, row.name)} ({row.odd})" for row in rows if row.odd]
+    aside = [f"{one.title} ({one.size})" for one in report.diagnosis.knocked]
     note += f" {ABOUT_SAMPLES}"
     if aside:
         note += (

@@ -173,7 +173,7 @@ def _describe_excluded(data: Dataset) -> str:
         by_reason.setdefault(reason or "no reason given", []).append(sample)
     parts = []
     for reason, numbers in by_reason.items():
-        named = ", ".join(map(str, numbers[:MAX_NAMED_SAMPLES]))
+        named = ", ".join(map(data.title, numbers[:MAX_NAMED_SAMPLES]))
         more = ", ..." if len(numbers) > MAX_NAMED_SAMPLES else ""
         kind = "sample" if len(numbers) == 1 else "samples"
         parts.append(f"{reason} ({len(numbers)}: {kind} {named}{more})")

@@ -261,9 +261,14 @@ def parameter_table(parameters: Mapping[str, DescribedParameter]) -> Table:
     for p in parameters.values():
         (unit, factor), moved = value_unit(p.unit), p.moved_tolerances
         nominal = float(f"{p.nominal * factor:.6g}")
+        # Without a sigma, many digits tell where a value is, but not how far it moved.
         value, change, sigma = (
-            Number(v, factor, 4, 6, p.sigma, unit)
-            for v in (p.value, p.value - p.nominal, None if p.fixed else p.sigma)
+            Number(v, factor, 4, digits, p.sigma, unit)
+            for v, digits in (
+                (p.value, 6),
+                (p.value - p.nominal, 3),
+                (None if p.fixed else p.sigma, 2),
+            )
         )
         words = p.words
         if p.fixed:
@@ -319,7 +324,7 @@ def describe_comparison(comparison: Comparison) -> Iterator[Block]:
     )
     for one in comparison.odd_samples[:MAX_PATTERNS]:
         at = format_fixed_vector(one.place, 1e3, 1)
-        yield f"odd: sample {one.sample} at {at} mm, {one.sigmas:.1f} sigmas"
+        yield f"odd: sample {one.title} at {at} mm, {one.sigmas:.1f} sigmas"
 
 
 def _worst_samples(comparison: Comparison) -> Table:
@@ -329,6 +334,8 @@ def _worst_samples(comparison: Comparison) -> Table:
     shown: dict[str, list[Number | str]] = {
         "sample": [str(number) for number in data.numbers[worst]],
     }
+    if data.names:
+        shown["name"] = [data.names.get(number, "-") for number in data.numbers[worst].tolist()]
     if data.has_time:
         shown["time [s]"] = [Number(t, 1, 1) for t in data.time[worst]]
     shown["at [mm]"] = [format_fixed_vector(place, 1e3, 1) for place in comparison.place[worst]]
@@ -364,7 +371,7 @@ def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
     for one in diagnosis.odd_samples[:MAX_CANDIDATES]:
         when = "" if math.isnan(one.time) else f"{one.time:.1f} s, "
         yield (
-            f"{one.label}: sample {one.sample} at {format_fixed_vector(one.place, 1e3, 1)} mm, "
+            f"{one.label}: sample {one.title} at {format_fixed_vector(one.place, 1e3, 1)} mm, "
             f"{when}{one.sigmas:.1f} sigmas, Cook's "
             f"distance {one.cooks_distance:.2f} (--data exclude={one.sample} excludes it)"
         )
@@ -507,9 +514,11 @@ def sample_table(
     sides = ("", ", with effect") if both else ("",)
     timed = any(is_known(one.time) for one in samples)
     is_any_odd = any(one.odd for one in samples)
+    is_any_named = any(one.name for one in samples)
     joint_unit = ", ".join(dict.fromkeys(value_unit(unit)[0] for unit in joint_units.values()))
     columns = (
         "sample",
+        *(["name"] if is_any_named else []),
         *(f"sigmas{side}" for side in sides),
         *(["odd"] if is_any_odd else []),
         *(f"{kind} [{unit}]{side}" for side in sides for kind, (unit, _) in units.items()),
@@ -524,6 +533,7 @@ def sample_table(
         rows.append(
             (
                 Cell(str(one.sample), key=one.sample, mark="odd" if one.odd else ""),
+                *([one.name] if is_any_named else []),
                 *(Number(side["sigmas"], significant=2) for side in errors),
                 *([one.odd] if is_any_odd else []),
                 *(Number(side[k], factor) for side in errors for k, (_, factor) in units.items()),

@@ -8,6 +8,7 @@ from typing import Any
 
 from nicegui import run, ui
 
+from parallel_cal.base.sample_names import format_sample
 from parallel_cal.diagnosis.verdict_words import describe_verdict
 from parallel_cal.reporting.colours import MEASURED
 from parallel_cal.reporting.readable import (
@@ -376,7 +377,9 @@ class Window:
             one = len(numbers) == 1
             these = "all" if len(by_reason) == 1 else f"these {len(numbers)}"
             with ui.row().classes("items-center"):
-                which = f"sample {numbers[0]} is" if one else f"{len(numbers)} samples are"
+                which = f"sample {self._title(numbers[0])} is"
+                if not one:
+                    which = f"{len(numbers)} samples are"
                 ui.label(f"{which} excluded: {reason}")
                 self._include("Include" if one else f"Include {these}", numbers)
             if not one:
@@ -386,13 +389,17 @@ class Window:
     def _include_one_by_one(self, numbers: list[int]) -> None:
         with ui.row().classes("items-center"):
             for number in numbers:
-                self._include(f"Include {number}", [number])
+                self._include(f"Include {self._title(number)}", [number])
+
+    def _title(self, number: int) -> str:
+        """Return the number of a sample with its name, if it has one."""
+        return format_sample(number, (self.bench.view or {}).get("names", {}).get(str(number), ""))
 
     def _offer_exclusion(self, number: int, size: str) -> None:
         """Offer to exclude a sample that the verdict set aside: no view shows it."""
         why = f"far from what all others show ({size})"
         with ui.row().classes("items-center"):
-            ui.label(f"sample {number} is {why}; the verdict does not use it")
+            ui.label(f"sample {self._title(number)} is {why}; the verdict does not use it")
             button = ui.button(f"Exclude sample {number}").props("dense outline")
             button.on_click(
                 lambda: self.bench.begin("exclude", {number: self.reason.value.strip() or why})

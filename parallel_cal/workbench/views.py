@@ -221,6 +221,7 @@ def _make_comparison_view(found: Comparison) -> View:
         "effects": _list_effects(found.model),
         "ambiguous": {},
         "knocked": {},
+        "names": _names(found.dataset.names),
         "candidates": [],
         "together": None,
         "untested": [],
@@ -276,6 +277,7 @@ def _make_report_view(found: Report) -> View:
         "effects": _list_effects(diagnosis.model),
         "ambiguous": {one.effect: one.names for one in diagnosis.ambiguous},
         "knocked": {one.sample: one.size for one in diagnosis.knocked},
+        "names": _names(diagnosis.dataset.names),
         "candidates": [
             row
             | {
@@ -300,6 +302,11 @@ def _make_report_view(found: Report) -> View:
         "cannot_tell": [one["text"] for one in contents.combinations(now)["unidentifiable"]],
         "find_law": diagnosis.leaves_an_error,
     }
+
+
+def _names(names: Mapping[int, str]) -> dict[str, str]:
+    """The names of samples by number; the keys of JSON are texts."""
+    return {str(number): name for number, name in names.items()}
 
 
 def _list_effects(model: Model) -> list[str]:
