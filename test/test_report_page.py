@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from datasets import measured
 
+from parallel_cal.diagnosis.patterns import OddSample, Region
 from parallel_cal.model.model import new_model
+from parallel_cal.reporting import failures
 from parallel_cal.reporting.blocks import Cell
 from parallel_cal.reporting.certificate import CertificateFields
 from parallel_cal.reporting.figures import parameter_bars
@@ -242,6 +244,21 @@ def test_patterns_joints_maps_and_the_mechanism_are_drawn_by_the_same_code(made,
     kinds = [{t.get("name") for t in f["data"]} for f in figures(text)]
     assert any({"1 σ of the model"} <= names for names in kinds)
     assert any({"base", "driven", "rod", "platform", "parameters"} <= names for names in kinds)
+
+
+def test_octants_list_orientations_only_where_they_were_measured():
+    one = Region("x< y<", np.zeros(3), 9, 40e-6, 0.0, 0.0, np.zeros(3))
+    assert "orientation" not in failures._regions([one])
+    assert "1.00 arcmin" in failures._regions([replace(one, orientation_rms=np.pi / 10800)])
+
+
+def test_samples_that_the_diagnosis_set_aside_are_named_below_the_table(made):
+    aside = OddSample(40, 1.0, 20.4, 0.0, True, 0.0, 0.1, np.array([3e-4, 0, 4e-4]), np.zeros(3))
+    named = replace(aside, name="S41")
+    said = failures.samples(replace(made, diagnosis=replace(made.diagnosis, knocked=(named,))))
+    assert "Set aside by the diagnosis" in said
+    assert "40 'S41' (20 sigmas of the noise, 0.5 mm)" in unescape(said)
+    assert "There are no odd samples" not in said
 
 
 # ------------------------------------------------------------------ in a browser
