@@ -178,8 +178,9 @@ def test_on_paper_nothing_is_folded_or_beyond_the_edge(made, tmp_path):
         )
         assert breaks == ["auto", "avoid"]
         assert window.locator(".decision .signature").count() == 1
-        assert len(widths) > 10
-        assert all(0 < figure <= place + 1 for figure, place in widths)
+        # Figures of what the residuals do not depend on are not printed: their place has no width.
+        assert all(0 < figure <= place + 1 for figure, place in widths if place)
+        assert sum(place > 0 for _, place in widths) > 10
         browser.close()
 
 

@@ -1,11 +1,13 @@
 """A CSV table and a column map become samples that every command takes; or one clear line."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import parallel_cal as pc
 from parallel_cal.base.errors import DatasetError, ParallelCalError
 from parallel_cal.cli import main as cli
 from parallel_cal.cli.recordings import data_options
@@ -13,6 +15,7 @@ from parallel_cal.model.file.modelfile import dump_model, read_model
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.columns import map_by_names
 from parallel_cal.recordings.csv_import import import_csv
+from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import join_datasets
 from parallel_cal.recordings.loading import load_dataset, load_sessions
 from parallel_cal.recordings.table import read_table
@@ -80,6 +83,41 @@ def test_another_column_map_makes_other_samples_of_the_same_table(files):
     for other in (MAP.replace(*one) for one in stated):
         assert other != MAP
         assert import_csv(*files(columns=other)).sha256 != data.sha256
+
+
+def test_samples_have_the_names_of_their_rows(files, tmp_path):
+    table, columns = files(columns=MAP + "name: visit\n")
+    data = import_csv(table, columns)
+    assert data.names == {0: "home", 1: "corner", 2: "home"}
+    assert data.title(1) == "1 'corner'"
+    kept = data.excluding({1: "touched"})
+    assert kept.names == data.names  # samples keep their numbers, and excluded ones their names
+    assert data.select([2, 1]).names == {0: "home", 1: "corner"}  # numbered anew
+    data.to_json(tmp_path / "samples.json")
+    assert Dataset.from_json(tmp_path / "samples.json").names == data.names
+    other = replace(data, sha256="another", names={1: "again"})
+    assert join_datasets([data, other]).names == {0: "home", 1: "corner", 2: "home", 4: "again"}
+    without = import_csv(table, files(TABLE, MAP.replace("group: visit\n", ""))[1])
+    assert without.names == {}  # a column map names all columns that count
+
+
+def test_tables_and_messages_show_the_names_of_samples(tmp_path):
+    model = pc.read_model("config/delta_mockup_nominal.yaml")
+    known = pc.simulate(model, 30, seed=1).dataset()
+    known.r[7] += 5e-3
+    header = [f"{joint} [rad]" for joint in model.joints] + ["x [m]", "y [m]", "z [m]", "Shot"]
+    rows = [
+        [*map(repr, map(float, (*q, *r))), f"S{k + 1}"]
+        for k, (q, r) in enumerate(zip(known.q, known.r, strict=True))
+    ]
+    table = tmp_path / "t.csv"
+    table.write_text("\n".join(",".join(row) for row in (header, *rows)))
+    data = pc.load_dataset(table, joints=model.joints)
+    assert data.names[7] == "S8"
+    assert not any("Shot" in words for words in data.warnings)
+    shown = pc.show(pc.compare(model, data))
+    assert re.search(r"^ +7 +S8 ", shown, flags=re.MULTILINE)
+    assert "odd: sample 7 'S8' at" in shown
 
 
 def test_a_motors_angle_becomes_the_travel_of_its_joint(files):

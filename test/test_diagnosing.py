@@ -485,6 +485,10 @@ def test_a_wild_sample_is_named_and_no_other():
     odd = odd_samples(here, Field.of(here))
     assert [one.sample for one in odd if one.outlier] == [17]
     assert odd[0].sigmas > 5
+    # As in the table of samples: of the noise, and not of the typical residual.
+    assert odd[0].sigmas == here.sigmas[17]
+    loud = dataclasses.replace(here, residual=3 * here.residual)
+    assert odd_samples(loud, Field.of(here))[0].sigmas == pytest.approx(3 * odd[0].sigmas)
     assert odd[0].time == data.time[17]
 
 

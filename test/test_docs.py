@@ -248,6 +248,15 @@ def test_links_of_the_documents_lead_somewhere():
             assert os.path.exists(page.parent / link), f"{page.name}: {link}"
 
 
+def test_the_picture_of_the_front_page_has_colours_for_the_dark_mode_and_no_ground():
+    [name] = re.findall(
+        r"image:: (\S+\.svg)", (ROOT / "docs/index.rst").read_text(encoding="utf-8")
+    )
+    picture = (ROOT / "docs" / name).read_text(encoding="utf-8")
+    assert "prefers-color-scheme: dark" in picture
+    assert "#ffffff" not in picture
+
+
 def test_the_picture_of_the_rooms_is_that_of_the_code():
     file = ROOT / "docs" / "rooms.py"
     rooms = module_from_spec(spec := spec_from_file_location("rooms", file))

@@ -54,7 +54,8 @@ def test_a_panel_a_joint_shows_each_sample_at_its_reading_with_its_number(found)
 
 
 def test_a_gears_ripple_is_laid_over_as_the_wave_that_it_is(found, gear):
-    laid = trace(joint_panels.flat_panels(found, gear), "pattern of the effect", mark="x3")
+    name = "pattern of gear_transmission_error"
+    laid = trace(joint_panels.flat_panels(found, gear), name, mark="x3")
     assert laid["mode"] == "lines"
     q, drawn = np.radians(laid["x"]), 1e-3 * np.array(laid["y"])
     turned = RATIO * q + PHASE[2]
@@ -69,7 +70,7 @@ def test_the_pattern_of_backlash_is_drawn_as_points():
     result = fit(new_model("delta54"), data, hold_out=0)
     scene = Scene.of(result.model, data, result.observations, result.free)
     one = signature(candidate(scene, "backlash"))
-    laid = trace(joint_panels.flat_panels(JointResiduals.of(scene), one), "pattern of the effect")
+    laid = trace(joint_panels.flat_panels(JointResiduals.of(scene), one), "pattern of backlash")
     assert laid["mode"] == "markers"
 
 

@@ -300,7 +300,7 @@ def page(browser, folder, tmp_path_factory):
     told = tmp_path_factory.mktemp("told") / "words"
     served = Served(folder, told, command=beside_a_played_robot)
     page = open_page(browser, served.url)
-    page.locator("#verdict").get_by_text("one effect missing").wait_for()
+    page.locator("#verdict").get_by_text("explained, not yet in the model").wait_for()
     page.get_by_role("figure", name="residual of x against").wait_for()
     page.locator("#campaign").get_by_text("moving: pose 27").wait_for()
     yield page
@@ -446,6 +446,23 @@ def test_the_page_has_no_fault_of_access(page, theme):
     )
     found = axe.run(page).response["violations"]
     assert [(one["id"], one["nodes"][0]["html"][:200]) for one in found] == []
+
+
+@pytest.mark.wide
+def test_the_text_of_figures_in_space_has_the_colour_of_the_page(page):
+    """A style sheet does not reach it."""
+    colours = """() => [...document.querySelectorAll(".js-plotly-plot")]
+        .filter(view => view._fullLayout?.scene)
+        .map(view => [view._fullLayout.font.color, getComputedStyle(view).color])"""
+    seen = set()
+    for scheme in ("dark", "light"):
+        page.emulate_media(color_scheme=scheme)
+        page.evaluate("window.scrollTo(0, 0)")
+        page.get_by_role("figure", name="residual arrows in space").scroll_into_view_if_needed()
+        alike = f"(found => found.length && found.every(([a, b]) => a === b))(({colours})())"
+        page.wait_for_function(alike)
+        seen |= {page_colour for _, page_colour in page.evaluate(colours)}
+    assert len(seen) == 2
 
 
 @pytest.mark.wide

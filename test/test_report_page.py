@@ -11,11 +11,17 @@ import numpy as np
 import pytest
 from datasets import measured
 
+from parallel_cal.diagnosis.patterns import OddSample, Region
 from parallel_cal.model.model import new_model
+from parallel_cal.reporting import failures
+from parallel_cal.reporting.blocks import Cell
+from parallel_cal.reporting.certificate import CertificateFields
+from parallel_cal.reporting.figures import parameter_bars
 from parallel_cal.reporting.multiples import multiples, peak
 from parallel_cal.reporting.page import page
 from parallel_cal.reporting.readable import round_to_sigma
 from parallel_cal.reporting.report import report
+from parallel_cal.reporting.results import candidate_table
 from parallel_cal.session.steps import fitted
 from parallel_cal.virtual import robot as vr
 
@@ -66,10 +72,11 @@ def figures(text):
 
 def test_a_panel_says_in_the_axis_own_sigmas_how_far_its_mean_goes(made, text):
     panels = multiples(made.along, made.residuals, made.along_found)
-    drawn = {name: (words, figure) for name, words, figure in panels}
+    drawn = {profile.name: (words, figure) for profile, words, figure in panels}
     assert drawn
-    captions = re.findall(r"<b>([^<]+)</b> (mean up to [^<]+)</figcaption>", text)
-    assert [(name, words) for name, (words, _) in drawn.items()] == captions
+    captions = re.findall(r"<b>Residual against ([^<]+):</b> (mean [^<]+)</figcaption>", text)
+    named = [(name, words) for name, (words, _) in drawn.items()]
+    assert sorted(named) == sorted((unescape(name), unescape(words)) for name, words in captions)
     for entry in made.along:
         if entry.name not in drawn:
             continue
@@ -87,8 +94,67 @@ def test_the_furthest_mean_is_that_which_leaves_the_band_furthest():
     from parallel_cal.diagnosis.patterns import ResidualProfile
 
     mean, band = np.array([[1.0, -0.2], [0.1, -0.9]]), np.array([1.0, 0.3])
-    entry = ResidualProfile("direction", np.array([-1.0, 1.0]), mean, band, 4.3, 0.0, 1.0)
-    assert peak(entry) == "mean up to 0.9 σ, 3.0 × the band"
+    entry = ResidualProfile("direction", np.array([-1.0, 1.0]), mean, band, 4.3, 2e-5, 1.0)
+    assert peak(entry, ["x", "rz"]) == "mean of rz up to 0.9 σ, 3.0 × the band, p = 2e-05"
+
+
+def test_only_quantities_on_which_the_residuals_depend_are_printed(made, text):
+    said = part(text, "residuals-against-quantities")
+    shown, folded = said.split('<div class="on-screen">')
+    significant = {entry.name for entry in made.along if entry.p_value < 0.05}
+    drawn = set(re.findall(r"Residual against ([^<]+):", shown))
+    assert "direction.joint1" in drawn
+    assert drawn <= significant
+    others = set(re.findall(r"Residual against ([^<]+):", folded))
+    assert others
+    assert not others & significant
+    assert f"Not printed: {len(others)} quantities" in unescape(folded)
+
+
+def test_a_pattern_has_its_effect_joints_amplitude_and_p_and_is_drawn_only_if_it_is_seen(
+    made, text
+):
+    said = unescape(part(text, "which-effect-is-missing"))
+    captions = re.findall(r"<figcaption><b>Pattern of (\w+):</b> ([^<]+)</figcaption>", said)
+    tested = [e for e in made.diagnosis.entries if e.p_adjusted is not None]
+    unseen = {e.name for e in tested if e.p_adjusted >= 0.01}
+    assert unseen
+    assert "backlash" in dict(captions)
+    assert not unseen & set(dict(captions))
+    words = dict(captions)["backlash"]
+    p = next(e.p_adjusted for e in tested if e.name == "backlash")
+    assert words.startswith("p < 1e-99" if p < 1e-99 else f"p = {p:.2g}")
+    sizes = re.findall(r"joint(\d) ([\d.]+) arcmin \([\d.]+ σ\)", words)
+    assert [number for number, _ in sizes] == ["1", "2", "3"]
+    # Half of the widths that are hidden, but for what the geometry absorbs.
+    for (_, size), width in zip(sizes, (6e-4, 5e-4, 4e-4), strict=True):
+        assert 0.6 < float(size) * np.pi / 10800 / (width / 2) < 1.1
+    assert f"{len(unseen)} effects that the residuals do not show (p > 0.01)" in said
+
+
+def test_a_figure_stands_with_its_caption_in_one_block_that_no_page_break_divides(text):
+    """A caption before its figure, as a sibling, may be printed on the page before."""
+    body = text[text.index("<main>") : text.index('<script type="application/json"')]
+    without_figures = re.sub(r"<figure>.*?</figure>", "", body, flags=re.DOTALL)
+    bare = re.findall(r'<section id="([^"]+)">.*?</section>', without_figures, flags=re.DOTALL)
+    left = [name for name in bare if 'class="plot"' in part(without_figures, name)]
+    assert left == ["history"]  # whose two charts stand side by side, below one note
+
+
+def test_the_report_says_first_what_to_do_next_as_diagnose_does(made, text):
+    said = unescape(part(text, "verdict"))
+    assert made.diagnosis.next_steps
+    for step in made.diagnosis.next_steps:
+        assert step[1:] in said
+
+
+def test_each_printed_page_has_the_number_of_the_certificate(made):
+    numbered = replace(made, certificate=CertificateFields(number='No. 7/"A"</style>'))
+    css = re.search(r"<style>(.*?)</style>", page(numbered), flags=re.DOTALL).group(1)
+    codes = re.search(r'@bottom-left \{ content: "([^"]*)"', css).group(1)
+    shown = "".join(chr(int(code, 16)) for code in codes.replace("\\", "").split())
+    assert shown == 'Certificate No. 7/"A"</style>'
+    assert 'counter(page) " of " counter(pages)' in css
 
 
 def test_velocities_of_a_robot_at_rest_are_ignored(made, text):
@@ -127,6 +193,19 @@ def test_a_value_has_as_many_decimals_as_its_sigma_allows():
     assert round_to_sigma(0.5, None) == ("0.500000", "–")
 
 
+def test_estimates_have_the_decimals_of_their_sigma_wherever_they_are_shown(made):
+    tested = [e for e in made.diagnosis.entries if e.alone is not None]
+    rows = candidate_table(made.diagnosis, tested).rows
+    shown = [cell.under for row in rows for cell in row if isinstance(cell, Cell)]
+    shown += parameter_bars(made.parameters)["data"][0]["hovertext"]
+    pairs = re.findall(r"(-?[\d.]+) ± ([\d.]+) ", " ".join(shown))
+    assert len(pairs) > 40
+    for value, sigma in pairs:
+        assert len(value.partition(".")[2]) == len(sigma.partition(".")[2]), (value, sigma)
+        digits = sigma.replace(".", "").lstrip("0")
+        assert len(digits) == 2 or "." not in sigma
+
+
 def test_samples_are_sorted_by_a_column_that_is_seen_at_once(text):
     said = part(text, "samples")
     heads = re.findall(r"<th[^>]*>([^<]+)</th>", said)
@@ -159,12 +238,27 @@ def test_a_verdict_of_something_missing_is_not_green(text):
 def test_patterns_joints_maps_and_the_mechanism_are_drawn_by_the_same_code(made, text):
     titles = json.dumps([f["layout"] for f in figures(text)], ensure_ascii=False)
     # Backlash over the direction; the title of a narrow panel has two lines.
-    assert "approach direction of joint1<br>falling −1, rising +1" in titles
+    assert "approach of joint1<br>falling −1, rising +1" in titles
     assert "joint1 residual [mrad]" in titles
     assert "plan: x [mm]" in titles
     kinds = [{t.get("name") for t in f["data"]} for f in figures(text)]
     assert any({"1 σ of the model"} <= names for names in kinds)
     assert any({"base", "driven", "rod", "platform", "parameters"} <= names for names in kinds)
+
+
+def test_octants_list_orientations_only_where_they_were_measured():
+    one = Region("x< y<", np.zeros(3), 9, 40e-6, 0.0, 0.0, np.zeros(3))
+    assert "orientation" not in failures._regions([one])
+    assert "1.00 arcmin" in failures._regions([replace(one, orientation_rms=np.pi / 10800)])
+
+
+def test_samples_that_the_diagnosis_set_aside_are_named_below_the_table(made):
+    aside = OddSample(40, 1.0, 20.4, 0.0, True, 0.0, 0.1, np.array([3e-4, 0, 4e-4]), np.zeros(3))
+    named = replace(aside, name="S41")
+    said = failures.samples(replace(made, diagnosis=replace(made.diagnosis, knocked=(named,))))
+    assert "Set aside by the diagnosis" in said
+    assert "40 'S41' (20 sigmas of the noise, 0.5 mm)" in unescape(said)
+    assert "There are no odd samples" not in said
 
 
 # ------------------------------------------------------------------ in a browser

@@ -410,6 +410,10 @@ def test_a_better_model_is_written_without_a_question_and_both_errors_are_report
     assert "has an error of 606 um" in found.comparison
     assert "at samples that none of its fits used, this model of 37 um" in found.comparison
     assert "better by a factor of" in found.comparison
+    in_use, this = found.models
+    assert (in_use.errors, this.errors) == (found.in_use_errors, found.errors)
+    assert in_use.samples == this.samples == 94
+    assert 0 < this.sigmas["position"] < 0.1 * this.errors.position_rms
     assert read_model(file).history[-1]["step"] == "fit"
     assert Session(session.folder).state == session.state
 
@@ -430,11 +434,13 @@ def test_a_model_in_use_that_other_samples_made_is_judged_as_it_is(session, in_u
 def test_an_amber_model_is_written_only_where_the_owner_insists(session, tmp_path):
     file = tmp_path / "robot.yaml"
     session.record_verdict(session.state, "explained", "backlash explains what is left")
-    with pytest.raises(SaveRefused, match="the verdict on this model is explained: backlash"):
+    with pytest.raises(
+        SaveRefused, match="the verdict on this model is explained, not yet in the model: backlash"
+    ):
         session.save(file)
     assert not file.exists()
     session.save(file, insist=lambda replacement: True)
-    assert "explained: backlash" in read_model(file).history[-1]["forced"]
+    assert "explained, not yet in the model: backlash" in read_model(file).history[-1]["forced"]
 
 
 def test_the_verdict_and_not_its_sentence_decides_whether_a_model_is_amber(session, tmp_path):

@@ -148,12 +148,12 @@ def test_the_figure_shows_measured_means_and_pattern_in_sigmas(ripple):
     names = [trace["name"] for trace in drawn["data"] if trace["showlegend"]]
     assert names == [
         "measured",
-        "99 % band of the mean without dependence",
+        "99 % band",
         "measured, mean",
-        "pattern of the effect",
+        "pattern of gear_transmission_error",
     ]
     layout = drawn["layout"]
-    assert layout["xaxis"]["title"]["text"] == "joint1, within 4.50 deg [deg]"
+    assert layout["xaxis"]["title"]["text"] == "joint1 mod 4.50 deg [deg]"
     assert layout["yaxis3"]["title"]["text"] == "joint3 residual [σ]"
     assert layout["yaxis"]["range"] == layout["yaxis2"]["range"]
     mean, pattern = (np.array(drawn["data"][k]["y"], dtype=float) for k in (2, 3))

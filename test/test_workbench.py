@@ -8,6 +8,7 @@ import resource
 import shutil
 import signal
 import socket
+import subprocess
 import time
 from pathlib import Path
 
@@ -15,8 +16,9 @@ import numpy as np
 import pytest
 import virtual_findings as vf
 from findings import hiding
-from workbench_page import LONG, Served, beside_a_played_robot, opened, until
+from workbench_page import LONG, Served, beside_a_played_robot, command, opened, until
 
+from parallel_cal.diagnosis.verdict_words import describe_verdict
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.model import new_model
@@ -48,12 +50,18 @@ def test_a_bench_takes_steps_beside_and_shows_what_came_out(folder):
     bench.begin("fit")  # one step at a time: nothing
     until(lambda: not bench.busy, "fit")
     assert bench.version > version
-    assert bench.view["verdict"]["words"].startswith("one effect missing: backlash")
+    assert bench.view["verdict"]["words"].startswith("explained, not yet in the model: backlash")
     assert bench.view["verdict"]["colour"] == "amber"
-    assert bench.session.state.verdict == "explained"
+    state = bench.session.state
+    assert state.verdict == "explained"
+    # The header and the history have the same words.
+    assert bench.view["verdict"]["words"] == describe_verdict(state.verdict, state.summary)
     bench.save()
     until(lambda: not bench.busy, "Save")
-    assert "the verdict on this model is explained: backlash" in bench.question.words
+    assert (
+        "the verdict on this model is explained, not yet in the model: backlash"
+        in bench.question.words
+    )
     assert not bench.output.exists()
     bench.save(bench.question.key)
     until(lambda: not bench.busy, "Save")
@@ -242,6 +250,24 @@ def test_a_port_in_use_is_refused_before_a_session_is_made(tmp_path, capsys):
     assert not folder.exists()
 
 
+def test_a_second_server_of_a_session_is_refused_and_a_dead_one_leaves_no_lock(folder, tmp_path):
+    first = Served(folder)
+    try:
+        answer = subprocess.run(
+            command(folder, port=first.port + 1), capture_output=True, text=True, timeout=LONG
+        )
+        assert answer.returncode == 1
+        said = f"{folder}: process {first.process.pid} at {first.url} serves this session already"
+        assert said in answer.stderr
+        assert "Traceback" not in answer.stderr
+    finally:
+        first.end(signal.SIGKILL)
+    log = (tmp_path / "log").open("w")
+    again = Served(folder, log=log)
+    again.end()
+    assert "already" not in (tmp_path / "log").read_text()
+
+
 def test_a_session_that_cannot_be_written_says_so(folder):
     session = Session(folder)
     (folder / ".lock").unlink(missing_ok=True)
@@ -273,7 +299,7 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
         page.get_by_text("Where it fails").wait_for()
 
         page.get_by_role("button", name="Fit", exact=True).click()
-        page.locator("#verdict").get_by_text("one effect missing: backlash").wait_for()
+        page.locator("#verdict").get_by_text("explained, not yet in the model: backlash").wait_for()
         fitted = page.locator("header").inner_text()
         assert "606 ± 11 µm" in fitted
         page.get_by_role("cell", name="606 ± 11 µm").wait_for()  # before the fit, in the history
@@ -296,7 +322,7 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
         other = browser.new_page()
         other.set_default_timeout(1000 * LONG)
         other.goto(served.url)
-        other.locator("#verdict").get_by_text("one effect missing").wait_for()
+        other.locator("#verdict").get_by_text("explained, not yet in the model").wait_for()
 
         page.get_by_role("button", name="add backlash").click()
         page.locator("#verdict").get_by_text("down to the noise").wait_for()
@@ -314,7 +340,7 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
         assert "backlash" in [effect.name for effect in read_model(output).effects]
 
         page.get_by_role("button", name="Undo", exact=True).click()
-        page.locator("#verdict").get_by_text("one effect missing").wait_for()
+        page.locator("#verdict").get_by_text("explained, not yet in the model").wait_for()
         page.get_by_label("name of new branch").fill("careful")
         page.get_by_role("button", name="Branch", exact=True).click()
         page.get_by_role("cell", name="careful").wait_for()
@@ -375,7 +401,7 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
         page = browser.new_page(viewport={"width": 1280, "height": 1000})
         page.set_default_timeout(1000 * LONG)
         page.goto(served.url)
-        page.locator("#verdict").get_by_text("one effect missing: backlash").wait_for()
+        page.locator("#verdict").get_by_text("explained, not yet in the model: backlash").wait_for()
         assert "AP" in page.locator("#iso").inner_text()
         counts = page.locator("#counts").inner_text()
         assert "rms at 94 samples of 74 held-out poses" in counts
@@ -563,7 +589,7 @@ def test_stop_and_pause_are_in_view_at_every_size_and_act(browser, at_robot, tmp
     page = browser.new_page(viewport={"width": 1280, "height": 800})
     page.set_default_timeout(1000 * LONG)
     page.goto(at_robot.url)
-    page.locator("#verdict").get_by_text("one effect missing").wait_for()
+    page.locator("#verdict").get_by_text("explained, not yet in the model").wait_for()
     page.locator("#campaign").get_by_text("moving: pose 27").wait_for()
     for width, height in ((800, 600), (1280, 800), (1920, 1080), (853, 480), (640, 400)):
         page.set_viewport_size({"width": width, "height": height})
@@ -616,13 +642,24 @@ def test_the_server_writes_over_a_better_model_only_what_the_owner_confirmed(fol
 
     save()
     first = bench.question
-    assert "the model in use has an error of 32.5 um" in first.words
-    assert "this model of 37 um" in first.words
+    assert first.words.startswith("this model is worse by a factor of 1.07")
+    in_use, this = bench.table["rows"]
+    assert (in_use["model"], in_use["effects"]) == ("model in use", "backlash")
+    assert (this["model"], this["effects"]) == ("this model", "none")
+    for row, error in ((in_use, 32.5), (this, 37.0)):
+        value, sigma = re.match(
+            r"([\d.]+) ± ([\d.]+) µm, [\d.]+ ± [\d.]+ arcmin", row["rms error"]
+        ).groups()
+        assert float(value) == pytest.approx(error, rel=0.01)
+        assert 0.5 < float(sigma) < 5
+        assert row["judged"] == "at held-out poses"
+        assert int(row["samples"]) == 94
     save("yes")  # no page's click, but a request that knows of none
     assert bench.question == first
     assert output.read_text() == better
     bench.decline()
     assert bench.question is None
+    assert bench.table is None
     assert "is unchanged" in bench.message
     output.write_text(better + "# written by a campaign meanwhile\n")
     save(first.key)
@@ -630,7 +667,8 @@ def test_the_server_writes_over_a_better_model_only_what_the_owner_confirmed(fol
     assert "campaign" in output.read_text()
     save(bench.question.key)
     assert bench.question is None
-    assert bench.message.startswith(f"written: {output}")
+    assert bench.message.startswith(f"written: {output}; this model is worse")
+    assert len(bench.table["rows"]) == 2
     assert not read_model(output).effects
     assert "this model is worse" in read_model(output).history[-1]["forced"]
     assert bench.session.state.step == "save to robot.yaml, forced"
@@ -652,9 +690,14 @@ def test_the_page_asks_before_it_overwrites_a_better_model(browser, folder, tmp_
         page = browser.new_page(viewport={"width": 1280, "height": 800})
         page.set_default_timeout(1000 * LONG)
         page.goto(served.url)
-        page.locator("#verdict").get_by_text("one effect missing: backlash").wait_for()
+        page.locator("#verdict").get_by_text("explained, not yet in the model: backlash").wait_for()
         page.get_by_role("button", name="Save", exact=True).click()
         page.locator("#question").get_by_text("this model is worse by a factor of").wait_for()
+        rows = page.locator("#compared tbody tr")
+        assert [row.split("\t")[0] for row in rows.all_inner_texts()] == [
+            "model in use",
+            "this model",
+        ]
         page.get_by_role("button", name="Keep the model in use", exact=True).click()
         page.locator("#message").get_by_text("not saved").wait_for()
         assert output.read_text() == better
@@ -683,7 +726,7 @@ def test_a_refused_effect_is_added_with_a_reason_that_both_histories_keep(browse
         page = browser.new_page(viewport={"width": 1280, "height": 800})
         page.set_default_timeout(1000 * LONG)
         page.goto(served.url)
-        page.locator("#verdict").get_by_text("one effect missing: backlash").wait_for()
+        page.locator("#verdict").get_by_text("explained, not yet in the model: backlash").wait_for()
         page.get_by_text("tested effects not significant").click()
         page.get_by_role("button", name="add encoder_gain").click()
         page.locator("#question").get_by_text("Add encoder_gain anyway?").wait_for()
@@ -735,6 +778,13 @@ def test_a_table_is_imported_with_its_columns_named_on_the_page(browser, tmp_pat
         page.get_by_role("button", name="Import a table", exact=True).first.click()
         page.locator("input[type=file]").set_input_files(table)
         page.get_by_text(f"{count} rows; the first ones:").wait_for()
+        # Where the columns need more room than there is, a scrollbar is always in view.
+        page.set_viewport_size({"width": 420, "height": 900})
+        preview = page.locator(".q-dialog .q-table__middle")
+        assert preview.evaluate("e => e.scrollWidth > e.clientWidth")
+        bar = "e => getComputedStyle(e, '::-webkit-scrollbar').height"
+        assert preview.evaluate(bar) == "12px"
+        page.set_viewport_size({"width": 1280, "height": 900})
 
         def choose(label, words):
             page.get_by_label(label, exact=True).click()
@@ -785,6 +835,7 @@ def test_a_table_with_the_documented_names_is_previewed_as_the_command_line_read
         "temperature.arms": "temperature.arms [degC]",
     }
     assert found["readings"] == {"probe.gauge": "reading.probe.gauge"}
+    assert found["name"] == "Shot"
     table.write_text("joint1 [deg],temperature [Pa]\n1,2\n")
     assert "'Pa' is no unit of temperature" in preview_table(table, folder)["error"]
 
@@ -794,8 +845,8 @@ def test_the_sides_of_a_table_and_its_angles_reach_the_samples(browser, tmp_path
     data, folder, table = load_dataset(BAG), tmp_path / "s", tmp_path / "sides.csv"
     sides = np.column_stack([data.conditions[f"direction.joint{k}"] for k in (1, 2, 3)])
     names = [f"joint{k} [deg]" for k in (1, 2, 3)] + ["x [mm]", "y [mm]", "z [mm]"]
-    names += [f"direction.joint{k}" for k in (1, 2, 3)] + ["A", "B", "C", "Shot"]
-    rows = np.column_stack([np.degrees(data.q), 1e3 * data.r, sides, np.zeros((len(data), 4))])
+    names += [f"direction.joint{k}" for k in (1, 2, 3)] + ["A", "B", "C", "Shot", "Remark"]
+    rows = np.column_stack([np.degrees(data.q), 1e3 * data.r, sides, np.zeros((len(data), 5))])
     text = [",".join(names), *(",".join(map(repr, row)) for row in rows.tolist())]
     table.write_text("\n".join(text))
     served = Served(MODEL, "--session", folder)
@@ -806,7 +857,7 @@ def test_the_sides_of_a_table_and_its_angles_reach_the_samples(browser, tmp_path
         page.get_by_role("button", name="Import a table", exact=True).first.click()
         page.locator("input[type=file]").set_input_files(table)
         unused = page.locator("#unused")
-        unused.get_by_text("not used: A, B, C, Shot").wait_for()
+        unused.get_by_text("not used: A, B, C, Remark").wait_for()
         page.get_by_label("column of joint2", exact=True).click()
         page.get_by_role("option", name="joint1 [deg]", exact=True).click()
         page.get_by_role("button", name="Import", exact=True).click()
@@ -816,7 +867,7 @@ def test_the_sides_of_a_table_and_its_angles_reach_the_samples(browser, tmp_path
         page.get_by_role("option", name="joint2 [deg]", exact=True).click()
         page.get_by_label("orientation", exact=True).click()
         page.get_by_role("option", name="three angles", exact=True).click()
-        unused.get_by_text("not used: Shot", exact=True).wait_for()
+        unused.get_by_text("not used: Remark", exact=True).wait_for()
         page.get_by_label("unit of the angles", exact=True).click()
         page.get_by_role("option", name="deg", exact=True).click()
         page.get_by_label("position [µm]").fill("20")
@@ -829,6 +880,7 @@ def test_the_sides_of_a_table_and_its_angles_reach_the_samples(browser, tmp_path
     for k in (1, 2, 3):
         np.testing.assert_array_equal(found.conditions[f"direction.joint{k}"], sides[:, k - 1])
     assert not found.sides_from_order
+    assert found.names == dict.fromkeys(range(len(data)), "0.0")  # the column Shot
     assert found.measured.all()
     np.testing.assert_allclose(found.pose_cov[0, 0, 0], 20e-6**2)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+from contextlib import ExitStack
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -65,14 +66,14 @@ def workbench(
     if find_spec("nicegui") is None:
         raise ParallelCalError("the workbench needs NiceGUI: pip install 'parallel_cal[workbench]'")
     from parallel_cal.workbench.bench import make_worker
-    from parallel_cal.workbench.server import LOOPBACK, serve
+    from parallel_cal.workbench.server import LOOPBACK, hold_session, serve
 
     if host not in LOOPBACK and not token:
         raise ParallelCalError(
             f"--host {host}: other computers can connect; give a --token that they must know"
         )
     _check_port(host, port)
-    watch = None
+    watch, held = None, ExitStack()
     if ros:
         if find_spec("rclpy") is None:
             raise ParallelCalError("--ros needs ROS 2: pip install 'parallel_cal[ros]'")
@@ -88,6 +89,8 @@ def workbench(
         folder = model if model.is_dir() else session or model.with_suffix(".session")
         worker = make_worker()
         _prepare_session(worker, folder, model, bags or [], options, data)
+        address = f"http://{host}:{port}/"
+        held.enter_context(hold_session(folder, address))
         output = output or served or folder / "model.yaml"
         if watch and not served:  # start both nodes on the file that Save writes
             from parallel_cal.model.file.modelfile import write_model
@@ -97,11 +100,12 @@ def workbench(
                 write_model(Session(folder).model, output)
             watch.start(folder, output)
             console.note(f"started kinematics_node and calibration_node on {output}")
-        address = f"http://{host}:{port}/" + (f"?token={token}" if token else "")
-        console.note(f"{folder}: {address} (Ctrl-C stops the server; the session is kept)")
+        link = f"{address}?token={token}" if token else address
+        console.note(f"{folder}: {link} (Ctrl-C stops the server; the session is kept)")
         how: dict[str, Any] = {"host": host, "port": port, "token": token, "show": browser}
         serve(folder, output, watch, worker=worker, **how)
     finally:
+        held.close()
         if watch:
             watch.close()
 

@@ -180,7 +180,7 @@ class Diagnosis(ShownInNotebook):
             )
         discovers = [discover] if self.leaves_an_error else []
         checks = [
-            f"check sample {one.sample}, or exclude it from each command: {exclude}"
+            f"check sample {one.title}, or exclude it from each command: {exclude}"
             for one in self.knocked
         ]
         steps = discovers + adds if self.verdict.suspected_of_law else adds + discovers

@@ -65,6 +65,11 @@ class Entry:
         return self.candidate.name
 
     @property
+    def is_significant(self) -> bool:
+        """Whether the residuals show its pattern."""
+        return self.p_adjusted is not None and self.p_adjusted < EFFECT_SIGNIFICANCE_LEVEL
+
+    @property
     def remaining(self) -> float | None:
         """Share of its columns that no geometry imitates."""
         return self.candidate.score.remaining if self.candidate.score else None

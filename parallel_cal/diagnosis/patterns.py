@@ -11,6 +11,7 @@ import numpy as np
 
 from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL
 from parallel_cal.base.errors import FitError
+from parallel_cal.base.sample_names import format_sample
 from parallel_cal.base.units import MM
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import find_varying_coordinates, regressors
@@ -125,10 +126,10 @@ def regions(scene: Scene, field: Field) -> tuple[Region, ...]:
 class OddSample:
     """A sample that is an outlier, or without which the geometry would be another.
 
-    `sigmas` is its rms residual, the typical one taken for the noise, `p_value` the chance of one
-    as large in a whole data set; `leverage` the share of the geometry's freedoms that it alone
-    decides; position_error (3,) in m; `place` (3,) m where the model puts the platform. `time` is
-    NaN if it was not recorded.
+    `sigmas` is its rms residual in sigmas of the noise, as Scene.sigmas. `p_value` is the chance of
+    one as large in a whole data set, if the noise is as large as the typical residual. `leverage`
+    is the share of the geometry's freedoms that it alone decides; position_error (3,) in m;
+    `place` (3,) m where the model puts the platform. `time` is NaN if it was not recorded.
     """
 
     sample: int
@@ -140,11 +141,18 @@ class OddSample:
     leverage: float
     position_error: np.ndarray
     place: np.ndarray
+    name: str = ""
+
+    @property
+    def title(self) -> str:
+        """Its number, and its name if it has one."""
+        return format_sample(self.sample, self.name)
 
     @property
     def size(self) -> str:
-        """Its residual in words: `19 sigmas, 0.324 mm`."""
-        return f"{self.sigmas:.0f} sigmas, {np.linalg.norm(self.position_error) / MM:.3g} mm"
+        """Its residual in words: `19 sigmas of the noise, 0.324 mm`."""
+        size = np.linalg.norm(self.position_error) / MM
+        return f"{self.sigmas:.0f} sigmas of the noise, {size:.3g} mm"
 
     @property
     def label(self) -> str:
@@ -154,8 +162,8 @@ class OddSample:
 def odd_samples(scene: Scene, field: Field) -> tuple[OddSample, ...]:
     """Find outliers and influential samples, largest residual first.
 
-    The typical residual serves as the noise. An outlier's squared residual would occur once in a
-    thousand data sets. A Cook's distance above 1 moves the estimate by about its sigma.
+    For p_value, the typical residual serves as the noise. An outlier's squared residual would occur
+    once in a thousand data sets. A Cook's distance above 1 moves the estimate by about its sigma.
     """
     from scipy.special import chdtrc
 
@@ -170,13 +178,14 @@ def odd_samples(scene: Scene, field: Field) -> tuple[OddSample, ...]:
         OddSample(
             sample=int(scene.dataset.numbers[i]),
             time=float(scene.dataset.time[i]) if scene.dataset.has_time else math.nan,
-            sigmas=float(np.sqrt(squared[i] / max(k * scale, 1e-300))),
+            sigmas=float(scene.sigmas[i]),
             p_value=float(min(p[i], 1.0)),
             outlier=bool(p[i] < OUTLIER_SIGNIFICANCE_LEVEL),
             cooks_distance=float(cook[i]),
             leverage=float(leverage[i]),
             position_error=field.pose[i, :3],
             place=scene.x[i, n : n + 3],
+            name=scene.dataset.names.get(int(scene.dataset.numbers[i]), ""),
         )
         for i in np.flatnonzero(
             (p < OUTLIER_SIGNIFICANCE_LEVEL) | (cook > MIN_INFLUENTIAL_COOKS_DISTANCE)
@@ -233,7 +242,7 @@ def _find_still_far(knocked: Sequence[OddSample], base: FitResult, other: Model)
 
 def describe_knocked_samples(knocked: Sequence[OddSample]) -> str:
     """Name the samples that a verdict leaves out, to be put behind it."""
-    names = " and ".join(f"sample {one.sample} ({one.size})" for one in knocked)
+    names = " and ".join(f"sample {one.title} ({one.size})" for one in knocked)
     verb, them = ("are", "them") if len(knocked) > 1 else ("is", "it")
     return (
         f"Not used: {names}, which {verb} far from what all others show, as if somebody knocked "

@@ -73,7 +73,8 @@ def compute_measured_components(scene: Scene) -> Components:
 class Panel:
     """A component's residual (N,) in its sigmas over the most informative quantity, `at` (N,) in SI
     units, and the candidate's `pattern` (N,); a periodic pattern is folded into one `period`.
-    Samples without information are not in it; `sample` (N,) numbers the others."""
+    Samples without information are not in it; `sample` (N,) numbers the others. `sigma` is the
+    median of the component's sigmas, in SI units."""
 
     component: str
     abscissa: str
@@ -82,6 +83,7 @@ class Panel:
     at: np.ndarray
     residual: np.ndarray
     pattern: np.ndarray
+    sigma: float
 
 
 @dataclass(frozen=True)
@@ -214,6 +216,7 @@ def _panel(
         values[told],
         residual[told],
         pattern[told],
+        float(np.median(shown.sigma[told, k])),
     )
 
 

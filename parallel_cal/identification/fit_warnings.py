@@ -66,7 +66,8 @@ def _describe_sigma(tolerances: float) -> str:
 
 
 def on_priors(model: Model, estimate: Estimate) -> list[str]:
-    """List weak directions, which the tolerances determine as priors."""
+    """Say which weak directions the tolerances decide as priors, what this means, and what to
+    do."""
     weak = estimate.spectrum.weak
     if not (estimate.spectrum.held and weak):
         return []
@@ -74,9 +75,18 @@ def on_priors(model: Model, estimate: Estimate) -> list[str]:
         direction_in_words(c, model.table) for c in weak[: -MAX_NAMED_WEAK_DIRECTIONS - 1 : -1]
     ]
     more = f"; and {len(weak) - len(named)} more" if len(weak) > len(named) else ""
+    if one := len(weak) == 1:
+        it, its, stays = "it", "its", "it stays"
+    else:
+        it, its, stays = "them", "their", "they stay"
     return [
-        f"the tolerances determine {len(weak)} combination{'s' * (len(weak) > 1)} of parameters as "
-        f"priors, because the data determine them less well: {'; '.join(named)}{more}"
+        f"these samples hardly determine {len(weak)} combination{'' if one else 's'} of "
+        f"parameters: a change by one tolerance moves the residuals by less than one sigma. So the "
+        f"tolerances decided: {stays} near nominal, and {its} sigma is about the tolerance that "
+        f"the model file states, not a result of the measurement. Errors near the measured poses "
+        f"hardly depend on {it}; elsewhere they may. To determine {it}, measure more varied poses "
+        f"(plan proposes them), or state a smaller tolerance if you know the part better. "
+        f"{'The combination' if one else 'The combinations'}: {'; '.join(named)}{more}"
     ]
 
 

@@ -160,7 +160,8 @@ class ColumnMap(Part):
     `orientation` is a quaternion x y z w; `angles`, `rotation_vector` and `matrix` (nine columns,
     row by row) are alternatives. `joints_only` states that nothing but redundant joints was read. A
     condition is a column,
-    or a constant number. Rows of equal `group` are visits of one pose. `visits` states whether the
+    or a constant number. Rows of equal `group` are visits of one pose. The column `name` has a name
+    of each row, such as the number of a shot. `visits` states whether the
     robot visited the poses in the order of the rows. `noise` is 1 sigma as the manufacturers state
     it (SI; for a motor's angle without `per_rev`, of this angle).
     """
@@ -175,6 +176,7 @@ class ColumnMap(Part):
     joints_only: bool = False
     conditions: dict[str, str | float] = Field(default_factory=dict)
     group: str | None = None
+    name: str | None = None
     visits: Literal["in order", "unordered"] = "in order"
     join: Join | None = None
     log: Log | None = None
@@ -210,7 +212,7 @@ class ColumnMap(Part):
         names = self.joint_columns + self.pose_columns
         names += [reading.column for reading in self.readings.values()]
         names += [c for c in self.conditions.values() if isinstance(c, str)]
-        return names + ([self.group] if self.group else [])
+        return names + [one for one in (self.group, self.name) if one]
 
 
 # The keys of a column map that have keys themselves; those of `joints` and `readings` have names
@@ -225,6 +227,7 @@ PARTS: dict[str, type[Part]] = {
     "log": Log,
     "noise": NoisePart,
 }
+SAMPLE_NAMES = ("shot", "id", "name", "label")  # usual names of the column of a row's name
 ORIENTATIONS = ("orientation", "angles", "rotation_vector", "matrix")
 POSITION, QUATERNION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")  # names without a column map
 MAX_SHOWN_HEADER = 400  # characters of a table's header in a message
@@ -249,7 +252,15 @@ def map_by_names(table: Table, joints: Sequence[str], beside: Path) -> ColumnMap
         orientation=orientation if len(orientation) == 4 else None,
         readings=readings,
         conditions=find_conditions(table, joints),
+        name=find_names(table),
     )
+
+
+def find_names(table: Table) -> str | None:
+    """Return the column of a table that has a name of each row; None if no column has its usual
+    names."""
+    small = {word.lower(): word for word in table.header}
+    return next((small[name] for name in SAMPLE_NAMES if name in small), None)
 
 
 def _explain_missing(
@@ -352,7 +363,7 @@ def read_column_map(path: Path, measured_elsewhere: bool = False) -> ColumnMap:
             "joints are all that was read, write 'joints_only: true'",
         )
     if found.log:
-        for key, given in (("join", found.join), ("group", found.group)):
+        for key, given in (("join", found.join), ("group", found.group), ("name", found.name)):
             if given is not None:
                 raise document.error(
                     (key,), "log is given as well, which does not need it: remove one of the two"

@@ -16,6 +16,7 @@ from parallel_cal.base.arguments import check_arguments
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.files import write_atomically
+from parallel_cal.base.sample_names import format_sample
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.recordings.recording import Array, Bools, Dropped
 from parallel_cal.recordings.replicates import (
@@ -94,6 +95,8 @@ class Dataset:
         The reason for each sample that was excluded, by its number.
     sides_from_order : bool
         direction.JOINT was not recorded. It follows from the order of a table's rows.
+    names : dict of str
+        Names of samples, such as those of shots, by their numbers; those of excluded ones, too.
     """
 
     joint_names: tuple[str, ...]
@@ -122,6 +125,7 @@ class Dataset:
     recordings: tuple[str, ...] = ()
     excluded: dict[int, str] = dataclasses.field(default_factory=dict)
     sides_from_order: bool = False
+    names: dict[int, str] = dataclasses.field(default_factory=dict)
 
     def __repr__(self) -> str:
         kinds = sorted({name.partition(".")[0] for name in self.conditions})
@@ -238,7 +242,14 @@ class Dataset:
         index = np.arange(len(self))[index.astype(int) if index.dtype != bool else index]
         changed: dict[str, Any] = {name: getattr(self, name)[index] for name in PER_SAMPLE}
         changed["conditions"] = {k: v[index] for k, v in self.conditions.items()}
+        if NUMBER not in self.conditions:  # the samples get new numbers
+            names = (self.names.get(i, "") for i in index.tolist())
+            changed["names"] = {k: name for k, name in enumerate(names) if name}
         return dataclasses.replace(self, **changed)
+
+    def title(self, number: int) -> str:
+        """Return the number of a sample, and its name if it has one: `40 'S041'`."""
+        return format_sample(number, self.names.get(number, ""))
 
     @property
     def numbers(self) -> NDArray[np.int64]:

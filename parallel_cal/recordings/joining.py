@@ -12,7 +12,7 @@ import numpy as np
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.recordings.configuration import explain_difference
-from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.dataset import NUMBER, Dataset
 from parallel_cal.recordings.recording import Array
 from parallel_cal.recordings.replicates import replicate_ids
 from parallel_cal.recordings.samplefile import PER_SAMPLE
@@ -87,6 +87,15 @@ def join_datasets(
         sides_from_order=any(d.sides_from_order for d in parts),
         source=", ".join(dict.fromkeys(d.source for d in parts)),
     )
+    firsts = np.cumsum([0, *map(len, parts[:-1])])
+    if NUMBER not in shared:
+        titles = {
+            int(first) + k: d.names[number]
+            for first, d in zip(firsts, parts, strict=True)
+            for k, number in enumerate(d.numbers.tolist())
+            if number in d.names
+        }
+        together = dataclasses.replace(together, names=titles)
     hashes = [d.sha256 for d in parts]
     if not all(hashes):
         return dataclasses.replace(together, sha256=fingerprint(together), recordings=())

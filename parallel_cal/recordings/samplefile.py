@@ -33,7 +33,7 @@ PER_SAMPLE = (
 )
 MAX_SAMPLE_FILE_BYTES = 512 * MEGABYTE  # a million samples
 NULLABLE_FIELDS = ("pose_cov", "scatter_q", "scatter_pose")  # null if the device does not state it
-OPTIONAL_FIELDS = ("joint_units", "recordings", "excluded", "sides_from_order")
+OPTIONAL_FIELDS = ("joint_units", "recordings", "excluded", "sides_from_order", "names")
 MAX_ORTHOGONALITY_ERROR = 1e-6  # largest difference of an entry of R R^T from the identity
 
 
@@ -131,8 +131,8 @@ def _convert_field(name: str, document: Mapping[str, Any]) -> Any:
     if name == "configuration":  # files of older versions have none
         return {key: float(number) for key, number in document.get(name, {}).items()}
     value = document[name]
-    if name == "excluded":
-        return {int(number): str(reason) for number, reason in value.items()}
+    if name in ("excluded", "names"):
+        return {int(number): str(text) for number, text in value.items()}
     if name in ("count_q", "count_pose", "pose_id"):
         return np.array(value, np.int64)
     if name == "measured":

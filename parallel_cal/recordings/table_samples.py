@@ -62,6 +62,7 @@ def make_dataset(
     pose_id = None
     if wanted.group is not None:
         pose_id = np.unique(found.texts(wanted.group), return_inverse=True)[1]
+    names = dict(enumerate(found.texts(wanted.name))) if wanted.name else {}
     dataset = Dataset.from_arrays(
         tuple(wanted.joints),
         q,
@@ -77,6 +78,7 @@ def make_dataset(
         warnings=tuple(notes),
         joint_units=tuple(found.joint_unit(joint) for joint in wanted.joints.values()),
         sides_from_order=from_order,
+        names={number: name for number, name in names.items() if name},
     )
     # Of the numbers, not of the files: another column map makes other samples of the same files.
     return dataclasses.replace(dataset, sha256=fingerprint(dataset))

@@ -240,7 +240,8 @@ def places(scene: Scene, kind: str | None) -> np.ndarray:
 
 def unit_along(m: Mechanism, name: str) -> str:
     """Return the SI unit of a joint, a coordinate or a condition; empty if none is stated."""
-    own = dict(zip(m.joints, m.joint_units, strict=True)) | dict.fromkeys("xyz", "m")
+    units = dict.fromkeys(POSE[:3], "m") | dict.fromkeys(POSE[3:], "rad")
+    own = dict(zip(m.joints, m.joint_units, strict=True)) | units
     kind, _, joint = name.partition(".")
     stated = CONDITIONS[kind][0] if kind in CONDITIONS else ""
     # The unit of a joint's condition is stated for revolute joints.
@@ -262,6 +263,7 @@ class JudgedSample:
     now: Mapping[str, float]
     found: Mapping[str, float] | None
     odd: str
+    name: str = ""
 
 
 def samples(diagnosis: Diagnosis) -> list[JudgedSample]:
@@ -298,6 +300,7 @@ def _list_samples(
             now=now[i],
             found=None if found is None else found[i],
             odd=odd.get(data.numbers[i], ""),
+            name=data.names.get(int(data.numbers[i]), ""),
         )
         for i in np.argsort(-scene.sigmas, kind="stable")
     ]

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from parallel_cal.diagnosis.diagnose import Diagnosis
+from parallel_cal.diagnosis.entries import Entry
 from parallel_cal.diagnosis.separate import PlannedPose
 from parallel_cal.diagnosis.signature import signature
-from parallel_cal.diagnosis.thresholds import MAX_REFITTED_CANDIDATES
+from parallel_cal.diagnosis.thresholds import EFFECT_SIGNIFICANCE_LEVEL, MAX_REFITTED_CANDIDATES
 from parallel_cal.reporting import signatures
 from parallel_cal.reporting.blocks import Column
 from parallel_cal.reporting.contents import unit_along
 from parallel_cal.reporting.markup import (
     Plot,
     as_html,
+    figure,
     folded,
     items,
     paragraph,
@@ -36,8 +39,11 @@ PATTERNS = 4  # candidates whose patterns are drawn
 
 
 NOTE_ON_PATTERNS = (
-    "The pattern of each candidate over the residuals of the present model. An effect fits if "
-    "the dashed line follows the blue one and both leave the band."
+    "The pattern of each candidate over the residuals of the present model: the part that the "
+    "geometry cannot absorb. The band contains 99 % of the means of residuals that do not depend "
+    "on the quantity. An effect fits if the dashed line follows the blue one and both leave the "
+    "band. p is that of all panels of an effect together; an amplitude is half of the "
+    "peak-to-peak value of the dashed line."
 )
 
 
@@ -60,13 +66,7 @@ def candidates(report: Report, plot: Plot) -> str:
     shown = paragraph("No effect could be tested.", "none")
     if first:
         shown = as_html([candidate_table(found, first)])
-    pages = {}
-    for entry in first[:PATTERNS]:
-        drawn = signature(entry.candidate)
-        if drawn.panels:
-            pages[entry.name] = plot(signatures.figure(drawn, found.model.mechanism))
-    if pages:
-        shown += paragraph(NOTE_ON_PATTERNS, "note") + tabs(pages)
+    shown += _patterns(found, tested, plot)
     if later:
         more = as_html([candidate_table(found, later)])
         shown += folded(f"{len(later)} more effects fit no better", more)
@@ -74,6 +74,31 @@ def candidates(report: Report, plot: Plot) -> str:
         listed = table(("effect", "reason"), rest, "evidence")
         shown += folded(f"Not tested: {len(rest)}", listed)
     return paragraph(note, "note") + items(remarks) + shown
+
+
+def _patterns(found: Diagnosis, tested: Sequence[Entry], plot: Plot) -> str:
+    """Render the patterns of the likeliest effects that the residuals show."""
+    seen = [e for e in tested if e.name in found.effects or e.is_significant]
+    pages, mechanism = dict[str, str](), found.model.mechanism
+    for entry in seen[:PATTERNS]:
+        drawn = signature(entry.candidate)
+        if drawn.panels:
+            words = signatures.describe_pattern(drawn, entry.p_adjusted, mechanism)
+            pages[entry.name] = figure(
+                plot(signatures.figure(drawn, mechanism)), f"Pattern of {entry.name}:", words
+            )
+    clear = f"p > {EFFECT_SIGNIFICANCE_LEVEL:g}"
+    counts = {
+        "that the residuals show less clearly": len(seen) - len(pages),
+        f"that the residuals do not show ({clear})": len(tested) - len(seen),
+    }
+    others = [
+        f"{n} {'effect' if n == 1 else 'effects'} {words}" for words, n in counts.items() if n
+    ]
+    rest = f"Not drawn: the patterns of {' and of '.join(others)}." if others else ""
+    return (paragraph(NOTE_ON_PATTERNS, "note") + tabs(pages, titled=True) if pages else "") + (
+        paragraph(rest, "note") if rest else ""
+    )
 
 
 def measure_next(report: Report) -> str:

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
+from parallel_cal.base.sample_names import format_sample
 from parallel_cal.diagnosis.lack_of_fit import SmoothMap
 from parallel_cal.diagnosis.patterns import Region
 from parallel_cal.diagnosis.signature import signature
 from parallel_cal.reporting import image_figures, images, joint_panels, maps, spaces
-from parallel_cal.reporting.markup import Plot, as_html, folded, paragraph, table, tabs
+from parallel_cal.reporting.markup import Plot, as_html, figure, folded, paragraph, table, tabs
 from parallel_cal.reporting.multiples import colour, multiples
 from parallel_cal.reporting.readable import (
+    ABOUT_SAMPLES,
     name_p_value,
     percent,
     probability,
@@ -19,7 +21,7 @@ from parallel_cal.reporting.readable import (
     with_unit,
 )
 from parallel_cal.reporting.report import Report
-from parallel_cal.reporting.results import sample_table
+from parallel_cal.reporting.results import PATTERN_SIGNIFICANCE_LEVEL, sample_table
 
 MAX_SAMPLE_ROWS = 400  # rows of the table of samples, worst first
 MAX_PRINTED_SAMPLE_ROWS = 100  # as in page.css
@@ -27,7 +29,8 @@ MAX_OPEN_PANELS = 8  # panels that are not folded
 PROFILE_NOTE = (
     "Residuals in sigmas of the noise. Grey: every sample. Coloured: the rolling mean. The band "
     "contains 99 % of such means if the residuals do not depend on the quantity; of many windows "
-    "a few leave it by chance. The strongest dependence of the present model comes first. "
+    "a few leave it by chance, and p is the chance of one as far outside as the farthest. The "
+    "strongest dependence of the present model comes first. "
     "Quantities that did not vary, such as velocities at rest, are not shown."
 )
 SWITCH = (
@@ -43,7 +46,7 @@ def over_images(report: Report, plot: Plot) -> str:
     fitted = report.diagnosis.best.fitted
     told = as_html(images.describe_images(fitted))
     pages = {
-        one.name: paragraph(one.words, "note") + plot(one.figure)
+        one.name: figure(plot(one.figure), caption=one.words)
         for one in image_figures.draw_cameras(fitted)
     }
     return tabs(pages) + told if pages else ""
@@ -55,7 +58,7 @@ def in_space(report: Report, plot: Plot) -> str:
     if left.kind is None:
         return paragraph("No pose was measured: there are no residuals in space.", "none")
     fields = [left.now] if left.found is None else [left.now, left.found]
-    figure, scale = spaces.residual_arrows(left.place, fields, left.kind, left.sample)
+    arrows, scale = spaces.residual_arrows(left.place, fields, left.kind, left.sample)
     flat, same = maps.residuals(left.place, fields, left.kind, left.sample)
     what = (
         f"Measured minus predicted position, magnified {scale:g} times."
@@ -68,9 +71,8 @@ def in_space(report: Report, plot: Plot) -> str:
     wheel = '<span class="wheel" aria-hidden="true"></span>'
     legend = f'<p class="note legend">{wheel}<span>{escape(f"{what} {COLOURS}")}</span></p>'
     pages = {
-        "in space": legend + plot(figure),
-        "plan, front, side": paragraph(f"Residuals, magnified {same:g} times.", "note")
-        + plot(flat),
+        "in space": figure(legend + plot(arrows)),
+        "plan, front, side": figure(plot(flat), caption=f"Residuals, magnified {same:g} times."),
     }
     if report.spread is not None:
         ellipses, wide = maps.workspace(report.spread)
@@ -79,7 +81,7 @@ def in_space(report: Report, plot: Plot) -> str:
             f"{wide:g} times, and 1 σ as colour. They follow from the covariance of the "
             "parameters, not from the residuals."
         )
-        pages["model uncertainty"] = paragraph(note, "note") + plot(ellipses)
+        pages["model uncertainty"] = figure(plot(ellipses), caption=note)
     return (SWITCH if left.found is not None else "") + tabs(pages) + _regions(report.regions)
 
 
@@ -87,14 +89,15 @@ def _regions(rows: Sequence[Region]) -> str:
     """Render the rms errors of the workspace's octants, worst first."""
     if not rows:
         return ""
+    turns = any(r.orientation_rms for r in rows)  # 0 if orientations were not measured
     listed = table(
-        ("octant", "samples", "position rms", "orientation rms"),
+        ("octant", "samples", "position rms", *(["orientation rms"] if turns else [])),
         [
             (
                 r.region,
                 str(r.samples),
                 with_unit(r.position_rms, "m"),
-                with_unit(r.orientation_rms, "rad"),
+                *([with_unit(r.orientation_rms, "rad")] if turns else []),
             )
             for r in rows
         ],
@@ -106,27 +109,36 @@ def _regions(rows: Sequence[Region]) -> str:
 
 def along_everything(report: Report, plot: Plot) -> str:
     """Render residuals against joints, position, time and conditions, and each joint's own."""
-    drawn = [
-        f"<figure><figcaption><b>{escape(name)}</b> {escape(words)}</figcaption>"
-        f"{plot(figure)}</figure>"
-        for name, words, figure in multiples(report.along, report.residuals, report.along_found)
-    ]
-    if not drawn:
+    shown, others = list[str](), list[str]()
+    for profile, words, drawn in multiples(report.along, report.residuals, report.along_found):
+        depends = profile.p_value < PATTERN_SIGNIFICANCE_LEVEL
+        panel = figure(plot(drawn), f"Residual against {profile.name}:", words)
+        (shown if depends else others).append(panel)
+    if not shown + others:
         return paragraph("No recorded quantity varied.", "none")
     key = "".join(
         f'<span class="key"><i style="background:{colour(name)}"></i>{escape(name)}</span>'
         for name in report.residuals.components
     )
-    first, rest = "".join(drawn[:MAX_OPEN_PANELS]), "".join(drawn[MAX_OPEN_PANELS:])
     parts = [
         SWITCH if report.residuals.found is not None else "",
         paragraph(PROFILE_NOTE, "note"),
-        f'<p class="note">{key}</p><div class="grid">{first}</div>',
+        f'<p class="note">{key}</p>{_grid(shown[:MAX_OPEN_PANELS])}',
     ]
-    if rest:
-        title = f"{len(drawn) - MAX_OPEN_PANELS} more quantities"
-        parts.append(folded(title, f'<div class="grid">{rest}</div>'))
+    if rest := shown[MAX_OPEN_PANELS:]:
+        more = f"{len(rest)} more {'quantity' if len(rest) == 1 else 'quantities'}"
+        parts.append(folded(more, _grid(rest)))
+    if others:
+        chance = f"p > {PATTERN_SIGNIFICANCE_LEVEL:g}"
+        title = f"{len(others)} quantities on which the residuals do not depend ({chance})"
+        parts.append(f'<div class="on-screen">{folded(title, _grid(others))}</div>')
+        on_paper = f"Not printed: {len(others)} quantities on which the residuals do not depend"
+        parts.append(paragraph(f"{on_paper} ({chance}).", "note more"))
     return "".join(parts) + _joints(report, plot)
+
+
+def _grid(figures: Sequence[str]) -> str:
+    return f'<div class="grid">{"".join(figures)}</div>' if figures else ""
 
 
 def _joints(report: Report, plot: Plot) -> str:
@@ -139,15 +151,16 @@ def _joints(report: Report, plot: Plot) -> str:
     own = [s for s in patterns if any(p.component in found.joints for p in s.panels)]
     candidate = own[0] if own else None
     pattern = f", with the pattern of {candidate.effect}" if candidate else ""
-    pages = {"linear": plot(joint_panels.flat_panels(found, candidate))}
-    if (polar := joint_panels.polar_panels(found, candidate)) is not None:
-        pages["polar"] = plot(polar)
     words = (
         "Encoder reading minus inverse kinematics of the measured pose, present model, against "
         f"the reading{pattern}."
     )
-    title = "<h3>Residual of each joint</h3>"
-    return title + paragraph(words, "note") + tabs(pages)
+    drawn = {
+        "linear": joint_panels.flat_panels(found, candidate),
+        "polar": joint_panels.polar_panels(found, candidate),
+    }
+    pages = {k: figure(plot(one), caption=words) for k, one in drawn.items() if one is not None}
+    return "<h3>Residual of each joint</h3>" + tabs(pages)
 
 
 def structure(report: Report, plot: Plot) -> str:
@@ -164,8 +177,9 @@ def structure(report: Report, plot: Plot) -> str:
         return known + paragraph(
             "There is no smooth map: none predicts the residuals at held-out poses.", "none"
         )
-    figure, scale = drawn
-    return known + paragraph(_caption(found.map, scale), "caution") + plot(figure)
+    arrows, scale = drawn
+    caution = paragraph(_caption(found.map, scale), "caution")
+    return known + figure(caution + plot(arrows))
 
 
 def _caption(found: SmoothMap, scale: float) -> str:
@@ -185,9 +199,17 @@ def samples(report: Report) -> str:
     note = f"{len(rows)} samples, worst first, with their validation errors."
     if len(rows) > MAX_SAMPLE_ROWS:
         note += f" The worst {MAX_SAMPLE_ROWS} are shown; all are in the JSON document."
-    odd = [f"{row.sample} ({row.odd})" for row in rows if row.odd]
-    note += " Samples are counted from 0, in the order of the recording."
-    note += f" Odd samples: {', '.join(odd)}." if odd else " There are no odd samples."
+    odd = [f"{format_sample(row.sample, row.name)} ({row.odd})" for row in rows if row.odd]
+    aside = [f"{one.title} ({one.size})" for one in report.diagnosis.knocked]
+    note += f" {ABOUT_SAMPLES}"
+    if aside:
+        note += (
+            f" Set aside by the diagnosis, with the errors of a fit without it: {', '.join(aside)}."
+        )
+    other = "other " if aside else ""
+    note += (
+        f" Odd {other}samples: {', '.join(odd)}." if odd else f" There are no {other}odd samples."
+    )
     shown = sample_table(rows[:MAX_SAMPLE_ROWS], report.errors.kinds, report.provenance.joint_units)
     printed = ""
     if len(rows) > MAX_PRINTED_SAMPLE_ROWS:

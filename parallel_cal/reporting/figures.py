@@ -14,11 +14,13 @@ from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.reporting.colours import ACCENT, BAND, MEASURED, PATTERN, QUIET, WARNING
 from parallel_cal.reporting.contents import DescribedParameter
 from parallel_cal.reporting.error_steps import FallingError, Step
-from parallel_cal.reporting.readable import error_unit, number, value_unit
+from parallel_cal.reporting.readable import error_unit, number, value_unit, with_sigma
 
 Spec = dict[str, Any]
 LEGEND = {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0}
 GAP = 0.11  # between panels side by side, part of the width: for the numbers and title of an axis
+# px: a row of panels, the numbers and title of an axis below it, each further line of a title
+ROW, BELOW_ROW, LINE = 160, 46, 16
 MAX_MOVED_TOLERANCES = 5.0  # tolerances from which a parameter is marked
 
 
@@ -39,14 +41,17 @@ def side_by_side(
     """
     data: list[Spec] = []
     layout: Spec = {}
-    rows, wide = -(-len(panels) // columns), min(columns, max(len(panels), 1))
-    width, height = (1 - GAP * (wide - 1)) / wide, (1 - 0.25 * (rows - 1) / rows) / rows
+    rows, wide = max(-(-len(panels) // columns), 1), min(columns, max(len(panels), 1))
+    lines = max((across.count("\n") for across, _ in axes), default=0)
+    below = BELOW_ROW + LINE * lines
+    whole = rows * ROW + (rows - 1) * below
+    width, height = (1 - GAP * (wide - 1)) / wide, ROW / whole
     for k, (traces, (across, up)) in enumerate(zip(panels, axes, strict=True)):
         mark, (row, column) = str(k + 1) if k else "", divmod(k, columns)
         data += [
             {"showlegend": not k} | t | {"xaxis": f"x{mark}", "yaxis": f"y{mark}"} for t in traces
         ]
-        left, low = column * (width + GAP), 1 - row * (height + 0.25 / rows) - height
+        left, low = column * (width + GAP), 1 - row * (ROW + below) / whole - height
         layout[f"xaxis{mark}"] = {
             "domain": [left, min(left + width, 1.0)],
             "anchor": f"y{mark}",
@@ -60,9 +65,9 @@ def side_by_side(
             "range": list(heights),
             "nticks": 5,
         }
-    lines = max((across.count("\n") for across, _ in axes), default=0)
-    margin = {"t": 44, "r": 8, "l": 48, "b": 44 + 16 * lines}
-    about = {"height": 30 + 220 * rows, "showlegend": True, "legend": LEGEND, "margin": margin}
+    margin = {"t": 44, "r": 8, "l": 48, "b": below}
+    height = whole + margin["t"] + margin["b"]
+    about = {"height": height, "showlegend": True, "legend": LEGEND, "margin": margin}
     return {"data": data, "layout": layout | about}
 
 
@@ -189,9 +194,11 @@ def parameter_bars(parameters: Mapping[str, DescribedParameter]) -> Spec:
 
 def describe_parameter(p: DescribedParameter) -> str:
     unit, factor = value_unit(p.unit)
-    sigma = f" ± {number(p.sigma, factor, 2)}" if p.sigma is not None else ", not identified"
     value, nominal = (number(v, factor, 6) for v in (p.value, p.nominal))
-    return f"{escape(p.words)}: {value}{sigma} {unit}, nominal {nominal}"
+    if p.sigma is not None:
+        value = with_sigma(p.value, p.sigma, factor)
+    state = ", fixed" if p.fixed else ", not identified" if p.sigma is None else ""
+    return f"{escape(p.words)}: {value} {unit}{state}, nominal {nominal}"
 
 
 def law_over_shape(shape: Shape) -> Spec:

@@ -11,6 +11,7 @@ from urllib.parse import quote, unquote
 
 from parallel_cal.base.files import write_atomically
 from parallel_cal.diagnosis.diagnose import Diagnosis
+from parallel_cal.diagnosis.verdict_words import VERDICT_LABELS
 from parallel_cal.fleet.findings import Change, Deviation, Drift, Findings
 from parallel_cal.fleet.fleet import Fleet
 from parallel_cal.fleet.judging import Row, sort_recordings
@@ -26,7 +27,6 @@ from parallel_cal.reporting.fleets import (
     verdicts_in_words,
 )
 from parallel_cal.reporting.markup import Plot, items, paragraph, section, sentence, table
-from parallel_cal.reporting.overview import LABELS
 from parallel_cal.reporting.page import PageBuilder, page, plotly
 from parallel_cal.reporting.readable import (
     error_unit,
@@ -62,7 +62,7 @@ def fleet_page(fleet: Fleet, reports: Collection[str]) -> str:
     if failed:
         rows = [(row["robot"], row["recording"], row["reason"]) for row in failed]
         failures = table(("robot", "recording", "reason"), rows)
-    verdicts = verdicts_in_words(fleet, LABELS.__getitem__)
+    verdicts = verdicts_in_words(fleet, VERDICT_LABELS.__getitem__)
     parts = [
         section("Verdicts", paragraph(sentence(verdicts), "verdict")),
         section("Findings", _render_findings(found)),
@@ -144,7 +144,7 @@ def _robots(fleet: Fleet, reports: Collection[str]) -> str:
         (
             Cell(name, link=report_name(name) if name in reports else ""),
             str(recordings[name]),
-            LABELS[row["verdict"]],
+            VERDICT_LABELS[row["verdict"]],
             ", ".join(row["effects"]),
             *(
                 Cell(with_unit(value, unit), key=value)

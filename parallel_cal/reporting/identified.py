@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from html import escape
 
 import numpy as np
 
 from parallel_cal.base.units import ERROR_SI_UNITS
+from parallel_cal.diagnosis.verdict_words import describe_verdict
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting import drawings, spaces
 from parallel_cal.reporting.blocks import Number, Row
@@ -17,13 +17,13 @@ from parallel_cal.reporting.markup import (
     Plot,
     as_html,
     facts,
+    figure,
     items,
     paragraph,
     sentence,
     table,
     tabs,
 )
-from parallel_cal.reporting.overview import LABELS
 from parallel_cal.reporting.readable import (
     day,
     error_unit,
@@ -68,7 +68,7 @@ def parameters(report: Report, plot: Plot) -> str:
     drawn = drawings.drawing(report.diagnosis.best.fitted.model, None, report.parameters)
     if drawn is not None:
         about = "Point at a line to see its parameters and their values."
-        pages["on the mechanism"] = paragraph(about, "note on-screen") + plot(drawn)
+        pages["on the mechanism"] = figure(paragraph(about, "note on-screen") + plot(drawn))
     return paragraph(note, "note") + tabs(pages)
 
 
@@ -100,8 +100,7 @@ def render_comparison(versus: Versus, report: Report, plot: Plot) -> str:
     for (name, side), picture in zip(sides.items(), drawn, strict=True):
         about = f"{side.mechanism}, {' + '.join(side.effects) or 'no effects'}"
         about += f", sha256 {side.model_sha256[:12]}" + (f", arrows × {scale:g}" if picture else "")
-        caption = f"<figcaption><b>{escape(name)}</b> {escape(about)}</figcaption>"
-        pictures += f"<figure>{caption}{picture}</figure>"
+        pictures += figure(picture, name, about)
     rows: list[Row] = []
     for row in versus.parameters:
         unit, factor = value_unit(row.unit)
@@ -141,7 +140,7 @@ def certificate(report: Report) -> str:
         f"{p.model_sha256}",
         "Data": f"{data.source}; {counts}; sha256 {data.sha256 or 'not known'}",
         "Excluded samples": _describe_excluded(data),
-        "Verdict": sentence(f"{LABELS[verdict.word]}: {verdict.summary}"),
+        "Verdict": sentence(describe_verdict(verdict.word, verdict.summary)),
         "Software": f"parallel_cal {p.version}",
         "Date of this certificate": day(p.made),
     }
@@ -174,7 +173,7 @@ def _describe_excluded(data: Dataset) -> str:
         by_reason.setdefault(reason or "no reason given", []).append(sample)
     parts = []
     for reason, numbers in by_reason.items():
-        named = ", ".join(map(str, numbers[:MAX_NAMED_SAMPLES]))
+        named = ", ".join(map(data.title, numbers[:MAX_NAMED_SAMPLES]))
         more = ", ..." if len(numbers) > MAX_NAMED_SAMPLES else ""
         kind = "sample" if len(numbers) == 1 else "samples"
         parts.append(f"{reason} ({len(numbers)}: {kind} {named}{more})")

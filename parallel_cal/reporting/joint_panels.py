@@ -84,6 +84,7 @@ def _traces(
         return [points, mean]
     period = next((p.period for p in candidate.panels if p.component == found.joints[k]), None)
     laid = _pattern(found, candidate.joints[:, k], period, k, factor, small)
+    laid["name"] = f"pattern of {candidate.effect}"
     if period:
         laid["line"] = {"color": PATTERN, "width": 1.5}
         points["marker"] = {"size": 5, "color": MEASURED}
@@ -141,7 +142,6 @@ def _pattern(
         x, y = x[few], y[few]
     return {
         "mode": "lines" if is_line else "markers",
-        "name": "pattern of the effect",
         "x": round_values(x * factor),
         "y": round_values(y * small),
         "hoverinfo": "skip",

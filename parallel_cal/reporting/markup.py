@@ -84,8 +84,9 @@ def section(title: str, content: str, about: str = "", closed: bool = False) -> 
     return f'<section id="{name}">{folded}</section>'
 
 
-def tabs(pages: Mapping[str, str]) -> str:
-    """Make tabs from pages by title; a single page needs no tabs."""
+def tabs(pages: Mapping[str, str], titled: bool = False) -> str:
+    """Make tabs from pages by title; a single page needs no tabs. On paper all pages are printed,
+    each below its title, unless they are `titled` themselves."""
     if len(pages) < 2:
         return "".join(pages.values())
     buttons = "".join(
@@ -93,9 +94,10 @@ def tabs(pages: Mapping[str, str]) -> str:
         f"{escape(title)}</button>"
         for k, title in enumerate(pages)
     )
+    heads = ["" if titled else f'<h4 class="more">{escape(title)}</h4>' for title in pages]
     shown = "".join(
-        f'<div role="tabpanel"{" hidden" if k else ""}>{content}</div>'
-        for k, content in enumerate(pages.values())
+        f'<div role="tabpanel"{" hidden" if k else ""}>{head}{content}</div>'
+        for k, (head, content) in enumerate(zip(heads, pages.values(), strict=True))
     )
     return f'<div class="tabs"><p role="tablist">{buttons}</p>{shown}</div>'
 
@@ -103,6 +105,14 @@ def tabs(pages: Mapping[str, str]) -> str:
 def folded(title: str, content: str) -> str:
     """Make a closed part that a click opens."""
     return f"<details><summary>{escape(title)}</summary>{content}</details>"
+
+
+def figure(drawn: str, title: str = "", caption: str = "") -> str:
+    """Make a figure of what was drawn, with its title and caption above; a printed page does not
+    separate them."""
+    name = f"<b>{escape(title)}</b> " if title else ""
+    above = f"<figcaption>{name}{escape(write_micro(caption))}</figcaption>"
+    return f"<figure>{above if title or caption else ''}{drawn}</figure>"
 
 
 def paragraph(text: str, kind: str = "") -> str:

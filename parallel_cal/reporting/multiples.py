@@ -11,7 +11,7 @@ from parallel_cal.diagnosis.thresholds import LEVELS
 from parallel_cal.reporting.colours import BAND, QUIET
 from parallel_cal.reporting.contents import Residuals
 from parallel_cal.reporting.figures import Spec, round_values, select_evenly
-from parallel_cal.reporting.readable import value_unit
+from parallel_cal.reporting.readable import name_p_value, probability, value_unit
 
 # The palette of Okabe and Ito: distinguishable by the colour-blind, on light and dark grounds.
 COMPONENTS = {
@@ -29,8 +29,8 @@ MAX_MEAN_POINTS = 150
 
 def multiples(
     along: Sequence[ResidualProfile], found: Residuals, better: Sequence[ResidualProfile] = ()
-) -> Iterator[tuple[str, str, Spec]]:
-    """Yield (name, description of the largest mean, figure) of each informative quantity.
+) -> Iterator[tuple[ResidualProfile, str, Spec]]:
+    """Yield (profile, description of its largest mean, figure) of each informative quantity.
 
     The strongest dependence comes first. `better` are the profiles with the effects found (traces
     with `meta` 1).
@@ -42,14 +42,22 @@ def multiples(
         if entry.name in others and found.noise_units_found is not None:  # hidden, on one scale
             other = _panel(others[entry.name], found, found.noise_units_found)
             shown += [trace | {"meta": 1, "visible": False} for trace in other["data"]]
-        yield entry.name, peak(entry), panel | {"data": shown}
+        yield entry, peak(entry, found.components), panel | {"data": shown}
 
 
-def peak(entry: ResidualProfile) -> str:
-    """Describe the largest mean in sigmas and in multiples of the band of chance."""
-    size = np.abs(entry.mean) / entry.band[:, None]
+def peak(entry: ResidualProfile, components: Sequence[str]) -> str:
+    """Describe the largest mean: of which component, in sigmas, in multiples of the band of chance,
+    and the chance of one as large."""
+    means = _select_measured(entry)
+    size = np.abs(means) / entry.band[:, None]
     at = np.unravel_index(int(np.argmax(size)), size.shape)
-    return f"mean up to {abs(entry.mean[at]):.1f} σ, {size[at]:.1f} × the band"
+    which, p = components[int(at[1])], name_p_value(probability(entry.p_value))
+    return f"mean of {which} up to {abs(means[at]):.1f} σ, {size[at]:.1f} × the band, {p}"
+
+
+def _select_measured(entry: ResidualProfile) -> np.ndarray:
+    """Return the means (m, k) of the components that were measured, as in `noise_units`."""
+    return entry.mean[:, np.any(entry.mean != 0, axis=0)]
 
 
 def _panel(entry: ResidualProfile, found: Residuals, z: np.ndarray) -> Spec:
@@ -57,7 +65,7 @@ def _panel(entry: ResidualProfile, found: Residuals, z: np.ndarray) -> Spec:
     unit, factor = value_unit(found.units[entry.name])
     values, at = found.regressors[entry.name] * factor, entry.at * factor
     band = entry.band
-    means = entry.mean[:, np.any(entry.mean != 0, axis=0)]  # as `noise_units`, of what was measured
+    means = _select_measured(entry)
     few = len(np.unique(values)) <= LEVELS
     step = float(np.min(np.diff(at), initial=np.inf)) if few and len(at) > 1 else 0.0
     draw = _level_traces if few else _rolling_traces

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from html import escape
 
+from parallel_cal.diagnosis.verdict_words import VERDICT_LABELS
 from parallel_cal.reporting import figures
 from parallel_cal.reporting.blocks import Block
 from parallel_cal.reporting.error_steps import DOTTED, draw_steps
-from parallel_cal.reporting.markup import Plot, as_html, micro, paragraph, sentence
+from parallel_cal.reporting.markup import Plot, as_html, items, micro, paragraph, sentence
 from parallel_cal.reporting.readable import unit_of
 from parallel_cal.reporting.report import Report
 from parallel_cal.reporting.results import (
@@ -19,19 +20,11 @@ from parallel_cal.reporting.results import (
     iso_sentence,
 )
 
-LABELS = {
-    "at_noise": "at the noise floor",
-    "explained": "explained",
-    "partly_explained": "partly explained",
-    "unexplained": "unexplained",
-    "cannot_know": "cannot know",
-}
-
 
 def verdict(report: Report) -> str:
     """Render the verdict as a badge and a sentence."""
     found = report.diagnosis.verdict
-    badge = f'<span class="badge {escape(found.word)}">{escape(LABELS[found.word])}</span>'
+    badge = f'<span class="badge {escape(found.word)}">{escape(VERDICT_LABELS[found.word])}</span>'
     words = f'<p class="verdict">{badge} {escape(micro(found.summary))}</p>'
     laws = "".join(
         paragraph(
@@ -40,7 +33,11 @@ def verdict(report: Report) -> str:
         )
         for name in report.provenance.found_in_data
     )
-    return f'<section id="verdict">{words}{laws}</section>'
+    diagnosis = report.diagnosis
+    advice = (f"measure next: {words}" for words in diagnosis.measure_next.advice)
+    steps = items(map(sentence, [*diagnosis.next_steps, *advice]))
+    following = f'<div class="next"><h3>Next steps</h3>{steps}</div>' if steps else ""
+    return f'<section id="verdict">{words}{laws}{following}</section>'
 
 
 def numbers(report: Report) -> str:

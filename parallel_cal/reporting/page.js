@@ -111,10 +111,15 @@ for (const title of document.querySelectorAll("section h2")) {
   contents.append(link);
 }
 
-// In print nothing is folded, and every figure is as wide as the paper.
+// In print nothing is folded, and every figure is as wide as the paper. Three views of equal scale
+// would leave most of their height empty there.
 function fit(place) {
-  if (place.data) Plotly.relayout(place, { width: place.clientWidth, template: template() });
-  else draw(place);
+  if (!place.data) draw(place);
+  const width = place.clientWidth, { layout } = figures[place.dataset.figure];
+  const views = layout.yaxis?.scaleanchor && layout.xaxis3 && !layout.xaxis4;
+  const height = views ? Math.min(layout.height, 0.4 * width) : layout.height;
+  place.style.height = `${height}px`;
+  Plotly.relayout(place, { width, height, template: template() });
 }
 window.addEventListener("beforeprint", () => {
   document.documentElement.classList.add("printing");
@@ -127,7 +132,11 @@ window.addEventListener("afterprint", () => {
   for (const list of document.querySelectorAll("[role=tablist]")) {
     list.querySelector("[aria-selected=true]")?.click();
   }
-  for (const place of places) if (place.data) Plotly.relayout(place, { width: null, autosize: true });
+  for (const place of places) {
+    const { height } = figures[place.dataset.figure].layout;
+    place.style.height = `${height}px`;
+    if (place.data) Plotly.relayout(place, { width: null, height, autosize: true });
+  }
 });
 
 function sortBy(table, column, head) {

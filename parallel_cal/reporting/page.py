@@ -55,6 +55,7 @@ def page(report: Report, library: str = "") -> str:
         f"{day(p.made)}, {len(data)} samples, model {p.model_sha256[:12]}",
         name_files(body(report, drawn.plot), map(escape, sources)),
         library,
+        footer=f"Certificate {number}" if (number := report.certificate.number) else "",
     )
 
 
@@ -80,13 +81,14 @@ class PageBuilder:
         number, height = len(self._figures) - 1, figure["layout"]["height"]
         return f'<div class="plot" data-figure="{number}" style="height:{height}px"></div>'
 
-    def page(self, title: str, made: str, content: str, library: str = "") -> str:
-        """Make the page with the figures and the `content`, which is HTML."""
+    def page(self, title: str, made: str, content: str, library: str = "", footer: str = "") -> str:
+        """Make the page with the figures and the `content`, which is HTML; `footer` is printed on
+        each sheet of paper, next to its number."""
         figures = json.dumps(self._figures, allow_nan=False, separators=(",", ":"))
         return Template(_text("page.html")).substitute(
             title=escape(title),
             made=escape(made),
-            style=_text("page.css"),
+            style=_text("page.css") + _print_on_each_sheet(footer),
             body=content,
             figures=figures.replace("<", "\\u003c"),  # cannot end the script element
             plotly=f'<script src="{library}"></script>'
@@ -100,6 +102,13 @@ class PageBuilder:
         """Make the page of some sections, with the present time."""
         made = datetime.now(timezone.utc).isoformat(timespec="minutes")
         return self.page(title, f"{day(made)}, parallel_cal {__version__}", "\n".join(parts))
+
+
+def _print_on_each_sheet(text: str) -> str:
+    """Make the style that prints a text at the bottom of each sheet. In a string of CSS, any
+    character may be its code."""
+    codes = "".join(f"\\{ord(letter):x} " for letter in text)
+    return f'@page {{ @bottom-left {{ content: "{codes}"; font: 9px sans-serif; }} }}\n'
 
 
 def plotly() -> str:

@@ -18,6 +18,10 @@ SMALL = SMALL_UNITS | {
 }
 LARGE = LARGE_UNITS | {"degC": ("°C", 1.0), "1": ("", 1.0)}
 MISSING = "–"
+ABOUT_SAMPLES = (
+    "Samples are counted from 0, in the order of the recording. The sigmas of a sample are the rms "
+    "of its residuals, in standard deviations of the noise."
+)
 
 
 def error_unit(unit: str) -> tuple[str, float]:

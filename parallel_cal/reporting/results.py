@@ -11,7 +11,7 @@ import numpy as np
 
 from parallel_cal.base.arguments import describe_argument
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.base.units import ARCMIN
+from parallel_cal.base.units import ARCMIN, ERROR_SI_UNITS
 from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.budget import Budget, Iso9283
 from parallel_cal.identification.fit import FitResult, ParameterEstimate
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from parallel_cal.diagnosis.diagnose import Diagnosis
     from parallel_cal.diagnosis.entries import Entry
     from parallel_cal.discovery.law import Discovery
+    from parallel_cal.session.saving import ComparedModel
     from parallel_cal.session.steps import Step
 
 # Limits on what one screen shows.
@@ -120,6 +121,20 @@ def describe_fit(result: FitResult, without: FitResult | None = None) -> Iterato
         yield budget_sentence(budget)
     yield from map(iso_sentence, result.iso_9283[:1])
     yield parameter_table(select_shown_parameters(result.model, describe_parameters(result)))
+
+
+def saving_table(models: Sequence[ComparedModel]) -> Table:
+    """Describe the models that a save compares, each with its errors at the same samples."""
+    rows: list[Row] = []
+    for one in models:
+        shown = []
+        for kind, unit in ERROR_SI_UNITS.items():
+            if is_known(error := one.errors.rms(kind)):
+                name, factor = error_unit(unit)
+                shown.append(f"{with_sigma(error, one.sigmas.get(kind), factor)} {name}")
+        effects = ", ".join(one.effects) or "none"
+        rows.append((one.name, ", ".join(shown), one.where, str(one.samples), effects))
+    return Table(("model", "rms error", "judged", "samples", "effects"), rows)
 
 
 def budget_table(budget: Budget) -> Table:
@@ -246,9 +261,14 @@ def parameter_table(parameters: Mapping[str, DescribedParameter]) -> Table:
     for p in parameters.values():
         (unit, factor), moved = value_unit(p.unit), p.moved_tolerances
         nominal = float(f"{p.nominal * factor:.6g}")
+        # Without a sigma, many digits tell where a value is, but not how far it moved.
         value, change, sigma = (
-            Number(v, factor, 4, 6, p.sigma, unit)
-            for v in (p.value, p.value - p.nominal, None if p.fixed else p.sigma)
+            Number(v, factor, 4, digits, p.sigma, unit)
+            for v, digits in (
+                (p.value, 6),
+                (p.value - p.nominal, 3),
+                (None if p.fixed else p.sigma, 2),
+            )
         )
         words = p.words
         if p.fixed:
@@ -304,7 +324,7 @@ def describe_comparison(comparison: Comparison) -> Iterator[Block]:
     )
     for one in comparison.odd_samples[:MAX_PATTERNS]:
         at = format_fixed_vector(one.place, 1e3, 1)
-        yield f"odd: sample {one.sample} at {at} mm, {one.sigmas:.1f} sigmas"
+        yield f"odd: sample {one.title} at {at} mm, {one.sigmas:.1f} sigmas"
 
 
 def _worst_samples(comparison: Comparison) -> Table:
@@ -314,6 +334,8 @@ def _worst_samples(comparison: Comparison) -> Table:
     shown: dict[str, list[Number | str]] = {
         "sample": [str(number) for number in data.numbers[worst]],
     }
+    if data.names:
+        shown["name"] = [data.names.get(number, "-") for number in data.numbers[worst].tolist()]
     if data.has_time:
         shown["time [s]"] = [Number(t, 1, 1) for t in data.time[worst]]
     shown["at [mm]"] = [format_fixed_vector(place, 1e3, 1) for place in comparison.place[worst]]
@@ -349,7 +371,7 @@ def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
     for one in diagnosis.odd_samples[:MAX_CANDIDATES]:
         when = "" if math.isnan(one.time) else f"{one.time:.1f} s, "
         yield (
-            f"{one.label}: sample {one.sample} at {format_fixed_vector(one.place, 1e3, 1)} mm, "
+            f"{one.label}: sample {one.title} at {format_fixed_vector(one.place, 1e3, 1)} mm, "
             f"{when}{one.sigmas:.1f} sigmas, Cook's "
             f"distance {one.cooks_distance:.2f} (--data exclude={one.sample} excludes it)"
         )
@@ -477,7 +499,7 @@ def _format_estimates(parameters: Mapping[str, ParameterEstimate]) -> str:
         words.append(
             f"{name} not identified"
             if p.sigma is None
-            else f"{name} {number(p.value, factor)} ± {number(p.sigma, factor, 2)} {unit}".rstrip()
+            else f"{name} {with_sigma(p.value, p.sigma, factor)} {unit}".rstrip()
         )
     rest = len(free) - len(words)
     return ", ".join(words) + (f" and {rest} more" if rest else "")
@@ -492,9 +514,11 @@ def sample_table(
     sides = ("", ", with effect") if both else ("",)
     timed = any(is_known(one.time) for one in samples)
     is_any_odd = any(one.odd for one in samples)
+    is_any_named = any(one.name for one in samples)
     joint_unit = ", ".join(dict.fromkeys(value_unit(unit)[0] for unit in joint_units.values()))
     columns = (
         "sample",
+        *(["name"] if is_any_named else []),
         *(f"sigmas{side}" for side in sides),
         *(["odd"] if is_any_odd else []),
         *(f"{kind} [{unit}]{side}" for side in sides for kind, (unit, _) in units.items()),
@@ -509,6 +533,7 @@ def sample_table(
         rows.append(
             (
                 Cell(str(one.sample), key=one.sample, mark="odd" if one.odd else ""),
+                *([one.name] if is_any_named else []),
                 *(Number(side["sigmas"], significant=2) for side in errors),
                 *([one.odd] if is_any_odd else []),
                 *(Number(side[k], factor) for side in errors for k, (_, factor) in units.items()),

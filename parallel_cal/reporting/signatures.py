@@ -20,7 +20,13 @@ from parallel_cal.reporting.figures import (
     side_by_side,
 )
 from parallel_cal.reporting.joint_panels import MAX_POINTS_PER_JOINT
-from parallel_cal.reporting.readable import number, value_unit
+from parallel_cal.reporting.readable import (
+    name_p_value,
+    number,
+    probability,
+    value_unit,
+    with_unit,
+)
 
 
 def figure(found: Signature, mechanism: Mechanism) -> Spec:
@@ -30,7 +36,7 @@ def figure(found: Signature, mechanism: Mechanism) -> Spec:
     depend most on a quantity. A panel has the residuals (grey points), their rolling mean with
     the 99 % band, and the rolling mean of the pattern.
     """
-    panels = [list(_traces(panel, mechanism)) for panel in found.panels]
+    panels = [list(_traces(panel, mechanism, found.effect)) for panel in found.panels]
     axes = [
         (_across(panel, mechanism).replace(": ", "\n"), f"{panel.component} residual [σ]")
         for panel in found.panels
@@ -46,16 +52,30 @@ def describe_signature(found: Signature, mechanism: Mechanism) -> str:
     return f"{found.effect}: residual of {', '.join(panels)}, in sigmas, with its pattern"
 
 
+def describe_pattern(found: Signature, p_value: float | None, mechanism: Mechanism) -> str:
+    """Describe how certain a pattern is, and how large in each panel."""
+    amplitudes = ", ".join(f"{p.component} {_amplitude(p, mechanism)}" for p in found.panels)
+    return f"{name_p_value(probability(p_value))}. Amplitude of the pattern: {amplitudes}."
+
+
+def _amplitude(panel: Panel, mechanism: Mechanism) -> str:
+    """Format half of the peak-to-peak value of the dashed line: `12.3 µm (2.1 σ)`."""
+    half = np.ptp(compute_mean_profile("", panel.at, panel.pattern[:, None]).mean) / 2
+    unit = unit_along(mechanism, panel.component)
+    size = f"{number(half, digits=2)} σ"
+    return f"{with_unit(half * panel.sigma, unit)} ({size})" if unit else size
+
+
 def _across(panel: Panel, mechanism: Mechanism) -> str:
     unit, factor = value_unit(unit_along(mechanism, panel.abscissa))
     if panel.abscissa.startswith("direction."):
         joint = panel.abscissa.partition(".")[2]
-        return f"approach direction of {joint}: falling −1, rising +1"
-    within = f", within {number(panel.period, factor)} {unit}" if panel.period else ""
+        return f"approach of {joint}: falling −1, rising +1"
+    within = f" mod {number(panel.period, factor)} {unit}" if panel.period else ""
     return f"{panel.abscissa}{within}" + (f" [{unit}]" if unit else "")
 
 
-def _traces(panel: Panel, mechanism: Mechanism) -> Iterator[Spec]:
+def _traces(panel: Panel, mechanism: Mechanism, effect: str) -> Iterator[Spec]:
     """Draw the points, the band and the two means."""
     factor = value_unit(unit_along(mechanism, panel.abscissa))[1]
     at, both = panel.at, np.column_stack([panel.residual, panel.pattern])
@@ -87,7 +107,7 @@ def _traces(panel: Panel, mechanism: Mechanism) -> Iterator[Spec]:
     yield {
         "type": "scatter",
         "mode": "lines",
-        "name": "99 % band of the mean without dependence",
+        "name": "99 % band",
         "x": round_with_gaps(across),
         "y": round_with_gaps(up),
         "fill": "toself",
@@ -98,7 +118,7 @@ def _traces(panel: Panel, mechanism: Mechanism) -> Iterator[Spec]:
     blue, orange = {"color": MEASURED, "width": 2}, {"color": PATTERN, "width": 3, "dash": "dash"}
     for name, mean, look in (
         ("measured, mean", means.mean[:, 0], blue),
-        ("pattern of the effect", means.mean[:, 1], orange),
+        (f"pattern of {effect}", means.mean[:, 1], orange),
     ):
         across, up = x, mean
         if few:  # too few values to roll: a stroke at each, gaps between them

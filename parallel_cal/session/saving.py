@@ -7,7 +7,7 @@ insists after reading both errors.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,15 +17,18 @@ import numpy as np
 from parallel_cal.base.errors import ModelFileError, ParallelCalError
 from parallel_cal.base.files import BACKUP_SUFFIX
 from parallel_cal.diagnosis.verdict import AMBER_VERDICTS
+from parallel_cal.diagnosis.verdict_words import describe_verdict
 from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.fit import FitResult, fit
 from parallel_cal.identification.fit_warnings import list_parameter_warnings
 from parallel_cal.identification.given_model import GivenModel
+from parallel_cal.identification.observations import blocks
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import (
     ERRORS,
     Errors,
     Summary,
+    compute_rms_sigmas,
     held_out_ratio,
 )
 from parallel_cal.identification.thresholds import MAX_NEGLIGIBLE_ERROR_RISE
@@ -47,13 +50,27 @@ USED = "at the samples of its fit"
 
 
 @dataclass(frozen=True)
+class ComparedModel:
+    """One of two models that a save compares: its `errors` at the `samples` at which both have one,
+    with the standard deviation of the rms by kind; `where` says how they were judged."""
+
+    name: str
+    effects: tuple[str, ...]
+    errors: Summary
+    sigmas: Mapping[str, float]
+    samples: int
+    where: str
+
+
+@dataclass(frozen=True)
 class Replacement:
     """A model that is about to replace the model in a file.
 
-    `comparison` is a sentence with the errors of both, empty if they cannot be compared.
-    `objections` are the reasons to ask the owner first, empty if the model may be written.
-    `in_use_hash` is empty if there is no readable file. `errors` and `in_use_errors` are summaries
-    at the same samples, None if not known.
+    `comparison` is a sentence with the errors of both, empty if they cannot be compared, and
+    `judgement` its last part, which says which one is better. `objections` are the reasons to ask
+    the owner first, empty if the model may be written. `in_use_hash` is empty if there is no
+    readable file. `errors` and `in_use_errors` are summaries at the same samples, None if not
+    known; `models` are both models with these errors, empty if they cannot be compared.
     """
 
     file: Path
@@ -63,6 +80,8 @@ class Replacement:
     in_use_hash: str
     errors: Summary | None = None
     in_use_errors: Summary | None = None
+    judgement: str = ""
+    models: tuple[ComparedModel, ...] = ()
 
     @property
     def key(self) -> str:
@@ -125,7 +144,8 @@ def compare_with_model_in_use(
     if state.against:
         objections.append(state.against)
     if state.verdict in AMBER_VERDICTS:
-        objections.append(f"the verdict on this model is {state.verdict_text}")
+        words = describe_verdict(state.verdict, state.summary)
+        objections.append(f"the verdict on this model is {words}")
     dataset: Dataset | None = None
     judged: _Judged | None = None
     try:
@@ -155,12 +175,35 @@ def compare_with_model_in_use(
         objections.insert(0, f"the model in use cannot be compared with this one: {error}")
     if other is None or judged is None:
         return Replacement(file, "", tuple(objections), own, in_use_hash)
-    new, old = _at_common_samples(judged.errors, other.errors)
+    common = _at_common_samples(judged.errors, other.errors)
+    new, old = (errors.summary for errors in common)
     ratio = held_out_ratio(old, new)
-    words = _comparison(old, other.where, new, judged.where, ratio)
+    judgement = _judge_ratio(ratio, new)
+    words = (
+        f"on the same samples the model in use has an error of {format_errors(old)} {other.where}, "
+        f"this model of {format_errors(new)} {judged.where}: {judgement}"
+    )
     if ratio is None or ratio > 1 + MAX_NEGLIGIBLE_ERROR_RISE:
         objections.insert(0, words)
-    return Replacement(file, words, tuple(objections), own, in_use_hash, new, old)
+    assert dataset is not None  # otherwise there is no `other`
+    groups = blocks(dataset)
+    models = tuple(
+        ComparedModel(
+            name,
+            tuple(effect.name for effect in one.effects),
+            errors.summary,
+            compute_rms_sigmas(errors, groups),
+            int(errors.judged.sum()),
+            where,
+        )
+        for name, one, errors, where in (
+            ("model in use", in_use, common[1], other.where),
+            ("this model", model, common[0], judged.where),
+        )
+    )
+    return Replacement(
+        file, words, tuple(objections), own, in_use_hash, new, old, judgement, models
+    )
 
 
 def write_for_robot(
@@ -255,32 +298,26 @@ def _fitted_datasets(model: Model) -> list[str]:
     return found
 
 
-def _at_common_samples(one: Errors, other: Errors) -> tuple[Summary, Summary]:
-    """Summarise each kind of error over the samples at which both models have it."""
+def _at_common_samples(one: Errors, other: Errors) -> tuple[Errors, Errors]:
+    """Return each kind of error at the samples at which both models have it."""
     mine, theirs = one.parts(), other.parts()
     for kind in ERRORS:
         a, b = mine[kind], theirs[kind]
         if a.shape == b.shape:
             known = np.isfinite(a) & np.isfinite(b)
             mine[kind], theirs[kind] = (np.where(known, part, np.nan) for part in (a, b))
-    return Errors(**mine).summary, Errors(**theirs).summary
+    return Errors(**mine), Errors(**theirs)
 
 
-def _comparison(
-    old: Summary, old_where: str, new: Summary, new_where: str, ratio: float | None
-) -> str:
-    """Format `the model in use has an error of 37 um at ..., this model of 114 um at ...: ...`."""
+def _judge_ratio(ratio: float | None, new: Summary) -> str:
+    """Say which model is better, by the ratio of the error of the new one to that in use."""
     if ratio is None:
-        verdict = "it is not known which one is better"
-    elif abs(ratio - 1) <= MAX_NEGLIGIBLE_ERROR_RISE:
-        verdict = "they are equally good"
-    else:
-        worse = ratio > 1
-        factor = ratio if worse else 1 / ratio
-        verdict = f"this model is {'worse' if worse else 'better'} by a factor of {factor:.3g}"
-        if new.position_rms and new.orientation_rms:
-            verdict += " (position and orientation together)"
-    return (
-        f"on the same samples the model in use has an error of {format_errors(old)} {old_where}, "
-        f"this model of {format_errors(new)} {new_where}: {verdict}"
-    )
+        return "it is not known which one is better"
+    if abs(ratio - 1) <= MAX_NEGLIGIBLE_ERROR_RISE:
+        return "they are equally good"
+    worse = ratio > 1
+    factor = ratio if worse else 1 / ratio
+    words = f"this model is {'worse' if worse else 'better'} by a factor of {factor:.3g}"
+    if new.position_rms and new.orientation_rms:
+        words += " (position and orientation together)"
+    return words

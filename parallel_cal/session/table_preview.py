@@ -8,7 +8,7 @@ from typing import Any
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.model.file.modelfile import read_model
-from parallel_cal.recordings.columns import find_conditions, find_readings
+from parallel_cal.recordings.columns import find_conditions, find_names, find_readings
 from parallel_cal.recordings.table import Table, read_table, split_condition, split_unit
 from parallel_cal.session.history import History
 
@@ -23,7 +23,8 @@ USUAL_CONDITIONS = ("time", "temperature", "payload")
 def preview_table(file: Path, folder: Path) -> dict[str, Any]:
     """Read a table for the session in `folder`; `error` says why it cannot be read, empty if it
     can. `joints` are the units (rad or m) of the model's joints by name. `columns`, `conditions`
-    and `readings` name the column of a quantity, `angles` those of three angles."""
+    and `readings` name the column of a quantity, `angles` those of three angles, `name` that of a
+    name of each row."""
     try:
         session = History(folder)
         mechanism = read_model(folder / session.state.model).mechanism
@@ -43,6 +44,7 @@ def preview_table(file: Path, folder: Path) -> dict[str, Any]:
         },
         "angles": next((names for names in angles if all(names)), [None] * 3),
         "conditions": usual | conditions,
+        "name": find_names(table),
         "readings": {name: one.column for name, one in find_readings(table).items()},
         "joints": dict(zip(mechanism.joints, mechanism.joint_units, strict=True)),
     }

@@ -59,10 +59,12 @@ class Question:
 
 @dataclass(frozen=True)
 class Done:
-    """The result of work in the worker: a `message`, and a `question` to the owner."""
+    """The result of work in the worker: a `message`, a `question` to the owner, and a `table` for
+    either: columns and rows of the page."""
 
     message: str
     question: Question | None = None
+    table: dict[str, Any] | None = None
 
 
 class Bench:
@@ -91,6 +93,7 @@ class Bench:
         self.stage, self.fraction = "", 0.0
         self.message, self.failed = "", False
         self.question: Question | None = None
+        self.table: dict[str, Any] | None = None  # of the message or the question
         self.working, self._looking, self._cancelled = False, False, False
         self._next: Callable[[], None] | None = None  # what ended a look, and follows it
         self._turn = Lock()
@@ -143,7 +146,7 @@ class Bench:
         """Answer no to the question: change nothing."""
         if self.question is not None:
             self.message, self.failed = self.question.declined, False
-            self.question = None
+            self.question = self.table = None
             self._mark_changed()
 
     def _begin(self, function: Callable[..., Done], *given: Any) -> None:
@@ -155,7 +158,8 @@ class Bench:
             self.working, self._looking = True, given[:1] == (LOOK,)
             self._cancelled = False
         self.stage, self.fraction = "starting", 0.0
-        self.message, self.failed, self.question = "", False, None
+        self.message, self.failed = "", False
+        self.question = self.table = None
         self._mark_changed()
         Thread(target=self._run_in_worker, args=(function, *given), daemon=True).start()
 
@@ -223,7 +227,7 @@ class Bench:
                 tell=self._on_progress,
                 wanted=lambda: not self._cancelled,
             )
-            self.message, self.question = done.message, done.question
+            self.message, self.question, self.table = done.message, done.question, done.table
         except (WorkCancelled, WorkError) as end:
             if self._next is None:
                 self._explain(end, before)
@@ -269,7 +273,7 @@ class Bench:
 
     def _update_view(self) -> None:
         """Show the stored view of the present state, or begin to compute it."""
-        self.question = None  # it was about the previous state
+        self.question = self.table = None  # they were about the previous state
         with self._turn:
             if self._looking:
                 self._next, self._cancelled = self._next or self._update_view, True
@@ -445,7 +449,12 @@ def _save(
     folder: Path, output: Path, confirmed: str, reason: str, tell: Callable[..., None]
 ) -> Done:
     """Write the present model to `output`, or return the question to confirm (in the worker)."""
-    from parallel_cal.session.saving import SaveRefused
+    from parallel_cal.reporting.blocks import as_rows
+    from parallel_cal.reporting.results import saving_table
+    from parallel_cal.session.saving import Replacement, SaveRefused
+
+    def compared(found: Replacement) -> dict[str, Any] | None:
+        return as_rows(saving_table(found.models)) if found.models else None
 
     session = _open_session(folder)
     session.refresh()
@@ -454,7 +463,9 @@ def _save(
         found = session.save(output, lambda replacement: replacement.key == confirmed, tell, reason)
     except SaveRefused as refused:
         asked = refused.replacement
-        words = "\n".join((*asked.reasons, f"Write this model to {output} anyway?"))
+        others = [words for words in asked.objections if words != asked.comparison]
+        reasons = filter(None, (asked.judgement, *others))
+        words = "\n".join((*reasons, f"Write this model to {output} anyway?"))
         return Done(
             "",
             Question(
@@ -464,10 +475,11 @@ def _save(
                 no="Keep the model in use",
                 declined=f"not saved: {output} is unchanged",
             ),
+            compared(asked),
         )
     if before.exists() and view_path(session) != before:  # the same numbers under another state
         shutil.copyfile(before, view_path(session))
     if found.is_in_use:
         return Done(f"{output} contains this model already")
-    parts = (f"written: {output}", found.comparison, session.effects_note)
-    return Done("; ".join(filter(None, parts)))
+    parts = (f"written: {output}", found.judgement, session.effects_note)
+    return Done("; ".join(filter(None, parts)), table=compared(found))

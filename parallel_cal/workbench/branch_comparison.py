@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from nicegui import run, ui
 
+from parallel_cal.diagnosis.verdict_words import describe_verdict
 from parallel_cal.reporting.readable import MISSING, format_judged_error, write_micro
 from parallel_cal.reporting.spaces import sides
 from parallel_cal.session.history import History, format_first_error
@@ -34,7 +35,7 @@ class BranchComparison:
                     "branch": name,
                     "step": s.step,
                     "out": len(s.excluded),
-                    "verdict": write_micro(s.verdict_text),
+                    "verdict": write_micro(describe_verdict(s.verdict, s.summary)),
                     "after": format_judged_error(s.errors, s.sigmas),
                     "noise": write_micro(format_first_error(s.noise, MISSING)),
                 }

@@ -13,7 +13,7 @@ from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.reporting.error_steps import FallingError, Step, describe_steps, draw_steps
 from parallel_cal.workbench.bench import Live
 from parallel_cal.workbench.marking import FigureSlot
-from parallel_cal.workbench.widgets import COLOURS, card
+from parallel_cal.workbench.widgets import card
 
 INACTIVE_STATES = ("", "stopped", "done")
 
@@ -33,8 +33,7 @@ class CampaignBar:
                 self.words.props("id=campaign aria-live=polite")
                 with self.words:
                     self.whole = ui.tooltip()
-                self.asked = ui.label().classes("w-full").props("id=asked role=alert")
-                self.asked.style(f"color: {COLOURS['amber']}")
+                self.asked = ui.label().classes("w-full amber").props("id=asked role=alert")
             self.steers = {
                 word: self._button(name, word)
                 for word, name in (

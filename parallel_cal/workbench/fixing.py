@@ -7,6 +7,7 @@ from typing import Any
 
 from nicegui import ui
 
+from parallel_cal.reporting.blocks import DIGITS
 from parallel_cal.workbench.widgets import table
 
 CONSEQUENCE = (
@@ -25,7 +26,8 @@ def ask_where_to_fix(rows: Sequence[dict[str, Any]], fix: Callable[[bool], None]
         ui.label("Fix parameters").classes("text-lg font-bold")
         columns = ("name", "value", "sigma", "nominal", "unit")
         names = {"name": "parameter", "value": "present value"}
-        shown = [{key: row.get(key) for key in columns} for row in rows]
+        # With the digits to which the page rounds each number.
+        shown = [{k: row[k] for k in row if k.removesuffix(DIGITS) in columns} for row in rows]
         table([(key, names.get(key, key)) for key in columns], shown, "name")
         at = ui.radio({False: PRESENT, True: NOMINAL}, value=False)
         at.props('aria-label="values at which the parameters are fixed"')

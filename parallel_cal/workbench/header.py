@@ -8,14 +8,13 @@ from typing import Any
 
 from nicegui import ui
 
-from parallel_cal.reporting.colours import QUIET
 from parallel_cal.reporting.error_steps import DOTTED, describe_steps, draw_steps
 from parallel_cal.reporting.readable import write_micro
 from parallel_cal.workbench.bench import Bench
 from parallel_cal.workbench.campaign_card import CampaignBar
 from parallel_cal.workbench.error_steps import find_steps
 from parallel_cal.workbench.marking import FigureSlot
-from parallel_cal.workbench.widgets import COLOURS, card
+from parallel_cal.workbench.widgets import COLOURS, card, table
 
 NOTHING = {"colour": "grey", "words": "no samples in this session yet"}
 CAMPAIGN_RUNS = {
@@ -103,10 +102,12 @@ class Notice:
         self.bench = bench
         self._key = ""  # key of the question that is shown
         self._dismissed = ""
+        self._table: dict[str, Any] | None = None  # the one that is shown
         with ui.footer(value=False) as self.footer:
+            self.compared = ui.column().classes("w-full").props("id=compared")
             with ui.row().classes("w-full items-center gap-2") as self.asked:
-                self.question = ui.label().props("id=question role=alert").classes("grow basis-64")
-                self.question.style(f"color: {COLOURS['amber']}; white-space: pre-line")
+                self.question = ui.label().props("id=question role=alert")
+                self.question.classes("grow basis-64 amber").style("white-space: pre-line")
                 self.reason = ui.input("say why", on_change=self._allow_yes)
                 self.reason.classes("w-64").props("dense")
                 self.no = _button("", bench.decline)
@@ -144,8 +145,22 @@ class Notice:
         answered = bool(bench.message) and not bench.busy and bench.message != self._dismissed
         self.answer.set_visibility(answered)
         self.message.set_text(write_micro(bench.message))
-        self.message.style(f"color: {COLOURS['amber'] if bench.failed else QUIET}")
+        self.message.classes(**{"add" if bench.failed else "remove": "amber"})
+        self._show_table()
         self.footer.set_value(answered or question is not None)
+
+    def _show_table(self) -> None:
+        """Show the table of the message or the question."""
+        found = self.bench.table
+        if found is not self._table:
+            self._table = found
+            self.compared.clear()
+            if found is not None:
+                with self.compared:
+                    table(**found, key="model").classes("one-line-rows")
+        self.compared.set_visibility(
+            found is not None and (self.asked.visible or self.answer.visible)
+        )
 
 
 class VerdictCard:

@@ -157,6 +157,7 @@ class ColumnForm:
                 for name in others
             }
             self._group = self._pick("number of the pose", None)
+            self._name = self._pick("name of the sample", found["name"])
             self._in_order = ui.checkbox("rows in the order of the visits", value=True)
             self._in_order.tooltip(
                 "Without columns of the sides, the sides from which the joints came then follow "
@@ -179,7 +180,9 @@ class ColumnForm:
         """The columns that the map does not name, in words."""
         chosen = [column for column, _, _ in self._joints.values()]
         chosen += [*self._position, *self._chosen_orientation, *self._conditions.values()]
-        used = {one.value for one in (*chosen, self._group)} | {*self._readings.values()}
+        used = {one.value for one in (*chosen, self._group, self._name)} | {
+            *self._readings.values()
+        }
         left = [word for word in self._header if word not in used]
         return f"not used: {', '.join(left)}" if left else ""
 
@@ -234,6 +237,8 @@ class ColumnForm:
         found["conditions"] = {k: c.value for k, c in self._conditions.items() if c.value}
         if self._group.value:
             found["group"] = self._group.value
+        if self._name.value:
+            found["name"] = self._name.value
         found["visits"] = "in order" if self._in_order.value else "unordered"
         stated = {k: (entry.value, factor) for k, (entry, factor) in self._noise.items()}
         found["noise"] = {k: value * factor for k, (value, factor) in stated.items() if value}
@@ -246,7 +251,8 @@ class ColumnForm:
             for k, word in enumerate(self._header)
         ]
         rows = [{str(k): cell for k, cell in enumerate(row)} for row in found["rows"]]
-        ui.table(columns=columns, rows=rows).classes("w-full one-line-rows").props("dense flat")
+        shown = ui.table(columns=columns, rows=rows)
+        shown.classes("w-full one-line-rows wide-table").props("dense flat")
 
     def _pick_joint(self, name: str, unit: str, guess: str | None) -> tuple[Any, Any, Any]:
         """Pick the column of a joint, its unit, and the travel per turn of a joint that slides."""

@@ -51,9 +51,20 @@ function painted(done) {
 function draw(view) {
   const figure = waiting.get(view);
   waiting.delete(view);
+  if (!figure) return;
+  const [{ layout, ...rest }, ...more] = figure;
+  const coloured = { ...rest, layout: { ...layout, font: { ...layout.font, ...ink(view) } } };
   const mark = () => marked.size && markView(view);
-  if (figure) return react(view, ...figure).then(mark, console.error);
+  return react(view, coloured, ...more).then(mark, console.error);
 }
+// A style sheet does not reach the text of figures in space.
+function ink(view) {
+  return { color: getComputedStyle(view).color };
+}
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => setTimeout(() => {
+  for (const view of document.querySelectorAll(".js-plotly-plot"))
+    if (view.layout?.scene) Plotly.relayout(view, { font: { ...view.layout.font, ...ink(view) } });
+}, 500));  // after the page has its new colours
 function postpone(view, ...figure) {
   waiting.set(view, figure);
   coming.unobserve(view);

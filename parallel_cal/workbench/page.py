@@ -8,8 +8,15 @@ from typing import Any
 
 from nicegui import run, ui
 
+from parallel_cal.base.sample_names import format_sample
+from parallel_cal.diagnosis.verdict_words import describe_verdict
 from parallel_cal.reporting.colours import MEASURED
-from parallel_cal.reporting.readable import format_judged_error, name_p_value, write_micro
+from parallel_cal.reporting.readable import (
+    ABOUT_SAMPLES,
+    format_judged_error,
+    name_p_value,
+    write_micro,
+)
 from parallel_cal.workbench.bench import Bench
 from parallel_cal.workbench.fixing import ask_where_to_fix
 from parallel_cal.workbench.header import Header, Notice, VerdictCard
@@ -247,7 +254,9 @@ class Window:
                     "before": format_judged_error(state.before, state.sigmas_before),
                     "after": format_judged_error(state.errors, state.sigmas),
                     "out": len(state.excluded),
-                    "verdict": write_micro(state.verdict_text or state.against),
+                    "verdict": write_micro(
+                        describe_verdict(state.verdict, state.summary) or state.against
+                    ),
                     "reason": state.reason,
                 }
                 for state in session.history()
@@ -340,7 +349,7 @@ class Window:
                 self.open = ui.button("Open", on_click=self._open).props("dense outline")
                 self.open.tooltip("show the readings that the first marked sample averages")
                 self._import_button()
-            ui.label("Samples are counted from 0, in the order of the recording.").classes("quiet")
+            ui.label(ABOUT_SAMPLES).classes("quiet")
             self._show_count(set())
             for number, size in view["knocked"].items():
                 self._offer_exclusion(int(number), size)
@@ -368,7 +377,9 @@ class Window:
             one = len(numbers) == 1
             these = "all" if len(by_reason) == 1 else f"these {len(numbers)}"
             with ui.row().classes("items-center"):
-                which = f"sample {numbers[0]} is" if one else f"{len(numbers)} samples are"
+                which = f"sample {self._title(numbers[0])} is"
+                if not one:
+                    which = f"{len(numbers)} samples are"
                 ui.label(f"{which} excluded: {reason}")
                 self._include("Include" if one else f"Include {these}", numbers)
             if not one:
@@ -378,13 +389,17 @@ class Window:
     def _include_one_by_one(self, numbers: list[int]) -> None:
         with ui.row().classes("items-center"):
             for number in numbers:
-                self._include(f"Include {number}", [number])
+                self._include(f"Include {self._title(number)}", [number])
+
+    def _title(self, number: int) -> str:
+        """Return the number of a sample with its name, if it has one."""
+        return format_sample(number, (self.bench.view or {}).get("names", {}).get(str(number), ""))
 
     def _offer_exclusion(self, number: int, size: str) -> None:
         """Offer to exclude a sample that the verdict set aside: no view shows it."""
         why = f"far from what all others show ({size})"
         with ui.row().classes("items-center"):
-            ui.label(f"sample {number} is {why}; the verdict does not use it")
+            ui.label(f"sample {self._title(number)} is {why}; the verdict does not use it")
             button = ui.button(f"Exclude sample {number}").props("dense outline")
             button.on_click(
                 lambda: self.bench.begin("exclude", {number: self.reason.value.strip() or why})

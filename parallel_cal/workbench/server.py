@@ -2,17 +2,50 @@
 
 from __future__ import annotations
 
+import fcntl
 import hmac
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from parallel_cal.base.worker import Worker
+from parallel_cal.session.history import SessionError
 from parallel_cal.workbench.bench import Bench, Live
 
 # A window may be silent this long: drawing in 3D without a graphics card takes seconds.
 RECONNECT_TIMEOUT_S = 60.0
+SERVED = ".served"  # locked by the server of a session; contains its process and its address
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
+
+
+@contextmanager
+def hold_session(folder: Path, address: str) -> Iterator[None]:
+    """Keep other servers from a session; SessionError if one at another address serves it.
+
+    Two servers lose no step, but each would undo the steps of the other, and refuse its own after
+    minutes of work because the session has changed. The system ends the lock with the process.
+    """
+    try:
+        file = (folder / SERVED).open("a+", encoding="utf-8")
+    except OSError:  # nobody can change a session in this folder
+        yield
+        return
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.seek(0)
+            raise SessionError(
+                f"{folder}: {file.read() or 'another process'} serves this session already: open "
+                "that page, or stop that process first"
+            ) from None
+        file.truncate(0)
+        file.write(f"process {os.getpid()} at {address}")
+        file.flush()
+        yield
 
 
 class Guard:

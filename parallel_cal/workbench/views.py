@@ -14,8 +14,9 @@ from parallel_cal.diagnosis.entries import Entry
 from parallel_cal.diagnosis.patterns import ResidualProfile
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.signature import Signature, signature
-from parallel_cal.diagnosis.thresholds import EFFECT_SIGNIFICANCE_LEVEL, LEVELS
+from parallel_cal.diagnosis.thresholds import LEVELS
 from parallel_cal.diagnosis.verdict import AMBER_VERDICTS
+from parallel_cal.diagnosis.verdict_words import describe_verdict
 from parallel_cal.identification.budget import NOISE, REST, Budget, Iso9283
 from parallel_cal.identification.fit import FitResult, summarise_parameters
 from parallel_cal.identification.fit_warnings import chi2_band
@@ -220,6 +221,7 @@ def _make_comparison_view(found: Comparison) -> View:
         "effects": _list_effects(found.model),
         "ambiguous": {},
         "knocked": {},
+        "names": _names(found.dataset.names),
         "candidates": [],
         "together": None,
         "untested": [],
@@ -275,11 +277,12 @@ def _make_report_view(found: Report) -> View:
         "effects": _list_effects(diagnosis.model),
         "ambiguous": {one.effect: one.names for one in diagnosis.ambiguous},
         "knocked": {one.sample: one.size for one in diagnosis.knocked},
+        "names": _names(diagnosis.dataset.names),
         "candidates": [
             row
             | {
                 "found": entry.name in diagnosis.effects,
-                "significant": (entry.p_adjusted or 0.0) < EFFECT_SIGNIFICANCE_LEVEL,
+                "significant": entry.is_significant,
                 "pattern": _pattern(entry, diagnosis.model),
             }
             for row, entry in zip(candidates, tested, strict=True)
@@ -299,6 +302,11 @@ def _make_report_view(found: Report) -> View:
         "cannot_tell": [one["text"] for one in contents.combinations(now)["unidentifiable"]],
         "find_law": diagnosis.leaves_an_error,
     }
+
+
+def _names(names: Mapping[int, str]) -> dict[str, str]:
+    """The names of samples by number; the keys of JSON are texts."""
+    return {str(number): name for number, name in names.items()}
 
 
 def _list_effects(model: Model) -> list[str]:
@@ -325,20 +333,15 @@ def _select_shown(
 
 def _verdict(found: Report) -> View:
     """Describe the verdict; it is green only if the data show no missing effect."""
-    verdict, effects = found.diagnosis.verdict, found.diagnosis.effects
+    verdict = found.diagnosis.verdict
+    words = describe_verdict(verdict.word, verdict.summary)
     if verdict.word == "at_noise":
         laws = "".join(
             f" {name} was found in data; its physical cause is unknown."
             for name in found.provenance.found_in_data
         )
-        return {"colour": GREEN, "words": f"{verdict.summary}{laws}"}
-    if verdict.word == "explained":
-        count = "one effect" if len(effects) == 1 else f"{len(effects)} effects"
-        return {"colour": AMBER, "words": f"{count} missing: {verdict.summary}"}
-    return {
-        "colour": AMBER if verdict.word in AMBER_VERDICTS else GREY,
-        "words": f"{verdict.word.replace('_', ' ')}: {verdict.summary}",
-    }
+        return {"colour": GREEN, "words": f"{words}{laws}"}
+    return {"colour": AMBER if verdict.word in AMBER_VERDICTS else GREY, "words": words}
 
 
 def _samples(

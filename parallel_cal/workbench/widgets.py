@@ -12,13 +12,18 @@ from parallel_cal.reporting.colours import BAND, QUIET
 from parallel_cal.reporting.readable import MISSING
 
 COLOURS = {"green": "#1a7f37", "amber": "#9a6700", "grey": "#57606a"}
+AXIS = {"gridcolor": BAND, "zerolinecolor": QUIET}
 FIGURE_LAYOUT = {
     "paper_bgcolor": "rgba(0,0,0,0)",
     "plot_bgcolor": "rgba(0,0,0,0)",
     "font": {"color": QUIET},
     "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": QUIET},
     "template": {
-        "layout": {axis: {"gridcolor": BAND, "zerolinecolor": QUIET} for axis in ("xaxis", "yaxis")}
+        "layout": {
+            "xaxis": AXIS,
+            "yaxis": AXIS,
+            "scene": dict.fromkeys(("xaxis", "yaxis", "zaxis"), AXIS | {"zerolinecolor": BAND}),
+        }
     },
 }
 # Width [px] from which the page has two columns, and width up to which the header omits numbers
@@ -100,12 +105,16 @@ CSS = f"""
   align-items: start; width: 100% }}
 .candidate > .wide {{ grid-column: 1 / -1 }}
 .one-line-rows td {{ white-space: nowrap }}
+.wide-table .q-table__middle::-webkit-scrollbar {{ height: 12px }}
+.wide-table .q-table__middle::-webkit-scrollbar-thumb {{ background: {QUIET}; border-radius: 6px }}
 .q-table--dense :is(th, td) {{ padding: 4px 6px; font-variant-numeric: tabular-nums }}
 .q-table th {{ vertical-align: bottom; position: relative }}
 .q-table th .q-table__sort-icon--left {{ position: absolute }}
 .q-btn {{ text-transform: none }}
 .q-btn--dense {{ padding: 2px 8px }}
 .q-btn--standard.disabled {{ --q-primary: #6e7781 }}
+.amber {{ color: #9a6700 }}
+.body--dark .amber {{ color: #d29922 }}
 .js-plotly-plot :is([class$=tick], .textpoint, .infolayer, .legend) text {{
   fill: currentColor !important }}
 .skip-link {{ position: absolute; left: -999rem; top: 4px; z-index: 1; padding: 4px 12px;
