@@ -128,7 +128,7 @@ def export(
         if touches is not None:
             _check_touches_apply(robot, touches)
             after = rms_height(robot, found, touches, "the new")
-            heights = BedHeights(len(touches.q), None, after)
+            heights = BedHeights(len(touches.q), None, after, excluded=touches.excluded)
         result = ExportResult([], loss(robot, found), None, _remarks(robot, projection), heights)
     Path(folder).mkdir(parents=True, exist_ok=True)
     for file, text in made.items():
@@ -196,7 +196,9 @@ def export_into(
     heights = movement = None
     if touches is not None:
         new_height = rms_height(robot, new, touches, "the new")
-        heights = BedHeights(len(touches.q), old_height, new_height)
+        heights = BedHeights(
+            len(touches.q), old_height, new_height, excluded=touches.excluded
+        )
         movement = BedFit(robot, old, touches).movement(new.firmware)
         if heights.worse and not force:
             raise _worse_bed(files, heights)
