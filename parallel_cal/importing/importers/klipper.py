@@ -21,10 +21,12 @@ from parallel_cal.importing.deltas import Delta, Shoulders, Towers, are_counter_
 from parallel_cal.importing.sections import settings
 from parallel_cal.importing.settings import Settings
 from parallel_cal.importing.touch_samples import make_joint_samples, make_printed_ends
+from parallel_cal.model.machine_class import MachineClass
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array
 
 CONFIGURATION = (".cfg",)
+MACHINE_CLASS: MachineClass = "hobby"  # belts, printed parts, open loop
 TOUCHES = "[delta_calibrate]"
 STEPPERS = [f"[stepper_{a}]" for a in "abc"]
 ROTATION_DISTANCE, GEAR_RATIO = "rotation_distance", "gear_ratio"

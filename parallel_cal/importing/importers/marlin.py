@@ -26,10 +26,12 @@ from parallel_cal.importing.deltas import Towers
 from parallel_cal.importing.gcode import parse_settings_line
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines
 from parallel_cal.importing.touch_samples import make_joint_samples, make_printed_ends
+from parallel_cal.model.machine_class import MachineClass
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array
 
 CONFIGURATION = (".log", ".txt", ".gcode", ".h")
+MACHINE_CLASS: MachineClass = "hobby"  # belts, printed parts, open loop
 CODES = ("M92", "M665", "M666", "M851")
 HOST_PREFIX = re.compile(
     r"^.*?(?:Recv|Send|RECV|SENDING|<<<|>>>|echo)\s*:?\s*(?:[\d:.]+:)?\s*(?:echo:)?"

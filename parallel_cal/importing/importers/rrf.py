@@ -25,11 +25,13 @@ from parallel_cal.importing.gcode import settings
 from parallel_cal.importing.hangprinter import Hangprinter
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines
 from parallel_cal.importing.touch_samples import make_printed_ends, make_touch_samples
+from parallel_cal.model.machine_class import MachineClass
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array, Dropped
 
 CONFIGURATION = (".g",)
+MACHINE_CLASS: MachineClass = "hobby"  # belts, printed parts, open loop
 CODES = ("G31", "M92", "M665", "M666", "M669")
 KINDS = "3 (linear Delta), 10 (rotary Delta) or, for `new`, 6 (Hangprinter) or 9 (five-bar)"
 HEAD = "RepRapFirmware height map file v2"
