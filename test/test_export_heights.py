@@ -346,6 +346,45 @@ def test_the_export_finds_the_touches_that_the_model_was_fitted_on(tmp_path, mon
 
 
 @pytest.mark.wide
+def test_a_touch_that_the_fit_excluded_is_not_used_for_the_export(tmp_path, monkeypatch, capsys):
+    """Touch 3 hit a blob of 0.3 mm. The export must not fit the numbers to it again."""
+    rrf(tmp_path, 1, 10e-6)
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words):
+        with pytest.raises(SystemExit) as ended:
+            main(words)
+        assert ended.value.code in (0, None)
+        return capsys.readouterr()[0]
+
+    run("new", "--from", "config.g", "-o", "printer.yaml")
+    run("import", "rrf", "map.csv", "config.g", "-o", "touches.json")
+    document = json.loads(Path("touches.json").read_text())
+    [column] = [name for name in document["conditions"] if name.endswith("probe")]
+    document["conditions"][column][3] -= 3e-4
+    Path("touches.json").write_text(json.dumps(document))
+    fixed = [word for pattern in UNKNOWN for word in ("--fix", pattern)]
+    fit = ["fit", "printer.yaml", "touches.json", "--hold-out", "0.5", *fixed]
+    run(*fit, "--data", "exclude=3", "-o", "without.yaml")
+    run(*fit, "-o", "all.yaml")
+
+    def export(model, *more):
+        Path("config.g").write_text(vp.CONFIG)
+        out = run("export", model, "--to", "rrf", "--into", "config.g", "--json", *more)
+        return json.loads(out)["heights"]
+
+    n, found, every = len(document["q"]), export("without.yaml"), export("all.yaml")
+    assert (found["touches"], found["excluded"]) == (n - 1, [3])
+    assert (every["touches"], every["excluded"]) == (n, [])
+    assert found["after"] < 25e-6 < every["after"]
+    assert export("without.yaml", "--touches", "touches.json") == found
+    Path("config.g").write_text(vp.CONFIG)
+    out = run("export", "without.yaml", "--to", "rrf", "--into", "config.g")
+    assert f"at {n - 1} touches" in out
+    assert "without sample 3 (excluded from the fit)" in out
+
+
+@pytest.mark.wide
 def test_numbers_that_an_override_had_are_those_that_the_bed_was_touched_with(tmp_path):
     """RepRapFirmware reads config-override.g at M501: its numbers won, and will again."""
     model, file, dataset, _ = worse(tmp_path)

@@ -1,5 +1,7 @@
 """Klipper's stored touches and configuration become samples and a model; or one clear line."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -110,6 +112,19 @@ def test_steps_count_from_the_end_stops(file):
         [high for _, high in model.mechanism.joint_limits], [0.5, 0.4995, 0.5], atol=1e-12
     )
     assert model.value("chain2.D_y") == pytest.approx(0.15 * np.sin(DEGREE))
+
+
+def test_a_block_on_the_bed_may_be_half_a_metre_high(file):
+    data = samples("klipper", file(LINEAR.replace("manual_height0 = 0.1", "manual_height0 = 50.8")))
+    assert data.conditions["reading.probe"][2] == pytest.approx(0.0508)
+    for height, limit in (("manual_height0", 500), ("height1", 50)):
+        text = re.sub(rf"\b{height} = .*", f"{height} = {limit + 1}", LINEAR)
+        message = (
+            f"{height} is '{limit + 1}', expected the nozzle's height in mm, from -{limit} to "
+        )
+        message += str(limit)
+        with pytest.raises(ParallelCalError, match=message):
+            samples("klipper", file(text))
 
 
 def test_a_nozzle_beside_its_probe_takes_no_part_in_its_touches(file):

@@ -5,11 +5,14 @@ import json
 from dataclasses import replace
 
 import pytest
+import test_export_heights
+import virtual_printer as vp
 from datasets import measured
 
 from parallel_cal.base.errors import ModelError, ModelFileError
 from parallel_cal.cli import main as cli
 from parallel_cal.identification.fit import fit
+from parallel_cal.importing.controller_files import configured
 from parallel_cal.model.file.modelfile import dump_model, parse_model, read_model, write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.virtual import robot as vr
@@ -129,3 +132,41 @@ def test_new_writes_the_class_and_info_shows_it(tmp_path, capsys):
     assert run("new", "delta54", "--class", "toy", "-o", tmp_path / "toy.yaml") != 0
     assert "expected one of precision, industrial, hobby" in capsys.readouterr().err
     assert not (tmp_path / "toy.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("more", "found"),
+    [
+        ([], "hobby"),
+        (["--class", "industrial"], "industrial"),
+        (["--class", "precision"], "precision"),
+    ],
+)
+def test_a_printers_configuration_makes_a_hobby_machine_unless_a_class_is_stated(
+    more, found, tmp_path, capsys
+):
+    (tmp_path / "config.g").write_text(vp.CONFIG)
+    with pytest.raises(SystemExit) as ended:
+        cli.main(
+            ["new", "--from", str(tmp_path / "config.g"), "-o", str(tmp_path / "m.yaml"), *more]
+        )
+    assert ended.value.code in (0, None)
+    assert read_model(tmp_path / "m.yaml").machine_class == found
+    said = capsys.readouterr().out
+    assert (f"class {found}" in said) is (found != "industrial")
+    assert ("--class states another one" in said) is (not more)
+
+
+@pytest.mark.parametrize("kind", ["klipper", "rrf", "marlin", "grblhal", "linuxcnc"])
+def test_the_firmware_of_printers_has_the_class_of_printers(kind, tmp_path):
+    texts = {
+        "klipper": ("printer.cfg", test_export_heights.KLIPPER),
+        "rrf": ("config.g", vp.CONFIG),
+        "marlin": ("printer.gcode", test_export_heights.MARLIN),
+        "grblhal": ("settings.txt", "$641=250\n$642=100\n$643=200\n$644=20\n$646=0\n"),
+        "linuxcnc": ("machine.hal", "setp lineardeltakins.R 100\nsetp lineardeltakins.L 250\n"),
+    }
+    name, text = texts[kind]
+    (tmp_path / name).write_text(text)
+    expected = "industrial" if kind == "linuxcnc" else "hobby"
+    assert configured([tmp_path / name]).model.machine_class == expected

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from parallel_cal.exporting.heights import BedHeights
     from parallel_cal.importing.touch_samples import Touches
     from parallel_cal.model.model import Model
+    from parallel_cal.recordings.dataset import Dataset
 
 
 def export(
@@ -104,15 +105,23 @@ def _touches(model: Model, file: Path, given: list[Path], into: bool) -> Touches
     """Load the given touches, or those that the model was fitted to if their files still exist.
 
     The history of the model names these files, relative to the working folder or to the model's
-    folder. Without touches the result is None, with a warning if numbers are to be replaced.
+    folder. Samples that the last fit excluded are excluded here, too. Without touches the result
+    is None, with a warning if numbers are to be replaced.
     """
     from parallel_cal.exporting.heights import why_not
     from parallel_cal.importing.touch_samples import touches_in
     from parallel_cal.recordings.loading import load_sessions
 
+    steps = [step for step in model.history if isinstance(step.get("dataset"), dict)]
+    last = steps[-1]["dataset"] if steps else {}
+
+    def select_fitted(dataset: Dataset) -> Touches:
+        if dataset.sha256 == last.get("sha256"):
+            dataset = dataset.excluding(steps[-1].get("excluded", []), "from the fit")
+        return touches_in(dataset, model.joints)
+
     if given:
-        return touches_in(load_sessions(given, mechanism=model.mechanism), model.joints)
-    steps = [step["dataset"] for step in model.history if isinstance(step.get("dataset"), dict)]
+        return select_fitted(load_sessions(given, mechanism=model.mechanism))
     if not into or why_not(model):
         return None
     if not steps:
@@ -123,7 +132,6 @@ def _touches(model: Model, file: Path, given: list[Path], into: bool) -> Touches
             ]
         )
         return None
-    last = steps[-1]
     for folder in (Path(), file.parent):
         paths = [folder / name for name in last.get("files", [])]
         if paths and all(path.is_file() for path in paths):
@@ -132,7 +140,7 @@ def _touches(model: Model, file: Path, given: list[Path], into: bool) -> Touches
             except ParallelCalError:  # another file under that name
                 continue
             if dataset.sha256 == last.get("sha256"):
-                return touches_in(dataset, model.joints)
+                return select_fitted(dataset)
     console.warn(
         [
             f"the effect on the bed was not checked: the touches that {file} was fitted to "
@@ -149,6 +157,9 @@ def _heights(heights: BedHeights) -> str:
         f"rms height error at {heights.touches} touches by the firmware's formula: "
         f"{before}{1e6 * heights.after:.1f} um"
     )
+    if heights.excluded:
+        numbers, plural = ", ".join(map(str, heights.excluded)), "s"[: len(heights.excluded) > 1]
+        words += f", without sample{plural} {numbers} (excluded from the fit)"
     if heights.held_out is not None:
         words += "; at touches that this fit of the firmware's parameters did not use: "
         words += f"{1e6 * heights.held_out:.1f} um"

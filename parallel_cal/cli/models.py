@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from parallel_cal.model.sensor import Sensor
 
 PROBE = "probe"  # the sensor that touches a printer's bed, and its channel
+ASSUMED_CLASS = (
+    "class {}, because the file is that of a printer's firmware: errors of its drives are usually "
+    "larger than those of industrial machines. --class states another one"
+)
 PARAMETER_FIELDS = ("name", "unit", "nominal", "tolerance", "group", "label")
 
 Option = Annotated[
@@ -57,14 +61,15 @@ def new(
         ),
     ] = None,
     machine_class: Annotated[
-        str,
+        str | None,
         typer.Option(
             "--class",
             metavar="CLASS",
             help="how large the errors of such a machine usually are: precision, industrial or "
-            "hobby",
+            "hobby [default: hobby with the configuration of a printer's firmware, otherwise "
+            "industrial]",
         ),
-    ] = "industrial",
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Write a model file. Its values are nominal, or those of a controller's configuration or of a
@@ -93,7 +98,10 @@ def new(
     else:
         model, values, remarks = _make_model(mechanism, option, configuration)
     model = _with_set_ups(model, sensor or [])
-    model = replace(model, machine_class=check_class(machine_class))
+    if machine_class is not None:
+        model = replace(model, machine_class=check_class(machine_class))
+    elif model.machine_class != DEFAULT_CLASS:
+        remarks = (*remarks, ASSUMED_CLASS.format(model.machine_class))
     if configuration and PROBE in model.structure.channels_without_sigma:
         remarks = (*remarks, PROBE_NOISE_UNKNOWN)
     replace_model(model, output)
@@ -106,7 +114,7 @@ def new(
     if as_json:
         return console.emit(document | {"parameters": len(model.table), "remarks": list(remarks)})
     name = mechanism or model.mechanism.name
-    usual = "" if machine_class == DEFAULT_CLASS else f", class {machine_class}"
+    usual = "" if model.machine_class == DEFAULT_CLASS else f", class {model.machine_class}"
     console.say(f"{output}: {name}, {len(model.table)} parameters {values}{usual}")
     for remark in remarks:
         console.say(f"- {remark}")

@@ -151,6 +151,8 @@ def candidate(scene: Scene, name: str, scored: Iterable[Candidate] = ()) -> Cand
         plain = scene.model.with_effect(name)
     except ModelError as error:
         return Candidate(name, effect, reason=str(error), applies=False)
+    if effect.of_device and not effect.reads and not scene.shows_pose:
+        return Candidate(name, effect, reason="cannot be tested: no device measured a pose")
     if missing := find_missing_conditions(plain, scene.dataset):
         # The condition `session` is the number of the recording, which one recording alone lacks.
         lacks = f"no {' and no '.join(missing)} recorded"

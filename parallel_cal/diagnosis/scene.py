@@ -12,6 +12,7 @@ from parallel_cal.diagnosis.thresholds import MAX_SHARED_BYTES
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import Observations, blocks, conditions
 from parallel_cal.identification.predictions import predict_configurations, reading_residuals
+from parallel_cal.identification.registration import shows_pose
 from parallel_cal.identification.thresholds import MIN_SIGMAS_PER_TOLERANCE, RELATIVE_RANK
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
@@ -114,6 +115,15 @@ class Scene:
     @property
     def chi2_per_dof(self) -> float:
         return float(self.residual @ self.residual) / self.dof if self.dof > 0 else float("nan")
+
+    @cached_property
+    def shows_pose(self) -> bool:
+        """Whether a device measured coordinates of a pose, or a camera shows them.
+
+        Touches, gauges and joints that check each other do not.
+        """
+        poses = self.observations.measured[:, len(self.model.joints) :]
+        return bool(poses.any()) or shows_pose(self.model)
 
     @cached_property
     def reading_residuals(self) -> np.ndarray:

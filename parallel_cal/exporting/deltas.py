@@ -8,13 +8,25 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import rotation_matrix
-from parallel_cal.exporting.projection import Array, Bed, Frame, Machine, Refinement, fit_numbers
+from parallel_cal.base.units import MM
+from parallel_cal.exporting.projection import (
+    Array,
+    Bed,
+    Firmware,
+    Frame,
+    Machine,
+    Projection,
+    Refinement,
+    fit_numbers,
+)
 from parallel_cal.importing.deltas import Shoulders, Towers, are_counter_clockwise
 from parallel_cal.model.model import Model
 
 TOWERS = np.radians([210.0, 330.0, 90.0])  # about z, as in firmwares
 LINEAR, ROTARY = ("linear_delta",), ("delta24", "delta54", "delta_nominal")
 MAX_TOWER_TRIM = np.radians(15)  # a tower further from its place turns the whole frame
+GAIN = "encoder_gain"  # the effect that a firmware's scale expresses
+MAX_SCALE_CHANGE = 0.1  # relative; a larger one is another microstepping, gear or unit
 UPSIDE_DOWN = np.diag([1.0, -1.0, -1.0])
 
 
@@ -99,20 +111,96 @@ def towers(
     tilted: bool,
     present: Refinement | None = None,
     equal_rods: bool = False,
+    has_scale: bool = False,
 ) -> tuple[Towers, Chains]:
-    """Fit one radius, rods, angles and end-stops, and, if `tilted`, the plate's slopes."""
+    """Fit one radius, rods, angles and end-stops, and, if `tilted`, the plate's slopes.
+
+    If the firmware `has_scale`, its scale is that of the model's recording, corrected by the
+    model's encoder_gain. It is not fitted: it would imitate towers that lean, which touches and
+    the firmware hardly know.
+    """
     c = chains_of(model, places)
     rods = [c.rods.mean()] if equal_rods else [*c.rods]
+    recorded = recorded_scale(model, c) if has_scale else None
+    scale = None if recorded is None else recorded / (1 + read_gains(model)[list(c.frame.order)])
     n = 7 + len(rods)
 
     def made(v: Array) -> Towers:
         tilt = (v[n], v[n + 1]) if tilted else (0.0, 0.0)
         trim = _wrap_angles(v[1:4] - TOWERS)
-        return Towers(np.full(3, v[0]), v[7:n] * np.ones(3), trim, v[4:7], tilt=tilt)
+        delta = Towers(np.full(3, v[0]), v[7:n] * np.ones(3), trim, v[4:7], tilt=tilt)
+        return replace(delta, scale=scale, recorded=recorded)
 
     slopes = c.tilt if tilted else ()
     start = np.array([c.radius.mean(), *c.angles, *c.homed, *rods, *slopes])
     return made(fit_numbers(model, start, lambda v: c.machine(made(v)), c.bed, present)), c
+
+
+def recorded_scale(model: Model, chains: Chains) -> Array | None:
+    """Return the scale (3,) of the recording in the firmware's order, if the model states it."""
+    scale = getattr(model.mechanism, "scale", None)
+    return None if scale is None else np.array(scale)[list(chains.frame.order)]
+
+
+def has_gain(model: Model) -> bool:
+    return GAIN in (effect.name for effect in model.effects)
+
+
+def read_gains(model: Model) -> Array:
+    """Return the encoder_gain (3,) of each joint: its true travel is 1 + gain times its reading."""
+    if not has_gain(model):
+        return np.zeros(3)
+    return np.array([model.value(f"{GAIN}.{joint}.gain") for joint in model.joints])
+
+
+def complete_towers(read: Firmware, model: Model, places: Array | None) -> Firmware:
+    """Return towers that were read from files, with joints as readings of the model's recording."""
+    if not isinstance(read, Towers) or read.scale is None or model.mechanism.name not in LINEAR:
+        return read
+    recorded = recorded_scale(model, chains_of(model, places))
+    if recorded is None:
+        return read
+    change = read.scale / recorded - 1
+    worst = int(np.abs(change).argmax())
+    if not abs(change[worst]) <= MAX_SCALE_CHANGE:
+        raise ModelError(
+            f"motor {worst + 1} has {read.scale[worst] * MM:.6g} steps or turns per mm in the "
+            f"file, but {recorded[worst] * MM:.6g} in the model file (option scale of "
+            f"{model.mechanism.name}): expected a change of at most {MAX_SCALE_CHANGE:.0%}. State "
+            "in the file what the recording was made with"
+        )
+    return replace(read, recorded=recorded)
+
+
+def with_scale_of(new: Firmware, present: Firmware, steps: Array) -> Firmware:
+    """Return the present firmware with the scale of a new one.
+
+    Its end-stops move so that the carriages stay where they are at these motors (3,) from the
+    end-stops: in the middle of the touches.
+    """
+    if not (isinstance(new, Towers) and isinstance(present, Towers)) or new.scale is None:
+        return present
+    moved = replace(present, scale=new.scale)
+    away = steps / present.readings_per_height - steps / moved.readings_per_height
+    return replace(moved, end_stops=present.end_stops + away)
+
+
+def express_gain(model: Model, made: Projection, scale: Array | None, field: str) -> Projection:
+    """Say whether a firmware's `scale`, which is in `field`, expresses the model's encoder_gain."""
+    if not has_gain(model):
+        return made
+    if scale is not None:
+        return replace(made, expressed=(GAIN,))
+    why = (
+        "no file states its present values as plain numbers, one for each motor: export --into a "
+        f"file that does, to express {GAIN}"
+    )
+    if getattr(model.mechanism, "scale", None) is None:
+        why = (
+            "the model file does not state it: write the model file with new --from from the "
+            f"printer's files, which state it, and fit again, to express {GAIN}"
+        )
+    return replace(made, remarks=(*made.remarks, f"{field} is not exported, because {why}"))
 
 
 def shoulders(

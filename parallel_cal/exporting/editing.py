@@ -16,6 +16,8 @@ from parallel_cal.importing.settings import Settings
 # file (LinuxCNC), or a global variable (RepRapFirmware).
 VARIABLE = re.compile(r"\s*sets\s+(\S+)|(?:set\s+)?global[\s.]\s*(\w+)\s*=|\s*([A-Za-z_]\w*)\s*=")
 
+DEFINITIONS = ("DELTA_", "DEFAULT_")  # beginnings of names in Configuration.h
+
 
 def format_settings(settings: Mapping[str, str]) -> str:
     """Format a file of settings; fields are `M665 L`, `[section] key`, `$641` or `pin.name`."""
@@ -72,8 +74,8 @@ def read_verbatim(path: Path) -> str:
 
 
 def _head(field: str) -> str:
-    """Return the group of a field: `M665`, `[section]`, `$`, `DELTA_` (C), or the component."""
-    return re.match(r"\[[^\]]*\]|[GM]\d+(?= )|\$|DELTA_|[^.]*", field)[0]  # type: ignore[index]
+    """Return the group of a field: `M665`, `[section]`, `$`, `DELTA_`, or the component."""
+    return re.match(r"\[[^\]]*\]|[GM]\d+(?= )|\$|DELTA_|DEFAULT_|[^.]*", field)[0]  # type: ignore[index]
 
 
 def _key(field: str) -> str:
@@ -86,7 +88,7 @@ def _line(field: str, value: str) -> str:
         return _key(field) + value
     if field[0] == "[":
         return f"{_key(field)} = {value}"
-    if field.startswith("DELTA_"):
+    if field.startswith(DEFINITIONS):
         return f"#define {field} {value}"
     return f"{field}={value}" if field[0] == "$" else f"setp {field} {value}"
 
@@ -116,7 +118,7 @@ def _replace_value(line: str, field: str, old: str, new: str) -> str:
     key = re.escape(next(filter(None, stated.groups())) if stated else _key(field))
     pattern = rf"(?i){begins}{key}(\s*[:=]?\s*){re.escape(old)}(?![\w.])"
     comment = r"\([^)]*\)|;.*" if field[0] in "GM" else r"(?<=\s)[#;].*"
-    if field.startswith("DELTA_"):
+    if field.startswith(DEFINITIONS):
         comment = r"//.*"
     code = re.sub(comment, lambda found: " " * len(found[0]), line)
     places = [*re.finditer(pattern, code)]

@@ -19,6 +19,7 @@ from parallel_cal.base.options import convert_options, split_options
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.exporting.bed_fit import MAX_UNMEASURED_MOVE, BedFit, Movement, Present
+from parallel_cal.exporting.deltas import with_scale_of
 from parallel_cal.exporting.editing import edit_files, format_settings, read_verbatim
 from parallel_cal.exporting.heights import BedHeights, nozzle_heights, rms_height, why_not
 from parallel_cal.exporting.projection import Firmware, Machine, Projection, TargetPoses, loss
@@ -128,7 +129,7 @@ def export(
         if touches is not None:
             _check_touches_apply(robot, touches)
             after = rms_height(robot, found, touches, "the new")
-            heights = BedHeights(len(touches.q), None, after)
+            heights = BedHeights(len(touches.q), None, after, excluded=touches.excluded)
         result = ExportResult([], loss(robot, found), None, _remarks(robot, projection), heights)
     Path(folder).mkdir(parents=True, exist_ok=True)
     for file, text in made.items():
@@ -162,16 +163,19 @@ def export_into(
     given = {file.resolve() for file in files}
     later: list[Path] = module.read_later(files) if hasattr(module, "read_later") else []
     later = [path for path in later if path.resolve() not in given]
-    now = _firmware(module, module.settings([*files, *later]), robot)
-    projection, found = _project(target, module, robot)
+    every: Settings = module.settings([*files, *later])
+    now = _firmware(module, every, robot)
+    projection, found = _project(target, module, robot, every)
     if type(now) is not type(found.firmware):
         raise ModelError(f"{files[0]}: it is configured for another kind of machine")
     old_height = 0.0
     if touches is not None:
         _check_touches_apply(robot, touches)
         old_height = rms_height(robot, replace(found, firmware=now), touches, "the file's")
-        if _takes_touches(module):
-            projection, found = _project(target, module, robot, Present(now, touches))
+        steps = found.frame.motors(touches.q - found.stops)
+        present = Present(with_scale_of(found.firmware, now, steps.mean(axis=0)), touches)
+        if _takes(module, "present"):
+            projection, found = _project(target, module, robot, every, present)
     groups = list[tuple[dict[str, str], list[Path]]]()
     written = {field for numbers in projection.settings.values() for field in numbers}
     cleared = [field for field in getattr(module, "CLEARED", ()) if field in stated]
@@ -196,13 +200,13 @@ def export_into(
     heights = movement = None
     if touches is not None:
         new_height = rms_height(robot, new, touches, "the new")
-        heights = BedHeights(len(touches.q), old_height, new_height)
+        heights = BedHeights(len(touches.q), old_height, new_height, excluded=touches.excluded)
         movement = BedFit(robot, old, touches).movement(new.firmware)
         if heights.worse and not force:
             raise _worse_bed(files, heights)
         if movement.unsupported > MAX_UNMEASURED_MOVE and not force:
             raise _moves_too_far(files, movement, heights)
-        held_out = _held_out_height(target, module, robot, Present(now, touches))
+        held_out = _held_out_height(target, module, robot, every, present)
         heights = replace(heights, held_out=held_out)
     before, after = loss(robot, old), loss(robot, new)
     for path, text in texts.items():
@@ -255,23 +259,25 @@ def _check_touches_apply(robot: Model, touches: Touches) -> None:
         raise ModelError(reason)
 
 
-def _takes_touches(module: ModuleType) -> bool:
-    return "present" in signature(module.project).parameters
+def _takes(module: ModuleType, parameter: str) -> bool:
+    return parameter in signature(module.project).parameters
 
 
-def _held_out_height(name: str, module: ModuleType, robot: Model, present: Present) -> float | None:
+def _held_out_height(
+    name: str, module: ModuleType, robot: Model, stated: Settings, present: Present
+) -> float | None:
     """Return the rms height (m) at touches that the firmware's numbers were not fitted to.
 
     None if there are too few touches for N_FOLDS folds.
     """
     touches = present.touches
-    if len(touches.q) < MIN_FOLDED_TOUCHES or not _takes_touches(module):
+    if len(touches.q) < MIN_FOLDED_TOUCHES or not _takes(module, "present"):
         return None
     fold = np.random.default_rng(FOLD_SEED).permutation(len(touches.q)) % N_FOLDS
     heights = np.empty(len(touches.q))
     for k in range(N_FOLDS):
         train = replace(present, touches=touches.select(fold != k), by_touch=True)
-        _, machine = _project(name, module, robot, train)
+        _, machine = _project(name, module, robot, stated, train)
         heights[fold == k] = nozzle_heights(robot, machine, touches.select(fold == k))
     return float(np.sqrt(np.mean(heights**2)))
 
@@ -299,10 +305,19 @@ def _refusal(
 
 
 def _project(
-    name: str, module: ModuleType, robot: Model, present: Present | None = None
+    name: str,
+    module: ModuleType,
+    robot: Model,
+    stated: Settings | None = None,
+    present: Present | None = None,
 ) -> tuple[Projection, Machine]:
-    """Return a firmware's numbers, and the machine that has them as they are written."""
-    given = {} if present is None else {"present": present}
+    """Return a firmware's numbers, and the machine that has them as they are written.
+
+    `stated` are the settings that they replace.
+    """
+    given: dict[str, Any] = {} if present is None else {"present": present}
+    if stated is not None and _takes(module, "stated"):
+        given["stated"] = stated
     projection: Projection = wrap_plugin_function(name, module.project)(robot, **given)
     texts = {Path(file): format_settings(numbers) for file, numbers in projection.settings.items()}
     firmware = _read(module, [*texts], texts, robot)
@@ -384,9 +399,9 @@ def _remarks(robot: Model, projection: Projection) -> list[str]:
     if frame.order != tuple(range(len(frame.order))):
         joints = ", ".join(robot.joints[k] for k in frame.order)
         remarks.append(f"the firmware's motors are {joints}, in this order")
-    if robot.effects:
-        names = ", ".join(effect.name for effect in robot.effects)
-        remarks.append(f"the loss includes what its numbers cannot represent of {names}")
+    lost = [effect.name for effect in robot.effects if effect.name not in projection.expressed]
+    if lost:
+        remarks.append(f"the loss includes what its numbers cannot represent of {', '.join(lost)}")
     if robot.conditions:
         remarks.append(f"neutral conditions: {', '.join(robot.conditions)}")
     return remarks

@@ -26,13 +26,15 @@ class BedHeights:
     """Rms heights (m) at `touches` touches, before and after the new numbers.
 
     `before` is None if there is no file of the firmware. `held_out` is the rms at touches that the
-    firmware's numbers were not fitted to, in folds; None if there are too few touches.
+    firmware's numbers were not fitted to, in folds; None if there are too few touches. `excluded`
+    are the numbers of samples that the model was not fitted to, and which are no touches here.
     """
 
     touches: int
     before: float | None
     after: float
     held_out: float | None = None
+    excluded: tuple[int, ...] = ()
 
     @property
     def worse(self) -> bool:

@@ -86,7 +86,8 @@ class Machine:
 class Projection:
     """A firmware's numbers for a model, as text by file and field.
 
-    No number states the frame and the joint readings at the end-stops (`stops`).
+    No number states the frame and the joint readings at the end-stops (`stops`). `expressed` are
+    the effects that the numbers express.
     """
 
     settings: Mapping[str, Mapping[str, str]]
@@ -94,6 +95,7 @@ class Projection:
     stops: Array
     remarks: tuple[str, ...] = ()
     head: str = ""  # comment at the head of each file
+    expressed: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from inspect import signature
 from pathlib import Path
 from typing import Any
 
 from parallel_cal.base.errors import DatasetError
+from parallel_cal.model.machine_class import DEFAULT_CLASS
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import list_plugins, load_module, wrap_plugin_function
 from parallel_cal.recordings.dataset import Dataset
@@ -38,14 +39,17 @@ def samples(kind: str, paths: Sequence[Path], **options: Any) -> Dataset:
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     """Return the model of a configured machine.
 
-    The file's suffix identifies the controller, and `recognizes` of an importer that has it.
+    The file's suffix identifies the controller, and `recognizes` of an importer that has it. The
+    model has the `MACHINE_CLASS` of the importer.
     """
     modules = {name: load_module(SHELF, name) for name in list_plugins(SHELF)}
     kinds = {n: m.CONFIGURATION for n, m in modules.items() if hasattr(m, "CONFIGURATION")}
     for name, ends in kinds.items():
         recognizes = getattr(modules[name], "recognizes", lambda path: True)
         if paths[0].suffix in ends and recognizes(paths[0]):
-            return modules[name].configured(paths)  # type: ignore[no-any-return]
+            found: ConfiguredRobot = modules[name].configured(paths)
+            machine_class = getattr(modules[name], "MACHINE_CLASS", DEFAULT_CLASS)
+            return replace(found, model=replace(found.model, machine_class=machine_class))
     known = "; ".join(f"{' or '.join(ends)} ({name})" for name, ends in kinds.items())
     raise DatasetError(
         f"{paths[0]}: not a configuration that can be read; expected {known}; or .urdf"

@@ -69,7 +69,12 @@ class Delta(Protocol):
 
 @dataclass(frozen=True)
 class Towers:
-    """A linear Delta; `first` and `trim` give the towers' angles (rad), `end_stops` the joints."""
+    """A linear Delta; `first` and `trim` give the towers' angles (rad), `end_stops` the joints.
+
+    `scale` is how many steps or turns of its motor the firmware counts for 1 m of a carriage, if it
+    states this. With the scale with which joints were `recorded`, the joints are the readings that
+    the same steps had then. Without it, they are heights of the carriages.
+    """
 
     radius: Array
     rods: Array
@@ -79,6 +84,8 @@ class Towers:
     tilt: tuple[float, float] = (0.0, 0.0)
     zero: tuple[float, float, float] = (0.0, 0.0, 0.0)
     reach: float | None = None
+    scale: Array | None = None
+    recorded: Array | None = None
 
     @classmethod
     def of(
@@ -99,8 +106,15 @@ class Towers:
         return self.end_stops - np.sqrt(self.rods**2 - self.radius**2)
 
     @property
+    def readings_per_height(self) -> Array:
+        """Readings (3,) of the recording per height of a carriage."""
+        if self.scale is None or self.recorded is None:
+            return np.ones(3)
+        return self.scale / self.recorded
+
+    @property
     def homed(self) -> Array:
-        return self.end_stops
+        return self.end_stops * self.readings_per_height
 
     @property
     def towers(self) -> Array:
@@ -112,7 +126,8 @@ class Towers:
         away = ((r[:, None, :2] - self.towers) ** 2).sum(axis=2)
         with np.errstate(invalid="ignore"):
             up = np.sqrt(self.rods**2 - away)
-        return (r[:, 2] + r[:, :2] @ np.array(self.tilt))[:, None] + up + np.array(self.zero)
+        heights = (r[:, 2] + r[:, :2] @ np.array(self.tilt))[:, None] + up + np.array(self.zero)
+        return np.asarray(heights * self.readings_per_height)
 
     @property
     def nominal(self) -> dict[str, float]:
@@ -127,7 +142,8 @@ class Towers:
         return found
 
     def mechanism(self) -> Mechanism:
-        mechanism = load_mechanism("linear_delta", direction=self.first)
+        stated = {} if self.scale is None else {"scale": self.scale.tolist()}
+        mechanism = load_mechanism("linear_delta", direction=self.first, **stated)
         mechanism.parameters = mechanism.parameters.with_nominal(self.nominal)
         mechanism.joint_limits = tuple((-0.1, float(top)) for top in self.end_stops)
         return _set_home(mechanism, self, self.reach or 0.6 * float(self.radius.mean()))

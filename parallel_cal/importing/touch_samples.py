@@ -32,7 +32,8 @@ class Touches:
     """Joints (N, nq) in m or rad at touches of a bed, and stored heights (N,) of the tip in m.
 
     `xy_measured` states whether the recording also has measurements of x or y. `configuration`
-    contains the numbers with which the joints were computed.
+    contains the numbers with which the joints were computed. `excluded` are the numbers of samples
+    that are not among them.
     """
 
     q: Array
@@ -41,6 +42,7 @@ class Touches:
     sha256: str
     xy_measured: bool = False
     configuration: Mapping[str, float] = field(default_factory=dict)
+    excluded: tuple[int, ...] = ()
 
     def select(self, rows: Array) -> Touches:
         return replace(self, q=self.q[rows], height=self.height[rows])
@@ -71,6 +73,7 @@ def touches_in(dataset: Dataset, joints: Sequence[str]) -> Touches:
         dataset.sha256,
         xy_measured,
         dataset.configuration,
+        tuple(sorted(dataset.excluded)),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
@@ -9,6 +10,7 @@ import numpy as np
 
 from parallel_cal.base.rotation import rot_x, rot_y, rot_z
 from parallel_cal.base.units import DEGREE, MM
+from parallel_cal.mechanisms._controller import read_scale
 from parallel_cal.mechanisms._delta import pair_errors, pair_lengths, rod_pairs
 from parallel_cal.model.closed_form import positions
 from parallel_cal.model.drawing import Line
@@ -50,6 +52,9 @@ class LinearDelta(Mechanism):
     Options: `inclination` (rad), the angle by which the rails lean outwards from the vertical;
     `direction` (rad), the angle of the first rail about z, measured from x. Both are 0 by default:
     vertical rails, the first of them on the x axis. The others follow at 120 and 240 degrees.
+    `scale` describes the controller with which the joints were recorded: how many steps or turns of
+    its motor make a joint's reading 1 m longer, one number for each joint (default: unknown). An
+    export for this controller starts from it.
     """
 
     joints = ("joint1", "joint2", "joint3")
@@ -66,8 +71,14 @@ class LinearDelta(Mechanism):
     length = 25 * MM
     bodies = BODIES
 
-    def __init__(self, inclination: float = 0.0, direction: float = 0.0):
+    def __init__(
+        self,
+        inclination: float = 0.0,
+        direction: float = 0.0,
+        scale: Sequence[float] | None = None,
+    ):
         self.inclination, self.direction = float(inclination), float(direction)
+        self.scale = None if scale is None else read_scale(scale, len(self.joints))
         # At reading q the carriage is pushed out by q sin(inclination). Solve for the rod's length.
         lean = np.array([np.sin(self.inclination), np.cos(self.inclination)])
         away = np.array([OFFSET, -LOW])

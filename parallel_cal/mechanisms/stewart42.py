@@ -11,6 +11,7 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.units import DEGREE
+from parallel_cal.mechanisms._controller import read_one_per_joint, read_scale
 from parallel_cal.model.drawing import Line
 from parallel_cal.model.drawing import ring as closed
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
@@ -85,17 +86,6 @@ SIX_POINTS = (
 )
 PLATFORM, BASE = ring(PLATFORM_RADIUS, PLATFORM_ANGLES), ring(BASE_RADIUS, BASE_ANGLES)
 BODIES = {"base": ("*.C_?",), "platform": ("*.B_?",), "legs": ("*.L0",)}
-
-
-def _one_per_leg(name: str, given: Sequence[float], n: int) -> tuple[float, ...]:
-    """Return an option that has one finite number for each leg."""
-    try:
-        values = np.array(given, dtype=float)
-    except (TypeError, ValueError):
-        values = np.empty(0)
-    if values.shape != (n,) or not np.isfinite(values).all():
-        raise ModelError(f"{name} is {given!r}: expected {n} numbers, one for each leg")
-    return tuple(map(float, values))
 
 
 class Stewart42(Mechanism):
@@ -185,10 +175,10 @@ class Stewart42(Mechanism):
             high=(*(float(v) for v in middle + reach), *turn),
         )
         self.joint_limits = ((low, high),) * n
-        self.switches = None if switches is None else _one_per_leg("switches", switches, n)
-        self.scale = None if scale is None else _one_per_leg("scale", scale, n)
-        if self.scale is not None and not all(self.scale):
-            raise ModelError(f"scale {scale}: expected numbers other than 0")
+        self.switches = (
+            None if switches is None else read_one_per_joint("switches", switches, n, "leg")
+        )
+        self.scale = None if scale is None else read_scale(scale, n, "leg")
         # Rounded as the lengths are: the last bit of a root depends on the machine.
         self.length = round(float(np.sqrt(np.mean(np.sum((B - B.mean(axis=0)) ** 2, axis=1)))), 13)
 

@@ -16,7 +16,14 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.units import DEGREE, MM
-from parallel_cal.exporting.deltas import LINEAR, ROTARY, shoulders, towers
+from parallel_cal.exporting.deltas import (
+    LINEAR,
+    ROTARY,
+    complete_towers,
+    express_gain,
+    shoulders,
+    towers,
+)
 from parallel_cal.exporting.projection import Firmware, Projection, Refinement
 from parallel_cal.importing.deltas import Shoulders
 from parallel_cal.importing.importers import klipper
@@ -37,13 +44,24 @@ def firmware(stated: Settings) -> Firmware:
     return klipper.delta(stated)
 
 
-def project(model: Model, present: Refinement | None = None) -> Projection:
+def complete(read: Firmware, model: Model) -> Firmware:
+    return complete_towers(read, model, None)
+
+
+def project(
+    model: Model, present: Refinement | None = None, stated: Settings | None = None
+) -> Projection:
+    remarks, scale = list[str](), None
     if model.mechanism.name in LINEAR:
-        tall, c = towers(model, places=None, tilted=False, present=present)
+        has_scale = stated is not None and klipper.scale(stated) is not None
+        tall, c = towers(model, None, tilted=False, present=present, has_scale=has_scale)
         kind, heights = "delta", tall.heights
         printer = {"delta_radius": tall.radius[0] / MM}
         angles = tall.first + np.arange(3) * 120 * DEGREE + tall.trim
         each = {"arm_length": tall.rods / MM}
+        if tall.scale is not None and stated is not None:
+            each[klipper.ROTATION_DISTANCE] = klipper.gears(stated) / tall.scale / MM
+        scale = tall.scale
     else:
         turned, c = shoulders(model, places=None, equal_heights=True, present=present)
         kind, heights, angles = "rotary_delta", end_stop_heights(turned), turned.angles
@@ -55,14 +73,19 @@ def project(model: Model, present: Refinement | None = None) -> Projection:
     found |= {f"[printer] {key}": f"{number:.{DECIMALS}f}" for key, number in printer.items()}
     for i, stepper in enumerate(STEPPERS):
         found |= {f"{stepper} {key}": f"{three[i]:.{DECIMALS}f}" for key, three in each.items()}
-    remarks = []
+    if stated is not None:  # rotation_distance is per turn of the pulley
+        ratios = (f"{stepper} {klipper.GEAR_RATIO}" for stepper in STEPPERS)
+        found |= {field: stated.texts[field][0] for field in ratios if field in stated}
     if moved := [(STEPPERS[i], model.joints[k]) for i, k in enumerate(c.frame.order) if i != k]:
         pins = " and ".join(f"the pins of {joint} in {stepper}" for stepper, joint in moved)
         remarks.append(
             "Klipper requires its steppers in counter-clockwise order, seen from above. "
             f"Enter {pins}"
         )
-    return Projection({FILE: found}, c.frame, c.stops, tuple(remarks))
+    made = Projection({FILE: found}, c.frame, c.stops, tuple(remarks))
+    if model.mechanism.name in LINEAR:
+        made = express_gain(model, made, scale, klipper.ROTATION_DISTANCE)
+    return made
 
 
 def end_stop_heights(delta: Shoulders) -> np.ndarray:

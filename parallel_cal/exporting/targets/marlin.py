@@ -14,7 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from parallel_cal.base.units import DEGREE, MM
-from parallel_cal.exporting.deltas import LINEAR, TOWERS, towers
+from parallel_cal.exporting.deltas import (
+    LINEAR,
+    TOWERS,
+    complete_towers,
+    express_gain,
+    towers,
+)
 from parallel_cal.exporting.projection import Firmware, Projection, Refinement
 from parallel_cal.importing.importers import marlin
 from parallel_cal.importing.settings import Settings
@@ -23,6 +29,7 @@ from parallel_cal.model.model import Model
 HOLDS = LINEAR
 FILE = "marlin.gcode"
 DECIMALS = 4  # of mm and degrees
+STEPS_DECIMALS = 5  # of steps per mm
 MIN_RETRACT_M = 0.1e-3  # m; six steps, which Marlin ignores, are up to 0.1 mm
 STORE = (
     "send M500 after these commands, or they are lost when the printer is switched off. After a "
@@ -42,13 +49,24 @@ def firmware(stated: Settings) -> Firmware:
     return marlin.towers(stated)
 
 
-def project(model: Model, present: Refinement | None = None) -> Projection:
-    return make_projection(model, present, equal_rods=False)
+def complete(read: Firmware, model: Model) -> Firmware:
+    return complete_towers(read, model, TOWERS)
 
 
-def make_projection(model: Model, present: Refinement | None, equal_rods: bool) -> Projection:
+def project(
+    model: Model, present: Refinement | None = None, stated: Settings | None = None
+) -> Projection:
+    return make_projection(model, present, stated, equal_rods=False)
+
+
+def make_projection(
+    model: Model, present: Refinement | None, stated: Settings | None, equal_rods: bool
+) -> Projection:
     """Return the numbers of M665 and M666, with the trims A, B and C unless rods are equal."""
-    delta, c = towers(model, TOWERS, tilted=False, present=present, equal_rods=equal_rods)
+    has_scale = stated is not None and marlin.towers(stated).scale is not None
+    delta, c = towers(
+        model, TOWERS, tilted=False, present=present, equal_rods=equal_rods, has_scale=has_scale
+    )
     rod, homed = delta.rods.mean(), delta.heights.min()
     retract = delta.heights - homed
     if ((retract > 0) & (retract < MIN_RETRACT_M)).any():
@@ -59,7 +77,12 @@ def make_projection(model: Model, present: Refinement | None, equal_rods: bool) 
         found |= {f"M665 {t}": a for t, a in zip("ABC", (delta.rods - rod) / MM, strict=True)}
     found |= {f"M666 {t}": -a for t, a in zip("XYZ", retract / MM, strict=True)}
     written = {field: f"{np.round(v, DECIMALS) + 0.0:.{DECIMALS}f}" for field, v in found.items()}
-    return Projection({FILE: written}, c.frame, c.stops, (STORE, *(() if equal_rods else (TRIMS,))))
+    if delta.scale is not None:
+        steps = zip(marlin.STEPS_FIELDS, delta.scale * MM, strict=True)
+        written |= {field: f"{value:.{STEPS_DECIMALS}f}" for field, value in steps}
+    remarks = (STORE,) if equal_rods else (STORE, TRIMS)
+    made = Projection({FILE: written}, c.frame, c.stops, remarks)
+    return express_gain(model, made, delta.scale, "M92")
 
 
 def adapt(stated: Settings, numbers: Mapping[str, str]) -> dict[str, str]:
@@ -75,6 +98,10 @@ def adapt(stated: Settings, numbers: Mapping[str, str]) -> dict[str, str]:
             found[name] = values[0]
         elif values:
             found[name] = f"{{ {', '.join(values)} }}"
+    if marlin.STEPS_FIELDS[0] in numbers:
+        steps = [numbers[field] for field in marlin.STEPS_FIELDS]
+        extruders = marlin.read_steps(stated)[len(steps) :]
+        found[marlin.STEPS_DEFINED] = f"{{ {', '.join([*steps, *extruders])} }}"
     if marlin.RADIUS_TRIM in stated:  # the fit has one radius for all towers
         found[marlin.RADIUS_TRIM] = "{ 0.0, 0.0, 0.0 }"
     return found

@@ -16,7 +16,15 @@ from numpy.typing import ArrayLike
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.units import DEGREE, MM
-from parallel_cal.exporting.deltas import LINEAR, ROTARY, TOWERS, shoulders, towers
+from parallel_cal.exporting.deltas import (
+    LINEAR,
+    ROTARY,
+    TOWERS,
+    complete_towers,
+    express_gain,
+    shoulders,
+    towers,
+)
 from parallel_cal.exporting.editing import read_verbatim
 from parallel_cal.exporting.projection import (
     Firmware,
@@ -60,17 +68,23 @@ def firmware(stated: Settings) -> Firmware:
     return of.get(rrf.kind(stated), rrf.read_delta)(stated)
 
 
-def project(model: Model, present: Refinement | None = None) -> Projection:
+def complete(read: Firmware, model: Model) -> Firmware:
+    return complete_towers(read, model, TOWERS)
+
+
+def project(
+    model: Model, present: Refinement | None = None, stated: Settings | None = None
+) -> Projection:
     name = model.mechanism.name
     if name in LINEAR:
-        return _linear(model, present)
+        return _linear(model, present, stated is not None and rrf.scale(stated) is not None)
     if name in ROTARY:
         return _rotary(model, present)
     return {"five_bar": _five_bar, "cable": _cable}[name](model)
 
 
-def _linear(model: Model, present: Refinement | None) -> Projection:
-    delta, c = towers(model, TOWERS, tilted=True, present=present)
+def _linear(model: Model, present: Refinement | None, has_scale: bool) -> Projection:
+    delta, c = towers(model, TOWERS, tilted=True, present=present, has_scale=has_scale)
     homed = delta.heights.mean()
     found = {"M665 L": _numbers(delta.rods / MM, 4), "M665 R": _numbers(delta.radius[:1] / MM, 4)}
     found |= {"M665 H": _numbers([homed / MM], 4)}
@@ -78,7 +92,10 @@ def _linear(model: Model, present: Refinement | None) -> Projection:
     found |= _format_three("M666", (delta.heights - homed) / MM, 4)
     slopes = zip("AB", delta.tilt, strict=True)
     found |= {f"M666 {axis}": _numbers([100 * slope], 5) for axis, slope in slopes}
-    return Projection({FILE: found}, c.frame, c.stops)
+    if delta.scale is not None:
+        found |= _format_three("M92", delta.scale * MM, 5)
+    made = Projection({FILE: found}, c.frame, c.stops)
+    return express_gain(model, made, delta.scale, "M92")
 
 
 def _rotary(model: Model, present: Refinement | None) -> Projection:

@@ -18,9 +18,11 @@ from parallel_cal.importing import deltas
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.deltas import Shoulders
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines
+from parallel_cal.model.machine_class import MachineClass
 from parallel_cal.model.model import new_model
 
 CONFIGURATION = (".txt", ".settings")
+MACHINE_CLASS: MachineClass = "hobby"  # belts, printed parts, open loop
 SETTING = re.compile(r"\s*(\$\d+)\s*=\s*([^\s;(]*)")
 ROD = "$641"
 SIDE = np.tan(np.radians(30)) / 2  # distance of an axis from the centre, per side of its triangle

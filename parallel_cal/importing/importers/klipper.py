@@ -21,12 +21,17 @@ from parallel_cal.importing.deltas import Delta, Shoulders, Towers, are_counter_
 from parallel_cal.importing.sections import settings
 from parallel_cal.importing.settings import Settings
 from parallel_cal.importing.touch_samples import make_joint_samples, make_printed_ends
+from parallel_cal.model.machine_class import MachineClass
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array
 
 CONFIGURATION = (".cfg",)
+MACHINE_CLASS: MachineClass = "hobby"  # belts, printed parts, open loop
 TOUCHES = "[delta_calibrate]"
 STEPPERS = [f"[stepper_{a}]" for a in "abc"]
+ROTATION_DISTANCE, GEAR_RATIO = "rotation_distance", "gear_ratio"
+# The bed is near 0; a block on it may be of any height that a printer reaches.
+MAX_HEIGHTS_MM = {"height": 50.0, "manual_height": 500.0}
 KINDS = "delta or rotary_delta"
 TOWERS, SHOULDERS = (210.0, 330.0, 90.0), (30.0, 150.0, 270.0)  # degrees, the defaults
 UNUSED = "distances are not used: --option printed_x=[sent, measured] determines the size"
@@ -43,16 +48,15 @@ def samples(
     step, top = _steps(stated), delta(stated).homed
     beside = bool(np.any(_probe(stated)))
     found, heights, warnings = [], [], []
-    for name in ("height", "manual_height"):
+    for name, limit in MAX_HEIGHTS_MM.items():
         if name == "manual_height" and beside and f"{TOUCHES} manual_height0" in stated:
             warnings.append("manual heights are heights of the nozzle, not of the probe: not used")
             continue
         for k in count():
             if f"{TOUCHES} {name}{k}" not in stated:
                 break
-            height = stated.number(
-                f"{TOUCHES} {name}{k}", "the nozzle's height in mm", None, -50, 50
-            )
+            within = f"the nozzle's height in mm, from {-limit:g} to {limit:g}"
+            height = stated.number(f"{TOUCHES} {name}{k}", within, None, -limit, limit)
             heights.append(height * MM)
             field = f"{TOUCHES} {name}{k}_pos"
             text, place = stated.text(field, "steps of motors a, b, c from their end-stops")
@@ -113,12 +117,26 @@ def _steps(stated: Settings) -> Array:
     for stepper in STEPPERS:
         turn = 2 * np.pi
         if _kind(stated) == "delta":
-            field = f"{stepper} rotation_distance"
+            field = f"{stepper} {ROTATION_DISTANCE}"
             turn = stated.number(field, "mm a turn", low=1e-3) * MM
         full = stated.number(f"{stepper} full_steps_per_rotation", "steps", 200.0, 1)
         micro = stated.number(f"{stepper} microsteps", "microsteps per step", low=1)
-        found.append(turn / (full * micro * _gear(stated, f"{stepper} gear_ratio")))
+        found.append(turn / (full * micro * _gear(stated, f"{stepper} {GEAR_RATIO}")))
     return np.array(found)
+
+
+def scale(stated: Settings) -> Array | None:
+    """Return the turns (3,) of the motors for 1 m of a carriage; None if they are not stated."""
+    fields = [f"{stepper} {ROTATION_DISTANCE}" for stepper in STEPPERS]
+    if any(field not in stated for field in fields):
+        return None
+    turns = [stated.number(field, "mm a turn", low=1e-3) * MM for field in fields]
+    return gears(stated) / np.array(turns)
+
+
+def gears(stated: Settings) -> Array:
+    """Return the turns (3,) of the motors for one turn of their pulleys."""
+    return np.array([_gear(stated, f"{stepper} {GEAR_RATIO}") for stepper in STEPPERS])
 
 
 def _gear(stated: Settings, field: str) -> float:
@@ -181,6 +199,7 @@ def _towers(stated: Settings) -> Towers:
         angles - np.array(TOWERS),
         _read_stepper_values(stated, "position_endstop", "the nozzle's height in mm"),
         reach=stated.number("[printer] print_radius", "mm", 0.6 * radius, 1.0) * MM,
+        scale=scale(stated),
     )
 
 

@@ -26,10 +26,12 @@ from parallel_cal.importing.deltas import Towers
 from parallel_cal.importing.gcode import parse_settings_line
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines
 from parallel_cal.importing.touch_samples import make_joint_samples, make_printed_ends
+from parallel_cal.model.machine_class import MachineClass
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array
 
 CONFIGURATION = (".log", ".txt", ".gcode", ".h")
+MACHINE_CLASS: MachineClass = "hobby"  # belts, printed parts, open loop
 CODES = ("M92", "M665", "M666", "M851")
 HOST_PREFIX = re.compile(
     r"^.*?(?:Recv|Send|RECV|SENDING|<<<|>>>|echo)\s*:?\s*(?:[\d:.]+:)?\s*(?:echo:)?"
@@ -47,6 +49,9 @@ DEFINITIONS = {
     "DELTA_ENDSTOP_ADJ": ("M666 X", "M666 Y", "M666 Z"),
     "NOZZLE_TO_PROBE_OFFSET": ("M851 X", "M851 Y", "M851 Z"),
 }
+# Its values are those of M92 X Y Z, and of the extruders, if they are plain numbers.
+STEPS_DEFINED = "DEFAULT_AXIS_STEPS_PER_UNIT"
+STEPS_FIELDS = tuple(f"M92 {axis}" for axis in "XYZ")
 DEFINED, RADIUS_TRIM = "DELTA_RADIUS", "DELTA_RADIUS_TRIM_TOWER"  # no command sets the latter
 DEFINITION = re.compile(r"\s*#define\s+(\w+)\s+(\{[^}]*\}|[^/]*[^/\s])")
 FIELDS = {"Height": "M665 H", "Radius": "M665 R"}
@@ -117,9 +122,9 @@ def settings(paths: Sequence[Path]) -> Settings:
     for path in headers:
         for place, line in read_lines(path):
             found = DEFINITION.match(line)
-            if not found or found[1] not in (*DEFINITIONS, RADIUS_TRIM):
+            if not found or found[1] not in (*DEFINITIONS, RADIUS_TRIM, STEPS_DEFINED):
                 continue
-            if found[1] in texts and found[1].startswith("DELTA_"):
+            if found[1] in texts and found[1].startswith(("DELTA_", "DEFAULT_")):
                 raise place.error(
                     found[1], found[2], "one definition of it; delete those that #if excludes"
                 )
@@ -137,7 +142,18 @@ def _read_defined(stated: Settings) -> Settings:
             for word in words:
                 place.number(name, word, "a number, or numbers in braces, without a formula")
             texts |= {field: (word, place) for field, word in zip(fields, words, strict=True)}
+    if steps := read_steps(stated):
+        place = stated.text(STEPS_DEFINED, "")[1]
+        texts |= {f: (word, place) for f, word in zip(STEPS_FIELDS, steps, strict=False)}
     return Settings(texts, stated.paths)
+
+
+def read_steps(stated: Settings) -> list[str]:
+    """Return the texts of DEFAULT_AXIS_STEPS_PER_UNIT; none if the first three are no numbers."""
+    text = stated.texts[STEPS_DEFINED][0] if STEPS_DEFINED in stated else ""
+    words = [word.strip() for word in text.strip("{} ").split(",")]
+    plain = [re.fullmatch(r"\d+(\.\d*)?", word) for word in words[: len(STEPS_FIELDS)]]
+    return words if all(plain) and len(plain) == len(STEPS_FIELDS) else []
 
 
 def _split(stated: Settings, name: str, n: int) -> list[str]:
@@ -197,4 +213,8 @@ def towers(stated: Settings) -> Towers:
     stops = [stated.number(f"M666 {t}", "mm, 0 or less", 0.0, high=0.0) for t in "XYZ"]
     homed = stated.number("M665 H", "the homed height in mm", low=0.0)
     trim = [stated.number(f"M665 {t}", "degrees", 0.0, -30, 30) for t in "XYZ"]
-    return Towers.of(radius + out, rod + np.array(more), trim, homed - np.array(stops))
+    scale = None
+    if all(field in stated for field in STEPS_FIELDS):
+        scale = np.array([stated.number(f, "steps per mm", low=1e-3) / MM for f in STEPS_FIELDS])
+    stops_at = homed - np.array(stops)
+    return Towers.of(radius + out, rod + np.array(more), trim, stops_at, scale=scale)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -24,11 +25,13 @@ from parallel_cal.importing.gcode import settings
 from parallel_cal.importing.hangprinter import Hangprinter
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines
 from parallel_cal.importing.touch_samples import make_printed_ends, make_touch_samples
+from parallel_cal.model.machine_class import MachineClass
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array, Dropped
 
 CONFIGURATION = (".g",)
+MACHINE_CLASS: MachineClass = "hobby"  # belts, printed parts, open loop
 CODES = ("G31", "M92", "M665", "M666", "M669")
 KINDS = "3 (linear Delta), 10 (rotary Delta) or, for `new`, 6 (Hangprinter) or 9 (five-bar)"
 HEAD = "RepRapFirmware height map file v2"
@@ -43,6 +46,7 @@ UNEQUAL_ARMS = (
     "arm A when it computes the position from the motors, as after homing"
 )
 STEPS = 80.0  # per mm or degree, if M92 is missing
+STEPS_FIELDS = tuple(f"M92 {axis}" for axis in "XYZ")
 ANCHORS = "ABCDI"  # letters of M669 that are anchors
 
 
@@ -67,7 +71,7 @@ def samples(
         points - tip(stated),
         [place for each in read for place in each[1]],
         paths,
-        [unit / stated.number(f"M92 {axis}", "steps per unit", STEPS, low=1e-3) for axis in "XYZ"],
+        [unit / stated.number(f, "steps per unit", STEPS, low=1e-3) for f in STEPS_FIELDS],
         visits=points[:, :2],
         dropped=[gap for each in read for gap in each[2]],
         printed=make_printed_ends(delta, printed_x, printed_y),
@@ -181,7 +185,8 @@ def read_delta(stated: Settings) -> Delta:
         homed = stated.number("M665 H", "the homed height in mm", low=0.0)
         heights = homed + np.array(stops)
         reach = _reach(stated, "M665 B")
-        return Towers.of(radius, rods, trim, heights, tilt=(tilt[0], tilt[1]), reach=reach)
+        more = {"tilt": (tilt[0], tilt[1]), "reach": reach, "scale": scale(stated)}
+        return Towers.of(radius, rods, trim, heights, **more)
     if kind(stated) != 10:
         raise stated.error("M669 K", KINDS)
     # M669 K10 U L H A R B X Y Z and M666 X Y Z (degrees)
@@ -200,6 +205,19 @@ def read_delta(stated: Settings) -> Delta:
         tuple((span[0] * DEGREE, (span[1] + stop) * DEGREE) for stop in stops),
         _reach(stated, "M669 B"),
     )
+
+
+def scale(stated: Settings) -> Array | None:
+    """Return the steps (3,) of the motors for 1 m of a carriage.
+
+    None if they are not stated, or if several motors have them from one variable.
+    """
+    if any(field not in stated for field in STEPS_FIELDS):
+        return None
+    places = [stated.texts[field] for field in STEPS_FIELDS]
+    if any(a is b for a, b in combinations(places, 2)):
+        return None
+    return np.array([stated.number(f, "steps per mm", low=1e-3) / MM for f in STEPS_FIELDS])
 
 
 def _reach(stated: Settings, field: str) -> float | None:

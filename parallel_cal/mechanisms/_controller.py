@@ -1,0 +1,28 @@
+"""Options of a mechanism that describe the controller with which its joints were recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from parallel_cal.base.errors import ModelError
+
+
+def read_one_per_joint(name: str, given: Sequence[float], n: int, part: str) -> tuple[float, ...]:
+    """Return an option that has one finite number for each `part`, of which there are n."""
+    try:
+        values = np.array(given, dtype=float)
+    except (TypeError, ValueError):
+        values = np.empty(0)
+    if values.shape != (n,) or not np.isfinite(values).all():
+        raise ModelError(f"{name} is {given!r}: expected {n} numbers, one for each {part}")
+    return tuple(map(float, values))
+
+
+def read_scale(given: Sequence[float], n: int, part: str = "joint") -> tuple[float, ...]:
+    """Return the option `scale`: counts per m of each `part`, of which there are n."""
+    scale = read_one_per_joint("scale", given, n, part)
+    if not all(scale):
+        raise ModelError(f"scale {scale}: expected numbers other than 0")
+    return scale
