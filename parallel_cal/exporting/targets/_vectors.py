@@ -39,10 +39,10 @@ MIN_LIMIT = 1e-12  # m, rad: what Newton's method may leave after its last step
 def vectors(model: Model, poses: int) -> str:
     """Return a table of problems, one per line.
 
-    A line contains: inverse (1) or direct (0), status, conditions, joints, position, and rotation
-    row by row. The part that is not given is the solution, NaN if invalid. The last column is the
-    limit of a difference from this solution (m, rad). Poses whose solution changes if the pose moves
-    by a nanometre are not used.
+    A line contains: inverse (1) or direct (0), status, conditions, joints, position, rotation row
+    by row, and the limit of a difference from this solution (m, rad). The part that is not given is
+    the solution, NaN if invalid. Poses whose solution changes if the pose moves by a nanometre are
+    not used.
     """
     rng = np.random.default_rng(0)
     r, R = poses_in_workspace(model.mechanism, poses, rng)
@@ -88,9 +88,9 @@ def vectors(model: Model, poses: int) -> str:
 def _limits(problem: Problem, found: Solutions, a: np.ndarray) -> np.ndarray:
     """Compute how far another program's solution may differ.
 
-    The smallest singular value of the problem amplifies the rounding of the closure. At a minimum of
-    least squares the residual is flat: it differs by its rounding over a distance that is the root
-    of their product.
+    The smallest singular value of the problem amplifies the rounding of the closure. At a minimum
+    of least squares the residual is flat: it differs by its rounding over a distance that is the
+    root of their product.
     """
     model = problem.model
     lengths = [abs(model.values[i]) for i, p in enumerate(model.table) if p.unit == "m"]
