@@ -17,6 +17,7 @@ from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.file.modelfile import model_hash, write_model
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import load_mechanism
 from parallel_cal.nodes.stream_memory import DirectionTracker
 from parallel_cal.recordings.travel import travel
 
@@ -91,6 +92,45 @@ def test_it_compiles_strictly_and_agrees_with_python(name):
     assert max(found[part] for part in ("joints", "position", "rotation")) < 1e-12
 
 
+# Eight lines hold a platform with six freedoms, from crossed corners as in a suspended crane.
+ANCHORS = [[3 * x, 2.2 * y, 3.2] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1)) for _ in "ab"]
+CORNERS = [
+    [-0.4 * x, 0.3 * y * side, 0.25 * side]
+    for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    for side in (1, -1)
+]
+
+
+@cache
+def platform_on_lines():
+    model = new_model(
+        load_mechanism("stewart42", base=ANCHORS, platform=CORNERS, height=1.2, tolerance=0.005)
+    )
+    off = 0.5 * model.table.tolerance * np.random.default_rng(1).standard_normal(len(model.table))
+    return model.with_values(model.table.nominal + off)
+
+
+def test_a_platform_on_eight_lines_agrees_with_python_within_the_limit_of_its_conditioning(
+    tmp_path,
+):
+    export(platform_on_lines(), "c:poses=300,name=crane", tmp_path)
+    run([*STRICT, *SANITIZERS, "crane_check.c", "crane.c", "-o", "check", "-lm"], tmp_path)
+    words = run(["./check", "crane_vectors.csv"], tmp_path).split()
+    found = dict(zip(words[::2], map(float, words[1::2]), strict=True))
+    assert found["rows"] == 600
+    assert found["beyond_limit"] == 0
+    # Readings that disagree by 0.01 mm leave a flat minimum; the Delta's limit is 1e-12.
+    assert 1e-12 <= found["least_limit"] <= found["largest_limit"] < 1e-6
+    moved = Path(tmp_path, "crane_vectors.csv").read_text().splitlines()[:-2]
+    cells = moved[-1].split(",")
+    x = 2 + 8
+    cells[x] = repr(float(cells[x]) + 2 * float(cells[-1]))
+    (tmp_path / "other.csv").write_text("\n".join([*moved[:-1], ",".join(cells)]))
+    done = subprocess.run(["./check", "other.csv"], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 1
+    assert "beyond_limit 1" in done.stdout
+
+
 @pytest.mark.wide
 @pytest.mark.parametrize("name", [p if isinstance(p, str) else p.values[0] for p in ROBOTS])
 def test_it_agrees_with_python_over_a_hundred_thousand_poses(name):
@@ -120,6 +160,7 @@ def test_the_check_fails_where_a_number_differs(tmp_path):
     done = subprocess.run([f"{kept}/check", str(tmp_path / "other.csv")], capture_output=True)
     assert done.returncode == 1
     assert b"joints 1e-09" in done.stdout
+    assert b"beyond_limit 1" in done.stdout
 
 
 @pytest.mark.parametrize("name", ROBOTS)

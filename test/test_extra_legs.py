@@ -1,16 +1,20 @@
 """Hexapods with more than six legs calibrate themselves by the lengths of their legs, without a
 device. The true robots are points and distances between them."""
 
+import json
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
 from parallel_cal.base.errors import ModelError, SolveError
+from parallel_cal.cli.main import main
 from parallel_cal.exporting.targets import linuxcnc
 from parallel_cal.identification.fit import fit
 from parallel_cal.kinematics.all_solutions import direct_all
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.solvers import homotopy
+from parallel_cal.model.file.modelfile import write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
 from parallel_cal.recordings.dataset import Dataset
@@ -161,3 +165,59 @@ def test_the_lengths_of_the_legs_calibrate_the_robot_without_a_device(legs, shar
 def test_errors_of_the_points_are_as_large_as_stated_over_20_draws(legs):
     z = np.concatenate([z_scores(legs, seed) for seed in range(20)])
     assert 0.85 < np.sqrt(np.mean(z**2)) < 1.15
+
+
+def disagreeing(n, seed, sigma):
+    """Readings (n, 8) of robots with parts off by their tolerances, with noise `sigma`."""
+    rng = np.random.default_rng(seed)
+    r = HEIGHT + rng.uniform(-0.03, 0.03, (n, 3))
+    readings = []
+    for i in range(n):
+        stray = rng.normal(0, TOLERANCE, (2, 8, 3))
+        L0 = [drawn(8).value(f"leg{k + 1}.L0") for k in range(8)] + rng.normal(0, TOLERANCE, 8)
+        lengths = distances(BASE + stray[0], PLATFORM + stray[1], r[i : i + 1], np.eye(3)[None])[0]
+        readings.append(lengths - L0 + rng.normal(0, sigma, 8))
+    return np.array(readings)
+
+
+def test_the_residual_of_more_legs_than_freedoms_is_as_large_as_noise_and_tolerances_explain():
+    kinematics, sigma = Kinematics(drawn(8)), 2e-3
+    found = kinematics.direct(disagreeing(200, 5, sigma))
+    assert found.ok.all()
+    expected = kinematics.direct_residual_sigma(found, joint_sigma=sigma)
+    assert np.mean((found.residual / expected) ** 2) == pytest.approx(1, abs=0.2)
+    # Without noise less is explained; six legs agree on a pose whatever their lengths are.
+    assert (kinematics.direct_residual_sigma(found) < expected).all()
+    six = Kinematics(drawn(6))
+    agreed = six.direct(np.full(6, 1e-3))
+    assert six.direct_residual_sigma(agreed, joint_sigma=sigma) < 1e-9
+
+
+def test_direct_warns_of_leg_lengths_that_disagree(tmp_path, capsys):
+    write_model(drawn(8), tmp_path / "eight.yaml")
+    usual = disagreeing(1, 6, 0.0)[0]
+    file = str(tmp_path / "eight.yaml")
+
+    def run(*words):
+        with pytest.raises(SystemExit) as ended:
+            main(["direct", file, *words])
+        assert not ended.value.code
+        return capsys.readouterr()
+
+    def direct(readings):
+        out, err = run("--joints", " ".join(map(str, readings)), "--json")
+        return json.loads(out)["solutions"][0], err
+
+    solution, warning = direct(usual)
+    assert "agree on no pose" not in warning
+    assert 1e-4 < solution["residual"] < 3 * solution["explained_residual"]
+    solution, warning = direct(usual + [0.02, 0, 0, 0, 0, 0, 0.03, 0])
+    assert solution["status"] == "converged"
+    assert solution["residual"] > 3 * solution["explained_residual"]
+    assert "the joint readings agree on no pose: the residual is " in warning
+    header = ",".join(f"leg{i + 1}" for i in range(8))
+    rows = "\n".join(",".join(map(str, q)) for q in (usual, usual + 0.02 * np.eye(8)[0]))
+    (tmp_path / "legs.csv").write_text(f"{header}\n{rows}\n")
+    out, err = run("--input", str(tmp_path / "legs.csv"))
+    assert out.splitlines()[0].endswith("explained_residual,residual,status")
+    assert "the readings of 1 row agree on no pose: the residual in row 2 is " in err

@@ -95,6 +95,7 @@ def direct(
     if table is not None:
         answer = direct_table(robot, table, conditions, solver, covariance)
         _warn_outside_region(answer.found, robot, answer.conditions)
+        console.warn(filter(None, [answers.describe_disagreement(answer.found, answer.explained)]))
         return _output_table(answer, output, as_json)
     if q is not None and len(q) != len(robot.joints):
         raise ParallelCalError(
@@ -103,7 +104,9 @@ def direct(
         )
     found = solving.direct(robot, np.array(q), conditions, every, solver)
     known = answers.direct_covariances(robot, found, conditions) if covariance else None
-    _print_solutions(found, robot, conditions, known, _pose_sigma, as_json)
+    explained = answers.explained_residuals(robot, found, conditions)
+    console.warn(filter(None, [answers.describe_disagreement(found, explained)]))
+    _print_solutions(found, robot, conditions, known, _pose_sigma, as_json, explained)
 
 
 def inverse(
@@ -204,25 +207,33 @@ def _print_solutions(
     covariances: np.ndarray | None,
     words: Callable[[np.ndarray], str],
     as_json: bool,
+    explained: np.ndarray | None = None,
 ) -> None:
     from parallel_cal.kinematics.answers import to_rows
 
     _warn_outside_region(solutions, model, conditions)
-    rows = to_rows(solutions, covariances)
+    rows = to_rows(solutions, covariances, explained)
     if as_json:
         about = {key: getattr(solutions, key) for key in ("count_complex", "complete")}
         known = {key: value for key, value in about.items() if value is not None}
         return console.emit({"solutions": rows, **known})
     name, factor = _joint_unit(model)
     console.table(
-        ("status", "position [mm]", "quaternion x y z w", f"joints [{name}]", "residual [m]"),
+        (
+            *("status", "position [mm]", "quaternion x y z w", f"joints [{name}]", "residual [m]"),
+            *(() if explained is None else ("explained [m]",)),
+        ),
         [
             (
                 r["status"],
                 format_fixed_vector(r["position"], 1e3, 4),
                 format_fixed_vector(r["quaternion"], 1, 7),
                 format_fixed_vector(r["joints"], factor, 5),
-                f"{r['residual']:.1e}" if math.isfinite(r["residual"]) else "-",
+                *(
+                    f"{r[key]:.1e}" if math.isfinite(r[key]) else "-"
+                    for key in ("residual", "explained_residual")
+                    if key in r
+                ),
             )
             for r in rows
         ],
@@ -266,7 +277,7 @@ def _output_table(answer: Answer, output: Path | None, as_json: bool) -> None:
     said = {} if found.message is None else {"message": found.message}
     summary = "; ".join([summary, *said.values()])
     if as_json and output is None:
-        console.emit({"solutions": to_rows(found, answer.covariances), **said})
+        console.emit({"solutions": to_rows(found, answer.covariances, answer.explained), **said})
     elif as_json:
         console.emit({"output": str(output), "rows": len(found), "statuses": statuses, **said})
     elif output is None:

@@ -16,6 +16,7 @@ from parallel_cal.base.errors import ModelError, SolveError
 from parallel_cal.base.rotation import quaternion_to_matrix
 from parallel_cal.kinematics.answers import (
     direct_covariances,
+    explained_residuals,
     inverse_covariances,
     named_conditions,
     select_rows,
@@ -68,12 +69,14 @@ def _columns(table: Table, names: Sequence[str]) -> np.ndarray:
 
 class Answer(NamedTuple):
     """The solutions of a table: as CSV, as numbers with their covariances (N, n, n) if these were
-    asked for, and the conditions of its rows."""
+    asked for, the conditions of its rows, and the explained residuals (N,) of a robot with more
+    joints than freedoms."""
 
     text: str
     found: Solutions
     covariances: np.ndarray | None
     conditions: Conditions
+    explained: np.ndarray | None = None
 
 
 def direct_table(
@@ -90,8 +93,9 @@ def direct_table(
         found = _insert_solutions(found, some, good)
     known = direct_covariances(model, found, conditions) if covariance else None
     names, values = (*POSITION, *QUATERNION), np.hstack([found.position, found.quaternion])
-    text = _text(table, names, values, found, POSE, known)
-    return Answer(text, found, known, conditions)
+    explained = explained_residuals(model, found, conditions)
+    text = _text(table, names, values, found, POSE, known, explained)
+    return Answer(text, found, known, conditions, explained)
 
 
 def inverse_table(
@@ -164,9 +168,11 @@ def _text(
     found: Solutions,
     uncertain: Sequence[str],
     covariances: np.ndarray | None,
+    explained: np.ndarray | None = None,
 ) -> str:
     """Format the given cells, the solution, the standard deviations of the `uncertain` numbers
-    (`sigma.x`) if they are known, the residual (m) and the status as CSV.
+    (`sigma.x`) and the explained residual (m) if they are known, the residual (m) and the status as
+    CSV.
 
     A row that is not solved keeps its cells.
     """
@@ -174,6 +180,9 @@ def _text(
         names = [*names, *(f"sigma.{name}" for name in uncertain)]
         variances = np.diagonal(covariances, axis1=1, axis2=2)
         values = np.hstack([values, np.sqrt(variances)])
+    if explained is not None:
+        names = [*names, "explained_residual"]
+        values = np.column_stack([values, explained])
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow([*table.header, *names, "residual", "status"])

@@ -71,6 +71,58 @@ def inverse_covariances(model: Model, found: Solutions, at: Mapping[str, Any]) -
     return _of_solved(_with_covariance(model).inverse_covariance, found, at, len(model.joints))
 
 
+# A residual of so many expected residuals has another cause.
+MAX_RESIDUAL_RATIO = 3.0
+
+
+def explained_residuals(model: Model, found: Solutions, at: Mapping[str, Any]) -> np.ndarray | None:
+    """Compute the residual (N,) in m that noise and the errors of the model explain.
+
+    It is that of the uncertainty of the parameters or that of the last fit, the larger one. None if
+    the robot has no more joints than freedoms.
+    NaN for a sample that is not solved.
+    """
+    kinematics = Kinematics(model)
+    if not kinematics.direct_problem.redundant:
+        return None
+    explained = np.full(len(found), np.nan)
+    if (solved := found.solved).any():
+        noise = np.nan_to_num(model.joint_noise)
+        sigma = kinematics.direct_residual_sigma(found[solved], select_rows(at, solved), noise)
+        explained[solved] = np.maximum(sigma, _fitted_residual(model))
+    return explained
+
+
+def _fitted_residual(model: Model) -> float:
+    """Return the norm (rms, m) of the closure at the held-out poses of the last fit, 0 without."""
+    for step in reversed(model.history):
+        judged = (step.get("held_out") or {}).get("after") or step.get("after") or {}
+        if (rms := judged.get("closure_rms")) is not None:
+            return float(rms) * model.structure.phi.shape[0] ** 0.5
+    return 0.0
+
+
+def describe_disagreement(found: Solutions, explained: np.ndarray | None) -> str:
+    """Describe readings that disagree by more than is explained; empty if there are none."""
+    if explained is None:
+        return ""
+    with np.errstate(invalid="ignore"):
+        beyond = np.flatnonzero(found.residual > MAX_RESIDUAL_RATIO * explained)
+    if not len(beyond):
+        return ""
+    worst = beyond[np.argmax(found.residual[beyond] / explained[beyond])]
+    which, row = "the joint readings", ""
+    if len(found) > 1:
+        which = f"the readings of {len(beyond)} row{'s' * (len(beyond) > 1)}"
+        row = f" in row {worst + 1}"
+    return (
+        f"{which} agree on no pose: the residual{row} is {1e3 * found.residual[worst]:.4g} mm, and "
+        "the noise and the errors of the model explain "
+        f"{1e3 * explained[worst]:.3g} mm (rms). The pose is that of least squares. Check the "
+        "readings, and the geometry in the model file"
+    )
+
+
 def _of_solved(
     compute: Callable[[Solutions, Mapping[str, Any]], np.ndarray],
     found: Solutions,
@@ -94,9 +146,13 @@ def _with_covariance(model: Model) -> Kinematics:
     return Kinematics(model)
 
 
-def to_rows(solutions: Solutions, covariances: np.ndarray | None = None) -> list[dict[str, Any]]:
-    """Convert solutions, and their covariances if they are known, to dictionaries with the keys of
-    the command line's JSON documents."""
+def to_rows(
+    solutions: Solutions,
+    covariances: np.ndarray | None = None,
+    explained: np.ndarray | None = None,
+) -> list[dict[str, Any]]:
+    """Convert solutions, and their covariances and explained residuals if these are known, to
+    dictionaries with the keys of the command line's JSON documents."""
     rows: list[dict[str, Any]] = [
         {
             "position": s.position,
@@ -110,6 +166,9 @@ def to_rows(solutions: Solutions, covariances: np.ndarray | None = None) -> list
     if covariances is not None:
         for row, covariance in zip(rows, covariances, strict=True):
             row["covariance"] = covariance
+    if explained is not None:
+        for row, size in zip(rows, explained, strict=True):
+            row["explained_residual"] = size
     return rows
 
 

@@ -179,6 +179,40 @@ class Kinematics:
         columns = [c - self._n for c in range(self._n)] + self.model.mechanism.passive
         return self._covariance(solution, at, columns, self._n, 0.0)
 
+    def direct_residual_sigma(
+        self, solution: Solutions, at: Mapping[str, Any] | None = None, joint_sigma: ArrayLike = 0.0
+    ) -> np.ndarray:
+        """Compute the residual (rms) that noise and uncertain parameters explain.
+
+        If a robot has more joints than freedoms, its readings never agree on one pose: `direct`
+        returns the pose of least squares, and the residual is the norm of what is left. It is
+        P (J_v dv + J_q dq) with the projection P = 1 - J_x J_x^+. A residual of several times this
+        value has another cause. For other robots it is 0.
+
+        Parameters
+        ----------
+        solution : Solutions
+            Result of `direct`.
+        at : mapping of str to float or array (N,), optional
+            The conditions of that result.
+        joint_sigma : float or array (nq,)
+            Standard deviation of joint readings, rad or m. Default 0.
+
+        Returns
+        -------
+        array () or (N,)
+            Root of the expected square of `solution.residual`, m. The parameters have the model's
+            covariance, or their tolerances if it has none.
+        """
+        covariance = self.model.covariance
+        if covariance is None:
+            covariance = np.diag(np.where(self.model.fixed, 0.0, self.model.table.tolerance) ** 2)
+        columns = self.model.mechanism.moved
+        unknown, spread = self._linearize(solution, at, columns, joint_sigma, covariance)
+        projection = np.eye(unknown.shape[1]) - unknown @ np.linalg.pinv(unknown)
+        sigma = np.sqrt(np.trace(projection @ spread, axis1=1, axis2=2).clip(0.0))
+        return np.asarray(sigma[0] if solution.joints.ndim == 1 else sigma)
+
     # ------------------------------------------------------------------ the two problems
 
     @cached_property
@@ -294,10 +328,33 @@ class Kinematics:
         answer_size: int,
         joint_sigma: ArrayLike,
     ) -> np.ndarray:
+        unknown, spread = self._linearize(solution, at, columns, joint_sigma, self.model.covariance)
+        inverse = np.linalg.pinv(unknown)
+        covariance = inverse @ spread @ inverse.swapaxes(1, 2)
+        if answer_size:
+            covariance = covariance[:, :answer_size, :answer_size]
+        else:
+            full = np.zeros((len(unknown), 6, 6))
+            full[np.ix_(range(len(unknown)), columns, columns)] = covariance
+            covariance = full
+        return np.asarray(covariance[0] if solution.joints.ndim == 1 else covariance)
+
+    def _linearize(
+        self,
+        solution: Solutions,
+        at: Mapping[str, Any] | None,
+        columns: list[int],
+        joint_sigma: ArrayLike,
+        parameters: np.ndarray | None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the closure's Jacobian (N, m, columns) and the covariance (N, m, m) of its rows.
+
+        The covariance follows from that of the parameters and from the noise of the readings.
+        """
         require("solution", solution, "Solutions", SolveError)
         require("joint_sigma", joint_sigma, "ArrayLike", SolveError)
-        n, x = self._n, solution.configuration.rows
-        rows, m = np.atleast_2d(x), self.model.structure.phi.shape[0]
+        n, m = self._n, self.model.structure.phi.shape[0]
+        rows = np.atleast_2d(solution.configuration.rows)
         a = self.model.condition_rows(at, len(rows))
         found = [
             self._closure(row, one, self.model.values)[1:] for row, one in zip(rows, a, strict=True)
@@ -307,19 +364,11 @@ class Kinematics:
             np.array(flat).reshape(len(rows), -1, m).swapaxes(1, 2)
             for flat in zip(*found, strict=True)
         )
-        unknown, known = J_x[..., [c + n for c in columns]], J_x[..., :n]
+        known = J_x[..., :n]
         spread = (known * np.square(joint_sigma)) @ known.swapaxes(1, 2)
-        if self.model.covariance is not None:
-            spread += J_v @ self.model.covariance @ J_v.swapaxes(1, 2)
-        inverse = np.linalg.pinv(unknown)
-        covariance = inverse @ spread @ inverse.swapaxes(1, 2)
-        if answer_size:
-            covariance = covariance[:, :answer_size, :answer_size]
-        else:
-            full = np.zeros((len(J_x), 6, 6))
-            full[np.ix_(range(len(J_x)), columns, columns)] = covariance
-            covariance = full
-        return covariance[0] if x.ndim == 1 else covariance
+        if parameters is not None:
+            spread += J_v @ parameters @ J_v.swapaxes(1, 2)
+        return J_x[..., [c + n for c in columns]], spread
 
     @cached_property
     def _closure(self) -> Single:

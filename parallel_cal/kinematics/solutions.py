@@ -59,7 +59,8 @@ class Solutions:
     rotation : array (N, 3, 3)
         Orientation of {P} in {B}, as matrices.
     residual : array (N,)
-        Remaining error of the closure, m.
+        Remaining error of the closure, m. If the robot has more joints than freedoms, it is the
+        disagreement of the joint readings.
     status : array of int (N,)
         A `Status` for each row.
     count_complex : int or None

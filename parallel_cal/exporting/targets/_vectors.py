@@ -7,6 +7,7 @@ import itertools
 import numpy as np
 
 from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.kinematics.problem import Problem
 from parallel_cal.kinematics.solutions import Solutions
 from parallel_cal.kinematics.solving import controlled_pose
 from parallel_cal.model.mechanism import poses_in_workspace
@@ -29,14 +30,19 @@ JOINT_DISAGREEMENT_SIGMA = 1e-5
 # If a pose moves by this (m), its joints may move by that (rad or m).
 POSE_PERTURBATION_M = 1e-9
 MAX_JOINT_CHANGE = 1e-3
+# Two programs round the closure differently: by this many units in the last place of its longest
+# length.
+ROUNDING_UNITS = 100
+MIN_LIMIT = 1e-12  # m, rad: what Newton's method may leave after its last step
 
 
 def vectors(model: Model, poses: int) -> str:
     """Return a table of problems, one per line.
 
-    A line contains: inverse (1) or direct (0), status, conditions, joints, position, and rotation
-    row by row. The part that is not given is the solution, NaN if invalid. Poses whose solution
-    changes if the pose moves by a nanometre are not used.
+    A line contains: inverse (1) or direct (0), status, conditions, joints, position, rotation row
+    by row, and the limit of a difference from this solution (m, rad). The part that is not given is
+    the solution, NaN if invalid. Poses whose solution changes if the pose moves by a nanometre are
+    not used.
     """
     rng = np.random.default_rng(0)
     r, R = poses_in_workspace(model.mechanism, poses, rng)
@@ -63,12 +69,38 @@ def vectors(model: Model, poses: int) -> str:
     q = np.where(inverse.ok[:, None], inverse.joints, home)
     q += JOINT_DISAGREEMENT_SIGMA * rng.standard_normal(q.shape)
     q[-1] = np.nan
+    direct = kinematics.direct(q, at)
     names = [*model.conditions, *model.joints, *"xyz", *(f"R{i}{j}" for i in "123" for j in "123")]
-    rows = [
-        *itertools.compress(_rows(1, a, inverse, position=r, rotation=R), steady),
-        *_rows(0, a, kinematics.direct(q, at), joints=q),
+    limits = [
+        _limits(problem, solutions, a)
+        for problem, solutions in (
+            (kinematics.inverse_problem, inverse),
+            (kinematics.direct_problem, direct),
+        )
     ]
-    return "\n".join([",".join(["inverse", "status", *names]), *rows]) + "\n"
+    rows = [
+        *itertools.compress(_rows(1, a, inverse, limits[0], position=r, rotation=R), steady),
+        *_rows(0, a, direct, limits[1], joints=q),
+    ]
+    return "\n".join([",".join(["inverse", "status", *names, "limit"]), *rows]) + "\n"
+
+
+def _limits(problem: Problem, found: Solutions, a: np.ndarray) -> np.ndarray:
+    """Compute how far another program's solution may differ.
+
+    The smallest singular value of the problem amplifies the rounding of the closure. At a minimum
+    of least squares the residual is flat: it differs by its rounding over a distance that is the
+    root of their product.
+    """
+    model = problem.model
+    lengths = [abs(model.values[i]) for i, p in enumerate(model.table) if p.unit == "m"]
+    rounding = ROUNDING_UNITS * np.finfo(float).eps * max(1.0, *lengths)
+    limits = np.full(len(found), MIN_LIMIT)
+    for i in np.flatnonzero(found.ok):
+        flat = np.sqrt(2 * rounding * found.residual[i]) if problem.redundant else 0.0
+        sigma = problem.smallest_singular_value(found.configuration.rows[i], a[i])
+        limits[i] = max(MIN_LIMIT, (rounding + flat) / sigma)
+    return limits
 
 
 def _draw_condition(condition: str, n: int, rng: np.random.Generator) -> np.ndarray:
@@ -82,7 +114,9 @@ def _draw_condition(condition: str, n: int, rng: np.random.Generator) -> np.ndar
     )
 
 
-def _rows(problem: int, a: np.ndarray, answers: Solutions, **given: np.ndarray) -> list[str]:
+def _rows(
+    problem: int, a: np.ndarray, answers: Solutions, limits: np.ndarray, **given: np.ndarray
+) -> list[str]:
     """Format lines; without a solution, only the given part is stated and the rest is zero."""
     parts = {name: getattr(answers, name).copy() for name in ("joints", "position", "rotation")}
     for name, part in parts.items():
@@ -90,7 +124,9 @@ def _rows(problem: int, a: np.ndarray, answers: Solutions, **given: np.ndarray) 
             part[~answers.solved] = given[name][~answers.solved]
         else:
             part[~answers.solved] = 0.0
-    numbers = np.hstack([a, *(part.reshape(len(a), -1) for part in parts.values())])
+    numbers = np.hstack(
+        [a, *(part.reshape(len(a), -1) for part in parts.values()), limits[:, None]]
+    )
     status = answers.status.astype(int)
     return [
         f"{problem},{status[i]}," + ",".join(map(repr, row))

@@ -195,11 +195,13 @@ static int turned_towards_home(int problem, double *x)
 
 static int redundant(int problem) { return ROWS > UNKNOWNS[problem]; }
 
-/* Newton's iterations until the last step is small; that step (m). */
+/* Newton's iterations until the last step is small; that step (m). With more rows than unknowns all
+ * iterations are made: if the rows disagree, a small second step, with the slopes of the first, does
+ * not show that the minimum is reached. */
 static double iterated(int problem, int most, const double *constants, double *x, double *pivot)
 {
     double length = HUGE_VAL, next[NX];
-    for (int i = 0; i < most && length >= SETTLED; ++i) {
+    for (int i = 0; i < most && (length >= SETTLED || redundant(problem)); ++i) {
         if (problem == DIRECT)
             direct_step(x, constants, next, &length, pivot);
         else
