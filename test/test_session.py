@@ -18,13 +18,16 @@ from parallel_cal.base.errors import (
     ModelError,
     ParallelCalError,
 )
+from parallel_cal.base.progress import ignore_progress
 from parallel_cal.cli.main import main
+from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import model_hash, read_model
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.loading import load_dataset
-from parallel_cal.session.saving import SaveRefused
+from parallel_cal.session.saving import HELD_OUT, PERHAPS_USED, SaveRefused
 from parallel_cal.session.session import Session, SessionError
+from parallel_cal.workbench.views import view
 
 MODEL, BAG = "config/delta_mockup_nominal.yaml", "bags/delta_backlash"
 
@@ -343,6 +346,38 @@ def test_add_uses_all_samples_if_the_verdict_did(knocked, tmp_path):
     state = session.add("backlash", force=True)
     assert state.samples == 150
     assert not state.excluded
+
+
+@pytest.mark.wide
+def test_the_page_shows_the_model_that_save_writes_although_the_verdict_leaves_a_sample_out(
+    knocked, tmp_path
+):
+    shutil.copytree(knocked, tmp_path / "s")
+    session = Session(tmp_path / "s")
+    made = view(session, ignore_progress)
+    assert [*made["knocked"]] == [17]
+    now = next(tile for tile in made["tiles"] if tile["name"] == "now")
+    assert now["values"][0][0].startswith(f"{1e6 * session.state.errors['position_rms']:.0f} ")
+    (row,) = (row for row in made["parameters"]["rows"] if row["name"] == "chain1.D_x")
+    assert row["value"] == pytest.approx(1e3 * session.model.value("chain1.D_x"), abs=1e-3)
+    assert made["budget"] is None  # of the fit without the sample
+
+
+def test_a_model_that_was_fitted_with_a_sample_is_not_judged_as_if_it_had_been_held_out(
+    knocked, tmp_path
+):
+    shutil.copytree(knocked, tmp_path / "s")
+    session = Session(tmp_path / "s")
+    session.save(tmp_path / "robot.yaml", lambda found: True)
+    session.exclude({17: "knocked"})
+    assert "forced" not in session.model.history[-1]
+    found = []
+    session.save(tmp_path / "robot.yaml", lambda replacement: found.append(replacement) or True)
+    in_use, this = found[0].models
+    assert (in_use.where, this.where) == (PERHAPS_USED, HELD_OUT)
+    assert in_use.samples == this.samples == 149
+    expected = compare(read_model(tmp_path / "robot.yaml.previous"), session.dataset)
+    assert in_use.errors.position_rms == pytest.approx(expected.errors.summary.position_rms)
 
 
 # ------------------------------------------------------------------ over the model in use

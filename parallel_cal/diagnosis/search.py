@@ -188,7 +188,8 @@ class Search:
             if judged and known.unjudged is not None:
                 known = self._known[key] = _judge(known)
             return replace(known, chosen=chosen)
-        self._progress(f"refitting with {', '.join(c.name for c in chosen) or 'nothing'}", 0.5)
+        names = ", ".join(c.name for c in chosen)
+        self._progress(f"refitting with {names}" if names else "refitting the geometry", 0.5)
         key = frozenset(ordered), insist
         model = self._model
         try:

@@ -34,6 +34,13 @@ def verdict(report: Report) -> str:
         for name in report.provenance.found_in_data
     )
     diagnosis = report.diagnosis
+    if aside := [one.title for one in diagnosis.knocked]:
+        names = ", ".join(aside)
+        laws += paragraph(
+            f"All numbers are those of a fit without {names}. If the model was fitted with it, "
+            "exclude it and fit again before you use the model.",
+            "caution",
+        )
     advice = (f"measure next: {words}" for words in diagnosis.measure_next.advice)
     steps = items(map(sentence, [*diagnosis.next_steps, *advice]))
     following = f'<div class="next"><h3>Next steps</h3>{steps}</div>' if steps else ""

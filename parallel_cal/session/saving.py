@@ -169,8 +169,8 @@ def compare_with_model_in_use(
             )
         if dataset is None:
             raise SessionError("there are no samples to compare them on")
-        last = bool(dataset.sha256) and _fitted_datasets(in_use)[-1:] == [dataset.sha256]
-        other = _Judged.of(in_use, dataset, options, fitted_to_these=last)
+        fitted_to_these = _was_last_fitted_to(in_use, dataset)
+        other = _Judged.of(in_use, dataset, options, fitted_to_these)
     except ParallelCalError as error:
         objections.insert(0, f"the model in use cannot be compared with this one: {error}")
     if other is None or judged is None:
@@ -286,6 +286,14 @@ class _Judged:
         if result.held_out.summary.is_known:
             return cls(result.held_out, HELD_OUT, doubts)
         return cls(result.before, USED, doubts)
+
+
+def _was_last_fitted_to(model: Model, dataset: Dataset) -> bool:
+    """Whether the last fit of a model used exactly these samples, with the same ones excluded."""
+    if not dataset.sha256 or _fitted_datasets(model)[-1:] != [dataset.sha256]:
+        return False
+    last = next(entry for entry in reversed(model.history) if "dataset" in entry)
+    return list(last.get("excluded", [])) == sorted(dataset.excluded)
 
 
 def _fitted_datasets(model: Model) -> list[str]:

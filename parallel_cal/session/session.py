@@ -311,6 +311,7 @@ class Session(History):
             # The previous model was fitted to these samples, so its error at them proves nothing.
             # Other samples or parameters are no reason to doubt the new one either. Its validation
             # error was one at other samples if some were excluded or included since.
+            step = step.without_objection()
             known = "excluded" not in changes
             changes |= {
                 "before": start.errors if known else {},

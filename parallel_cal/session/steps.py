@@ -132,6 +132,12 @@ class Step(ShownInNotebook):
         *past, last = self.model.history
         return replace(self, model=replace(self.model, history=(*past, {**last, "reason": reason})))
 
+    def without_objection(self) -> Step:
+        """Return the step without an objection to its model in the last entry of its history."""
+        *past, last = self.model.history
+        entry = {key: value for key, value in last.items() if key != "forced"}
+        return replace(self, model=replace(self.model, history=(*past, entry)))
+
     def document(self) -> dict[str, Any]:
         """Return the result as a dict for JSON, with the errors that the step had to beat."""
         document = self.result.document() | {"acceptance": self.acceptance.document()}

@@ -16,6 +16,10 @@ from parallel_cal.workbench.error_steps import find_steps
 from parallel_cal.workbench.marking import FigureSlot
 from parallel_cal.workbench.widgets import COLOURS, card, table
 
+READING = {
+    "colour": "grey",
+    "words": "Reading the measurements. This takes a few seconds.",
+}
 NOTHING = {"colour": "grey", "words": "no samples in this session yet"}
 CAMPAIGN_RUNS = {
     "colour": "grey",
@@ -87,7 +91,8 @@ class Header:
     def show_verdict(self) -> None:
         """Show the verdict; without samples, what the campaign at the robot does about it."""
         runs = self.campaign is not None and self.campaign.runs
-        verdict = (self.bench.view or {}).get("verdict", CAMPAIGN_RUNS if runs else NOTHING)
+        empty = READING if self.bench.view is None else CAMPAIGN_RUNS if runs else NOTHING
+        verdict = (self.bench.view or {}).get("verdict", empty)
         words = write_micro(verdict["words"])
         self.verdict.set_text(words)
         self.whole.set_text(words)
@@ -212,8 +217,8 @@ class VerdictCard:
         knocked = [str(number) for number in view.get("knocked", ())]
         self.included.set_visibility(bool(knocked))
         self.included.set_text(
-            "The errors of the steps, unlike those above, include what the verdict does not use: "
-            f"sample {', '.join(knocked)}."
+            "The errors and parameters are those of the model, which was fitted to all samples. The "
+            f"verdict does not use sample {', '.join(knocked)}: exclude it if it is wrong."
         )
 
 

@@ -44,6 +44,7 @@ class ImportDialog:
         self._bench = bench
         self._folder = tempfile.TemporaryDirectory(prefix="parallel-cal-")
         self._file: Path | None = None
+        self._asked = ""  # what is missing of the columns, once a person pressed Import
         self._awaits_result = False
         with ui.dialog(value=True) as self._dialog, ui.card().classes("w-full max-w-5xl gap-2"):
             ui.label("Import a table").classes("text-base font-bold").props(
@@ -81,7 +82,7 @@ class ImportDialog:
         found = await run.cpu_bound(preview_table, file, self._bench.session.folder) or {}
         self._form.clear()
         self._answer.set_text(found.get("error", "the table cannot be read"))
-        self._file = None if self._answer.text else file
+        self._file, self._asked = (None if self._answer.text else file), ""
         if self._file is not None:
             with self._form:
                 self._columns = ColumnForm(found)
@@ -90,6 +91,7 @@ class ImportDialog:
         if self._file is None:
             return
         if problem := self._columns.find_problem():
+            self._asked = problem
             self._answer.set_text(problem)
             return
         self._answer.set_text("")
@@ -100,6 +102,9 @@ class ImportDialog:
         """Show what became of the import; close after a success."""
         bench = self._bench
         self._import.set_enabled(self._file is not None and not bench.busy)
+        if self._asked:  # what a person then chooses may solve it
+            self._asked = self._columns.find_problem()
+            self._answer.set_text(self._asked)
         if not self._awaits_result or bench.busy:
             return
         self._awaits_result = False

@@ -19,7 +19,7 @@ from parallel_cal.reporting.readable import (
 )
 from parallel_cal.workbench.bench import Bench
 from parallel_cal.workbench.fixing import ask_where_to_fix
-from parallel_cal.workbench.header import Header, Notice, VerdictCard
+from parallel_cal.workbench.header import READING, Header, Notice, VerdictCard
 from parallel_cal.workbench.import_dialog import ImportDialog
 from parallel_cal.workbench.law_card import draw_law_card
 from parallel_cal.workbench.live import LiveCard
@@ -36,7 +36,6 @@ from parallel_cal.workbench.widgets import (
     table,
 )
 
-READING = "Reading the measurements. This takes a few seconds."
 EMPTY = "No samples yet. Import a table of measured poses."
 EMPTY_AT_ROBOT = (
     "No samples yet. Move the robot from pose to pose and hold it still at each for a second. "
@@ -115,7 +114,7 @@ class Window:
         view, bar = self.bench.view, self.header.campaign
         runs = bar is not None and bar.runs
         if view is None:
-            words = READING
+            words = READING["words"]
         elif runs:
             words = CAMPAIGN_RUNS
         else:

@@ -25,6 +25,7 @@ class ResidualsCard:
 
     def __init__(self, marking: Marking):
         self.view: dict[str, Any] = {}
+        self.strongest: str | None = None  # of the quantities offered
         with card("Where it fails"):
             ui.label(HINT).classes("text-sm quiet")
             self.shown = ui.label().props("id=shown").classes("text-sm")
@@ -69,7 +70,10 @@ class ResidualsCard:
         self.tabs.set_value(selected)
         self._turn()
         _offer(self.component, residuals["components"])
-        _offer(self.along, list(residuals["along"]))
+        # The quantity with the strongest dependence, unless a person chose another one.
+        names = list(residuals["along"])
+        _offer(self.along, names, keep=self.along.value != self.strongest)
+        self.strongest = next(iter(names), None)
         self._draw_profile()
 
     def _turn(self) -> None:
@@ -109,9 +113,9 @@ class ResidualsCard:
         }
 
 
-def _offer(select: Any, names: list[str]) -> None:
-    """Set the choices of a menu; the present choice stays if it is still possible."""
-    chosen = select.value if select.value in names else next(iter(names), None)
+def _offer(select: Any, names: list[str], keep: bool = True) -> None:
+    """Set the choices of a menu; with `keep`, the present choice stays if it is still possible."""
+    chosen = select.value if keep and select.value in names else next(iter(names), None)
     select.set_options(names, value=chosen)
 
 

@@ -137,8 +137,10 @@ def view(session: Session, progress: Progress) -> View:
     """Make the view of the session's present state.
 
     A model that was not fitted to these samples is only compared with them. Any other model is
-    diagnosed, and the state records its verdict. Of many samples, an evenly spread part is
-    diagnosed; the errors and the parameters are those of all. Without samples the view is empty.
+    diagnosed, and the state records its verdict. A diagnosis may use only a part of the samples: an
+    evenly spread part of many, or all but those that are far from all others. The errors and the
+    parameters are nevertheless those of all, as the model has them. Without samples the view is
+    empty.
     """
     if not session.recordings:
         return {}
@@ -153,7 +155,9 @@ def view(session: Session, progress: Progress) -> View:
     remark = "" if part is None else f" (diagnosis of {_describe_part(len(part), session)})"
     knocked = None if part is not None else [one.sample for one in found.diagnosis.knocked]
     session.record_verdict(session.state, verdict.word, f"{verdict.summary}{remark}", knocked)
-    return made if part is None else made | _make_numbers_of_all(session, made["verdict"], remark)
+    if part is None and not knocked:
+        return made
+    return made | _make_numbers_of_all(session, made["verdict"], remark)
 
 
 def _make_numbers_of_all(session: Session, verdict: View, remark: str) -> View:
