@@ -188,6 +188,7 @@ def test_every_error_is_at_the_same_samples_though_the_model_was_fitted_to_more(
     found = pc.diagnose(first.model, fewer, effects=["backlash"])
     shown = contents.HeldOutErrors.of(found)
     assert (shown.samples, shown.poses, shown.before_name) == (56, 56, "nominal model")
+    assert not shown.keeps_sensors
     assert shown.before.position_rms == pytest.approx(found.base.fitted.budgets[0].total)
     assert shown.before.position_rms != first.errors_to_beat.position_rms  # of all 60 samples
 

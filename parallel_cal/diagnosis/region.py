@@ -1,4 +1,7 @@
-"""Describe the measured region, where a verdict holds, and the model uncertainty beyond it."""
+"""Describe the measured region, where a verdict holds, and the model uncertainty beyond it.
+
+Touches of a bed have no measured positions. If they are all at one height, a verdict holds there.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +13,29 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.thresholds import MIN_POSES_BEYOND_REGION, POOL
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.predictions import predict_positions
-from parallel_cal.identification.registration import SENSOR
+from parallel_cal.identification.registration import SENSOR, shows_pose
 from parallel_cal.model.region import REGION_MARGIN
 from parallel_cal.planning.expectation import prediction_blocks
 from parallel_cal.planning.posepool import make_pool
+from parallel_cal.recordings.samples import READING
+
+TOUCH = READING + "probe"
+AT_ONE_HEIGHT = " at the height of these touches"
+TOUCH_A_BLOCK = (
+    "touch the top of a block of known height on the bed, at several places and heights: touches "
+    "of one plane hardly show errors that grow with the height, such as encoder_gain"
+)
+
+
+def is_touched_at_one_height(result: FitResult) -> bool:
+    """Whether all that shows heights are touches of one plane, parallel to the bed or nearly so."""
+    dataset, mechanism = result.dataset, result.model.mechanism
+    heights = dataset.conditions.get(TOUCH, np.empty(0))
+    heights = heights[np.isfinite(heights)]
+    if not len(heights) or dataset.measured[..., 2].any() or shows_pose(result.model):
+        return False
+    tall = mechanism.workspace.high[2] - mechanism.workspace.low[2]
+    return bool(np.ptp(heights) < REGION_MARGIN * abs(tall))
 
 
 @dataclass(frozen=True)

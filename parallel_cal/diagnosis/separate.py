@@ -12,6 +12,7 @@ import numpy as np
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.catalogue import Candidate, collect_recorded_values
+from parallel_cal.diagnosis.region import TOUCH_A_BLOCK, is_touched_at_one_height
 from parallel_cal.diagnosis.search import Chosen, Trial
 from parallel_cal.diagnosis.thresholds import (
     MAX_RIVAL_SETTINGS,
@@ -137,6 +138,8 @@ class NextMeasurement:
         pairs = [(name, other) for name, others in self.rivals.items() for other in others]
         advice = [explain_separation(*pair) for pair in pairs]
         advice += self.plan.how if self.plan else ()
+        if is_touched_at_one_height(self.best.fitted):
+            advice.append(TOUCH_A_BLOCK)
         return tuple(dict.fromkeys(words for words in advice if words))
 
     def document(self) -> dict[str, Any]:

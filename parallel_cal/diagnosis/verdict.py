@@ -12,7 +12,7 @@ from parallel_cal.base.units import ERROR_UNITS, MM
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.noise_shape import NoiseShape
-from parallel_cal.diagnosis.region import Region
+from parallel_cal.diagnosis.region import AT_ONE_HEIGHT, Region, is_touched_at_one_height
 from parallel_cal.diagnosis.remaining import RemainingCondition
 from parallel_cal.diagnosis.search import Trial, ratio_of
 from parallel_cal.diagnosis.thresholds import (
@@ -332,6 +332,8 @@ def _nothing_found(found: Findings, errors: str) -> Verdict:
         words = f"the model explains the measurements down to the noise ({errors})"
         region = Region.of(found.best.fitted)
         where = region.description if region else ""
+        if is_touched_at_one_height(found.best.fitted):
+            where = AT_ONE_HEIGHT
         advice = f"no further effect is needed{where}{_uncertainty(found)}"
         if found.refused:
             advice = f"yet {found.refused[0]}"

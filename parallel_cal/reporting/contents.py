@@ -19,6 +19,7 @@ from parallel_cal.diagnosis.signature import compute_joint_components
 from parallel_cal.identification.fit import FitResult, ParameterEstimate
 from parallel_cal.identification.observability import directions_in_words
 from parallel_cal.identification.prediction_errors import ERRORS, Errors, Summary
+from parallel_cal.identification.registration import SENSOR
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.mechanism import POSE, Mechanism
@@ -37,7 +38,8 @@ class HeldOutErrors:
 
     `before_name` is the name of the uncalibrated model: the given one, or the nominal one if the
     given model was fitted before. `sigmas` is by error ("before", "now", "found", "noise") and
-    kind the standard deviation of the rms. `samples` of `poses` were held out.
+    kind the standard deviation of the rms. `samples` of `poses` were held out. `keeps_sensors` is
+    whether `before` are errors of the nominal robot with sensors where its fit found them.
     """
 
     before: Summary
@@ -48,6 +50,7 @@ class HeldOutErrors:
     sigmas: Mapping[str, Mapping[str, float]]
     samples: int
     poses: int
+    keeps_sensors: bool
 
     @classmethod
     def of(cls, diagnosis: Diagnosis) -> HeldOutErrors:
@@ -57,6 +60,10 @@ class HeldOutErrors:
         before = base.nominal_errors if fitted_before else base.held_out_before
         judged = base.held_out.judged
         before = before.only_at(judged)
+        owners = [name.partition(".")[0] for name in base.model.table.names]
+        others = [sensor.name for sensor in base.model.sensors if sensor.name != SENSOR]
+        of_sensors = np.isin(owners, others)
+        placed = before.summary.reading_rms is not None and (of_sensors & base.free).any()
         return cls(
             before=before.summary,
             now=base.held_out.summary,
@@ -71,6 +78,7 @@ class HeldOutErrors:
             },
             samples=int(judged.sum()),
             poses=len(np.unique(diagnosis.dataset.pose_id[judged])),
+            keeps_sensors=fitted_before and bool(placed),
         )
 
     @property

@@ -20,6 +20,12 @@ from parallel_cal.reporting.results import (
     iso_sentence,
 )
 
+KEPT_SENSORS = (
+    " Nominal model: the robot as drawn, with its sensors (such as the height and tilt of a bed) "
+    "where the fit found them. The error before calibration, in the history and in fit and "
+    "compare, has them where the model file states them."
+)
+
 
 def verdict(report: Report) -> str:
     """Render the verdict as a badge and a sentence."""
@@ -54,7 +60,8 @@ def numbers(report: Report) -> str:
     counts = describe_counts(errors.samples, errors.poses, True)
     note = paragraph(
         f"Validation error: rms of the error's norm at {counts}, with its standard deviation. "
-        "Noise floor: what a perfect model would show at these samples.",
+        "Noise floor: what a perfect model would show at these samples."
+        f"{KEPT_SENSORS if errors.keeps_sensors else ''}",
         "note",
     )
     shown = "".join(map(_tile, tiles))
