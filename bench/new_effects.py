@@ -754,9 +754,9 @@ def total_lines(outcomes: list[Outcome]) -> list[str]:
     return [
         f"- Nothing was named in {silent} of {n_silent} sessions that hid nothing, with "
         f"{len(nothing)} set-ups.",
-        f"- Of {sum(map(len, hidden))} sessions that hid an effect, {hows['alone']} named it alone, "
-        f"{hows['or']} in an `A or B`, and {hows['not']} did not name it. Other effects were named: "
-        f"{others}.",
+        f"- Of {sum(map(len, hidden))} sessions that hid an effect, {hows['alone']} named it "
+        f"alone, {hows['or']} in an `A or B`, and {hows['not']} did not name it. Other effects "
+        f"were named: {others}.",
     ]
 
 
