@@ -743,6 +743,23 @@ def table_lines(outcomes: list[Outcome]) -> list[str]:
     return lines
 
 
+def total_lines(outcomes: list[Outcome]) -> list[str]:
+    """Return the totals of the page's table, in words."""
+    groups = grouped(outcomes)
+    nothing = [some for (_, hides), some in groups.items() if not hides]
+    hidden = [some for (_, hides), some in groups.items() if hides]
+    hows = sum((count_hows(some) for some in hidden), Counter())
+    others = sum(sum(list_others(some).values()) for some in hidden)
+    silent, n_silent = sum(o.right for some in nothing for o in some), sum(map(len, nothing))
+    return [
+        f"- Nothing was named in {silent} of {n_silent} sessions that hid nothing, with "
+        f"{len(nothing)} set-ups.",
+        f"- Of {sum(map(len, hidden))} sessions that hid an effect, {hows['alone']} named it "
+        f"alone, {hows['or']} in an `A or B`, and {hows['not']} did not name it. Other effects "
+        f"were named: {others}.",
+    ]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--draws", type=int, default=10)
@@ -751,10 +768,12 @@ def main() -> None:
     parser.add_argument("row", nargs="*")
     given = parser.parse_args()
     if given.page:
-        return put_between(PAGE, START, END, "\n".join(table_lines([*kept(STUDY).values()])))
+        outcomes = [*kept(STUDY).values()]
+        lines = [*table_lines(outcomes), "", *total_lines(outcomes)]
+        return put_between(PAGE, START, END, "\n".join(lines))
     cases = list_cases(given.draws, given.row)
-    outcomes = kept(given.results) if given.results else {}
-    done = run_missing(cases, outcomes, run, given.results, given.minutes)
+    known = kept(given.results) if given.results else {}
+    done = run_missing(cases, known, run, given.results, given.minutes)
     for some in grouped(done).values():
         print(describe(some))
 

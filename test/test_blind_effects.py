@@ -19,7 +19,8 @@ def cells(outcomes):
 
 def test_the_page_shows_the_table_of_the_kept_outcomes():
     page = ne.PAGE.read_text(encoding="utf-8")
-    lines = ne.table_lines([*ne.kept(ne.STUDY).values()])
+    outcomes = [*ne.kept(ne.STUDY).values()]
+    lines = [*ne.table_lines(outcomes), "", *ne.total_lines(outcomes)]
     assert "\n".join([ne.START, "", *lines, "", ne.END]) in page
 
 
@@ -28,6 +29,15 @@ def test_a_row_counts_how_what_hides_was_named():
     assert struts[2:6] == ["3", "1", "1", "1"]
     assert struts[7] == "1"  # the backlash
     assert nothing[:6] == ["nothing", "hexapod", "1", "-", "-", "1"]
+
+
+def test_the_totals_are_the_sums_of_the_rows():
+    nothing, named = ne.total_lines([WELL, EITHER, MISSED, NONE])
+    assert "named in 1 of 1 sessions that hid nothing, with 1 set-ups" in nothing
+    assert (
+        "Of 3 sessions that hid an effect, 1 named it alone, 1 in an `A or B`, and 1 did" in named
+    )
+    assert named.endswith("Other effects were named: 1.")
 
 
 def test_errors_are_compared_with_the_best_possible_model():

@@ -146,7 +146,7 @@ TUTORIALS = {
     "start.md": 7,
     "hexapod.md": 10,
     "argos.md": 6,
-    "cable_robot.md": 10,
+    "cable_robot.md": 16,
     "serial_arm.md": 4,
 }
 

@@ -54,6 +54,14 @@ def new(
         typer.Option(help="last link of the chain [default: the end link (leaf) that joints move]"),
     ] = "",
     option: Option = None,
+    drive: Annotated[
+        str,
+        typer.Option(
+            metavar="{KEY: VALUE}",
+            help="drive of all joints in m, such as '{kind: spool, radius: 0.05, gear: 10}': "
+            "recorded angles of the motors are then converted to lengths",
+        ),
+    ] = "",
     sensor: Annotated[
         list[str] | None,
         typer.Option(
@@ -97,6 +105,8 @@ def new(
         model, values, remarks = found.model, f"as in {urdf}", found.remarks
     else:
         model, values, remarks = _make_model(mechanism, option, configuration)
+    if drive:
+        model = _with_drive(model, drive)
     model = _with_set_ups(model, sensor or [])
     if machine_class is not None:
         model = replace(model, machine_class=check_class(machine_class))
@@ -162,6 +172,18 @@ def parse_options(options: list[str] | None) -> dict[str, Any]:
             raise ParallelCalError(f"--option {item}: expected KEY=VALUE")
         given[key] = parse_yaml(text, f"--option {key}").data
     return given
+
+
+def _with_drive(model: Model, item: str) -> Model:
+    """Give all joints the same drive, as a model file states it (YAML)."""
+    from parallel_cal.model.file.modelfile import parse_model
+    from parallel_cal.model.file.writer import dump_model
+    from parallel_cal.model.file.yamltext import flow, parse_yaml
+
+    document = parse_yaml(dump_model(model), "model").data
+    for joint in document["joints"].values():
+        joint["drive"] = parse_yaml(item, "--drive").data
+    return parse_model(flow(document), "--drive")
 
 
 def _with_set_ups(model: Model, items: list[str]) -> Model:

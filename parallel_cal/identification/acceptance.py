@@ -22,6 +22,8 @@ IN_SAMPLE = (
     "held-out poses its parameters were identified again without these poses"
 )
 
+FOREIGN_SHARE = 0.5  # of the measured motion: a model with a larger error explains hardly any of it
+
 
 @dataclass(frozen=True)
 class Acceptance:
@@ -79,6 +81,7 @@ def acceptance(
     verb = "falls by no more than its own uncertainty" if falls else "does not fall"
     factor = "" if ratio is None else f"; factor {ratio:.3f}"
     advice = _advise(new.given) if old is None else ""
+    advice += _describe_foreign_model(new, now)
     return Acceptance(
         then,
         now,
@@ -105,6 +108,21 @@ def _advise(given: GivenModel) -> str:
     return (
         f"; the given model was identified from {sources}{frames}: keep it, or fit all recordings "
         "together"
+    )
+
+
+def _describe_foreign_model(new: FitResult, now: Summary) -> str:
+    """Say that a model explains hardly any of the measured motion, and what to check."""
+    seen = new.dataset.measured[:, :3].all(axis=1)
+    if now.position_rms is None or not seen.any():
+        return ""
+    motion = float(np.sqrt(np.var(new.dataset.r[seen], axis=0).sum()))
+    if now.position_rms < FOREIGN_SHARE * motion:
+        return ""
+    return (
+        f"; the measured positions themselves scatter by {1e3 * motion:.4g} mm (rms), so the model "
+        "describes another machine, or the readings are converted wrongly: check the mechanism, "
+        "and the unit, the direction and the drive (spool, screw or belt) of each joint"
     )
 
 

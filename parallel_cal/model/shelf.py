@@ -58,8 +58,13 @@ def load_mechanism(name: str, /, **options: Any) -> Mechanism:
     try:
         signature(cls).bind(**options)
     except TypeError as error:
+        names = list(signature(cls).parameters)
+        unknown = [option for option in options if option not in names]
+        why = str(error)
+        if unknown:
+            why = f"there is no option '{unknown[0]}'{format_suggestion(unknown[0], names)}"
         takes = ", ".join(options_of(cls)) or "none"
-        raise ModelError(f"{name}: {error}; its options: {takes}") from None
+        raise ModelError(f"{name}: {why}; its options: {takes}") from None
     try:
         mechanism = cls(**options)
         check(mechanism)
