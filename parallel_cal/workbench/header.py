@@ -217,8 +217,8 @@ class VerdictCard:
         knocked = [str(number) for number in view.get("knocked", ())]
         self.included.set_visibility(bool(knocked))
         self.included.set_text(
-            "The errors and parameters are those of the model, which was fitted to all samples. The "
-            f"verdict does not use sample {', '.join(knocked)}: exclude it if it is wrong."
+            "Errors and parameters are those of the model, which was fitted to all samples. "
+            f"The verdict does not use sample {', '.join(knocked)}: exclude it if it is wrong."
         )
 
 
