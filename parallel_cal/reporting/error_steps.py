@@ -17,7 +17,7 @@ from parallel_cal.reporting.colours import MEASURED
 from parallel_cal.reporting.readable import error_unit, number
 
 BEFORE = "before calibration"  # name of the first step
-DOTTED = "A dotted line joins the errors of different samples."
+DOTTED = "A dotted line leads to an error at other samples (hollow circle)."
 # Of the branches, the one in use first (Okabe and Ito).
 BRANCH_COLOURS = (MEASURED, "#cc79a7", "#009e73", "#e69f00", "#56b4e9")
 MAX_LABEL_WIDTH, MAX_LABEL_LINES = 14, 2  # of the name of a step below the axis

@@ -196,7 +196,7 @@ def _caption(found: SmoothMap, scale: float) -> str:
 def samples(report: Report) -> str:
     """Render the samples, worst first; a click on a column header sorts them."""
     rows = report.samples
-    note = f"{len(rows)} samples, worst first, with their validation errors."
+    note = f"{len(rows)} samples with their validation errors, the largest residual first."
     if len(rows) > MAX_SAMPLE_ROWS:
         note += f" The worst {MAX_SAMPLE_ROWS} are shown; all are in the JSON document."
     odd = [f"{format_sample(row.sample, row.name)} ({row.odd})" for row in rows if row.odd]

@@ -8,6 +8,7 @@ import numpy as np
 
 from parallel_cal.base.units import ERROR_SI_UNITS
 from parallel_cal.diagnosis.verdict_words import describe_verdict
+from parallel_cal.identification.observations import list_noise
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting import drawings, spaces
 from parallel_cal.reporting.blocks import Number, Row
@@ -31,6 +32,7 @@ from parallel_cal.reporting.readable import (
     number,
     value_unit,
     with_sigma,
+    with_unit,
 )
 from parallel_cal.reporting.report import Report
 from parallel_cal.reporting.results import (
@@ -140,6 +142,8 @@ def certificate(report: Report) -> str:
         f"{p.model_sha256}",
         "Data": f"{data.source}; {counts}; sha256 {data.sha256 or 'not known'}",
         "Excluded samples": _describe_excluded(data),
+        "Noise, 1 sigma": _describe_noise(report),
+        "Region of the samples": report.diagnosis.base.fitted.region.description,
         "Verdict": sentence(describe_verdict(verdict.word, verdict.summary)),
         "Software": f"parallel_cal {p.version}",
         "Date of this certificate": day(p.made),
@@ -161,6 +165,15 @@ def certificate(report: Report) -> str:
         facts(rows)
         + f'<div class="decision"><h3>Decision</h3>{items(decided)}{note}'
         + f'<div class="signature">{signature}</div></div>'
+    )
+
+
+def _describe_noise(report: Report) -> str:
+    """Describe the noise of joints and devices: `joints 0.12 mrad (model file); ...`."""
+    fitted = report.diagnosis.base.fitted
+    return "; ".join(
+        f"{one.name} {with_unit(one.value, one.unit)} ({one.source})"
+        for one in list_noise(fitted.model, fitted.observations)
     )
 
 

@@ -98,6 +98,7 @@ def history(report: Report, plot: Plot) -> str:
         return paragraph("There is no error to show: no suitable quantity was measured.", "none")
     note = "Validation error of each step. On average it cannot fall below the noise floor."
     if not all(step.is_comparable for fall in falls for step in fall.steps):
-        note += f" {DOTTED} Point at a step to see its data."
+        note += f" {DOTTED}"
     drawn = "".join(f"<div>{plot(draw_steps(fall))}</div>" for fall in falls)
-    return paragraph(note, "note") + f'<div class="pair">{drawn}</div>'
+    how = paragraph("Point at a step to see its data.", "note on-screen")
+    return paragraph(note, "note") + how + f'<div class="pair">{drawn}</div>'

@@ -11,7 +11,7 @@ from parallel_cal.reporting.report import Report
 def body(report: Report, plot: Plot) -> str:
     """Render all sections; a section without data says so."""
     free = sum(not p.fixed for p in report.parameters.values())
-    worst_first = f"{len(report.samples)}, worst first"
+    count = f"{len(report.samples)}, the largest residual first"
     blank = report.certificate == CertificateFields()  # nobody asked for a certificate
     images = failures.over_images(report, plot)  # empty without a camera
     parts = [
@@ -29,7 +29,7 @@ def body(report: Report, plot: Plot) -> str:
         section("What the data do not determine", identified.combinations(report), closed=True),
         section("Unexplained structure", failures.structure(report, plot), closed=True),
         section("Provenance", identified.provenance(report), closed=True),
-        section("Samples", failures.samples(report), worst_first, closed=True),
+        section("Samples", failures.samples(report), count, closed=True),
     ]
     if report.against:
         parts.insert(

@@ -22,7 +22,8 @@ FIGURE_LAYOUT = {
         "layout": {
             "xaxis": AXIS,
             "yaxis": AXIS,
-            "scene": dict.fromkeys(("xaxis", "yaxis", "zaxis"), AXIS | {"zerolinecolor": BAND}),
+            # A translucent line is invisible in space on a light ground.
+            "scene": dict.fromkeys(("xaxis", "yaxis", "zaxis"), AXIS | {"gridcolor": QUIET}),
         }
     },
 }
