@@ -140,6 +140,15 @@ def test_a_law_states_its_range_its_share_and_its_errors_at_held_out_poses(sprin
 
 
 @pytest.mark.wide
+def test_the_share_of_a_law_is_judged_with_the_same_noise_without_and_with_it(spring):
+    """Where the noise is not stated, every fit estimates its own, and chi2/dof is always near 1."""
+    found, data, *_ = spring
+    unstated = replace(data, joint_sigma=None, pose_cov=np.full_like(data.pose_cov, np.nan))
+    (law, *_) = discover(new_model("delta54"), unstated).laws
+    assert law.share == pytest.approx(found.laws[0].share, abs=0.15)
+
+
+@pytest.mark.wide
 @pytest.mark.parametrize(
     ("name", "sigmas", "seed"),
     [

@@ -248,7 +248,10 @@ def _list_objections(found: Findings) -> list[str]:
         )
     if chi2 > high:
         shown = format_distinctly([chi2, high])
-        against.append(f"chi2/dof {shown[0]} is still above {shown[1]}")
+        against.append(
+            f"the residuals still exceed the noise: chi2/dof is {shown[0]}, and "
+            f"{_name_noise(found.noise)} gives at most {shown[1]} (99 % limit)"
+        )
         against += _describe_like_drift(found)
     against += _describe_doubts(found)
     against += found.outdone
@@ -260,6 +263,13 @@ def _list_objections(found: Findings) -> list[str]:
             f"the residuals still have structure (p = {structure.p_value:.1g}{_size(structure)})"
         )
     return against
+
+
+def _name_noise(noise: NoiseLevel) -> str:
+    """Name what the noise is known from. If it is not stated, a chi2/dof of 1 means nothing."""
+    if noise.dof is None:
+        return "the stated noise"
+    return f"the difference between visits of one pose ({noise.dof} degrees of freedom)"
 
 
 def _describe_doubts(found: Findings) -> list[str]:

@@ -37,7 +37,7 @@ from parallel_cal.identification.checks import ImplausibleGeometryError
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.session.steps import Step, add
+from parallel_cal.session.steps import Step, add, with_noise_of
 
 
 @dataclass(frozen=True)
@@ -65,10 +65,10 @@ def prove_all(
     for winner, threshold in winners:
         targets = Targets.of(scene, scene.residual[:, None], columns)
         choice = choose_in_folds(targets, winner.formula, run)
-        law, step = _prove(winner, threshold, choice, model, dataset, options, scene)
+        law, step, chi2_of_step = _prove(winner, threshold, choice, model, dataset, options, scene)
         laws.append(law)
         if not law.against:
-            model, chi2 = step.model, step.result.estimate.chi2_per_dof
+            model, chi2 = step.model, chi2_of_step
             columns = np.hstack([columns, winner.formula.columns])
     return Proof(model, chi2, columns, laws, [winner for winner, _ in winners])
 
@@ -81,8 +81,11 @@ def _prove(
     dataset: Dataset,
     options: FitOptions,
     scene: Scene,
-) -> tuple[Law, Step]:
-    """Judge a law as `add` judges an effect, and describe it with the refitted numbers."""
+) -> tuple[Law, Step, float]:
+    """Judge a law as `add` judges an effect, and describe it with the refitted numbers.
+
+    The last value is chi2/dof with the law, in units of the noise of the scene.
+    """
     formula = winner.formula
     hypothesis = formula.hypothesis
     sentence, tested = describe_law(hypothesis), list_ranges(hypothesis)
@@ -101,6 +104,10 @@ def _prove(
         coefficients.append(replace(c, value=p.value, sigma=None if c.scanned else p.sigma))
     own = {c.name: (c.value, c.sigma) for c in coefficients}
     assert step.rival is not None
+    before, after = (
+        with_noise_of(found, scene.observations).estimate.chi2_per_dof
+        for found in (step.rival, step.result)
+    )
     noise = NoiseLevel.of(scene, Field.of(scene), structured=True).variance
     rivals: dict[str, str] = {}
     for one in winner.equal:
@@ -123,9 +130,7 @@ def _prove(
         formula=write_formula(formula),
         unit=hypothesis.site.unit,
         parameters=tuple(coefficients),
-        share=share_explained(
-            step.rival.estimate.chi2_per_dof, step.result.estimate.chi2_per_dof, noise
-        ),
+        share=share_explained(before, after, noise),
         before=step.acceptance.before,
         after=step.acceptance.after,
         noise_floor=step.result.noise_floor,
@@ -142,7 +147,7 @@ def _prove(
         shape=find_shape(scene, formula),
         rivals=rivals,
     )
-    return law, step
+    return law, step, after
 
 
 def _explain_device(winner: Winner) -> str:

@@ -27,6 +27,7 @@ from parallel_cal.diagnosis.verdict import robot_or_device
 from parallel_cal.identification.acceptance import IN_SAMPLE, Acceptance, acceptance
 from parallel_cal.identification.added_effects import limit_patterns
 from parallel_cal.identification.fit import FitResult, fit, fit_unjudged
+from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.platform_shift import (
     PlatformShift,
@@ -288,7 +289,7 @@ class _Addition:
         found = acceptance(result, base, f" with '{self.names}'")
         if found.against:
             return found
-        if is_superfluous(_with_noise_of(result, base).estimate, result.estimate):
+        if is_superfluous(with_noise_of(base, result.observations).estimate, result.estimate):
             return replace(found, against=f"the improvement by '{self.names}' may be chance")
         if exclude_device(scene, self.recorded, self.effects, result.model):
             return found
@@ -298,13 +299,16 @@ class _Addition:
         return found
 
 
-def _with_noise_of(result: FitResult, rival: FitResult) -> FitResult:
-    """The rival with the noise that the other fit estimated: only with equal weights can their
-    residuals be compared."""
-    if not result.observations.unknown:
-        return rival
-    options = replace(rival.options, hold_out=0)
-    return fit_unjudged(rival.start, rival.dataset, options, noise=result.observations).judge()
+def with_noise_of(found: FitResult, noise: Observations) -> FitResult:
+    """Repeat a fit with the noise that another fit of the same samples estimated.
+
+    Only with equal weights can the residuals of two fits be compared. If all noise is stated, the
+    fit is returned as it is.
+    """
+    if not noise.unknown:
+        return found
+    options = replace(found.options, hold_out=0)
+    return fit_unjudged(found.start, found.dataset, options, noise=noise).judge()
 
 
 def _with_given_model_of(result: FitResult, rival: FitResult) -> FitResult:
