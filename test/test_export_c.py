@@ -16,6 +16,7 @@ import pytest
 from parallel_cal.base.errors import ModelError
 from parallel_cal.cli.main import main
 from parallel_cal.exporting.export import export
+from parallel_cal.exporting.targets.c import files
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.drive import Drive
 from parallel_cal.model.file.modelfile import model_hash, write_model
@@ -700,3 +701,11 @@ def test_the_lines_of_the_page_about_cpp_compile(tmp_path):
     (tmp_path / "page.cpp").write_text(text + "return static_cast<int>(status);\n}\n")
     export(robot("delta54"), "cpp:poses=2", tmp_path)
     run(["g++", *STRICT_CPP, "-O0", "page.cpp", "-o", "page"], tmp_path)
+
+
+def test_a_robot_without_lengths_is_exported_too():
+    model = new_model("argos9")
+    assert not any(p.unit == "m" for p in model.table)
+    head, row, *_ = files(model, poses=4)["argos9_vectors.csv"].splitlines()
+    assert head.endswith(",limit")
+    assert float(row.split(",")[-1]) >= 1e-12

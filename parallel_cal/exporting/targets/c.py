@@ -191,7 +191,7 @@ def _describe_joints(m: Mechanism) -> list[str]:
         lines.append(words)
     if any(drives):
         lines += [
-            "The angle of a motor is 0 where the reading of its joint is 0. The factor is constant:",
+            "The angle of a motor is 0 where its joint reads 0. The factor is constant:",
             "what a spool does beyond it is an effect of the model, and in the functions below.",
         ]
     return lines
