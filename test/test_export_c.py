@@ -1,8 +1,11 @@
 """The exported C: compiled strictly, with sanitizers, and held against Python's answers."""
 
 import ctypes
+import re
 import shutil
 import subprocess
+from copy import copy
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,7 +16,9 @@ import pytest
 from parallel_cal.base.errors import ModelError
 from parallel_cal.cli.main import main
 from parallel_cal.exporting.export import export
+from parallel_cal.exporting.targets.c import files
 from parallel_cal.kinematics.kinematics import Kinematics, Status
+from parallel_cal.model.drive import Drive
 from parallel_cal.model.file.modelfile import model_hash, write_model
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import new_model
@@ -129,6 +134,26 @@ def test_a_platform_on_eight_lines_agrees_with_python_within_the_limit_of_its_co
     done = subprocess.run(["./check", "other.csv"], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 1
     assert "beyond_limit 1" in done.stdout
+
+
+def test_the_headers_state_how_the_angles_of_motors_convert(tmp_path):
+    model = platform_on_lines()
+    mechanism = model.mechanism
+    drives = (Drive("spool", radius=0.05, gear=10.0), Drive("screw", per_rev=-0.004))
+    mechanism = copy(mechanism)
+    mechanism.drives = (*drives, *[None] * 6)
+    driven = replace(model, mechanism=mechanism)
+    for target, header in (("c", "crane.h"), ("cpp", "crane.hpp")):
+        export(driven, f"{target}:poses=20,name=crane", tmp_path)
+        text = (tmp_path / header).read_text()
+        factors = re.findall(r"(leg\d) \[m\] = (\S+) \* angle of the motor \[rad\], a (\w+)", text)
+        assert [(joint, kind) for joint, _, kind in factors] == [
+            ("leg1", "spool"),
+            ("leg2", "screw"),
+        ]
+        assert [float(f) for _, f, _ in factors] == [0.05 / 10, -0.004 / (2 * np.pi)]
+        assert " leg8 [m]\n" in text
+    run([*STRICT, "crane_check.c", "crane.c", "-o", "check", "-lm"], tmp_path)
 
 
 @pytest.mark.wide
@@ -676,3 +701,11 @@ def test_the_lines_of_the_page_about_cpp_compile(tmp_path):
     (tmp_path / "page.cpp").write_text(text + "return static_cast<int>(status);\n}\n")
     export(robot("delta54"), "cpp:poses=2", tmp_path)
     run(["g++", *STRICT_CPP, "-O0", "page.cpp", "-o", "page"], tmp_path)
+
+
+def test_a_robot_without_lengths_is_exported_too():
+    model = new_model("argos9")
+    assert not any(p.unit == "m" for p in model.table)
+    head, row, *_ = files(model, poses=4)["argos9_vectors.csv"].splitlines()
+    assert head.endswith(",limit")
+    assert float(row.split(",")[-1]) >= 1e-12

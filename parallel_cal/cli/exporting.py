@@ -168,19 +168,23 @@ def _heights(heights: BedHeights) -> str:
 
 def _format_movement(movement: Movement) -> str:
     """Format how far x and y move, next to how well they are known."""
-    if movement.measured:
-        known = "the measurements of x and y show all of it but"
-        known += f" {1e3 * movement.unsupported:.2f} mm"
-    else:
-        known = "no measurement determines x and y"
-    if movement.sigma is not None:
-        source = "" if movement.measured else "from its tolerances and the touches, "
-        known += f"; {source}the model knows them to {1e3 * movement.sigma:.2f} mm (1 sigma)"
-    return (
-        "x and y over the bed, at the same motor positions, move by at most "
-        f"{1e3 * movement.largest:.2f} mm, and by {1e3 * movement.shape:.2f} mm without their "
-        f"common shift and turn: {known}"
+    moved = (
+        "at the same motor positions, x and y over the bed move by at most "
+        f"{1e3 * movement.largest:.2f} mm. Without a common shift and turn of the whole bed it is "
+        f"{1e3 * movement.shape:.2f} mm."
     )
+    source = "The model knows x and y"
+    if movement.measured:
+        known = (
+            "The measurements of x and y show all of this motion but "
+            f"{1e3 * movement.unsupported:.2f} mm."
+        )
+    else:
+        known = "No measurement shows whether this is right."
+        source = "From its tolerances and the touches, the model knows x and y"
+    if movement.sigma is not None:
+        known += f" {source} to {1e3 * movement.sigma:.2f} mm (1 sigma)."
+    return f"{moved} {known}"
 
 
 def _format_loss(loss: Mapping[str, Any]) -> str:

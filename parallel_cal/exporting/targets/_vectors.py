@@ -94,7 +94,7 @@ def _limits(problem: Problem, found: Solutions, a: np.ndarray) -> np.ndarray:
     """
     model = problem.model
     lengths = [abs(model.values[i]) for i, p in enumerate(model.table) if p.unit == "m"]
-    rounding = ROUNDING_UNITS * np.finfo(float).eps * max(1.0, *lengths)
+    rounding = ROUNDING_UNITS * np.finfo(float).eps * max([1.0, *lengths])
     limits = np.full(len(found), MIN_LIMIT)
     for i in np.flatnonzero(found.ok):
         flat = np.sqrt(2 * rounding * found.residual[i]) if problem.redundant else 0.0

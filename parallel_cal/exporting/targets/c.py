@@ -27,6 +27,7 @@ from parallel_cal.kinematics.solutions import (
 )
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.file.modelfile import model_hash
+from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
 
 PROBLEMS = ("direct", "inverse")
@@ -121,6 +122,8 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
         "hash": model_hash(model),
         "what": ", ".join([m.name, *(effect.name for effect in model.effects)]),
         "joints": ", ".join(model.joints),
+        "joint_table": "\n".join(f" * {line}" for line in _describe_joints(m)),
+        "joint_table_cpp": "\n".join(f"// {line}" for line in _describe_joints(m)),
         "units": ", ".join(dict.fromkeys(m.joint_units)),
         "controls": " ".join(m.controls),
         "n_joints": n,
@@ -171,6 +174,27 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
             f"constants_{problem}": c,
         }
     return {key: str(value) for key, value in words.items()}
+
+
+def _describe_joints(m: Mechanism) -> list[str]:
+    """Describe the readings of the joints, and how the angles of motors convert to them."""
+    drives = m.drives or (None,) * len(m.joints)
+    lines = ["Joints, in this order:"]
+    for joint, unit, drive in zip(m.joints, m.joint_units, drives, strict=True):
+        words = f"  {joint} [{unit}]"
+        if drive is not None:
+            words += f" = {drive.travel!r} * angle of the motor [rad], a {drive.kind}"
+            size = f"{drive.per_rev!r} m per turn of the motor"
+            if drive.per_rev is None:
+                size = f"radius {drive.radius!r} m, advantage {drive.advantage!r}"
+            words += f" ({size}, gear {drive.gear!r})"
+        lines.append(words)
+    if any(drives):
+        lines += [
+            "The angle of a motor is 0 where its joint reads 0. The factor is constant:",
+            "what a spool does beyond it is an effect of the model, and in the functions below.",
+        ]
+    return lines
 
 
 def _name_member(condition: str) -> str:

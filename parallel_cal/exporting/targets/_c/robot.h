@@ -3,6 +3,8 @@
  * Written by parallel_cal @version@ from a model of sha256 @hash@.
  * Units: m, rad, s, kg, degC. C99, needs <math.h> alone; no allocation and no global state, so that
  * any number of threads may call. Rotations are row by row, R's columns {P}'s axes in {B}.
+ *
+@joint_table@
  */
 #ifndef @ROBOT@_H
 #define @ROBOT@_H
@@ -32,7 +34,7 @@ typedef struct {
 
 /* Joints and pose that belong together: an answer, and the start of the next problem. */
 typedef struct {
-    double joints[@ROBOT@_JOINTS]; /* @units@ */
+    double joints[@ROBOT@_JOINTS]; /* @units@: see above */
     double position[3];            /* m */
     double rotation[9];
 } @robot@_configuration;

@@ -4,6 +4,8 @@
 // Units: m, rad, s, kg, degC. No allocation, no exception, no global state. A Robot keeps what a
 // controller must remember from cycle to cycle; use one per thread. The C functions are in
 // @robot@::c. Define @ROBOT@_WITH_EIGEN before the inclusion for views of Eigen.
+//
+@joint_table_cpp@
 #ifndef @ROBOT@_HPP
 #define @ROBOT@_HPP
 
