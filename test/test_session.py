@@ -269,6 +269,9 @@ def test_parameters_are_fixed_at_their_present_or_at_their_nominal_values(sessio
     session.choose(fix=["chain1.D_x"], nominal=["chain1.D_x"])
     assert session.model.values[at] == table.nominal[at]
     assert session.state.step == "fix chain1.D_x at nominal"
+    session.choose(fix=["chain1.D_x"], values={"chain1.D_x": 75.9e-3})
+    assert session.model.values[at] == 75.9e-3
+    assert session.state.step == "fix chain1.D_x at measured values"
     with pytest.raises(ModelError, match=r"no parameter matches 'chain1\.none'"):
         session.choose(nominal=["chain1.none"])
 
@@ -370,6 +373,7 @@ def test_a_model_that_was_fitted_with_a_sample_is_not_judged_as_if_it_had_been_h
     session = Session(tmp_path / "s")
     session.save(tmp_path / "robot.yaml", lambda found: True)
     session.exclude({17: "knocked"})
+    assert session.state.reason == "knocked"
     assert "forced" not in session.model.history[-1]
     found = []
     session.save(tmp_path / "robot.yaml", lambda replacement: found.append(replacement) or True)

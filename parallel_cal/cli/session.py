@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -139,7 +139,9 @@ def fit(
     """Identify the free parameters. --free and --fix also apply to the steps that follow."""
     session = _open(folder)
     asked = {"free": free, "fix": fix}
-    changed = {key: patterns(given) for key, given in asked.items() if given is not None}
+    changed: dict[str, Any] = {
+        key: patterns(given) for key, given in asked.items() if given is not None
+    }
     if changed:
         state = session.choose(console.progress, effect or (), **changed)
         return _print_state(session, state, as_json)

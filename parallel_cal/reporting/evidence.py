@@ -56,8 +56,8 @@ def candidates(report: Report, plot: Plot) -> str:
     note = (
         "Each effect is scored by the part of its pattern that the geometry cannot absorb. The "
         "best significant effects are refitted. The p-values account for the number of tests. "
-        f"Negative control: a random group of columns would have rank {control.rank} "
-        f"({name_p_value(probability(control.p_value))})."
+        f"For comparison, random numbers have {name_p_value(probability(control.p_value))} and "
+        f"would be number {control.rank} of the table."
     )
     remarks = [f"{name} fits no better than {', '.join(o)}." for name, o in found.swaps.items()]
     remarks += [f"Objection: {text}" for text in found.verdict.against]

@@ -170,7 +170,9 @@ def compare_with_model_in_use(
         if dataset is None:
             raise SessionError("there are no samples to compare them on")
         fitted_to_these = _was_last_fitted_to(in_use, dataset)
-        other = _Judged.of(in_use, dataset, options, fitted_to_these)
+        # What this session fixes or frees is no property of the other model.
+        others = replace(options, fix=(), free=())
+        other = _Judged.of(in_use, dataset, others, fitted_to_these)
     except ParallelCalError as error:
         objections.insert(0, f"the model in use cannot be compared with this one: {error}")
     if other is None or judged is None:

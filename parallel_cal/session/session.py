@@ -256,7 +256,9 @@ class Session(History):
         if unknown := sorted(set(samples) - known):
             raise SessionError(f"no sample {unknown[0]}; the session has {len(known)} samples")
         excluded = {**self.state.excluded, **samples}
-        return self._refit(f"exclude {_format_numbers(samples)}", progress, excluded=excluded)
+        reason = "; ".join(dict.fromkeys(why for why in samples.values() if why))
+        words = f"exclude {_format_numbers(samples)}"
+        return self._refit(words, progress, excluded=excluded, reason=reason)
 
     @check_arguments(SessionError)
     def include(self, samples: Sequence[int], progress: Progress | None = None) -> State:
@@ -271,11 +273,12 @@ class Session(History):
         progress: Progress | None = None,
         effects: Sequence[str] = (),
         nominal: Sequence[str] = (),
+        values: Mapping[str, float] | None = None,
         **options: Any,
     ) -> State:
         """Fit again with other options (free, fix, prior, loss, ...), which later steps keep, and
         with more effects. The parameters that match a pattern of `nominal` first get their nominal
-        values."""
+        values, and those named in `values` these values (SI units)."""
         fitting = {**self.state.fitting, **{key: to_json_value(v) for key, v in options.items()}}
         words = [
             f"{key} {', '.join(v) or 'none' if isinstance(v, (list, tuple)) else v}"
@@ -286,8 +289,18 @@ class Session(History):
             words = [f"{word} at nominal" if word.startswith("fix ") else word for word in words]
         elif nominal:
             words.append(f"{', '.join(nominal)} at nominal")
+        measured = values or {}
+        if measured and list(measured) == list(options.get("fix", ())):
+            words = [f"{w} at measured values" if w.startswith("fix ") else w for w in words]
+        elif measured:
+            words.append(f"{', '.join(measured)} at measured values")
         words += [f"with {' and '.join(effects)}"] if effects else []
         start = self.model
+        if measured:
+            given = start.values.copy()
+            for name, value in measured.items():
+                given[start.table.matching([name])] = value
+            start = start.with_values(given)
         if nominal:
             reset = start.table.matching(nominal)
             start = start.with_values(np.where(reset, start.table.nominal, start.values))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from nicegui import ui
 
+from parallel_cal.base.units import UNITS
 from parallel_cal.reporting.blocks import DIGITS
 from parallel_cal.workbench.widgets import table
 
@@ -17,11 +18,14 @@ CONSEQUENCE = (
 )
 PRESENT = "the present values (identified from these samples, not measured separately)"
 NOMINAL = "the nominal values"
+MEASURED = "values that were measured separately:"
 
 
-def ask_where_to_fix(rows: Sequence[dict[str, Any]], fix: Callable[[bool], None]) -> None:
+def ask_where_to_fix(
+    rows: Sequence[dict[str, Any]], fix: Callable[[bool, Mapping[str, float]], None]
+) -> None:
     """Show the marked parameters (rows of the page's table); the answer calls `fix` with whether
-    they get their nominal values."""
+    they get their nominal values, and with their measured values in SI units, if stated."""
     with ui.dialog(value=True) as dialog, ui.card().classes("max-w-2xl"):
         ui.label("Fix parameters").classes("text-lg font-bold")
         columns = ("name", "value", "sigma", "nominal", "unit")
@@ -29,13 +33,27 @@ def ask_where_to_fix(rows: Sequence[dict[str, Any]], fix: Callable[[bool], None]
         # With the digits to which the page rounds each number.
         shown = [{k: row[k] for k in row if k.removesuffix(DIGITS) in columns} for row in rows]
         table([(key, names.get(key, key)) for key in columns], shown, "name")
-        at = ui.radio({False: PRESENT, True: NOMINAL}, value=False)
+        at = ui.radio([PRESENT, NOMINAL, MEASURED], value=PRESENT)
         at.props('aria-label="values at which the parameters are fixed"')
+        with ui.row() as entries:
+            stated = {
+                row["name"]: ui.number(f"{row['name']} [{row['unit']}]", value=row["value"])
+                for row in rows
+            }
+        entries.bind_visibility_from(at, "value", value=MEASURED)
         ui.label(CONSEQUENCE).classes("text-sm").props("id=consequence")
 
         def answer() -> None:
+            values = {}
+            if at.value == MEASURED:
+                if any(entry.value is None for entry in stated.values()):
+                    return ui.notify("state a value for each parameter")
+                values = {
+                    row["name"]: float(stated[row["name"]].value) * UNITS.get(row["unit"], 1.0)
+                    for row in rows
+                }
             dialog.close()
-            fix(bool(at.value))
+            fix(at.value == NOMINAL, values)
 
         with ui.row():
             ui.button("Fix and fit again", on_click=answer).props("dense")

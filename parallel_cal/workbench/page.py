@@ -497,7 +497,13 @@ class Window:
         with self.layer:
             ask_where_to_fix(rows.selected, partial(self._refit_with, names, True))
 
-    def _refit_with(self, names: list[str], fix: bool, at_nominal: bool = False) -> None:
+    def _refit_with(
+        self,
+        names: list[str],
+        fix: bool,
+        at_nominal: bool = False,
+        measured: Mapping[str, float] | None = None,
+    ) -> None:
         """Fix or free parameters for all later steps, and fit again."""
         asked = self.bench.session.options
         kept = {
@@ -507,7 +513,8 @@ class Window:
         step = "fix" if fix else "free"
         kept[step] += names
         changed = {k: v for k, v in kept.items() if k == step or v != list(getattr(asked, k))}
-        self.bench.begin("choose", nominal=names if at_nominal else [], **changed)
+        nominal = names if at_nominal else []
+        self.bench.begin("choose", nominal=nominal, values=measured or {}, **changed)
 
 
 def _list_untested(untested: list[dict[str, Any]]) -> None:
