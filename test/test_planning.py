@@ -258,6 +258,17 @@ def test_approaches_are_driven_inside_the_workspace_and_turn_every_joint():
     assert lengths.max() > 100 * lengths.min()  # long ones and short ones
 
 
+def test_an_approach_takes_up_the_backlash_of_every_joint():
+    model = noisy().with_effect("backlash")
+    wide = model.table.matching(["backlash.joint[12].width"])
+    model = model.with_values(np.where(wide, 1e-3, model.values))
+    poses = make_pool(model, 200, np.random.default_rng(0), symmetric=False).poses
+    made = approaches(model, poses, np.random.default_rng(1))
+    assert made.ok.mean() > 0.8
+    assert np.abs(made.ways[made.ok][:, :2]).min() > 1e-3
+    assert np.abs(made.ways[made.ok][:, 2]).min() < 1e-3
+
+
 def test_what_no_pose_can_show_is_reported_in_words():
     loose = plan(noisy(values={}), 16, pool=100, free=["*"])
     assert loose.warnings

@@ -33,6 +33,9 @@ class Backlash(Effect):
             for joint, unit, (tolerance, most) in sizes(mechanism, SIZE)
         ]
 
+    def least_travel(self, e: Named, joint: str) -> float:
+        return abs(float(e[joint].width))
+
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         def error(joint: str, q: Any) -> Any:
             return -e[joint].width / 2 * at["direction"][joint]

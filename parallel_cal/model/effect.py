@@ -237,6 +237,11 @@ class Effect(ABC):
         """Return the period of its pattern in a joint's reading (rad or m); None if it has none."""
         return None
 
+    def least_travel(self, e: Named, joint: str) -> float:
+        """How far a joint must move after a reversal (rad or m) until the effect has its full size;
+        0 if it has it at once. `e` are the effect's parameters by name."""
+        return 0.0
+
     def absurd(self, e: Named, mechanism: Mechanism) -> str:
         """Return why its values are physically impossible together; empty if they are possible."""
         return ""

@@ -14,6 +14,7 @@ import numpy as np
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.solutions import Solutions, concatenate_solutions
 from parallel_cal.model.model import Model
+from parallel_cal.model.parameters import Named
 
 KINDS = ("direction", "travel", "velocity")  # conditions that an approach brings about
 STEPS = (1 / 4, 1 / 32, 1 / 256, 1 / 1024)  # of the workspace: from long distances to a mrad
@@ -100,8 +101,20 @@ def _drive(model: Model, poses: Solutions, away: np.ndarray) -> Approaches:
     past, turn = (robot.inverse(*m.poses(here + sign * away)) for sign in (1, -1))
     ways = poses.joints - turn.joints
     reverses = ways * (turn.joints - past.joints) < 0
-    significant = np.abs(ways) > MIN_APPROACH_SIGMAS * np.nan_to_num(model.joint_noise)
+    certain = MIN_APPROACH_SIGMAS * np.nan_to_num(model.joint_noise)
+    significant = np.abs(ways) > np.maximum(certain, _find_least_travels(model))
     return Approaches(past, turn, ways, past.ok & turn.ok & (reverses & significant).all(axis=1))
+
+
+def _find_least_travels(model: Model) -> np.ndarray:
+    """Return how far each joint (nq,) must move after a reversal until the model's effects have
+    their full size: a shorter move does not take up a backlash."""
+    numbers = Named(model.table.names, model.values)
+    travels = [
+        [effect.least_travel(numbers[effect.name], joint) for joint in model.joints]
+        for effect in model.effects
+    ]
+    return np.array([[0.0] * len(model.joints), *travels]).max(axis=0)
 
 
 def fill(a: np.ndarray, model: Model, ways: np.ndarray, speed: np.ndarray | float = 0.0) -> None:
