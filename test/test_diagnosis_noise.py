@@ -64,6 +64,7 @@ def test_what_depends_on_a_condition_is_no_noise_though_revisited_poses_differ_a
     )
     monkeypatch.setattr(verdict.Region, "of", lambda fitted: None)
     monkeypatch.setattr(verdict, "_uncertainty", lambda found: "")
+    monkeypatch.setattr(verdict, "is_touched_at_one_height", lambda fitted: False)
     judged = verdict._nothing_found(found, "error 15.1 um")
     assert judged.word == word
     assert "the compliance would have to be negative" in judged.summary
