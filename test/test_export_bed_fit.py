@@ -234,7 +234,8 @@ def test_an_unmeasured_move_of_x_and_y_is_refused_without_force(tmp_path, monkey
         export_into(model, "own_mover.printer", files, touches)
     words = str(refused.value)
     assert "mm relative to each other in x and y with the new parameters, and no" in words
-    assert "expected at most 0.5 mm; nothing was written: measure one printed length" in words
+    assert "expected at most 0.5 mm. The rms height at the touches would go from" in words
+    assert "nothing was written: measure one printed length" in words
     assert files[0].read_text() == vp.CONFIG
     assert not files[0].with_name("config.g.previous").exists()
     assert export_into(model, "own_mover.printer", files, touches, force=True).movement.shape > 5e-4

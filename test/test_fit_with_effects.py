@@ -110,6 +110,11 @@ def test_where_hardly_more_than_noise_is_left_small_differences_of_chi2_decide(
     assert ("No effect of the catalogue" in words) == (not proposed)
 
 
+def test_where_no_effect_permits_a_fit_none_is_the_best():
+    assert first_effect.select_equally_good([]) == []
+    assert "No effect of the catalogue" in first_effect._describe_proposal([], 20.0)
+
+
 def test_an_effect_that_explains_a_part_is_a_start_where_several_are_missing():
     """Winches of a cable robot: build-up alone leaves 21, with unequal spools it leaves 1.5."""
     ranked = [first_effect.FirstEffect(Chosen("spool_buildup"), 2100.0, 21.0)]

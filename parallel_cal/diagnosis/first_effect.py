@@ -83,6 +83,8 @@ def select_equally_good(ranked: Sequence[FirstEffect]) -> list[FirstEffect]:
     """Select the first, and those that explain the samples nearly as well: they leave less than
     MIN_CHI2_RATIO times as much, or, where only noise is left, less than MIN_CHI2_DIFFERENCE more.
     """
+    if not ranked:
+        return []
     first = ranked[0]
     limit = MIN_CHI2_RATIO * first.chi2
     if first.leaves_noise:
@@ -130,7 +132,7 @@ def _describe_proposal(ranked: Sequence[FirstEffect], chi2_per_dof: float) -> st
         if MIN_CHI2_RATIO * one.chi2_per_dof < chi2_per_dof
         or (one.leaves_noise and one.chi2_per_dof <= chi2_per_dof)
     ]
-    likely = select_equally_good(helpful) if helpful else []
+    likely = select_equally_good(helpful)
     started = [one for one in ranked[:1] if one.chi2_per_dof < chi2_per_dof]
     if not (proposed := likely or started):
         return (
