@@ -106,6 +106,10 @@ class Touched:
         """Return the nozzle's positions (N, 3) by a firmware, in its own frame."""
         return compute_positions(firmware, firmware.homed + self.steps, self.position)
 
+    def errors(self, firmware: Firmware) -> Array:
+        """Return heights (N,) in m of the nozzle over a firmware's bed, minus the touches' own."""
+        return np.asarray(self.positions(firmware)[:, 2] - self.height)
+
 
 @dataclass(frozen=True)
 class Present:
@@ -243,20 +247,15 @@ class BedFit:
         are nearly free: heights were measured, and x and y were not.
         """
         free = self._fit(start, machine, LOOSEST)
-        limit = MAX_HEIGHT_LOSS * self._rms_height(machine(free).firmware)
+        limit = MAX_HEIGHT_LOSS * _rms(self.touched.errors(machine(free).firmware))
         for tightening in 2.0 ** np.arange(MAX_TIGHTENINGS + 1):
             found = self._fit(start, machine, tightening)
             firmware = machine(found).firmware
-            if self._rms_height(firmware) > limit:
+            if _rms(self.touched.errors(firmware)) > limit:
                 break
             if self.movement(firmware).unsupported <= MAX_UNMEASURED_MOVE:
                 return found
         return free
-
-    def _rms_height(self, firmware: Firmware) -> float:
-        """Return the rms height (m) of the nozzle above the touches."""
-        off = self.touched.positions(firmware)[:, 2] - self.touched.height
-        return float(np.sqrt(np.mean(off**2)))
 
     def _fit(
         self,
@@ -288,10 +287,10 @@ class BedFit:
         numbers = start
         for _ in range(NOISE_ROUNDS):
             numbers = np.asarray(least_squares(missed, numbers, x_scale=scale).x)
-            at = self.touched.positions(machine(numbers).firmware)
-            spare = len(at) - len(start)
+            off = self.touched.errors(machine(numbers).firmware)
+            spare = len(off) - len(start)
             if spare > 0:
-                noise = float(np.sqrt(np.sum((at[:, 2] - self.touched.height) ** 2) / spare))
+                noise = float(np.sqrt(np.sum(off**2) / spare))
         return numbers
 
     @cached_property
@@ -327,6 +326,10 @@ class BedFit:
         rows = self._common_moves
         rest = moves.ravel() - rows @ np.linalg.lstsq(rows, moves.ravel(), rcond=None)[0]
         return float(np.linalg.norm(rest.reshape(-1, 2), axis=1).max())
+
+
+def _rms(errors: Array) -> float:
+    return float(np.sqrt(np.mean(errors**2)))
 
 
 def _rods(firmware: Firmware) -> Array:

@@ -74,8 +74,9 @@ def read_verbatim(path: Path) -> str:
 
 
 def _head(field: str) -> str:
-    """Return the group of a field: `M665`, `[section]`, `$`, `DELTA_`, or the component."""
-    return re.match(r"\[[^\]]*\]|[GM]\d+(?= )|\$|DELTA_|DEFAULT_|[^.]*", field)[0]  # type: ignore[index]
+    """Return the group of a field: `M665`, `[section]`, `$`, `DELTA_` (C), or the component."""
+    defined = "|".join(DEFINITIONS)
+    return re.match(rf"\[[^\]]*\]|[GM]\d+(?= )|\$|{defined}|[^.]*", field)[0]  # type: ignore[index]
 
 
 def _key(field: str) -> str:

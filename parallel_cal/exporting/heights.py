@@ -62,8 +62,7 @@ def nozzle_heights(model: Model, machine: Machine, touches: Touches) -> Array:
 
     NaN if the firmware's formula has no solution for these motors.
     """
-    touched = Touched.by(model, machine, touches)
-    return np.asarray(touched.positions(machine.firmware)[:, 2] - touched.height)
+    return Touched.by(model, machine, touches).errors(machine.firmware)
 
 
 def rms_height(model: Model, machine: Machine, touches: Touches, whose: str) -> float:

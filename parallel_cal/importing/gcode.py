@@ -6,7 +6,13 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
+from parallel_cal.base.units import MM
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines
+from parallel_cal.recordings.recording import Array
+
+STEPS_FIELDS = tuple(f"M92 {axis}" for axis in "XYZ")  # steps per mm of three towers
 
 GLOBAL = re.compile(r"(?:set\s+)?global[\s.]\s*(\w+)\s*=\s*([^\s;]+)")  # of RepRapFirmware
 USE = re.compile(r"\{\s*global\.(\w+)\s*\}")
@@ -29,6 +35,13 @@ def settings(paths: Sequence[Path], codes: Sequence[str]) -> Settings:
         if (used := USE.fullmatch(text)) and used[1] in variables:
             texts[field] = variables[used[1]]
     return Settings(texts, paths)
+
+
+def read_scale(stated: Settings) -> Array | None:
+    """Return the steps (3,) of the motors for 1 m of a carriage; None if M92 does not state all."""
+    if any(field not in stated for field in STEPS_FIELDS):
+        return None
+    return np.array([stated.number(f, "steps per mm", low=1e-3) / MM for f in STEPS_FIELDS])
 
 
 def parse_settings_line(

@@ -79,16 +79,15 @@ def explained_residuals(model: Model, found: Solutions, at: Mapping[str, Any]) -
     """Compute the residual (N,) in m that noise and the errors of the model explain.
 
     It is that of the uncertainty of the parameters or that of the last fit, the larger one. None if
-    the robot has no more joints than freedoms.
-    NaN for a sample that is not solved.
+    the robot has no more joints than freedoms; NaN for a sample that is not solved.
     """
-    kinematics = Kinematics(model)
-    if not kinematics.direct_problem.redundant:
+    if model.structure.phi.shape[0] <= len(model.mechanism.moved):
         return None
     explained = np.full(len(found), np.nan)
     if (solved := found.solved).any():
         noise = np.nan_to_num(model.joint_noise)
-        sigma = kinematics.direct_residual_sigma(found[solved], select_rows(at, solved), noise)
+        compute = Kinematics(model).direct_residual_sigma
+        sigma = compute(found[solved], select_rows(at, solved), noise)
         explained[solved] = np.maximum(sigma, _fitted_residual(model))
     return explained
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, TypeGuard
 
 from parallel_cal.base.units import ERROR_SI_UNITS, LARGE_UNITS, SMALL_UNITS
@@ -72,11 +72,17 @@ def with_sigma(value: float | None, sigma: float | None, factor: float = 1.0) ->
 
 def format_judged_error(errors: Mapping[str, float | None], sigmas: Mapping[str, float]) -> str:
     """Format the first known kind of error in a summary with its sigma: `32.2 ± 1.4 µm`."""
+    return next(format_judged_errors(errors, sigmas), MISSING)
+
+
+def format_judged_errors(
+    errors: Mapping[str, float | None], sigmas: Mapping[str, float]
+) -> Iterator[str]:
+    """Format each known kind of error in a summary with its sigma."""
     for kind, unit in ERROR_SI_UNITS.items():
         if is_known(value := errors.get(f"{kind}_rms")):
             name, factor = error_unit(unit)
-            return f"{with_sigma(value, sigmas.get(kind), factor)} {name}"
-    return MISSING
+            yield f"{with_sigma(value, sigmas.get(kind), factor)} {name}"
 
 
 def write_micro(text: str) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from parallel_cal.base.arguments import describe_argument
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.base.units import ARCMIN, ERROR_SI_UNITS
+from parallel_cal.base.units import ARCMIN
 from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.budget import Budget, Iso9283
 from parallel_cal.identification.fit import FitResult, ParameterEstimate
@@ -27,6 +27,7 @@ from parallel_cal.reporting.readable import (
     error_unit,
     format_fixed,
     format_fixed_vector,
+    format_judged_errors,
     is_known,
     number,
     percent,
@@ -127,11 +128,7 @@ def saving_table(models: Sequence[ComparedModel]) -> Table:
     """Describe the models that a save compares, each with its errors at the same samples."""
     rows: list[Row] = []
     for one in models:
-        shown = []
-        for kind, unit in ERROR_SI_UNITS.items():
-            if is_known(error := one.errors.rms(kind)):
-                name, factor = error_unit(unit)
-                shown.append(f"{with_sigma(error, one.sigmas.get(kind), factor)} {name}")
+        shown = format_judged_errors(one.errors.document(), one.sigmas)
         effects = ", ".join(one.effects) or "none"
         rows.append((one.name, ", ".join(shown), one.where, str(one.samples), effects))
     return Table(("model", "rms error", "judged", "samples", "effects"), rows)

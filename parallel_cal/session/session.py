@@ -285,15 +285,12 @@ class Session(History):
             for key, v in options.items()
             if v not in ([], ()) or len(options) == 1  # to free a parameter may empty `fix`
         ]
-        if nominal and list(nominal) == list(options.get("fix", ())):
-            words = [f"{word} at nominal" if word.startswith("fix ") else word for word in words]
-        elif nominal:
-            words.append(f"{', '.join(nominal)} at nominal")
         measured = values or {}
-        if measured and list(measured) == list(options.get("fix", ())):
-            words = [f"{w} at measured values" if w.startswith("fix ") else w for w in words]
-        elif measured:
-            words.append(f"{', '.join(measured)} at measured values")
+        for names, at in ((list(nominal), "nominal"), (list(measured), "measured values")):
+            if names and names == list(options.get("fix", ())):
+                words = [f"{word} at {at}" if word.startswith("fix ") else word for word in words]
+            elif names:
+                words.append(f"{', '.join(names)} at {at}")
         words += [f"with {' and '.join(effects)}"] if effects else []
         start = self.model
         if measured:

@@ -114,7 +114,7 @@ CSS = f"""
 .q-btn {{ text-transform: none }}
 .q-btn--dense {{ padding: 2px 8px }}
 .q-btn--standard.disabled {{ --q-primary: #6e7781 }}
-.amber {{ color: #9a6700 }}
+.amber {{ color: {COLOURS["amber"]} }}
 .body--dark .amber {{ color: #d29922 }}
 .js-plotly-plot :is([class$=tick], .textpoint, .infolayer, .legend) text {{
   fill: currentColor !important }}

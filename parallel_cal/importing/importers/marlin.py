@@ -23,7 +23,7 @@ from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.importing import deltas
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.deltas import Towers
-from parallel_cal.importing.gcode import parse_settings_line
+from parallel_cal.importing.gcode import STEPS_FIELDS, parse_settings_line, read_scale
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines
 from parallel_cal.importing.touch_samples import make_joint_samples, make_printed_ends
 from parallel_cal.model.machine_class import MachineClass
@@ -51,7 +51,6 @@ DEFINITIONS = {
 }
 # Its values are those of M92 X Y Z, and of the extruders, if they are plain numbers.
 STEPS_DEFINED = "DEFAULT_AXIS_STEPS_PER_UNIT"
-STEPS_FIELDS = tuple(f"M92 {axis}" for axis in "XYZ")
 DEFINED, RADIUS_TRIM = "DELTA_RADIUS", "DELTA_RADIUS_TRIM_TOWER"  # no command sets the latter
 DEFINITION = re.compile(r"\s*#define\s+(\w+)\s+(\{[^}]*\}|[^/]*[^/\s])")
 FIELDS = {"Height": "M665 H", "Radius": "M665 R"}
@@ -213,8 +212,5 @@ def towers(stated: Settings) -> Towers:
     stops = [stated.number(f"M666 {t}", "mm, 0 or less", 0.0, high=0.0) for t in "XYZ"]
     homed = stated.number("M665 H", "the homed height in mm", low=0.0)
     trim = [stated.number(f"M665 {t}", "degrees", 0.0, -30, 30) for t in "XYZ"]
-    scale = None
-    if all(field in stated for field in STEPS_FIELDS):
-        scale = np.array([stated.number(f, "steps per mm", low=1e-3) / MM for f in STEPS_FIELDS])
-    stops_at = homed - np.array(stops)
-    return Towers.of(radius + out, rod + np.array(more), trim, stops_at, scale=scale)
+    heights = homed - np.array(stops)
+    return Towers.of(radius + out, rod + np.array(more), trim, heights, scale=read_scale(stated))

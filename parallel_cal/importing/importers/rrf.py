@@ -21,7 +21,7 @@ from parallel_cal.importing import deltas
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.deltas import Delta, Shoulders, Towers
 from parallel_cal.importing.fivebar import TURNS, FiveBars
-from parallel_cal.importing.gcode import settings
+from parallel_cal.importing.gcode import STEPS_FIELDS, read_scale, settings
 from parallel_cal.importing.hangprinter import Hangprinter
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines
 from parallel_cal.importing.touch_samples import make_printed_ends, make_touch_samples
@@ -46,7 +46,6 @@ UNEQUAL_ARMS = (
     "arm A when it computes the position from the motors, as after homing"
 )
 STEPS = 80.0  # per mm or degree, if M92 is missing
-STEPS_FIELDS = tuple(f"M92 {axis}" for axis in "XYZ")
 ANCHORS = "ABCDI"  # letters of M669 that are anchors
 
 
@@ -212,12 +211,10 @@ def scale(stated: Settings) -> Array | None:
 
     None if they are not stated, or if several motors have them from one variable.
     """
-    if any(field not in stated for field in STEPS_FIELDS):
-        return None
-    places = [stated.texts[field] for field in STEPS_FIELDS]
+    places = [stated.texts[field] for field in STEPS_FIELDS if field in stated]
     if any(a is b for a, b in combinations(places, 2)):
         return None
-    return np.array([stated.number(f, "steps per mm", low=1e-3) / MM for f in STEPS_FIELDS])
+    return read_scale(stated)
 
 
 def _reach(stated: Settings, field: str) -> float | None:
