@@ -8,6 +8,7 @@ import numpy as np
 
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.problem import Problem
+from parallel_cal.kinematics.singularity import jacobians, smallest_singular_values
 from parallel_cal.kinematics.solutions import Solutions
 from parallel_cal.kinematics.solving import controlled_pose
 from parallel_cal.model.mechanism import poses_in_workspace
@@ -71,36 +72,32 @@ def vectors(model: Model, poses: int) -> str:
     q[-1] = np.nan
     direct = kinematics.direct(q, at)
     names = [*model.conditions, *model.joints, *"xyz", *(f"R{i}{j}" for i in "123" for j in "123")]
-    limits = [
-        _limits(problem, solutions, a)
-        for problem, solutions in (
-            (kinematics.inverse_problem, inverse),
-            (kinematics.direct_problem, direct),
+    to_joints, to_pose = (
+        _limits(problem, solutions, smallest_singular_values(jacobians(model, solutions, at)[k]))
+        for problem, solutions, k in (
+            (kinematics.inverse_problem, inverse, 1),
+            (kinematics.direct_problem, direct, 0),
         )
-    ]
+    )
     rows = [
-        *itertools.compress(_rows(1, a, inverse, limits[0], position=r, rotation=R), steady),
-        *_rows(0, a, direct, limits[1], joints=q),
+        *itertools.compress(_rows(1, a, inverse, to_joints, position=r, rotation=R), steady),
+        *_rows(0, a, direct, to_pose, joints=q),
     ]
     return "\n".join([",".join(["inverse", "status", *names, "limit"]), *rows]) + "\n"
 
 
-def _limits(problem: Problem, found: Solutions, a: np.ndarray) -> np.ndarray:
+def _limits(problem: Problem, found: Solutions, sigma: np.ndarray) -> np.ndarray:
     """Compute how far another program's solution may differ.
 
-    The smallest singular value of the problem amplifies the rounding of the closure. At a minimum
-    of least squares the residual is flat: it differs by its rounding over a distance that is the
-    root of their product.
+    The smallest singular value `sigma` (N,) of the problem amplifies the rounding of the closure.
+    At a minimum of least squares the residual is flat: it differs by its rounding over a distance
+    that is the root of their product.
     """
     model = problem.model
     lengths = [abs(model.values[i]) for i, p in enumerate(model.table) if p.unit == "m"]
     rounding = ROUNDING_UNITS * np.finfo(float).eps * max([1.0, *lengths])
-    limits = np.full(len(found), MIN_LIMIT)
-    for i in np.flatnonzero(found.ok):
-        flat = np.sqrt(2 * rounding * found.residual[i]) if problem.redundant else 0.0
-        sigma = problem.smallest_singular_value(found.configuration.rows[i], a[i])
-        limits[i] = max(MIN_LIMIT, (rounding + flat) / sigma)
-    return limits
+    flat = np.sqrt(2 * rounding * found.residual) if problem.redundant else 0.0
+    return np.where(found.ok, np.maximum(MIN_LIMIT, (rounding + flat) / sigma), MIN_LIMIT)
 
 
 def _draw_condition(condition: str, n: int, rng: np.random.Generator) -> np.ndarray:
