@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -122,6 +123,14 @@ def test_the_certificate_shows_what_was_stated_and_leaves_the_rest_blank(made):
     assert f"{words}: pass." in shown
     assert "The model was identified from these samples." in shown
     assert made.document()["conformity"][0]["result"] == "pass"
+
+
+@pytest.mark.wide
+def test_without_a_limit_no_letter_is_explained_that_nothing_uses(made):
+    shown = part(page(replace(made, conformity=())), "certificate")
+    assert "U is the expanded" not in shown
+    assert "(1 sigma)" in shown
+    assert "State a limit (limit_um, limit_arcmin) to obtain a decision." in shown
 
 
 @pytest.mark.wide

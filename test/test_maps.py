@@ -32,9 +32,10 @@ def test_plan_front_and_side_show_the_same_arrows_on_one_scale_with_equal_axes()
     plan, front, side = of(drawn, "residual")
     assert plan["x"][:2] == [0.0, 10.0]  # 0.1 mm, 100 times
     assert plan["x"][2] is None
-    assert (front["y"][3], front["y"][4]) == (100.0, 120.0)
-    assert (side["x"][6], side["x"][7]) == (100.0, 90.0)
-    assert side["customdata"][6] == 6
+    # The second arrow is the largest and is drawn last.
+    assert (front["y"][6], front["y"][7]) == (100.0, 120.0)
+    assert (side["x"][3], side["x"][4]) == (100.0, 90.0)
+    assert side["customdata"][::3] == [4, 6, 5]
     layout = drawn["layout"]
     assert [layout[f"yaxis{k}"]["scaleanchor"] for k in ("", "2", "3")] == ["x", "x2", "x3"]
     assert [layout[f"xaxis{k}"]["title"]["text"] for k in ("", "2", "3")] == [
@@ -42,6 +43,15 @@ def test_plan_front_and_side_show_the_same_arrows_on_one_scale_with_equal_axes()
         "front: x [mm]",
         "side: y [mm]",
     ]
+
+
+def test_the_largest_residual_is_drawn_on_top_of_all_others_however_many_there_are():
+    count = 3 * maps.MAX_ARROWS
+    field = np.tile(FIELD[0], (count, 1))
+    field[100] *= 5
+    drawn, _ = maps.residuals(np.tile(PLACES[0], (count, 1)), [field], "position", np.arange(count))
+    for one in of(drawn, "residual"):
+        assert one["customdata"][-1] == 100
 
 
 def test_a_bar_says_how_long_a_residual_of_a_round_size_is_drawn():

@@ -20,7 +20,7 @@ BEFORE = "before calibration"  # name of the first step
 DOTTED = "A dotted line leads to an error at other samples (hollow circle)."
 # Of the branches, the one in use first (Okabe and Ito).
 BRANCH_COLOURS = (MEASURED, "#cc79a7", "#009e73", "#e69f00", "#56b4e9")
-MAX_LABEL_WIDTH, MAX_LABEL_LINES = 14, 2  # of the name of a step below the axis
+MAX_LABEL_WIDTH, MAX_LABEL_LINES = 14, 3  # of the name of a step below the axis
 # With more steps their labels stand upright on most screens: one line each, and a higher picture.
 MANY_STEPS, MAX_UPRIGHT_WIDTH = 6, 26
 HEIGHT, HEIGHT_OF_MANY = 230, 320

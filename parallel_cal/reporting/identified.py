@@ -52,6 +52,16 @@ NOT_IDENTIFIED_HERE = (
     "The model was not identified from these samples. Its errors are rms errors of the unchanged "
     "model at these samples; only the registration of the device was estimated, if it was needed."
 )
+RULE = (
+    "U is the expanded uncertainty (k = 2) from the scatter between poses. It does not contain the "
+    "uncertainty of the measuring device: subtract that from the limit unless it is small. The "
+    "decision follows the rule of ISO 14253-1: pass if error + U is within the limit, fail if "
+    "error - U is beyond it."
+)
+NO_RULE = (
+    "The standard deviations are from the scatter between poses and do not contain the uncertainty "
+    "of the measuring device. State a limit (limit_um, limit_arcmin) to obtain a decision."
+)
 
 
 def parameters(report: Report, plot: Plot) -> str:
@@ -153,14 +163,8 @@ def certificate(report: Report) -> str:
         f"No limit of acceptance was stated: there is no decision. {_errors_in_words(certified)}"
     ]
     signature = facts({"Calibrated by": "", "Approved by": ""})
-    note = paragraph(
-        f"{IDENTIFIED_HERE if certified.identified_here else NOT_IDENTIFIED_HERE} U is the "
-        "expanded uncertainty (k = 2) from the scatter between poses. It does not contain the "
-        "uncertainty of the measuring device: subtract that from the limit unless it is small. "
-        "The decision follows the rule of ISO 14253-1: pass if error + U is within the limit, fail "
-        "if error - U is beyond it.",
-        "note",
-    )
+    identified = IDENTIFIED_HERE if certified.identified_here else NOT_IDENTIFIED_HERE
+    note = paragraph(f"{identified} {RULE if report.conformity else NO_RULE}", "note")
     return (
         facts(rows)
         + f'<div class="decision"><h3>Decision</h3>{items(decided)}{note}'

@@ -32,7 +32,9 @@ def residuals(
     The first field is visible (traces with `meta` 0), the others are hidden (1, ...).
     """
     scale, factor = scale_of(places, fields), 1e3 if kind == "position" else 1.0
-    kept = select_evenly(len(places), MAX_ARROWS)
+    # The largest residuals are drawn last, on top of others at the same place.
+    by_size = np.argsort(np.linalg.norm(fields[0], axis=1), kind="stable")
+    kept = by_size[select_evenly(len(places), MAX_ARROWS)]
     panels = []
     for axes in VIEWS.values():
         drawn = [
