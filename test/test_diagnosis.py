@@ -16,6 +16,7 @@ import parallel_cal.identification.fit as fitting
 import parallel_cal.identification.given_model as given_model
 from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.diagnosis.patterns import find_knocked_samples
 from parallel_cal.diagnosis.search import Chosen
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import Noise, new_model
@@ -442,6 +443,18 @@ def test_one_knocked_sample_is_named_with_the_verdict_of_the_others(size):
     assert last.startswith("sample 17 (")
     assert found.document()["next_steps"][0].endswith("--data exclude=17")
     assert found.next_steps[-1].split(" -o ")[0].endswith("RECORDING --data exclude=17")
+
+
+@pytest.mark.wide
+def test_a_sample_counts_as_knocked_that_only_shows_once_a_large_effect_is_known():
+    data, _ = hiding([vf.KINDS["backlash"]], 3.0, seed=40)
+    data.r[17] += 0.25e-3 * np.array([0.7, -0.5, 0.5])
+    assert find_knocked_samples(diagnose(MODEL, data, effects=["base_drift"]).base.scene) == []
+    found = diagnose(MODEL, data, effects=["backlash", "base_drift", "device_axes"])
+    assert found.effects == ("backlash",)
+    assert [one.sample for one in found.knocked] == [17]
+    assert found.noise.misstated is None
+    assert add(MODEL, "backlash", data).knocked == (17,)
 
 
 @pytest.mark.wide

@@ -364,13 +364,14 @@ def _set_knocked_samples_aside(
     """Diagnose again without single samples that are far from all others, such as those at which
     somebody knocked the device; name them, with the verdict of the others.
 
-    One such sample hides effects, because it makes up most of chi2. It counts as knocked if it is
+    One such sample hides effects, because it makes up most of chi2. A large effect in turn hides
+    such a sample, which shows only when the effect is in the model. It counts as knocked if it is
     as far from what the model predicts that describes the others. If no model does, a sample that
     is far from it may show what the model lacks.
     """
+    trials = [found.base, found.best] if found.effects else [found.base]
     aside = set_knocked_samples_aside(
-        found.base.scene,
-        found.base.fitted,
+        ((trial.scene, trial.fitted) for trial in trials),
         lambda samples: without(samples, f"because it is {KNOCKED}"),
         lambda others: others.best.fitted.model,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -206,27 +206,28 @@ def find_knocked_samples(scene: Scene) -> list[OddSample]:
 
 
 def set_knocked_samples_aside(
-    scene: Scene,
-    base: FitResult,
+    fits: Iterable[tuple[Scene, FitResult]],
     fit_without: Callable[[list[int]], Fitted],
     model_of: Callable[[Fitted], Model],
 ) -> tuple[list[OddSample], Fitted] | None:
-    """Return the knocked samples of the fit `base`, with what was found without them; None if there
-    are none, or if a fit without them fails.
+    """Return the knocked samples of the first fit that shows any, with what was found without them;
+    None if there are none, or if a fit without them fails.
 
-    Only those count that are also far from what the model without them predicts: a sample that is
-    far from the first fit may be so because of another one.
+    An effect that the first model lacks may hide them: the next fits are those with effects. Only
+    samples count that are also far from what the model without them predicts: a sample that is far
+    from the first fit may be so because of another one.
     """
-    knocked = find_knocked_samples(scene)
-    while knocked:
-        try:
-            others = fit_without([one.sample for one in knocked])
-            confirmed = _find_still_far(knocked, base, model_of(others))
-        except FitError:
-            return None
-        if len(confirmed) == len(knocked):
-            return confirmed, others
-        knocked = confirmed
+    for scene, found in fits:
+        knocked = find_knocked_samples(scene)
+        while knocked:
+            try:
+                others = fit_without([one.sample for one in knocked])
+                confirmed = _find_still_far(knocked, found, model_of(others))
+            except FitError:
+                break
+            if len(confirmed) == len(knocked):
+                return confirmed, others
+            knocked = confirmed
     return None
 
 

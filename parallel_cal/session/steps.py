@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -241,7 +241,7 @@ def add(
         limited = limit_patterns(how, model, larger)
         kept = dataset.excluding(aside, f"because it is {KNOCKED}")
         base = fit(model, kept, limited, progress)
-        scene = Scene.of(base.model, base.dataset, base.observations, base.free)
+        scene = _see(base)
         # Start where the base started, so that the device's frame is the one registered there.
         more, extended = list[Candidate](), base.start
         for name, settings in asked:
@@ -255,7 +255,7 @@ def add(
     both = fit_both(knocked or ())
     if knocked is None and how.loss == "linear":
         without = set_knocked_samples_aside(
-            both.scene, both.base, fit_both, lambda others: others.result.model
+            both.scenes(), fit_both, lambda others: others.result.model
         )
         both = without[1] if without else both
     found = both.judge()
@@ -264,6 +264,11 @@ def add(
         found = replace(found, against=f"{found.against} (judged without sample {numbers})")
     found = _check_proven(found, force)
     return _step("add", both.result, found, both.base, both.names, both.knocked)
+
+
+def _see(found: FitResult) -> Scene:
+    """The residuals of a fit, on which candidates are scored."""
+    return Scene.of(found.model, found.dataset, found.observations, found.free)
 
 
 @dataclass(frozen=True)
@@ -282,6 +287,11 @@ class _Addition:
     @property
     def names(self) -> str:
         return "+".join(one.name for one in self.effects)
+
+    def scenes(self) -> Iterator[tuple[Scene, FitResult]]:
+        """The residuals of both fits, and the fits."""
+        yield self.scene, self.base
+        yield _see(self.result), self.result
 
     def judge(self) -> Acceptance:
         """Judge whether the effects may be added, with the reason against them if not."""
