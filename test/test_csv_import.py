@@ -76,13 +76,20 @@ def test_another_column_map_makes_other_samples_of_the_same_table(files):
     data, again = (import_csv(*files()) for _ in range(2))
     assert len(data.sha256) == 64
     assert again.sha256 == data.sha256
-    stated = (
-        ("position: 2.0e-5", "position: 4.0e-5"),
-        ("b_mm, unit: mm", "b_mm, factor: 2, unit: mm"),
-    )
-    for other in (MAP.replace(*one) for one in stated):
-        assert other != MAP
-        assert import_csv(*files(columns=other)).sha256 != data.sha256
+    other = MAP.replace("b_mm, unit: mm", "b_mm, factor: 2, unit: mm")
+    assert other != MAP
+    assert import_csv(*files(columns=other)).sha256 != data.sha256
+
+
+def test_samples_are_the_same_whatever_noise_is_stated_and_in_whatever_unit(files):
+    """An error at them is in-sample, whoever wrote the column map."""
+    data = import_csv(*files())
+    noisier = MAP.replace("position: 2.0e-5", "position: 4.0e-5")
+    assert import_csv(*files(columns=noisier)).sha256 == data.sha256
+    in_m = TABLE.replace("1000,-2000,500", "1,-2,0.5").replace("1,2,3,1", "0.001,0.002,0.003,1")
+    again = import_csv(*files(in_m, MAP.replace("[x, y, z], unit: mm", "[x, y, z], unit: m")))
+    np.testing.assert_allclose(again.r, data.r)
+    assert again.sha256 == data.sha256
 
 
 def test_samples_have_the_names_of_their_rows(files, tmp_path):

@@ -126,12 +126,19 @@ def _merge_warnings(parts: Sequence[Dataset]) -> list[str]:
 
 
 def fingerprint(dataset: Dataset) -> str:
-    """Return the sha256 of the samples' numbers, for data that is in no file."""
+    """Return the sha256 of what was measured, for data that is in no file.
+
+    It does not depend on the stated noise, nor on the last digits, in which numbers differ that
+    were converted from different units.
+    """
     digest = hashlib.sha256()
-    for name in ("q", "r", "R", "measured", "pose_cov", "time"):
-        digest.update(np.ascontiguousarray(getattr(dataset, name)).tobytes())
-    for name in sorted(c for c in dataset.conditions if c.startswith(READING)):
-        digest.update(name.encode() + dataset.conditions[name].tobytes())
+    readings = sorted(name for name in dataset.conditions if name.startswith(READING))
+    for numbers in (
+        *(getattr(dataset, name) for name in ("q", "r", "R", "time")),
+        *(dataset.conditions[name] for name in readings),
+    ):
+        digest.update(np.asarray(numbers, dtype=np.float32, order="C").tobytes())
+    digest.update(" ".join(readings).encode())
     return digest.hexdigest()
 
 
