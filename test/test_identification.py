@@ -376,6 +376,16 @@ def test_a_parameter_that_moved_far_is_named_with_its_sigma():
         assert shown.startswith(words)
 
 
+def test_the_size_of_an_effect_that_the_data_determine_is_a_result_and_no_warning():
+    model = new_model("delta54").with_effect("backlash")
+    is_width = np.array([name.startswith("backlash.joint1") for name in model.table.names])
+    large = model.with_values(model.values + 8.0 * is_width * model.table.tolerance)
+    spectrum = SimpleNamespace(unidentifiable=())
+    for share, warned in ((0.2, False), (5.0, True), (np.inf, True)):
+        result = SimpleNamespace(sigma=share * model.table.tolerance, spectrum=spectrum)
+        assert bool(list_parameter_warnings(large, result, is_width)) == warned
+
+
 def test_a_sign_that_physics_forbids_is_refused():
     wrong = measured(7, effects=[vr.Backlash((-3e-3, -2e-3, -2.5e-3))])
     with pytest.raises(

@@ -32,15 +32,24 @@ from parallel_cal.recordings.dataset import Dataset
 def list_parameter_warnings(model: Model, estimate: Estimate, free: np.ndarray) -> list[str]:
     """List parameters that moved far, and combinations that the data do not determine.
 
-    Sizes of effects that are larger than usual have a sentence of their own when they are accepted.
+    The size of an effect that the data determine is a result: its nominal value, zero, only states
+    that the effect is absent. Sizes that are larger than usual have a sentence of their own when
+    they are accepted.
     """
     table = model.table
     moved = (model.values - table.nominal) / table.tolerance
     sigma = estimate.sigma / table.tolerance
+    effects = {effect.name for effect in model.effects}
+    is_size = np.array([p.name.partition(".")[0] in effects for p in table], dtype=bool)
+    with np.errstate(invalid="ignore"):
+        is_result = is_size & (np.abs(moved) > SIGMAS_AT_SIGNIFICANCE_LEVEL * sigma)
     words = [
         f"{p.shown_name} moved {moved[i]:+.1f} tolerances from nominal{_describe_sigma(sigma[i])}"
         for i, p in enumerate(table)
-        if free[i] and abs(moved[i]) > MAX_MOVED_TOLERANCES and p.name not in model.usual_tolerances
+        if free[i]
+        and abs(moved[i]) > MAX_MOVED_TOLERANCES
+        and p.name not in model.usual_tolerances
+        and not is_result[i]
     ]
     unidentifiable = estimate.spectrum.unidentifiable
     if len(unidentifiable) > MAX_NAMED_DIRECTIONS:
