@@ -142,6 +142,29 @@ def test_a_model_that_was_not_identified_here_is_judged_as_it_is():
     assert found.error > 10 * made.errors.now.position_rms
     assert found.result == "fail"
     assert "The model was not identified from these samples." in part(page(made), "certificate")
+    assert "identified from other samples" not in page(made)  # it was never fitted
+
+
+@pytest.mark.wide
+def test_a_fit_that_excluded_other_samples_is_not_certified_by_the_errors_of_another_fit(made):
+    data = made.diagnosis.dataset.excluding({3: "knocked"})
+    other = report(
+        made.diagnosis.model, data, effects=["backlash"], certificate=CertificateFields(limit_um=50)
+    )
+    [found] = other.conformity
+    assert (found.error, found.result) == (None, "not decided")
+    shown = part(page(other), "certificate")
+    assert "that fit excluded none of them" in shown
+    assert "The model was identified from these samples." not in shown
+
+
+@pytest.mark.wide
+def test_numbers_of_fits_to_other_samples_are_not_taken_for_those_of_the_model(made):
+    data = made.diagnosis.dataset
+    moved = replace(data, time=data.time + 1.0, sha256="another")
+    other = report(made.diagnosis.model, moved, effects=["backlash"])
+    assert not other.certified.identified_here
+    assert "those of fits to these samples, which start from it" in page(other)
 
 
 @pytest.mark.wide

@@ -109,6 +109,7 @@ def _touches(model: Model, file: Path, given: list[Path], into: bool) -> Touches
     is None, with a warning if numbers are to be replaced.
     """
     from parallel_cal.exporting.heights import why_not
+    from parallel_cal.identification.given_model import last_fit_to
     from parallel_cal.importing.touch_samples import touches_in
     from parallel_cal.recordings.loading import load_sessions
 
@@ -116,8 +117,8 @@ def _touches(model: Model, file: Path, given: list[Path], into: bool) -> Touches
     last = steps[-1]["dataset"] if steps else {}
 
     def select_fitted(dataset: Dataset) -> Touches:
-        if dataset.sha256 == last.get("sha256"):
-            dataset = dataset.excluding(steps[-1].get("excluded", []), "from the fit")
+        if fit := last_fit_to(model, dataset):
+            dataset = dataset.excluding(fit.get("excluded", []), "from the fit")
         return touches_in(dataset, model.joints)
 
     if given:
@@ -139,7 +140,7 @@ def _touches(model: Model, file: Path, given: list[Path], into: bool) -> Touches
                 dataset = load_sessions(paths, mechanism=model.mechanism)
             except ParallelCalError:  # another file under that name
                 continue
-            if dataset.sha256 == last.get("sha256"):
+            if last_fit_to(model, dataset):
                 return select_fitted(dataset)
     console.warn(
         [

@@ -192,6 +192,21 @@ def fits_of(model: Model, dataset: Dataset) -> Iterator[Mapping[str, Any]]:
             yield entry
 
 
+def last_fit_to(model: Model, dataset: Dataset) -> Mapping[str, Any] | None:
+    """The last fit in a model's history if it used these samples, whichever of them it excluded."""
+    fits = (entry for entry in reversed(model.history) if "dataset" in entry)
+    last: Mapping[str, Any] = next(fits, {})
+    data = last.get("dataset")
+    known = isinstance(data, Mapping) and dataset.sha256 and data.get("sha256") == dataset.sha256
+    return last if known else None
+
+
+def was_last_fitted_to(model: Model, dataset: Dataset) -> bool:
+    """Whether the last fit of a model used exactly these samples, with the same ones excluded."""
+    last = last_fit_to(model, dataset)
+    return last is not None and list(last.get("excluded", [])) == sorted(dataset.excluded)
+
+
 def _recordings_of(entry: Mapping[str, Any]) -> tuple[str, ...]:
     """The sha256 of the samples of a step, and of each of its recordings if they were several."""
     data = entry.get("dataset")

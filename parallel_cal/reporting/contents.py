@@ -17,6 +17,7 @@ from parallel_cal.diagnosis.patterns import ResidualProfile
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.signature import compute_joint_components
 from parallel_cal.identification.fit import FitResult, ParameterEstimate
+from parallel_cal.identification.given_model import last_fit_to, was_last_fitted_to
 from parallel_cal.identification.observability import directions_in_words
 from parallel_cal.identification.prediction_errors import ERRORS, Errors, Summary
 from parallel_cal.identification.registration import SENSOR
@@ -95,21 +96,24 @@ class CertifiedErrors:
     """Errors of exactly the model that was given, with the standard deviation of each rms by kind.
 
     If its last fit used these samples (`identified_here`), they are the validation errors of this
-    fit; otherwise those of the unchanged model.
+    fit; otherwise those of the unchanged model. If that fit excluded other samples than the
+    diagnosis, such as none of those that the diagnosis sets aside, they are not known:
+    `fit_excluded` are then the samples that it excluded.
     """
 
     errors: Summary
     sigmas: Mapping[str, float]
     identified_here: bool
+    fit_excluded: tuple[int, ...] | None = None
 
     @classmethod
     def of(cls, diagnosis: Diagnosis) -> CertifiedErrors:
         base, data = diagnosis.base.fitted, diagnosis.dataset
-        fits = [step for step in base.given.unregistered.history if "dataset" in step]
-        last = fits[-1]["dataset"] if fits else None
-        here = bool(data.sha256) and isinstance(last, Mapping) and last.get("sha256") == data.sha256
-        found = base.held_out if here else base.unchanged_errors
-        return cls(found.summary, base.rms_sigmas(found), here)
+        last = last_fit_to(base.given.unregistered, data)
+        if last is not None and not was_last_fitted_to(base.given.unregistered, data):
+            return cls(Summary(), {}, True, tuple(last.get("excluded", [])))
+        found = base.unchanged_errors if last is None else base.held_out
+        return cls(found.summary, base.rms_sigmas(found), last is not None)
 
 
 def _list_judged_steps(diagnosis: Diagnosis) -> list[dict[str, Any]]:

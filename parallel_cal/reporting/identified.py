@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields
 
 import numpy as np
@@ -51,6 +52,11 @@ IDENTIFIED_HERE = (
 NOT_IDENTIFIED_HERE = (
     "The model was not identified from these samples. Its errors are rms errors of the unchanged "
     "model at these samples; only the registration of the device was estimated, if it was needed."
+)
+IDENTIFIED_WITH_OTHERS = (
+    "The model was identified from these samples, but that fit excluded {}. The numbers of this "
+    "report are those of fits without the excluded samples above: they are not those of the model. "
+    "Exclude the same samples, fit and save the model again."
 )
 RULE = (
     "U is the expanded uncertainty (k = 2) from the scatter between poses. It does not contain the "
@@ -164,6 +170,8 @@ def certificate(report: Report) -> str:
     ]
     signature = facts({"Calibrated by": "", "Approved by": ""})
     identified = IDENTIFIED_HERE if certified.identified_here else NOT_IDENTIFIED_HERE
+    if certified.fit_excluded is not None:
+        identified = IDENTIFIED_WITH_OTHERS.format(_list_numbers(certified.fit_excluded))
     note = paragraph(f"{identified} {RULE if report.conformity else NO_RULE}", "note")
     return (
         facts(rows)
@@ -196,6 +204,10 @@ def _describe_excluded(data: Dataset) -> str:
         parts.append(f"{reason} ({len(numbers)}: {kind} {named}{more})")
     count = len(data.excluded)
     return f"{count} of {len(data) + count}: {'; '.join(parts)}"
+
+
+def _list_numbers(samples: Sequence[int]) -> str:
+    return f"sample {', '.join(map(str, samples))}" if samples else "none of them"
 
 
 def _errors_in_words(certified: CertifiedErrors) -> str:

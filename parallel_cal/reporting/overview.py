@@ -25,6 +25,11 @@ KEPT_SENSORS = (
     "where the fit found them. The error before calibration, in the history and in fit and "
     "compare, has them where the model file states them."
 )
+REFITTED = (
+    " The model was identified from other samples. The numbers, the verdict and the parameters are "
+    "those of fits to these samples, which start from it; the error of the unchanged model at them "
+    "is that of the certificate."
+)
 
 
 def verdict(report: Report) -> str:
@@ -56,12 +61,14 @@ def verdict(report: Report) -> str:
 def numbers(report: Report) -> str:
     """Render the errors before, now and with the effects found, and the noise floor, as tiles."""
     tiles = error_tiles(report.errors, report.diagnosis.effects, report.provenance.joint_units)
-    errors = report.errors
+    errors, certified = report.errors, report.certified
     counts = describe_counts(errors.samples, errors.poses, True)
+    was_fitted = any("dataset" in entry for entry in report.diagnosis.model.history)
+    refitted = was_fitted and not certified.identified_here
     note = paragraph(
         f"Validation error: rms of the error's norm at {counts}, with its standard deviation. "
         "Noise floor: what a perfect model would show at these samples."
-        f"{KEPT_SENSORS if errors.keeps_sensors else ''}",
+        f"{KEPT_SENSORS if errors.keeps_sensors else ''}{REFITTED if refitted else ''}",
         "note",
     )
     shown = "".join(map(_tile, tiles))

@@ -21,7 +21,7 @@ from parallel_cal.diagnosis.verdict_words import describe_verdict
 from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.fit import FitResult, fit
 from parallel_cal.identification.fit_warnings import list_parameter_warnings
-from parallel_cal.identification.given_model import GivenModel
+from parallel_cal.identification.given_model import GivenModel, was_last_fitted_to
 from parallel_cal.identification.observations import blocks
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import (
@@ -169,7 +169,7 @@ def compare_with_model_in_use(
             )
         if dataset is None:
             raise SessionError("there are no samples to compare them on")
-        fitted_to_these = _was_last_fitted_to(in_use, dataset)
+        fitted_to_these = was_last_fitted_to(in_use, dataset)
         # What this session fixes or frees is no property of the other model.
         others = replace(options, fix=(), free=())
         other = _Judged.of(in_use, dataset, others, fitted_to_these)
@@ -288,14 +288,6 @@ class _Judged:
         if result.held_out.summary.is_known:
             return cls(result.held_out, HELD_OUT, doubts)
         return cls(result.before, USED, doubts)
-
-
-def _was_last_fitted_to(model: Model, dataset: Dataset) -> bool:
-    """Whether the last fit of a model used exactly these samples, with the same ones excluded."""
-    if not dataset.sha256 or _fitted_datasets(model)[-1:] != [dataset.sha256]:
-        return False
-    last = next(entry for entry in reversed(model.history) if "dataset" in entry)
-    return list(last.get("excluded", [])) == sorted(dataset.excluded)
 
 
 def _fitted_datasets(model: Model) -> list[str]:
