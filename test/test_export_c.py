@@ -165,6 +165,15 @@ def test_it_agrees_with_python_over_a_hundred_thousand_poses(name):
     assert max(found[part] for part in ("joints", "position", "rotation")) < 1e-12
 
 
+def test_what_is_ascribed_to_the_device_is_named_as_not_exported(tmp_path):
+    model = new_model("delta54").with_effect("backlash").with_effect("device_axes")
+    done = export(model, "c:poses=20,name=delta", tmp_path)
+    assert any(remark.startswith("not exported: device_axes. ") for remark in done.remarks)
+    header = (tmp_path / "delta.h").read_text()
+    assert "delta54, backlash" in header
+    assert "device_axes" not in header
+
+
 @pytest.mark.parametrize("name", ROBOTS)
 def test_the_vectors_hold_unreachable_and_invalid_problems_too(name):
     lines = vector_lines(name)[1:]

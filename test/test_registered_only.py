@@ -10,6 +10,7 @@ from arms import nominal, seen
 
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.identification.acceptance import acceptance
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.registration import register_device
@@ -156,6 +157,20 @@ def test_real_arms_with_an_unknown_reflector_reach_an_independent_fit(kind, inde
     assert shown.registration is not None
     assert result.document()["before"] == shown.errors.document()
     assert result.held_out.summary.position_mean < 1.05 * independent
+
+
+def test_a_fit_that_leaves_the_robot_as_it_was_is_no_better_model():
+    """The frames alone were fitted, and before without the held-out poses."""
+    data = seen(va.session(va.arm("ur5", 1), 60, 0, va.FAR_AWAY))
+    result = fit(nominal("ur5"), data, fix=["*"], free=["link1.theta"])
+    assert result.held_out.summary.position_rms < result.held_out_before.summary.position_rms
+    assert "so the fit did not change the robot" in acceptance(result).against
+
+
+def test_a_fit_whose_error_is_half_of_the_motion_is_of_another_machine(arm_in_its_base):
+    other = replace(arm_in_its_base, r=arm_in_its_base.r[::-1])
+    result = fit(nominal("ur5"), other, fix=["*"], free=["link1.theta"])
+    assert "so the model describes another machine" in acceptance(result).against
 
 
 def test_a_model_that_is_judged_by_some_of_its_samples_observes_only_these(arm_in_its_base):

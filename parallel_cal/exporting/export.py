@@ -373,9 +373,16 @@ def _read(
 
 
 def _describe_limits(model: Model) -> list[str]:
-    """Where the exported numbers, which hold under neutral conditions, may be wrong."""
+    """Where the exported numbers, which hold under neutral conditions and lack the effects of the
+    device, may be wrong."""
     neutral = describe_untested_conditions(model, model.condition_rows(None, 1))
-    return list(filter(None, [describe_workspace_excess(model), neutral]))
+    device = [effect.name for effect in model.effects if effect.of_device]
+    lacking = device and (
+        f"not exported: {', '.join(device)}. This is ascribed to the measuring device or its stand, "
+        "and the error at held-out poses is that of the model with it. If the robot causes it, the "
+        "exported model may be worse than one that was identified without it"
+    )
+    return list(filter(None, [describe_workspace_excess(model), neutral, lacking]))
 
 
 def _remarks(robot: Model, projection: Projection) -> list[str]:

@@ -22,6 +22,11 @@ IN_SAMPLE = (
     "held-out poses its parameters were identified again without these poses"
 )
 
+UNCHANGED = (
+    ", but only because the frames of the device were fitted without these poses before: at all "
+    "samples the error is the one before the fit, so the fit did not change the robot"
+)
+
 FOREIGN_SHARE = 0.5  # of the measured motion: a model with a larger error explains hardly any of it
 
 
@@ -75,20 +80,37 @@ def acceptance(
     # contradict is chance.
     fall = np.bincount(blocks(new.dataset)[known], (squares[0] - squares[1])[known])
     clearly = rise > 0 or fall.mean() > fall.std() / np.sqrt(len(fall))
-    if ratio is not None and ratio < 1 + rise and clearly:
+    foreign = _describe_foreign_model(new, now)
+    stuck = old is None and _is_unchanged(new)
+    if ratio is not None and ratio < 1 + rise and clearly and not (foreign or stuck):
         return Acceptance(then, now, True)
-    falls = ratio is not None and ratio < 1
-    verb = "falls by no more than its own uncertainty" if falls else "does not fall"
+    if rise:
+        verb = "rises"
+    elif ratio is None or ratio >= 1:
+        verb = "does not fall"
+    else:
+        verb = "falls" if clearly else "falls by no more than its own uncertainty"
     factor = "" if ratio is None else f"; factor {ratio:.3f}"
     advice = _advise(new.given) if old is None else ""
-    advice += _describe_foreign_model(new, now)
+    if stuck and verb == "falls":
+        advice = UNCHANGED
     return Acceptance(
         then,
         now,
         True,
-        f"the error at held-out poses {'rises' if rise else verb}{change} "
-        f"({format_errors(now, then)}{factor}){advice}",
+        f"the error at held-out poses {verb}{change} "
+        f"({format_errors(now, then)}{factor}){advice}{foreign}",
     )
+
+
+def _is_unchanged(new: FitResult) -> bool:
+    """Whether a fit left the robot as it was: the errors at all samples are those before the fit.
+
+    The validation error of the model before is a little larger, because its device is registered
+    without the held-out poses.
+    """
+    before, after = (np.nansum(_squared(new, one)) for one in (new.before, new.after))
+    return bool(np.isclose(before, after, rtol=1e-6, atol=0.0))
 
 
 def _advise(given: GivenModel) -> str:

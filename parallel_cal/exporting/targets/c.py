@@ -120,7 +120,9 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
         "ROBOT": robot.upper(),
         "version": __version__,
         "hash": model_hash(model),
-        "what": ", ".join([m.name, *(effect.name for effect in model.effects)]),
+        "what": ", ".join(
+            [m.name, *(effect.name for effect in model.effects if not effect.of_device)]
+        ),
         "joints": ", ".join(model.joints),
         "joint_table": "\n".join(f" * {line}" for line in _describe_joints(m)),
         "joint_table_cpp": "\n".join(f"// {line}" for line in _describe_joints(m)),
