@@ -92,6 +92,15 @@ def test_samples_are_the_same_whatever_noise_is_stated_and_in_whatever_unit(file
     assert again.sha256 == data.sha256
 
 
+def test_recordings_whose_noise_differs_in_the_last_digit_are_joined(files):
+    data = import_csv(*files())
+    other = replace(data, sha256="another", joint_sigma=data.joint_sigma * (1 - 1e-16 * 3))
+    assert not np.array_equal(other.joint_sigma, data.joint_sigma)
+    assert len(join_datasets([data, other])) == 6
+    with pytest.raises(DatasetError, match="joint_sigma is "):
+        join_datasets([data, replace(other, joint_sigma=1.01 * data.joint_sigma)])
+
+
 def test_samples_have_the_names_of_their_rows(files, tmp_path):
     table, columns = files(columns=MAP + "name: visit\n")
     data = import_csv(table, columns)
@@ -482,6 +491,7 @@ def test_directions_and_travels_follow_the_order_of_visits_and_this_is_stated(fi
     np.testing.assert_allclose(data.conditions["travel.slide"], [0, 0, -3e-3, 7e-3], atol=1e-15)
     [note] = data.warnings
     assert "direction and travel of the joints were taken from the order of the rows" in note
+    assert note.endswith("the sides of the first row: it counts as the middle of a backlash")
 
 
 def test_what_several_recordings_share_is_stated_once_with_their_names(files, tmp_path):

@@ -585,6 +585,15 @@ def test_a_file_that_is_exchanged_while_it_is_compared_is_not_overwritten(sessio
     assert Session(session.folder).state.step == "fit"
 
 
+def test_steps_that_were_undone_can_be_repeated_after_a_model_was_saved(session, in_use):
+    session.add("backlash")
+    better = session.state
+    session.undo()
+    session.save(in_use, insist=lambda replacement: True)
+    assert session.state.step == "save to robot.yaml, forced"
+    assert session.redo() == better
+
+
 def test_the_command_line_refuses_a_worse_model_unless_forced(session, in_use, run_cli, capsys):
     before = in_use.read_text()
     with pytest.raises(SystemExit) as ended:

@@ -377,12 +377,13 @@ def _describe_limits(model: Model) -> list[str]:
     device, may be wrong."""
     neutral = describe_untested_conditions(model, model.condition_rows(None, 1))
     device = [effect.name for effect in model.effects if effect.of_device]
-    lacking = device and (
-        f"not exported: {', '.join(device)}. This is ascribed to the measuring device or its stand, "
-        "and the error at held-out poses is that of the model with it. If the robot causes it, the "
+    lacking = (
+        f"not exported: {', '.join(device)}. This is ascribed to the device or its stand, and the "
+        "error at held-out poses is that of the model with it. If the robot causes it, the "
         "exported model may be worse than one that was identified without it"
     )
-    return list(filter(None, [describe_workspace_excess(model), neutral, lacking]))
+    limits = [describe_workspace_excess(model), neutral, lacking if device else ""]
+    return list(filter(None, limits))
 
 
 def _remarks(robot: Model, projection: Projection) -> list[str]:

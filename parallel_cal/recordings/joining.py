@@ -161,11 +161,20 @@ def _check_joinable(datasets: Sequence[Dataset], equal: Sequence[str]) -> None:
         stated = datasets[0].joint_units is not None and other.joint_units is not None
         for name in (*equal, "joint_units") if stated else equal:
             one, two = getattr(datasets[0], name), getattr(other, name)
-            if not np.array_equal(one, two):
+            if not _are_equal(one, two):
                 raise DatasetError(
                     f"{other.source}: {name} is {two}, but {one} in {datasets[0].source}; "
                     "only recordings of one robot and one set-up can be joined"
                 )
+
+
+def _are_equal(one: Any, two: Any) -> bool:
+    """Whether two fields agree. Numbers that were converted from different units differ in their
+    last digits."""
+    a, b = np.asarray(one), np.asarray(two)
+    if a.dtype.kind == b.dtype.kind == "f" and a.shape == b.shape:
+        return np.allclose(a, b, rtol=1e-9, atol=0.0)
+    return np.array_equal(a, b)
 
 
 def _compute_part_starts(starts: Sequence[int], first: Dataset) -> Array:

@@ -55,7 +55,8 @@ def make_dataset(
             f"{source}: direction and travel of the joints were taken from the {where} of "
             "the rows, as if each joint moved straight from row to row. If it did not, name "
             "columns direction.JOINT (1 if the reading of the joint rose before the stop, else "
-            "-1), or state visits: unordered in the column map"
+            "-1), or state visits: unordered in the column map. Nothing is known of the sides of "
+            "the first row: it counts as the middle of a backlash"
         )
     noise = wanted.noise  # as the manufacturers state it; NaN if they do not
     sigma = np.repeat([noise.position or np.nan, noise.orientation or np.nan], 3)

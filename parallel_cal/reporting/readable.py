@@ -20,7 +20,8 @@ LARGE = LARGE_UNITS | {"degC": ("°C", 1.0), "1": ("", 1.0)}
 MISSING = "–"
 ABOUT_SAMPLES = (
     "Samples are counted from 0, in the order of the recording. The sigmas of a sample are the rms "
-    "of its residuals, in standard deviations of the noise."
+    "of its residuals, in standard deviations of the noise. After a fit, these residuals are "
+    "in-sample, and the errors are validation errors."
 )
 
 

@@ -350,7 +350,7 @@ class Session(History):
         write(file)
         taken = str(file.relative_to(self.folder))
         data = self._load(self._list_recordings(self.state.imported, taken))
-        changes = {"taken": taken, "excluded": self._find_excluded(data)}
+        changes: dict[str, Any] = {"taken": taken, "excluded": self._find_excluded(data)}
         return self._append_state(f"take {len(data)} samples", None, **changes)
 
     def import_table(
@@ -394,7 +394,7 @@ class Session(History):
             write_atomically(beside, json.dumps(columns, indent=1) + "\n")  # JSON is YAML
             imported = [*self.state.imported, str(file.relative_to(self.folder))]
             data = self._load(self._list_recordings(imported, self.state.taken))
-            changes = {"imported": imported, "excluded": self._find_excluded(data)}
+            changes: dict[str, Any] = {"imported": imported, "excluded": self._find_excluded(data)}
             count = len(data) - (len(self.samples) if self.recordings else 0)
             return self._append_state(f"import {count} samples of {table.name}", None, **changes)
         except BaseException:
@@ -496,7 +496,8 @@ class Session(History):
         written = write_for_robot(self.model, found, insist(found), reason)
         if written is not self.model:
             kept = {name: getattr(at, name) for name in JUDGED}
-            self._append_state(f"save to {file.name}, forced", written, **kept, reason=reason)
+            words = f"save to {file.name}, forced"
+            self._append_state(words, written, keeps_redo=True, **kept, reason=reason)
         return found
 
     # ------------------------------------------------------------------ on disk
@@ -517,9 +518,11 @@ class Session(History):
         named = dataclasses.replace(step.model, history=(*past, {**last, "label": words}))
         return self._append_state(words, named, **{**judged, **changes})
 
-    def _append_state(self, words: str, model: Model | None, **changes: Any) -> State:
+    def _append_state(
+        self, words: str, model: Model | None, keeps_redo: bool = False, **changes: Any
+    ) -> State:
         """Append a state to the branch with its model (None: unchanged); other fields persist
-        unless `changes` names them."""
+        unless `changes` names them. With `keeps_redo`, steps that were undone can be repeated."""
         start = self.state
         with self._lock_record() as record:
             if record.state != start:
@@ -533,7 +536,8 @@ class Session(History):
             if model is not None:
                 write_model(model, self.folder / file)
                 self._models[file] = model
-            self._move(record, number, [], states=[*record.states, state])
+            ahead = record.forward.get(record.branch, []) if keeps_redo else []
+            self._move(record, number, ahead, states=[*record.states, state])
         return self.state
 
 

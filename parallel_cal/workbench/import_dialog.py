@@ -246,7 +246,9 @@ class ColumnForm:
             found["name"] = self._name.value
         found["visits"] = "in order" if self._in_order.value else "unordered"
         stated = {k: (entry.value, factor) for k, (entry, factor) in self._noise.items()}
-        found["noise"] = {k: value * factor for k, (value, factor) in stated.items() if value}
+        # Twelve digits: 5 um are 5e-06 m, not 4.9999999999999996e-06.
+        si = {k: float(f"{value * factor:.12g}") for k, (value, factor) in stated.items() if value}
+        found["noise"] = si
         return found
 
     def _show_rows(self, found: Mapping[str, Any]) -> None:
