@@ -25,7 +25,7 @@ from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import Observations, conditions
 from parallel_cal.model.model import Model, Noise
 from parallel_cal.model.shelf import load_effect
-from parallel_cal.planning.approach import Waypoint, fill
+from parallel_cal.planning.approach import Waypoint, fill, find_least_travels
 from parallel_cal.planning.expectation import VAGUE_INFORMATION, white_blocks
 from parallel_cal.planning.pose_table import format_pose_table
 from parallel_cal.planning.posepool import Pool, find_inside_poses, make_pool
@@ -228,6 +228,13 @@ class RivalPair:
         return self.model.with_values(values)
 
     @property
+    def least_travels(self) -> np.ndarray:
+        """How far each joint (nq,) must move after a reversal, so that both effects have their full
+        size: the identified one, and the rival as large as it must be to imitate it."""
+        models = (self.model, self.imitating_model)
+        return np.max([find_least_travels(model) for model in models], axis=0)
+
+    @property
     def current_sigmas(self) -> float:
         """Sigmas by which the present samples separate the two."""
         return _sigmas(self.information)
@@ -280,7 +287,14 @@ def plan_separation(
     for reach in reaches:
         rng = np.random.default_rng(seed)
         try:
-            pool = make_pool(doubt.model, POOL, rng, symmetric=False, reach=reach)
+            pool = make_pool(
+                doubt.model,
+                POOL,
+                rng,
+                symmetric=False,
+                reach=reach,
+                least_travels=doubt.least_travels,
+            )
         except FitError:
             continue
         pool = pool.rows(np.flatnonzero(allowed(pool.poses.joints)))
