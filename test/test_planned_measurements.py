@@ -9,7 +9,12 @@ from settling import DOUBTS, settled
 
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.diagnosis.search import Chosen, Trial
-from parallel_cal.diagnosis.separate import RivalPair, explain_separation, plan_separation
+from parallel_cal.diagnosis.separate import (
+    RivalPair,
+    explain_separation,
+    list_effect_variants,
+    plan_separation,
+)
 from parallel_cal.identification.fit import fit
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Noise, new_model
@@ -82,6 +87,20 @@ def test_an_approach_takes_up_a_backlash_whichever_of_two_rivals_the_model_conta
     np.testing.assert_allclose(first.least_travels[1:4:2], [0.15e-3, 0.1e-3], atol=10e-6)
     np.testing.assert_allclose(second.least_travels, first.least_travels, atol=10e-6)
     assert one.sigmas.then == pytest.approx(other.sigmas.then, rel=0.25)
+
+
+def test_a_width_that_nobody_stated_is_varied_before_a_hysteresis_counts_as_separable():
+    model, data = measured_after_long_moves()
+    widths = []
+    for stated in (0.3e-3, 0.2e-3):
+        settings = {f"leg{i}.width": stated for i in LEGS}
+        fitted = fit(model.with_effect("hysteresis", settings), data, hold_out=0)
+        best = Trial((Chosen("hysteresis"),), fitted)
+        variants = list_effect_variants(best, "hysteresis")
+        assert variants[0] is best
+        widths.append([one.fitted.model.value("hysteresis.leg1.width") for one in variants])
+    # A lag of 0.075 mm cannot build up over 0.033 mm. A width of 0.2 mm is not one of the scan.
+    assert widths == [pytest.approx([0.3e-3, 0.1e-3]), [0.2e-3]]
 
 
 LEGS = range(1, 7)
