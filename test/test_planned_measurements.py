@@ -149,7 +149,7 @@ def test_a_plan_changes_a_constant_temperature_by_4_kelvin():
 def test_advice_is_for_the_pair_that_is_in_doubt():
     assert "short" in explain_separation("hysteresis", "latency")
     for pair in (("backlash", "hysteresis"), ("hysteresis", "backlash")):
-        assert "once by a short move" in explain_separation(*pair)
+        assert "once by a short move, just longer than the backlash" in explain_separation(*pair)
         assert "both directions" not in explain_separation(*pair)
     assert explain_separation("base_drift", "thermal_expansion") == explain_separation(
         "thermal_expansion", "base_drift"
