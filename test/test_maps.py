@@ -1,12 +1,14 @@
 """Flat maps: residual arrows from three sides, and the model's sigma over its workspace."""
 
+from dataclasses import replace
+
 import numpy as np
 import plotly.graph_objects as go
 import pytest
 from datasets import measured
 
 from parallel_cal.identification.fit import fit
-from parallel_cal.identification.position_uncertainty import PositionUncertainty
+from parallel_cal.identification.position_uncertainty import PositionDifference, PositionUncertainty
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import new_model
 from parallel_cal.reporting import maps
@@ -94,3 +96,54 @@ def test_a_planar_robot_is_shown_only_in_plan():
     found = PositionUncertainty.of(model)
     assert found.across == "xy"
     assert len(of(maps.workspace(found)[0], "pose")) == 1
+
+
+LEGS, WIDTH = range(1, 7), 0.2e-3  # m
+
+
+@pytest.fixture(scope="module")
+def hexapods():
+    """Return a hexapod, and one whose legs have backlash."""
+    rigid = new_model("stewart42")
+    loose = rigid.with_effect("backlash")
+    width = loose.table.matching(["backlash.*.width"])
+    return rigid, loose.with_values(np.where(width, WIDTH, loose.values))
+
+
+def test_a_map_says_for_which_orientation_and_conditions_it_holds(hexapods):
+    neutral = "in home orientation, at neutral conditions (direction 0)"
+    words = ("in home orientation", neutral)
+    for model, validity in zip(hexapods, words, strict=True):
+        one = model.with_values(model.values, np.eye(len(model.values)) * 1e-10)
+        assert PositionUncertainty.of(one).validity == validity
+    tilted = new_model("planar_stewart")
+    box = tilted.mechanism.workspace
+    tilted.mechanism.workspace = replace(box, low=(*box.low[:2], box.low[2] + 0.1))
+    found = PositionDifference.of(tilted, tilted)
+    assert found.validity == "in the workspace's middle orientation"
+
+
+def test_the_difference_of_a_model_with_backlash_contains_the_backlash(hexapods):
+    """All legs on one side of their backlash, they are half a width longer or shorter."""
+    neutral = PositionDifference.of(*hexapods)
+    assert np.abs(neutral.difference).max() < 1e-9
+    assert neutral.validity == "in home orientation, at neutral conditions (direction 0)"
+    up, down = (
+        PositionDifference.of(*hexapods, {f"direction.leg{i}": np.array([side]) for i in LEGS})
+        for side in (1.0, -1.0)
+    )
+    assert np.linalg.norm(up.difference, axis=1).min() > 0.5 * WIDTH
+    np.testing.assert_allclose(up.difference, -down.difference, atol=0.01 * WIDTH)
+    assert up.validity == (
+        "in home orientation, each place with the direction of a sample drawn at random"
+    )
+
+
+def test_the_places_of_a_difference_get_the_conditions_of_whole_samples(hexapods):
+    one_side = {f"direction.leg{i}": np.array([1.0, -1.0]) for i in LEGS}
+    found = [PositionDifference.of(*hexapods, one_side) for _ in range(2)]
+    np.testing.assert_array_equal(found[0].difference, found[1].difference)
+    up = np.sign(found[0].difference[:, 2])
+    assert {-1, 1} == set(up)
+    # Legs of one sample are all on one side, so no leg moves the platform against another.
+    assert np.linalg.norm(found[0].difference, axis=1).min() > 0.5 * WIDTH

@@ -503,7 +503,8 @@ def test_compare_shows_how_far_the_predictions_of_the_branches_differ(page):
     number = r"[\d.]+ µm"
     assert re.search(
         rf"{number} rms over the workspace, at most {number}; "
-        rf"1 sigma of main {number}, 1 sigma of with backlash {number}",
+        rf"1 sigma of main {number}, 1 sigma of with backlash {number}; "
+        "each place with the direction of a sample drawn at random",
         words.inner_text(),
     )
     page.get_by_role("figure", name="difference of the predictions of with backlash").wait_for()

@@ -433,6 +433,17 @@ def test_ways_and_speeds_of_a_sliding_joint_are_in_metres():
     assert (units["direction.joint1"], units["time"], units["z"]) == ("1", "s", "m")
 
 
+def test_maps_of_the_model_uncertainty_say_for_which_conditions_they_hold(made, text):
+    from parallel_cal.workbench import views
+
+    validity = "at neutral conditions (direction 0)"
+    assert f"not from the residuals. They hold {validity}." in Page(text).text
+    pictures = views._pictures(made.residuals, made.diagnosis.best.scene, None)
+    assert next(one["words"] for one in pictures if one["name"] == "uncertainty").endswith(
+        f" times, {validity}"
+    )
+
+
 def test_a_set_up_without_any_pose_says_that_there_is_nothing_in_space():
     plate = vs.Plate()
     sensor = load_sensor(

@@ -462,7 +462,7 @@ class Search:
                 swapped = (*trial.chosen[:i], rival, *trial.chosen[i + 1 :])
                 exchanged = self.fit(*swapped, judged=False)
                 # Nobody asks for the validation error of one that fits clearly worse.
-                if _fits_as_well(trial, exchanged):
+                if fits_as_well(trial, exchanged):
                     exchanged = self.fit(*swapped)
                 yield one.name, other.name, exchanged
 
@@ -533,10 +533,10 @@ def _sizes(result: FitResult) -> np.ndarray:
 def is_as_good(trial: Trial, other: Trial) -> bool:
     """Whether other effects explain the data as well, within the validation error and chance."""
     ratio = ratio_of(trial, other)
-    return ratio is not None and ratio < MAX_SWAP_ERROR_RATIO and _fits_as_well(trial, other)
+    return ratio is not None and ratio < MAX_SWAP_ERROR_RATIO and fits_as_well(trial, other)
 
 
-def _fits_as_well(trial: Trial, other: Trial) -> bool:
+def fits_as_well(trial: Trial, other: Trial) -> bool:
     """Whether other effects explain the same samples as well, within chance."""
     if trial.result is None or other.result is None:
         return False

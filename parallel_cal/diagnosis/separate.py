@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.catalogue import Candidate, collect_recorded_values
 from parallel_cal.diagnosis.region import TOUCH_A_BLOCK, is_touched_at_one_height
-from parallel_cal.diagnosis.search import Chosen, Trial
+from parallel_cal.diagnosis.search import Chosen, Trial, fits_as_well
 from parallel_cal.diagnosis.thresholds import (
     MAX_RIVAL_SETTINGS,
     PLAN_REACHES,
@@ -21,11 +22,12 @@ from parallel_cal.diagnosis.thresholds import (
     POOL,
     TARGET_SEPARATION_SIGMAS,
 )
+from parallel_cal.identification.fit import fit_unjudged
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import Observations, conditions
 from parallel_cal.model.model import Model, Noise
 from parallel_cal.model.shelf import load_effect
-from parallel_cal.planning.approach import Waypoint, fill
+from parallel_cal.planning.approach import Waypoint, fill, find_least_travels
 from parallel_cal.planning.expectation import VAGUE_INFORMATION, white_blocks
 from parallel_cal.planning.pose_table import format_pose_table
 from parallel_cal.planning.posepool import Pool, find_inside_poses, make_pool
@@ -150,16 +152,55 @@ class NextMeasurement:
 def rank_rival_pairs(
     best: Trial, rivals: Mapping[str, Sequence[str]], ranked: Sequence[Candidate]
 ) -> list[RivalPair]:
-    """Pairs of a chosen effect and a rival, those first that are hardest to separate."""
+    """Pairs of a chosen effect and a rival, each in its settings, those first that are hardest to
+    separate."""
     by_name = {c.name: c for c in ranked}
     found = [
         doubt
         for name, others in rivals.items()
+        for variant in (list_effect_variants(best, name) if others else ())
         for other in others
         for rival in list_rival_variants(by_name[other], best.fitted.dataset)
-        if (doubt := RivalPair.of(best, name, rival)) is not None
+        if (doubt := RivalPair.of(variant, name, rival)) is not None
     ]
     return sorted(found, key=lambda doubt: doubt.current_sigmas)
+
+
+def list_effect_variants(best: Trial, name: str) -> list[Trial]:
+    """A fit, and refits with one of its effects in the other settings of its scan that explain the
+    samples as well, if there are only a few. Only the fit if the setting was not from the scan: it
+    is known."""
+    fitted = best.fitted
+    model, own = fitted.model, next((e for e in fitted.model.effects if e.name == name), None)
+    if own is None:  # it widened the mechanism
+        return [best]
+    recorded = collect_recorded_values(fitted.dataset)
+    settings = [
+        {f"{name}.{key}": value for key, value in one.items()}
+        for one in islice(own.scan(model.mechanism, recorded), MAX_RIVAL_SETTINGS + 1)
+    ]
+    others = [one for one in settings if not _has_setting(model, one)]
+    if len(settings) > MAX_RIVAL_SETTINGS or len(others) == len(settings):
+        return [best]
+    refits = [refit for one in others if (refit := _refit_with_setting(best, one)) is not None]
+    return [best, *(refit for refit in refits if fits_as_well(best, refit))]
+
+
+def _has_setting(model: Model, setting: Mapping[str, float]) -> bool:
+    return all(np.isclose(model.value(name), value, atol=0) for name, value in setting.items())
+
+
+def _refit_with_setting(best: Trial, setting: Mapping[str, float]) -> Trial | None:
+    """Refit a model with other values of fixed parameters; None if no fit is plausible."""
+    fitted, values = best.fitted, best.fitted.model.values.copy()
+    for name, value in setting.items():
+        values[fitted.model.table.index_of(name)] = value
+    model, options = fitted.model.with_values(values), replace(fitted.options, hold_out=0.0)
+    try:
+        refit = fit_unjudged(model, fitted.dataset, options, noise=fitted.observations)
+    except (FitError, ModelError):
+        return None
+    return Trial(best.chosen, refit.result)
 
 
 def list_rival_variants(rival: Candidate, dataset: Dataset) -> list[Chosen]:
@@ -228,6 +269,14 @@ class RivalPair:
         return self.model.with_values(values)
 
     @property
+    def least_travels(self) -> np.ndarray:
+        """How far each joint (nq,) must move after a reversal, so that the predictions of
+        both models hold: with the identified effect, and with the rival as large as it must be to
+        imitate it."""
+        models = (self.model, self.imitating_model)
+        return np.max([find_least_travels(model) for model in models], axis=0)
+
+    @property
     def current_sigmas(self) -> float:
         """Sigmas by which the present samples separate the two."""
         return _sigmas(self.information)
@@ -280,7 +329,14 @@ def plan_separation(
     for reach in reaches:
         rng = np.random.default_rng(seed)
         try:
-            pool = make_pool(doubt.model, POOL, rng, symmetric=False, reach=reach)
+            pool = make_pool(
+                doubt.model,
+                POOL,
+                rng,
+                symmetric=False,
+                reach=reach,
+                least_travels=doubt.least_travels,
+            )
         except FitError:
             continue
         pool = pool.rows(np.flatnonzero(allowed(pool.poses.joints)))

@@ -23,8 +23,8 @@ class Backlash(Effect):
     lookalikes = ("hysteresis", "latency")
     separated_by = "the same poses approached from both directions, measured at rest"
     told_from: ClassVar[Mapping[str, str]] = {
-        "hysteresis": "Approach each pose twice from the same side: once by a short move (a few "
-        "mrad of a revolute joint, 0.1 mm of a linear one), once by a long one."
+        "hysteresis": "Approach each pose twice from the same side: once by a short move, just "
+        "longer than the backlash (twice the lag of a hysteresis), once by a long one."
     }
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:

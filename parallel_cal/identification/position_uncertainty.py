@@ -2,33 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.predictions import condition_columns
 from parallel_cal.identification.thresholds import RELATIVE_RANK
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.solutions import Solutions
-from parallel_cal.model.mechanism import POSE
+from parallel_cal.model.effect import CONDITIONS
+from parallel_cal.model.mechanism import POSE, Mechanism
 from parallel_cal.model.model import Model
 
 MIN_SHAPE_POSES = 4  # with fewer, frames absorb everything
 POSES_PER_AXIS = 7  # poses from one end of the workspace to the other
+SEED = 0  # of the samples whose conditions the places of a map get
+HOME_TOLERANCE = 1e-6  # rad: the workspace's middle orientation is then that of home
 
 
 @dataclass(frozen=True)
 class PositionUncertainty:
     """Platform positions (M, 3) m in {B}, and the covariance (M, 3, 3) that follows from the
-    identified parameters; `across` names the coordinates that were varied."""
+    identified parameters; `across` names the coordinates that were varied, and `validity` says in
+    words for which orientation and conditions it holds."""
 
     places: np.ndarray
     covariance: np.ndarray
     across: str
+    validity: str
 
     @classmethod
     def of(cls, model: Model) -> PositionUncertainty | None:
@@ -37,42 +43,99 @@ class PositionUncertainty:
         if model.covariance is None or (solved := solve_middle_planes(model)) is None:
             return None
         spread = Kinematics(model.robot()).direct_covariance(solved)[:, :3, :3]
-        return cls(solved.position, spread, _controlled_axes(model))
+        return cls(solved.position, spread, _controlled_axes(model), _describe_validity(model))
 
 
 @dataclass(frozen=True)
 class PositionDifference:
-    """Where two models place the platform at the same joints, under neutral conditions.
+    """Where two models place the platform at the same joints, under the same conditions.
 
     `places` (M, 3) m in {B} are those of the first model, `difference` (M, 3) m is the second minus
-    the first; `sigmas` are the rms uncertainties of both, m (None: not identified).
+    the first; `sigmas` are the rms uncertainties of both, m (None: not identified). `validity` says
+    in words for which orientation and conditions it holds.
     """
 
     places: np.ndarray
     difference: np.ndarray
     sigmas: tuple[float | None, float | None]
+    validity: str
 
     @classmethod
     @single_threaded()
-    def of(cls, first: Model, second: Model) -> PositionDifference | None:
-        """On the planes of `solve_middle_planes`; None if the models reach no common pose there."""
+    def of(
+        cls, first: Model, second: Model, recorded: Mapping[str, np.ndarray] | None = None
+    ) -> PositionDifference | None:
+        """On the planes of `solve_middle_planes`; None if the models reach no common pose there.
+
+        Each place gets the conditions of one sample, drawn at random with a fixed seed from those
+        `recorded`: columns (N,) by name. Conditions that were not recorded are neutral.
+        """
         if (grid := solve_middle_planes(first)) is None:
             return None
-        reached = [Kinematics(model.robot()).direct(grid.joints) for model in (first, second)]
+        kinds = [kind for model in (first, second) for kind in find_robot_conditions(model)]
+        columns = {k: v for k, v in (recorded or {}).items() if k.partition(".")[0] in kinds}
+        at: dict[str, np.ndarray] = {}
+        if columns:
+            count = len(next(iter(columns.values())))
+            rows = np.random.default_rng(SEED).integers(count, size=len(grid))
+            at = {name: np.asarray(values)[rows] for name, values in columns.items()}
+        robots = first.robot(), second.robot()
+        reached = [Kinematics(robot).direct(grid.joints, at) for robot in robots]
         both = reached[0].solved & reached[1].solved
         if not both.any():
             return None
         one, other = (solutions[both] for solutions in reached)
-        sigmas = (_compute_sigma(first, one), _compute_sigma(second, other))
-        return cls(one.position, other.position - one.position, sigmas)
+        at = {name: values[both] for name, values in at.items()}
+        sigmas = (_compute_sigma(first, one, at), _compute_sigma(second, other, at))
+        validity = _describe_validity(first, second, recorded=list(columns))
+        return cls(one.position, other.position - one.position, sigmas, validity)
 
 
-def _compute_sigma(model: Model, solved: Solutions) -> float | None:
-    """Compute the rms uncertainty (m) of the predicted positions."""
+def _compute_sigma(model: Model, solved: Solutions, at: Mapping[str, np.ndarray]) -> float | None:
+    """Compute the rms uncertainty (m) of the positions predicted under the conditions `at`."""
     if model.covariance is None:
         return None
-    spread = Kinematics(model.robot()).direct_covariance(solved)[:, :3, :3]
+    spread = Kinematics(model.robot()).direct_covariance(solved, at)[:, :3, :3]
     return float(np.sqrt(np.mean(np.trace(spread, axis1=1, axis2=2))))
+
+
+def find_robot_conditions(model: Model) -> list[str]:
+    """Return the kinds of conditions, such as `direction`, on which the robot's own effects
+    depend."""
+    needs = (need for e in model.effects if not e.of_device for need in e.needs)
+    return list(dict.fromkeys(need.partition(".")[0] for need in needs))
+
+
+def _describe_validity(*models: Model, recorded: Sequence[str] = ()) -> str:
+    """Say in words for which orientation and conditions a map of `solve_middle_planes` holds; empty
+    if it depends on neither."""
+    m, parts = models[0].mechanism, []
+    if set(POSE[3:]) & set(m.controls):
+        middle = np.add(m.workspace.low, m.workspace.high) / 2
+        _, R = m.poses(np.array([middle, m.controlled_coordinates(*_home(m))[0]]))
+        at_home = np.allclose(R[0], R[1], rtol=0, atol=HOME_TOLERANCE)
+        parts.append("in home orientation" if at_home else "in the workspace's middle orientation")
+    kinds = list(dict.fromkeys(kind for model in models for kind in find_robot_conditions(model)))
+    drawn = {name.partition(".")[0] for name in recorded}
+    if given := [kind for kind in kinds if kind in drawn]:
+        parts.append(f"each place with the {_join(given)} of a sample drawn at random")
+    if neutral := [kind for kind in kinds if kind not in drawn]:
+        parts.append(f"at neutral conditions ({', '.join(map(_describe_neutral, neutral))})")
+    return ", ".join(parts)
+
+
+def _describe_neutral(kind: str) -> str:
+    unit, value, _ = CONDITIONS[kind]
+    return f"{kind} {value:g} {unit}" if value else f"{kind} 0"
+
+
+def _join(names: Sequence[str]) -> str:
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def _home(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray]:
+    home = mechanism.home
+    return np.array([home.position]), rotation_matrix(np.array([home.rotation_vector]))
 
 
 def solve_middle_planes(model: Model) -> Solutions | None:

@@ -60,10 +60,13 @@ def approaches(
     rng: np.random.Generator,
     reach: float = 1.0,
     usable: np.ndarray | None = None,
+    least_travels: np.ndarray | float = 0.0,
 ) -> Approaches:
     """Make approaches along random lines, each with a length of STEPS that can be driven in the
     workspace (`reach` times as large), selected at random. Those to poses (N,) that are not
-    `usable` are not `ok`."""
+    `usable` are not `ok`. Each joint moves further than `find_least_travels` of the model says, and
+    further than `least_travels` (nq,)."""
+    least = np.maximum(find_least_travels(model), least_travels)
     m, n = model.mechanism, len(poses)
     low, high = np.array(m.workspace.low), np.array(m.workspace.high)
     side = rng.uniform(-1, 1, (n, len(m.controlled)))
@@ -79,7 +82,7 @@ def approaches(
     order, left, parts = np.argsort(-priority, axis=0), np.arange(n), list[Approaches]()
     place, rows = np.zeros(n, dtype=int), 0
     for step in order:
-        part = _drive(model, poses[left], away[step[left], left])
+        part = _drive(model, poses[left], away[step[left], left], least)
         part = replace(part, ok=part.ok & (priority[step[left], left] > 0))
         place[left] = rows + np.arange(len(left))
         parts, rows = [*parts, part], rows + len(left)
@@ -94,19 +97,20 @@ def approaches(
     )[place]
 
 
-def _drive(model: Model, poses: Solutions, away: np.ndarray) -> Approaches:
-    """Overshoot poses by `away` (N, controlled coordinates) and turn as far on their other side."""
+def _drive(model: Model, poses: Solutions, away: np.ndarray, least: np.ndarray) -> Approaches:
+    """Overshoot poses by `away` (N, controlled coordinates) and turn as far on their other side.
+    Approaches in which a joint moves less than `least` (nq,) are not `ok`."""
     m, robot = model.mechanism, Kinematics(model, quick=True)
     here = m.controlled_coordinates(poses.position, poses.rotation)
     past, turn = (robot.inverse(*m.poses(here + sign * away)) for sign in (1, -1))
     ways = poses.joints - turn.joints
     reverses = ways * (turn.joints - past.joints) < 0
     certain = MIN_APPROACH_SIGMAS * np.nan_to_num(model.joint_noise)
-    significant = np.abs(ways) > np.maximum(certain, _find_least_travels(model))
+    significant = np.abs(ways) > np.maximum(certain, least)
     return Approaches(past, turn, ways, past.ok & turn.ok & (reverses & significant).all(axis=1))
 
 
-def _find_least_travels(model: Model) -> np.ndarray:
+def find_least_travels(model: Model) -> np.ndarray:
     """Return how far each joint (nq,) must move after a reversal until the model's effects have
     their full size: a shorter move does not take up a backlash."""
     numbers = Named(model.table.names, model.values)

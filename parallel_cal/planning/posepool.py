@@ -54,10 +54,16 @@ class Pool:
 
 
 def make_pool(
-    model: Model, n: int, rng: np.random.Generator, symmetric: bool, reach: float = 1.0
+    model: Model,
+    n: int,
+    rng: np.random.Generator,
+    symmetric: bool,
+    reach: float = 1.0,
+    least_travels: np.ndarray | float = 0.0,
 ) -> Pool:
     """Draw about n poses in the workspace, or in a box `reach` times as large; keep the usable
-    ones."""
+    ones. Each joint approaches over more than `least_travels` (nq,), if the model needs an
+    approach."""
     m = model.mechanism
     middle = np.add(m.workspace.low, m.workspace.high) / 2
     r, R = m.poses(middle + reach * (m.sample(n, rng) - middle))
@@ -67,8 +73,9 @@ def make_pool(
     # Quick: the pool is large, so a pose that is not solved at the first attempt is dropped.
     poses = Kinematics(model, quick=True).inverse(r, R)
     good = find_usable_poses(model, poses, reach)
-    approach = approaches(model, poses, rng, reach, good) if needs_approach(model) else None
-    if approach is not None:
+    approach = None
+    if needs_approach(model):
+        approach = approaches(model, poses, rng, reach, good, least_travels)
         good &= approach.ok
     size = FOLD if symmetric else 1
     kept = np.flatnonzero(good.reshape(-1, size).all(axis=1))

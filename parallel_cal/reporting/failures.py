@@ -81,6 +81,8 @@ def in_space(report: Report, plot: Plot) -> str:
             f"{wide:g} times, and 1 σ as colour. They follow from the covariance of the "
             "parameters, not from the residuals."
         )
+        if report.spread.validity:
+            note += f" They hold {report.spread.validity}."
         pages["model uncertainty"] = figure(plot(ellipses), caption=note)
     return (SWITCH if left.found is not None else "") + tabs(pages) + _regions(report.regions)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,11 +16,18 @@ from parallel_cal.reporting.readable import with_unit
 SAME_POSITION_M = 1e-9  # m; smaller differences are rounding errors
 
 
-def draw_difference(first: Model, second: Model, one: str, other: str) -> dict[str, Any]:
+def draw_difference(
+    first: Model,
+    second: Model,
+    one: str,
+    other: str,
+    recorded: Mapping[str, np.ndarray] | None = None,
+) -> dict[str, Any]:
     """Draw where the second model places the platform minus where the first does, with the 1-sigma
-    uncertainty of each; a sentence only if there is no map or no difference."""
+    uncertainty of each; a sentence only if there is no map or no difference. Places get the
+    `recorded` conditions of samples, columns (N,) by name."""
     title = f"predictions of {other} minus those of {one}"
-    found = PositionDifference.of(first, second)
+    found = PositionDifference.of(first, second, recorded)
     if found is None:
         return {"words": f"{title}: no map, because the models reach no common plane of positions"}
     sizes = np.linalg.norm(found.difference, axis=1)
@@ -40,4 +48,6 @@ def draw_difference(first: Model, second: Model, one: str, other: str) -> dict[s
         f"rms over the workspace, at most {with_unit(float(sizes.max()), 'm')}; "
         f"{', '.join(sigmas)}"
     )
+    if found.validity:
+        words += f"; {found.validity}"
     return {"words": words, "figure": to_json_value(figure)}

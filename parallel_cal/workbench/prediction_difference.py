@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from parallel_cal.session.history import History
+import numpy as np
+
+from parallel_cal.base.errors import ParallelCalError
 
 
 def compare_predictions(folder: Path, one: str, other: str) -> dict[str, Any]:
-    """Draw the predicted positions of branch `other` minus those of branch `one`."""
+    """Draw the predicted positions of branch `other` minus those of branch `one`, under conditions
+    of the session's samples."""
     # Imported in the other process only: they take long to import.
+    from parallel_cal.identification.position_uncertainty import find_robot_conditions
     from parallel_cal.model.file.modelfile import read_model
+    from parallel_cal.recordings.lagged import add_lagged_conditions
     from parallel_cal.reporting.prediction_difference import draw_difference
+    from parallel_cal.session.session import Session
 
-    states = History(folder).compared([one, other])
+    session = Session(folder)
+    states = session.compared([one, other])
     first, second = (read_model(folder / states[name].model) for name in (one, other))
-    return draw_difference(first, second, one, other)
+    recorded: Mapping[str, np.ndarray] = {}
+    if session.recordings and (find_robot_conditions(first) or find_robot_conditions(second)):
+        names = [*first.conditions, *second.conditions]
+        # Without the recordings, conditions are neutral, as the caption then states.
+        with suppress(ParallelCalError):
+            recorded = add_lagged_conditions(names, session.dataset).conditions
+    return draw_difference(first, second, one, other, recorded)

@@ -436,6 +436,8 @@ def _pictures(
     if (spread := maps.PositionUncertainty.of(scene.model)) is not None:
         known, scale = maps.workspace(spread)
         words = f"model uncertainty: 1-sigma ellipses, magnified {scale:g} times"
+        if spread.validity:
+            words += f", {spread.validity}"
         yield _picture("uncertainty", words, known)
 
 
