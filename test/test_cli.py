@@ -281,6 +281,13 @@ def test_the_options_of_a_mechanism_are_listed(run):
     assert "\njoints: motor1 [rad], motor2 [rad], motor3 [rad], motor4 [rad]\n" in listed
 
 
+def test_a_mechanism_that_needs_an_option_is_described_without_it(run):
+    code, listed, _ = run("mechanisms", "serial")
+    assert code == 0
+    assert "Options: `links` is needed." in listed
+    assert listed.endswith("pass --option links=...\n")
+
+
 def test_mechanisms_and_effects_are_listed_with_what_they_need(document, run):
     listed = {m["name"]: m for m in document("mechanisms")["mechanisms"]}
     assert listed["delta54"]["parameters"] == 54

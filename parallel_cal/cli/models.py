@@ -251,8 +251,17 @@ def mechanisms(
 def _print_mechanism(name: str, options: list[str], as_json: bool) -> None:
     """Print the parameters, and how many a complete model has (eq. 3.3)."""
     from parallel_cal.identification.completeness import compute_completeness
+    from parallel_cal.model.mechanism import Mechanism
+    from parallel_cal.model.shelf import load_class, options_of
     from parallel_cal.reporting.readable import in_unit
 
+    cls = load_class("mechanisms", name, Mechanism)
+    given = parse_options(options)
+    needed = [one for one in options_of(cls) if "=" not in one and one not in given]
+    if needed and not as_json:
+        _print_description(name, cls)
+        console.say(f"To list its joints and parameters, pass --option {needed[0]}=...")
+        return
     m = _mechanism(name, options)
     counted = compute_completeness(m)
     if as_json:
@@ -260,10 +269,7 @@ def _print_mechanism(name: str, options: list[str], as_json: bool) -> None:
         return console.emit(
             _row(name, type(m), m) | {"parameters": numbers, "completeness": counted.document()}
         )
-    console.say(f"{name}: {_sentence(sys.modules[type(m).__module__].__doc__)}")
-    _, found, described = (inspect.getdoc(type(m)) or "").partition("\n\nOptions: ")
-    if found:
-        console.say(f"\nOptions: {described}\n")
+    _print_description(name, type(m))
     joints = zip(m.joints, m.joint_units, strict=True)
     console.say("joints: " + ", ".join(f"{joint} [{unit}]" for joint, unit in joints))
     rows = []
@@ -272,6 +278,14 @@ def _print_mechanism(name: str, options: list[str], as_json: bool) -> None:
         rows.append((p.name, value, in_unit(p.tolerance, p.unit)[0], unit, p.label))
     console.table(("parameter", "nominal", "tolerance", "unit", ""), rows)
     console.say(counted.sentence)
+
+
+def _print_description(name: str, cls: type) -> None:
+    """Print what a mechanism is, and its options."""
+    console.say(f"{name}: {_sentence(sys.modules[cls.__module__].__doc__)}")
+    _, found, described = (inspect.getdoc(cls) or "").partition("\n\nOptions: ")
+    if found:
+        console.say(f"\nOptions: {described}\n")
 
 
 def _rows(shelf: str, row: Callable[[str], dict[str, Any]]) -> list[dict[str, Any]]:

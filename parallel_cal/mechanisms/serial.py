@@ -61,11 +61,18 @@ class Link:
 class Serial(Mechanism):
     """Serial arm; the model file lists its links.
 
-    Each link has a `joint` (R, P or null), `axes` (the direction of the next axis relative to this
-    one: parallel, perpendicular or coincident; not for the last link), the numbers theta, d, a, b,
-    alpha, beta (m, rad), and the joint limits `low` and `high`. `free` lists which of theta, d,
-    a, b, alpha and beta a fit identifies. Give it only if you want another selection than that of
-    table 3.5 of Vischer (1996).
+    Options: `links` is needed. `parallel-cal new --from ROBOT.urdf` writes a
+    model with it.
+
+    - `links`: from the base to the flange. Each link has a `joint` (R, P or null), `axes` (the
+      direction of the next axis relative to this one: parallel, perpendicular or coincident; not
+      for the last link), the numbers theta, d, a, b, alpha, beta (m, rad), and the joint limits
+      `low` and `high`. `free` lists which of theta, d, a, b, alpha and beta a fit identifies. Give
+      it only if you want another selection than that of table 3.5 of Vischer (1996).
+    - `home`: readings of the joints at home. Default: zero.
+    - `controls`: the coordinates of the platform that the arm controls. Default:
+      the first of x, y, z, rx, ry and rz, as many as there are joints.
+    - `length_tolerance`, `angle_tolerance`: 1 sigma of the geometry, m and rad.
     """
 
     moves = POSE
