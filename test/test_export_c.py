@@ -158,9 +158,10 @@ def test_the_headers_state_how_the_angles_of_motors_convert(tmp_path):
 
 @pytest.mark.wide
 @pytest.mark.parametrize("name", [p if isinstance(p, str) else p.values[0] for p in ROBOTS])
-def test_it_agrees_with_python_over_a_hundred_thousand_poses(name):
-    found = differences(name, 100_000)
-    assert found["rows"] == 200_000
+def test_it_agrees_with_python_over_many_poses(name):
+    poses = 100_000 if name == "delta54" else 20_000
+    found = differences(name, poses)
+    assert found["rows"] == 2 * poses
     assert found["other_status"] == 0
     assert max(found[part] for part in ("joints", "position", "rotation")) < 1e-12
 
