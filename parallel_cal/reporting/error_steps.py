@@ -70,7 +70,7 @@ def draw_steps(found: FallingError) -> dict[str, Any]:
         ],
         "layout": {
             "height": HEIGHT_OF_MANY if len(values) > MANY_STEPS else HEIGHT,
-            # An upright title would be longer than the axis if the labels of the steps stand upright.
+            # An upright title would be longer than an axis above upright labels.
             "title": {
                 "text": f"{escape(found.words)} [{unit}]",
                 "font": {"size": 12},
