@@ -111,6 +111,18 @@ def test_only_quantities_on_which_the_residuals_depend_are_printed(made, text):
     assert f"Not printed: {len(others)} quantities" in unescape(folded)
 
 
+def test_a_note_and_a_legend_are_printed_only_with_a_figure_that_they_explain(made):
+    quiet = tuple(replace(entry, p_value=0.5) for entry in made.along)
+    said = failures.along_everything(replace(made, along=quiet), lambda _: "")
+    printed, folded = said.split('<div class="on-screen">')
+    for words in ("The band contains 99 %", 'class="key"'):
+        assert words not in printed
+        assert words in folded
+    shown = failures.along_everything(made, lambda _: "").split('<div class="on-screen">')[0]
+    assert "The band contains 99 %" in shown
+    assert 'class="key"' in shown
+
+
 def test_a_pattern_has_its_effect_joints_amplitude_and_p_and_is_drawn_only_if_it_is_seen(
     made, text
 ):
