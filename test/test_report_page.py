@@ -330,6 +330,20 @@ def test_the_page_is_short_and_nothing_is_cut_off(opened, width, most, scheme):
 
 
 @pytest.mark.wide
+def test_every_open_figure_is_drawn_soon_without_scrolling_and_no_folded_one(opened):
+    window = opened(1280)
+    drawn = "p => [...document.querySelectorAll('.plot')].filter(p)"
+    is_folded = "e => e.closest('details:not([open]), [hidden]')"
+    window.wait_for_function(
+        f"({drawn})(e => !({is_folded})(e)).every(e => e.querySelector('.main-svg'))"
+    )
+    window.wait_for_timeout(500)
+    assert window.evaluate(f"({drawn})({is_folded}).length") > 5
+    assert window.evaluate(f"({drawn})({is_folded}).filter(e => e.data).length") == 0
+    window.close()
+
+
+@pytest.mark.wide
 def test_contents_lead_to_every_part_and_open_it(opened):
     window = opened(1280)
     links = window.locator("nav a")

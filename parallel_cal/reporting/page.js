@@ -75,6 +75,16 @@ const unseen = new IntersectionObserver((entries) => {
   }
 }, { rootMargin: "400px" });
 for (const place of places) unseen.observe(place);
+// A picture or a print of the whole page needs the others, too: draw them while the page is idle.
+const whenIdle = window.requestIdleCallback ?? ((act) => setTimeout(act, 200));
+function drawNext() {
+  const isOpen = (place) => !place.data && !place.closest("details:not([open]), [hidden]");
+  const next = [...places].find(isOpen);
+  if (!next) return;
+  draw(next);
+  whenIdle(drawNext);
+}
+addEventListener("load", () => whenIdle(drawNext));
 dark.addEventListener("change", () => {
   for (const place of places) if (place.data) Plotly.relayout(place, { template: template() });
 });
