@@ -203,6 +203,12 @@ def test_on_paper_nothing_is_folded_or_beyond_the_edge(made, tmp_path):
         )
         assert breaks == ["auto", "avoid"]
         assert window.locator(".decision .signature").count() == 1
+        # Views in space and from three sides are low, so that two of them are on one sheet.
+        tall = window.evaluate(
+            "[...document.querySelectorAll('#residuals-in-space .plot')].map(e => e.clientHeight)"
+        )
+        assert len(tall) == 3
+        assert max(tall) < 330  # px
         # Figures of what the residuals do not depend on are not printed: their place has no width.
         assert all(0 < figure <= place + 1 for figure, place in widths if place)
         assert sum(place > 0 for _, place in widths) > 10
