@@ -126,6 +126,22 @@ def test_the_certificate_shows_what_was_stated_and_leaves_the_rest_blank(made):
 
 
 @pytest.mark.wide
+def test_every_sheet_and_the_decision_name_the_robot(made):
+    named = replace(made, certificate=replace(made.certificate, robot="Delta 4"))
+    robot = "Delta 4, serial number &lt;D-0042&gt;"
+    text = page(named)
+    assert f"<title>{robot} on delta_backlash</title>" in text
+    assert f"<h1>{robot} on delta_backlash</h1>" in text
+    assert f"samples, delta54, model {made.provenance.model_sha256[:12]}</p>" in text
+    decision = part(text, "certificate").split('<div class="decision">')[1]
+    assert f"<p>{robot}, model {made.provenance.model_sha256[:12]}</p>" in decision
+    codes = re.search(r'@bottom-left \{ content: "([^"]*)"', text).group(1)
+    footer = "".join(chr(int(code, 16)) for code in codes.replace("\\", "").split())
+    assert footer == "Delta 4, serial number <D-0042>"
+    assert "<title>delta54 on " in page(replace(made, certificate=CertificateFields()))
+
+
+@pytest.mark.wide
 def test_without_a_limit_no_letter_is_explained_that_nothing_uses(made):
     shown = part(page(replace(made, conformity=())), "certificate")
     assert "U is the expanded" not in shown
@@ -210,6 +226,12 @@ def test_on_paper_nothing_is_folded_or_beyond_the_edge(made, tmp_path):
         )
         assert breaks == ["auto", "avoid"]
         assert window.locator(".decision .signature").count() == 1
+        # Views in space and from three sides are low, so that two of them are on one sheet.
+        tall = window.evaluate(
+            "[...document.querySelectorAll('#residuals-in-space .plot')].map(e => e.clientHeight)"
+        )
+        assert len(tall) == 3
+        assert max(tall) < 330  # px
         # Figures of what the residuals do not depend on are not printed: their place has no width.
         assert all(0 < figure <= place + 1 for figure, place in widths if place)
         assert sum(place > 0 for _, place in widths) > 10

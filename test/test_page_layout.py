@@ -78,6 +78,23 @@ def test_the_labels_of_many_steps_are_whole_words_that_plotly_may_not_omit():
         assert axis["ticklabeloverflow"] == "allow"
 
 
+def test_no_line_crosses_the_label_of_a_step_and_the_title_is_above_the_axis():
+    errors = [3.0, 1.03, 1.07, 0.4, 0.9]
+    steps = [Step(str(k), 3e-4 * v, k - 1 if k else None) for k, v in enumerate(errors)]
+    figure = draw_steps(FallingError("orientation", steps, words="orientation, rms"))
+    [points] = [t for t in figure["data"] if t["mode"] == "markers+text"]
+    assert points["textposition"] == [
+        "top center",
+        "top right",  # the curve comes from above, and goes on almost level
+        "top center",
+        "bottom center",
+        "top center",
+    ]
+    # An upright title is longer than a low axis, and would be cut off.
+    assert figure["layout"]["title"]["text"] == "orientation, rms [arcmin]"
+    assert not figure["layout"]["yaxis"]["title"]["text"]
+
+
 def test_a_step_on_other_samples_is_joined_by_a_dotted_line():
     found = find_steps(
         history(

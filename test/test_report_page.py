@@ -111,6 +111,18 @@ def test_only_quantities_on_which_the_residuals_depend_are_printed(made, text):
     assert f"Not printed: {len(others)} quantities" in unescape(folded)
 
 
+def test_a_note_and_a_legend_are_printed_only_with_a_figure_that_they_explain(made):
+    quiet = tuple(replace(entry, p_value=0.5) for entry in made.along)
+    said = failures.along_everything(replace(made, along=quiet), lambda _: "")
+    printed, folded = said.split('<div class="on-screen">')
+    for words in ("The band contains 99 %", 'class="key"'):
+        assert words not in printed
+        assert words in folded
+    shown = failures.along_everything(made, lambda _: "").split('<div class="on-screen">')[0]
+    assert "The band contains 99 %" in shown
+    assert 'class="key"' in shown
+
+
 def test_a_pattern_has_its_effect_joints_amplitude_and_p_and_is_drawn_only_if_it_is_seen(
     made, text
 ):
@@ -314,6 +326,20 @@ def test_the_page_is_short_and_nothing_is_cut_off(opened, width, most, scheme):
     assert max(evidence) <= 1
     assert not window.failed
     assert len(window.asked) == 1  # itself
+    window.close()
+
+
+@pytest.mark.wide
+def test_every_open_figure_is_drawn_soon_without_scrolling_and_no_folded_one(opened):
+    window = opened(1280)
+    drawn = "p => [...document.querySelectorAll('.plot')].filter(p)"
+    is_folded = "e => e.closest('details:not([open]), [hidden]')"
+    window.wait_for_function(
+        f"({drawn})(e => !({is_folded})(e)).every(e => e.querySelector('.main-svg'))"
+    )
+    window.wait_for_timeout(500)
+    assert window.evaluate(f"({drawn})({is_folded}).length") > 5
+    assert window.evaluate(f"({drawn})({is_folded}).filter(e => e.data).length") == 0
     window.close()
 
 

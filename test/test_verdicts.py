@@ -1,5 +1,6 @@
 """What a verdict says: names that people know, the region it holds for, digits that differ."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -110,8 +111,17 @@ def test_the_summary_states_model_uncertainty_and_the_error_with_twice_as_many_p
     day = vf.session(2, n_poses=20, n_replicates=6)
     found = diagnose(MODEL, dataset(vf.samples(day, [], vr.THESIS_NOISE, 2), vr.THESIS_NOISE))
     assert found.verdict.word == "at_noise"
-    assert "um of it are noise, the rest is model uncertainty" in found.verdict.summary
-    assert "twice as many poses would reduce it to about" in found.verdict.summary
+    # Each error that the verdict states is split, in the same order.
+    error, floor, twice = (
+        [float(v) for v in re.findall(r"([\d.]+) (?:um|arcmin)", words)]
+        for words in re.search(
+            r"error at held-out poses (.+?)\).+?; the noise floor is (.+?), and the rest of the "
+            r"error is model uncertainty: twice as many poses would reduce the error to about (.+)",
+            found.verdict.summary,
+        ).groups()
+    )
+    assert len(error) == len(floor) == len(twice) == 2
+    assert all(b < c < a for a, b, c in zip(error, floor, twice, strict=True))
 
 
 # --------------------------------------------------------------------------- what it may name

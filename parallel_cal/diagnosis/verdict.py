@@ -29,6 +29,7 @@ from parallel_cal.diagnosis.unusual import UnusualEffect
 from parallel_cal.identification.acceptance import acceptance, format_errors
 from parallel_cal.identification.fit_warnings import format_distinctly
 from parallel_cal.identification.methods.implicit import Estimate
+from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.model.shelf import load_effect
 
 # Verdicts that leave an error which no effect of the catalogue describes.
@@ -407,19 +408,25 @@ def _noise(found: Findings) -> str:
 
 
 def _uncertainty(found: Findings) -> str:
-    """Describe the part of the validation error that the model uncertainty makes."""
-    result = found.best.fitted
-    for kind, (unit, factor) in ERROR_UNITS.items():
+    """Describe the part of the validation errors that the model uncertainty makes."""
+    result, misstated = found.best.fitted, found.noise.misstated or 1.0
+    floors, twice, is_large = dict[str, float](), dict[str, float](), False
+    for kind in ERROR_UNITS:
         error, stated = result.held_out.summary.rms(kind), result.noise_floor.rms(kind)
-        floor = (stated or 0.0) * (found.noise.misstated or 1.0)
-        if error is not None and floor and error > MAX_ERROR_TO_NOISE_RATIO * floor:
-            # The variance that parameters add falls with the number of observations.
-            twice = (floor**2 + (error**2 - floor**2) / 2) ** 0.5
-            return (
-                f"; {floor * factor:.3g} {unit} of it are noise, the rest is model uncertainty: "
-                f"twice as many poses would reduce it to about {twice * factor:.3g} {unit}"
-            )
-    return ""
+        if error is None or not stated:
+            continue
+        floor = stated * misstated
+        is_large |= error > MAX_ERROR_TO_NOISE_RATIO * floor
+        floors[f"{kind}_rms"] = floor
+        # The variance that parameters add falls with the number of observations.
+        twice[f"{kind}_rms"] = ((min(floor, error) ** 2 + error**2) / 2) ** 0.5
+    if not is_large:
+        return ""
+    return (
+        f"; the noise floor is {format_errors(Summary(**floors))}, and the rest of the error is "
+        f"model uncertainty: twice as many poses would reduce the error to about "
+        f"{format_errors(Summary(**twice))}"
+    )
 
 
 def _describe_noise_floor(found: Findings) -> str:

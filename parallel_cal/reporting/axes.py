@@ -10,7 +10,7 @@ from parallel_cal.reporting.colours import QUIET
 from parallel_cal.reporting.readable import number
 
 
-def log_axis(values: Sequence[float | None], title: str) -> dict[str, Any]:
+def log_axis(values: Sequence[float | None], title: str = "") -> dict[str, Any]:
     """Make a logarithmic axis with ticks at 1, 2, 5 times powers of ten.
 
     Only positive values can be drawn; the axis holds all of them.

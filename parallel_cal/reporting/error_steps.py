@@ -24,6 +24,7 @@ MAX_LABEL_WIDTH, MAX_LABEL_LINES = 14, 3  # of the name of a step below the axis
 # With more steps their labels stand upright on most screens: one line each, and a higher picture.
 MANY_STEPS, MAX_UPRIGHT_WIDTH = 6, 26
 HEIGHT, HEIGHT_OF_MANY = 230, 320
+MAX_LEVEL_RATIO = 1.05  # of two errors whose line is so flat that it crosses no label
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,17 @@ def draw_steps(found: FallingError) -> dict[str, Any]:
         ],
         "layout": {
             "height": HEIGHT_OF_MANY if len(values) > MANY_STEPS else HEIGHT,
-            "margin": {"t": 30, "r": 12, "l": 56, "b": 48},
+            # An upright title would be longer than an axis above upright labels.
+            "title": {
+                "text": f"{escape(found.words)} [{unit}]",
+                "font": {"size": 12},
+                "x": 0,
+                "xanchor": "left",
+                "y": 1,
+                "yanchor": "top",
+                "pad": {"t": 4, "l": 4},
+            },
+            "margin": {"t": 44, "r": 28, "l": 40, "b": 48},
             "showlegend": False,
             "xaxis": {
                 "tickvals": list(range(len(values))),
@@ -83,7 +94,7 @@ def draw_steps(found: FallingError) -> dict[str, Any]:
                 "zeroline": False,
                 "automargin": True,
             },
-            "yaxis": log_axis([noise, *values], f"{found.words} [{unit}]"),
+            "yaxis": log_axis([noise, *values]),
             "annotations": [*floor[1:]],
         },
         "config": {"displaylogo": False, "displayModeBar": False},
@@ -135,7 +146,10 @@ def _draw_points(
                 else number(values[k])
                 for k in own
             ],
-            "textposition": "top center",
+            "textposition": [
+                "top center" if names and k == own[-1] else _place_label(found.steps, k)
+                for k in own
+            ],
             "hovertext": [
                 "<br>".join(
                     filter(
@@ -159,6 +173,16 @@ def _draw_points(
             },
             "cliponaxis": False,
         }
+
+
+def _place_label(steps: Sequence[Step], k: int) -> str:
+    """Choose the place of a step's label that no line from or to the step crosses."""
+    error, before = steps[k].error, steps[k].before
+    falls = before is not None and steps[before].error > MAX_LEVEL_RATIO * error
+    rises = any(step.before == k and step.error > MAX_LEVEL_RATIO * error for step in steps)
+    if falls and rises:
+        return "bottom center"
+    return "top right" if falls else "top left" if rises else "top center"
 
 
 def _colour(branch: int) -> str:

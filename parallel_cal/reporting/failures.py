@@ -122,18 +122,18 @@ def along_everything(report: Report, plot: Plot) -> str:
         f'<span class="key"><i style="background:{colour(name)}"></i>{escape(name)}</span>'
         for name in report.residuals.components
     )
-    parts = [
-        SWITCH if report.residuals.found is not None else "",
-        paragraph(PROFILE_NOTE, "note"),
-        f'<p class="note">{key}</p>{_grid(shown[:MAX_OPEN_PANELS])}',
-    ]
+    note = f'{paragraph(PROFILE_NOTE, "note")}<p class="note">{key}</p>'
+    parts = [SWITCH if report.residuals.found is not None else ""]
+    if shown:
+        parts.append(f"{note}{_grid(shown[:MAX_OPEN_PANELS])}")
     if rest := shown[MAX_OPEN_PANELS:]:
         more = f"{len(rest)} more {'quantity' if len(rest) == 1 else 'quantities'}"
         parts.append(folded(more, _grid(rest)))
     if others:
+        inside = f"{'' if shown else note}{_grid(others)}"  # a note is next to what it explains
         chance = f"p > {PATTERN_SIGNIFICANCE_LEVEL:g}"
         title = f"{len(others)} quantities on which the residuals do not depend ({chance})"
-        parts.append(f'<div class="on-screen">{folded(title, _grid(others))}</div>')
+        parts.append(f'<div class="on-screen">{folded(title, inside)}</div>')
         on_paper = f"Not printed: {len(others)} quantities on which the residuals do not depend"
         parts.append(paragraph(f"{on_paper} ({chance}).", "note more"))
     return "".join(parts) + _joints(report, plot)

@@ -13,6 +13,7 @@ from parallel_cal.identification.observations import list_noise
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting import drawings, spaces
 from parallel_cal.reporting.blocks import Number, Row
+from parallel_cal.reporting.certificate import CertificateFields
 from parallel_cal.reporting.contents import CertifiedErrors
 from parallel_cal.reporting.figures import MAX_MOVED_TOLERANCES
 from parallel_cal.reporting.markup import (
@@ -172,12 +173,20 @@ def certificate(report: Report) -> str:
     identified = IDENTIFIED_HERE if certified.identified_here else NOT_IDENTIFIED_HERE
     if certified.fit_excluded is not None:
         identified = IDENTIFIED_WITH_OTHERS.format(_list_numbers(certified.fit_excluded))
+    # The decision may be printed on another sheet than the fields.
+    robot = paragraph(f"{name_robot(stated) or p.mechanism}, model {p.model_sha256[:12]}")
     note = paragraph(f"{identified} {RULE if report.conformity else NO_RULE}", "note")
     return (
         facts(rows)
-        + f'<div class="decision"><h3>Decision</h3>{items(decided)}{note}'
+        + f'<div class="decision"><h3>Decision</h3>{robot}{items(decided)}{note}'
         + f'<div class="signature">{signature}</div></div>'
     )
+
+
+def name_robot(stated: CertificateFields) -> str:
+    """Name the robot and its serial number as stated: `Delta 4, serial number D-0042`."""
+    serial = f"serial number {stated.serial_number}" if stated.serial_number else ""
+    return ", ".join(filter(None, (stated.robot, serial)))
 
 
 def _describe_noise(report: Report) -> str:

@@ -75,6 +75,16 @@ const unseen = new IntersectionObserver((entries) => {
   }
 }, { rootMargin: "400px" });
 for (const place of places) unseen.observe(place);
+// A picture or a print of the whole page needs the others, too: draw them while the page is idle.
+const whenIdle = window.requestIdleCallback ?? ((act) => setTimeout(act, 200));
+function drawNext() {
+  const isOpen = (place) => !place.data && !place.closest("details:not([open]), [hidden]");
+  const next = [...places].find(isOpen);
+  if (!next) return;
+  draw(next);
+  whenIdle(drawNext);
+}
+addEventListener("load", () => whenIdle(drawNext));
 dark.addEventListener("change", () => {
   for (const place of places) if (place.data) Plotly.relayout(place, { template: template() });
 });
@@ -112,12 +122,13 @@ for (const title of document.querySelectorAll("section h2")) {
 }
 
 // In print nothing is folded, and every figure is as wide as the paper. Three views of equal scale
-// would leave most of their height empty there.
+// and one in space would leave most of their height empty there.
 function fit(place) {
   if (!place.data) draw(place);
   const width = place.clientWidth, { layout } = figures[place.dataset.figure];
   const views = layout.yaxis?.scaleanchor && layout.xaxis3 && !layout.xaxis4;
-  const height = views ? Math.min(layout.height, 0.4 * width) : layout.height;
+  const share = views ? 0.36 : layout.scene ? 0.45 : 0;
+  const height = share ? Math.min(layout.height, share * width) : layout.height;
   place.style.height = `${height}px`;
   Plotly.relayout(place, { width, height, template: template() });
 }

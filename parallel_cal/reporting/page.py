@@ -16,6 +16,7 @@ from parallel_cal import __version__
 from parallel_cal.base.arguments import check_arguments
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.threads import single_threaded
+from parallel_cal.reporting.identified import name_robot
 from parallel_cal.reporting.readable import day
 from parallel_cal.reporting.report import Report
 from parallel_cal.reporting.sections import body
@@ -47,15 +48,18 @@ def page(report: Report, library: str = "") -> str:
     True
     """
     drawn = PageBuilder()
-    p, data = report.provenance, report.diagnosis.dataset
+    p, data, stated = report.provenance, report.diagnosis.dataset, report.certificate
+    robot = name_robot(stated) or p.mechanism
     used = [entry.get("dataset") for entry in report.diagnosis.model.history]
     sources = {data.source, *(str(one.get("source")) for one in used if isinstance(one, Mapping))}
     return drawn.page(
-        name_files(f"{p.mechanism} on {data.source}", sources),
-        f"{day(p.made)}, {len(data)} samples, model {p.model_sha256[:12]}",
+        name_files(f"{robot} on {data.source}", sources),
+        f"{day(p.made)}, {len(data)} samples, {p.mechanism}, model {p.model_sha256[:12]}",
         name_files(body(report, drawn.plot), map(escape, sources)),
         library,
-        footer=f"Certificate {number}" if (number := report.certificate.number) else "",
+        footer=", ".join(
+            filter(None, (stated.number and f"Certificate {stated.number}", name_robot(stated)))
+        ),
     )
 
 

@@ -156,9 +156,9 @@ def budget_table(budget: Budget) -> Table:
 def budget_sentence(budget: Budget) -> str:
     """Describe at which samples a budget was made, and what its numbers mean."""
     return (
-        f"{describe_counts(budget.samples, budget.poses, budget.held_out)}; a part removes the "
-        "error by which the model without it is worse (added last, as the root of the difference "
-        "of the squares); noise and rest remain"
+        f"{describe_counts(budget.samples, budget.poses, budget.held_out)}. A part removes "
+        "sqrt(a^2 - b^2), where a is the error of the model without this part and b the error of "
+        "the whole model. Noise and rest remain"
     )
 
 
