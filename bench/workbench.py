@@ -26,6 +26,7 @@ sys.path.insert(0, str(REPOSITORY / "test"))
 
 from workbench_page import Served, opened
 
+from parallel_cal.diagnosis.verdict_words import VERDICT_LABELS
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.recordings.simulate import simulate
 
@@ -99,9 +100,9 @@ def time_page(browser: Any, session: Path, recordings: list[Path]) -> Iterator[R
         page.get_by_role("figure", name="rms residual").locator(".point").first.wait_for()
         yield Row("command to where the model fails", time.perf_counter() - begin)
         _rest(page)
-        yield from _time_step(page, "Fit", "fit", "missing: backlash")
+        yield from _time_step(page, "Fit", "fit", VERDICT_LABELS["explained"])
         yield from _time_interactions(page)
-        yield from _time_step(page, "add backlash", "add backlash", "noise")
+        yield from _time_step(page, "add backlash", "add backlash", VERDICT_LABELS["at_noise"])
     finally:
         served.end()
 
