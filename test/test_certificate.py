@@ -170,7 +170,7 @@ def test_a_fit_that_excluded_other_samples_is_not_certified_by_the_errors_of_ano
     [found] = other.conformity
     assert (found.error, found.result) == (None, "not decided")
     shown = part(page(other), "certificate")
-    assert "that fit excluded none of them" in shown
+    assert "that fit excluded none." in shown
     assert "The model was identified from these samples." not in shown
 
 

@@ -81,7 +81,9 @@ def acceptance(
     fall = np.bincount(blocks(new.dataset)[known], (squares[0] - squares[1])[known])
     clearly = rise > 0 or fall.mean() > fall.std() / np.sqrt(len(fall))
     foreign = _describe_foreign_model(new, now)
-    stuck = old is None and _is_unchanged(new)
+    # The frames alone were fitted, before without the held-out poses: all samples tell that.
+    was, total = (np.nansum(_squared(new, one)) for one in (new.before, new.after))
+    stuck = old is None and bool(np.isclose(was, total, rtol=1e-6, atol=0.0))
     if ratio is not None and ratio < 1 + rise and clearly and not (foreign or stuck):
         return Acceptance(then, now, True)
     if rise:
@@ -101,16 +103,6 @@ def acceptance(
         f"the error at held-out poses {verb}{change} "
         f"({format_errors(now, then)}{factor}){advice}{foreign}",
     )
-
-
-def _is_unchanged(new: FitResult) -> bool:
-    """Whether a fit left the robot as it was: the errors at all samples are those before the fit.
-
-    The validation error of the model before is a little larger, because its device is registered
-    without the held-out poses.
-    """
-    before, after = (np.nansum(_squared(new, one)) for one in (new.before, new.after))
-    return bool(np.isclose(before, after, rtol=1e-6, atol=0.0))
 
 
 def _advise(given: GivenModel) -> str:

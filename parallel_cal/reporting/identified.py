@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import fields
 
 import numpy as np
@@ -172,7 +171,8 @@ def certificate(report: Report) -> str:
     signature = facts({"Calibrated by": "", "Approved by": ""})
     identified = IDENTIFIED_HERE if certified.identified_here else NOT_IDENTIFIED_HERE
     if certified.fit_excluded is not None:
-        identified = IDENTIFIED_WITH_OTHERS.format(_list_numbers(certified.fit_excluded))
+        numbers = ", ".join(map(str, certified.fit_excluded))
+        identified = IDENTIFIED_WITH_OTHERS.format(f"sample {numbers}" if numbers else "none")
     # The decision may be printed on another sheet than the fields.
     robot = paragraph(f"{name_robot(stated) or p.mechanism}, model {p.model_sha256[:12]}")
     note = paragraph(f"{identified} {RULE if report.conformity else NO_RULE}", "note")
@@ -213,10 +213,6 @@ def _describe_excluded(data: Dataset) -> str:
         parts.append(f"{reason} ({len(numbers)}: {kind} {named}{more})")
     count = len(data.excluded)
     return f"{count} of {len(data) + count}: {'; '.join(parts)}"
-
-
-def _list_numbers(samples: Sequence[int]) -> str:
-    return f"sample {', '.join(map(str, samples))}" if samples else "none of them"
 
 
 def _errors_in_words(certified: CertifiedErrors) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -25,6 +25,7 @@ from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import add_plugin_folder, load_effect
 from parallel_cal.planning.plan import plan
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.lagged import add_lagged_conditions
 from parallel_cal.recordings.loading import MAP_SUFFIX, load_sessions
 from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.signals import Signals, signals
@@ -429,6 +430,10 @@ class Session(History):
         knocked = [one.sample for one in found.knocked]
         self.record_verdict(at, found.verdict.word, found.verdict.summary, knocked)
         return found
+
+    def conditions(self, names: Iterable[str]) -> Mapping[str, np.ndarray]:
+        """Return the conditions (N,) of the samples by name, with the lagged ones of `names`."""
+        return add_lagged_conditions(names, self.dataset).conditions
 
     def signals(self, sample: int) -> Signals:
         """Return the raw readings of a sample; DatasetError if they were not stored."""

@@ -18,7 +18,6 @@ def compare_predictions(folder: Path, one: str, other: str) -> dict[str, Any]:
     # Imported in the other process only: they take long to import.
     from parallel_cal.identification.position_uncertainty import find_robot_conditions
     from parallel_cal.model.file.modelfile import read_model
-    from parallel_cal.recordings.lagged import add_lagged_conditions
     from parallel_cal.reporting.prediction_difference import draw_difference
     from parallel_cal.session.session import Session
 
@@ -30,5 +29,5 @@ def compare_predictions(folder: Path, one: str, other: str) -> dict[str, Any]:
         names = [*first.conditions, *second.conditions]
         # Without the recordings, conditions are neutral, as the caption then states.
         with suppress(ParallelCalError):
-            recorded = add_lagged_conditions(names, session.dataset).conditions
+            recorded = session.conditions(names)
     return draw_difference(first, second, one, other, recorded)
