@@ -254,6 +254,11 @@ class Mechanism(ABC):
         """Return centres of mass in {B}, (3, 1) m each, of the links of each kind in `parts`."""
         return {}
 
+    def spans(self, q: Any, p: Named) -> list[tuple[float, Any]]:
+        """Return the nominal length (m) and the centre in {B}, (3, 1) m, of each link of a chain
+        whose joints alone carry its weight; empty if the mechanism is no such chain."""
+        return []
+
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
         """Return the lines that draw the mechanism at (q, r, R), with points as CasADi columns."""
         return []
