@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 import casadi as ca
 
 from parallel_cal.effects._statics import find_self_loaded_joints, own_weight_torques
@@ -13,21 +16,24 @@ from parallel_cal.model.parameters import Named, Parameter
 class OwnWeightSag(Effect):
     """q_ideal = q + sag * torque / w, for every revolute joint that carries links of the arm.
 
-    `sag` (rad/m^2) is the compliance of the joint times the weight of a metre of link, w (N/m), and
-    torque / w (m^2) is the torque of links of one weight per metre, with their centres half-way
-    between the frames of the model. Neither masses nor compliances have to be known. Lengths are
-    nominal, a prismatic joint adds none.
+    `sag` (rad/m^2) is the compliance of the joint (rad/(N m)) times the weight of a metre of link,
+    w (N/m). torque / w (m^2) is the torque, in the direction of the reading, of links that all
+    weigh w per metre of their nominal length, with their centres half-way between their frames. A
+    prismatic joint adds no length. Neither masses nor compliances have to be known.
 
-    The law is approximate where the links' weights per metre differ, or if the arm carries a tool:
-    each joint's `sag` is then that of the weight it carries most of. A payload that changes is
-    `joint_compliance`.
+    The law is approximate if some links are heavier per metre than others, or if the arm always
+    carries a tool. `joint_compliance` describes a payload that changes.
     """
 
-    physics = "The arm's own links twist shafts and gears between the encoders and the links."
+    physics = "The weight of the arm's own links twists the shafts and gears of its joints."
     remedy = "keep the correction in the model; counterweights or stiffer joints reduce the error"
     source = "strain-wave gears 1e-5..1e-4 rad/(N m), links of 5..20 kg/m: 5e-4..2e-2 rad/m^2"
     lookalikes = ("base_compliance", "encoder_eccentricity", "joint_compliance")
-    separated_by = "a target on every link, or the same poses with a second, known payload"
+    separated_by = "poses with equal readings of a loaded joint, the arm behind it bent and straight"
+    told_from: ClassVar[Mapping[str, str]] = {
+        "base_compliance": "a second target on the base, measured at every pose",
+        "joint_compliance": "the same poses with and without the payload",
+    }
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         return [
