@@ -1,5 +1,7 @@
 """Effects of serial arms: by hand, and found in an arm that yields under its own links."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -33,23 +35,25 @@ def true_error(model, robot, seed=9):
 
 @pytest.mark.parametrize("size", [0.2, 1.0])
 def test_a_straight_arm_on_a_wall_yields_by_its_first_moments(size):
-    """Links of 0.2 m and 0.16 m, both level: w (0.2 0.1 + 0.16 (0.2 + 0.08)) and w 0.16 0.08."""
+    """Links of 0.2 m and 0.16 m, both level: w (0.2 0.1 + 0.16 (0.2 + 0.08)) and w 0.16 0.08.
+    The forearm turned by 60 degrees has half the lever, and carries a tool as heavy as 0.5 m."""
     gravity = tuple(size * np.array(WALL))  # the strength of gravity is part of w
     numbers = {"joint1.sag": 2e-3, "joint2.sag": 5e-3}
     q, *_ = sees("own_weight_sag", "scara16", numbers, {}, [0.0] * 3, gravity=gravity)
     assert q == pytest.approx([-2e-3 * 0.0648, -5e-3 * 0.0128, 0.0], abs=1e-15)
+    numbers["tool"] = 0.5
     q, *_ = sees("own_weight_sag", "scara16", numbers, {}, [0.0, np.pi / 3, 0.0], gravity=gravity)
-    bent = 0.16 * 0.08 / 2
-    assert q[0] == pytest.approx(-2e-3 * (0.2 * 0.1 + 0.16 * 0.2 + bent), abs=1e-15)
+    bent = (0.16 * 0.08 + 0.5 * 0.16) / 2
+    assert q[0] == pytest.approx(-2e-3 * (0.2 * 0.1 + (0.16 + 0.5) * 0.2 + bent), abs=1e-15)
     assert q[1] - np.pi / 3 == pytest.approx(-5e-3 * bent, abs=1e-15)
 
 
 def test_only_revolute_joints_that_carry_links_yield():
     effect = load_effect("own_weight_sag")
     arm = nominal("ur5").mechanism
-    assert [p.name for p in effect.parameters(arm)] == [f"joint{i}.sag" for i in (2, 3, 4, 5)]
+    assert [p.name for p in effect.parameters(arm)[1:]] == [f"joint{i}.sag" for i in (2, 3, 4, 5)]
     arm.gravity = WALL
-    assert effect.parameters(arm)[0].name == "joint1.sag"
+    assert effect.parameters(arm)[1].name == "joint1.sag"
 
 
 @pytest.mark.parametrize("kind", ["ur5", "wam"])
@@ -91,14 +95,24 @@ def test_a_model_that_sags_keeps_its_numbers_and_its_direct_problem_undoes_the_i
 # ---------------------------------------------------------------------------- found in an arm
 
 
+def with_tool(mass):
+    """The manufacturer's links, with a tool of this mass (kg) 80 mm beyond the flange."""
+    own = va.UR5_LINKS
+    masses, centres = (*own.mass, mass), (*own.centre, (0.0, 0.0, 0.08))
+    return replace(own, mass=masses, centre=centres)
+
+
 @pytest.mark.wide
 @pytest.mark.parametrize("pose", [True, False], ids=["pose", "position"])
-def test_the_diagnosis_names_the_own_weight_of_an_arm_whose_links_are_unequal(pose):
-    robot = va.arm("ur5", 4, links=va.UR5_LINKS)
+@pytest.mark.parametrize("tool", [0.0, 2.0])
+def test_the_diagnosis_names_the_own_weight_of_an_arm_whose_links_are_unequal(pose, tool):
+    robot = va.arm("ur5", 4, links=with_tool(tool))
     data = seen(va.session(robot, 120, 5, HERE), pose)
     found = diagnose(nominal("ur5"), data)
-    assert found.effects == ("own_weight_sag",)
-    assert found.verdict.word == "explained"
+    assert found.effects[:1] == ("own_weight_sag",)
+    if not tool:  # with one, the law is less exact, and a small effect may be named after it
+        assert found.effects == ("own_weight_sag",)
+        assert found.verdict.word == "explained"
     plain = fit(nominal("ur5"), data, hold_out=0).model
     better = add(nominal("ur5"), "own_weight_sag", data).model
     before, after = true_error(plain, robot), true_error(better, robot)

@@ -57,7 +57,7 @@ class Links:
     """What the links of an arm weigh, and how its joints yield to that.
 
     Compliance (rad/(N m)) of every joint; mass (kg) of the link behind it, and its centre (m) in
-    the frame at the end of its row.
+    the frame at the end of its row. A mass more is a tool, in the last frame.
     """
 
     compliance: tuple[float, ...]
@@ -67,10 +67,11 @@ class Links:
 
     def turns(self, frames: list[Array]) -> Array:
         """Angles (N, nq) by which the joints yield: compliance times z . sum of (c - o) x m g."""
-        found = np.zeros((len(frames[0]), len(self.mass)))
+        found = np.zeros((len(frames[0]), len(self.compliance)))
         for i, (mass, centre) in enumerate(zip(self.mass, self.centre, strict=True)):
-            at = frames[i + 1][:, :3, :3] @ np.array(centre) + frames[i + 1][:, :3, 3]
-            for j in range(i + 1):
+            here = frames[min(i + 1, len(self.compliance))]  # a tool is at the last
+            at = here[:, :3, :3] @ np.array(centre) + here[:, :3, 3]
+            for j in range(min(i + 1, len(self.compliance))):
                 turning = np.cross(at - frames[j][:, :3, 3], mass * np.array(self.gravity))
                 found[:, j] += np.sum(frames[j][:, :3, 2] * turning, axis=1)
         return np.asarray(np.array(self.compliance) * found)

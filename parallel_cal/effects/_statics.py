@@ -28,15 +28,19 @@ def joint_forces(seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Any:
     return _forces(seen.with_q(q), q, seen.q, e, at, mechanism)
 
 
-def own_weight_torques(seen: Seen, mechanism: Mechanism) -> Any:
+def own_weight_torques(seen: Seen, mechanism: Mechanism, tool: Any = 0.0) -> Any:
     """Return the torque of the links' weight on each joint of a chain along its reading, divided by
     the weight of a metre of link (n_joints, 1): m^2.
 
-    The chain's links have one weight per metre. Its joints alone carry them, so that the torques
-    are the slopes of the work of gravity.
+    All links weigh the same per metre. The tool, at the end of the last link, weighs as much as
+    `tool` (m) of link. The joints alone carry the weights, so their torques are the derivatives of
+    the work of gravity.
     """
     q, down = ca.SX.sym("q", len(mechanism.joints)), ca.DM(mechanism.gravity)
-    moment = sum((length * at for length, at in mechanism.spans(q, seen.p)), ca.SX.zeros(3))
+    spans = mechanism.spans(q, seen.p)
+    moment = sum((length * (foot + head) / 2 for length, foot, head in spans), ca.SX.zeros(3))
+    if spans:
+        moment += tool * spans[-1][2]
     work = ca.dot(down / ca.norm_2(down), moment)
     return ca.substitute(ca.jacobian(work, q).T, q, seen.q)
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import ClassVar
+from collections.abc import Iterator, Mapping
+from typing import Any, ClassVar
 
 import casadi as ca
 
@@ -11,6 +11,8 @@ from parallel_cal.effects._statics import find_self_loaded_joints, own_weight_to
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
+
+TOOLS = (0.0, 0.1, 0.2, 0.4, 0.8, 1.6)  # m; 0.8 m of a link of 10 kg/m weigh 8 kg
 
 
 class OwnWeightSag(Effect):
@@ -21,15 +23,18 @@ class OwnWeightSag(Effect):
     weigh w per metre of their nominal length, with their centres half-way between their frames. A
     prismatic joint adds no length. Neither masses nor compliances have to be known.
 
-    The law is approximate if some links are heavier per metre than others, or if the arm always
-    carries a tool. `joint_compliance` describes a payload that changes.
+    A tool that the arm always carries weighs w `tool` at the origin of {P}: `tool` (m) is the
+    length of link of the same weight. It is known, or found by `scan`. The law is approximate if
+    some links are heavier per metre than others; `tool` then differs from 0 without a tool, too.
+    `joint_compliance` describes a payload that changes.
     """
 
+    fixed = ("tool",)
     physics = "The weight of the arm's own links twists the shafts and gears of its joints."
     remedy = "keep the correction in the model; counterweights or stiffer joints reduce the error"
     source = "strain-wave gears 1e-5..1e-4 rad/(N m), links of 5..20 kg/m: 5e-4..2e-2 rad/m^2"
     lookalikes = ("base_compliance", "encoder_eccentricity", "joint_compliance")
-    separated_by = "poses with equal readings of a loaded joint, the arm behind it bent and straight"
+    separated_by = "equal readings of a loaded joint, with the arm behind it bent and straight"
     told_from: ClassVar[Mapping[str, str]] = {
         "base_compliance": "a second target on the base, measured at every pose",
         "joint_compliance": "the same poses with and without the payload",
@@ -37,8 +42,11 @@ class OwnWeightSag(Effect):
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         return [
-            Parameter(f"{joint}.sag", "rad/m^2", 0.0, 5e-3, low=0.0, high=5e-2)
-            for joint in find_self_loaded_joints(mechanism)
+            Parameter("tool", "m", 0.0, 0.2, low=0.0, high=10.0),
+            *[
+                Parameter(f"{joint}.sag", "rad/m^2", 0.0, 5e-3, low=0.0, high=5e-2)
+                for joint in find_self_loaded_joints(mechanism)
+            ],
         ]
 
     def applies(self, mechanism: Mechanism) -> str:
@@ -47,6 +55,13 @@ class OwnWeightSag(Effect):
         return "it is no serial arm with a revolute joint that carries links"
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
-        torque = own_weight_torques(seen, mechanism)
+        torque = own_weight_torques(seen, mechanism, e.tool)
         sags = [e.get(f"{joint}.sag", 0) * torque[i] for i, joint in enumerate(mechanism.joints)]
         return seen.with_q(seen.q + ca.vertcat(*sags))
+
+    def scan(
+        self, mechanism: Mechanism, recorded: Mapping[str, Any]
+    ) -> Iterator[Mapping[str, float]]:
+        """Return no tool and tools of several weights."""
+        for tool in TOOLS:
+            yield {"tool": tool}

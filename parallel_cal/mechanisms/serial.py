@@ -164,11 +164,11 @@ class Serial(Mechanism):
             used += 1 if link.joint else 0
         return frames
 
-    def spans(self, q: Any, p: Named) -> list[tuple[float, Any]]:
-        """Return length and centre of every link, half-way from its frame to the next."""
-        frames = self.frames(q, p)
-        pairs = zip(self.links, frames[:-1], frames[1:], strict=True)
-        return [(link.length, (here[0] + after[0]) / 2) for link, here, after in pairs]
+    def spans(self, q: Any, p: Named) -> list[tuple[float, Any, Any]]:
+        """Return length and ends of every link: the origins of its frame and of the next."""
+        origins = [position for position, _ in self.frames(q, p)]
+        pairs = zip(self.links, origins[:-1], origins[1:], strict=True)
+        return [(link.length, foot, head) for link, foot, head in pairs]
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
         """Evaluate the arm: this solves its direct problem."""

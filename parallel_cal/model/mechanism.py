@@ -254,9 +254,9 @@ class Mechanism(ABC):
         """Return centres of mass in {B}, (3, 1) m each, of the links of each kind in `parts`."""
         return {}
 
-    def spans(self, q: Any, p: Named) -> list[tuple[float, Any]]:
-        """Return the nominal length (m) and the centre in {B}, (3, 1) m, of each link of a chain
-        whose joints alone carry its weight; empty if the mechanism is no such chain."""
+    def spans(self, q: Any, p: Named) -> list[tuple[float, Any, Any]]:
+        """Return the nominal length (m) and both ends in {B}, (3, 1) m each, of every link of a
+        chain whose joints alone carry it, from base to platform; empty for other mechanisms."""
         return []
 
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
