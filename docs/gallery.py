@@ -29,7 +29,8 @@ from parallel_cal.diagnosis.thresholds import LEVELS
 from parallel_cal.identification.fit import fit
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.effect import Effect
-from parallel_cal.model.mechanism import poses_in_workspace
+from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.model.mechanism import Workspace, poses_in_workspace
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.model.shelf import list_plugins, load_effect, load_sensor
 from parallel_cal.recordings.dataset import Dataset
@@ -38,7 +39,9 @@ from parallel_cal.reporting.contents import unit_along
 from parallel_cal.reporting.readable import value_unit
 
 DOCS = Path(__file__).parent
-ROBOTS = ("delta54", "linear_delta", "cable", "stewart42")  # the first that can have it
+ROBOTS = ("delta54", "linear_delta", "cable", "stewart42", "arm")  # the first that can have it
+ARM = DOCS.parent / "real" / "laser_arms" / "ur5.yaml"
+ARM_REACH = (0.25, 0.6)  # m and rad to both sides of the arm's home
 POSES, FINE = 160, 0.2  # its instruments have a fifth of the usual noise
 HOURS = 2.0  # of a session
 LARGER, PLAIN = (1.0, 3.0, 10.0), 0.4  # tolerances that are tried, share of the residuals wanted
@@ -156,6 +159,12 @@ def hidden(effect: Effect, times: float) -> Scene:
 
 
 def bare(name: str, probing: bool) -> Model:
+    if name == "arm":
+        arm = read_model(ARM)
+        home = np.array([*arm.mechanism.home.position, *arm.mechanism.home.rotation_vector])
+        half = np.repeat(ARM_REACH, 3)
+        arm.mechanism.workspace = Workspace(tuple(home - half), tuple(home + half))
+        return arm
     probes = probing and name == "stewart42"
     sensors = [load_sensor("probe", height=0.2, mounted=True)] if probes else []
     return new_model(name, sensors=sensors)

@@ -14,10 +14,12 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
+import virtual_arm as va
 import virtual_day as vd
 import virtual_effects_hidden as hidden
 import virtual_effects_more as more
 import virtual_sessions as days
+from arms import nominal
 from test_virtual_robots import CABLE
 from twins import hexapod
 from virtual_cable import Line, WoundCable
@@ -113,7 +115,24 @@ def _measure_lines(robot: Any, places: vr.Array, at: Visit) -> Any:
     return (robot or _with_lines()).readings(places, at.time), places, None
 
 
+def _arm_readings(n: int, seed: int) -> vr.Array:
+    rng = np.random.default_rng([seed, 9])
+    return np.array(va.HOME["ur5"]) + rng.uniform(-0.9, 0.9, (n, 6))
+
+
+def _measure_arm(links: Any, reading: vr.Array, at: Visit) -> Any:
+    T = va.arm("ur5", 4, links=links).reached(reading, at.direction)
+    return reading, T[:, :3, 3], T[:, :3, :3]
+
+
 MACHINES = {
+    "arm": Machine(
+        lambda: nominal("ur5"),
+        vr.Noise(joint=10e-6, position=20e-6, orientation=50e-6),
+        0.6,
+        _arm_readings,
+        _measure_arm,
+    ),
     "delta": Machine(
         lambda: new_model("delta54"),
         vr.THESIS_NOISE,
@@ -328,6 +347,14 @@ EFFECTS = {
         ARMS,
         LOADS | PLACE | READING | {"direction"},
         frozenset({"direction"}),
+    ),
+    "own_weight_sag": Hidden(
+        "arm",
+        lambda s, rng: replace(va.UR5_LINKS, compliance=_positive(s, rng, 6)),
+        2e-5,
+        ARMS,
+        PLACE | READING,
+        PLACE | READING,
     ),
     "parallelogram_errors": Hidden(
         "simple delta",

@@ -53,6 +53,46 @@ class Play:
 
 
 @dataclass(frozen=True)
+class Links:
+    """What the links of an arm weigh, and how its joints yield to that.
+
+    Compliance (rad/(N m)) of every joint; mass (kg) of the link behind it, and its centre (m) in
+    the frame at the end of its row. A mass more is a tool, in the last frame.
+    """
+
+    compliance: tuple[float, ...]
+    mass: tuple[float, ...]
+    centre: tuple[tuple[float, float, float], ...]
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+
+    def turns(self, frames: list[Array]) -> Array:
+        """Angles (N, nq) by which the joints yield: compliance times z . sum of (c - o) x m g."""
+        found = np.zeros((len(frames[0]), len(self.compliance)))
+        for i, (mass, centre) in enumerate(zip(self.mass, self.centre, strict=True)):
+            here = frames[min(i + 1, len(self.compliance))]  # a tool is at the last
+            at = here[:, :3, :3] @ np.array(centre) + here[:, :3, 3]
+            for j in range(min(i + 1, len(self.compliance))):
+                turning = np.cross(at - frames[j][:, :3, 3], mass * np.array(self.gravity))
+                found[:, j] += np.sum(frames[j][:, :3, 2] * turning, axis=1)
+        return np.asarray(np.array(self.compliance) * found)
+
+
+# Masses and centres of the manufacturer's data sheet; 20, 6 and 11 kg per metre.
+UR5_LINKS = Links(
+    (1e-5, 2e-5, 3e-5, 5e-5, 5e-5, 5e-5),
+    (3.7, 8.393, 2.275, 1.219, 1.219, 0.1879),
+    (
+        (0.0, -0.02561, 0.00193),
+        (0.2125, 0.0, 0.11336),
+        (0.15, 0.0, 0.0265),
+        (0.0, -0.0018, 0.01634),
+        (0.0, 0.0018, 0.01634),
+        (0.0, 0.0, -0.001159),
+    ),
+)
+
+
+@dataclass(frozen=True)
 class Arm:
     """An arm of turning joints: its rows off nominal, and what its joints hide."""
 
@@ -60,20 +100,30 @@ class Arm:
     home: tuple[float, ...]
     wrong: Array  # (n, 4): of theta (rad), d, a (m), alpha (rad)
     hidden: tuple[Play, ...] = field(default=())
+    links: Links | None = None  # None: weightless
 
     def matrix(self, q: Array) -> Array:
         """{P} in {B} (N, 4, 4) at the joints' true angles."""
-        T = np.broadcast_to(np.eye(4), (len(q), 4, 4))
+        return self.frames(q)[-1]
+
+    def frames(self, q: Array) -> list[Array]:
+        """{B} and the frame at the end of every row, in {B}, (N, 4, 4) each."""
+        T = [np.broadcast_to(np.eye(4), (len(q), 4, 4))]
         for k, (a, d, alpha) in enumerate(self.rows):
             theta, along, across, twist = self.wrong[k]
-            T = T @ _dh(q[:, k] + theta, d + along, a + across, alpha + twist)
-        return np.asarray(T)
+            T.append(T[-1] @ _dh(q[:, k] + theta, d + along, a + across, alpha + twist))
+        return T
 
     def reached(self, reading: Array, direction: Array) -> Array:
         """{P} in {B} (N, 4, 4) where the encoders read this, each joint come from its side."""
         q = reading.copy()
         for play in self.hidden:
             q[:, play.joint] += play.added(reading[:, play.joint], direction[:, play.joint])
+        if self.links is None:
+            return self.matrix(q)
+        straight = q
+        for _ in range(4):  # fixed point: the load depends on how far the joints yield
+            q = straight + self.links.turns(self.frames(q))
         return self.matrix(q)
 
 
@@ -90,12 +140,17 @@ def _dh(theta: Array, d: float, a: float, alpha: float) -> Array:
 
 
 def arm(
-    kind: str, seed: int = 0, length: float = 0.4e-3, angle: float = 2e-3, hidden: tuple = ()
+    kind: str,
+    seed: int = 0,
+    length: float = 0.4e-3,
+    angle: float = 2e-3,
+    hidden: tuple = (),
+    links: Links | None = None,
 ) -> Arm:
     """A `ur5` or a `wam` whose rows are off by these (1 sigma, m and rad)."""
     rows = {"ur5": UR5, "wam": WAM}[kind]
     wrong = np.random.default_rng([seed, len(rows)]).standard_normal((len(rows), 4))
-    return Arm(rows, HOME[kind], wrong * [angle, length, length, angle], tuple(hidden))
+    return Arm(rows, HOME[kind], wrong * [angle, length, length, angle], tuple(hidden), links)
 
 
 @dataclass(frozen=True)

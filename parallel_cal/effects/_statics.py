@@ -28,6 +28,23 @@ def joint_forces(seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Any:
     return _forces(seen.with_q(q), q, seen.q, e, at, mechanism)
 
 
+def own_weight_torques(seen: Seen, mechanism: Mechanism, tool: Any = 0.0) -> Any:
+    """Return the torque of the links' weight on each joint of a chain along its reading, divided by
+    the weight of a metre of link (n_joints, 1): m^2.
+
+    All links weigh the same per metre. The tool, at the end of the last link, weighs as much as
+    `tool` (m) of link. The joints alone carry the weights, so their torques are the derivatives of
+    the work of gravity.
+    """
+    q, down = ca.SX.sym("q", len(mechanism.joints)), ca.DM(mechanism.gravity)
+    spans = mechanism.spans(q, seen.p)
+    moment = sum((length * (foot + head) / 2 for length, foot, head in spans), ca.SX.zeros(3))
+    if spans:
+        moment += tool * spans[-1][2]
+    work = ca.dot(down / ca.norm_2(down), moment)
+    return ca.substitute(ca.jacobian(work, q).T, q, seen.q)
+
+
 def rod_forces(seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Any:
     """Return the tension of each rod under the weights (n_rods, 1), N; compression is negative."""
     names, by_length = rods(mechanism)
@@ -68,6 +85,14 @@ def estimate_joint_loads(mechanism: Mechanism) -> tuple[float, ...]:
     return _estimate_loads(m, m.gravity, m.home, m.parameters)
 
 
+def find_self_loaded_joints(mechanism: Mechanism) -> list[str]:
+    """Return the revolute joints of a chain that carry weight of its own links."""
+    m = mechanism
+    loads = _estimate_own_loads(m, m.gravity, m.home, m.parameters)
+    joints = zip(m.joints, m.joint_units, loads, strict=True)
+    return [joint for joint, unit, load in joints if unit == "rad" and load > MIN_WEIGHT_FORCE]
+
+
 def needs_weight(mechanism: Mechanism) -> str:
     """Return why an effect of the payload's weight does not apply; empty if it does."""
     if len(mechanism.joints) > len(mechanism.moves):
@@ -93,13 +118,33 @@ def _estimate_loads(
 
     What a model file sets is passed as an argument, so that the cache stays valid.
     """
-    n, kinds, p = len(home.joints), masses(mechanism), Named(table.names, ca.SX(table.nominal))
+    n, kinds, p = len(home.joints), masses(mechanism), _nominal(table)
     q = ca.SX(home.joints + mechanism.length * np.arange(1, n + 1) / (10 * n))
     r, R = mechanism.start(q, p)
     e = Named([kind.name for kind in kinds], ca.SX.zeros(len(kinds)))
     at = Named([PAYLOAD], ca.SX(1))
     forces = ca.DM(joint_forces(Seen(q, ca.SX(r), ca.SX(R), p), e, at, mechanism))
     return tuple(float(forces[i]) for i in range(n))
+
+
+@lru_cache(maxsize=64)
+def _estimate_own_loads(
+    mechanism: Mechanism, gravity: tuple[float, ...], home: Home, table: ParameterTable
+) -> tuple[float, ...]:
+    """Return the largest torque on each joint, as of `own_weight_torques`, at some poses.
+
+    The arguments keep the cache valid, as in `_estimate_loads`.
+    """
+    q, p = ca.SX.sym("q", len(home.joints)), _nominal(table)
+    torques = own_weight_torques(Seen(q, ca.SX(home.position), ca.SX.eye(3), p), mechanism)
+    evaluate = ca.Function("torques", [q], [torques])
+    around = np.random.default_rng(0).uniform(-1.0, 1.0, (20, len(home.joints)))
+    found = [np.array(evaluate(home.joints + turned)).ravel() for turned in around]
+    return tuple(np.abs(found).max(axis=0).tolist())
+
+
+def _nominal(table: ParameterTable) -> Named:
+    return Named(table.names, ca.SX(table.nominal))
 
 
 def _forces(loose: Seen, u: Any, given: Any, e: Named, at: Named, mechanism: Mechanism) -> Any:

@@ -28,7 +28,7 @@ class BaseCompliance(Effect):
     physics = "A light base or stand tilts towards the side to which the robot moves its weight."
     remedy = "bolt the base to something heavier, or move with lower acceleration"
     source = "10 kg on a stand of 1e-7..1e-5 rad/(N m): 1e-5..1e-3 rad/m"
-    lookalikes = ("device_field", "device_axes", "payload_sag")
+    lookalikes = ("device_field", "device_axes", "payload_sag", "own_weight_sag")
     separated_by = "a second target on the base, measured at every pose"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:

@@ -31,7 +31,7 @@ class JointCompliance(Effect):
         "reduces the error"
     )
     source = "harmonic drives 1e-5..1e-4 rad/Nm, belts and thin shafts to 1e-3; screws 1e-8 m/N"
-    lookalikes = ("rod_compliance", "payload_sag", "ball_joint_clearance")
+    lookalikes = ("rod_compliance", "payload_sag", "ball_joint_clearance", "own_weight_sag")
     separated_by = "several payloads in poses all over the workspace, including its edges"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:

@@ -45,6 +45,11 @@ class Link:
     nominal: Mapping[str, float]
     limits: tuple[float, float]
 
+    @property
+    def length(self) -> float:
+        """Nominal distance from its frame to the next (m), with a prismatic joint at zero."""
+        return float(np.linalg.norm([self.nominal[key] for key in ("a", "b", "d")]))
+
     def transform(self, q: Any, p: Named) -> tuple[Any, Any]:
         """Compute rotation and translation of eq. 3.6: Rz(theta) Tz(d) Tx(a) Rx(alpha) Ry(beta).
 
@@ -108,10 +113,7 @@ class Serial(Mechanism):
         x, y, z = np.array(position).ravel().tolist()
         a, b, c, w = matrix_to_quaternion(np.array(rotation)).tolist()
         self.home = Home(tuple(float(q) for q in at), (x, y, z), (a, b, c, w))
-        lengths = [
-            np.hypot(k.nominal["a"], np.hypot(k.nominal["b"], k.nominal["d"])) for k in self.links
-        ]
-        reach = max(float(sum(lengths)), 0.1)
+        reach = max(sum(link.length for link in self.links), 0.1)
         self.length = 0.3 * reach
         # A tenth of the reach around home's position, MAX_TURN around its orientation
         centre = np.array([*self.home.position, *self.home.rotation_vector])[self.controlled]
@@ -156,12 +158,24 @@ class Serial(Mechanism):
 
     def pose(self, q: Any, p: Named) -> tuple[Any, Any]:
         """Compute position and rotation of {P} in {B}: the product of the links (eq. 3.7)."""
+        return self.frames(q, p)[-1]
+
+    def frames(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
+        """Compute position and rotation in {B} of the frame of every link, and of {P}."""
         position, rotation, used = ca.DM.zeros(3), ca.DM.eye(3), 0
+        frames = [(position, rotation)]
         for link in self.links:
             turn, shift = link.transform(q[used] if link.joint else 0, p)
             position, rotation = position + rotation @ shift, rotation @ turn
+            frames.append((position, rotation))
             used += 1 if link.joint else 0
-        return position, rotation
+        return frames
+
+    def spans(self, q: Any, p: Named) -> list[tuple[float, Any, Any]]:
+        """Return length and ends of every link: the origins of its frame and of the next."""
+        origins = [position for position, _ in self.frames(q, p)]
+        pairs = zip(self.links, origins[:-1], origins[1:], strict=True)
+        return [(link.length, foot, head) for link, foot, head in pairs]
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
         """Evaluate the arm: this solves its direct problem."""

@@ -254,6 +254,11 @@ class Mechanism(ABC):
         """Return centres of mass in {B}, (3, 1) m each, of the links of each kind in `parts`."""
         return {}
 
+    def spans(self, q: Any, p: Named) -> list[tuple[float, Any, Any]]:
+        """Return the nominal length (m) and both ends in {B}, (3, 1) m each, of every link of a
+        chain whose joints alone carry it, from base to platform; empty for other mechanisms."""
+        return []
+
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
         """Return the lines that draw the mechanism at (q, r, R), with points as CasADi columns."""
         return []
