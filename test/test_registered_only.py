@@ -167,6 +167,18 @@ def test_a_fit_that_leaves_the_robot_as_it_was_is_no_better_model():
     assert "so the fit did not change the robot" in acceptance(result).against
 
 
+def test_the_frame_moves_in_the_place_of_a_parameter_that_is_fixed_later():
+    """The first joint turns the whole arm, as a turn of the device does: no prediction changes."""
+    data = seen(va.session(va.arm("ur5", 1), 60, 0, va.FAR_AWAY))
+    known = fitted(nominal("ur5"), data)
+    model, zero = known.model, known.model.table.index_of("link1.theta")
+    assert known.result.free[zero]
+    values = np.where(np.arange(len(model.values)) == zero, 0.0, model.values)
+    again = fit(model.with_values(values), data, fix=["link1.theta"], hold_out=0)
+    assert again.estimate.chi2_per_dof == pytest.approx(known.result.estimate.chi2_per_dof)
+    assert again.free.sum() == known.result.free.sum()
+
+
 def test_a_fit_whose_error_is_half_of_the_motion_is_of_another_machine(arm_in_its_base):
     other = replace(arm_in_its_base, r=arm_in_its_base.r[::-1])
     result = fit(nominal("ur5"), other, fix=["*"], free=["link1.theta"])

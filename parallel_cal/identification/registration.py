@@ -223,17 +223,33 @@ def prepared_for_fit(
     """A registered model as the start of a fit: the frames are fitted together with the robot, and
     those of their parameters are free that are independent of the robot's.
 
-    A model that was not registered, and has no sensor that shows poses, is unchanged.
+    A model that was not registered, and has no sensor that shows poses, is unchanged. A model that
+    an earlier fit registered is unchanged, too, unless other parameters of the robot are free now:
+    if one that was free is fixed, the frame must be able to move in its place.
     """
-    if registration is None and not shows_pose(model):
+    refixed = registration is None and not shows_pose(model)
+    if refixed and not _are_others_free(model, options):
         return model, None
-    settled = _fit_frames(
-        model, observe(model, dataset, options.joint_sigma, options.insist), options
-    )
+    observations = observe(model, dataset, options.joint_sigma, options.insist)
+    if refixed:
+        if (there := DevicePoses.of(model, observations)) is None:
+            return model, None
+        own = np.array([there.is_free(name) for name in model.table.names])
+        model = replace(model, fixed=np.asarray(model.fixed) & ~own)
+    settled = _fit_frames(model, observations, options)
     if registration is None:
         return settled, None
     frame, why, told = registration.frame, registration.why, registration.told
     return settled, _registration(settled, frame, why, told)
+
+
+def _are_others_free(model: Model, options: FitOptions) -> bool:
+    """Whether an earlier fit registered the model, and other parameters of the robot are free now
+    than in the model."""
+    if options.refit or not any(entry.get("registered") for entry in model.history):
+        return False
+    free = free_mask(model, options.free, options.fix)
+    return bool(((free == model.fixed) & ~_placements(model)).any())
 
 
 def add_registration_warning(dataset: Dataset, registration: Registration | None) -> Dataset:

@@ -281,14 +281,21 @@ class Session(History):
         with more effects. The parameters that match a pattern of `nominal` first get their nominal
         values, and those named in `values` these values (SI units)."""
         fitting = {**self.state.fitting, **{key: to_json_value(v) for key, v in options.items()}}
+        before = self.state.fitting
+        # Of patterns, those that earlier steps did not have, if there are any.
+        chosen = {
+            key: [one for one in v if one not in before.get(key, ())] or list(v)
+            for key, v in options.items()
+            if isinstance(v, (list, tuple))
+        }
         words = [
-            f"{key} {', '.join(v) or 'none' if isinstance(v, (list, tuple)) else v}"
+            f"{key} {', '.join(chosen[key]) or 'none' if key in chosen else v}"
             for key, v in options.items()
             if v not in ([], ()) or len(options) == 1  # to free a parameter may empty `fix`
         ]
         measured = values or {}
         for names, at in ((list(nominal), "nominal"), (list(measured), "measured values")):
-            if names and names == list(options.get("fix", ())):
+            if names and names == chosen.get("fix"):
                 words = [f"{word} at {at}" if word.startswith("fix ") else word for word in words]
             elif names:
                 words.append(f"{', '.join(names)} at {at}")
