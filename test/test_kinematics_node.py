@@ -328,7 +328,7 @@ def test_under_load_every_answer_is_exactly_that_of_the_model_it_names(robot):
             shutil.copy(NOMINAL, robot.file)
             robot.wait_for_status("watch", True, nominal)
             assert robot.call(Trigger, "reload").success
-    assert len(hammer.answers) > 50
+        robot.client.wait(lambda: len(hammer.answers) > 50, "answers")
     for request, answer in hammer.answers:
         assert answer.message == ""
         kinematics = robot.known[answer.model_hash]
