@@ -175,27 +175,20 @@ def list_effect_variants(best: Trial, name: str) -> list[Trial]:
     if own is None:  # it widened the mechanism
         return [best]
     recorded = collect_recorded_values(fitted.dataset)
-    settings = [
-        {f"{name}.{key}": value for key, value in one.items()}
+    scanned = [
+        model.with_settings(name, one)
         for one in islice(own.scan(model.mechanism, recorded), MAX_RIVAL_SETTINGS + 1)
     ]
-    others = [one for one in settings if not _has_setting(model, one)]
-    if len(settings) > MAX_RIVAL_SETTINGS or len(others) == len(settings):
+    others = [one for one in scanned if not np.allclose(one.values, model.values, atol=0)]
+    if len(scanned) > MAX_RIVAL_SETTINGS or len(others) == len(scanned):
         return [best]
-    refits = [refit for one in others if (refit := _refit_with_setting(best, one)) is not None]
+    refits = [refit for one in others if (refit := _refit(best, one)) is not None]
     return [best, *(refit for refit in refits if fits_as_well(best, refit))]
 
 
-def _has_setting(model: Model, setting: Mapping[str, float]) -> bool:
-    return all(np.isclose(model.value(name), value, atol=0) for name, value in setting.items())
-
-
-def _refit_with_setting(best: Trial, setting: Mapping[str, float]) -> Trial | None:
-    """Refit a model with other values of fixed parameters; None if no fit is plausible."""
-    fitted, values = best.fitted, best.fitted.model.values.copy()
-    for name, value in setting.items():
-        values[fitted.model.table.index_of(name)] = value
-    model, options = fitted.model.with_values(values), replace(fitted.options, hold_out=0.0)
+def _refit(best: Trial, model: Model) -> Trial | None:
+    """Refit a model with other settings to the same samples; None if no fit is plausible."""
+    fitted, options = best.fitted, replace(best.fitted.options, hold_out=0.0)
     try:
         refit = fit_unjudged(model, fitted.dataset, options, noise=fitted.observations)
     except (FitError, ModelError):

@@ -192,6 +192,11 @@ def fits_of(model: Model, dataset: Dataset) -> Iterator[Mapping[str, Any]]:
             yield entry
 
 
+def was_fitted(model: Model) -> bool:
+    """Whether a model's history contains a fit to samples."""
+    return any("dataset" in entry for entry in model.history)
+
+
 def last_fit_to(model: Model, dataset: Dataset) -> Mapping[str, Any] | None:
     """The last fit in a model's history if it used these samples, whichever of them it excluded."""
     fits = (entry for entry in reversed(model.history) if "dataset" in entry)

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.predictions import condition_columns
@@ -16,7 +15,7 @@ from parallel_cal.identification.thresholds import RELATIVE_RANK
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.solutions import Solutions
 from parallel_cal.model.effect import CONDITIONS
-from parallel_cal.model.mechanism import POSE, Mechanism
+from parallel_cal.model.mechanism import POSE
 from parallel_cal.model.model import Model
 
 MIN_SHAPE_POSES = 4  # with fewer, frames absorb everything
@@ -112,7 +111,8 @@ def _describe_validity(*models: Model, recorded: Sequence[str] = ()) -> str:
     m, parts = models[0].mechanism, []
     if set(POSE[3:]) & set(m.controls):
         middle = np.add(m.workspace.low, m.workspace.high) / 2
-        _, R = m.poses(np.array([middle, m.controlled_coordinates(*_home(m))[0]]))
+        home = np.array([*m.home.position, *m.home.rotation_vector])[m.controlled]
+        _, R = m.poses(np.array([middle, home]))
         at_home = np.allclose(R[0], R[1], rtol=0, atol=HOME_TOLERANCE)
         parts.append("in home orientation" if at_home else "in the workspace's middle orientation")
     kinds = list(dict.fromkeys(kind for model in models for kind in find_robot_conditions(model)))
@@ -131,11 +131,6 @@ def _describe_neutral(kind: str) -> str:
 
 def _join(names: Sequence[str]) -> str:
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
-
-
-def _home(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray]:
-    home = mechanism.home
-    return np.array([home.position]), rotation_matrix(np.array([home.rotation_vector]))
 
 
 def solve_middle_planes(model: Model) -> Solutions | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from html import escape
 
 from parallel_cal.diagnosis.verdict_words import VERDICT_LABELS
+from parallel_cal.identification.given_model import was_fitted
 from parallel_cal.reporting import figures
 from parallel_cal.reporting.blocks import Block
 from parallel_cal.reporting.error_steps import DOTTED, draw_steps
@@ -63,8 +64,7 @@ def numbers(report: Report) -> str:
     tiles = error_tiles(report.errors, report.diagnosis.effects, report.provenance.joint_units)
     errors, certified = report.errors, report.certified
     counts = describe_counts(errors.samples, errors.poses, True)
-    was_fitted = any("dataset" in entry for entry in report.diagnosis.model.history)
-    refitted = was_fitted and not certified.identified_here
+    refitted = was_fitted(report.diagnosis.model) and not certified.identified_here
     note = paragraph(
         f"Validation error: rms of the error's norm at {counts}, with its standard deviation. "
         "Noise floor: what a perfect model would show at these samples."

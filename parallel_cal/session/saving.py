@@ -21,7 +21,7 @@ from parallel_cal.diagnosis.verdict_words import describe_verdict
 from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.fit import FitResult, fit
 from parallel_cal.identification.fit_warnings import list_parameter_warnings
-from parallel_cal.identification.given_model import GivenModel, was_last_fitted_to
+from parallel_cal.identification.given_model import GivenModel, was_fitted, was_last_fitted_to
 from parallel_cal.identification.observations import blocks
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import (
@@ -282,22 +282,12 @@ class _Judged:
         """
         if not fitted_to_these:
             found = GivenModel.of(model, dataset, options.joint_sigma).errors
-            return cls(found, PERHAPS_USED if _fitted_datasets(model) else UNSEEN)
+            return cls(found, PERHAPS_USED if was_fitted(model) else UNSEEN)
         result: FitResult = fit(model, dataset, options)
         doubts = tuple(list_parameter_warnings(result.model, result.estimate, result.free))
         if result.held_out.summary.is_known:
             return cls(result.held_out, HELD_OUT, doubts)
         return cls(result.before, USED, doubts)
-
-
-def _fitted_datasets(model: Model) -> list[str]:
-    """Return the sha256 of the data of every fit in a model's history, in order."""
-    found = list[str]()
-    for entry in model.history:
-        data = entry.get("dataset")
-        each = data if isinstance(data, list) else [data]
-        found += [str(one.get("sha256", "")) for one in each if isinstance(one, dict)]
-    return found
 
 
 def _at_common_samples(one: Errors, other: Errors) -> tuple[Errors, Errors]:
