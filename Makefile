@@ -71,7 +71,7 @@ test: $(STAMP)
 # The same over more robots, effects and recordings, and whatever else takes its time.
 wide: $(STAMP)
 	@$(PYTEST) -n 2 -m "wide and not slow and not ros"
-	@$(BIN)/python -m pytest -q -m "wide and not slow and ros"
+	@$(PYTEST) -n 2 -m "wide and not slow and ros"
 
 slow: $(STAMP)
 	@$(BIN)/python -m pytest -q -m slow

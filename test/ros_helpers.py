@@ -9,6 +9,8 @@ from threading import Event, Thread
 
 from parallel_cal.nodes.client import Client, NodeError, Process
 
+LONG = 240.0  # s that anything may take on a busy machine
+
 
 class NodeProcess:
     """A node in a process of its own; ends by its id, and says how it ended."""
@@ -34,7 +36,7 @@ class NodeProcess:
         if self._process.poll():
             raise NodeError(f"{self.node} ended with {self._process.returncode}: {self.said}")
 
-    def ended(self, patience=60):
+    def ended(self, patience=LONG):
         """Its exit status once it ends by itself."""
         return self._process.wait(timeout=patience)
 
@@ -82,7 +84,7 @@ class Hammer:
 
     def __exit__(self, *_):
         self._stop.set()
-        self._thread.join(60)
+        self._thread.join(LONG)
         if self._error is not None:
             raise self._error
 

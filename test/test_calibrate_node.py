@@ -20,7 +20,7 @@ from parallel_cal_msgs.action import Calibrate
 from parallel_cal_msgs.msg import CalibrationStatus
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
-from ros_helpers import NodeProcess
+from ros_helpers import LONG, NodeProcess
 from std_srvs.srv import Trigger
 from waits import children, wait_until
 
@@ -140,7 +140,7 @@ def command(tmp_path):
 def test_ctrl_c_in_a_terminal_stops_the_robot_and_nothing_is_waited_for_in_vain(command):
     """It signals all of the terminal's processes; the nodes end when the robot has stopped."""
     os.killpg(command.pid, signal.SIGINT)
-    out, err = command.communicate(timeout=60)
+    out, err = command.communicate(timeout=LONG)
     assert command.returncode == 1
     assert out.startswith("ended: aborted on request; repeat the calibrate command to continue")
     assert "hidden effects: " not in out  # the campaign can be resumed

@@ -39,7 +39,7 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameterTypes, SetParameters
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.task import Future
-from ros_helpers import NodeProcess
+from ros_helpers import LONG, NodeProcess
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -623,7 +623,7 @@ def played(tmp_path, bag, by):
     replay = {"bag": str(bag), "rate": 50.0, "wait_for_subscribers": listeners}
     processes.append(Process("replay_node", tmp_path, namespace, **replay))
     client.wait(lambda: received(status[0]) >= sum(counts(bag)), "the bag", 120)
-    client.wait(lambda: status[0].samples == 94, "the samples", 60)
+    client.wait(lambda: status[0].samples == 94, "the samples", LONG)
     assert str(tmp_path / "j") in status[0].journal
     client.close()
     node._process.send_signal(by)
@@ -803,7 +803,7 @@ def test_a_constraint_session_gives_the_samples_of_its_bag_and_calibrates_the_ro
         )
     )
     joints = next(t.count for t in list_topics(bag)[0] if t.name.endswith("joint_states"))
-    client.wait(lambda: status[0].joint_states_received >= joints, "the bag", 60)
+    client.wait(lambda: status[0].joint_states_received >= joints, "the bag", LONG)
     client.wait(lambda: processes[1].status is not None, "the end of the replay")
     assert client.call(SaveSamples, "calibration_node/save_samples", path=str(saved)).samples == 60
     goal = {"hold_out": 0.25, "method": "implicit"}

@@ -20,7 +20,7 @@ pytest.importorskip("parallel_cal_msgs")
 from builtin_interfaces.msg import Duration, Time
 from campaign_cells import model_of
 from parallel_cal_msgs.action import Calibrate
-from ros_helpers import NodeProcess
+from ros_helpers import LONG, NodeProcess
 from sensor_msgs.msg import JointState
 from test_calibrate_node import ABORTED, Desk
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -102,10 +102,10 @@ def test_a_fault_stops_the_robot_and_is_reported(desk, fault):
     if fault in TOLD_BY_MODEL:
         desk.client.wait(lambda: np.isfinite(desk.status[0].error_unseen), "a judgement", 120)
         begun = desk.status[0].poses
-    desk.client.wait(lambda: desk.status[0].poses > begun + 1 or result.done(), "two poses", 60)
+    desk.client.wait(lambda: desk.status[0].poses > begun + 1 or result.done(), "two poses", LONG)
     desk.change(**{fault: value})
     try:
-        answer = desk.client.await_result(result, "the result", 60)
+        answer = desk.client.await_result(result, "the result", LONG)
         desk.client.wait(lambda: desk.status[0].state == "stopped", "word of it")
         passed(desk, 200)
         sent, held = len(desk.sent), until_rest(desk)

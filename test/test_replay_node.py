@@ -16,7 +16,7 @@ pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 import rclpy
 from geometry_msgs.msg import InertiaStamped, PoseWithCovarianceStamped
 from rclpy.qos import QoSProfile
-from ros_helpers import NodeProcess
+from ros_helpers import LONG, NodeProcess
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
@@ -110,7 +110,7 @@ def test_every_message_arrives_in_order_with_its_own_stamp(client, tmp_path):
     poses = listen(client, PoseWithCovarianceStamped, "measured_pose")
     payload = listen(client, InertiaStamped, "payload", LATCHED)
     process = NodeProcess(NODE, tmp_path, client.namespace, str(BAG), "--rate", "30")
-    client.wait(lambda: len(joints) == COUNTS["joint_states"], "all joint states", 60)
+    client.wait(lambda: len(joints) == COUNTS["joint_states"], "all joint states", LONG)
     client.wait(lambda: len(poses) == COUNTS["measured_pose"], "all poses")
     assert process.ended() == 0
     assert len(payload) == 1
@@ -129,7 +129,7 @@ def test_it_waits_paused_and_plays_only_the_topics_named(client, tmp_path):
     assert client.call(SetBool, f"{NODE}/pause", data=True).success
     assert poses == []
     assert client.call(SetBool, f"{NODE}/pause", data=False).message == "running"
-    client.wait(lambda: len(poses) == COUNTS["measured_pose"], "all poses", 60)
+    client.wait(lambda: len(poses) == COUNTS["measured_pose"], "all poses", LONG)
     assert process.ended() == 0
     assert joints == []
 
