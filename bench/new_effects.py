@@ -182,6 +182,19 @@ class LinkArm:
 
 
 @dataclass(frozen=True)
+class HeavyLinks(vr.Effect):
+    """The links of a `LinkArm`, whose weight twists its joints."""
+
+    links: va.Links
+
+    def arm(self, reading: Any, robot: Any, at: vr.SampleConditions) -> Any:
+        angle = reading
+        for _ in range(4):  # fixed point: the load depends on how far the joints yield
+            angle = reading + self.links.turns(robot.parameters.frames(angle))
+        return angle
+
+
+@dataclass(frozen=True)
 class CableRobot(Robot):
     """Lines in m that hold a point; the anchors strayed by 5 mm, and `readings` draws places."""
 
@@ -425,6 +438,19 @@ def stiffening(size: float, rng: np.random.Generator, n: int) -> Any:
     return more.StiffeningGears(tuple(k1), tuple(k1**3 / torque**2))
 
 
+def sagging(size: float, rng: np.random.Generator, n: int) -> Any:
+    """The manufacturer's links of a UR5, half of the time with a tool; unequal per metre."""
+    own, tool = va.UR5_LINKS, rng.choice([0.0, 2.0])
+    return HeavyLinks(
+        replace(
+            own,
+            compliance=tuple(np.abs(some(size, rng, n))),
+            mass=(*own.mass, tool),
+            centre=(*own.centre, (0.0, 0.0, 0.08)),
+        )
+    )
+
+
 def beating(size: float, rng: np.random.Generator, n: int) -> Any:
     ratio = float(rng.choice([30, 50, 80, 100]))
     return more.BeatingGears(ratio, some(size, rng, n), phases(rng, n), phases(rng, n))
@@ -518,6 +544,7 @@ KINDS = {
         "joint_compliance",
         constants=lambda gears: {"torque": float(np.sqrt(gears.k1[0] ** 3 / gears.k3[0]))},
     ),
+    "heavy links": Kind(("own_weight_sag",), ("arm",), sagging, 1e-6),
     "beating gears": Kind(
         ("strain_wave_ripple",),
         ("delta", "lifting arm"),

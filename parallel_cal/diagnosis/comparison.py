@@ -281,8 +281,8 @@ def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) ->
     dataset = add_registration_warning(given.dataset, given.registration)
     if other := explain_other_configuration(model, dataset.configuration, dataset.source):
         dataset = replace(dataset, warnings=(*dataset.warnings, other))
-    if given.observations.doubts:
-        dataset = replace(dataset, warnings=(*dataset.warnings, given.observations.doubts))
+    doubts = filter(None, (given.observations.doubts, given.doubted_columns))
+    dataset = replace(dataset, warnings=(*dataset.warnings, *doubts))
     if region := IdentifiedRegion.of_model(model):
         joints = given.observations.x[:, : len(model.joints)]
         place = predict_positions(given.model, given.observations)

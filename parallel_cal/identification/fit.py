@@ -672,11 +672,11 @@ def fit_unjudged(
         dataset=dataset,
         warnings=(
             *dataset.warnings,
-            *(
-                [f"{observations.doubts}: accepted because of --force (in Python: insist)"]
-                if observations.doubts
-                else ()
-            ),
+            *[
+                f"{doubts}: accepted because of --force (in Python: insist)"
+                for doubts in (observations.doubts, given.doubted_columns)
+                if doubts
+            ],
             *describe_by_effect(unusual.values()).values(),
             *insisted,
             *([] if scaled is None else [str(scaled)]),

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import FitError
+from parallel_cal.identification.column_doubts import doubt_columns
 from parallel_cal.identification.image_poses import measure_image_noise
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.placement import place_sensors
@@ -48,6 +49,7 @@ class GivenModel:
     if another fit of the same samples has computed them. If a sensor `lacked_start` values, the
     given model had no errors, and `unregistered` contains values that the samples gave.
     `unregistered_observations` are the samples as `unregistered` sees them, if they were made.
+    `doubted_columns` says which other joint readings would fit, if the caller insisted on these.
     """
 
     unregistered: Model
@@ -59,6 +61,7 @@ class GivenModel:
     known_held_out: Errors | None = None
     lacked_start: bool = False
     unregistered_observations: Observations | None = None
+    doubted_columns: str = ""
 
     @classmethod
     def of(
@@ -71,7 +74,8 @@ class GivenModel:
         """Register the model if the samples allow it; `insist` accepts implausible readings.
 
         Several recordings are first brought into the frame of one device. FitError for samples
-        that were imported with another configuration, unless insisted.
+        that were imported with another configuration or have readings in the wrong columns, unless
+        insisted.
         """
         other = explain_other_configuration(model, dataset.configuration, dataset.source)
         if other and not insist:
@@ -84,6 +88,9 @@ class GivenModel:
             model = place_sensors(model, observe(model, dataset, joint_sigma, insist), insist)
         observations = observe(model, dataset, joint_sigma, insist)
         there = DevicePoses.of(model, observations)
+        doubts = doubt_columns(model, observations, there, dataset.source)
+        if doubts and not insist:
+            raise FitError(doubts)
         placed, registration = register_observed(model, dataset.frame, observations, there)
         if registration is None and (has_stations(model) or is_registrable(model, there)):
             placed = place_frames(model, observations, there) or model
@@ -96,6 +103,7 @@ class GivenModel:
             registration,
             lacked_start=started,
             unregistered_observations=observations,
+            doubted_columns=doubts,
         )
 
     def with_dataset(self, dataset: Dataset) -> GivenModel:

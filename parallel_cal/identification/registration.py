@@ -285,11 +285,16 @@ class DevicePoses:
     expected: Array  # rms (2,) of position and `length` times orientation that tolerances allow
 
     @classmethod
-    def of(cls, model: Model, observations: Observations) -> DevicePoses | None:
-        """None if too little was measured, or the model moves nothing that was measured."""
+    def of(
+        cls, model: Model, observations: Observations, quick: bool = False
+    ) -> DevicePoses | None:
+        """None if too little was measured, or the model moves nothing that was measured. If
+        `quick`, poses that are not found at once count as not measured."""
         n, m = len(model.joints), model.mechanism
         seen = Configuration.from_rows(observations.x)
-        reached = Kinematics(model).direct(seen.q, condition_columns(model, observations))
+        reached = Kinematics(model, quick=quick).direct(
+            seen.q, condition_columns(model, observations)
+        )
         solved = reached.solved
         moves = [any(i in m.moved for i in part) for part in (range(3), range(3, 6))]
         placed = solved & observations.measured[:, n : n + 3].all(axis=1) & moves[0]
@@ -360,7 +365,7 @@ class DevicePoses:
         workshop would call aligned; this does not depend on tolerances. An `identified` robot has
         no errors of its own that resemble frames, so the limit of alignment does not apply to it.
         """
-        before, after = self._compute_median_errors(self.now), self._compute_median_errors(found)
+        before, after = self.compute_median_errors(self.now), self.compute_median_errors(found)
         off = before > MIN_UNREGISTERED_ERROR_RATIO * self.expected
         if (off & (before > MIN_EXPLAINED_ERROR_RATIO * after)).any():
             return True
@@ -453,7 +458,7 @@ class DevicePoses:
     def _used(self) -> Array:
         return np.asarray(self.placed | self.turned)
 
-    def _compute_median_errors(self, frames: Frames) -> Array:
+    def compute_median_errors(self, frames: Frames) -> Array:
         """Median (2,) of position, and of length times orientation; 0 where not measured."""
         sizes = np.linalg.norm(self._residual(frames).reshape(-1, 2, 3), axis=2)
         masks = (self.placed, self.turned)

@@ -83,6 +83,15 @@ MAX_CLOSED_RESIDUAL_M = 1e-11  # m: residual of a pose that counts as consistent
 PART_OF_TRAVEL = 0.15  # of each joint's range, to both sides of home
 FRAME_UNIT = 1e-3  # m, and rad at the mechanism's length: what a frame's error is counted in
 
+# Joint readings from exchanged columns or of the other sign
+MAX_GUESS_SAMPLES = 30
+MAX_JOINTS_OF_ANY_SIGN = 6  # every combination of signs is tried
+MAX_JOINTS_IN_ANY_ORDER = 4  # every order is tried
+MAX_GUESSES_REFINED = 8  # of which the frames of the device are found exactly
+MIN_REACHED_SHARE = 0.9  # of the poses, which the robot must reach
+MIN_GUESS_ERROR_RATIO = 5.0  # of the errors with the given and with other readings
+SAME_GUESS_ERROR_RATIO = 1.5  # of the errors of two guesses between which the poses do not decide
+
 # Registration of a device
 # times the pose error that tolerances explain, and times the error after registration
 MIN_UNREGISTERED_ERROR_RATIO = 3.0
