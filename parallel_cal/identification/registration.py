@@ -225,7 +225,8 @@ def prepared_for_fit(
 
     A model that was not registered, and has no sensor that shows poses, is unchanged. A model that
     an earlier fit registered is unchanged, too, unless other parameters of the robot are free now:
-    if one that was free is fixed, the frame must be able to move in its place.
+    if one that was free is fixed, the frame must be able to move in its place. If an effect is new,
+    the frame stands where the lack of this effect has moved it.
     """
     refixed = registration is None and not shows_pose(model)
     if refixed and not _are_others_free(model, options):
@@ -245,9 +246,11 @@ def prepared_for_fit(
 
 def _are_others_free(model: Model, options: FitOptions) -> bool:
     """Whether an earlier fit registered the model, and other parameters of the robot are free now
-    than in the model."""
+    than in that fit."""
     if options.refit or not any(entry.get("registered") for entry in model.history):
         return False
+    if model.covariance is None:  # effects were added or removed since
+        return True
     free = free_mask(model, options.free, options.fix)
     return bool(((free == model.fixed) & ~_placements(model)).any())
 
