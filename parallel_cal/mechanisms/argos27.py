@@ -83,6 +83,18 @@ class Argos27(Argos):
 
     Its axes need not meet in one point, so the centre of the platform moves a little.
 
+    A pantograph keeps its ball b on a circle about c with the unit normal u. Each chain gives two
+    equations, `u . (r + R b - c) = 0` and `|r + R b - c| = rho`. rho is the parameter `R` of the
+    chain. A parameter that a chain lacks is zero.
+
+    - `W = Rx(Omega)`, `S = W Rz(Phi)`: the motor axis passes through `W (dA, 0, dC)` and is
+      parallel to `S (1, 0, 0)`. The axis of motor 1 is the x axis of {B}. The z axis of {B} is the
+      common normal of the axes of motors 1 and 2.
+    - `Q = Rx(q + alpha0)`: the motor turns the pantograph, `u = S Q (cos gamma, sin gamma, 0)` and
+      `c = W (dA, 0, dC) + S Q (da, 0, dc) + dR u`.
+    - `b = radius Rx(omega) (cos phi, sin phi, 0)`, in {P}: ball 1 is on the x axis of {P}, and ball
+      2 in the plane of x and y.
+
     The option `radius` (m) is the distance of the balls from the origin of {P}, and the nominal
     value of the parameters `R`. The thesis states all lengths as multiples of it.
     """
