@@ -38,6 +38,11 @@ Each drawing shows the mechanism in its home configuration, computed from the eq
 are names of parameters. If chains are alike, each name is shown once. {B} is the base frame.
 `make gallery` writes this page.
 
+Some mechanisms state their equations. In these, r and R are the position and the rotation matrix of
+the platform frame {P} in {B}, and q is the reading of the joint. Rx, Ry and Rz turn about x, y and
+z by the right-hand rule. Other symbols are parameters of the chain or leg, without its name: `da`
+stands for `chain1.da`, `chain2.da` and `chain3.da`.
+
 | colour | part |
 |---|---|
 | blue | links that a motor moves |

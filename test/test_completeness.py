@@ -190,7 +190,7 @@ def test_a_robot_that_cannot_be_assembled_is_refused():
 def test_the_command_shows_a_mechanism_s_numbers_and_whether_they_are_complete(run_cli):
     shown = run_cli("mechanisms", "planar_stewart")
     assert shown.splitlines()[-1].endswith("any place of the frames of base and platform")
-    assert "pantograph's distance from the motor axis" in run_cli("mechanisms", "argos27")
+    assert "pantograph's shift along the motor axis" in run_cli("mechanisms", "argos27")
     given = json.loads(run_cli("mechanisms", "delta_nominal", "--json"))
     assert given["completeness"]["frames"] == 1
     assert given["completeness"]["rank"] == len(given["parameters"]) == 6

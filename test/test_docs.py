@@ -11,6 +11,7 @@ import shlex
 import shutil
 import sys
 from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
 from functools import cache
 from importlib.util import module_from_spec, spec_from_file_location
 from io import StringIO
@@ -23,6 +24,8 @@ import virtual_firmware
 import virtual_fleet
 import virtual_printer
 
+import parallel_cal as pc
+from parallel_cal.base.rotation import quaternion_to_matrix
 from parallel_cal.cli import main as cli
 
 ROOT = Path(__file__).parents[1]
@@ -140,6 +143,28 @@ def test_the_page_on_export_shows_what_its_commands_print(tmp_path):
     for name in ("bags", "config"):
         (tmp_path / name).symlink_to(ROOT / name)
     assert in_order("export.md", tmp_path) == 3
+
+
+def test_the_page_on_export_converts_poses_of_the_device(tmp_path, monkeypatch):
+    random = np.random.default_rng(2)
+    turns = [tuple(q / np.linalg.norm(q)) for q in random.normal(size=(2, 4))]
+    place = {"position": (1.0, -2.0, 0.5), "target_position": (0.01, 0.02, -0.03)}
+    place |= {"quaternion": turns[0], "target_quaternion": turns[1]}
+    model = pc.new_model("stewart42", sensors=[replace(pc.sensors.load("device_frame"), **place)])
+    own = [name.startswith("device_frame.") for name in model.table.names]
+    numbers = random.normal(size=len(own)) * model.table.tolerance
+    model = model.with_values(model.values + np.where(own, numbers, 0.0))
+    pc.write_model(model, tmp_path / "robot.yaml")
+    monkeypatch.chdir(tmp_path)
+    page = (ROOT / "docs" / "export.md").read_text(encoding="utf-8")
+    [block] = re.findall(r"^```python\n(.*?)^```$", page, flags=re.M | re.S)
+    exec(block, names := {})
+    at_device, turn = random.normal(size=3), random.normal(size=4)
+    shown = np.append(at_device, quaternion_to_matrix(turn / np.linalg.norm(turn)))
+    r, R = model.structure.to_base(shown[None], model.values)
+    found = names["to_base"](at_device, turn)
+    np.testing.assert_allclose(found[0], np.ravel(r), atol=1e-12)
+    np.testing.assert_allclose(found[1].ravel(), np.ravel(R), atol=1e-12)
 
 
 TUTORIALS = {

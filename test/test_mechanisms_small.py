@@ -234,6 +234,25 @@ def test_argos_27_closure_is_what_paper_and_pencil_say(changed):
     assert set(ARGOS_BY_HAND) - {"", "q"} == {n[7:] for n in model.table.names if "chain3" in n}
 
 
+def test_the_lengths_of_argos_27_act_where_their_descriptions_say():
+    labels = {p.name.partition(".")[2]: p.label for p in load_mechanism("argos27").parameters}
+    assert labels["da"] == "pantograph's shift along the motor axis"
+    assert labels["dc"] == "pantograph's distance from the motor axis"
+    assert labels["dR"] == "shift of the ball's circle along its normal"
+    assert labels["dA"] == "motor axis' shift along motor axis 1"
+    assert labels["dC"] == "motor axis' distance from motor axis 1"
+    q, drawn = np.array([0.3, -0.2, 0.5]), argos.Argos(argos.TABLE_5_21)
+    start, axis = drawn.hinges(q)
+    motor, one = drawn.motors.along, drawn.motors.along[0]
+    for name, along in [("da", motor[2]), ("dR", axis.along[2]), ("dA", one)]:
+        moved = argos.Argos({**argos.TABLE_5_21, f"chain3.{name}": 1e-3}).hinges(q)[0] - start
+        np.testing.assert_allclose(moved[2], 1e-3 * along, atol=1e-15)
+    for name, across in [("dc", motor[2]), ("dC", one)]:
+        moved = argos.Argos({**argos.TABLE_5_21, f"chain3.{name}": 1e-3}).hinges(q)[0] - start
+        assert np.linalg.norm(moved[2]) == pytest.approx(1e-3)
+        assert moved[2] @ across == pytest.approx(0, abs=1e-15)
+
+
 @pytest.mark.parametrize(("chain", "g1", "g2"), [(1, -2, 8.2), (2, -14, 5.3)])
 def test_argos_27_chains_with_fewer_parameters_lie_on_the_frames(chain, g1, g2):
     """Without Omega, omega, dA (chain 2) and Phi, phi, dC (chain 1): C = (4, 3, 7), (3, -4, 5)."""

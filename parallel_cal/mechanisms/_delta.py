@@ -15,7 +15,7 @@ Entry = tuple[str, float, float, str]
 # name: unit, nominal value (table 5.12), tolerance of a real robot (1 sigma), label.
 # In a chain's frame x points outwards, y up and z along the motor's axis (figure 3.9).
 POSITION = {
-    "D_x": ("m", 76 * MM, 1 * MM, "motor axis' distance from the centre"),
+    "D_x": ("m", 76 * MM, 1 * MM, "radius of the base minus that of the platform"),
     "D_y": ("m", -16.5 * MM, 1 * MM, "motor axis' height"),
     "D_z": ("m", 0.0, 1 * MM, "shift along the motor axis"),
     "theta": ("rad", 0.0, 0.5 * DEGREE, "chain's direction about z"),

@@ -29,13 +29,13 @@ LABELS = {
     "Phi": "motor axis' direction in the base plane",
     "omega": "ball's direction out of the platform plane",
     "phi": "ball's direction in the platform plane",
-    "dA": "motor axis' distance from the sphere's centre",
-    "dC": "motor axis' height over the sphere's centre",
-    "da": "pantograph's distance from the motor axis",
-    "dc": "pantograph's shift along the motor axis",
-    "gamma": "pantograph's angle to the motor axis",
-    "dR": "ball's shift along the pantograph",
-    "R": "ball's distance from the platform's centre",
+    "dA": "motor axis' shift along motor axis 1",
+    "dC": "motor axis' distance from motor axis 1",
+    "da": "pantograph's shift along the motor axis",
+    "dc": "pantograph's distance from the motor axis",
+    "gamma": "angle from the motor axis to the normal of the ball's circle",
+    "dR": "shift of the ball's circle along its normal",
+    "R": "radius of the ball's circle",
 }
 CHAIN = tuple(LABELS)
 
@@ -83,8 +83,20 @@ class Argos27(Argos):
 
     Its axes need not meet in one point, so the centre of the platform moves a little.
 
-    The option `radius` (m) is the distance of the balls from the centre. The thesis
-    states all lengths as multiples of it.
+    A pantograph keeps its ball b on a circle about c with the unit normal u. Each chain gives two
+    equations, `u . (r + R b - c) = 0` and `|r + R b - c| = rho`. rho is the parameter `R` of the
+    chain. A parameter that a chain lacks is zero.
+
+    - `W = Rx(Omega)`, `S = W Rz(Phi)`: the motor axis passes through `W (dA, 0, dC)` and is
+      parallel to `S (1, 0, 0)`. The axis of motor 1 is the x axis of {B}. The z axis of {B} is the
+      common normal of the axes of motors 1 and 2.
+    - `Q = Rx(q + alpha0)`: the motor turns the pantograph, `u = S Q (cos gamma, sin gamma, 0)` and
+      `c = W (dA, 0, dC) + S Q (da, 0, dc) + dR u`.
+    - `b = radius Rx(omega) (cos phi, sin phi, 0)`, in {P}: ball 1 is on the x axis of {P}, and ball
+      2 in the plane of x and y.
+
+    The option `radius` (m) is the distance of the balls from the origin of {P}, and the nominal
+    value of the parameters `R`. The thesis states all lengths as multiples of it.
     """
 
     moves = POSE

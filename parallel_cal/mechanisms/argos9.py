@@ -17,7 +17,11 @@ from parallel_cal.model.parameters import Named, ParameterTable
 class Argos9(Argos):
     """Argos as an ideal spherical robot, whose platform only rotates about a fixed centre.
 
-    Each motor turns a plane through this centre. One ball of the platform lies in each plane.
+    Each motor turns a plane through this centre. One ball of the platform lies in each plane:
+    `u . R b = 0`. A parameter that a chain lacks is zero.
+
+    - `u = Rx(Omega) Rz(Phi) Rx(q + alpha0) (0, 1, 0)` is the normal of the plane, in {B}.
+    - `b = Rx(omega) (cos phi, sin phi, 0)` is the direction of the ball, in {P}.
 
     The option `radius` (m) only multiplies the closure equations, so that their residuals are in
     metres. It does not change any pose. The conversion to `argos27` uses it.

@@ -50,6 +50,15 @@ class Delta54(Delta):
     """Delta robot with three arms and six rods, each with its own length and end points.
 
     Position and orientation of the platform vary.
+
+    A chain has two rods, s = 1 and s = -1. Each gives one equation, `|r + R B - C| = Lb + s dLb`,
+    with its end B on the platform (in {P}) and C on the arm (in {B}).
+
+    - `B = T (b + s d)` and `C = T (b + D) + M s d + M Rz(q) (La + s dC)`.
+    - `T = Rz(theta) Rx(alpha)` and `M = T Rx(dalpha) Ry(dbeta)`: x of the chain points outwards,
+      and z is parallel to the motor axis.
+    - b, D and dC are the vectors of the parameters `b_x, b_y, b_z` and so on.
+      `La = (La_x, La_y, 0)` and `d = (0, 0, d_z)`.
     """
 
     parameters = chain_parameters(GROUPS)

@@ -93,7 +93,7 @@ class Stewart42(Mechanism):
 
     Leg i connects the point B on the platform with the point C on the base (`legI.B_x`, `legI.C_x`,
     ...). The points B are stated in {P}, the frame of the platform, and the points C in {B}, the
-    frame of the base.
+    frame of the base. Each leg gives one equation, `|r + R B - C| = q + L0`.
 
     Options: `base` and `platform`, the six points C in {B} and B in {P}: (6, 3) in m, or a radius
     in m and six angles in degrees, such as `{radius: 0.25, angles: [-10, 10, 110, 130, 230, 250]}`
