@@ -458,6 +458,25 @@ def test_a_sample_counts_as_knocked_that_only_shows_once_a_large_effect_is_known
 
 
 @pytest.mark.wide
+def test_the_first_row_of_a_table_is_excluded_for_its_unknown_sides_and_nobody_is_blamed():
+    """Its joints count as in the middle of a backlash, which they never are."""
+    data, _ = hiding([vf.KINDS["backlash"]], 10.0, seed=40)
+    for joint in data.joint_names:
+        data.conditions[f"direction.{joint}"][0] = 0.0
+    found = diagnose(MODEL, data, effects=["backlash", "base_drift", "device_axes"])
+    assert found.effects == ("backlash",)
+    assert [one.sample for one in found.knocked] == [0]
+    assert "knocked" not in found.verdict.summary
+    assert found.verdict.summary.endswith(
+        "from which sides its joints came is not known, so exclude it"
+    )
+    assert found.next_steps[0] == "exclude sample 0 from each command: --data exclude=0"
+    step = add(MODEL, "backlash", data)
+    assert step.knocked == (0,)
+    assert "sample 0 (far from all others, and nothing is known of the sides" in show(step)
+
+
+@pytest.mark.wide
 def test_add_excludes_the_knocked_sample_that_the_verdict_excluded_and_says_so():
     data, _ = hiding([vf.KINDS["backlash"]], 0.8, seed=40)
     data.r[17] += 2e-3 * np.array([0.7, -0.5, 0.5])
@@ -468,7 +487,7 @@ def test_add_excludes_the_knocked_sample_that_the_verdict_excluded_and_says_so()
     assert step.model.values == pytest.approx(others.model.values, rel=1e-12)
     assert step.model.history[-1]["knocked"] == step.document()["knocked"] == [17]
     assert "knocked" not in others.model.history[-1]
-    assert "excluded from both fits: sample 17, far from all others" in show(step)
+    assert "excluded from both fits: sample 17 (far from all others, as if somebody" in show(step)
     assert any("excluded because it is far from all others" in w for w in step.warnings)
     with pytest.raises(FitError, match=r"with 'base_drift'.*\(judged without sample 17\)"):
         add(MODEL, "base_drift", data)

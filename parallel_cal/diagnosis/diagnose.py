@@ -38,9 +38,9 @@ from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.patterns import (
-    KNOCKED,
     OddSample,
     describe_knocked_samples,
+    explain_distance,
     odd_samples,
     set_knocked_samples_aside,
 )
@@ -180,7 +180,8 @@ class Diagnosis(ShownInNotebook):
             )
         discovers = [discover] if self.leaves_an_error else []
         checks = [
-            f"check sample {one.title}, or exclude it from each command: {exclude}"
+            f"{'' if one.sideless else f'check sample {one.title}, or '}exclude "
+            f"{f'sample {one.title}' if one.sideless else 'it'} from each command: {exclude}"
             for one in self.knocked
         ]
         steps = discovers + adds if self.verdict.suspected_of_law else adds + discovers
@@ -372,12 +373,16 @@ def _set_knocked_samples_aside(
     trials = [found.base, found.best] if found.effects else [found.base]
     aside = set_knocked_samples_aside(
         ((trial.scene, trial.fitted) for trial in trials),
-        lambda samples: without(samples, f"because it is {KNOCKED}"),
+        lambda samples: without(
+            samples, f"because it is {explain_distance(found.base.fitted.dataset, samples)}"
+        ),
         lambda others: others.best.fitted.model,
     )
-    if aside is None or aside[1].verdict.word in ("unexplained", "partly_explained"):
+    if aside is None:
         return found
     confirmed, others = aside
+    if others.verdict.word in ("unexplained", "partly_explained") and not others.unusual:
+        return found
     words = f"{others.verdict.summary.rstrip('.')}. {describe_knocked_samples(confirmed)}"
     verdict = replace(others.verdict, summary=words)
     numbers = {one.sample for one in confirmed}

@@ -30,10 +30,13 @@ from parallel_cal.diagnosis.thresholds import (
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.observations import conditions
 from parallel_cal.model.model import Model
+from parallel_cal.recordings.dataset import Dataset
 
 Fitted = TypeVar("Fitted")
 
 KNOCKED = "far from all others, as if somebody knocked the device"
+MIN_SHOWN_MM = 1e-9
+SIDELESS = "far from all others, and nothing is known of the sides from which its joints came"
 
 
 @dataclass(frozen=True)
@@ -129,7 +132,8 @@ class OddSample:
     `sigmas` is its rms residual in sigmas of the noise, as Scene.sigmas. `p_value` is the chance of
     one as large in a whole data set, if the noise is as large as the typical residual. `leverage`
     is the share of the geometry's freedoms that it alone decides; position_error (3,) in m;
-    `place` (3,) m where the model puts the platform. `time` is NaN if it was not recorded.
+    `place` (3,) m where the model puts the platform. `time` is NaN if it was not recorded. It is
+    `sideless` if other samples have sides from which their joints came, and it has none.
     """
 
     sample: int
@@ -142,6 +146,7 @@ class OddSample:
     position_error: np.ndarray
     place: np.ndarray
     name: str = ""
+    sideless: bool = False
 
     @property
     def title(self) -> str:
@@ -150,9 +155,11 @@ class OddSample:
 
     @property
     def size(self) -> str:
-        """Its residual in words: `19 sigmas of the noise, 0.324 mm`."""
+        """Its residual in words: `19 sigmas of the noise, 0.324 mm`; without a length where no
+        position was measured."""
         size = np.linalg.norm(self.position_error) / MM
-        return f"{self.sigmas:.0f} sigmas of the noise, {size:.3g} mm"
+        length = f", {size:.3g} mm" if size > MIN_SHOWN_MM else ""
+        return f"{self.sigmas:.0f} sigmas of the noise{length}"
 
     @property
     def label(self) -> str:
@@ -168,6 +175,7 @@ def odd_samples(scene: Scene, field: Field) -> tuple[OddSample, ...]:
     from scipy.special import chdtrc
 
     n, blocks = len(scene.model.joints), scene.by_sample(scene.residual)
+    sideless = find_sideless_samples(scene.dataset)
     k = max(1, round(scene.dof / max(len(blocks), 1)))
     squared = np.sum(blocks**2, axis=1)
     scale = np.median(squared) / max(k - 2 / 3, 0.3)  # median of a chi-square is about k - 2/3
@@ -186,12 +194,27 @@ def odd_samples(scene: Scene, field: Field) -> tuple[OddSample, ...]:
             position_error=field.pose[i, :3],
             place=scene.x[i, n : n + 3],
             name=scene.dataset.names.get(int(scene.dataset.numbers[i]), ""),
+            sideless=int(scene.dataset.numbers[i]) in sideless,
         )
         for i in np.flatnonzero(
             (p < OUTLIER_SIGNIFICANCE_LEVEL) | (cook > MIN_INFLUENTIAL_COOKS_DISTANCE)
         )
     ]
     return tuple(sorted(odd, key=lambda one: -one.sigmas))
+
+
+def find_sideless_samples(dataset: Dataset) -> set[int]:
+    """Return the numbers of the samples without sides, such as the first row of a table; none if
+    no sample has any."""
+    sides = [column for name, column in dataset.conditions.items() if name.startswith("direction.")]
+    if not np.any(sides):
+        return set()
+    return set(dataset.numbers[~np.any(sides, axis=0)].tolist())
+
+
+def explain_distance(dataset: Dataset, samples: Iterable[int]) -> str:
+    """Say why samples that are far from all others may be so."""
+    return SIDELESS if set(samples) <= find_sideless_samples(dataset) else KNOCKED
 
 
 def find_knocked_samples(scene: Scene) -> list[OddSample]:
@@ -243,9 +266,18 @@ def _find_still_far(knocked: Sequence[OddSample], base: FitResult, other: Model)
 
 def describe_knocked_samples(knocked: Sequence[OddSample]) -> str:
     """Name the samples that a verdict leaves out, to be put behind it."""
-    names = " and ".join(f"sample {one.title} ({one.size})" for one in knocked)
-    verb, them = ("are", "them") if len(knocked) > 1 else ("is", "it")
-    return (
-        f"Not used: {names}, which {verb} far from what all others show, as if somebody knocked "
-        f"the device. Check {them}, or exclude {them}"
-    )
+
+    def names(samples: Sequence[OddSample]) -> str:
+        return " and ".join(f"sample {one.title} ({one.size})" for one in samples)
+
+    sentences = []
+    if sideless := [one for one in knocked if one.sideless]:
+        each = "from which sides its joints came" if len(sideless) == 1 else "their sides"
+        sentences.append(f"Not used: {names(sideless)}: {each} is not known, so exclude it")
+    if others := [one for one in knocked if not one.sideless]:
+        verb, them = ("are", "them") if len(others) > 1 else ("is", "it")
+        sentences.append(
+            f"Not used: {names(others)}, which {verb} far from what all others show, as if "
+            f"somebody knocked the device. Check {them}, or exclude {them}"
+        )
+    return ". ".join(sentences)

@@ -75,7 +75,8 @@ def doubt_columns(
     """
     n = len(model.joints)
     if there is None:  # the robot cannot be there
-        far_off = np.count_nonzero(observations.measured[:, n:].any(axis=1)) >= MIN_SCALE_SAMPLES
+        shown = observations.measured[:, n:].any(axis=1)
+        far_off = bool(np.sum(shown) >= MIN_SCALE_SAMPLES)
     else:
         sizes = there.compute_median_errors(there.frames)
         far_off = bool((sizes > MIN_UNREGISTERED_ERROR_RATIO * there.expected).any())

@@ -79,8 +79,8 @@ def describe_step(step: Step) -> Iterator[Block]:
     yield from describe_fit(step.result, step.rival if step.name == "add" else None)
     if step.knocked:
         yield (
-            f"excluded from both fits: sample {', '.join(map(str, step.knocked))}, "
-            "far from all others as if somebody knocked the device"
+            f"excluded from both fits: sample {', '.join(map(str, step.knocked))} "
+            f"({step.result.dataset.excluded[step.knocked[0]].removeprefix('because it is ')})"
         )
     if shift := step.platform_shift:
         measured, anywhere, worth = (
