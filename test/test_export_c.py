@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
+from distant_poses import distant_poses
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.cli.main import main
@@ -73,8 +74,12 @@ def folder(name, poses=1000):
 
 
 @cache
-def library(name):
-    kept = folder(name).name
+def library(name, nominal=False):
+    if nominal:
+        kept = f"{folder('delta54').name}/nominal_{name}"
+        export(new_model(name), "c:poses=2", kept)
+    else:
+        kept = folder(name).name
     run([*STRICT, "-O1", "-fPIC", "-c", f"{name}.c", "-o", "robot.o"], kept)
     run(["gcc", "-shared", "robot.o", "-o", "robot.so", "-lm"], kept)
     return ctypes.CDLL(f"{kept}/robot.so")
@@ -239,8 +244,9 @@ def numbers(values):
 class Exported:
     """The functions of a library with arrays in and out."""
 
-    def __init__(self, name):
-        self.model, self._name, self._library = robot(name), name, library(name)
+    def __init__(self, name, nominal=False):
+        self.model = new_model(name) if nominal else robot(name)
+        self._name, self._library = name, library(name, nominal)
         self.kind = structure(self.model)
 
     def _call(self, function, *arguments):
@@ -626,6 +632,38 @@ def test_a_start_that_is_not_a_number_does_no_harm():
     status, answer = exported.direct(home, start=nothing)
     assert status == Status.CONVERGED
     np.testing.assert_allclose(answer.position[:], expected.position[:], atol=1e-10)
+
+
+@pytest.mark.parametrize("name", ["argos27", "delta54", "stewart42"])
+def test_an_answer_from_a_start_is_inside_the_limits_if_one_without_it_is(name):
+    exported = Exported(name, nominal=True)
+    kinematics = Kinematics(exported.model)
+    poses = distant_poses(kinematics, 1000)
+    starts, wanted = poses[:500], poses[500:]
+    expected = kinematics.inverse(wanted.position, wanted.rotation, start=starts)
+    for start, pose, joints in zip(starts, wanted, expected.joints, strict=True):
+        flat = (start.joints, start.position, start.rotation.ravel())
+        begin = exported.kind(*(tuple(part.tolist()) for part in flat))
+        given = pose.position, pose.rotation
+        status, answer = exported.inverse(*given, start=begin)
+        assert status == Status.CONVERGED
+        np.testing.assert_allclose(answer.joints[:], joints, rtol=0, atol=1e-12)
+        # Newton's method alone converges from the start or without it.
+        assert exported.capped("inverse", 0, *given, start=begin)[0] == Status.CONVERGED
+
+
+def test_a_start_that_leads_outside_the_limits_yields_to_the_solution_inside():
+    exported = Exported("argos27", nominal=True)
+    _, start = exported.direct([0.5191, -0.7350, -0.3644])
+    _, wanted = exported.direct([-0.6889, -0.0841, -0.4883])
+    status, answer = exported.inverse(wanted.position, wanted.rotation, start=start)
+    assert status == Status.CONVERGED
+    np.testing.assert_allclose(answer.joints[:], [-0.6889, -0.0841, -0.4883], atol=1e-12)
+    # Joint 1 of a start far outside: the answer from there is kept only if no other is inside.
+    beyond = Kinematics(exported.model).direct([1.5, 0.0, 0.0])
+    assert exported.inverse(beyond.position, beyond.rotation, start=start)[0] == (
+        Status.OUTSIDE_LIMITS
+    )
 
 
 def test_targets_out_of_reach_are_a_status():

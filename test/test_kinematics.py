@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from datasets import measured
+from distant_poses import distant_poses
 
 from parallel_cal.base.errors import ModelError, SolveError
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
 from parallel_cal.identification.fit import fit
 from parallel_cal.kinematics.all_solutions import inverse_all
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
+from parallel_cal.kinematics.solutions import make_unsolved, stack_solutions
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
 from parallel_cal.virtual import robot as vr
@@ -86,9 +88,56 @@ def test_fk_and_ik_are_other_names_of_direct_and_inverse(mock_up):
 def test_a_start_keeps_its_assembly_mode(mock_up):
     everything = inverse_all(mock_up.model, [0.01, 0.02, 0.2])
     other = everything[len(everything) - 1]
-    moved = mock_up.inverse([0.011, 0.02, 0.2], start=other)
+    moved = mock_up.inverse([0.011, 0.02, 0.2], start=other, keep_branch=True)
     assert np.abs(moved.joints - other.joints).max() < 0.05
     assert np.abs(moved.joints - mock_up.inverse([0.011, 0.02, 0.2]).joints).max() > 0.1
+
+
+def test_a_start_that_leads_outside_the_limits_yields_to_the_solution_inside():
+    """From there, Newton's method takes joint 1 half a turn beyond the nearest solution."""
+    kinematics = Kinematics(new_model("argos27"))
+    start = kinematics.direct([0.5191, -0.7350, -0.3644])
+    wanted = kinematics.direct([-0.6889, -0.0841, -0.4883])
+    found = kinematics.inverse(wanted.position, wanted.rotation, start=start)
+    assert found.status == Status.CONVERGED
+    assert found.joints == pytest.approx(wanted.joints, abs=1e-12)
+    kept = kinematics.inverse(wanted.position, wanted.rotation, start=start, keep_branch=True)
+    assert kept.status == Status.OUTSIDE_LIMITS
+    assert kept.joints == pytest.approx([2.45269265, -0.0841, -0.4883], abs=1e-8)
+    onward = kinematics.inverse(wanted.position, wanted.rotation, start=kept)
+    assert onward.joints == pytest.approx(wanted.joints, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["argos27", "delta54", "stewart42"])
+def test_an_answer_from_a_start_is_inside_the_limits_if_one_without_it_is(name):
+    kinematics = Kinematics(new_model(name))
+    poses = distant_poses(kinematics, 1000)
+    start, r, R = poses[:500], poses.position[500:], poses.rotation[500:]
+    cold, warm = kinematics.inverse(r, R), kinematics.inverse(r, R, start=start)
+    assert warm.ok[cold.ok].all()
+    kept = kinematics.inverse(r, R, start=start, keep_branch=True)
+    assert kept.ok.all() == (name != "argos27")
+    for ok, same in ((kept.ok, kept), (warm.ok & ~kept.ok, cold)):
+        assert np.array_equal(warm.configuration.rows[ok], same.configuration.rows[ok])
+    lost = ~warm.ok
+    assert np.array_equal(warm.configuration.rows[lost], kept.configuration.rows[lost])
+    assert np.array_equal(warm.status[lost], kept.status[lost])
+
+
+def test_a_start_that_does_not_converge_yields_to_the_solution_without_it():
+    model = new_model("argos27").with_effect("backlash")
+    rng = np.random.default_rng(1)
+    q, direction = rng.uniform(-0.7, 0.7, (2, 40, 3)).round(3)
+    at = {f"direction.{joint}": np.sign(direction[:, i]) for i, joint in enumerate(model.joints)}
+    kinematics = Kinematics(model, quick=True)
+    pose, nowhere = kinematics.direct(q, at), stack_solutions([make_unsolved(model)] * 40)
+    lost = kinematics.inverse(pose.position, pose.rotation, at, nowhere, keep_branch=True)
+    assert (lost.status == Status.NOT_CONVERGED).all()
+    for start in (nowhere, pose[::-1]):
+        found = kinematics.inverse(pose.position, pose.rotation, at, start)
+        assert found.ok.all()
+        assert found.joints == pytest.approx(q, abs=1e-10)
+    assert kinematics.direct(q, at, nowhere).position == pytest.approx(pose.position, abs=1e-12)
 
 
 def test_pose_covariance_is_the_spread_of_answers_over_parameter_draws(mock_up):

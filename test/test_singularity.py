@@ -78,7 +78,7 @@ def test_an_elbow_the_other_way_stays_the_other_way(mock_up):
     points = np.linspace([0, 0, 0.2], [0.03, 0.02, 0.22], 20)
     moved = elbow
     for point in points:
-        moved = mock_up.inverse(point, elbow.rotation, start=moved)
+        moved = mock_up.inverse(point, elbow.rotation, start=moved, keep_branch=True)
     assert np.abs(moved.joints - elbow.joints).max() < 0.6
     assert np.abs(moved.joints - mock_up.inverse(points[-1]).joints).max() > 0.5
 

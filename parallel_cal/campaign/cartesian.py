@@ -199,7 +199,7 @@ def _follow(
     """Solve poses in their order; each begins at the one before and so stays on its branch."""
     found = []
     for position, rotation in zip(r, R, strict=True):
-        last = kinematics.inverse(position, rotation, at, start=last)
+        last = kinematics.inverse(position, rotation, at, start=last, keep_branch=True)
         found.append(last)
     return Solutions(
         np.array([one.joints for one in found]),

@@ -237,7 +237,8 @@ def _compute_joint_errors(
     position, turned = model.structure.to_base(at_target[:, n:], model.values)
     at = condition_columns(model, read)
     # Search in the measured assembly mode: an arm's wrist may be flipped relative to home.
-    found = kinematics.inverse(position, turned.reshape(-1, 3, 3), at, reached[given])
+    turned = turned.reshape(-1, 3, 3)
+    found = kinematics.inverse(position, turned, at, reached[given], keep_branch=True)
     difference = seen.q - found.joints
     # Whole turns of a revolute joint change nothing; those of a spool (period 0) do.
     difference = difference - m.joint_periods * np.round(difference / (2 * np.pi))
@@ -252,7 +253,7 @@ def _compute_disagreement(
     if not len(observations):
         return np.full((0, len(kinematics.model.joints)), np.nan)
     at = condition_columns(kinematics.model, observations)
-    found = kinematics.inverse(reached.position, reached.rotation, at, reached)
+    found = kinematics.inverse(reached.position, reached.rotation, at, reached, keep_branch=True)
     difference = observations.x[:, : len(kinematics.model.joints)] - found.joints
     return where_known(reached.solved & found.solved, difference)
 

@@ -74,7 +74,11 @@ class Kinematics:
         return f"Kinematics({self.model!r})"
 
     def direct(
-        self, q: np.ndarray, at: Mapping[str, Any] | None = None, start: Solutions | None = None
+        self,
+        q: np.ndarray,
+        at: Mapping[str, Any] | None = None,
+        start: Solutions | None = None,
+        keep_branch: bool = False,
     ) -> Solutions:
         """Compute the poses for joint readings (forward kinematics).
 
@@ -86,8 +90,11 @@ class Kinematics:
             Conditions by name, such as `{"payload": 1.2}`. A condition that is not given has its
             neutral value.
         start : Solutions, optional
-            Solutions from which the iterations start; they select the branch. Default: the branch
-            of the model's `home`.
+            Solutions from which the iterations start; they select the branch. If they do not
+            converge, the answer is that without a start, if that one converges inside the joint
+            limits. Default: the branch of the model's `home`.
+        keep_branch : bool
+            Return what the start leads to in any case, with its status. Default False.
 
         Returns
         -------
@@ -104,7 +111,8 @@ class Kinematics:
             if found is not None:
                 return found
         require("start", start, "Solutions | None", SolveError)
-        return self._solve(self.direct_problem, joint_rows(self.model, q), q, at, start)
+        given = joint_rows(self.model, q)
+        return self._solve(self.direct_problem, given, q, at, start, keep_branch)
 
     def inverse(
         self,
@@ -112,6 +120,7 @@ class Kinematics:
         rotation: np.ndarray | None = None,
         at: Mapping[str, Any] | None = None,
         start: Solutions | None = None,
+        keep_branch: bool = False,
     ) -> Solutions:
         """Compute the joint readings for poses (inverse kinematics).
 
@@ -122,8 +131,9 @@ class Kinematics:
         rotation : array (3, 3) or (N, 3, 3), optional
             Rotations. Default: those at home. Coordinates that the robot cannot command, such as a
             tilt of a Delta, are computed.
-        at, start
-            As in `direct`.
+        at, start, keep_branch
+            As in `direct`. The iterations from a start may also converge to joints outside their
+            limits. Then, too, the answer is that without a start, if that one is inside.
 
         Returns
         -------
@@ -141,7 +151,7 @@ class Kinematics:
                 return found
         require("start", start, "Solutions | None", SolveError)
         given = pose_rows(self.model, position, rotation)
-        return self._solve(self.inverse_problem, given, position, at, start)
+        return self._solve(self.inverse_problem, given, position, at, start, keep_branch)
 
     fk, ik = direct, inverse  # common names in the field
 
@@ -240,9 +250,29 @@ class Kinematics:
         shape_like: np.ndarray,
         at: Mapping[str, Any] | None,
         start: Solutions | None,
+        keep_branch: bool,
     ) -> Solutions:
-        solutions = self.solve_rows(problem, given, at, start)
+        require("keep_branch", keep_branch, "bool", SolveError)
+        rows = self.model.condition_rows(at, len(given))
+        solutions = self._solve_from(problem, given, rows, start)
+        if start is not None and not keep_branch and solutions.status.any():
+            self._replace_lost(problem, given, rows, solutions)
         return solutions[0] if np.ndim(shape_like) == 1 else solutions
+
+    def _replace_lost(
+        self, problem: Problem, given: np.ndarray, rows: np.ndarray, solutions: Solutions
+    ) -> None:
+        """Replace solutions that are unsolved or outside the limits by those without a start, where
+        these converge inside the limits."""
+        lost = ~solutions.solved
+        if problem.unknown_joints:  # joints that are given are outside on every branch
+            lost |= solutions.status == Status.OUTSIDE_LIMITS
+        if not lost.any():
+            return
+        others = self._solve_from(problem, given[lost], rows[lost], None)
+        lost[lost] = others.ok
+        for name in ("joints", "position", "rotation", "residual", "status"):
+            getattr(solutions, name)[lost] = getattr(others, name)[others.ok]
 
     def solve_rows(
         self,
@@ -254,9 +284,13 @@ class Kinematics:
         """Solve a problem for N samples.
 
         A row of `given` (N, nq + 12) holds joints, position and rotation. The known ones are read,
-        and the others are computed.
+        and the others are computed. The branch of a start is kept.
         """
-        rows = self.model.condition_rows(at, len(given))
+        return self._solve_from(problem, given, self.model.condition_rows(at, len(given)), start)
+
+    def _solve_from(
+        self, problem: Problem, given: np.ndarray, rows: np.ndarray, start: Solutions | None
+    ) -> Solutions:
         if start is None:
             reached = problem.solve_many(given, rows)
         else:

@@ -151,7 +151,7 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
         "home_position": _list(home[n : n + 3]),
         "home_rotation": _list(home[n + 3 :]),
         "threshold": DIRECTION_THRESHOLD,
-        "all_steps": 4 * MAX_DESCENTS,
+        "all_steps": 8 * MAX_DESCENTS,
         "descents": MAX_DESCENTS,
         "amplitude": PATH_AMPLITUDE * m.length,
         "followed": _lines(

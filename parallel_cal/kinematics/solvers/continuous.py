@@ -90,7 +90,8 @@ def follow_joints(
     q = np.asarray(joints, dtype=float)
 
     def solve(k: int, t: float, here: Solutions | None) -> Solutions:
-        return kinematics.direct(_interpolate(q, k, t), select_conditions(at, k), here)
+        conditions = select_conditions(at, k)
+        return kinematics.direct(_interpolate(q, k, t), conditions, here, keep_branch=True)
 
     return _follow(kinematics, len(q), "direct", at, solve)
 
@@ -114,7 +115,8 @@ def follow_poses(
         else:
             begin = R[max(k - 1, 0)]
             turned = rotation_matrix(t * rotation_vector(R[k] @ begin.T)) @ begin
-        return kinematics.inverse(_interpolate(r, k, t), turned, select_conditions(at, k), here)
+        conditions = select_conditions(at, k)
+        return kinematics.inverse(_interpolate(r, k, t), turned, conditions, here, keep_branch=True)
 
     return _follow(kinematics, len(r), "inverse", at, solve)
 

@@ -44,7 +44,7 @@ def pose_set(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -
     if m == 0:
         return replace(found, real=replace(found.real, joints=np.empty((0, len(q)))))
     start = replace(found.real, joints=np.tile(q, (m, 1)))
-    real = get_kinematics(model).direct(start.joints, at, start)
+    real = get_kinematics(model).direct(start.joints, at, start, keep_branch=True)
     return replace(found, real=real[order_from_home(model, real, at)])
 
 

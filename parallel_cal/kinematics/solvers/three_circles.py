@@ -44,7 +44,8 @@ def direct_all(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None)
     kinematics = get_kinematics(model)
     for points in starts:
         r, R = fit_pose(B, points)
-        pose = kinematics.direct(q, at, Solutions(q, r, R, np.array(np.nan), np.array(0)))
+        start = Solutions(q, r, R, np.array(np.nan), np.array(0))
+        pose = kinematics.direct(q, at, start, keep_branch=True)
         known = any(np.abs(pose.rotation - f.rotation).max() < 1e-6 for f in found)
         if pose.status in (Status.CONVERGED, Status.OUTSIDE_LIMITS) and not known:
             found.append(pose)

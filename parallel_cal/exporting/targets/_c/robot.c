@@ -20,7 +20,7 @@
 #define ITERATIONS 2 /* of third order; twice, where the first do not arrive */
 #define DESCENTS @descents@
 
-#define ALL_STEPS @all_steps@ /* two descents, twice */
+#define ALL_STEPS @all_steps@ /* two descents, twice, from two starts */
 
 enum { DIRECT, INVERSE };
 
@@ -284,7 +284,7 @@ static int carefully(int problem, const double *given, const double *a, int *ste
 }
 
 /* x (in: the start, where `warm`) for what is given; a status. */
-static int answered(int problem, const double *given, const double *a, int warm, int steps,
+static int solve_once(int problem, const double *given, const double *a, int warm, int *steps,
     double *x, double *residual)
 {
     double before[CONSTANTS + NX], phi[ROWS], J[ROWS * MOST], pivot = 0, squares = 0;
@@ -311,9 +311,9 @@ static int answered(int problem, const double *given, const double *a, int warm,
     int closed = redundant(problem) ? isfinite(*residual) : *residual < CLOSED;
     int settled = length < SETTLED && closed;
     if (!settled) {
-        status = carefully(problem, given, a, &steps, x, residual);
+        status = carefully(problem, given, a, steps, x, residual);
         if (turned_towards_home(problem, x) && EFFECTS != 0)
-            status = carefully(problem, given, a, &steps, x, residual);
+            status = carefully(problem, given, a, steps, x, residual);
     }
     if (status == @ROBOT@_CONVERGED && !(settled && pivot > SUSPECT)) {
         closure_and_slopes(problem, x, a, phi, J);
@@ -321,6 +321,23 @@ static int answered(int problem, const double *given, const double *a, int warm,
     }
     for (int i = 0; i < NQ; ++i) inside &= within_limits(i, x[i]);
     return status == @ROBOT@_CONVERGED && !inside ? (int)@ROBOT@_OUTSIDE_LIMITS : status;
+}
+
+/* The same. Where a start leads to nothing, or to unknown joints outside their limits, once more
+ * without it, with the steps that are left; the end from the start stays where that fails, too. */
+static int answered(int problem, const double *given, const double *a, int warm, int steps,
+    double *x, double *residual)
+{
+    double other[NX], left;
+    int status = solve_once(problem, given, a, warm, &steps, x, residual);
+    int outside = status == @ROBOT@_OUTSIDE_LIMITS;
+    int lost = outside ? problem == INVERSE
+        : status != @ROBOT@_CONVERGED && status != @ROBOT@_SINGULAR;
+    if (!warm || !lost || status == @ROBOT@_INVALID_INPUT) return status;
+    if (solve_once(problem, given, a, 0, &steps, other, &left) != @ROBOT@_CONVERGED) return status;
+    memcpy(x, other, sizeof other);
+    *residual = left;
+    return @ROBOT@_CONVERGED;
 }
 
 static void row_of(const @robot@_configuration *from, double *x)

@@ -47,8 +47,11 @@ extern const double @robot@_joint_low[@ROBOT@_JOINTS], @robot@_joint_high[@ROBOT
 extern const double @robot@_joint_velocity[@ROBOT@_JOINTS]; /* per s */
 extern const double @robot@_joint_acceleration[@ROBOT@_JOINTS]; /* per s^2 */
 
-/* Pose for joints; returns a status. `start` is an answer before or near this one (NULL: the
- * start of the model's home branch), `residual` (may be NULL) the norm of the closure, m. */
+/* Pose for joints; returns a status. `start` is an answer before or near this one and selects the
+ * branch (NULL: the start of the model's home branch). Where it leads to nothing, or in the inverse
+ * problem to joints outside their limits, the answer is that of NULL if that one converged inside
+ * the limits: joints may then jump to another branch. `residual` (may be NULL) is the norm of the
+ * closure, m. */
 int @robot@_direct(const double joints[@ROBOT@_JOINTS], const @robot@_conditions *at,
     const @robot@_configuration *start, @robot@_configuration *answer, double *residual);
 
@@ -68,7 +71,9 @@ int @robot@_inverse_jacobian(const @robot@_configuration *answer, const @robot@_
 
 /* As above, with at most `steps` steps of Levenberg and Marquardt's method, for a bounded time: 0
  * allows Newton's method alone, which suffices from a start nearby. Where more are needed, the
- * status is @ROBOT@_EFFORT_EXCEEDED. The functions that are not capped allow @all_steps@. */
+ * status is @ROBOT@_EFFORT_EXCEEDED. The steps are those of one call, from `start` and from NULL's
+ * together. The functions that are not capped allow @all_steps@. Beside the steps, a call makes at
+ * most 8 iterations of Newton's method, and 4 where `start` is NULL. */
 int @robot@_direct_capped(const double joints[@ROBOT@_JOINTS], const @robot@_conditions *at,
     const @robot@_configuration *start, int steps, @robot@_configuration *answer,
     double *residual);

@@ -68,7 +68,8 @@ public:
         return solve_pose(reading);
     }
 
-    // Joints for a pose, on the branch of the last command. They change only if it converged.
+    // Joints for a pose, on the branch of the last command, or on the home branch if only there they
+    // are inside their limits: they may then jump. They change only if it converged.
     [[nodiscard]] Status solve(const Vector3 &position, const Rotation &rotation,
         Joints &joints) noexcept
     {
