@@ -446,6 +446,26 @@ def test_one_knocked_sample_is_named_with_the_verdict_of_the_others(size):
 
 
 @pytest.mark.wide
+def test_without_the_sides_an_effect_is_not_told_from_a_backlash_that_scatters_the_visits():
+    """A joint is mostly reached from below where it reads much: unknown sides look like a gain."""
+    data, _ = hiding([vf.KINDS["gear ripple"]], 1.0, seed=40)
+    data = replace(data, pose_cov=data.pose_cov / 9, joint_sigma=data.joint_sigma / 3)
+    seen = diagnose(MODEL, data, effects=["gear_transmission_error", "base_drift"])
+    assert (seen.verdict.word, seen.effects) == ("explained", ("gear_transmission_error",))
+    assert seen.noise.misstated == pytest.approx(3.0, rel=0.2)
+    sides = ("direction.", "travel.")
+    others = {k: v for k, v in data.conditions.items() if not k.startswith(sides)}
+    blind = diagnose(
+        MODEL, replace(data, conditions=others), effects=["gear_transmission_error", "base_drift"]
+    )
+    assert (blind.verdict.word, blind.effects) == ("cannot_know", ("gear_transmission_error",))
+    assert "the sides from which the joints came are not known" in blind.verdict.summary
+    assert [step.split(":")[0] for step in blind.next_steps] == [
+        "state the sides from which the joints came, and diagnose again"
+    ]
+
+
+@pytest.mark.wide
 def test_a_sample_counts_as_knocked_that_only_shows_once_a_large_effect_is_known():
     data, _ = hiding([vf.KINDS["backlash"]], 3.0, seed=40)
     data.r[17] += 0.25e-3 * np.array([0.7, -0.5, 0.5])

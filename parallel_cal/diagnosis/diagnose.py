@@ -91,6 +91,13 @@ LIKE_DRIFT = "indistinguishable from drift: neighbours in time explain each othe
 OF_LOAD = "its error goes with the payload, which no device knows: the robot deflects"
 
 
+STATE_THE_SIDES = (
+    "state the sides from which the joints came, and diagnose again: columns direction.JOINT, or "
+    "visits: in order in the column map if each joint moved straight from row to row. If encoders "
+    "and device repeat no better, state the noise of repeated visits instead"
+)
+
+
 @dataclass(frozen=True)
 class Diagnosis(ShownInNotebook):
     """The result of a diagnosis, with its inputs.
@@ -179,6 +186,8 @@ class Diagnosis(ShownInNotebook):
                 f"add what errs: parallel-cal add MODEL {others} {options}"
             )
         discovers = [discover] if self.leaves_an_error else []
+        if self.verdict.needs_sides:
+            adds, discovers = [STATE_THE_SIDES], []
         checks = [
             f"{'' if one.sideless else f'check sample {one.title}, or '}exclude "
             f"{f'sample {one.title}' if one.sideless else 'it'} from each command: {exclude}"
@@ -468,6 +477,7 @@ def _diagnose_trusted(
         unseparated=explain_unseparated_device(base.fitted, best.fitted) if best.chosen else "",
         like_drift=tuple(sorted(catalogue.like_drift)),
         sides_from_order=dataset.sides_from_order,
+        has_sides=any(name.startswith("direction.") for name in dataset.conditions),
     )
     return Diagnosis(
         model=model,

@@ -44,6 +44,7 @@ class Verdict:
 
     `suspected_of_law` lists effects found that may only imitate a law outside the catalogue.
     `like_drift` lists effects of time that explain the error no better than noise that drifts.
+    `needs_sides` is whether the sides from which the joints came must be known for more.
     """
 
     word: str
@@ -52,6 +53,7 @@ class Verdict:
     against: tuple[str, ...] = ()
     suspected_of_law: tuple[str, ...] = ()
     like_drift: tuple[str, ...] = ()
+    needs_sides: bool = False
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,8 @@ class Findings:
     larger than usual. `ambiguous` are sentences about effects of the model that another effect
     would replace without loss. `unseparated` says that effects of the device move the robot further
     than the errors show. `like_drift` lists effects of time that explain no more than noise that
-    drifts. `sides_from_order` is that of the dataset.
+    drifts. `sides_from_order` is that of the dataset, and `has_sides` whether it contains the sides
+    from which the joints came.
     """
 
     base: Trial
@@ -89,6 +92,7 @@ class Findings:
     unseparated: str = ""
     like_drift: tuple[str, ...] = ()
     sides_from_order: bool = False
+    has_sides: bool = True
 
     @property
     def final_estimate(self) -> Estimate:
@@ -212,6 +216,8 @@ def _judge(found: Findings) -> Verdict:
     several = len(found.best.chosen) > 1
     against = tuple(_list_objections(found))
     errors += _describe_noise_floor(found)
+    if found.noise.is_exceeded and not found.has_sides:
+        return _ask_for_sides(found, errors, share)
     if found.was_inside_band:
         chi2, high = format_distinctly(
             [found.chi2_before, found.noise.band(found.base.fitted.estimate.dof)[1]]
@@ -234,6 +240,24 @@ def _judge(found: Findings) -> Verdict:
     verb = "explain" if several else "explains"
     words = f"{names} {verb} part of the error ({errors}), but {'; '.join(against)}"
     return Verdict("partly_explained", words, share, against)
+
+
+def _ask_for_sides(found: Findings, errors: str, share: float | None) -> Verdict:
+    """Judge effects that were found in visits which differ for an unknown reason.
+
+    A joint is mostly reached from below where its readings are large, and from above where they are
+    small. A backlash of unknown sides therefore looks like an effect of the readings.
+    """
+    several = len(found.best.chosen) > 1
+    return Verdict(
+        "cannot_know",
+        f"{found.names} would explain {'parts' if several else 'a part'} of the error ({errors}), "
+        f"but visits of the same pose differ by {found.noise.misstated:.1f} times "
+        f"{found.noise.used}, and the sides from which the joints came are not known. A backlash "
+        f"makes visits differ, and imitates {'such effects' if several else 'such an effect'}",
+        share,
+        needs_sides=True,
+    )
 
 
 def _list_objections(found: Findings) -> list[str]:
