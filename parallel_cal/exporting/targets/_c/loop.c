@@ -11,6 +11,7 @@
 #define PERIOD 1e-3     /* s */
 #define STEPS 10        /* of the careful method in one call: bounds the time of a cycle */
 #define AMPLITUDE @amplitude@ /* m */
+#define MAX_MOVE 0.1    /* rad or m in a cycle: a joint that is further away jumped to a branch */
 
 static double encoders[NQ]; /* this robot follows its commands at once */
 static void read_encoders(double *joints) { memcpy(joints, encoders, sizeof encoders); }
@@ -59,7 +60,9 @@ int main(void)
         status |= @robot@_inverse_jacobian(&command, &now, inverse);
         product(NQ, 6, inverse, v, speed);
         status |= @robot@_jacobian_rate(&command, &now, speed, rate);
-        if (status) { /* never command what was not solved: stop here, and hold */
+        for (int i = 0; i < NQ && cycle; ++i) /* the first cycle moves to the start */
+            status |= !(fabs(command.joints[i] - q[i]) < MAX_MOVE);
+        if (status) { /* never command a jump, or what was not solved: stop here, and hold */
             ++failures;
             break;
         }
