@@ -1,8 +1,9 @@
-"""Recognise joint readings in the wrong columns, of the wrong sign or from a zero far away.
+"""Recognise joint readings in the wrong columns, of the wrong sign or from a zero far away, and
+positions or orientations of another unit or convention.
 
-Such readings fit no pose that the robot can reach, and a fit then moves the geometry far from the
-drawing. The readings that were meant are found by trial: each guess is judged by the error of the
-poses after a registration of the device, with the geometry as it is.
+Such samples show no pose that the robot can reach, and a fit then moves the geometry far from the
+drawing. What was meant is found by trial: each guess is judged by the error of the poses after a
+registration of the device, with the geometry as it is.
 """
 
 from __future__ import annotations
@@ -29,28 +30,55 @@ from parallel_cal.identification.thresholds import (
 from parallel_cal.model.model import Model
 
 QUARTER_TURNS = (0.5 * np.pi, -0.5 * np.pi, np.pi)
+# Three angles about fixed axes (small letters) or about rotated ones
+AXES = ("xyz", "XYZ", "zyx", "ZYX")
+LENGTHS = (1e3, 1e-3, 10.0, 0.1, 25.4, 1 / 25.4)  # mm stated as m, cm or inches, and the reverse
 
 
 @dataclass(frozen=True)
 class Guess:
-    """The reading of each joint is `sign` times that in the column of joint `column`, plus `zero`
-    (rad)."""
+    """What samples mean: the reading of each joint is `sign` times that in the column of joint
+    `column`, plus `zero` (rad). The angles of the orientation are about the second ones of `axes`
+    in place of the first, or the rotation is `inverse`. Positions are multiplied by `length`."""
 
     column: tuple[int, ...]
     sign: tuple[int, ...]
     zero: tuple[float, ...]
+    axes: tuple[str, str] | None = None
+    inverse: bool = False
+    length: float = 1.0
 
     @classmethod
     def as_given(cls, joints: int) -> Guess:
         return cls(tuple(range(joints)), (1,) * joints, (0.0,) * joints)
 
-    def apply(self, q: np.ndarray) -> np.ndarray:
-        """Return the readings (N, nq) that were meant."""
-        return np.asarray(q[:, self.column] * np.array(self.sign) + np.array(self.zero))
+    def apply(self, x: np.ndarray) -> np.ndarray:
+        """Return the configurations (N, nq + 12) that were meant."""
+        from scipy.spatial.transform import Rotation
+
+        x, n = x.copy(), len(self.column)
+        x[:, :n] = x[:, self.column] * np.array(self.sign) + np.array(self.zero)
+        x[:, n : n + 3] *= self.length
+        R = x[:, n + 3 :].reshape(-1, 3, 3)
+        if self.inverse:
+            R = R.transpose(0, 2, 1)
+        if self.axes:
+            given, meant = self.axes
+            angles = Rotation.from_matrix(R).as_euler(given)
+            R = Rotation.from_euler(meant, angles).as_matrix()
+        x[:, n + 3 :] = R.reshape(-1, 9)
+        return x
 
     def describe(self, names: Sequence[str]) -> str:
-        """Describe the readings that were meant, with the entries of a column map."""
+        """Describe what was meant, with the entries of a column map."""
         parts = []
+        if self.length != 1:
+            parts.append(f"the positions are multiplied by {self.length:.4g} (column map: unit)")
+        if self.inverse:
+            parts.append("the rotations are those of the device seen by the target (invert them)")
+        if self.axes:
+            given, meant = self.axes
+            parts.append(f"the angles are about the axes {meant}, not {given} (column map: axes)")
         if moved := [i for i, k in enumerate(self.column) if i != k]:
             pairs = [f"{names[i]} is in the column of {names[self.column[i]]}" for i in moved]
             parts.append(" and ".join(pairs))
@@ -69,7 +97,8 @@ class Guess:
 def doubt_columns(
     model: Model, observations: Observations, there: DevicePoses | None, source: str
 ) -> str:
-    """Explain which other readings fit the poses, if those given do not; empty if none do.
+    """Explain with which other readings or orientations the samples fit the robot, if they do not
+    as they are; empty if none do.
 
     `there` are the poses of the observations.
     """
@@ -84,8 +113,14 @@ def doubt_columns(
         return ""
     some = np.unique(np.linspace(0, len(observations) - 1, MAX_GUESS_SAMPLES).astype(int))
     few = observations.select(some)
+    placed, turned = (
+        bool(few.measured[:, part].all(axis=1).any())
+        for part in (slice(n, n + 3), slice(n + 3, None))
+    )
     guesses = [
-        (guess, poses) for guess in _list_guesses(model) if (poses := _read(model, few, guess))
+        (guess, poses)
+        for guess in _list_guesses(model, placed, turned)
+        if (poses := _read(model, few, guess))
     ]
     guesses.sort(key=lambda one: one[1].compute_median_error(one[1].closed_form_frames()))
     best = guesses[:MAX_GUESSES_REFINED]
@@ -107,12 +142,13 @@ def doubt_columns(
         smaller = f": the errors are then {ratio:.0f} times smaller"
     return (
         f"{source or 'samples'}: the joint readings do not fit the measured poses, wherever the "
-        f"device stands. They fit if {guess.describe(model.joints)}{smaller}. Correct the columns "
-        "or the signs where the samples are recorded or imported"
+        f"device stands. They fit if {guess.describe(model.joints)}{smaller}. Correct this where "
+        "the samples are recorded or imported"
     )
 
 
-def _list_guesses(model: Model) -> Iterator[Guess]:
+def _list_guesses(model: Model, placed: bool, turned: bool) -> Iterator[Guess]:
+    """Yield what may be wrong; positions are measured if `placed`, orientations if `turned`."""
     joints = len(model.joints)
     given = Guess.as_given(joints)
     if joints <= MAX_JOINTS_OF_ANY_SIGN:
@@ -125,6 +161,10 @@ def _list_guesses(model: Model) -> Iterator[Guess]:
     for i, unit in enumerate(model.mechanism.joint_units):
         for turn in QUARTER_TURNS if unit == "rad" else ():
             yield replace(given, zero=tuple(turn if k == i else 0.0 for k in range(joints)))
+    yield from (replace(given, length=factor) for factor in LENGTHS if placed)
+    if turned and max(model.mechanism.moved) >= 3:
+        yield replace(given, inverse=True)
+        yield from (replace(given, axes=pair) for pair in permutations(AXES, 2))
 
 
 def _list_orders(joints: int) -> list[tuple[int, ...]]:
@@ -144,9 +184,8 @@ def _list_orders(joints: int) -> list[tuple[int, ...]]:
 
 def _read(model: Model, observations: Observations, guess: Guess) -> DevicePoses | None:
     """Return the poses with the readings that a guess means; None if the robot cannot be there."""
-    x, n = observations.x.copy(), len(model.joints)
-    x[:, :n] = guess.apply(x[:, :n])
-    there = DevicePoses.of(model, replace(observations, x=x), quick=True)
+    meant = replace(observations, x=guess.apply(observations.x))
+    there = DevicePoses.of(model, meant, quick=True)
     if there is None or np.mean(there.placed | there.turned) < MIN_REACHED_SHARE:
         return None
     return there
