@@ -158,7 +158,9 @@ class Iso9283:
     (`repeated_poses`, and `visits` in total); None if there are none. Both contain the noise of the
     device. `poses` counts the poses, `samples` all visits. If the recording does not know the side
     from which a pose was approached (`sides_known`), all its visits count as from one side.
-    `sides_from_order`: these sides follow from the order of a table's rows.
+    `sides_from_order`: these sides follow from the order of a table's rows. `unused`: no fit in the
+    model's history used these samples; `frames_fitted`: only the frames of the device were fitted
+    to them.
     """
 
     kind: str
@@ -174,6 +176,8 @@ class Iso9283:
     sides_known: bool
     held_out: bool
     sides_from_order: bool = False
+    unused: bool = False
+    frames_fitted: bool = False
 
 
 def iso_9283(

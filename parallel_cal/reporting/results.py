@@ -53,6 +53,9 @@ MAX_SAMPLES = 10
 MAX_PATTERNS = 5
 MAX_ESTIMATES = 4  # parameters of an effect that are shown; gears have a dozen
 PATTERN_SIGNIFICANCE_LEVEL = 0.05  # below it a pattern of the errors is shown
+# How a model and the samples of a figure are related.
+IN_SAMPLE = "not held out"
+UNUSED = "no fit of this model used them"
 
 
 def describe(result: Any) -> Iterator[Block]:
@@ -164,9 +167,19 @@ def budget_sentence(budget: Budget) -> str:
 
 def describe_counts(samples: int, poses: int, held_out: bool) -> str:
     """Say at which samples an error was taken: `94 samples of 74 held-out poses`."""
-    return (
-        f"{samples} samples of {poses} {'held-out poses' if held_out else 'poses (not held out)'}"
-    )
+    return _format_counts(samples, poses, "held-out poses" if held_out else f"poses ({IN_SAMPLE})")
+
+
+def _format_counts(samples: int, poses: int, what: str) -> str:
+    return f"{samples} samples of {poses} {what}"
+
+
+def _describe_iso_samples(figures: Iso9283) -> str:
+    """Say at which samples the figures were taken, and whether a fit used them."""
+    if figures.held_out or not figures.unused:
+        return describe_counts(figures.samples, figures.poses, figures.held_out)
+    placed = ", except for the device's frame" if figures.frames_fitted else ""
+    return _format_counts(figures.samples, figures.poses, f"poses ({UNUSED}{placed})")
 
 
 def iso_sentence(figures: Iso9283) -> str:
@@ -184,7 +197,7 @@ def iso_sentence(figures: Iso9283) -> str:
         )
     mean = with_sigma(figures.accuracy_mean, figures.accuracy_sigma, factor)
     worst = number(figures.accuracy_max, factor)
-    counts = describe_counts(figures.samples, figures.poses, figures.held_out)
+    counts = _describe_iso_samples(figures)
     text = (
         f"after ISO 9283, {figures.kind}: accuracy AP {mean} {unit}, worst {worst}, at {counts}, "
         f"noise of the device included; {again}"

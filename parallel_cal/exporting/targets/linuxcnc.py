@@ -61,12 +61,12 @@ NO_SCALE = (
     "of a strut become smaller. new --from HAL --from INI states it"
 )
 WIDTHS = (
-    "set BACKLASH in your .ini file, in mm: {}. The stated error of the kinematics does not include "
-    "backlash"
+    "set BACKLASH in your .ini file, in mm: {}. The stated error of the kinematics does not "
+    "include backlash"
 )
 NO_WIDTHS = (
-    "leave BACKLASH at 0 in your .ini file: the model's widths of backlash are not significant. The "
-    "stated error of the kinematics does not include backlash"
+    "leave BACKLASH at 0 in your .ini file: the model's widths of backlash are not significant. "
+    "The stated error of the kinematics does not include backlash"
 )
 INSIGNIFICANT_WIDTH = " (0: less than {:g} sigma, or negative)"
 MIN_WIDTH_SIGMAS = 2.0  # a smaller width of backlash is proposed as 0
