@@ -32,7 +32,8 @@ class Part:
 
     `removed` is the rms error that the part removes where it is added last; of `noise` and `rest`
     it is the rms error that remains. `sigma` is its standard deviation; None if not known. `alone`
-    is the rms motion of the platform by the part; None for noise and rest.
+    is the rms motion of the measured point of the platform (the target) by the part; None for noise
+    and rest.
     """
 
     name: str
