@@ -144,7 +144,7 @@ def test_the_page_on_export_shows_what_its_commands_print(tmp_path):
 
 TUTORIALS = {
     "start.md": 7,
-    "hexapod.md": 10,
+    "hexapod.md": 11,
     "argos.md": 6,
     "cable_robot.md": 16,
     "serial_arm.md": 4,
