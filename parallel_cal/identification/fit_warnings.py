@@ -25,7 +25,6 @@ from parallel_cal.identification.thresholds import (
     MIN_TRUSTED_WEIGHT,
 )
 from parallel_cal.model.model import Model
-from parallel_cal.model.parameters import Parameter
 from parallel_cal.model.words import direction_in_words, parameters_in_words
 from parallel_cal.recordings.dataset import Dataset
 
@@ -72,19 +71,12 @@ def list_setting_warnings(model: Model) -> list[str]:
     """List fixed parameters of effects that lie outside their range, such as a lead in mm."""
     effects = {effect.name for effect in model.effects}
     return [
-        f"{p.shown_name} is {value:g}{unit}, but usually {_describe_range(p)}{unit}: settings of "
-        "effects are in SI units (m, rad, kg, s, N)"
+        f"{p.shown_name} is {value:g}{unit}, but usually {p.low:g} to {p.high:g}{unit}: settings "
+        "of effects are in SI units (m, rad, kg, s, N)"
         for p, value, fixed in zip(model.table, model.values, model.fixed, strict=True)
         if fixed and p.name.partition(".")[0] in effects and not p.low <= value <= p.high
         for unit in ("" if p.unit == "1" else f" {p.unit}",)
     ]
-
-
-def _describe_range(parameter: Parameter) -> str:
-    low, high = parameter.low, parameter.high
-    if np.isinf(high):
-        return f"at least {low:g}"
-    return f"{low:g} to {high:g}" if np.isfinite(low) else f"at most {high:g}"
 
 
 def _describe_sigma(tolerances: float) -> str:

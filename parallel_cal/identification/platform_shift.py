@@ -10,7 +10,6 @@ import numpy as np
 
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.fit import FitResult
-from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.predictions import condition_columns
 from parallel_cal.identification.registration import (
     IDENTITY_FRAMES,
@@ -72,21 +71,11 @@ def compute_platform_shift(before: FitResult, after: FitResult) -> PlatformShift
     )
     neutral: dict[str, tuple[float, str]] = {}
     for robot, result in ((old, before), (new, after)):
-        neutral |= _find_neutral_conditions(robot, result.observations)
+        for name, values in condition_columns(robot, result.observations).items():
+            unit, value, _ = CONDITIONS[name.partition(".")[0]]
+            if np.any(values != value):
+                neutral[name.partition(".")[0]] = (value, unit)
     return PlatformShift(measured or 0.0, workspace, shown, neutral)
-
-
-def _find_neutral_conditions(
-    robot: Model, observations: Observations
-) -> dict[str, tuple[float, str]]:
-    """Find the conditions of a robot that the samples have at other than neutral values."""
-    found = {}
-    for name, values in condition_columns(robot, observations).items():
-        kind = name.partition(".")[0]
-        unit, neutral, _ = CONDITIONS[kind]
-        if np.any(np.asarray(values) != neutral):
-            found[kind] = (neutral, unit)
-    return found
 
 
 def find_large_device_effects(model: Model) -> list[str]:

@@ -55,8 +55,9 @@ MAX_PATTERNS = 5
 MAX_ESTIMATES = 4  # parameters of an effect that are shown; gears have a dozen
 PATTERN_SIGNIFICANCE_LEVEL = 0.05  # below it a pattern of the errors is shown
 # How a model and the samples of a figure are related.
-IN_SAMPLE = "not held out"
-UNUSED = "no fit of this model used them"
+IN_SAMPLE = "poses (not held out)"
+UNUSED = "poses (no fit of this model used them)"
+REGISTERED_TO = "poses (no fit of this model used them, except for the device's frame)"
 
 
 def describe(result: Any) -> Iterator[Block]:
@@ -181,19 +182,7 @@ def budget_sentence(budget: Budget) -> str:
 
 def describe_counts(samples: int, poses: int, held_out: bool) -> str:
     """Say at which samples an error was taken: `94 samples of 74 held-out poses`."""
-    return _format_counts(samples, poses, "held-out poses" if held_out else f"poses ({IN_SAMPLE})")
-
-
-def _format_counts(samples: int, poses: int, what: str) -> str:
-    return f"{samples} samples of {poses} {what}"
-
-
-def _describe_iso_samples(figures: Iso9283) -> str:
-    """Say at which samples the figures were taken, and whether a fit used them."""
-    if figures.held_out or not figures.unused:
-        return describe_counts(figures.samples, figures.poses, figures.held_out)
-    placed = ", except for the device's frame" if figures.frames_fitted else ""
-    return _format_counts(figures.samples, figures.poses, f"poses ({UNUSED}{placed})")
+    return f"{samples} samples of {poses} {'held-out poses' if held_out else IN_SAMPLE}"
 
 
 def iso_sentence(figures: Iso9283) -> str:
@@ -211,7 +200,9 @@ def iso_sentence(figures: Iso9283) -> str:
         )
     mean = with_sigma(figures.accuracy_mean, figures.accuracy_sigma, factor)
     worst = number(figures.accuracy_max, factor)
-    counts = _describe_iso_samples(figures)
+    counts = describe_counts(figures.samples, figures.poses, figures.held_out)
+    if figures.unused and not figures.held_out:
+        counts = counts.replace(IN_SAMPLE, REGISTERED_TO if figures.frames_fitted else UNUSED)
     text = (
         f"after ISO 9283, {figures.kind}: accuracy AP {mean} {unit}, worst {worst}, at {counts}, "
         f"noise of the device included; {again}"
