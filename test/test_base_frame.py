@@ -77,6 +77,7 @@ def test_a_fit_states_the_change_of_the_poses_in_the_base_and_after_the_best_rig
     left = np.sqrt(np.mean(np.sum((moved - stated) ** 2, axis=1)))
     assert motion.change_of_shape == pytest.approx(left, rel=1e-6)
     assert motion.description in result.warnings
+    assert "the origin of 'platform' of the identified robot is " in motion.description
     assert result.document()["base_motion"]["change"] == motion.change
 
 

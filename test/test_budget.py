@@ -1,11 +1,13 @@
 """The error budget names what was hidden; ISO 9283's figures against hand-worked ones."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import virtual_setups as vs
 
+from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.identification.budget import iso_9283
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.prediction_errors import Errors, compute_rms_sigmas
@@ -15,6 +17,7 @@ from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.recordings.simulate import simulate
 from parallel_cal.reporting.results import iso_sentence
+from parallel_cal.session.steps import fitted
 from parallel_cal.virtual import robot as vr
 
 SIGMA, ARCSEC, PLAY = 15e-6, vr.ARCSEC, 1e-3
@@ -178,3 +181,20 @@ def test_the_nominal_model_has_one_error_before_and_after_its_fit():
     for result in (first, again):
         assert result.nominal_errors.summary.position_rms == pytest.approx(expected)
         assert result.budgets[0].total == pytest.approx(expected)
+
+
+def test_the_figures_of_a_comparison_say_whether_a_fit_of_the_model_used_the_samples():
+    nominal = new_model("delta24")
+    errors = 0.3 * np.random.default_rng(3).normal(size=24) * nominal.table.tolerance
+    robot = nominal.with_values(nominal.values + errors)
+    used, unused = (simulate(robot, 20, seed=seed).dataset() for seed in (1, 2))
+    model = fitted(nominal, used, hold_out=0, force=True).model
+    assert "20 poses (not held out), noise" in iso_sentence(compare(model, used).iso_9283[0])
+    for judged in (nominal, model):
+        [figures] = compare(judged, unused).iso_9283[:1]
+        assert "20 poses (no fit of this model used them), noise" in iso_sentence(figures)
+    placed = "(no fit of this model used them, except for the device's frame)"
+    assert placed in iso_sentence(replace(figures, frames_fitted=True))
+    # The history of a model that was fitted in Python and not by a step does not know the samples.
+    without = fit(nominal, used, hold_out=0).model
+    assert "(not held out)" in iso_sentence(compare(without, unused).iso_9283[0])

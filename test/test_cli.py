@@ -495,6 +495,39 @@ def test_conditions_that_a_model_does_not_depend_on_may_stand_in_a_table(documen
     assert [one["position"] for one in full] == [one["position"] for one in bare]
 
 
+def test_a_table_may_state_its_units_in_the_header(run, document, tmp_path):
+    model = new_model("stewart42").with_effect("thermal_expansion")
+    write_model(model, tmp_path / "m.yaml")
+    tables = {
+        "q.csv": ",".join([*model.joints, "temperature"]) + "\n" + "0.01," * 6 + "25\n",
+        "mm.csv": ",".join(f"{j} [mm]" for j in model.joints)
+        + ",temperature [degF]\n"
+        + "10," * 6
+        + "77\n",
+        "deg.csv": "leg1 [deg],leg2,leg3,leg4,leg5,leg6\n1,0,0,0,0,0\n",
+        "p.csv": "x [mm],y_mm,z (mm),qx,qy,qz,qw\n10,0,300,0,0,0,1\n",
+        "m.csv": "x,y,z,qx,qy,qz,qw\n0.01,0,0.3,0,0,0,1\n",
+    }
+    for name, text in tables.items():
+        (tmp_path / name).write_text(text)
+
+    def solutions(command, name):
+        return document(command, tmp_path / "m.yaml", "--input", tmp_path / name)["solutions"]
+
+    for command, name, other, key in (
+        ("direct", "q.csv", "mm.csv", "position"),
+        ("inverse", "m.csv", "p.csv", "joints"),
+    ):
+        expected, found = (solutions(command, one)[0] for one in (name, other))
+        assert found["status"] == "converged"
+        assert found[key] == pytest.approx(expected[key], abs=1e-12)
+    result = run("direct", tmp_path / "m.yaml", "--input", tmp_path / "deg.csv")
+    fails(result, "deg.csv:1: column leg1 [deg] is in deg, but leg1 is in m")
+    code, out, _ = run("direct", tmp_path / "m.yaml", "--input", tmp_path / "mm.csv")
+    assert code == 0
+    assert out.startswith("leg1 [mm],leg2 [mm],")  # the given cells stay as they are
+
+
 def test_without_output_the_table_goes_to_stdout(run, tmp_path):
     (tmp_path / "q.csv").write_text("joint1,joint2,joint3\n.5,.5,.5\n")
     code, out, err = run("direct", DELTA24, "--input", tmp_path / "q.csv")

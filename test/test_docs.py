@@ -169,7 +169,7 @@ def test_the_page_on_export_converts_poses_of_the_device(tmp_path, monkeypatch):
 
 TUTORIALS = {
     "start.md": 7,
-    "hexapod.md": 10,
+    "hexapod.md": 11,
     "argos.md": 6,
     "cable_robot.md": 16,
     "serial_arm.md": 4,

@@ -111,3 +111,27 @@ def test_a_hexapod_turns_about_x_then_y_then_z(tmp_path):
         assert joints[6:].tolist() == [1, 2, 3]
         status, pose = component.forward(joints)
         np.testing.assert_allclose(pose, [*r[k] * 1e3, a, b, c, 1, 2, 3], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("widths", "proposed"),
+    [
+        (
+            [-0.7, 10.0, 1.9, 2.1, 0.0, 30.0],
+            "mm: JOINT_0 0.0000, JOINT_1 0.0100, JOINT_2 0.0000, JOINT_3 0.0021, JOINT_4 0.0000, "
+            "JOINT_5 0.0300 (0: less than 2 sigma, or negative). ",
+        ),
+        ([-0.7, 0.7, 1.9, -5.0, 0.0, 0.1], "leave BACKLASH at 0 in your .ini file"),
+    ],
+)
+def test_a_width_of_backlash_that_is_not_significant_is_proposed_as_0(widths, proposed, tmp_path):
+    model = new_model("stewart42").with_effect("backlash")
+    which = [model.table.index_of(f"backlash.leg{k}.width") for k in range(1, 7)]
+    values, covariance = model.values.copy(), np.zeros((len(model.values),) * 2)
+    values[which], covariance[which, which] = 1e-6 * np.array(widths), 1e-6**2
+    done = export(model.with_values(values, covariance), "linuxcnc", tmp_path)
+    (remark,) = [remark for remark in done.remarks if "BACKLASH" in remark]
+    assert proposed in remark
+    assert remark.endswith("The stated error of the kinematics does not include backlash")
+    assert not any("cannot represent of" in remark for remark in done.remarks)
+    assert done.loss["position_max"] < 1e-7

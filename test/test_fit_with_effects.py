@@ -14,6 +14,7 @@ from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.search import Chosen
 from parallel_cal.identification.checks import ImplausibleGeometryError
 from parallel_cal.identification.fit import fit
+from parallel_cal.identification.fit_warnings import list_setting_warnings
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import new_model
@@ -144,6 +145,23 @@ def test_an_unknown_effect_one_that_the_model_has_and_an_unstated_ratio_are_refu
         fit(model, with_backlash, effects=["gear_transmission_error"])
     stated = fit(model, with_backlash, effects=["gear_transmission_error:ratio=80"], hold_out=0)
     assert stated.model.value("gear_transmission_error.ratio") == 80
+
+
+def test_a_setting_far_outside_its_usual_range_is_named_with_its_unit(with_backlash):
+    model, effect = new_model("delta54"), "gear_transmission_error:ratio=5000"
+    words = "gear_transmission_error.ratio is 5000, but usually 0.001 to 250: settings of effects"
+    with pytest.raises(FitError, match=words):
+        add(model, effect, with_backlash, hold_out=0.25)
+    forced = add(model, effect, with_backlash, force=True)
+    assert sum(words in one for one in forced.warnings) == 1
+    usual = add(model, "gear_transmission_error:ratio=50", with_backlash, force=True)
+    assert not any("settings of effects" in one for one in usual.warnings)
+
+
+def test_a_lead_that_was_meant_in_mm_is_named_in_m():
+    model = new_model("stewart42").with_effect("screw_pitch_error", {"lead": 5.0})
+    [words] = list_setting_warnings(model)
+    assert words.startswith("screw_pitch_error.lead is 5 m, but usually 0.0001 to 0.1 m: settings")
 
 
 def test_parameters_of_an_effect_that_a_step_adds_or_removes_can_be_fixed(with_backlash):

@@ -126,6 +126,8 @@ def test_new_writes_the_class_and_info_shows_it(tmp_path, capsys):
     shown = capsys.readouterr().out
     assert "class: hobby" in shown
     assert "effects: none" in shown
+    usual = "those of the mechanism and, for class hobby, of the catalogue"
+    assert f"tolerances: {usual}" in shown
     assert run("info", file, "--json") == 0
     document = json.loads(capsys.readouterr().out)
     assert (document["class"], document["mechanism"]) == ("hobby", "linear_delta")

@@ -58,5 +58,6 @@ def test_the_command_says_it_before_the_model_is_used(fitted, run_cli, tmp_path)
 
     write_model(fitted[0].model, tmp_path / "fit.yaml")
     shown = run_cli("add", tmp_path / "fit.yaml", "backlash", BAG)
-    assert "moves the platform by 18 um rms at the measured poses" in shown
+    assert "moves the origin of 'platform' by 18 um rms at the measured poses" in shown
+    assert "um rms over the workspace (at direction 0; the samples have other values)" in shown
     json.loads(run_cli("fit", tmp_path / "fit.yaml", BAG, "--json", "--hold-out", "0"))

@@ -295,6 +295,8 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
         page = browser.new_page(viewport={"width": 1280, "height": 1000})
         page.set_default_timeout(1000 * LONG)
         page.on("request", lambda request: asked_for.add(request.url.split("/")[2]))
+        said = []
+        page.on("console", lambda one: said.append(one.text) if one.type == "error" else None)
         page.goto(served.url)
         page.get_by_text("Where it fails").wait_for()
 
@@ -329,6 +331,9 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
         other.locator("#verdict").get_by_text("down to the noise").wait_for()
         assert page.locator("header").inner_text() != fitted
         assert "backlash" in page.locator("#budget").inner_text()
+        page.locator("#budget").hover()
+        page.locator(".q-tooltip").get_by_text("A part removes").wait_for()
+        assert not said
         # What the samples do not tell stays on the page, in the verdict and beside the effect.
         verdict = page.locator("#verdict-words").inner_text()
         assert re.search(

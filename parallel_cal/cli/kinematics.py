@@ -62,7 +62,8 @@ Input = Annotated[
     Path | None,
     typer.Option(
         "--input",
-        help="CSV table; each row states the joint readings (direct) or the pose (inverse)",
+        help="CSV table; each row states the joint readings (direct) or the pose (inverse), in SI "
+        "units or in those of the header (leg1 [mm])",
     ),
 ]
 Output = Annotated[

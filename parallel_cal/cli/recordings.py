@@ -43,7 +43,9 @@ def info(
         if as_json:
             return console.emit(document)
         lists = {key: ", ".join(map(str, v)) for key, v in document.items() if isinstance(v, list)}
-        tolerances = {"tolerances": ", ".join(f"{k} {v:g}" for k, v in model.tolerances.items())}
+        usual = f"those of the mechanism and, for class {model.machine_class}, of the catalogue"
+        replaced = ", ".join(f"{k} {v:g}" for k, v in model.tolerances.items())
+        tolerances = {"tolerances": f"{replaced}; others are {usual}" if replaced else usual}
         region = IdentifiedRegion.of_model(model)
         shown = {"region": "" if region is None else region.description}
         for key, value in (document | lists | tolerances | shown).items():

@@ -5,8 +5,8 @@ from __future__ import annotations
 import csv
 import io
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError, SolveError
 from parallel_cal.base.rotation import quaternion_to_matrix
+from parallel_cal.base.units import CONDITION_UNITS, UNITS
 from parallel_cal.kinematics.answers import (
     direct_covariances,
     explained_residuals,
@@ -24,30 +25,83 @@ from parallel_cal.kinematics.answers import (
 )
 from parallel_cal.kinematics.kinematics import Solutions, Status
 from parallel_cal.kinematics.solving import Conditions, direct, inverse
+from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.mechanism import POSE
 from parallel_cal.model.model import Model
-from parallel_cal.recordings.table import Table, read_table
+from parallel_cal.recordings.columns import si_unit
+from parallel_cal.recordings.table import Table, read_table, split_condition, split_unit
 
 POSITION = ("x", "y", "z")
 QUATERNION = ("qx", "qy", "qz", "qw")
 
 
-def _check_columns(
-    table: Table, wanted: Sequence[str], optional: Sequence[str], model: Model
-) -> Table:
-    """Raise SolveError if wanted columns are missing, or others than the optional ones exist.
+@dataclass(frozen=True)
+class _SiTable:
+    """A table whose columns have the names and SI units of a model's quantities.
 
-    Conditions that the model does not depend on may stand in the table: they change nothing.
+    `header` (without units), `factors` and `offsets` are in the order of the table's columns.
     """
-    header = table.header
-    known = {*wanted, *optional, *(name for name in header if _is_condition(model, name))}
-    if not {*wanted} <= {*header} <= known or len(set(header)) < len(header):
-        also = f" (and may have {', '.join(optional)})" if optional else ""
-        raise SolveError(
-            f"{table.path}:1: header '{','.join(header)}'; expected the columns "
-            f"{','.join(wanted)}{also}, in SI units"
-        )
-    return table
+
+    table: Table
+    header: tuple[str, ...]
+    factors: tuple[float, ...]
+    offsets: tuple[float, ...]
+
+    @classmethod
+    def of(cls, table: Table, model: Model, units: Mapping[str, str]) -> _SiTable:
+        """Read the units in a header, `leg1 [mm]`; columns without a unit are in SI units.
+
+        `units` are the SI units of the quantities that are no conditions. SolveError for a unit of
+        another quantity.
+        """
+        columns = [_read_word(table, word, model, units) for word in table.header]
+        return cls(table, *zip(*columns, strict=True))
+
+    def column(self, name: str) -> np.ndarray:
+        """Return a column (N,) in its SI unit, NaN for a cell that is not a number."""
+        k = self.header.index(name)
+        return self.table.column(self.table.header[k]) * self.factors[k] + self.offsets[k]
+
+    def columns(self, names: Sequence[str]) -> np.ndarray:
+        """Return columns (N, len(names)); NaN gives its row a status, other rows are solved."""
+        return np.column_stack([self.column(name) for name in names])
+
+    def check(self, wanted: Sequence[str], optional: Sequence[str], model: Model) -> _SiTable:
+        """Return self; SolveError if wanted columns are missing, or others than the optional ones
+        exist.
+
+        Conditions that the model does not depend on may stand in the table: they change nothing.
+        """
+        header = self.header
+        known = {*wanted, *optional, *(name for name in header if _is_condition(model, name))}
+        if not {*wanted} <= {*header} <= known or len(set(header)) < len(header):
+            also = f" (and may have {', '.join(optional)})" if optional else ""
+            raise SolveError(
+                f"{self.table.path}:1: header '{','.join(self.table.header)}'; expected the "
+                f"columns {','.join(wanted)}{also}, in SI units or with a unit in brackets, "
+                "such as [mm] or [deg]"
+            )
+        return self
+
+
+def _read_word(
+    table: Table, word: str, model: Model, units: Mapping[str, str]
+) -> tuple[str, float, float]:
+    """Return the name of a column, and the factor and the offset to its SI unit."""
+    name, unit = split_unit(word)
+    if word not in units and name in units and unit:
+        if unit not in UNITS or si_unit(unit) != units[name]:
+            raise SolveError(
+                f"{table.path}:1: column {word} is in {unit}, but {name} is in {units[name]}"
+            )
+        return name, UNITS[unit], 0.0
+    name, unit = split_condition(word)
+    if unit and not _is_condition(model, word) and _is_condition(model, name):
+        own = CONDITIONS[name.split(".")[0]][0]
+        if unit not in CONDITION_UNITS.get(own, {}):
+            raise SolveError(f"{table.path}:1: column {word} is in {unit}, but {name} is in {own}")
+        return name, *CONDITION_UNITS[own][unit]
+    return word, 1.0, 0.0
 
 
 def _is_condition(model: Model, name: str) -> bool:
@@ -57,14 +111,6 @@ def _is_condition(model: Model, name: str) -> bool:
     except ModelError:
         return False
     return True
-
-
-def _columns(table: Table, names: Sequence[str]) -> np.ndarray:
-    """Return the columns (N, len(names)), NaN for cells that are not numbers.
-
-    A row with such a cell gets a status; the other rows are solved.
-    """
-    return np.column_stack([table.column(name) for name in names])
 
 
 class Answer(NamedTuple):
@@ -83,8 +129,9 @@ def direct_table(
     model: Model, path: Path, at: Conditions, solver: str, covariance: bool = False
 ) -> Answer:
     """Solve a table of joint readings."""
-    table = _check_columns(read_table(path), model.joints, model.conditions, model)
-    q = _columns(table, model.joints)
+    units = dict(zip(model.joints, model.mechanism.joint_units, strict=True))
+    table = _SiTable.of(read_table(path), model, units)
+    q = table.check(model.joints, model.conditions, model).columns(model.joints)
     conditions = _conditions(model, table, at)
     good = _find_finite_rows(q, conditions)
     found = _make_invalid_solutions(model, good)
@@ -94,7 +141,7 @@ def direct_table(
     known = direct_covariances(model, found, conditions) if covariance else None
     names, values = (*POSITION, *QUATERNION), np.hstack([found.position, found.quaternion])
     explained = explained_residuals(model, found, conditions)
-    text = _text(table, names, values, found, POSE, known, explained)
+    text = _text(table.table, names, values, found, POSE, known, explained)
     return Answer(text, found, known, conditions, explained)
 
 
@@ -102,19 +149,19 @@ def inverse_table(
     model: Model, path: Path, at: Conditions, solver: str, covariance: bool = False
 ) -> Answer:
     """Solve a table of positions, orientations or both, according to header and mechanism."""
-    table = read_table(path)
+    table = _SiTable.of(read_table(path), model, dict.fromkeys(POSITION, "m"))
     header = {*table.header}
     has_turns = bool(header & {*QUATERNION}) or not {*model.mechanism.controls} & {*POSITION}
     has_places = bool(header & {*POSITION}) or not has_turns
     wanted = (*(POSITION if has_places else ()), *(QUATERNION if has_turns else ()))
-    table = _check_columns(table, wanted, model.conditions, model)
-    n = len(table.rows)
+    table.check(wanted, model.conditions, model)
+    n = len(table.table.rows)
     r = np.tile(model.mechanism.home.position, (n, 1))
     if "x" in table.header:
-        r = _columns(table, POSITION)
+        r = table.columns(POSITION)
     R = None
     if "qw" in table.header:
-        q = _columns(table, QUATERNION)
+        q = table.columns(QUATERNION)
         q[np.linalg.norm(q, axis=1) < 1e-9] = np.nan  # no rotation: the row gets a status
         R = quaternion_to_matrix(q)
     conditions = _conditions(model, table, at)
@@ -125,7 +172,7 @@ def inverse_table(
         some = inverse(model, r[good], turned, select_rows(conditions, good), solver=solver)
         found = _insert_solutions(found, some, good)
     known = inverse_covariances(model, found, conditions) if covariance else None
-    text = _text(table, model.joints, found.joints, found, model.joints, known)
+    text = _text(table.table, model.joints, found.joints, found, model.joints, known)
     return Answer(text, found, known, conditions)
 
 
@@ -155,7 +202,7 @@ def _insert_solutions(found: Solutions, some: Solutions, good: np.ndarray) -> So
     return replace(found, message=some.message)
 
 
-def _conditions(model: Model, table: Table, at: Conditions) -> dict[str, np.ndarray]:
+def _conditions(model: Model, table: _SiTable, at: Conditions) -> dict[str, np.ndarray]:
     """Return the conditions; columns of the table override values from the command line."""
     columns = {k: table.column(k) for k in table.header if k in model.conditions}
     return {**{name: np.array(value) for name, value in at.items()}, **columns}

@@ -41,6 +41,7 @@ from parallel_cal.model.model import Model
 from parallel_cal.model.region import IdentifiedRegion, describe_untested_conditions
 from parallel_cal.recordings.configuration import explain_other_configuration
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.joining import fingerprint
 from parallel_cal.recordings.residuals import Residuals
 
 
@@ -128,12 +129,15 @@ class Comparison(ShownInNotebook):
     @cached_property
     def iso_9283(self) -> tuple[Iso9283, ...]:
         """Pose accuracy and repeatability with the unchanged model."""
-        return iso_9283(
+        found = iso_9283(
             self.errors,
             self.observations.group,
             list_sides(self.dataset),
             sides_from_order=self.dataset.sides_from_order,
         )
+        unused = self.given.is_judged_by_unused_samples
+        placed = self.given.is_registered or self.given.lacked_start
+        return tuple(replace(one, unused=unused, frames_fitted=placed) for one in found)
 
     @property
     def position(self) -> np.ndarray:
@@ -277,6 +281,8 @@ def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) ->
     >>> bool(comparison.errors.summary.position_rms > 5e-4)
     True
     """
+    if not dataset.sha256:  # so that the samples of a fit are recognised
+        dataset = replace(dataset, sha256=fingerprint(dataset))
     given = GivenModel.of(model, dataset, joint_sigma, insist=True)
     dataset = add_registration_warning(given.dataset, given.registration)
     if other := explain_other_configuration(model, dataset.configuration, dataset.source):

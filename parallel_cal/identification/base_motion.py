@@ -28,7 +28,7 @@ class BaseMotion:
     `position` (3,) m and `rotation` (3,) rad, a rotation vector, state where the identified base
     stands in the drawn one; `platform_position` and `platform_rotation` where the point that the
     identified poses state as {P} sits on the drawn platform. `change` is the rms distance (m)
-    between the positions of both robots at the measured joints, as stated in {B};
+    between the origins of {P} of both robots at the measured joints, as stated in {B};
     `change_of_shape` is what remains of it after both motions.
     """
 
@@ -52,11 +52,12 @@ class BaseMotion:
             )
         ]
         return (
-            f"at the same joints, the identified robot is {1e6 * self.change:.0f} um (rms) from "
-            f"the drawn one as stated in '{self.base}', and {1e6 * self.change_of_shape:.0f} um "
-            f"after the best rigid motions of {' and '.join(motions)}. The poses do not determine "
-            "these frames: they lie where the drawing fits best within the tolerances. To tie "
-            "them to features, fix the features' parameters (--fix)"
+            f"at the same joints, the origin of '{self.platform}' of the identified robot is "
+            f"{1e6 * self.change:.0f} um (rms) from that of the drawn one as stated in "
+            f"'{self.base}', and {1e6 * self.change_of_shape:.0f} um after the best rigid motions "
+            f"of {' and '.join(motions)}. The poses do not determine these frames: they lie where "
+            "the drawing fits best within the tolerances. To tie them to features, fix the "
+            "features' parameters (--fix)"
         )
 
     def document(self) -> dict[str, Any]:

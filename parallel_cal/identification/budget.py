@@ -32,7 +32,8 @@ class Part:
 
     `removed` is the rms error that the part removes where it is added last; of `noise` and `rest`
     it is the rms error that remains. `sigma` is its standard deviation; None if not known. `alone`
-    is the rms motion of the platform by the part; None for noise and rest.
+    is the rms motion of the measured point of the platform (the target) by the part; None for noise
+    and rest.
     """
 
     name: str
@@ -158,7 +159,9 @@ class Iso9283:
     (`repeated_poses`, and `visits` in total); None if there are none. Both contain the noise of the
     device. `poses` counts the poses, `samples` all visits. If the recording does not know the side
     from which a pose was approached (`sides_known`), all its visits count as from one side.
-    `sides_from_order`: these sides follow from the order of a table's rows.
+    `sides_from_order`: these sides follow from the order of a table's rows. `unused`: no fit in the
+    model's history used these samples; `frames_fitted`: only the frames of the device were fitted
+    to them.
     """
 
     kind: str
@@ -174,6 +177,8 @@ class Iso9283:
     sides_known: bool
     held_out: bool
     sides_from_order: bool = False
+    unused: bool = False
+    frames_fitted: bool = False
 
 
 def iso_9283(

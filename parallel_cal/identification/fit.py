@@ -45,6 +45,7 @@ from parallel_cal.identification.fit_warnings import (
     list_noise_warnings,
     list_parameter_warnings,
     list_sample_warnings,
+    list_setting_warnings,
     on_priors,
 )
 from parallel_cal.identification.given_model import Folds, GivenModel
@@ -680,6 +681,7 @@ def fit_unjudged(
             *describe_by_effect(unusual.values()).values(),
             *insisted,
             *([] if scaled is None else [str(scaled)]),
+            *list_setting_warnings(fitted),
             *list_parameter_warnings(fitted, estimate, mask),
             *on_priors(fitted, estimate),
             *list_noise_warnings(fitted, estimate, observations, inseparable),

@@ -67,6 +67,18 @@ def list_parameter_warnings(model: Model, estimate: Estimate, free: np.ndarray) 
     return words
 
 
+def list_setting_warnings(model: Model) -> list[str]:
+    """List fixed parameters of effects that lie outside their range, such as a lead in mm."""
+    effects = {effect.name for effect in model.effects}
+    return [
+        f"{p.shown_name} is {value:g}{unit}, but usually {p.low:g} to {p.high:g}{unit}: settings "
+        "of effects are in SI units (m, rad, kg, s, N)"
+        for p, value, fixed in zip(model.table, model.values, model.fixed, strict=True)
+        if fixed and p.name.partition(".")[0] in effects and not p.low <= value <= p.high
+        for unit in ("" if p.unit == "1" else f" {p.unit}",)
+    ]
+
+
 def _describe_sigma(tolerances: float) -> str:
     """The sigma of a parameter in its tolerances; the data may not determine it."""
     if not np.isfinite(tolerances):

@@ -187,6 +187,15 @@ class GivenModel:
         return np.isin(session, known)
 
     @property
+    def is_judged_by_unused_samples(self) -> bool:
+        """Whether no fit in the model's history used any of these samples; False if not known."""
+        fits = [entry for entry in self.unregistered.history if "dataset" in entry]
+        if not fits:  # a fit without a step in the history leaves a covariance
+            return self.unregistered.covariance is None
+        known = bool(self.dataset.sha256) and all(map(_recordings_of, fits))
+        return known and not self.known_samples.any()
+
+    @property
     def earlier_fits(self) -> tuple[Mapping[str, Any], ...]:
         """Steps of the model's history that used other samples too, or only other samples."""
         mine = self.fits_of_these_samples

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from parallel_cal.identification.thresholds import (
     MAX_SHIFT_TO_SHOWN_RATIO,
 )
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
+from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Model
 
@@ -32,11 +34,14 @@ class PlatformShift:
     `measured` is at the measured poses, `workspace` over the workspace under neutral conditions.
     `shown` is the root of the fall of the squared validation errors. None if not known. Where only
     images were measured, a common motion of {B} or of {P} is not counted: no pixel shows it.
+    `neutral` names the conditions (`temperature`, without joint or part) that the models depend on
+    and that differ in the samples from their neutral values, with (neutral value, unit).
     """
 
     measured: float
     workspace: float | None
     shown: float | None
+    neutral: Mapping[str, tuple[float, str]] = field(default_factory=dict)
 
 
 @single_threaded()
@@ -64,7 +69,13 @@ def compute_platform_shift(before: FitResult, after: FitResult) -> PlatformShift
     measured, workspace = (
         _compute_rms_distance(_compare_poses(*pair), frames) for pair in (reached, anywhere)
     )
-    return PlatformShift(measured or 0.0, workspace, shown)
+    neutral: dict[str, tuple[float, str]] = {}
+    for robot, result in ((old, before), (new, after)):
+        for name, values in condition_columns(robot, result.observations).items():
+            unit, value, _ = CONDITIONS[name.partition(".")[0]]
+            if np.any(values != value):
+                neutral[name.partition(".")[0]] = (value, unit)
+    return PlatformShift(measured or 0.0, workspace, shown, neutral)
 
 
 def find_large_device_effects(model: Model) -> list[str]:

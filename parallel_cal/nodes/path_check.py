@@ -15,9 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.base.errors import SolveError
+from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
 from parallel_cal.kinematics.singularity import distances
-from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.mechanism import POSE, Mechanism
 
 N_CHECKED_POINTS = 12  # points on the path, including both ends
 SLACK = 1e-6  # m or rad by which a target at the edge of the workspace may lie outside
@@ -132,13 +133,19 @@ def _check_workspace(mechanism: Mechanism, found: Solutions) -> None:
     """Refuse a path that leaves the workspace, or that leads further out if it begins outside."""
     poses = mechanism.controlled_coordinates(found.position, found.rotation)
     low, high = np.array(mechanism.workspace.low), np.array(mechanism.workspace.high)
-    out = np.maximum(low - poses, poses - high).max(axis=1)
+    beyond = np.maximum(low - poses, poses - high)
+    out = beyond.max(axis=1)
     bad = out > max(SLACK, float(out[0]) + SLACK)
     if bad.any():
         i = int(np.argmax(bad))
+        k = int(np.argmax(beyond[i]))
+        name = mechanism.controls[k]
+        unit, si = ("mm", MM) if name in POSE[:3] else ("deg", DEGREE)
+        end = low[k] if poses[i, k] < low[k] else high[k]
         raise SolveError(
-            f"the path to the target leaves the model file's workspace {_part(i)}, by {out[i]:.3g} "
-            "m or rad"
+            f"the path to the target leaves the model file's workspace {_part(i)}: {name} "
+            f"{poses[i, k] / si:.4g} {unit} is {out[i] / si:.3g} {unit} beyond {end / si:.4g} "
+            f"{unit}. If the robot may move there, enlarge workspace in the model file"
         )
 
 

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from parallel_cal.diagnosis.diagnose import Diagnosis
     from parallel_cal.diagnosis.entries import Entry
     from parallel_cal.discovery.law import Discovery
+    from parallel_cal.identification.platform_shift import PlatformShift
     from parallel_cal.session.saving import ComparedModel
     from parallel_cal.session.steps import Step
 
@@ -53,6 +54,10 @@ MAX_SAMPLES = 10
 MAX_PATTERNS = 5
 MAX_ESTIMATES = 4  # parameters of an effect that are shown; gears have a dozen
 PATTERN_SIGNIFICANCE_LEVEL = 0.05  # below it a pattern of the errors is shown
+# How a model and the samples of a figure are related.
+IN_SAMPLE = "poses (not held out)"
+UNUSED = "poses (no fit of this model used them)"
+REGISTERED_TO = "poses (no fit of this model used them, except for the device's frame)"
 
 
 def describe(result: Any) -> Iterator[Block]:
@@ -88,12 +93,24 @@ def describe_step(step: Step) -> Iterator[Block]:
             for distance in (shift.measured, shift.workspace, shift.shown)
         )
         yield (
-            f"the change moves the platform by {measured} um rms at the measured poses and by "
-            f"{anywhere} um rms over the workspace; the validation error shows {worth} um of it"
+            f"the change moves the origin of '{step.result.model.frames['platform']}' by "
+            f"{measured} um rms at the measured poses and by {anywhere} um rms over the workspace"
+            f"{_describe_neutral_conditions(shift)}; the validation error shows {worth} um of it"
         )
         beyond = describe_workspace_excess(step.result.model, step.result.region)
         where = f"these errors are of samples in {step.result.region.description}"
         yield f"{where}; {beyond}" if beyond else where
+
+
+def _describe_neutral_conditions(shift: PlatformShift) -> str:
+    """Say what conditions the figure over the workspace is for, if the samples had others."""
+    if not shift.neutral:
+        return ""
+    words = (
+        f"{name} {value:g}{'' if unit == '1' else f' {unit}'}"
+        for name, (value, unit) in shift.neutral.items()
+    )
+    return f" (at {', '.join(words)}; the samples have other values)"
 
 
 def describe_fit(result: FitResult, without: FitResult | None = None) -> Iterator[Block]:
@@ -158,15 +175,14 @@ def budget_sentence(budget: Budget) -> str:
     return (
         f"{describe_counts(budget.samples, budget.poses, budget.held_out)}. A part removes "
         "sqrt(a^2 - b^2), where a is the error of the model without this part and b the error of "
-        "the whole model. Noise and rest remain"
+        "the whole model. Noise and rest remain. The last column is the motion of the measured "
+        "point (the target)"
     )
 
 
 def describe_counts(samples: int, poses: int, held_out: bool) -> str:
     """Say at which samples an error was taken: `94 samples of 74 held-out poses`."""
-    return (
-        f"{samples} samples of {poses} {'held-out poses' if held_out else 'poses (not held out)'}"
-    )
+    return f"{samples} samples of {poses} {'held-out poses' if held_out else IN_SAMPLE}"
 
 
 def iso_sentence(figures: Iso9283) -> str:
@@ -185,6 +201,8 @@ def iso_sentence(figures: Iso9283) -> str:
     mean = with_sigma(figures.accuracy_mean, figures.accuracy_sigma, factor)
     worst = number(figures.accuracy_max, factor)
     counts = describe_counts(figures.samples, figures.poses, figures.held_out)
+    if figures.unused and not figures.held_out:
+        counts = counts.replace(IN_SAMPLE, REGISTERED_TO if figures.frames_fitted else UNUSED)
     text = (
         f"after ISO 9283, {figures.kind}: accuracy AP {mean} {unit}, worst {worst}, at {counts}, "
         f"noise of the device included; {again}"

@@ -27,6 +27,7 @@ from parallel_cal.diagnosis.verdict import robot_or_device
 from parallel_cal.identification.acceptance import IN_SAMPLE, Acceptance, acceptance
 from parallel_cal.identification.added_effects import limit_patterns
 from parallel_cal.identification.fit import FitResult, fit, fit_unjudged
+from parallel_cal.identification.fit_warnings import list_setting_warnings
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.platform_shift import (
@@ -259,6 +260,8 @@ def add(
         )
         both = without[1] if without else both
     found = both.judge()
+    if found.against and (doubtful := list_setting_warnings(both.result.model)):
+        found = replace(found, against="; ".join([*doubtful, found.against]))
     if found.against and both.knocked:
         numbers = ", ".join(map(str, both.knocked))
         found = replace(found, against=f"{found.against} (judged without sample {numbers})")

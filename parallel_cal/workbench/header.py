@@ -195,15 +195,16 @@ class VerdictCard:
             if budget := view.get("budget"):
                 with ui.column().classes("gap-0 w-full"):
                     ui.label(budget["title"]).classes("text-xs quiet")
-                    ui.label(" · ".join(budget["parts"])).props("id=budget").tooltip(
-                        budget["about"]
-                    )
+                    # A tooltip inside: `tooltip()` looks for an id that NiceGUI gives.
+                    with ui.label(" · ".join(budget["parts"])).props("id=budget"):
+                        ui.tooltip(budget["about"])
             if words := " · ".join(filter(None, (view.get("counts"), view.get("chi2")))):
                 ui.label(words).props("id=counts").classes("text-xs w-full")
             if iso := view.get("iso"):
                 figures = ui.label(iso[0]).props("id=iso").classes("text-xs")
                 if iso[1:]:
-                    figures.tooltip(" · ".join(iso[1:]))
+                    with figures:
+                        ui.tooltip(" · ".join(iso[1:]))
             if warnings := view.get("warnings"):
                 count = "1 warning" if len(warnings) == 1 else f"{len(warnings)} warnings"
                 with ui.expansion(count).props("dense id=warnings").classes("text-xs"):

@@ -60,7 +60,16 @@ NO_SCALE = (
     "recording (option scale of stewart42, in counts per m), and errors that grow with the length "
     "of a strut become smaller. new --from HAL --from INI states it"
 )
-WIDTHS = "set BACKLASH in your .ini file, in mm: {}"
+WIDTHS = (
+    "set BACKLASH in your .ini file, in mm: {}. The stated error of the kinematics does not "
+    "include backlash"
+)
+NO_WIDTHS = (
+    "leave BACKLASH at 0 in your .ini file: the model's widths of backlash are not significant. "
+    "The stated error of the kinematics does not include backlash"
+)
+INSIGNIFICANT_WIDTH = " (0: less than {:g} sigma, or negative)"
+MIN_WIDTH_SIGMAS = 2.0  # a smaller width of backlash is proposed as 0
 HEAD = """\
 # For {} only. Do not use these values together with the exported component.
 # The component contains the zero corrections of the joints, HOME_OFFSET here does, too.
@@ -167,6 +176,7 @@ def _format_scale(scale: float) -> str:
 
 def project(model: Model, present: Refinement | None = None) -> Projection:
     name, scale, remarks = model.mechanism.name, None, [SWITCHES]
+    expressed: tuple[str, ...] = ()
     if name in LINEAR:
         tall, found = fit_equal_towers(model, TOWERS, present)
         pins = {"lineardeltakins.R": tall.radius[0], "lineardeltakins.L": tall.rods[0]}
@@ -185,6 +195,7 @@ def project(model: Model, present: Refinement | None = None) -> Projection:
             for i, axis in enumerate("xyz")
         }
         homed, scale, remarks = struts.switches / MM, struts.scale, _remarks(model)
+        expressed = ("backlash",)  # by BACKLASH, which a remark proposes
     written = {field: f"{float(size) / MM + 0.0:.5f}" for field, size in pins.items()}
     offsets = {HOMED.format(i): f"{value:.6f}" for i, value in enumerate(homed)}
     if scale is not None:  # per mm
@@ -193,7 +204,7 @@ def project(model: Model, present: Refinement | None = None) -> Projection:
     settings = {f"{kinematics}/{HAL}": written, f"{kinematics}/{INI}": offsets}
     units = " and SCALE is per mm" if scale is not None else ""
     head = HEAD.format(kinematics, units)
-    return Projection(settings, found.frame, found.stops, tuple(remarks), head)
+    return Projection(settings, found.frame, found.stops, tuple(remarks), head, expressed)
 
 
 def _remarks(model: Model) -> list[str]:
@@ -204,11 +215,27 @@ def _remarks(model: Model) -> list[str]:
     if getattr(m, "scale", None) is None and model.effects:
         remarks.append(NO_SCALE)
     remarks.extend(filter(None, [_describe_unfitted_region(model)]))
-    widths = [f"backlash.{leg}.width" for leg in m.joints]
-    if {*widths} <= {*model.table.names}:
-        text = ", ".join(f"JOINT_{i} {model.value(w) / MM:.4f}" for i, w in enumerate(widths))
-        remarks.append(WIDTHS.format(text))
+    remarks.extend(filter(None, [_describe_backlash(model)]))
     return remarks
+
+
+def _describe_backlash(model: Model) -> str:
+    """Propose BACKLASH for the legs; 0 for a width that is negative or not significant."""
+    names = [f"backlash.{leg}.width" for leg in model.joints]
+    if not {*names} <= {*model.table.names}:
+        return ""
+    which = [model.table.index_of(name) for name in names]
+    widths, sigmas = model.values[which], np.zeros(len(which))
+    if model.covariance is not None:  # the sigma of a fixed width is 0
+        sigmas = np.sqrt(np.diag(model.covariance)[which])
+    significant = (widths > 0) & (widths >= MIN_WIDTH_SIGMAS * sigmas)
+    if not significant.any():
+        return NO_WIDTHS
+    proposed = np.where(significant, widths, 0.0) / MM
+    text = ", ".join(f"JOINT_{i} {width:.4f}" for i, width in enumerate(proposed))
+    return WIDTHS.format(
+        text + ("" if significant.all() else INSIGNIFICANT_WIDTH.format(MIN_WIDTH_SIGMAS))
+    )
 
 
 def _describe_unfitted_region(model: Model) -> str:
