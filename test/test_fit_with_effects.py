@@ -103,8 +103,9 @@ def test_where_hardly_more_than_noise_is_left_small_differences_of_chi2_decide(
         )
     ]
     monkeypatch.setattr(first_effect, "rank_first_effects", lambda *given: ranked)
+    data, model = measured(), new_model("delta54")
     with pytest.raises(ImplausibleGeometryError) as error:  # noqa: SIM117
-        with first_effect.proposing_first_effect(None, None, FitOptions()):
+        with first_effect.proposing_first_effect(model, data, FitOptions()):
             raise ImplausibleGeometryError("link1.a is implausible", chi2_per_dof)
     words = str(error.value)
     assert [name for name in ("encoder_gain", *proposed) if f"{name} (chi2" in words] == proposed

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from datasets import measured
+from scipy.spatial.transform import Rotation
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import matrix_to_quaternion
@@ -16,6 +17,7 @@ from parallel_cal.cli import main as cli
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.fit import fit
+from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.observations import observe
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.solving import controlled_pose
@@ -34,7 +36,7 @@ from parallel_cal.model.shelf import list_plugins
 from parallel_cal.recordings.csv_import import import_csv
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.session.goals import Request, examine, propose_model
-from parallel_cal.session.steps import add
+from parallel_cal.session.steps import add, fitted
 from parallel_cal.virtual import robot as vr
 
 JUGGLEBOT = Path(__file__).parents[1] / "real" / "jugglebot" / "poses_108.csv"
@@ -340,3 +342,69 @@ def test_motor_revolutions_of_a_real_hexapod_are_refused_and_what_the_message_sa
     file.write_text(column_map(columns, unit="rev", per_rev=per_rev))
     found = fit(jugglebot(), import_csv(JUGGLEBOT, file))
     assert found.held_out.summary.position_rms < 3e-3  # 55 mm before
+
+
+# ------------------------------------------------------------- other columns, signs, conventions
+
+
+def exchanged(q):
+    return q[:, [0, 1, 3, 2, 4, 5]]
+
+
+def turned_around(data):
+    return replace(data, R=data.R.transpose(0, 2, 1))
+
+
+def about_rotated_axes(data):
+    """Three angles about fixed axes, taken for angles about rotated axes."""
+    angles = Rotation.from_matrix(data.R).as_euler("xyz")
+    return replace(data, R=Rotation.from_euler("XYZ", angles).as_matrix())
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (
+            lambda d: replace(d, q=exchanged(d.q)),
+            "leg3 is in the column of leg4 and leg4 is in the column of leg3: the errors are",
+        ),
+        (lambda d: replace(d, q=d.q[:, ::-1]), "is in the column of leg"),
+        (
+            lambda d: replace(d, q=d.q * [1, 1, -1, 1, 1, 1]),
+            "leg3 has the other sign (column map: leg3: {column: ..., factor: -1})",
+        ),
+        (turned_around, "the rotations are those of the device seen by the target"),
+        (lambda d: replace(d, r=10 * d.r), "the positions are multiplied by 0.1"),
+    ],
+)
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_what_was_meant_is_named_if_it_fits_the_poses(spoil, words, elsewhere):
+    """Also where the device stands anywhere."""
+    data = legs(offset=0.01)
+    if elsewhere:
+        F, f = vr.turn(np.array([0.3, -0.2, 1.9])), np.array([0.8, -0.4, 0.2])
+        data = replace(data, r=data.r @ F.T + f, R=F @ data.R, frame="tracker")
+    doubtful = replace(stewart((-0.4, 0.4)), noise=NOISE)
+    fit(doubtful, data, hold_out=0)
+    with pytest.raises(FitError, match=re.escape(words)) as refused:
+        fit(doubtful, spoil(data))
+    assert str(refused.value).startswith("legs.csv: the joint readings do not fit")
+    [said] = [w for w in compare(doubtful, spoil(data)).dataset.warnings if words in w]
+    assert said == str(refused.value)
+
+
+@pytest.mark.wide
+def test_a_convention_that_tolerances_would_excuse_is_named_where_no_geometry_fits():
+    with pytest.raises(FitError, match=r"the angles are about rotated instead .* As they are, leg"):
+        fitted(stewart(), about_rotated_axes(legs()))
+
+
+def test_a_zero_a_quarter_turn_away_is_named_and_robots_with_errors_are_let_in():
+    model, data = delta(lambda q: q + [0.0, np.pi / 2, 0.0])
+    with pytest.raises(FitError, match=r"-90 deg are added to joint2 \(column map: joint2: {col"):
+        fit(model, data)
+    for seed in range(3):
+        off = 3 * model.table.tolerance * np.random.default_rng(seed).standard_normal(54)
+        poor = model.with_values(model.values + np.where(model.fixed, 0.0, off))
+        given = GivenModel.of(poor, measured())
+        assert given.doubted_columns == ""

@@ -19,9 +19,13 @@ from parallel_cal.diagnosis.catalogue import (
 )
 from parallel_cal.diagnosis.search import Chosen
 from parallel_cal.identification.checks import ImplausibleGeometryError
+from parallel_cal.identification.column_doubts import doubt_columns
+from parallel_cal.identification.estimate import NoSolutionError
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.fit_warnings import format_distinctly
+from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
+from parallel_cal.identification.registration import DevicePoses
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.recordings.dataset import Dataset
@@ -109,11 +113,18 @@ def proposing_first_effect(
     effects: Iterable[str] = (),
     progress: Progress | None = None,
 ) -> Iterator[None]:
-    """If no plausible geometry describes the samples, add to the error which effect in the first
-    fit permits one: it is the likeliest cause."""
+    """If no plausible geometry describes the samples, say which other columns or conventions fit
+    them; if none do, add to the error which effect in the first fit permits a plausible geometry:
+    it is the likeliest cause."""
     try:
         yield
-    except ImplausibleGeometryError as error:
+    except (ImplausibleGeometryError, NoSolutionError) as error:
+        observations = observe(model, dataset, options.joint_sigma, options.insist)
+        there = DevicePoses.of(model, observations)
+        if words := doubt_columns(model, observations, there, dataset.source, suspected=True):
+            raise FitError(f"{words}. As they are, {error}") from None
+        if not isinstance(error, ImplausibleGeometryError):
+            raise
         ranked = rank_first_effects(model, dataset, effects, options, progress)
         words = _describe_proposal(ranked, error.chi2_per_dof)
         raise ImplausibleGeometryError(f"{error}. {words}", error.chi2_per_dof) from None

@@ -30,8 +30,19 @@ from parallel_cal.identification.thresholds import (
 from parallel_cal.model.model import Model
 
 QUARTER_TURNS = (0.5 * np.pi, -0.5 * np.pi, np.pi)
-# Three angles about fixed axes (small letters) or about rotated ones
-AXES = ("xyz", "XYZ", "zyx", "ZYX")
+# Conventions of three angles, about fixed axes (small letters) or about rotated ones, and which
+# mistake takes the first for the second. Another pair is one of these: xyz of three angles is ZYX
+# of the reversed ones.
+OTHER_KIND = "about rotated instead of fixed axes, or the reverse (column map: capitals in axes)"
+REVERSED = "in the reverse order (column map: columns)"
+AXES = {
+    ("xyz", "XYZ"): OTHER_KIND,
+    ("XYZ", "xyz"): OTHER_KIND,
+    ("xyz", "ZYX"): REVERSED,
+    ("XYZ", "zyx"): REVERSED,
+    ("xyz", "zyx"): f"{REVERSED}, and {OTHER_KIND}",
+    ("XYZ", "ZYX"): f"{REVERSED}, and {OTHER_KIND}",
+}
 LENGTHS = (1e3, 1e-3, 10.0, 0.1, 25.4, 1 / 25.4)  # mm stated as m, cm or inches, and the reverse
 
 
@@ -77,8 +88,7 @@ class Guess:
         if self.inverse:
             parts.append("the rotations are those of the device seen by the target (invert them)")
         if self.axes:
-            given, meant = self.axes
-            parts.append(f"the angles are about the axes {meant}, not {given} (column map: axes)")
+            parts.append(f"the angles are {AXES[self.axes]}")
         if moved := [i for i, k in enumerate(self.column) if i != k]:
             pairs = [f"{names[i]} is in the column of {names[self.column[i]]}" for i in moved]
             parts.append(" and ".join(pairs))
@@ -95,12 +105,17 @@ class Guess:
 
 
 def doubt_columns(
-    model: Model, observations: Observations, there: DevicePoses | None, source: str
+    model: Model,
+    observations: Observations,
+    there: DevicePoses | None,
+    source: str,
+    suspected: bool = False,
 ) -> str:
     """Explain with which other readings or orientations the samples fit the robot, if they do not
     as they are; empty if none do.
 
-    `there` are the poses of the observations.
+    `there` are the poses of the observations. If the samples are not `suspected`, because a fit to
+    them failed, their errors must exceed what the tolerances explain.
     """
     n = len(model.joints)
     if there is None:  # the robot cannot be there
@@ -109,7 +124,7 @@ def doubt_columns(
     else:
         sizes = there.compute_median_errors(there.frames)
         far_off = bool((sizes > MIN_UNREGISTERED_ERROR_RATIO * there.expected).any())
-    if not far_off:
+    if not (far_off or suspected):
         return ""
     some = np.unique(np.linspace(0, len(observations) - 1, MAX_GUESS_SAMPLES).astype(int))
     few = observations.select(some)
@@ -164,7 +179,7 @@ def _list_guesses(model: Model, placed: bool, turned: bool) -> Iterator[Guess]:
     yield from (replace(given, length=factor) for factor in LENGTHS if placed)
     if turned and max(model.mechanism.moved) >= 3:
         yield replace(given, inverse=True)
-        yield from (replace(given, axes=pair) for pair in permutations(AXES, 2))
+        yield from (replace(given, axes=pair) for pair in AXES)
 
 
 def _list_orders(joints: int) -> list[tuple[int, ...]]:
