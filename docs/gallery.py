@@ -88,7 +88,7 @@ def session(robot: Model, seed: int = 0) -> Dataset:
         "temperature": 21.0 + 4.0 * np.sin(7 * np.pi * time / time[-1]),
         "payload": rng.choice([0.0, 0.5, 1.0], n),
     }
-    for k, body in enumerate(m.bodies):
+    for k, body in enumerate(m.expanding_bodies):
         course = np.sin((7 + 2 * k) * np.pi * time / time[-1] + k)
         at[f"temperature.{body}"] = at["temperature"] + 6.0 * course
     for j, joint in enumerate(robot.joints):

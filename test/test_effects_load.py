@@ -396,7 +396,7 @@ CASES = [
         HEXAPOD,
         "thermal_expansion",
         vl.Warmth({"B": 23e-6, "C": 11.7e-6, "L0": 12e-6}),
-        {"platform.alpha": 23e-6, "base.alpha": 11.7e-6, "legs.alpha": 12e-6},
+        {"platform.alpha": 23e-6, "base.alpha": 11.7e-6, "legs.alpha": 12e-6, "scales.alpha": 0.0},
         {},
         1e-11,
     ),

@@ -38,8 +38,9 @@ def test_a_steel_rod_10_kelvin_warmer_and_an_arm_5_kelvin_colder_than_the_air():
 
 
 def test_a_mechanism_with_one_body_has_no_parts():
+    links = [{"joint": "R", "axes": "parallel", "a": 0.3}, {"joint": "R", "a": 0.2}]
     with pytest.raises(Exception, match="its lengths belong to one body: thermal_expansion"):
-        new_model("scara16").with_effect(NAME)
+        new_model(load_mechanism("serial", links=links)).with_effect(NAME)
 
 
 def test_where_only_the_general_temperature_is_given_every_part_has_it():

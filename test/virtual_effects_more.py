@@ -231,9 +231,11 @@ class LeaningBase(Effect):
 @dataclass(frozen=True)
 class PartsWarmth(Effect):
     """Named dimensions that grow by `growth` (1/K) with the temperature (degC) of their own part:
-    {"Lb": (1e-6, temperatures)}, with one temperature for each sample."""
+    {"Lb": (1e-6, temperatures)}, with one temperature for each sample. `scales` are the screws or
+    scales that measure sliding joints."""
 
     growth: dict[str, tuple[float, Array]]
+    scales: tuple[float, Any] = (0.0, 20.0)
 
     def geometry(self, parameters: Any, at: SampleConditions) -> Any:
         cold: tuple[float, Any] = (0.0, 20.0)
@@ -242,6 +244,10 @@ class PartsWarmth(Effect):
             rate, temperature = self.growth.get(name.split(".")[1].split("_")[0], cold)
             larger[name] = value * (1 + rate * (temperature - 20.0))
         return larger
+
+    def arm(self, reading: Array, robot: Any, at: SampleConditions) -> Array:
+        rate, temperature = self.scales
+        return reading * (1 + rate * (np.asarray(temperature)[..., None] - 20.0))
 
 
 @dataclass(frozen=True)

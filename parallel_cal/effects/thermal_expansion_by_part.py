@@ -14,7 +14,10 @@ class ThermalExpansionByPart(ThermalExpansion):
     """L_ideal = L (1 + alpha (T_body - T0)) for every length of a body, with one alpha (1/K) each.
 
     T_body is the condition `temperature.BODY`, such as `temperature.arms`. A body without a sensor
-    of its own has the general temperature.
+    of its own has the general temperature. `scales` are what measures the prismatic joints, as in
+    `thermal_expansion`: `temperature.scales` is the temperature of the screws, belts or scales.
+    If it is not recorded, it is that of the legs; without legs, it is the general temperature, or
+    that of the base.
     """
 
     physics = "Parts have different temperatures: motors and the sun warm some more than others."
@@ -26,12 +29,12 @@ class ThermalExpansionByPart(ThermalExpansion):
     def applies(self, mechanism: Mechanism) -> str:
         if why := super().applies(mechanism):
             return why
-        if len(mechanism.bodies) > 1:
+        if len(mechanism.expanding_bodies) > 1:
             return ""
         return "its lengths belong to one body: thermal_expansion describes it"
 
     def conditions(self, mechanism: Mechanism) -> list[str]:
-        return [f"temperature.{body}" for body in mechanism.bodies]
+        return [f"temperature.{body}" for body in mechanism.expanding_bodies]
 
     def temperature(self, at: Named, body: str) -> Any:
         """Return the temperature (degC) of a body by its own sensor."""

@@ -80,7 +80,7 @@ class GivenModel:
         other = explain_other_configuration(model, dataset.configuration, dataset.source)
         if other and not insist:
             raise FitError(other)
-        parts = [f"temperature.{body}" for body in model.mechanism.bodies]
+        parts = [f"temperature.{body}" for body in model.mechanism.expanding_bodies]
         dataset = add_lagged_conditions([*model.conditions, *parts], dataset)
         model, dataset = register_recordings(model, dataset, joint_sigma, insist)
         started = not all(sensor.is_placed for sensor in model.sensors)

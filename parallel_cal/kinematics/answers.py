@@ -33,7 +33,7 @@ def named_conditions(model: Model, given: Iterable[tuple[str, float]]) -> dict[s
     """
     conditions: dict[str, float] = {}
     parts = {c for c in model.conditions if parse_part(c)}
-    parts |= {f"temperature.{body}" for body in model.mechanism.bodies}
+    parts |= {f"temperature.{body}" for body in model.mechanism.expanding_bodies}
     for name, value in given:
         kind, _, joint = name.partition(".")
         if parse_lag(name) or name in parts:

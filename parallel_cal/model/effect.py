@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 from parallel_cal.base.errors import ModelError, wrap_plugin_error
 from parallel_cal.base.options import split_options
-from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.mechanism import SCALES, Mechanism
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 # Conditions of a sample: unit, neutral value, whether each joint has one.
@@ -47,13 +47,15 @@ def parse_part(condition: str) -> tuple[str, str] | None:
 
 def list_substitutes(condition: str) -> list[str]:
     """Return what takes the place of a condition that is not known, the nearest first: what a
-    lagged one follows, and then the general condition in place of that of a part."""
+    lagged one follows, and then the general condition in place of that of a part. The scales of
+    legs are as warm as the legs, and those of rails as the base if only that is known."""
     found = []
     if lag := parse_lag(condition):
         condition = lag[0]
         found.append(condition)
     if part := parse_part(condition):
-        found.append(part[0])
+        on_scales = part[1] == SCALES
+        found += [f"{part[0]}.legs", part[0], f"{part[0]}.base"] if on_scales else [part[0]]
     return found
 
 
@@ -94,6 +96,9 @@ class Effect(ABC):
     fixed : tuple of str
         Name patterns of its parameters that are known constants. A fit does not identify them.
         Default none.
+    added_later : tuple of str
+        Name patterns of parameters that model files of earlier releases lack. They have their
+        nominal values there, and are fixed if all others of the effect are. Default none.
     of_device : bool
         Whether it is an error of the measuring device, which a robot's controller must not correct.
         Default False.
@@ -135,6 +140,7 @@ class Effect(ABC):
     needs: ClassVar[tuple[str, ...]] = ()
     reads: ClassVar[tuple[str, ...]] = ()
     fixed: ClassVar[tuple[str, ...]] = ()
+    added_later: ClassVar[tuple[str, ...]] = ()
     of_device: ClassVar[bool] = False
     depends_on_class: ClassVar[bool] = True
     widens: ClassVar[bool] = False

@@ -19,6 +19,7 @@ from parallel_cal.model.drive import Drive, Spool
 from parallel_cal.model.parameters import Named, ParameterTable
 
 POSE = ("x", "y", "z", "rx", "ry", "rz")
+SCALES = "scales"  # what measures the joints whose readings are lengths
 
 
 @dataclass(frozen=True)
@@ -139,7 +140,8 @@ class Mechanism(ABC):
         Gravity in {B}, m/s^2. Default (0, 0, -9.81).
     bodies : dict
         Maps the name of a body of one material to the name patterns of the parameters that are its
-        lengths. Effects of thermal expansion use it. Default none.
+        lengths. Effects of thermal expansion use it. Default none. `scales` is added to them if
+        readings of joints are lengths: the linear scales, screws or belts that measure these.
     parts : tuple of str
         Kinds of links for which `centres` returns the centres of mass. Default none.
     options : dict
@@ -288,6 +290,12 @@ class Mechanism(ABC):
         """Return the spool that moves a joint, by its number; None if no spool does."""
         drive = self.drives[joint] if self.drives else None
         return drive.spool if drive else None
+
+    @property
+    def expanding_bodies(self) -> tuple[str, ...]:
+        """Names of `bodies`, and `scales` if the readings of joints are lengths."""
+        scales = [SCALES] if "m" in self.joint_units else []
+        return tuple(dict.fromkeys([*self.bodies, *scales]))
 
     @property
     def joint_units(self) -> tuple[str, ...]:

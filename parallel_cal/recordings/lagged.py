@@ -9,7 +9,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from parallel_cal.model.effect import parse_lag, parse_part
+from parallel_cal.model.effect import list_substitutes, parse_lag, parse_part
 from parallel_cal.recordings.dataset import Dataset
 
 
@@ -18,16 +18,17 @@ def add_lagged_conditions(names: Iterable[str], dataset: Dataset) -> Dataset:
     that it lacks and that follow from its recorded ones.
 
     Where parts have sensors of their own, a part among `names` that has none gets the general
-    temperature. The conditions belong to the whole recording: samples that are chosen later keep
-    their values.
+    temperature, or what `list_substitutes` gives. The conditions belong to the whole recording:
+    samples that are chosen later keep their values.
     """
     names = tuple(names)
     known = dict(dataset.conditions)
     wanted = [lag[0] for name in names if (lag := parse_lag(name))] + list(names)
     for name in wanted:
-        part = parse_part(name)
-        if part and name not in known and part[0] in known and any(map(parse_part, known)):
-            known[name] = known[part[0]]
+        if parse_part(name) and name not in known and any(map(parse_part, known)):
+            substitute = next((one for one in list_substitutes(name) if one in known), None)
+            if substitute:
+                known[name] = known[substitute]
     for name in names:
         lag = parse_lag(name)
         if lag is None or name in known or lag[0] not in known or "time" not in known:

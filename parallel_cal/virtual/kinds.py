@@ -16,6 +16,7 @@ HIDDEN = "hidden"  # stands for a random, undisclosed kind
 TURNING, SLIDING = ("delta", "argos"), ("stewart", "linear_delta")
 LOADED, RODS = ("delta", "stewart", "linear_delta"), ("delta", "linear_delta")
 PRINTED, CAST, ALUMINIUM = 90e-6, 60e-6, 23e-6  # 1/K; the first two are polymers
+STEEL = 11.7e-6  # 1/K; screws
 
 
 @dataclass(frozen=True)
@@ -64,10 +65,12 @@ def make_creeping_stand(machine: Machine, rng: np.random.Generator) -> Effect:
 
 
 def make_warmth(machine: Machine, rng: np.random.Generator) -> Effect:
-    """Draw the materials of arms (or platform), rods (or legs) and base, all different."""
+    """Draw the materials of arms (or platform), rods (or legs) and base, all different; screws are
+    of steel."""
     arms, rods, base = rng.permutation([PRINTED, CAST, ALUMINIUM])
     parts = {"La": arms, "Lb": rods, "dLb": rods, "D": base, "b": base}
-    return loads.Warmth(parts | {"B": arms, "L0": rods, "C": base})
+    screws = 0.0 if machine.lever == 1 else STEEL
+    return loads.Warmth(parts | {"B": arms, "L0": rods, "C": base}, screws)
 
 
 KINDS = {

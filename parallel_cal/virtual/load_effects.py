@@ -96,9 +96,14 @@ class SoftRods(Effect):
 
 @dataclass(frozen=True)
 class Warmth(Effect):
-    """Named dimensions that grow by `growth` (1/K) above 20 degC: {"Lb": 1e-6}."""
+    """Named dimensions that grow by `growth` (1/K) above 20 degC: {"Lb": 1e-6}.
+
+    The screws or scales that measure sliding joints grow by `scales` (1/K): a joint slides further
+    than it reads.
+    """
 
     growth: dict[str, float]
+    scales: float = 0.0
 
     def geometry(self, parameters: Parameters, at: SampleConditions) -> Parameters:
         def warm(name: str, value: Any) -> Any:
@@ -106,6 +111,9 @@ class Warmth(Effect):
             return value * (1 + self.growth.get(part, 0.0) * (at.temperature - 20.0))
 
         return {name: warm(name, value) for name, value in parameters.items()}
+
+    def arm(self, reading: Array, robot: Any, at: SampleConditions) -> Array:
+        return reading * (1 + self.scales * (at.temperature[..., None] - 20.0))
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from fnmatch import fnmatchcase
 from typing import Any
 
 import numpy as np
@@ -267,12 +268,27 @@ class Reader:
     ) -> Iterator[tuple[Path, Parameter, OwnNumberPart]]:
         """The parameters of an effect or a sensor; the file contains their short names."""
         short = {p.name.removeprefix(f"{part.name}."): p for p in table}
+        if isinstance(part, Effect):
+            numbers = _add_later_parameters(part, short, numbers)
         checks.names(self._document, path, numbers, short)
         for name, parameter in short.items():
             checks.unit(self._document, (*path, name), parameter, numbers[name].unit)
             if (own := numbers[name].tolerance) is not None:
                 parameter = parameter.with_tolerance(own)
             yield (*path, name), parameter, numbers[name]
+
+
+def _add_later_parameters(
+    effect: Effect, short: Mapping[str, Parameter], numbers: Mapping[str, OwnNumberPart]
+) -> dict[str, OwnNumberPart]:
+    """Return the numbers of an effect with those that files of earlier releases lack."""
+    fixed = bool(numbers) and all(number.fixed for number in numbers.values())
+    later = {
+        name: OwnNumberPart(value=p.nominal, unit=p.unit, fixed=fixed)
+        for name, p in short.items()
+        if name not in numbers and any(fnmatchcase(name, one) for one in effect.added_later)
+    }
+    return {**numbers, **later}
 
 
 def _full_table(
