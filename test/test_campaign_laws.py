@@ -72,7 +72,7 @@ def visit_targets(data, targets, seed):
     return join_datasets([data, more], [0, LATER_NS + int(1e9 * data.time.max())])
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 def test_poses_where_rival_laws_differ_are_measured_until_no_pose_can_tell_those_left():
     payloads = np.where(np.arange(100) * 6 // 100 % 2, 1.2, 0.2)
     data = measure(vr.NOMINAL.inverse(vd.targets(80, 0))[0], payloads, 20, 0)

@@ -104,7 +104,7 @@ def with_tool(mass):
 
 @pytest.mark.wide
 @pytest.mark.parametrize("pose", [True, False], ids=["pose", "position"])
-@pytest.mark.parametrize("tool", [0.0, 2.0])
+@pytest.mark.parametrize("tool", [0.0, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_the_diagnosis_names_the_own_weight_of_an_arm_whose_links_are_unequal(pose, tool):
     robot = va.arm("ur5", 4, links=with_tool(tool))
     data = seen(va.session(robot, 120, 5, HERE), pose)
