@@ -149,8 +149,17 @@ def doubt_columns(
     ]
     if not fitting:
         return ""
-    # Of guesses that a turn of the device makes equal, choose the one that needs no turn.
-    guess, poses = min(fitting, key=lambda one: one[1].compute_median_error(one[1].now))
+    low, high = np.array(model.mechanism.joint_limits, float).T
+
+    def preference(one: tuple[Guess, DevicePoses]) -> tuple[float, float]:
+        """Of guesses that the poses do not decide between, prefer readings inside the limits, and a
+        device that need not be turned."""
+        guess, poses = one
+        q = guess.apply(few.x)[:, :n]
+        outside = float(np.mean((q < low) | (q > high)))
+        return outside, poses.compute_median_error(poses.now)
+
+    guess, poses = min(fitting, key=preference)
     smaller = ""
     if np.isfinite(before):
         ratio = before / poses.compute_median_error(poses.frames)
