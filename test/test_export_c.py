@@ -17,6 +17,7 @@ from distant_poses import distant_poses
 from parallel_cal.base.errors import ModelError
 from parallel_cal.cli.main import main
 from parallel_cal.exporting.export import export
+from parallel_cal.exporting.targets._vectors import MIN_LIMIT, _limits
 from parallel_cal.exporting.targets.c import files
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.drive import Drive
@@ -189,6 +190,14 @@ def test_the_vectors_hold_unreachable_and_invalid_problems_too(name):
         assert Status.INVALID_INPUT in statuses[statuses[:, 0] == problem, 1]
     if name not in ("argos27", "cable"):  # which reach wherever is asked
         assert {Status.UNREACHABLE, Status.OUTSIDE_LIMITS} & set(statuses[:, 1].tolist())
+
+
+def test_a_singular_problem_without_a_solution_warns_of_nothing():
+    kinematics = Kinematics(new_model("delta24"))
+    found = kinematics.inverse([[9.0, 0.0, 0.0]])
+    assert not found.ok.any()
+    with np.errstate(all="raise"):
+        assert _limits(kinematics.inverse_problem, found, np.zeros(1)) == [MIN_LIMIT]
 
 
 def test_the_check_fails_where_a_number_differs(tmp_path):

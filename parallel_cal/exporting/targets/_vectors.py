@@ -97,7 +97,9 @@ def _limits(problem: Problem, found: Solutions, sigma: np.ndarray) -> np.ndarray
     lengths = [abs(model.values[i]) for i, p in enumerate(model.table) if p.unit == "m"]
     rounding = ROUNDING_UNITS * np.finfo(float).eps * max([1.0, *lengths])
     flat = np.sqrt(2 * rounding * found.residual) if problem.redundant else 0.0
-    return np.where(found.ok, np.maximum(MIN_LIMIT, (rounding + flat) / sigma), MIN_LIMIT)
+    # Where nothing was found, sigma may be 0, and numpy would print a warning.
+    amplified = (rounding + flat) / np.where(found.ok, sigma, 1.0)
+    return np.where(found.ok, np.maximum(MIN_LIMIT, amplified), MIN_LIMIT)
 
 
 def _draw_condition(condition: str, n: int, rng: np.random.Generator) -> np.ndarray:
