@@ -446,6 +446,18 @@ def test_one_knocked_sample_is_named_with_the_verdict_of_the_others(size):
 
 
 @pytest.mark.wide
+def test_two_samples_of_unknown_sides_do_not_make_a_second_effect():
+    """Neither is far enough from the others to be excluded alone; together they spoil chi2."""
+    data, _ = hiding([vf.KINDS["backlash"]], 2.5, seed=40)
+    data = data.select(np.arange(60))
+    for joint in data.joint_names:
+        data.conditions[f"direction.{joint}"][:2] = 0.0
+    found = diagnose(MODEL, data, effects=["backlash", "gear_transmission_error"])
+    assert found.verdict.word == "explained"
+    assert found.effects == ("backlash",)
+
+
+@pytest.mark.wide
 def test_without_the_sides_an_effect_is_not_told_from_a_backlash_that_scatters_the_visits():
     """A joint is mostly reached from below where it reads much: unknown sides look like a gain."""
     data, _ = hiding([vf.KINDS["gear ripple"]], 1.0, seed=40)

@@ -366,15 +366,15 @@ def about_rotated_axes(data):
     [
         (
             lambda d: replace(d, q=exchanged(d.q)),
-            "leg3 is in the column of leg4 and leg4 is in the column of leg3: the errors are",
+            "leg3, leg4 are in the columns of leg4, leg3: the errors are",
         ),
-        (lambda d: replace(d, q=d.q[:, ::-1]), "is in the column of leg"),
+        (lambda d: replace(d, q=d.q[:, ::-1]), "are in the columns of leg"),
         (
             lambda d: replace(d, q=d.q * [1, 1, -1, 1, 1, 1]),
             "leg3 has the other sign (column map: leg3: {column: ..., factor: -1})",
         ),
         (turned_around, "the rotations are those of the device seen by the target"),
-        (lambda d: replace(d, r=10 * d.r), "the positions are multiplied by 0.1"),
+        (lambda d: replace(d, r=10 * d.r), "the positions are in mm, not cm (column map: unit)"),
     ],
 )
 @pytest.mark.parametrize("elsewhere", [False, True])
@@ -395,7 +395,7 @@ def test_what_was_meant_is_named_if_it_fits_the_poses(spoil, words, elsewhere):
 
 @pytest.mark.wide
 def test_a_convention_that_tolerances_would_excuse_is_named_where_no_geometry_fits():
-    with pytest.raises(FitError, match=r"the angles are about rotated instead .* As they are, leg"):
+    with pytest.raises(FitError, match=r"the angles are about rotated, .* As they are, leg"):
         fitted(stewart(), about_rotated_axes(legs()))
 
 

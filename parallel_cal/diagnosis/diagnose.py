@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -41,6 +41,7 @@ from parallel_cal.diagnosis.patterns import (
     OddSample,
     describe_knocked_samples,
     explain_distance,
+    list_sideless_samples,
     odd_samples,
     set_knocked_samples_aside,
 )
@@ -189,10 +190,12 @@ class Diagnosis(ShownInNotebook):
         if self.verdict.needs_sides:
             adds, discovers = [STATE_THE_SIDES], []
         checks = [
-            f"{'' if one.sideless else f'check sample {one.title}, or '}exclude "
-            f"{f'sample {one.title}' if one.sideless else 'it'} from each command: {exclude}"
+            f"check sample {one.title}, or exclude it from each command: {exclude}"
             for one in self.knocked
+            if not one.sideless
         ]
+        if sideless := [one.title for one in self.knocked if one.sideless]:
+            checks.append(f"exclude sample {', '.join(sideless)} from each command: {exclude}")
         steps = discovers + adds if self.verdict.suspected_of_law else adds + discovers
         return tuple(checks + steps)
 
@@ -387,17 +390,31 @@ def _set_knocked_samples_aside(
         ),
         lambda others: others.best.fitted.model,
     )
-    if aside is None:
-        return found
-    confirmed, others = aside
-    if others.verdict.word in ("unexplained", "partly_explained") and not others.unusual:
-        return found
-    words = f"{others.verdict.summary.rstrip('.')}. {describe_knocked_samples(confirmed)}"
-    verdict = replace(others.verdict, summary=words)
-    numbers = {one.sample for one in confirmed}
+    if aside is not None:
+        confirmed, others = aside
+        if others.verdict.word in ("unexplained", "partly_explained") and not others.unusual:
+            return found
+        return _with_samples_aside(others, confirmed)
+    # Samples of unknown sides may be what a verdict does not explain.
+    partly = found.verdict.word == "partly_explained"
+    if sideless := list_sideless_samples(found.effects, found.best.scene) if partly else []:
+        numbers = [one.sample for one in sideless]
+        others = without(numbers, f"because it is {explain_distance(found.dataset, numbers)}")
+        if others.verdict.word == "explained":
+            return _with_samples_aside(others, sideless)
+    return found
+
+
+def _with_samples_aside(others: Diagnosis, aside: Sequence[OddSample]) -> Diagnosis:
+    """Name the samples in a diagnosis that was made without them."""
+    words = f"{others.verdict.summary.rstrip('.')}. {describe_knocked_samples(aside)}"
+    numbers = {one.sample for one in aside}
     odd = [one for one in others.odd_samples if one.sample not in numbers]
     return replace(
-        others, verdict=verdict, odd_samples=(*confirmed, *odd), knocked=tuple(confirmed)
+        others,
+        verdict=replace(others.verdict, summary=words),
+        odd_samples=(*aside, *odd),
+        knocked=tuple(aside),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -22,6 +22,7 @@ from parallel_cal.diagnosis.thresholds import (
     LEVELS,
     MAX_KNOCKED_SHARE,
     MAX_PROFILE_POINTS,
+    MAX_SIDELESS_SHARE,
     MAX_WINDOWS,
     MIN_INFLUENTIAL_COOKS_DISTANCE,
     OUTLIER_SIGNIFICANCE_LEVEL,
@@ -30,6 +31,7 @@ from parallel_cal.diagnosis.thresholds import (
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.observations import conditions
 from parallel_cal.model.model import Model
+from parallel_cal.model.shelf import load_effect
 from parallel_cal.recordings.dataset import Dataset
 
 Fitted = TypeVar("Fitted")
@@ -166,8 +168,8 @@ class OddSample:
         return "outlier" if self.outlier else "influential"
 
 
-def odd_samples(scene: Scene, field: Field) -> tuple[OddSample, ...]:
-    """Find outliers and influential samples, largest residual first.
+def odd_samples(scene: Scene, field: Field, also: Collection[int] = ()) -> tuple[OddSample, ...]:
+    """Find outliers and influential samples, largest residual first; `also` those of these numbers.
 
     For p_value, the typical residual serves as the noise. An outlier's squared residual would occur
     once in a thousand data sets. A Cook's distance above 1 moves the estimate by about its sigma.
@@ -197,7 +199,9 @@ def odd_samples(scene: Scene, field: Field) -> tuple[OddSample, ...]:
             sideless=int(scene.dataset.numbers[i]) in sideless,
         )
         for i in np.flatnonzero(
-            (p < OUTLIER_SIGNIFICANCE_LEVEL) | (cook > MIN_INFLUENTIAL_COOKS_DISTANCE)
+            (p < OUTLIER_SIGNIFICANCE_LEVEL)
+            | (cook > MIN_INFLUENTIAL_COOKS_DISTANCE)
+            | np.isin(scene.dataset.numbers, list(also))
         )
     ]
     return tuple(sorted(odd, key=lambda one: -one.sigmas))
@@ -210,6 +214,17 @@ def find_sideless_samples(dataset: Dataset) -> set[int]:
     if not np.any(sides):
         return set()
     return set(dataset.numbers[~np.any(sides, axis=0)].tolist())
+
+
+def list_sideless_samples(found: Sequence[str], scene: Scene) -> list[OddSample]:
+    """List the samples without sides, if an effect that was found depends on the sides, and they
+    are few: then they show what the model cannot predict."""
+    numbers = find_sideless_samples(scene.dataset)
+    few = len(numbers) <= max(1, MAX_SIDELESS_SHARE * len(scene.dataset))
+    if not few or not any("direction" in load_effect(name).needs for name in found):
+        return []
+    odd = odd_samples(scene, Field.of(scene), numbers)
+    return sorted((one for one in odd if one.sample in numbers), key=lambda one: one.sample)
 
 
 def explain_distance(dataset: Dataset, samples: Iterable[int]) -> str:
@@ -272,8 +287,11 @@ def describe_knocked_samples(knocked: Sequence[OddSample]) -> str:
 
     sentences = []
     if sideless := [one for one in knocked if one.sideless]:
-        each = "from which sides its joints came" if len(sideless) == 1 else "their sides"
-        sentences.append(f"Not used: {names(sideless)}: {each} is not known, so exclude it")
+        whose, them = ("their", "them") if len(sideless) > 1 else ("its", "it")
+        sentences.append(
+            f"Not used: {names(sideless)}: from which sides {whose} joints came is not known, so "
+            f"exclude {them}"
+        )
     if others := [one for one in knocked if not one.sideless]:
         verb, them = ("are", "them") if len(others) > 1 else ("is", "it")
         sentences.append(

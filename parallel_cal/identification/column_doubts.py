@@ -8,7 +8,7 @@ registration of the device, with the geometry as it is.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations, product
 
@@ -29,70 +29,109 @@ from parallel_cal.identification.thresholds import (
 )
 from parallel_cal.model.model import Model
 
+Array = np.ndarray
+
 QUARTER_TURNS = (0.5 * np.pi, -0.5 * np.pi, np.pi)
-# Conventions of three angles, about fixed axes (small letters) or about rotated ones, and which
-# mistake takes the first for the second. Another pair is one of these: xyz of three angles is ZYX
-# of the reversed ones.
-OTHER_KIND = "about rotated instead of fixed axes, or the reverse (column map: capitals in axes)"
-REVERSED = "in the reverse order (column map: columns)"
-AXES = {
-    ("xyz", "XYZ"): OTHER_KIND,
-    ("XYZ", "xyz"): OTHER_KIND,
-    ("xyz", "ZYX"): REVERSED,
-    ("XYZ", "zyx"): REVERSED,
-    ("xyz", "zyx"): f"{REVERSED}, and {OTHER_KIND}",
-    ("XYZ", "ZYX"): f"{REVERSED}, and {OTHER_KIND}",
+LENGTHS = {  # factors to positions
+    1e3: "m, not mm",
+    1e-3: "mm, not m",
+    10.0: "cm, not mm",
+    0.1: "mm, not cm",
+    25.4: "inches, not mm",
+    1 / 25.4: "mm, not inches",
 }
-LENGTHS = (1e3, 1e-3, 10.0, 0.1, 25.4, 1 / 25.4)  # mm stated as m, cm or inches, and the reverse
+SCALES = {  # factors to the readings of all joints with a unit
+    "rad": {np.degrees(1.0): "rad, not deg", np.radians(1.0): "deg, not rad"},
+    "m": {1e3: "m, not mm", 1e-3: "mm, not m"},
+}
+MIRROR = np.diag([1.0, 1.0, -1.0])
+
+
+def _euler(given: str, meant: str, factor: float = 1.0) -> Callable[[Array], Array]:
+    """Return what reads the angles of rotations about the axes `given` as those about `meant`."""
+
+    def turn(R: Array) -> Array:
+        from scipy.spatial.transform import Rotation
+
+        angles = Rotation.from_matrix(R).as_euler(given)
+        return np.asarray(Rotation.from_euler(meant, factor * angles).as_matrix())
+
+    return turn
+
+
+def _scalar_first(R: Array) -> Array:
+    """Read quaternions that were taken for x y z w as w x y z."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(
+        Rotation.from_quat(Rotation.from_matrix(R).as_quat()[:, [1, 2, 3, 0]]).as_matrix()
+    )
+
+
+OTHER_AXES = (
+    "about rotated, not fixed axes, or the reverse (axes: XYZ in place of xyz, or the reverse)"
+)
+REVERSED = "in the reverse order"
+IN_RAD = "in rad, not deg"
+# What orientations may mean. xyz of three angles is ZYX of the reversed ones, so that these pairs
+# include all others. Angles in deg that were taken for rad cannot be found again.
+ORIENTATIONS: tuple[tuple[str, Callable[[Array], Array]], ...] = (
+    ("the rotations are those of the device seen by the target", lambda R: R.transpose(0, 2, 1)),
+    ("the quaternions are w x y z, not x y z w", _scalar_first),
+    (f"the angles are {OTHER_AXES}", _euler("xyz", "XYZ")),
+    (f"the angles are {OTHER_AXES}", _euler("XYZ", "xyz")),
+    (f"the angles are {REVERSED}", _euler("xyz", "ZYX")),
+    (f"the angles are {REVERSED}", _euler("XYZ", "zyx")),
+    (f"the angles are {REVERSED}, and {OTHER_AXES}", _euler("xyz", "zyx")),
+    (f"the angles are {REVERSED}, and {OTHER_AXES}", _euler("XYZ", "ZYX")),
+    (f"the angles are {IN_RAD}", _euler("xyz", "xyz", np.degrees(1.0))),
+    (f"the angles are {IN_RAD}", _euler("XYZ", "XYZ", np.degrees(1.0))),
+)
 
 
 @dataclass(frozen=True)
 class Guess:
-    """What samples mean: the reading of each joint is `sign` times that in the column of joint
-    `column`, plus `zero` (rad). The angles of the orientation are about the second ones of `axes`
-    in place of the first, or the rotation is `inverse`. Positions are multiplied by `length`."""
+    """What samples mean: the reading of each joint is `factor` times that in the column of joint
+    `column`, plus `zero` (rad); positions are multiplied by `length`; `orientation` is one of
+    ORIENTATIONS; the frame of the device is left-handed for what is `mirrored`: positions (1), or
+    orientations, too (2). `scale` describes factors of a unit."""
 
     column: tuple[int, ...]
-    sign: tuple[int, ...]
+    factor: tuple[float, ...]
     zero: tuple[float, ...]
-    axes: tuple[str, str] | None = None
-    inverse: bool = False
+    scale: str = ""
     length: float = 1.0
+    orientation: int | None = None
+    mirrored: int = 0
 
     @classmethod
     def as_given(cls, joints: int) -> Guess:
-        return cls(tuple(range(joints)), (1,) * joints, (0.0,) * joints)
+        return cls(tuple(range(joints)), (1.0,) * joints, (0.0,) * joints)
 
-    def apply(self, x: np.ndarray) -> np.ndarray:
+    def apply(self, x: Array) -> Array:
         """Return the configurations (N, nq + 12) that were meant."""
-        from scipy.spatial.transform import Rotation
-
         x, n = x.copy(), len(self.column)
-        x[:, :n] = x[:, self.column] * np.array(self.sign) + np.array(self.zero)
-        x[:, n : n + 3] *= self.length
+        x[:, :n] = x[:, self.column] * np.array(self.factor) + np.array(self.zero)
         R = x[:, n + 3 :].reshape(-1, 3, 3)
-        if self.inverse:
-            R = R.transpose(0, 2, 1)
-        if self.axes:
-            given, meant = self.axes
-            angles = Rotation.from_matrix(R).as_euler(given)
-            R = Rotation.from_euler(meant, angles).as_matrix()
+        if self.orientation is not None:
+            R = ORIENTATIONS[self.orientation][1](R)
+        if self.mirrored:
+            x[:, n : n + 3] @= MIRROR
+        if self.mirrored == 2:
+            R = MIRROR @ R @ MIRROR
+        x[:, n : n + 3] *= self.length
         x[:, n + 3 :] = R.reshape(-1, 9)
         return x
 
     def describe(self, names: Sequence[str]) -> str:
         """Describe what was meant, with the entries of a column map."""
         parts = []
-        if self.length != 1:
-            parts.append(f"the positions are multiplied by {self.length:.4g} (column map: unit)")
-        if self.inverse:
-            parts.append("the rotations are those of the device seen by the target (invert them)")
-        if self.axes:
-            parts.append(f"the angles are {AXES[self.axes]}")
         if moved := [i for i, k in enumerate(self.column) if i != k]:
-            pairs = [f"{names[i]} is in the column of {names[self.column[i]]}" for i in moved]
-            parts.append(" and ".join(pairs))
-        if turned := [names[i] for i, sign in enumerate(self.sign) if sign < 0]:
+            columns = ", ".join(names[self.column[i]] for i in moved)
+            parts.append(f"{', '.join(names[i] for i in moved)} are in the columns of {columns}")
+        if self.scale:
+            parts.append(f"the joints are in {self.scale} (column map: unit)")
+        elif turned := [names[i] for i, factor in enumerate(self.factor) if factor < 0]:
             verb = "has" if len(turned) == 1 else "have"
             entry = f"{turned[0]}: {{column: ..., factor: -1}}"
             parts.append(f"{', '.join(turned)} {verb} the other sign (column map: {entry})")
@@ -101,7 +140,16 @@ class Guess:
                 angle = f"{np.degrees(zero):g} deg"
                 entry = f"{name}: {{column: ..., offset: {angle}}}"
                 parts.append(f"{angle} are added to {name} (column map: {entry})")
+        if self.length != 1:
+            parts.append(f"the positions are in {LENGTHS[self.length]} (column map: unit)")
+        if self.orientation is not None:
+            parts.append(ORIENTATIONS[self.orientation][0])
+        if self.mirrored:
+            parts.append(LEFT_HANDED)
         return " and ".join(parts)
+
+
+LEFT_HANDED = "the frame of the device is left-handed (two of its axes are exchanged)"
 
 
 def doubt_columns(
@@ -160,35 +208,43 @@ def doubt_columns(
         return outside, poses.compute_median_error(poses.now)
 
     guess, poses = min(fitting, key=preference)
+    meant = guess.describe(model.joints)
+    if not guess.mirrored and any(one.mirrored for one, _ in fitting):
+        meant += f", or if {LEFT_HANDED}"
     smaller = ""
     if np.isfinite(before):
         ratio = before / poses.compute_median_error(poses.frames)
         smaller = f": the errors are then {ratio:.0f} times smaller"
     return (
         f"{source or 'samples'}: the joint readings do not fit the measured poses, wherever the "
-        f"device stands. They fit if {guess.describe(model.joints)}{smaller}. Correct this where "
+        f"device stands. They fit if {meant}{smaller}. Correct this where "
         "the samples are recorded or imported"
     )
 
 
 def _list_guesses(model: Model, placed: bool, turned: bool) -> Iterator[Guess]:
     """Yield what may be wrong; positions are measured if `placed`, orientations if `turned`."""
-    joints = len(model.joints)
+    joints, units = len(model.joints), model.mechanism.joint_units
     given = Guess.as_given(joints)
     if joints <= MAX_JOINTS_OF_ANY_SIGN:
-        signs = list(product((1, -1), repeat=joints))[1:]
+        signs = list(product((1.0, -1.0), repeat=joints))[1:]
     else:
-        one = 1 - 2 * np.eye(joints, dtype=int)
-        signs = [tuple(row) for row in (*one.tolist(), [-1] * joints)]
-    yield from (replace(given, sign=sign) for sign in signs)
+        one = 1 - 2 * np.eye(joints)
+        signs = [tuple(row) for row in (*one.tolist(), [-1.0] * joints)]
+    yield from (replace(given, factor=sign) for sign in signs)
     yield from (replace(given, column=order) for order in _list_orders(joints))
-    for i, unit in enumerate(model.mechanism.joint_units):
+    for unit in sorted(set(units)):
+        for factor, words in SCALES[unit].items():
+            factors = tuple(factor if own == unit else 1.0 for own in units)
+            yield replace(given, factor=factors, scale=words)
+    for i, unit in enumerate(units):
         for turn in QUARTER_TURNS if unit == "rad" else ():
             yield replace(given, zero=tuple(turn if k == i else 0.0 for k in range(joints)))
-    yield from (replace(given, length=factor) for factor in LENGTHS if placed)
+    if placed:
+        yield from (replace(given, length=factor) for factor in LENGTHS)
+        yield from (replace(given, mirrored=kind) for kind in ((1, 2) if turned else (1,)))
     if turned and max(model.mechanism.moved) >= 3:
-        yield replace(given, inverse=True)
-        yield from (replace(given, axes=pair) for pair in AXES)
+        yield from (replace(given, orientation=k) for k in range(len(ORIENTATIONS)))
 
 
 def _list_orders(joints: int) -> list[tuple[int, ...]]:

@@ -49,13 +49,14 @@ def doubt_readings(
         size = _mismatch(model, x, measured, a)
         if not size.any():
             return ""
-    worst = int(np.argmax(size))
+    worst = int(np.argmax(size if beyond else np.abs(np.log(np.where(size > 0, size, 1.0)))))
     name, unit = m.joints[worst], m.joint_units[worst]
     if beyond:
         why = f"the span or the distance of the readings is {size[worst]:.3g} times its range"
         cure = "If the joint does move there, state its limits in the model file (low, high)"
     else:
-        why = f"by the measured poses the readings are wrong by the factor {size[worst]:.3g}"
+        wrong = max(size[worst], 1 / size[worst])
+        why = f"by the measured poses the readings are wrong by the factor {wrong:.3g}"
         cure = "If the readings are right, correct the dimensions in the model file"
     others = [joint for joint, s in zip(m.joints, size, strict=True) if s and joint != name]
     also = f" (likewise the readings of {', '.join(others)})" if others else ""
@@ -66,7 +67,7 @@ def doubt_readings(
     return (
         f"{source or 'samples'}: joint {name} reads {q[:, worst].min():.4g} to "
         f"{q[:, worst].max():.4g} {unit}, {limits}: {why}{also}. "
-        f"{_guess(model, x, measured, a, worst)}. {cure}"
+        f"{_guess(model, x, measured, a, worst, 0.0 if beyond else size[worst])}. {cure}"
     )
 
 
@@ -93,7 +94,8 @@ def _excess(m: Mechanism, q: np.ndarray) -> np.ndarray:
 
 
 def _mismatch(model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """Return the factor (nq,) by which readings and poses disagree; 0 if it is not proved."""
+    """Return how much further (nq,) the joints moved than they read; 0 if it is not proved that
+    they moved by another factor."""
     factor = np.zeros(len(model.joints))
     q = x[:, : len(factor)]
     low, high = np.array(model.mechanism.joint_limits, float).reshape(-1, 2).T
@@ -129,7 +131,7 @@ def _mismatch(model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray) 
         if (small[i] and one > np.log(MAX_SCALE_MISMATCH)) or (
             large[i] and one < -np.log(MAX_SCALE_MISMATCH)
         ):
-            factor[i] = np.exp(abs(one))
+            factor[i] = np.exp(one)
     return factor
 
 
@@ -142,13 +144,16 @@ def _arc(angles: np.ndarray, turn: float) -> float:
     return float(np.min(around[most - 1 : most - 1 + n] - around[:n]))
 
 
-def _guess(model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray, i: int) -> str:
-    """Guess the unit of the readings of joint i, and say how to state it."""
+def _guess(
+    model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray, i: int, factor: float
+) -> str:
+    """Guess the unit of the readings of joint i, and say how to state it. `factor` is how much
+    further the joint moved than it reads, 0 if it is not known."""
     unit, read = model.mechanism.joint_units[i], x[:, i]
     entry = f"{model.joints[i]}: {{{{column: ..., unit: {{}}}}}}"  # of the column map
     cure = f"state it in the column map ({entry}; see docs/import_csv.md), or publish them in {{}}"
     solved, moved = _readings_and_motion(model, x, measured, a)
-    if scale := _scale(solved[:, i], moved[:, i], MIN_CORRELATION):
+    if scale := _scale(solved[:, i], moved[:, i], MIN_CORRELATION) or factor:
         units = LENGTHS if unit == "m" else ANGLES
         twice = [k for k, v in units.items() if v != 1 and _is_same(abs(scale) * v, 1.0)]
         if twice:

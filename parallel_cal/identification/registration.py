@@ -467,6 +467,18 @@ class DevicePoses:
         masks = (self.placed, self.turned)
         return np.array([np.median(sizes[k, i]) if k.any() else 0.0 for i, k in enumerate(masks)])
 
+    def find_unexplained_share(self) -> float:
+        """Return the rms error of the registered positions, or of the orientations without any,
+        divided by how far they scatter (rms); 0 if nothing moved."""
+        if self.placed.any():
+            seen = self.seen_r[self.placed]
+            spread = float(np.sqrt(np.mean(np.sum((seen - seen.mean(axis=0)) ** 2, axis=1))))
+        else:
+            R = self.seen_R[self.turned]
+            away = rotation_vector(R @ nearest_rotation(R.sum(axis=0)).T)
+            spread = float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
+        return self.compute_rms(self.frames) / spread if spread > 0 else 0.0
+
     def compute_position_rms(self, frames: Frames) -> float:
         """Rms distance (m) of the measured positions from the predicted ones."""
         away = self._residual(frames)[self.placed, :3]

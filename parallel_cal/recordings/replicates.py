@@ -32,6 +32,9 @@ class ReplicateNoise:
     dof: int
 
 
+MIN_MOVE = 0.05  # of 0.2 % of the travel: a smaller step is no move to another pose
+
+
 def replicate_ids(
     at: Configuration, measured: Bools, scatter_q: Array, tolerance: float | None = None
 ) -> Ids:
@@ -57,7 +60,9 @@ def replicate_ids(
     else:
         noise = 20.0 * np.nan_to_num(np.median(scatter_q, axis=0)) + 1e-12
         part = 2e-3 * np.ptp(q, axis=0) + 1e-12
-        usual_step = np.quantile((np.abs(np.diff(q, axis=0)) / part).max(axis=1), 0.75)
+        steps = (np.abs(np.diff(q, axis=0)) / part).max(axis=1)
+        moves = steps[steps > MIN_MOVE]  # visits in succession differ by the noise only
+        usual_step = np.quantile(moves if len(moves) else steps, 0.75)
         scale = np.maximum(noise, part * min(1.0, 0.2 * usual_step))
     reach = max(0.05 * np.ptp(r, axis=0).max(initial=0.0), MIN_POSITION_TOLERANCE_M)
     neighbours, ids, count = cKDTree(q / scale), np.full(len(q), -1), 0
