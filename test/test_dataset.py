@@ -504,6 +504,14 @@ def test_visits_that_differ_by_encoder_error_and_play_are_still_replicates(play)
     np.testing.assert_array_equal(data.pose_id, np.tile(np.arange(40), 2))
 
 
+def test_five_visits_in_succession_are_visits_of_one_pose():
+    """Four of five steps from row to row are the noise of the encoders."""
+    rng = np.random.default_rng(2)
+    q = np.repeat(rng.uniform(-0.05, 0.05, (15, 6)), 5, axis=0) + rng.normal(0, 1e-6, (75, 6))
+    data = Dataset.from_arrays([f"leg{k}" for k in range(6)], q, 1.5 * q[:, :3])
+    np.testing.assert_array_equal(data.pose_id, np.repeat(np.arange(15), 5))
+
+
 def test_a_fine_sweep_is_not_taken_for_replicates():
     q = np.linspace(0.0, 6.28, 1500)[:, None]
     data = Dataset.from_arrays(["crank"], q, np.hstack([np.cos(q), 0 * q, 0 * q]))
