@@ -8,12 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import virtual_arm as va
+from arms import nominal, seen
 from datasets import measured
 from scipy.spatial.transform import Rotation
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import matrix_to_quaternion
 from parallel_cal.cli import main as cli
+from parallel_cal.diagnosis import first_effect
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.fit import fit
@@ -397,6 +400,15 @@ def test_what_was_meant_is_named_if_it_fits_the_poses(spoil, words, elsewhere):
 def test_a_convention_that_tolerances_would_excuse_is_named_where_no_geometry_fits():
     with pytest.raises(FitError, match=r"the angles are about rotated, .* As they are, leg"):
         fitted(stewart(), about_rotated_axes(legs()))
+
+
+@pytest.mark.wide
+def test_two_mistakes_at_once_are_refused_without_trying_effects(monkeypatch):
+    monkeypatch.setattr(first_effect, "rank_first_effects", None)
+    data = seen(va.session(va.arm("ur5", 4), 60, 5, va.Tracker()))
+    wrong = replace(data, q=data.q[:, [0, 2, 1, 3, 4, 5]] * [1, 1, 1, -1, 1, 1])
+    with pytest.raises(FitError, match=r"% of the measured motion is not explained, so no effect"):
+        fitted(nominal("ur5"), wrong)
 
 
 def test_a_zero_a_quarter_turn_away_is_named_and_robots_with_errors_are_let_in():

@@ -18,6 +18,7 @@ from parallel_cal.diagnosis.catalogue import (
     list_effects_to_test,
 )
 from parallel_cal.diagnosis.search import Chosen
+from parallel_cal.identification.acceptance import FOREIGN_SHARE
 from parallel_cal.identification.checks import ImplausibleGeometryError
 from parallel_cal.identification.column_doubts import doubt_columns
 from parallel_cal.identification.estimate import NoSolutionError
@@ -37,9 +38,6 @@ MIN_CHI2_RATIO = 2.0
 # chi2 then speaks for itself: this one is five standard deviations of one parameter.
 MAX_NOISE_CHI2_PER_DOF = 1.5
 MIN_CHI2_DIFFERENCE = 25.0
-# Share of the measured motion (rms) that a registered model leaves: above it, the samples are not
-# those of this robot, and effects need not be tried.
-MAX_HOPELESS_SHARE = 0.2
 # Effects with more settings to scan are not tried: they are ripples, too small to mislead the
 # geometry, and each setting costs a fit.
 MAX_SETTINGS = 32
@@ -128,10 +126,10 @@ def proposing_first_effect(
             raise FitError(f"{words}. As they are, {error}") from None
         if not isinstance(error, ImplausibleGeometryError):
             raise
-        if there is not None and (share := there.find_unexplained_share()) > MAX_HOPELESS_SHARE:
+        if there is not None and (share := there.find_unexplained_share()) > FOREIGN_SHARE:
             raise FitError(
                 f"{error}. Wherever the device stands, {100 * share:.0f} % of the measured motion "
-                "is not explained: no effect is that large. Check the mechanism, and the units, "
+                "is not explained, so no effect was tried. Check the mechanism, and the units, "
                 "columns, signs and zeros of the joints and poses: two of them may be wrong, or "
                 "the rows of joints and poses do not belong together"
             ) from None
