@@ -18,6 +18,7 @@ from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.registration import DevicePoses
 from parallel_cal.identification.thresholds import (
     MAX_GUESS_SAMPLES,
+    MAX_GUESS_SHARE,
     MAX_GUESSES_REFINED,
     MAX_JOINTS_IN_ANY_ORDER,
     MAX_JOINTS_OF_ANY_SIGN,
@@ -191,9 +192,11 @@ def doubt_columns(
     given = _read(model, few, Guess.as_given(n))
     before = np.inf if given is None else given.compute_median_error(given.frames)
     fitting = [
-        one
-        for one, error in zip(best, errors, strict=True)
-        if error * MIN_GUESS_ERROR_RATIO < before and error < SAME_GUESS_ERROR_RATIO * min(errors)
+        (guess, poses)
+        for (guess, poses), error in zip(best, errors, strict=True)
+        if error * MIN_GUESS_ERROR_RATIO < before
+        and error < SAME_GUESS_ERROR_RATIO * min(errors)
+        and poses.find_unexplained_share() < MAX_GUESS_SHARE
     ]
     if not fitting:
         return ""

@@ -89,6 +89,7 @@ MAX_JOINTS_OF_ANY_SIGN = 6  # every combination of signs is tried
 MAX_JOINTS_IN_ANY_ORDER = 4  # every order is tried
 MAX_GUESSES_REFINED = 8  # of which the frames of the device are found exactly
 MIN_REACHED_SHARE = 0.9  # of the poses, which the robot must reach
+MAX_GUESS_SHARE = 0.25  # of the measured motion (rms) that the right readings leave unexplained
 MIN_GUESS_ERROR_RATIO = 5.0  # of the errors with the given and with other readings
 SAME_GUESS_ERROR_RATIO = 1.5  # of the errors of two guesses between which the poses do not decide
 
