@@ -392,7 +392,8 @@ def _set_knocked_samples_aside(
     )
     if aside is not None:
         confirmed, others = aside
-        if others.verdict.word in ("unexplained", "partly_explained") and not others.unusual:
+        only_unusual = others.unusual and not others.verdict.suspected_of_law
+        if others.verdict.word in ("unexplained", "partly_explained") and not only_unusual:
             return found
         return _with_samples_aside(others, confirmed)
     # Samples of unknown sides may be what a verdict does not explain.
