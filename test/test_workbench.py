@@ -11,6 +11,7 @@ import socket
 import subprocess
 import time
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pytest
@@ -87,10 +88,12 @@ def test_a_bench_takes_steps_beside_and_shows_what_came_out(folder):
 
 
 class SlowLooks:
-    """A worker whose looks last until nobody wants them, and whose steps are done at once."""
+    """A worker whose looks last until nobody wants them and they are `released`, and whose steps
+    are done at once."""
 
     def __init__(self):
-        self.begun = []
+        self.begun, self.released = [], Event()
+        self.released.set()
 
     def work(self, function, folder, step, *given, tell, wanted):
         from parallel_cal.base.worker import WorkCancelled
@@ -99,7 +102,7 @@ class SlowLooks:
         self.begun.append(step)
         if step == "look":
             tell("reading", 0.5, {"verdict": "preliminary"})
-            until(lambda: not wanted(), "the end of the look")
+            until(lambda: not wanted() and self.released.is_set(), "the end of the look")
             tell("running the diagnosis", 0.5, {"verdict": "of another state"})
             raise WorkCancelled
         return Done(f"{step} is done")
@@ -122,6 +125,21 @@ def test_a_step_ends_a_look_and_follows_it(folder):
     # What the look found when it was no longer wanted is not shown.
     assert bench.view == {"verdict": "preliminary"}
     assert not bench.working
+
+
+def test_a_step_that_waits_for_the_end_of_a_look_can_be_cancelled(folder):
+    from parallel_cal.workbench.bench import Bench
+
+    worker = SlowLooks()
+    worker.released.clear()
+    bench = Bench(folder, worker=worker)
+    until(lambda: bench.stage == "reading", "the first look")
+    bench.begin("fit")
+    bench.cancel()
+    worker.released.set()
+    until(lambda: not bench.working, "the end")
+    assert bench.message == "cancelled; the session is unchanged"
+    assert worker.begun == ["look"]
 
 
 def test_a_look_at_another_state_begins_anew_and_an_owner_can_cancel_it(folder):

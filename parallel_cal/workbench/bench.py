@@ -164,8 +164,10 @@ class Bench:
         Thread(target=self._run_in_worker, args=(function, *given), daemon=True).start()
 
     def cancel(self) -> None:
-        """Cancel the step that is running; the session stays unchanged."""
-        self._cancelled = True
+        """Cancel the step that is running, or that waits for the end of the view before it; the
+        session stays unchanged."""
+        with self._turn:
+            self._next, self._cancelled = None, True
 
     def take(self) -> None:
         """Take the samples that calibration_node has collected into the session."""
