@@ -10,9 +10,11 @@ from arms import nominal, seen
 
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.identification import prediction_errors
 from parallel_cal.identification.acceptance import acceptance
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.given_model import GivenModel
+from parallel_cal.identification.observations import observe
 from parallel_cal.identification.registration import register_device
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import dump_model, parse_model
@@ -228,3 +230,23 @@ def test_an_added_effect_moves_the_frame_back_from_where_its_lack_had_moved_it()
 
     assert two_steps.estimate.chi2_per_dof == pytest.approx(one_step.estimate.chi2_per_dof, 2e-3)
     assert distance(two_steps) < 1.2 * distance(one_step)
+
+
+def test_a_pose_is_judged_on_the_branch_on_which_the_robot_was_measured(monkeypatch):
+    """Far from home, forward kinematics may arrive on another branch. The robot was not there."""
+
+    class Elsewhere(Kinematics):
+        def direct(self, q, at=None, start=None, keep_branch=False):
+            found = super().direct(q, at, start, keep_branch)
+            if start is None:
+                found.rotation[4] = vr.turn(np.array([0.0, 2.0, 0.0])) @ found.rotation[4]
+            return found
+
+    model = new_model("argos27")
+    q = np.random.default_rng(1).uniform(-0.3, 0.3, (10, 3))
+    R = Kinematics(model).direct(q).rotation
+    known = {"measured": [False] * 3 + [True] * 3, "pose_cov": 1e-10 * np.eye(6)}
+    data = Dataset.from_arrays(model.joints, q, np.zeros((10, 3)), R, joint_sigma=1e-6, **known)
+    monkeypatch.setattr(prediction_errors, "Kinematics", Elsewhere)
+    found = prediction_errors.errors(model, observe(model, data))
+    assert found.norms("orientation").max() < 1e-9

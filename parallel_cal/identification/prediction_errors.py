@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
 
 ERRORS = ("position", "orientation", "joint", "reading", "pixel")
+MAX_BRANCH_TURN_RAD = 1.0  # a pose that is predicted further away is on another branch
 
 
 @dataclass(frozen=True)
@@ -179,8 +181,12 @@ def errors(model: Model, observations: Observations) -> Errors:
     # The robot is solved in {B}; the device shows its poses in frames of its own.
     reached = kinematics.direct(seen.q, at)
     pose = apply_pose_device(model, reached)
-    shown_rotation = np.where(np.isfinite(pose.rotation), pose.rotation, np.eye(3))
-    turn = rotation_vector(seen.R @ shown_rotation.transpose(0, 2, 1))
+    turn = _turn_between(seen.R, pose.rotation)
+    away = measured[:, n + 3 :].all(axis=1) & (np.linalg.norm(turn, axis=1) > MAX_BRANCH_TURN_RAD)
+    if away.any():
+        reached = _follow_measured_branch(kinematics, observations, reached, np.flatnonzero(away))
+        pose = apply_pose_device(model, reached)
+        turn = _turn_between(seen.R, pose.rotation)
     placed, orientation = (
         find_judgeable_samples(m, measured[:, n:], part) for part in (range(3), range(3, 6))
     )
@@ -207,6 +213,37 @@ def errors(model: Model, observations: Observations) -> Errors:
         where_known(find_fully_measured_samples(model, observations), closure),
         np.where(in_pixels, residuals, np.nan),
     )
+
+
+def _turn_between(R: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Rotation vectors (N, 3) from other rotations to R; unknown ones count as the identity."""
+    known = np.where(np.isfinite(other), other, np.eye(3))
+    return rotation_vector(R @ known.transpose(0, 2, 1))
+
+
+def _follow_measured_branch(
+    kinematics: Kinematics, observations: Observations, reached: Solutions, away: np.ndarray
+) -> Solutions:
+    """Solve samples (indices) that were predicted on another branch again, from the measured pose:
+    the robot was there. A solution that is not nearer to it is not taken."""
+    model, some = kinematics.model, observations.select(away)
+    n, home = len(model.joints), np.array(model.mechanism.home.position)
+    position, turned = model.structure.to_base(some.x[:, n:], model.values)
+    placed = np.asarray(some.measured[:, n : n + 3].all(axis=1))
+    start = replace(
+        reached[away],
+        position=np.where(placed[:, None], position, home),
+        rotation=turned.reshape(-1, 3, 3),
+    )
+    at = condition_columns(model, some)
+    again = kinematics.direct(some.x[:, :n], at, start, keep_branch=True)
+    turn = _turn_between(start.rotation, again.rotation)
+    better = again.solved & (np.linalg.norm(turn, axis=1) < MAX_BRANCH_TURN_RAD)
+    parts: dict[str, Any] = {}
+    for name in ("joints", "position", "rotation", "residual", "status"):
+        parts[name] = getattr(reached, name).copy()
+        parts[name][away[better]] = getattr(again, name)[better]
+    return replace(reached, **parts)
 
 
 def _compute_joint_errors(
