@@ -505,7 +505,7 @@ def test_the_first_row_of_a_table_is_excluded_for_its_unknown_sides_and_nobody_i
     assert found.next_steps[0] == "exclude sample 0 from each command: --data exclude=0"
     step = add(MODEL, "backlash", data)
     assert step.knocked == (0,)
-    assert "sample 0 (far from all others, and nothing is known of the sides" in show(step)
+    assert "sample 0 (a sample of which the sides from which" in show(step)
 
 
 @pytest.mark.wide

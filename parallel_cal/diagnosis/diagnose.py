@@ -40,7 +40,7 @@ from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.patterns import (
     OddSample,
     describe_knocked_samples,
-    explain_distance,
+    explain_exclusion,
     list_sideless_samples,
     odd_samples,
     set_knocked_samples_aside,
@@ -386,7 +386,7 @@ def _set_knocked_samples_aside(
     aside = set_knocked_samples_aside(
         ((trial.scene, trial.fitted) for trial in trials),
         lambda samples: without(
-            samples, f"because it is {explain_distance(found.base.fitted.dataset, samples)}"
+            samples, f"because it is {explain_exclusion(found.base.fitted.dataset, samples)}"
         ),
         lambda others: others.best.fitted.model,
     )
@@ -400,7 +400,7 @@ def _set_knocked_samples_aside(
     partly = found.verdict.word == "partly_explained"
     if sideless := list_sideless_samples(found.effects, found.best.scene) if partly else []:
         numbers = [one.sample for one in sideless]
-        others = without(numbers, f"because it is {explain_distance(found.dataset, numbers)}")
+        others = without(numbers, f"because it is {explain_exclusion(found.dataset, numbers)}")
         if others.verdict.word == "explained":
             return _with_samples_aside(others, sideless)
     return found

@@ -38,7 +38,7 @@ Fitted = TypeVar("Fitted")
 
 KNOCKED = "far from all others, as if somebody knocked the device"
 MIN_SHOWN_MM = 1e-9
-SIDELESS = "far from all others, and nothing is known of the sides from which its joints came"
+SIDELESS = "a sample of which the sides from which the joints came are not known"
 
 
 @dataclass(frozen=True)
@@ -227,8 +227,8 @@ def list_sideless_samples(found: Sequence[str], scene: Scene) -> list[OddSample]
     return sorted((one for one in odd if one.sample in numbers), key=lambda one: one.sample)
 
 
-def explain_distance(dataset: Dataset, samples: Iterable[int]) -> str:
-    """Say why samples that are far from all others may be so."""
+def explain_exclusion(dataset: Dataset, samples: Iterable[int]) -> str:
+    """Say why samples are excluded: nothing is known of their sides, or they are far away."""
     return SIDELESS if set(samples) <= find_sideless_samples(dataset) else KNOCKED
 
 

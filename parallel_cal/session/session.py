@@ -17,7 +17,7 @@ from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.files import write_atomically
 from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
-from parallel_cal.diagnosis.patterns import explain_distance
+from parallel_cal.diagnosis.patterns import explain_exclusion
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.effect import parse_effects
 from parallel_cal.model.file.modelfile import read_model, write_model
@@ -225,7 +225,7 @@ class Session(History):
         if not step.knocked:
             return self._commit_judged(words, step, reason)
         words = f"{words} without sample {_format_numbers(step.knocked)}"
-        why = explain_distance(self.dataset, step.knocked)
+        why = explain_exclusion(self.dataset, step.knocked)
         excluded = {**self.state.excluded, **dict.fromkeys(step.knocked, why)}
         return self._commit_judged(words, step, reason, excluded=excluded)
 

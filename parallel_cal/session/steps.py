@@ -19,7 +19,7 @@ from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_
 from parallel_cal.diagnosis.device import find_doubtful_effects, is_needed
 from parallel_cal.diagnosis.entries import are_confused, is_clearly_better
 from parallel_cal.diagnosis.first_effect import proposing_first_effect
-from parallel_cal.diagnosis.patterns import explain_distance, set_knocked_samples_aside
+from parallel_cal.diagnosis.patterns import explain_exclusion, set_knocked_samples_aside
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.search import Trial, is_as_good, is_superfluous
 from parallel_cal.diagnosis.stations import exclude_device
@@ -240,7 +240,7 @@ def add(
 
     def fit_both(aside: Sequence[int]) -> _Addition:
         limited = limit_patterns(how, model, larger)
-        kept = dataset.excluding(aside, f"because it is {explain_distance(dataset, aside)}")
+        kept = dataset.excluding(aside, f"because it is {explain_exclusion(dataset, aside)}")
         base = fit(model, kept, limited, progress)
         scene = _see(base)
         # Start where the base started, so that the device's frame is the one registered there.
