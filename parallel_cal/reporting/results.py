@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from parallel_cal.diagnosis.diagnose import Diagnosis
     from parallel_cal.diagnosis.entries import Entry
     from parallel_cal.discovery.law import Discovery
-    from parallel_cal.identification.platform_shift import PlatformShift
     from parallel_cal.session.saving import ComparedModel
     from parallel_cal.session.steps import Step
 
@@ -92,25 +91,19 @@ def describe_step(step: Step) -> Iterator[Block]:
             format_fixed(distance, 1e6, 0)
             for distance in (shift.measured, shift.workspace, shift.shown)
         )
+        neutral = ", ".join(
+            f"{name} {value:g}{'' if unit == '1' else f' {unit}'}"
+            for name, (value, unit) in shift.neutral.items()
+        )
+        there = f" (at {neutral}; the samples have other values)" if neutral else ""
         yield (
             f"the change moves the origin of '{step.result.model.frames['platform']}' by "
             f"{measured} um rms at the measured poses and by {anywhere} um rms over the workspace"
-            f"{_describe_neutral_conditions(shift)}; the validation error shows {worth} um of it"
+            f"{there}; the validation error shows {worth} um of it"
         )
         beyond = describe_workspace_excess(step.result.model, step.result.region)
         where = f"these errors are of samples in {step.result.region.description}"
         yield f"{where}; {beyond}" if beyond else where
-
-
-def _describe_neutral_conditions(shift: PlatformShift) -> str:
-    """Say what conditions the figure over the workspace is for, if the samples had others."""
-    if not shift.neutral:
-        return ""
-    words = (
-        f"{name} {value:g}{'' if unit == '1' else f' {unit}'}"
-        for name, (value, unit) in shift.neutral.items()
-    )
-    return f" (at {', '.join(words)}; the samples have other values)"
 
 
 def describe_fit(result: FitResult, without: FitResult | None = None) -> Iterator[Block]:
