@@ -24,6 +24,7 @@ from parallel_cal.kinematics.answers import (
     status_text,
 )
 from parallel_cal.kinematics.kinematics import Solutions, Status
+from parallel_cal.kinematics.solutions import replace_rows
 from parallel_cal.kinematics.solving import Conditions, direct, inverse
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.mechanism import POSE
@@ -197,9 +198,7 @@ def _make_invalid_solutions(model: Model, good: np.ndarray) -> Solutions:
 
 
 def _insert_solutions(found: Solutions, some: Solutions, good: np.ndarray) -> Solutions:
-    for part in ("joints", "position", "rotation", "residual", "status"):
-        getattr(found, part)[good] = getattr(some, part)
-    return replace(found, message=some.message)
+    return replace(replace_rows(found, good, some), message=some.message)
 
 
 def _conditions(model: Model, table: _SiTable, at: Conditions) -> dict[str, np.ndarray]:

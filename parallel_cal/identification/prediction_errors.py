@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from parallel_cal.identification.predictions import (
     reading_residuals,
 )
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
+from parallel_cal.kinematics.solutions import replace_rows
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
@@ -239,11 +239,7 @@ def _follow_measured_branch(
     again = kinematics.direct(some.x[:, :n], at, start, keep_branch=True)
     turn = _turn_between(start.rotation, again.rotation)
     better = again.solved & (np.linalg.norm(turn, axis=1) < MAX_BRANCH_TURN_RAD)
-    parts: dict[str, Any] = {}
-    for name in ("joints", "position", "rotation", "residual", "status"):
-        parts[name] = getattr(reached, name).copy()
-        parts[name][away[better]] = getattr(again, name)[better]
-    return replace(reached, **parts)
+    return replace_rows(reached, away[better], again[better])
 
 
 def _compute_joint_errors(

@@ -22,6 +22,7 @@ from parallel_cal.kinematics.solutions import (
     SUSPECT_PIVOT,
     Solutions,
     Status,
+    replace_rows,
 )
 from parallel_cal.model.model import Model
 
@@ -256,23 +257,22 @@ class Kinematics:
         rows = self.model.condition_rows(at, len(given))
         solutions = self._solve_from(problem, given, rows, start)
         if start is not None and not keep_branch and solutions.status.any():
-            self._replace_lost(problem, given, rows, solutions)
+            solutions = self._replace_lost(problem, given, rows, solutions)
         return solutions[0] if np.ndim(shape_like) == 1 else solutions
 
     def _replace_lost(
         self, problem: Problem, given: np.ndarray, rows: np.ndarray, solutions: Solutions
-    ) -> None:
+    ) -> Solutions:
         """Replace solutions that are unsolved or outside the limits by those without a start, where
         these converge inside the limits."""
         lost = ~solutions.solved
         if problem.unknown_joints:  # joints that are given are outside on every branch
             lost |= solutions.status == Status.OUTSIDE_LIMITS
         if not lost.any():
-            return
+            return solutions
         others = self._solve_from(problem, given[lost], rows[lost], None)
         lost[lost] = others.ok
-        for name in ("joints", "position", "rotation", "residual", "status"):
-            getattr(solutions, name)[lost] = getattr(others, name)[others.ok]
+        return replace_rows(solutions, lost, others[others.ok])
 
     def solve_rows(
         self,

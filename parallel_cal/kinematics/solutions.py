@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
@@ -41,6 +41,7 @@ class Status(IntEnum):
 
 CONVERGED = np.array(Status.CONVERGED, dtype=np.int8)
 CONVERGED.setflags(write=False)
+ARRAYS = ("joints", "position", "rotation", "residual", "status")  # of Solutions, by rows
 SOLVED = np.isin(list(Status), [Status.CONVERGED, Status.SINGULAR, Status.OUTSIDE_LIMITS])
 
 
@@ -142,6 +143,14 @@ def make_unsolved(
     return Solutions(q, r, x.R, np.array(np.nan), status)
 
 
+def replace_rows(found: Solutions, rows: np.ndarray, others: Solutions) -> Solutions:
+    """Return a set in which these rows (mask or indices) are those of another set."""
+    parts: dict[str, Any] = {name: getattr(found, name).copy() for name in ARRAYS}
+    for name, array in parts.items():
+        array[rows] = getattr(others, name)
+    return replace(found, **parts)
+
+
 def stack_solutions(found: Sequence[Solutions]) -> Solutions:
     """Stack single solutions to one set."""
     return _combine(np.stack, found)
@@ -153,6 +162,5 @@ def concatenate_solutions(found: Sequence[Solutions]) -> Solutions:
 
 
 def _combine(combine: Callable[..., np.ndarray], found: Sequence[Solutions]) -> Solutions:
-    names = ("joints", "position", "rotation", "residual", "status")
-    q, r, R, residual, status = (combine([getattr(s, name) for s in found]) for name in names)
+    q, r, R, residual, status = (combine([getattr(s, name) for s in found]) for name in ARRAYS)
     return Solutions(q, r, R, residual, status)
