@@ -110,6 +110,11 @@ def nearest_rotation(M: np.ndarray) -> np.ndarray:
     return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
 
 
+def turns_from_mean(R: np.ndarray) -> np.ndarray:
+    """Return the rotation vectors (N, 3), rad, of rotations (N, 3, 3) from their mean."""
+    return rotation_vector(R @ nearest_rotation(R.sum(axis=0)).T)
+
+
 def rotation_vector(R: np.ndarray) -> np.ndarray:
     """Convert rotation matrices (..., 3, 3) to rotation vectors (..., 3) in rad."""
     q = matrix_to_quaternion(R)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.base.rotation import nearest_rotation, rotation_vector
+from parallel_cal.base.rotation import nearest_rotation, turns_from_mean
 from parallel_cal.base.units import MM
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.predictions import condition_columns
@@ -108,8 +108,7 @@ def _compare(model: Model, view: View, reached: Solutions) -> DevicePoses | None
     used = view.seen & reached.solved & np.isfinite(view.r).all(axis=1)
     if used.sum() < MIN_PLACEMENT_POSES:
         return None
-    R = reached.rotation[used]
-    away = rotation_vector(R @ nearest_rotation(R.sum(axis=0)).T)
+    away = turns_from_mean(reached.rotation[used])
     turned = float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
     return DevicePoses(
         reached.position,

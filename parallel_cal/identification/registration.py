@@ -20,6 +20,7 @@ from parallel_cal.base.rotation import (
     quaternion_to_matrix,
     rotation_matrix,
     rotation_vector,
+    turns_from_mean,
 )
 from parallel_cal.base.units import MM
 from parallel_cal.identification.checks import free_mask
@@ -322,8 +323,7 @@ class DevicePoses:
             np.sqrt(np.median(np.sum(spread[:, part] ** 2, axis=1)) + more)
             for part, more in ((slice(3), shifts + turns * reach**2), (slice(3, 6), turns))
         ]
-        R = reached.rotation[solved]
-        away = rotation_vector(R @ nearest_rotation(R.sum(axis=0)).T)
+        away = turns_from_mean(reached.rotation[solved])
         # Wide tolerances must not hide a rotation that nobody mistakes for an error.
         allowed = min(
             float(np.median(np.sum(spread[:, 3:] ** 2, axis=1))), MAX_UNCERTAIN_TILT_RAD**2
@@ -474,8 +474,7 @@ class DevicePoses:
             seen = self.seen_r[self.placed]
             spread = float(np.sqrt(np.mean(np.sum((seen - seen.mean(axis=0)) ** 2, axis=1))))
         else:
-            R = self.seen_R[self.turned]
-            away = rotation_vector(R @ nearest_rotation(R.sum(axis=0)).T)
+            away = turns_from_mean(self.seen_R[self.turned])
             spread = float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
         return self.compute_rms(self.frames) / spread if spread > 0 else 0.0
 
