@@ -24,8 +24,7 @@ def masses(mechanism: Mechanism) -> list[Parameter]:
 
 def joint_forces(seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Any:
     """Return the force of the weights on each joint along its reading (n_joints, 1), Nm or N."""
-    q = ca.SX.sym("q", len(mechanism.joints))
-    return _forces(seen.with_q(q), q, seen.q, e, at, mechanism)
+    return _forces("q", seen, e, at, mechanism)
 
 
 def own_weight_torques(seen: Seen, mechanism: Mechanism, tool: Any = 0.0) -> Any:
@@ -47,11 +46,7 @@ def own_weight_torques(seen: Seen, mechanism: Mechanism, tool: Any = 0.0) -> Any
 
 def rod_forces(seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Any:
     """Return the tension of each rod under the weights (n_rods, 1), N; compression is negative."""
-    names, by_length = rods(mechanism)
-    lengths = ca.SX.sym("l", len(names))
-    loose = seen.with_p(dict(zip(names, ca.vertsplit(lengths), strict=True)))
-    given = ca.vertcat(*[seen.p[name] for name in names])
-    return np.linalg.pinv(by_length).T @ _forces(loose, lengths, given, e, at, mechanism)
+    return np.linalg.pinv(rods(mechanism)[1]).T @ _forces("rods", seen, e, at, mechanism)
 
 
 def lengthen_rods(seen: Seen, mechanism: Mechanism, by: Any) -> Seen:
@@ -147,22 +142,39 @@ def _nominal(table: ParameterTable) -> Named:
     return Named(table.names, ca.SX(table.nominal))
 
 
-def _forces(loose: Seen, u: Any, given: Any, e: Named, at: Named, mechanism: Mechanism) -> Any:
-    """Return dU/du - (dphi/du)^T lambda with (dphi/dx)^T lambda = dU/dx, at u = given.
+def _forces(u: str, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Any:
+    """Return dU/du - (dphi/du)^T lambda with (dphi/dx)^T lambda = dU/dx; u is "q" or "rods".
 
     U is the work of gravity on payload, platform and parts, J. The platform follows u so that phi
     stays zero.
     """
-    x, free = ca.SX.sym("x", len(POSE)), mechanism.moved
-    turned = loose.R + ca.skew(x[3:]) @ loose.R
-    pose = loose.with_pose(loose.r + x[:3], turned)
-    phi = ca.vertcat(mechanism.closure(pose.q, pose.r, pose.R, pose.p))
-    # The weights of payload and platform act at {P}.
-    mass, centres = e["mass"], mechanism.centres(pose.q, pose.r, pose.R, pose.p)
-    moments = [mass[kind] * point for kind, points in centres.items() for point in points]
-    moment = sum(moments, (mass.platform + at[PAYLOAD]) * pose.r)
-    rows = ca.vertcat(phi, ca.dot(ca.DM(mechanism.gravity), moment))
-    slopes = [ca.jacobian(rows, x)[:, free], ca.jacobian(rows, u)]
-    by_x, by_u = ca.substitute(slopes, [x, u], [ca.SX.zeros(len(POSE)), given])
+    loads = [e["mass"][kind] for kind in ("platform", *mechanism.parts)]
+    slopes = _slopes(mechanism, mechanism.gravity, u)
+    by_x, by_u = slopes(seen.q, seen.r, seen.R, seen.p.column, ca.vertcat(*loads, at[PAYLOAD]))
     multipliers = ca.solve(by_x[:-1, :].T, by_x[-1, :].T)
     return by_u[-1, :].T - by_u[:-1, :].T @ multipliers
+
+
+@lru_cache(maxsize=64)
+def _slopes(mechanism: Mechanism, gravity: tuple[float, ...], u: str) -> ca.Function:
+    """Build the derivatives of (phi, U) by the moved part of the pose (x, w), and by u.
+
+    They are functions of (q, r, R, geometry, masses) and the same in all effects of a mechanism.
+    """
+    names = mechanism.parameters.names
+    q, r, R = ca.SX.sym("q", len(mechanism.joints)), ca.SX.sym("r", 3), ca.SX.sym("R", 3, 3)
+    p, x = ca.SX.sym("p", len(names)), ca.SX.sym("x", len(POSE))
+    platform, *parts, payload = masses = ca.vertsplit(ca.SX.sym("m", len(mechanism.parts) + 2))
+    pose = q, r + x[:3], R + ca.skew(x[3:]) @ R, Named(names, p)
+    phi, centres = ca.vertcat(mechanism.closure(*pose)), mechanism.centres(*pose)
+    mass = dict(zip(mechanism.parts, parts, strict=True))
+    moments = [mass[kind] * point for kind, points in centres.items() for point in points]
+    # The weights of payload and platform act at {P}.
+    moment = sum(moments, (platform + payload) * pose[1])
+    rows = ca.vertcat(phi, ca.dot(ca.DM(gravity), moment))
+    by_u = ca.jacobian(
+        rows, q if u == "q" else p[[names.index(name) for name in rods(mechanism)[0]]]
+    )
+    slopes = [ca.jacobian(rows, x)[:, mechanism.moved], by_u]
+    slopes = ca.cse(ca.substitute(slopes, [x], [ca.SX.zeros(len(POSE))]))
+    return ca.Function("slopes", [q, r, R, p, ca.vertcat(*masses)], slopes)
