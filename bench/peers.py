@@ -45,6 +45,7 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.kinematics import solving
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.kinematics.newton import newton_functions
+from parallel_cal.kinematics.problem import Problem
 from parallel_cal.kinematics.solutions import MAX_SETTLED_STEP_M
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Model, new_model
@@ -209,15 +210,17 @@ def disagreement(case: Case, peer: MuJoCo, problem: str) -> float:
 def compiled_limit(model: Model, one: Solutions, problem: str) -> Row:
     """One solution by the generated C, from buffer to buffer: with further iterations where the
     first do not arrive, as a public call makes them."""
-    functions = newton_functions(model.structure, problem)
-    k = Single(functions.tables)(model.values)[0]
+    functions, fixed = (
+        newton_functions(model.structure, problem),
+        Problem(model, problem, True).fixed,
+    )
     single = Single(compile_function(functions.solve))
     given = np.concatenate([one.joints, one.position, one.rotation.ravel()])
-    x, step, *_ = single(given, np.zeros(0), k)
+    x, step, *_ = single(given, np.zeros(0), fixed)
     seconds = processor_each(single.evaluate)
     if step.item() >= MAX_SETTLED_STEP_M:
         further = Single(compile_function(functions.refine))
-        further(x, np.zeros(0), k)
+        further(x, np.zeros(0), fixed)
         seconds += processor_each(further.evaluate)
     return Row("limit: compiled C, buffer to buffer", seconds)
 

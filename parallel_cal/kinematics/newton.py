@@ -21,10 +21,11 @@ INLINE_BELOW = 2000  # instructions of one step; below that, repeating them is f
 class NewtonFunctions:
     """CasADi functions of one problem.
 
-    `tables`: v -> k, evaluated once per model. `solve` and `refine`: (configuration, a, k) ->
-    configuration, last step (m), norm of phi (m), smallest pivot. `solve` begins at the mechanism's
-    own start, `refine` at the given configuration. `columns`: the unknown columns of (q, r, w).
-    `iteration`: the parts of `solve` and `refine`.
+    `tables`: v -> k, evaluated once per model. `solve` and `refine`: (configuration, a, k with the
+    lower and upper joint limits) -> configuration, last step (m), norm of phi (m), smallest pivot,
+    smallest distance of a joint from its limits, negative outside. `solve` begins at the
+    mechanism's own start, `refine` at the given configuration. `columns`: the unknown columns of
+    (q, r, w). `iteration`: the parts of `solve` and `refine`.
     """
 
     tables: ca.Function
@@ -52,7 +53,7 @@ def newton_functions(structure: Structure, problem: str) -> NewtonFunctions:
     step = _step_function(s, residual, J, symbols, columns, order)
     prepare = dense("prepare", [s.configuration, s.a, table_symbols], [before])
     tables_function = dense("tables", [s.v], [tables])
-    iterate = Iteration(prepare, step, residual, constants.shape[0])
+    iterate = Iteration(prepare, step, residual, constants.shape[0], s.q.numel())
     solve = iterate.function(f"{problem}_solve", from_start=True)
     refine = iterate.function(f"{problem}_refine", from_start=False)
     return NewtonFunctions(tables_function, solve, refine, columns, iterate)
@@ -202,15 +203,22 @@ class Iteration:
     step: ca.Function
     residual: ca.Function
     n_constants: int
+    n_joints: int
 
     def function(self, name: str, from_start: bool) -> ca.Function:
         """Build a fixed number of iterations; a short step is inlined, a long one is called."""
         symbol = ca.SX if self.step.n_instructions() < INLINE_BELOW else ca.MX
-        given, a, k = (symbol.sym(f"i{i}", self.prepare.numel_in(i)) for i in range(3))
+        n = self.n_joints
+        given, a = (symbol.sym(f"i{i}", self.prepare.numel_in(i)) for i in range(2))
+        fixed = symbol.sym("i2", self.prepare.numel_in(2) + 2 * n)
+        k, low, high = ca.vertsplit(
+            fixed, [0, fixed.numel() - 2 * n, fixed.numel() - n, fixed.numel()]
+        )
         prepared = self.prepare(given, a, k)
         constants = prepared[: self.n_constants]
         x = prepared[self.n_constants :] if from_start else given
         for _ in range(ITERATIONS):
             x, length, pivot = self.step(x, constants)
         residual = ca.norm_2(self.residual(x, constants))
-        return ca.Function(name, [given, a, k], [x, length, residual, pivot])
+        inside = ca.mmin(ca.vertcat(x[:n] - low, high - x[:n]))
+        return ca.Function(name, [given, a, fixed], [x, length, residual, pivot, inside])

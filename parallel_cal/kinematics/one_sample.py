@@ -45,14 +45,15 @@ class _Part:
 class ConvergedSolution(Solutions):
     """One converged solution, whose arrays are made when they are read.
 
-    `_output` holds the results of `NewtonFunctions.solve`: configuration, last step, residual and
-    pivot. The `__init__` of a dataclass is bypassed: it takes a microsecond.
+    `_output` holds the results of `NewtonFunctions.solve`: configuration, last step, residual,
+    pivot and distance from the joint limits. The `__init__` of a dataclass is bypassed: it takes a
+    microsecond.
     """
 
-    joints = _Part(slice(-15))
-    position = _Part(slice(-15, -12))
-    rotation = _Part(slice(-12, -3), (3, 3))
-    residual = _Part(-2)
+    joints = _Part(slice(-16))
+    position = _Part(slice(-16, -13))
+    rotation = _Part(slice(-13, -4), (3, 3))
+    residual = _Part(-3)
     status = CONVERGED
 
 
@@ -68,9 +69,8 @@ def fast_solver(problem: Problem) -> FastSolver:
     given_part = row[n : n + 3] if problem.unknown_joints else row[:n]
     rotation_part, home_rotation = row[n + 3 :].reshape(3, 3), home[n + 3 :].reshape(3, 3)
     shape, has_conditions = given_part.shape, bool(len(conditions))
-    limits = [(i, *pair) for i, pair in enumerate(model.mechanism.joint_limits)]
-    # Reads the joints, the last step, the residual and the pivot; skips the pose between them.
-    read = Struct(f"{n}d{12 * 8}x3d").unpack
+    # Reads what comes behind the configuration.
+    read = Struct(f"{len(row) * 8}x4d").unpack
     acquire, release = first.lock.acquire, first.lock.release
     evaluate, output, memory = first.evaluate, first.output, first.output.data
     inverse, neutral, largest = problem.unknown_joints, problem.neutral, problem.largest
@@ -100,27 +100,24 @@ def fast_solver(problem: Problem) -> FastSolver:
             elif has_conditions:
                 conditions[...] = neutral
             evaluate()
-            numbers = read(memory)
-            if numbers[-3] < MAX_SETTLED_STEP_M:
+            step, residual, pivot, inside = read(memory)
+            if step < MAX_SETTLED_STEP_M:
                 end = output.copy()  # a copy, because the buffers are shared
             else:
                 if more is None:
                     more = problem.single_refiner
                     memory_of_more = more.output.data
                 more.evaluate()
-                numbers = read(memory_of_more)
+                step, residual, pivot, inside = read(memory_of_more)
                 end = more.output.copy()
-                if not numbers[-3] < MAX_SETTLED_STEP_M:
+                if not step < MAX_SETTLED_STEP_M:
                     return None
         except (TypeError, ValueError):
             return None  # no numbers: the way of many samples says what was expected
         finally:
             release()
-        if not (numbers[-1] > SUSPECT_PIVOT and numbers[-2] < largest):
+        if not (inside >= 0.0 and pivot > SUSPECT_PIVOT and residual < largest):
             return None
-        for i, low, high in limits:
-            if not low <= numbers[i] <= high:
-                return None
         one = new(kind)
         one.__dict__["_output"] = end
         return one
