@@ -13,6 +13,7 @@ from parallel_cal.model.mechanism import POSE, Home, Mechanism
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 PAYLOAD = "payload"
+JOINTS, RODS = 1, 2  # results of `_slopes`: what the weights act on
 MIN_WEIGHT_FORCE = 1e-6  # Nm or N, under 1 kg; a joint below it carries no weight
 
 
@@ -24,7 +25,7 @@ def masses(mechanism: Mechanism) -> list[Parameter]:
 
 def joint_forces(seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Any:
     """Return the force of the weights on each joint along its reading (n_joints, 1), Nm or N."""
-    return _forces("q", seen, e, at, mechanism)
+    return _forces(JOINTS, seen, e, at, mechanism)
 
 
 def own_weight_torques(seen: Seen, mechanism: Mechanism, tool: Any = 0.0) -> Any:
@@ -46,7 +47,7 @@ def own_weight_torques(seen: Seen, mechanism: Mechanism, tool: Any = 0.0) -> Any
 
 def rod_forces(seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Any:
     """Return the tension of each rod under the weights (n_rods, 1), N; compression is negative."""
-    return np.linalg.pinv(rods(mechanism)[1]).T @ _forces("rods", seen, e, at, mechanism)
+    return np.linalg.pinv(rods(mechanism)[1]).T @ _forces(RODS, seen, e, at, mechanism)
 
 
 def lengthen_rods(seen: Seen, mechanism: Mechanism, by: Any) -> Seen:
@@ -142,22 +143,24 @@ def _nominal(table: ParameterTable) -> Named:
     return Named(table.names, ca.SX(table.nominal))
 
 
-def _forces(u: str, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Any:
-    """Return dU/du - (dphi/du)^T lambda with (dphi/dx)^T lambda = dU/dx; u is "q" or "rods".
+def _forces(u: int, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Any:
+    """Return dU/du - (dphi/du)^T lambda with (dphi/dx)^T lambda = dU/dx; u: JOINTS or RODS.
 
     U is the work of gravity on payload, platform and parts, J. The platform follows u so that phi
     stays zero.
     """
     loads = [e["mass"][kind] for kind in ("platform", *mechanism.parts)]
-    slopes = _slopes(mechanism, mechanism.gravity, u)
-    by_x, by_u = slopes(seen.q, seen.r, seen.R, seen.p.column, ca.vertcat(*loads, at[PAYLOAD]))
+    slopes = _slopes(mechanism, mechanism.gravity)
+    found = slopes(seen.q, seen.r, seen.R, seen.p.column, ca.vertcat(*loads, at[PAYLOAD]))
+    by_x, by_u = found[0], found[u]
     multipliers = ca.solve(by_x[:-1, :].T, by_x[-1, :].T)
     return by_u[-1, :].T - by_u[:-1, :].T @ multipliers
 
 
 @lru_cache(maxsize=64)
-def _slopes(mechanism: Mechanism, gravity: tuple[float, ...], u: str) -> ca.Function:
-    """Build the derivatives of (phi, U) by the moved part of the pose (x, w), and by u.
+def _slopes(mechanism: Mechanism, gravity: tuple[float, ...]) -> ca.Function:
+    """Build the derivatives of (phi, U) by the moved part of the pose (x, w), by the joints and by
+    the parameters of the rods.
 
     They are functions of (q, r, R, geometry, masses) and the same in all effects of a mechanism.
     """
@@ -172,9 +175,11 @@ def _slopes(mechanism: Mechanism, gravity: tuple[float, ...], u: str) -> ca.Func
     # The weights of payload and platform act at {P}.
     moment = sum(moments, (platform + payload) * pose[1])
     rows = ca.vertcat(phi, ca.dot(ca.DM(gravity), moment))
-    by_u = ca.jacobian(
-        rows, q if u == "q" else p[[names.index(name) for name in rods(mechanism)[0]]]
+    of_rods = [p[names.index(name)] for name in rods(mechanism)[0]]
+    by = ca.vertcat(x[mechanism.moved], q, *of_rods)
+    slopes = ca.horzsplit(
+        ca.jacobian(rows, by),
+        np.cumsum([0, len(mechanism.moved), q.numel(), len(of_rods)]).tolist(),
     )
-    slopes = [ca.jacobian(rows, x)[:, mechanism.moved], by_u]
     slopes = ca.cse(ca.substitute(slopes, [x], [ca.SX.zeros(len(POSE))]))
     return ca.Function("slopes", [q, r, R, p, ca.vertcat(*masses)], slopes)
