@@ -8,6 +8,7 @@ import numpy as np
 
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.diagnosis.statistics import permutation_p_values
 from parallel_cal.diagnosis.thresholds import (
     EFFECT_SIGNIFICANCE_LEVEL,
     MIN_INFLATION,
@@ -92,12 +93,8 @@ def noise_shape(z: np.ndarray, time: np.ndarray, places: np.ndarray, seed: int =
         return float(ratio**0.5)
 
     seen = correlation(z[order]), growth(size)
-    drawn = [
-        (correlation(z[k]), growth(size[k]))
-        for k in (rng.permutation(len(z)) for _ in range(PERMUTATIONS))
-    ]
-    as_much = (np.array(drawn) >= np.array(seen)).sum(axis=0)
-    p = (1 + as_much) / (1 + PERMUTATIONS)
+    orders = (rng.permutation(len(z)) for _ in range(PERMUTATIONS))
+    p = permutation_p_values(seen, ((correlation(z[k]), growth(size[k])) for k in orders))
     step = float(np.median(np.diff(time[order])))
     memory = -step / np.log(np.clip(seen[0], 1e-3, 1 - 1e-3))
     # Variance of a slow mean over that of white noise: 1 + 2 sum (1 - l / L) rho_l over the lags

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from parallel_cal.diagnosis.thresholds import MIN_SIGNS_PER_SIDE, NEIGHBOURS, PERMUTATIONS
+from parallel_cal.diagnosis.thresholds import (
+    ENOUGH_COPIES,
+    MIN_SIGNS_PER_SIDE,
+    NEIGHBOURS,
+    PERMUTATIONS,
+)
 from parallel_cal.recordings.replicates import average_groups
 
 MAX_PLACES_WITHOUT_TREE = 500  # with fewer, the distances of all pairs take less than the import
@@ -43,8 +48,34 @@ def morans_i(
         return float(np.vdot(drawn, drawn.take(near, axis=0).sum(axis=0)) / total)
 
     seen = index(np.arange(n))
-    drawn = [index(rng.permutation(n)) for _ in range(PERMUTATIONS)]
-    return seen, (1 + sum(d >= seen for d in drawn)) / (1 + PERMUTATIONS)
+    p = permutation_p_values([seen], ([index(rng.permutation(n))] for _ in range(PERMUTATIONS)))
+    return seen, float(p[0])
+
+
+def permutation_p_values(seen: Sequence[float], drawn: Iterable[Sequence[float]]) -> np.ndarray:
+    """Probability that chance alone gives statistics (k,) as large as those `seen`.
+
+    `drawn` are the statistics of copies with permuted samples. Once ENOUGH_COPIES are as large, no
+    more are drawn (Besag and Clifford 1991). If none is, the probability is that of the Pearson
+    type III distribution with the mean, variance and skewness of the copies (Mielke and Berry
+    2007), which may be far smaller than one over their number.
+    """
+    copies, reached = list[Sequence[float]](), np.zeros(len(seen), dtype=int)
+    for one in drawn:
+        copies.append(one)
+        reached += np.asarray(one) >= seen
+        if reached.min() >= ENOUGH_COPIES:
+            return reached / len(copies)
+    p = (1 + reached) / (1 + len(copies))
+    if (beyond := reached == 0).any():
+        from scipy.special import gammaincc
+
+        centre, spread = np.mean(copies, axis=0), np.maximum(np.std(copies, axis=0), 1e-300)
+        skewness = np.mean(((copies - centre) / spread) ** 3, axis=0)
+        shape = 4 / np.maximum(skewness, 1e-3) ** 2
+        tail = gammaincc(shape, shape + (seen - centre) / spread * np.sqrt(shape))
+        p[beyond] = np.minimum(p, tail)[beyond]
+    return p
 
 
 def nearest(places: np.ndarray, k: int) -> np.ndarray:
