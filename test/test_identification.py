@@ -23,6 +23,7 @@ from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.identification.prior import Knowledge
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import new_model
+from parallel_cal.model.parameters import ParameterTable
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.virtual import robot as vr
 
@@ -347,6 +348,53 @@ def test_an_absurd_parameter_is_a_failed_fit():
         match=r"chain1.La_x was identified as 0.13.* m, \+2\d.* tolerances from its nominal 0.1199",
     ):
         fit(new_model("delta54"), replace(data, r=1.1 * data.r), hold_out=0)
+
+
+def test_a_factor_that_all_lengths_share_is_said_and_refused():
+    """The fit leaves only noise, but units or the device are wrong, and not every dimension."""
+    data = measured(0)
+    with pytest.raises(FitError, match=r"all lengths would be 10 % larger than drawn; check units"):
+        fit(new_model("delta54"), replace(data, r=1.1 * data.r), hold_out=0)
+
+
+def drawn_otherwise(**factors):
+    """A delta54 with other nominal values, by the factors of the parameters in each chain."""
+    kind = type(new_model("delta54").mechanism)
+
+    class Drawn(kind):
+        parameters = ParameterTable(
+            replace(p, nominal=p.nominal * factors.get(p.name.partition(".")[2], 1.0))
+            for p in kind.parameters
+        )
+
+    return new_model(Drawn())
+
+
+def test_wrong_dimensions_of_a_drawing_are_accepted_if_only_noise_is_left():
+    """Arms that are drawn 6 % too long: 14 tolerances, which all data show alike."""
+    data, right = measured(0), fit(new_model("delta54"), measured(0), hold_out=0)
+    found = fit(drawn_otherwise(La_x=1.06), data, hold_out=0)
+    assert found.estimate.chi2 == pytest.approx(right.estimate.chi2, rel=1e-4)
+    said = [w for w in found.warnings if "It was accepted, with a larger tolerance" in w]
+    assert len(said) == 3
+    assert said[0].startswith("chain1.La_x was identified as 0.119")
+    assert not any("chain1.La_x moved" in w for w in found.warnings)
+    assert found.model.usual_tolerances["chain1.La_x"] == 5e-4
+    # A model with effects, noise that nobody stated and a fit that leaves an error prove nothing.
+    model = drawn_otherwise(La_x=1.06)
+    noisy = replace(data, r=data.r + 1e-3 * np.sin(40 * data.r[:, [1, 2, 0]]))
+    unstated = replace(data, pose_cov=np.full_like(data.pose_cov, np.nan))
+    for wrong, samples in (
+        (model.with_effect("backlash"), data),
+        (model, noisy),
+        (model, unstated),
+    ):
+        with pytest.raises(
+            FitError, match=r"chain1.* was identified as 0.* tolerances from its nominal"
+        ):
+            fit(wrong, samples, hold_out=0)
+    with pytest.raises(FitError, match=r"La_x was identified as 0.1"):
+        fit(model, data, hold_out=0, usual_only=True)
 
 
 def test_an_effect_larger_than_usual_is_what_the_data_show():

@@ -8,6 +8,7 @@ import numpy as np
 
 from parallel_cal.diagnosis.thresholds import (
     ENOUGH_COPIES,
+    MIN_PERMUTATION_P,
     MIN_SIGNS_PER_SIDE,
     NEIGHBOURS,
     PERMUTATIONS,
@@ -74,7 +75,7 @@ def permutation_p_values(seen: Sequence[float], drawn: Iterable[Sequence[float]]
         skewness = np.mean(((copies - centre) / spread) ** 3, axis=0)
         shape = 4 / np.maximum(skewness, 1e-3) ** 2
         tail = gammaincc(shape, shape + (seen - centre) / spread * np.sqrt(shape))
-        p[beyond] = np.minimum(p, tail)[beyond]
+        p[beyond] = np.clip(tail, MIN_PERMUTATION_P, p)[beyond]
     return p
 
 

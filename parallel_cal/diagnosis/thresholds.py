@@ -106,6 +106,7 @@ EFFECT_SIZES = (0.3, 1.0, 3.0)  # of the effects next to the field, in tolerance
 NEIGHBOURS = 7  # of a sample, in Moran's I
 PERMUTATIONS = 999  # of the samples, for a p-value ...
 ENOUGH_COPIES = 30  # ... until so many are as extreme: then it is known to a fifth
+MIN_PERMUTATION_P = 1e-12  # the moments of permutations show no smaller one
 RESAMPLES = 200  # of the poses, for the share of first picks
 MIN_SIGNS_PER_SIDE = 5  # on either side of the median, for a runs test
 WINDOW = 15  # samples of a rolling mean, or more if this gives more than MAX_WINDOWS of them

@@ -13,9 +13,10 @@ from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import Errors
 from parallel_cal.identification.prior import Prior
+from parallel_cal.identification.thresholds import MAX_UNSCALED_SHARE
 from parallel_cal.identification.unusual import UnusualSize, describe_by_effect
 from parallel_cal.model.model import Model
-from parallel_cal.model.parameters import RANGE_MARGIN_SIGMAS, Parameter
+from parallel_cal.model.parameters import MAX_TOLERANCES, RANGE_MARGIN_SIGMAS, Parameter
 
 
 def chosen_parameters(model: Model, options: FitOptions) -> tuple[np.ndarray, bool]:
@@ -95,6 +96,7 @@ def check_plausible(
     free: np.ndarray,
     insist: bool = False,
     usual_only: bool = False,
+    leaves_noise: bool = False,
 ) -> tuple[Model, dict[str, UnusualSize], list[str]]:
     """Judge the size of every identified parameter.
 
@@ -105,6 +107,8 @@ def check_plausible(
 
     Usual sizes are knowledge about other machines: a parameter of an effect or a sensor outside its
     range is accepted, and its tolerance is raised to allow it, unless the owner wants `usual_only`.
+    A dimension or zero of the geometry is accepted like this only if the fit `leaves_noise` alone:
+    then the drawing is wrong, and the model is not. A factor that all lengths share is refused.
 
     Returns
     -------
@@ -113,7 +117,8 @@ def check_plausible(
     dict of str to UnusualSize
         What is unusual, by parameter.
     list of str
-        Impossible values of effects that were accepted because the caller insists.
+        Parameters of the geometry that were accepted, and impossible values of effects that were
+        accepted because the caller insists.
 
     Raises
     ------
@@ -128,24 +133,43 @@ def check_plausible(
     unusual, accepted, tolerances = dict[str, UnusualSize](), list[str](), dict(model.tolerances)
     usual_tolerances = dict(model.usual_tolerances)
     stated_sigma = np.sqrt(np.maximum(np.diag(estimate.covariance), 0.0))
-    for i, p in enumerate(model.table):
-        low, high = p.plausible_range(float(stated_sigma[i]))
-        value = float(model.values[i])
-        if not free[i] or low <= value <= high:
-            continue
+    low, high = np.array(
+        [p.plausible_range(s) for p, s in zip(model.table, stated_sigma.tolist(), strict=True)]
+    ).T
+    outside = free & ~((low <= model.values) & (model.values <= high))
+    is_geometry = np.array([p.group not in ("effect", "sensor") for p in model.table])
+    scale = _find_common_scale(model, free & is_geometry)
+    may_be_drawing = leaves_noise and not usual_only and scale is None
+    for i in np.flatnonzero(outside):
+        p, value = model.table[i], float(model.values[i])
         least, most = p.plausible_range()
-        bound = least if value < low else most
-        if p.group not in ("effect", "sensor"):
+        if is_geometry[i]:
             chi2 = estimate.chi2_per_dof
-            raise ImplausibleGeometryError(
+            found = (
                 f"{p.name} was identified as {_show(p, value)}, "
                 f"{(value - p.nominal) / p.tolerance:+.1f} tolerances from its nominal "
-                f"{p.nominal:.6g} (plausible {least:.6g} to {most:.6g}; chi2/dof {chi2:.3g}): "
+                f"{p.nominal:.6g}"
+            )
+            if may_be_drawing and p.low <= value <= p.high:
+                tolerances[p.name] = 1.2 * abs(value - p.nominal) / MAX_TOLERANCES
+                usual_tolerances.setdefault(p.name, p.tolerance)
+                accepted.append(
+                    f"{found}. It was accepted, with a larger tolerance, because the fit leaves "
+                    f"only noise (chi2/dof {chi2:.3g}): check this dimension or zero in the drawing"
+                )
+                continue
+            scaled = ""
+            if scale is not None:
+                larger = "larger" if scale > 0 else "smaller"
+                scaled = f"all lengths would be {100 * abs(scale):.3g} % {larger} than drawn; "
+            raise ImplausibleGeometryError(
+                f"{found} (plausible {least:.6g} to {most:.6g}; chi2/dof {chi2:.3g}): {scaled}"
                 "check units and mechanism, fix the parameter, use priors, correct nominal and "
                 "tolerance in the model file, or let the fit identify the effect that the "
                 "geometry imitates, too (fit --effect NAME)",
                 chi2,
             )
+        bound = least if value < low[i] else most
         if bound == p.nominal:
             side = "negative" if value < p.nominal else "positive"
             raise WrongSignError(
@@ -172,6 +196,17 @@ def check_plausible(
         accepted.append(f"{why}: accepted because of --force (in Python: insist)")
     raised = replace(model, tolerances=tolerances, usual_tolerances=usual_tolerances)
     return raised, unusual, accepted
+
+
+def _find_common_scale(model: Model, geometry: np.ndarray) -> float | None:
+    """The relative change that all lengths of the geometry share, if it is most of what moved them,
+    as a wrong unit or device causes; else None."""
+    lengths = geometry & np.array([p.unit == "m" for p in model.table])
+    size = (model.table.nominal / model.table.tolerance)[lengths]
+    moved = (model.values / model.table.tolerance)[lengths] - size
+    scale = float(moved @ size) / max(float(size @ size), 1e-300)
+    rest = np.sum((moved - scale * size) ** 2)
+    return scale if rest < MAX_UNSCALED_SHARE * np.sum(moved**2) else None
 
 
 def check_joint_errors(model: Model, found: Errors) -> None:

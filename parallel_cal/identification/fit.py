@@ -41,6 +41,7 @@ from parallel_cal.identification.fit_warnings import (
     chi2_band,
     find_down_weighted_samples,
     finite_or_none,
+    leaves_only_noise,
     list_held_coordinate_warnings,
     list_noise_warnings,
     list_parameter_warnings,
@@ -653,7 +654,13 @@ def fit_unjudged(
     scaled = CommonScale.find(fitted, observations, mask)
     try:
         fitted, unusual, insisted = check_plausible(
-            fitted, estimate, mask, options.insist, options.usual_only
+            fitted,
+            estimate,
+            mask,
+            options.insist,
+            options.usual_only,
+            # A scale that all lengths share, such as mm for m, leaves only noise, too.
+            leaves_noise=scaled is None and leaves_only_noise(usual, estimate, observations),
         )
     except ImplausibleGeometryError as error:
         if scaled is None:

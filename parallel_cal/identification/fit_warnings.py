@@ -22,6 +22,7 @@ from parallel_cal.identification.thresholds import (
     MAX_MOVED_TOLERANCES,
     MAX_NAMED_DIRECTIONS,
     MAX_NAMED_WEAK_DIRECTIONS,
+    MIN_DOF_TO_JUDGE,
     MIN_TRUSTED_WEIGHT,
 )
 from parallel_cal.model.model import Model
@@ -231,6 +232,15 @@ def chi2_band(dof: int) -> tuple[float, float]:
         (1 - a + z * a**0.5) ** 3
         for z in (-SIGMAS_AT_SIGNIFICANCE_LEVEL, SIGMAS_AT_SIGNIFICANCE_LEVEL)
     )  # type: ignore[return-value]
+
+
+def leaves_only_noise(model: Model, estimate: Estimate, observations: Observations) -> bool:
+    """Whether a fit of the geometry alone leaves no more than the noise that was stated."""
+    return (
+        not (model.effects or observations.noise_assumed)
+        and estimate.dof >= MIN_DOF_TO_JUDGE
+        and estimate.chi2_per_dof <= chi2_band(estimate.dof)[1]
+    )
 
 
 def finite_or_none(value: float) -> float | None:

@@ -6,6 +6,8 @@ MAX_HELD_ERROR_TO_NOISE_RATIO = (
     3.0  # of the noise: above, a coordinate that the model holds does move
 )
 MIN_TRUSTED_WEIGHT = 0.5  # a sample that a robust loss gives less weight than this is named
+MIN_DOF_TO_JUDGE = 10  # degrees of freedom: with fewer, chi2/dof does not show what a fit leaves
+MAX_UNSCALED_SHARE = 0.05  # of the squares of what moved lengths: the rest is one common factor
 MIN_NAMED_SHARE = 0.1  # of a direction's largest part: smaller ones are not named
 MAX_NAMED_DIRECTIONS = 6  # unidentifiable directions to name one by one; more are one sentence
 MAX_NAMED_WEAK_DIRECTIONS = 2  # weakest directions to name: a document has all of them
