@@ -38,9 +38,11 @@ from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.patterns import (
+    KNOCKED,
     OddSample,
     describe_knocked_samples,
     explain_exclusion,
+    list_samples_far_from,
     list_sideless_samples,
     odd_samples,
     set_knocked_samples_aside,
@@ -67,10 +69,12 @@ from parallel_cal.diagnosis.thresholds import (
 from parallel_cal.diagnosis.unusual import UnusualEffect, find_unusual_effects
 from parallel_cal.diagnosis.verdict import UNEXPLAINED_VERDICTS, Findings, Verdict, judge
 from parallel_cal.identification.added_effects import limit_patterns
+from parallel_cal.identification.checks import ImplausibleGeometryError
 from parallel_cal.identification.fit import FitResult, UnjudgedFit, fit, fit_unjudged
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitKeywords, FitOptions
+from parallel_cal.identification.outliers import search_outliers
 from parallel_cal.identification.platform_shift import (
     explain_unseparated_device,
     find_large_device_effects,
@@ -351,9 +355,23 @@ def diagnose(
     def suspects(judged: Model) -> list[int]:
         return find_mistrusted_samples(fit(judged, dataset, options, hold_out=0))
 
+    def without_outliers() -> Diagnosis:
+        """Exclude samples that contradict all others, if no plausible geometry describes all."""
+        try:
+            return without([])
+        except ImplausibleGeometryError:
+            observations = given.observe(model, dataset, options.joint_sigma, options.insist)
+            outliers = search_outliers(model, dataset, observations, options)
+            if outliers is None:
+                raise
+        others = without([*outliers.numbers], f"because it is {KNOCKED}")
+        best = others.best.fitted.model
+        far = list_samples_far_from(best, dataset, observations, outliers.numbers)
+        return _with_samples_aside(others, far)
+
     with proposing_first_effect(model, dataset, options, effects, report):
         aside = [] if options.loss == "linear" else suspects(model)
-        found = without(aside)
+        found = without(aside) if aside else without_outliers()
     if options.loss == "linear":
         return _set_knocked_samples_aside(found, without)
     # A good pose may look bad only for as long as the effect is not in the model.

@@ -116,7 +116,7 @@ def proposing_first_effect(
 ) -> Iterator[None]:
     """If no plausible geometry describes the samples, say which other columns or conventions fit
     them; if none do, add to the error which effect in the first fit permits a plausible geometry:
-    it is the likeliest cause."""
+    it is the likeliest cause, unless few samples contradict all others."""
     try:
         yield
     except (ImplausibleGeometryError, NoSolutionError) as error:
@@ -124,7 +124,7 @@ def proposing_first_effect(
         there = DevicePoses.of(model, observations)
         if words := doubt_columns(model, observations, there, dataset.source, suspected=True):
             raise FitError(f"{words}. As they are, {error}") from None
-        if not isinstance(error, ImplausibleGeometryError):
+        if not isinstance(error, ImplausibleGeometryError) or error.outliers:
             raise
         if there is not None and (share := there.find_unexplained_share()) > FOREIGN_SHARE:
             raise FitError(

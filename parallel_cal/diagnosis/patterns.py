@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -29,9 +29,11 @@ from parallel_cal.diagnosis.thresholds import (
     WINDOW,
 )
 from parallel_cal.identification.fit import FitResult
-from parallel_cal.identification.observations import conditions
+from parallel_cal.identification.observations import Observations, conditions
+from parallel_cal.identification.outliers import find_outliers
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
+from parallel_cal.model.words import join_words
 from parallel_cal.recordings.dataset import Dataset
 
 Fitted = TypeVar("Fitted")
@@ -255,8 +257,7 @@ def set_knocked_samples_aside(
     samples count that are also far from what the model without them predicts: a sample that is far
     from the first fit may be so because of another one.
     """
-    for scene, found in fits:
-        knocked = find_knocked_samples(scene)
+    for found, knocked in _iterate_suspects(fits):
         while knocked:
             try:
                 others = fit_without([one.sample for one in knocked])
@@ -269,21 +270,47 @@ def set_knocked_samples_aside(
     return None
 
 
+def _iterate_suspects(
+    fits: Iterable[tuple[Scene, FitResult]],
+) -> Iterator[tuple[FitResult, list[OddSample]]]:
+    """Iterate over the fits, with the samples that are far from each, and with those that are far
+    from what a robust fit would predict: least squares follow an outlier."""
+    for scene, found in fits:
+        far = find_knocked_samples(scene)
+        yield found, far
+        if scene.dataset.mode == "continuous":
+            continue
+        columns = scene.by_sample(scene.basis)
+        outliers, _ = find_outliers(scene.by_sample(scene.residual), columns, scene.informative)
+        numbers = set(scene.dataset.numbers[outliers].tolist())
+        if numbers and numbers != {one.sample for one in far}:
+            odd = odd_samples(scene, Field.of(scene), numbers)
+            yield found, [one for one in odd if one.sample in numbers]
+
+
+def list_samples_far_from(
+    model: Model, dataset: Dataset, observations: Observations, numbers: Collection[int]
+) -> list[OddSample]:
+    """List some samples as a model sees them that was not fitted to them."""
+    fixed = np.zeros(len(model.values), dtype=bool)  # no parameter follows the samples
+    scene = Scene.of(model, dataset, replace(observations, a=conditions(model, dataset)), fixed)
+    odd = odd_samples(scene, Field.of(scene), numbers)
+    return [one for one in odd if one.sample in numbers]
+
+
 def _find_still_far(knocked: Sequence[OddSample], base: FitResult, other: Model) -> list[OddSample]:
     """Return those of the knocked samples of a fit that are also far from what another model
     predicts, which was fitted without them."""
-    observations = replace(base.observations, a=conditions(other, base.dataset))
-    fixed = np.zeros(len(other.values), dtype=bool)  # no parameter follows the samples
-    still = find_knocked_samples(Scene.of(other, base.dataset, observations, fixed))
     numbers = {one.sample for one in knocked}
-    return [one for one in still if one.sample in numbers]
+    still = list_samples_far_from(other, base.dataset, base.observations, numbers)
+    return [one for one in still if one.p_value < KNOCK_SIGNIFICANCE_LEVEL]
 
 
 def describe_knocked_samples(knocked: Sequence[OddSample]) -> str:
     """Name the samples that a verdict leaves out, to be put behind it."""
 
     def names(samples: Sequence[OddSample]) -> str:
-        return " and ".join(f"sample {one.title} ({one.size})" for one in samples)
+        return join_words(f"sample {one.title} ({one.size})" for one in samples)
 
     sentences = []
     if sideless := [one for one in knocked if one.sideless]:

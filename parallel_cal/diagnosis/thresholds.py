@@ -32,7 +32,7 @@ OUTLIER_SIGNIFICANCE_LEVEL = 1e-3  # p-value of an outlier, over the whole data 
 # p-value, over the whole data set, of a sample that was disturbed alone; if more samples than this
 # share are so far away, the noise has heavy tails
 KNOCK_SIGNIFICANCE_LEVEL = 1e-6
-MAX_KNOCKED_SHARE = 0.02
+MAX_KNOCKED_SHARE = 0.05
 # Share of the samples whose unknown sides may be what an effect of the sides does not explain
 MAX_SIDELESS_SHARE = 0.05
 MIN_INFLUENTIAL_COOKS_DISTANCE = (

@@ -28,7 +28,7 @@ from parallel_cal.discovery.drivers import (
     select_for_screening,
 )
 from parallel_cal.discovery.law import Discovery, Law
-from parallel_cal.discovery.names import join_words, name_law
+from parallel_cal.discovery.names import name_law
 from parallel_cal.discovery.places import (
     list_places,
     list_sites,
@@ -42,6 +42,7 @@ from parallel_cal.identification.fit import FitResult, fit
 from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
+from parallel_cal.model.words import join_words
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.lagged import add_lagged_conditions
 

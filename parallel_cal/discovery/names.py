@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from parallel_cal.discovery.drivers import WORDS
 from parallel_cal.discovery.places import (
@@ -14,6 +14,7 @@ from parallel_cal.discovery.places import (
     ROD,
 )
 from parallel_cal.discovery.screening import Hypothesis
+from parallel_cal.model.words import join_words
 from parallel_cal.recordings.dataset import Dataset
 
 
@@ -46,10 +47,6 @@ def describe_law(hypothesis: Hypothesis) -> str:
     )
     each = ", each in its own way" if site.each else ""
     return f"{what} errs with {on}{each}"
-
-
-def join_words(names: Sequence[str]) -> str:
-    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
 def list_ranges(hypothesis: Hypothesis) -> dict[str, tuple[float, float]]:

@@ -76,14 +76,15 @@ class ContradictionError(FitError):
 
 class ImplausibleGeometryError(FitError):
     """A parameter of the geometry was identified far outside its plausible range; `chi2_per_dof` is
-    that of this fit."""
+    that of this fit, `outliers` the numbers of samples that contradict all others, if it is known.
+    """
 
-    def __init__(self, words: str, chi2_per_dof: float):
+    def __init__(self, words: str, chi2_per_dof: float, outliers: tuple[int, ...] = ()):
         super().__init__(words)
-        self.chi2_per_dof = chi2_per_dof
+        self.chi2_per_dof, self.outliers = chi2_per_dof, outliers
 
-    def __reduce__(self) -> tuple[type, tuple[str, float]]:
-        return type(self), (str(self), self.chi2_per_dof)
+    def __reduce__(self) -> tuple[type, tuple[str, float, tuple[int, ...]]]:
+        return type(self), (str(self), self.chi2_per_dof, self.outliers)
 
 
 class WrongSignError(FitError):

@@ -60,6 +60,7 @@ from parallel_cal.identification.noise_floor import (
 from parallel_cal.identification.observability import directions_in_words
 from parallel_cal.identification.observations import Observations, blocks, list_noise, observe
 from parallel_cal.identification.options import FitKeywords, FitOptions
+from parallel_cal.identification.outliers import has_outstanding_samples, search_outliers
 from parallel_cal.identification.prediction_errors import (
     Errors,
     Summary,
@@ -561,9 +562,20 @@ def fit(
     start = add_effects(given.start, effects, dataset)
     dataset = add_lagged_conditions(start.conditions, dataset)
     start, registration = prepared_for_fit(start, given.registration, dataset, options)
-    result = fit_unjudged(
-        start, add_registration_warning(dataset, registration), options, progress, given
-    ).judge(progress)
+    dataset = add_registration_warning(dataset, registration)
+    try:
+        result = fit_unjudged(start, dataset, options, progress, given).judge(progress)
+    except ImplausibleGeometryError as error:
+        observations = given.observe(start, dataset, options.joint_sigma, options.insist)
+        outliers = search_outliers(start, dataset, observations, options)
+        if outliers is None:
+            raise
+        words = f"{outliers.description}. With all samples, {error}"
+        raise ImplausibleGeometryError(words, error.chi2_per_dof, outliers.numbers) from None
+    if has_outstanding_samples(result.estimate):
+        outliers = search_outliers(start, dataset, result.observations, options)
+        if outliers is not None:
+            result = replace(result, warnings=(*result.warnings, outliers.description))
     if registration is None:
         return result
     motion = compute_base_motion(result.model, result.observations)

@@ -139,3 +139,10 @@ MAX_LOOSENINGS = 8  # of a prior that the data contradict: up to 6,561 times the
 # stand, because it trusts the model: the robot moved by over 100 of its sigmas in both cases.
 MAX_DEVICE_TOLERANCES = 5.0
 MAX_SHIFT_TO_SHOWN_RATIO = 10.0
+
+# Samples that contradict all others
+MIN_OUTSTANDING_RATIO = 4.0  # of the typical rms residual: without such a sample, none is searched
+MIN_OUTLIER_RATIO = 6.0  # of the typical rms residual, after a robust fit
+MAX_OUTLIER_SHARE = 0.05  # of the samples: where more are far away, it is the model that fails
+MAX_OUTLIER_FITS = 6  # without them, until the same samples are far away
+OUTLIER_ROUNDS = 20  # of reweighting

@@ -100,3 +100,9 @@ def parameters_in_words(names: Iterable[str], table: ParameterTable) -> str:
         for (family, numbers), words in parts.items()
     ]
     return " and ".join(phrases)
+
+
+def join_words(words: Iterable[str]) -> str:
+    """Enumerate: `a, b and c`."""
+    *before, last = words
+    return " and ".join(filter(None, [", ".join(before), last]))

@@ -1,0 +1,151 @@
+"""Find single samples that contradict all others, such as those at which a target slipped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from parallel_cal.base.errors import FitError
+from parallel_cal.base.sample_names import format_sample
+from parallel_cal.identification.checks import chosen_parameters
+from parallel_cal.identification.estimate import Estimate
+from parallel_cal.identification.linearisation import Linearisation, System
+from parallel_cal.identification.methods import implicit
+from parallel_cal.identification.observations import Observations
+from parallel_cal.identification.options import FitOptions
+from parallel_cal.identification.robust import LOSSES
+from parallel_cal.identification.thresholds import (
+    MAX_OUTLIER_FITS,
+    MAX_OUTLIER_SHARE,
+    MIN_OUTLIER_RATIO,
+    MIN_OUTSTANDING_RATIO,
+    OUTLIER_ROUNDS,
+)
+from parallel_cal.model.model import Model
+from parallel_cal.model.words import join_words
+from parallel_cal.recordings.dataset import Dataset
+
+
+def find_outliers(
+    residual: np.ndarray, columns: np.ndarray, informative: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Find samples whose residual no change of the parameters explains as well as it explains the
+    others, by a robust linear regression (iterative reweighting with the loss `cauchy`).
+
+    A fit of least squares follows an outlier: its own residual becomes small, and that of others
+    large. The regression begins with `huber`, which has a single solution.
+
+    Parameters
+    ----------
+    residual : array (N, rows)
+        Whitened residuals of a fit.
+    columns : array (N, rows, p)
+        Their derivatives by the parameters, in any units.
+    informative : array (N,)
+        Number of independent rows of each sample.
+
+    Returns
+    -------
+    outliers : array (n,) of int
+        Indices of the outliers; none if they are more than a few.
+    sizes : array (N,)
+        Rms residual of each sample after the regression, in units of the typical one.
+    """
+    count, p = np.maximum(informative, 1), columns.shape[2]
+    weight = np.ones(len(residual))
+    for round_ in range(OUTLIER_ROUNDS):
+        normal = np.einsum("nki,n,nkj->ij", columns, weight, columns, optimize=True)
+        gradient = np.einsum("nki,n,nk->i", columns, weight, residual, optimize=True)
+        grain = 1e-12 * max(np.trace(normal), 1e-300) / max(p, 1)
+        step = np.linalg.solve(normal + grain * np.eye(p), gradient)
+        sizes = np.sqrt(np.sum((residual - columns @ step) ** 2, axis=1) / count)
+        sizes /= max(float(np.median(sizes)), 1e-300)
+        weight = LOSSES["huber" if round_ < OUTLIER_ROUNDS // 2 else "cauchy"](sizes) ** 2
+    found = np.flatnonzero(sizes > MIN_OUTLIER_RATIO)
+    few = len(found) <= max(1, MAX_OUTLIER_SHARE * len(residual))
+    return found if few else found[:0], sizes
+
+
+@dataclass(frozen=True)
+class Outliers:
+    """Samples that contradict all others.
+
+    `sizes` are their rms residuals from a fit to the others, in units of the rms residual there;
+    `chi2_per_dof` is that of a fit to all samples, and of the fit to the others.
+    """
+
+    numbers: tuple[int, ...]
+    titles: tuple[str, ...]
+    sizes: tuple[float, ...]
+    chi2_per_dof: tuple[float, float]
+
+    @property
+    def description(self) -> str:
+        named = join_words(
+            f"sample {title} ({size:.0f} times the usual residual)"
+            for title, size in zip(self.titles, self.sizes, strict=True)
+        )
+        them, verb = ("it", "contradicts") if len(self.numbers) == 1 else ("them", "contradict")
+        every, others = (f"{chi2:.3g}" for chi2 in self.chi2_per_dof)
+        return (
+            f"{named} {verb} all others: without {them}, chi2/dof is {others}, and with {them} "
+            f"{every}. Check {them}, or exclude {them}: --data "
+            f"exclude={','.join(map(str, self.numbers))}"
+        )
+
+
+def _find_in(system: System) -> np.ndarray:
+    return find_outliers(system.residual, system.jacobian, system.informative)[0]
+
+
+def has_outstanding_samples(estimate: Estimate) -> bool:
+    """Whether a fit leaves samples that are worth a search for outliers: seconds for many
+    samples."""
+    count = np.maximum(estimate.informative, 1)
+    sizes = np.sqrt(np.sum(estimate.residuals**2, axis=1) / count)[estimate.informative > 0]
+    return bool(len(sizes) and sizes.max() > MIN_OUTSTANDING_RATIO * np.median(sizes))
+
+
+def search_outliers(
+    model: Model,
+    dataset: Dataset,
+    observations: Observations,
+    options: FitOptions,
+) -> Outliers | None:
+    """Search outliers, and confirm them by a fit to the others; None if there are none, if the
+    samples are a continuous motion, or if the options select a robust loss or another method.
+
+    Only samples count that are far from what the fit to the others predicts.
+    """
+    if dataset.mode == "continuous" or (options.method, options.loss) != ("implicit", "linear"):
+        return None
+    (free, _), prior = chosen_parameters(model, options), options.prior
+    every = implicit.estimate(model, observations, free, prior)
+    if not has_outstanding_samples(every) or not isinstance(every.system, System):
+        return None
+    found = _find_in(every.system)
+    for _ in range(MAX_OUTLIER_FITS):
+        if not 0 < len(found) <= max(1, MAX_OUTLIER_SHARE * len(observations)):
+            return None
+        kept = np.setdiff1d(np.arange(len(observations)), found)
+        try:
+            others = implicit.estimate(model, observations.select(kept), free, prior)
+        except FitError:
+            return None
+        assert isinstance(others.system, System)
+        if len(more := _find_in(others.system)):  # that were hidden by the first ones
+            found = np.union1d(found, kept[more])
+            continue
+        at = Linearisation(model, observations.select(found), free, True)
+        away = at(others.values, at.start())
+        sizes = np.sqrt(np.sum(away.residual**2, axis=1) / np.maximum(away.informative, 1))
+        sizes /= max(others.chi2_per_dof, 1e-300) ** 0.5
+        far = sizes > MIN_OUTLIER_RATIO
+        if far.all():
+            numbers = [int(dataset.numbers[i]) for i in found]
+            titles = tuple(format_sample(one, dataset.names.get(one, "")) for one in numbers)
+            both = every.chi2_per_dof, others.chi2_per_dof
+            return Outliers(tuple(numbers), titles, tuple(sizes.tolist()), both)
+        found = found[far]
+    return None

@@ -1,0 +1,103 @@
+"""Single samples that contradict all others are named by `fit` and excluded by `diagnose`.
+
+The samples are of the independent virtual robots; some are moved by millimetres afterwards.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import virtual_arm as va
+from arms import nominal, seen
+from datasets import measured
+
+from parallel_cal.base.errors import FitError
+from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.identification.fit import fit
+from parallel_cal.identification.outliers import find_outliers
+from parallel_cal.model.model import new_model
+from parallel_cal.session.steps import fitted
+from parallel_cal.virtual import robot as vr
+
+DELTA = new_model("delta54")
+SLIPPED = {20: (5e-3, 0, 0), 50: (0, -5e-3, 2e-3), 51: (0, 1e-2, 0)}  # sample: m
+
+
+def moved(data, by):
+    r = data.r.copy()
+    for sample, shift in by.items():
+        r[sample] += shift
+    return replace(data, r=r)
+
+
+def contradicting(result):
+    return [words for words in result.warnings if "contradict" in words]
+
+
+def test_a_regression_finds_what_least_squares_hide():
+    """40 samples of 2 rows, 24 parameters: two outliers drag the fit."""
+    rng = np.random.default_rng(0)
+    X, truth = rng.standard_normal((40, 2, 24)), rng.standard_normal(24)
+    y = X @ truth + 0.1 * rng.standard_normal((40, 2))
+    y[[4, 9]] += 5.0
+    hat = np.linalg.lstsq(X.reshape(80, 24), y.ravel(), rcond=None)[0]
+    left = np.linalg.norm(y - X @ hat, axis=1)
+    assert np.median(left) > 0.4  # of 0.14
+    found, sizes = find_outliers(y - X @ hat, X, np.full(40, 2))
+    assert found.tolist() == [4, 9]
+    assert np.sort(sizes)[-3] < 0.1 * sizes[9]
+    y[:8] += 5.0  # a fifth of the samples: the model fails
+    assert not len(find_outliers(y, X, np.full(40, 2))[0])
+
+
+def test_samples_at_which_the_target_slipped_are_named_and_excluded():
+    few = {k: SLIPPED[k] for k in (20, 50)}
+    data, clean = moved(measured(0), few), fit(DELTA, measured(0))
+    bad = fit(DELTA, data)
+    assert bad.held_out.summary.position_rms > 20 * clean.held_out.summary.position_rms
+    (words,) = contradicting(bad)
+    assert words.startswith("sample 20 (100 times the usual residual) and sample 50 (139 times")
+    assert words.endswith("exclude them: --data exclude=20,50")
+    assert not contradicting(fit(DELTA, data.excluding([20, 50])))
+    found = diagnose(DELTA, data)
+    assert (found.verdict.word, {one.sample for one in found.knocked}) == ("at_noise", {20, 50})
+    size = found.best.fitted.held_out.summary.position_rms
+    assert size == pytest.approx(clean.held_out.summary.position_rms, rel=0.1)
+
+
+def test_a_refused_geometry_is_put_down_to_them():
+    data = moved(measured(0, effects=[vr.Backlash((1e-3,) * 3)]), SLIPPED)
+    for step in (fit, fitted):
+        with pytest.raises(
+            FitError, match=r"^sample 20 .*, sample 50 .* and sample 51 .* without"
+        ) as e:
+            step(DELTA, data)
+        assert "in the first fit" not in str(e.value)  # no effect is put forward
+    found = diagnose(DELTA, data)
+    assert (found.verdict.word, found.effects) == ("explained", ("backlash",))
+    assert "sample 51 (213 sigmas" in found.verdict.summary
+
+
+def test_wrong_readings_of_an_arm_in_a_trackers_frame_are_found():
+    session = va.session(va.arm("ur5", 1), 80, 3)
+    q = session.q.copy()
+    q[10, 2] += 0.01
+    q[33, 4] -= 0.02
+    data = seen(replace(session, q=q), pose=False)
+    (words,) = contradicting(fit(nominal("ur5"), data))
+    assert words.endswith("exclude=10,33")
+    found = diagnose(nominal("ur5"), data)
+    assert (found.verdict.word, {one.sample for one in found.knocked}) == ("at_noise", {10, 33})
+
+
+def test_noise_that_nobody_stated_does_not_hide_an_outlier():
+    data = moved(measured(0), {20: (5e-3, 0, 0)})
+    unstated = replace(data, pose_cov=np.full_like(data.pose_cov, np.nan))
+    (words,) = contradicting(fit(DELTA, unstated))
+    assert words.startswith("sample 20 ")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_missing_effect_and_noise_make_no_outlier(seed):
+    for effects in ((), [vr.Backlash((5e-3,) * 3)]):
+        assert not contradicting(fit(DELTA, measured(seed, effects=effects)))
