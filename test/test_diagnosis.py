@@ -416,8 +416,13 @@ def test_gross_outliers_are_set_aside_and_named_before_a_robust_diagnosis():
     data, _ = hiding([vf.KINDS["backlash"]], 0.6, seed=6)
     data.r[[20, 60, 100]] += [[2e-3, 0, 0], [0, -3e-3, 0], [0, 0, 5e-3]]
     data.r[[30, 70]] -= [[2e-3, 0, 0], [0, -3e-3, 0]]
-    spoilt = diagnose(MODEL, data, effects=["backlash", "base_drift", "device_axes"])
-    assert {one.sample for one in spoilt.odd_samples if one.outlier} >= {20, 30, 60, 70, 100}
+    found = diagnose(MODEL, data, effects=["backlash", "base_drift", "device_axes"])
+    assert {one.sample for one in found.knocked} == {20, 30, 60, 70, 100}
+    assert (found.verdict.word, found.effects) == ("explained", ("backlash",))
+    more = replace(data, r=data.r.copy())
+    more.r[[25, 65, 105]] += [[3e-3, 0, 0], [0, -2e-3, 0], [0, 0, 5e-3]]
+    spoilt = diagnose(MODEL, more, effects=["backlash", "base_drift", "device_axes"])
+    assert {one.sample for one in spoilt.odd_samples if one.outlier} >= {60, 70, 100, 105}
     assert not spoilt.knocked  # so many are heavy tails of the noise
     assert spoilt.verdict.word != "explained"
     found = diagnose(MODEL, data, effects=["backlash", "base_drift", "device_axes"], loss="cauchy")

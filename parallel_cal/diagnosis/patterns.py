@@ -261,9 +261,13 @@ def set_knocked_samples_aside(
         while knocked:
             try:
                 others = fit_without([one.sample for one in knocked])
-                confirmed = _find_still_far(knocked, found, model_of(others))
+                numbers = {one.sample for one in knocked}
+                still = list_samples_far_from(
+                    model_of(others), found.dataset, found.observations, numbers
+                )
             except FitError:
                 break
+            confirmed = [one for one in still if one.p_value < KNOCK_SIGNIFICANCE_LEVEL]
             if len(confirmed) == len(knocked):
                 return confirmed, others
             knocked = confirmed
@@ -291,19 +295,11 @@ def _iterate_suspects(
 def list_samples_far_from(
     model: Model, dataset: Dataset, observations: Observations, numbers: Collection[int]
 ) -> list[OddSample]:
-    """List some samples as a model sees them that was not fitted to them."""
+    """List some samples with their residuals from a model that was not fitted to them."""
     fixed = np.zeros(len(model.values), dtype=bool)  # no parameter follows the samples
     scene = Scene.of(model, dataset, replace(observations, a=conditions(model, dataset)), fixed)
     odd = odd_samples(scene, Field.of(scene), numbers)
     return [one for one in odd if one.sample in numbers]
-
-
-def _find_still_far(knocked: Sequence[OddSample], base: FitResult, other: Model) -> list[OddSample]:
-    """Return those of the knocked samples of a fit that are also far from what another model
-    predicts, which was fitted without them."""
-    numbers = {one.sample for one in knocked}
-    still = list_samples_far_from(other, base.dataset, base.observations, numbers)
-    return [one for one in still if one.p_value < KNOCK_SIGNIFICANCE_LEVEL]
 
 
 def describe_knocked_samples(knocked: Sequence[OddSample]) -> str:

@@ -60,7 +60,7 @@ from parallel_cal.identification.noise_floor import (
 from parallel_cal.identification.observability import directions_in_words
 from parallel_cal.identification.observations import Observations, blocks, list_noise, observe
 from parallel_cal.identification.options import FitKeywords, FitOptions
-from parallel_cal.identification.outliers import has_outstanding_samples, search_outliers
+from parallel_cal.identification.outliers import search_outliers
 from parallel_cal.identification.prediction_errors import (
     Errors,
     Summary,
@@ -572,10 +572,9 @@ def fit(
             raise
         words = f"{outliers.description}. With all samples, {error}"
         raise ImplausibleGeometryError(words, error.chi2_per_dof, outliers.numbers) from None
-    if has_outstanding_samples(result.estimate):
-        outliers = search_outliers(start, dataset, result.observations, options)
-        if outliers is not None:
-            result = replace(result, warnings=(*result.warnings, outliers.description))
+    outliers = search_outliers(start, dataset, result.observations, options, result.estimate)
+    if outliers is not None:
+        result = replace(result, warnings=(*result.warnings, outliers.description))
     if registration is None:
         return result
     motion = compute_base_motion(result.model, result.observations)

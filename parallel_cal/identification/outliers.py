@@ -34,7 +34,7 @@ def find_outliers(
     others, by a robust linear regression (iterative reweighting with the loss `cauchy`).
 
     A fit of least squares follows an outlier: its own residual becomes small, and that of others
-    large. The regression begins with `huber`, which has a single solution.
+    large. It is still the largest. The regression begins with `huber`, which has a single solution.
 
     Parameters
     ----------
@@ -52,15 +52,15 @@ def find_outliers(
     sizes : array (N,)
         Rms residual of each sample after the regression, in units of the typical one.
     """
-    count, p = np.maximum(informative, 1), columns.shape[2]
-    weight = np.ones(len(residual))
+    if not _has_outstanding(residual, informative):
+        return np.zeros(0, dtype=int), np.ones(len(residual))
+    p, weight = columns.shape[2], np.ones(len(residual))
     for round_ in range(OUTLIER_ROUNDS):
         normal = np.einsum("nki,n,nkj->ij", columns, weight, columns, optimize=True)
         gradient = np.einsum("nki,n,nk->i", columns, weight, residual, optimize=True)
         grain = 1e-12 * max(np.trace(normal), 1e-300) / max(p, 1)
         step = np.linalg.solve(normal + grain * np.eye(p), gradient)
-        sizes = np.sqrt(np.sum((residual - columns @ step) ** 2, axis=1) / count)
-        sizes /= max(float(np.median(sizes)), 1e-300)
+        sizes = _relative_sizes(residual - columns @ step, informative)
         weight = LOSSES["huber" if round_ < OUTLIER_ROUNDS // 2 else "cauchy"](sizes) ** 2
     found = np.flatnonzero(sizes > MIN_OUTLIER_RATIO)
     few = len(found) <= max(1, MAX_OUTLIER_SHARE * len(residual))
@@ -99,12 +99,16 @@ def _find_in(system: System) -> np.ndarray:
     return find_outliers(system.residual, system.jacobian, system.informative)[0]
 
 
-def has_outstanding_samples(estimate: Estimate) -> bool:
-    """Whether a fit leaves samples that are worth a search for outliers: seconds for many
-    samples."""
-    count = np.maximum(estimate.informative, 1)
-    sizes = np.sqrt(np.sum(estimate.residuals**2, axis=1) / count)[estimate.informative > 0]
-    return bool(len(sizes) and sizes.max() > MIN_OUTSTANDING_RATIO * np.median(sizes))
+def _has_outstanding(residual: np.ndarray, informative: np.ndarray) -> bool:
+    """Whether least squares leave a sample that is worth a search."""
+    return bool(_relative_sizes(residual, informative).max(initial=0.0) > MIN_OUTSTANDING_RATIO)
+
+
+def _relative_sizes(residual: np.ndarray, informative: np.ndarray) -> np.ndarray:
+    """Rms residual of each sample, in units of the typical one."""
+    sizes = np.sqrt(np.sum(residual**2, axis=1) / np.maximum(informative, 1))
+    known = sizes[informative > 0]
+    return np.asarray(sizes / max(float(np.median(known)) if len(known) else 0.0, 1e-300))
 
 
 def search_outliers(
@@ -112,17 +116,21 @@ def search_outliers(
     dataset: Dataset,
     observations: Observations,
     options: FitOptions,
+    known: Estimate | None = None,
 ) -> Outliers | None:
     """Search outliers, and confirm them by a fit to the others; None if there are none, if the
     samples are a continuous motion, or if the options select a robust loss or another method.
+    `known` is the estimate of all samples, if it is known.
 
     Only samples count that are far from what the fit to the others predicts.
     """
     if dataset.mode == "continuous" or (options.method, options.loss) != ("implicit", "linear"):
         return None
+    if known is not None and not _has_outstanding(known.residuals, known.informative):
+        return None
     (free, _), prior = chosen_parameters(model, options), options.prior
     every = implicit.estimate(model, observations, free, prior)
-    if not has_outstanding_samples(every) or not isinstance(every.system, System):
+    if not isinstance(every.system, System):  # too many samples to keep the derivatives
         return None
     found = _find_in(every.system)
     for _ in range(MAX_OUTLIER_FITS):
