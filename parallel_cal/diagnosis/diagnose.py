@@ -87,6 +87,7 @@ from parallel_cal.identification.registration import (
 from parallel_cal.model.effect import format_effect
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
+from parallel_cal.model.words import join_words
 from parallel_cal.recordings.dataset import Dataset
 
 if TYPE_CHECKING:
@@ -193,11 +194,12 @@ class Diagnosis(ShownInNotebook):
         discovers = [discover] if self.leaves_an_error else []
         if self.verdict.needs_sides:
             adds, discovers = [STATE_THE_SIDES], []
-        checks = [
-            f"check sample {one.title}, or exclude it from each command: {exclude}"
-            for one in self.knocked
-            if not one.sideless
-        ]
+        checks = []
+        if odd := [one.title for one in self.knocked if not one.sideless]:
+            samples, them = ("samples", "them") if len(odd) > 1 else ("sample", "it")
+            checks.append(
+                f"check {samples} {join_words(odd)}, or exclude {them} from each command: {exclude}"
+            )
         if sideless := [one.title for one in self.knocked if one.sideless]:
             checks.append(f"exclude sample {', '.join(sideless)} from each command: {exclude}")
         steps = discovers + adds if self.verdict.suspected_of_law else adds + discovers
