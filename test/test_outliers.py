@@ -8,15 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import virtual_arm as va
+import virtual_findings as vf
 from arms import nominal, seen
 from datasets import measured
+from findings import dataset
+from virtual_effects_hidden import JointCompliance
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.outliers import find_outliers
 from parallel_cal.model.model import new_model
-from parallel_cal.session.steps import fitted
+from parallel_cal.session.steps import add, fitted
 from parallel_cal.virtual import robot as vr
 
 DELTA = new_model("delta54")
@@ -88,6 +91,28 @@ def test_wrong_readings_of_an_arm_in_a_trackers_frame_are_found():
     assert words.endswith("exclude=10,33")
     found = diagnose(nominal("ur5"), data)
     assert (found.verdict.word, {one.sample for one in found.knocked}) == ("at_noise", {10, 33})
+
+
+def under_load(few, seed=0):
+    """A compliant robot that carries 3 kg at a few of its 150 samples only."""
+    day = vf.session(seed)
+    payload = np.zeros(len(day.reading))
+    payload[few] = 3.0
+    hidden = [JointCompliance((2e-3,) * 3)]
+    samples = vf.samples(replace(day, payload=payload), hidden, vr.THESIS_NOISE, seed)
+    return dataset(samples, vr.THESIS_NOISE)
+
+
+def test_a_few_samples_under_load_are_not_excluded_but_explained():
+    """They are as far away as outliers, and the others agree without them."""
+    data = under_load([20, 60, 90, 110])
+    bad = moved(data, {77: (4e-3, 0, 0)})
+    for samples, knocked in ((data, ()), (bad, (77,))):
+        found = diagnose(DELTA, samples, effects=["joint_compliance", "backlash"])
+        assert (found.verdict.word, found.effects) == ("explained", ("joint_compliance",))
+        assert tuple(one.sample for one in found.knocked) == knocked
+        step = add(fit(DELTA, samples).model, "joint_compliance", samples)
+        assert (step.acceptance.against, step.knocked) == ("", knocked)
 
 
 def test_noise_that_nobody_stated_does_not_hide_an_outlier():

@@ -255,9 +255,10 @@ def add(
 
     both = fit_both(knocked or ())
     if knocked is None and how.loss == "linear":
-        without = set_knocked_samples_aside(
-            both.scenes(), fit_both, lambda others: others.result.model
-        )
+        fits = [*both.scenes()]
+        if not both.judge().against:  # samples that the effect explains, such as a few under load
+            fits = fits[1:]
+        without = set_knocked_samples_aside(fits, fit_both, lambda others: others.result.model)
         both = without[1] if without else both
     found = both.judge()
     if found.against and (doubtful := list_setting_warnings(both.result.model)):
