@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import virtual_day as vd
+import yaml
 from datasets import JOINTS, as_dataset, measured, quiet, redrawn
 from scipy import stats
 
@@ -22,8 +23,8 @@ from parallel_cal.identification.observations import observe
 from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.identification.prior import Knowledge
 from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.model import new_model
-from parallel_cal.model.parameters import ParameterTable
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.virtual import robot as vr
 
@@ -359,15 +360,11 @@ def test_a_factor_that_all_lengths_share_is_said_and_refused():
 
 def drawn_otherwise(**factors):
     """A delta54 with other nominal values, by the factors of the parameters in each chain."""
-    kind = type(new_model("delta54").mechanism)
-
-    class Drawn(kind):
-        parameters = ParameterTable(
-            replace(p, nominal=p.nominal * factors.get(p.name.partition(".")[2], 1.0))
-            for p in kind.parameters
-        )
-
-    return new_model(Drawn())
+    file = yaml.safe_load(dump_model(new_model("delta54")))
+    for name, entry in file["parameters"].items():
+        factor = factors.get(name.partition(".")[2], 1.0)
+        entry |= {"value": factor * entry["value"], "nominal": factor * entry["nominal"]}
+    return parse_model(yaml.safe_dump(file, sort_keys=False))
 
 
 def test_wrong_dimensions_of_a_drawing_are_accepted_if_only_noise_is_left():
@@ -380,6 +377,13 @@ def test_wrong_dimensions_of_a_drawing_are_accepted_if_only_noise_is_left():
     assert said[0].startswith("chain1.La_x was identified as 0.119")
     assert not any("chain1.La_x moved" in w for w in found.warnings)
     assert found.model.usual_tolerances["chain1.La_x"] == 5e-4
+    again = parse_model(dump_model(found.model))
+    assert dump_model(again) == dump_model(found.model)
+    assert (again.tolerances, again.usual_tolerances) == (
+        found.model.tolerances,
+        found.model.usual_tolerances,
+    )
+    assert not any("accepted" in w for w in fit(again, data, hold_out=0).warnings)
     # A model with effects, noise that nobody stated and a fit that leaves an error prove nothing.
     model = drawn_otherwise(La_x=1.06)
     noisy = replace(data, r=data.r + 1e-3 * np.sin(40 * data.r[:, [1, 2, 0]]))

@@ -131,7 +131,8 @@ def resample_log_p(
         """Products of the rows of one pose. A group needs those with the basis, with itself and
         with the residual, not those with other groups."""
         here = scene.group == name
-        A, B = basis[here].reshape(-1, p), others[here].reshape(-1, others.shape[2])
+        rows = np.count_nonzero(here) * scene.rows
+        A, B = basis[here].reshape(rows, p), others[here].reshape(rows, others.shape[2])
         parts = [A.T @ A, A.T @ B, *(B[:, k].T @ B[:, k] for k in own), B.T @ B[:, -1]]
         return np.concatenate([part.ravel() for part in parts])
 

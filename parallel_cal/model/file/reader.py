@@ -71,12 +71,13 @@ class Reader:
             | {
                 parameter.name: entry.tolerance
                 for path, parameter, entry in entries
-                if path[0] != "parameters" and entry.tolerance is not None
+                if entry.tolerance is not None
+                and (path[0] != "parameters" or entry.usual_tolerance is not None)
             },
             usual_tolerances={
                 parameter.name: entry.usual_tolerance
-                for path, parameter, entry in entries
-                if path[0] != "parameters" and entry.usual_tolerance is not None
+                for _, parameter, entry in entries
+                if entry.usual_tolerance is not None
             },
         )
         try:
@@ -172,7 +173,8 @@ class Reader:
             entry = file.parameters[parameter.name]
             checks.unit(self._document, ("parameters", parameter.name), parameter, entry.unit)
             nominal = entry.value if entry.nominal is None else entry.nominal
-            own.append(replace(parameter, nominal=nominal, tolerance=entry.tolerance))
+            tolerance = entry.usual_tolerance or entry.tolerance  # a raised one is the model's
+            own.append(replace(parameter, nominal=nominal, tolerance=tolerance))
         mechanism.parameters = ParameterTable(own)
 
     def _own_tolerances(self, mechanism: Mechanism, file: FilePart) -> dict[str, float]:
@@ -241,9 +243,11 @@ class Reader:
         tolerances: Mapping[str, float],
     ) -> list[tuple[Path, Parameter, Any]]:
         """(key, parameter, entry) in the order of the parameter vector."""
-        found: list[tuple[Path, Parameter, Any]] = [
-            (("parameters", p.name), p, file.parameters[p.name]) for p in mechanism.parameters
-        ]
+        found: list[tuple[Path, Parameter, Any]] = []
+        for p in mechanism.parameters:
+            own = file.parameters[p.name]
+            judged = replace(p, tolerance=own.tolerance)  # raised, if the drawing is wrong
+            found.append((("parameters", p.name), judged, own))
         for i, (effect, entry) in enumerate(zip(effects, file.effects, strict=True)):
             path: Path = ("effects", i, "parameters")
             table = apply_sensor_tolerances(sensors, effect.table(mechanism), mechanism)

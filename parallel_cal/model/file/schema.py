@@ -140,10 +140,12 @@ class OwnNumberPart(NumberPart):
 
 
 class ParameterPart(NumberPart):
-    """One parameter of the mechanism; `nominal` if it differs from the value."""
+    """One parameter of the mechanism; `nominal` if it differs from the value, `usual_tolerance` if
+    a fit raised the tolerance, because the drawing is wrong."""
 
     nominal: float | None = None
     tolerance: Positive
+    usual_tolerance: Positive | None = None
 
 
 class EffectPart(Part):

@@ -84,8 +84,11 @@ def _mechanism(model: Model) -> Iterator[str]:
 def _parameters(model: Model) -> Iterator[str]:
     yield "parameters:"
     for i, parameter in enumerate(model.mechanism.parameters):
-        own = {"nominal": float(parameter.nominal), "tolerance": float(parameter.tolerance)}
-        yield f"  {flow(parameter.name)}: {flow(_entry(model, i, parameter, own))}"
+        name, usual = parameter.name, model.usual_tolerances.get(parameter.name)
+        tolerance = model.tolerances.get(name, parameter.tolerance)
+        own = {"nominal": float(parameter.nominal), "tolerance": float(tolerance)}
+        own |= {"usual_tolerance": float(usual)} if usual is not None else {}
+        yield f"  {flow(name)}: {flow(_entry(model, i, parameter, own))}"
 
 
 def _effects(model: Model) -> Iterator[str]:
