@@ -584,7 +584,9 @@ def _choose_side(
 def compute_largest_size(trial: Trial) -> float:
     """Largest parameter of the chosen effects, in its tolerances."""
     model = trial.fitted.model
-    own = model.table.matching([f"{name}.*" for name in trial.names]) & trial.fitted.free
+    # An effect that frees parameters of the mechanism has none of its own.
+    own = np.array([name.partition(".")[0] in trial.names for name in model.table.names])
+    own &= trial.fitted.free
     moved = np.abs(model.values - model.table.nominal) / model.table.tolerance
     return float(np.max(moved[own], initial=0.0))
 

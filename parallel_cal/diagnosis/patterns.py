@@ -25,6 +25,7 @@ from parallel_cal.diagnosis.thresholds import (
     MAX_SIDELESS_SHARE,
     MAX_WINDOWS,
     MIN_INFLUENTIAL_COOKS_DISTANCE,
+    MIN_KNOCK_SIGMAS,
     OUTLIER_SIGNIFICANCE_LEVEL,
     WINDOW,
 )
@@ -240,7 +241,9 @@ def find_knocked_samples(scene: Scene) -> list[OddSample]:
     if scene.dataset.mode == "continuous":
         return []
     far = [
-        one for one in odd_samples(scene, Field.of(scene)) if one.p_value < KNOCK_SIGNIFICANCE_LEVEL
+        one
+        for one in odd_samples(scene, Field.of(scene))
+        if one.p_value < KNOCK_SIGNIFICANCE_LEVEL and _exceeds_noise(one, scene)
     ]
     return far if len(far) <= max(1, MAX_KNOCKED_SHARE * len(scene.dataset)) else []
 
@@ -289,7 +292,16 @@ def _iterate_suspects(
         numbers = set(scene.dataset.numbers[outliers].tolist())
         if numbers and numbers != {one.sample for one in far}:
             odd = odd_samples(scene, Field.of(scene), numbers)
-            yield found, [one for one in odd if one.sample in numbers]
+            yield (
+                found,
+                [one for one in odd if one.sample in numbers and _exceeds_noise(one, scene)],
+            )
+
+
+def _exceeds_noise(one: OddSample, scene: Scene) -> bool:
+    """Whether a sample is further away than noise of the stated size, which may be stated too
+    large; without a stated noise, its distance from the others decides alone."""
+    return scene.observations.noise_assumed or one.sigmas > MIN_KNOCK_SIGMAS
 
 
 def list_samples_far_from(

@@ -143,7 +143,7 @@ def resample_log_p(
     )
     sizes = [p * p, p * others.shape[2], *((k.stop - k.start) ** 2 for k in own)]
     A, C, *squares, onto = np.split(drawn, np.cumsum(sizes), axis=1)
-    A, C = A.reshape(resamples, p, p), C.reshape(resamples, p, -1)
+    A, C = A.reshape(resamples, p, p), C.reshape(resamples, p, others.shape[2])
     # Directions that a resample does not see are held by a grain of the identity.
     grain = 1e-9 * np.maximum(np.trace(A, axis1=1, axis2=2) / max(p, 1), 1e-12)
     S = np.linalg.solve(A + grain[:, None, None] * np.eye(p), C)

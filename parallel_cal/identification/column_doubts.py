@@ -23,6 +23,7 @@ from parallel_cal.identification.thresholds import (
     MAX_JOINTS_IN_ANY_ORDER,
     MAX_JOINTS_OF_ANY_SIGN,
     MIN_GUESS_ERROR_RATIO,
+    MIN_QUICK_SHARE,
     MIN_REACHED_SHARE,
     MIN_SCALE_SAMPLES,
     MIN_UNREGISTERED_ERROR_RATIO,
@@ -269,6 +270,9 @@ def _read(model: Model, observations: Observations, guess: Guess) -> DevicePoses
     """Return the poses with the readings that a guess means; None if the robot cannot be there."""
     meant = replace(observations, x=guess.apply(observations.x))
     there = DevicePoses.of(model, meant, quick=True)
-    if there is None or np.mean(there.placed | there.turned) < MIN_REACHED_SHARE:
+    # Where more joints than freedoms contradict each other a little, many solutions take longer.
+    has_more_joints = len(model.joints) > len(model.mechanism.moves)
+    least = MIN_QUICK_SHARE if has_more_joints else MIN_REACHED_SHARE
+    if there is None or np.mean(there.placed | there.turned) < least:
         return None
     return there

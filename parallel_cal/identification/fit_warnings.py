@@ -235,11 +235,13 @@ def chi2_band(dof: int) -> tuple[float, float]:
 
 
 def leaves_only_noise(model: Model, estimate: Estimate, observations: Observations) -> bool:
-    """Whether a fit of the geometry alone leaves no more than the noise that was stated."""
+    """Whether a fit of the geometry alone leaves the noise that was stated, no more and no less: of
+    noise that was stated too large, an error may be a part."""
+    low, high = chi2_band(estimate.dof)
     return (
         not (model.effects or observations.noise_assumed)
         and estimate.dof >= MIN_DOF_TO_JUDGE
-        and estimate.chi2_per_dof <= chi2_band(estimate.dof)[1]
+        and low <= estimate.chi2_per_dof <= high
     )
 
 
