@@ -195,7 +195,7 @@ def data_options(items: list[str] | None) -> ReadOptions:
             options[key] = str(Path(value).resolve())
         elif key == "exclude":
             try:
-                options[key] = [int(word) for word in value.split(",")]
+                options.setdefault(key, []).extend(int(word) for word in value.split(","))
             except ValueError:
                 raise ParallelCalError(
                     f"--data {item}: expected sample numbers, such as exclude=3,17"

@@ -40,6 +40,7 @@ from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.patterns import (
     KNOCKED,
     OddSample,
+    are_few,
     describe_knocked_samples,
     explain_exclusion,
     list_samples_far_from,
@@ -361,11 +362,13 @@ def diagnose(
         """Exclude samples that contradict all others, if no plausible geometry describes all."""
         try:
             return without([])
-        except ImplausibleGeometryError:
+        except ImplausibleGeometryError as error:
             observations = given.observe(model, dataset, options.joint_sigma, options.insist)
             outliers = search_outliers(model, dataset, observations, options)
             if outliers is None:
                 raise
+            if not are_few(outliers.numbers, dataset):
+                raise outliers.put_before(error) from None
         others = without([*outliers.numbers], f"because it is {KNOCKED}")
         best = others.best.fitted.model
         far = list_samples_far_from(best, dataset, observations, outliers.numbers)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from parallel_cal.diagnosis.thresholds import (
 )
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.observations import Observations, conditions
-from parallel_cal.identification.outliers import find_outliers
+from parallel_cal.identification.outliers import are_separated, find_outliers
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.model.words import join_words
@@ -245,7 +245,12 @@ def find_knocked_samples(scene: Scene) -> list[OddSample]:
         for one in odd_samples(scene, Field.of(scene))
         if one.p_value < KNOCK_SIGNIFICANCE_LEVEL and _exceeds_noise(one, scene)
     ]
-    return far if len(far) <= max(1, MAX_KNOCKED_SHARE * len(scene.dataset)) else []
+    return far if are_few(far, scene.dataset) else []
+
+
+def are_few(samples: Collection[Any], dataset: Dataset) -> bool:
+    """Whether so many samples may be excluded without being asked."""
+    return len(samples) <= max(1, MAX_KNOCKED_SHARE * len(dataset))
 
 
 def set_knocked_samples_aside(
@@ -258,10 +263,11 @@ def set_knocked_samples_aside(
 
     An effect that the first model lacks may hide them: the next fits are those with effects. Only
     samples count that are also far from what the model without them predicts: a sample that is far
-    from the first fit may be so because of another one.
+    from the first fit may be so because of another one. Samples that a recorded condition separates
+    from all others show an effect of it rather than a knock.
     """
     for found, knocked in _iterate_suspects(fits):
-        while knocked:
+        while knocked and not are_separated(found.dataset, [one.sample for one in knocked]):
             try:
                 others = fit_without([one.sample for one in knocked])
                 numbers = {one.sample for one in knocked}
@@ -290,7 +296,7 @@ def _iterate_suspects(
         columns = scene.by_sample(scene.basis)
         outliers, _ = find_outliers(scene.by_sample(scene.residual), columns, scene.informative)
         numbers = set(scene.dataset.numbers[outliers].tolist())
-        if numbers and numbers != {one.sample for one in far}:
+        if numbers and are_few(numbers, scene.dataset) and numbers != {one.sample for one in far}:
             odd = odd_samples(scene, Field.of(scene), numbers)
             yield (
                 found,

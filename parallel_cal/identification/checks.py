@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from parallel_cal.base.errors import FitError
+from parallel_cal.identification.common_scale import find_scale_of_lengths
 from parallel_cal.identification.estimate import Estimate, NoSolutionError
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import Errors
 from parallel_cal.identification.prior import Prior
-from parallel_cal.identification.thresholds import MAX_UNSCALED_SHARE
 from parallel_cal.identification.unusual import UnusualSize, describe_by_effect
 from parallel_cal.model.model import Model
 from parallel_cal.model.parameters import MAX_TOLERANCES, RANGE_MARGIN_SIGMAS, Parameter
@@ -139,7 +139,7 @@ def check_plausible(
     ).T
     outside = free & ~((low <= model.values) & (model.values <= high))
     is_geometry = np.array([p.group not in ("effect", "sensor") for p in model.table])
-    scale = _find_common_scale(model, free & is_geometry)
+    scale = find_scale_of_lengths(model, free & is_geometry)
     may_be_drawing = leaves_noise and not usual_only and scale is None
     for i in np.flatnonzero(outside):
         p, value = model.table[i], float(model.values[i])
@@ -197,17 +197,6 @@ def check_plausible(
         accepted.append(f"{why}: accepted because of --force (in Python: insist)")
     raised = replace(model, tolerances=tolerances, usual_tolerances=usual_tolerances)
     return raised, unusual, accepted
-
-
-def _find_common_scale(model: Model, geometry: np.ndarray) -> float | None:
-    """The relative change that all lengths of the geometry share, if it is most of what moved them,
-    as a wrong unit or device causes; else None."""
-    lengths = geometry & np.array([p.unit == "m" for p in model.table])
-    size = (model.table.nominal / model.table.tolerance)[lengths]
-    moved = (model.values / model.table.tolerance)[lengths] - size
-    scale = float(moved @ size) / max(float(size @ size), 1e-300)
-    rest = np.sum((moved - scale * size) ** 2)
-    return scale if rest < MAX_UNSCALED_SHARE * np.sum(moved**2) else None
 
 
 def check_joint_errors(model: Model, found: Errors) -> None:

@@ -17,6 +17,7 @@ from parallel_cal.identification.methods import implicit
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.thresholds import (
+    MAX_UNSCALED_SHARE,
     MIN_COMMON_SCALE,
     MIN_COMMON_SCALE_SIGMAS,
     UNKNOWN_PLACE,
@@ -78,6 +79,17 @@ class CommonScale:
             f"{option}: {stated:.6g} of {name} is right. If the nominal lengths are right, "
             f"{option} is about {stated / (1 + self.excess):.4g} m: measure it"
         )
+
+
+def find_scale_of_lengths(model: Model, geometry: np.ndarray) -> float | None:
+    """The relative change that all lengths of the geometry share, if it is most of what moved them,
+    as a wrong unit or device causes; else None."""
+    lengths = geometry & np.array([p.unit == "m" for p in model.table])
+    size = (model.table.nominal / model.table.tolerance)[lengths]
+    moved = (model.values / model.table.tolerance)[lengths] - size
+    scale = float(moved @ size) / max(float(size @ size), 1e-300)
+    rest = np.sum((moved - scale * size) ** 2)
+    return scale if rest < MAX_UNSCALED_SHARE * np.sum(moved**2) else None
 
 
 def _may_differ(model: Model, free: np.ndarray) -> bool:

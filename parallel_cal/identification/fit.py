@@ -570,8 +570,7 @@ def fit(
         outliers = search_outliers(start, dataset, observations, options)
         if outliers is None:
             raise
-        words = f"{outliers.description}. With all samples, {error}"
-        raise ImplausibleGeometryError(words, error.chi2_per_dof, outliers.numbers) from None
+        raise outliers.put_before(error) from None
     outliers = search_outliers(start, dataset, result.observations, options, result.estimate)
     if outliers is not None:
         result = replace(result, warnings=(*result.warnings, outliers.description))

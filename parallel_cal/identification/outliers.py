@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.sample_names import format_sample
-from parallel_cal.identification.checks import chosen_parameters
+from parallel_cal.identification.checks import ImplausibleGeometryError, chosen_parameters
 from parallel_cal.identification.estimate import Estimate
 from parallel_cal.identification.linearisation import Linearisation, System
 from parallel_cal.identification.methods import implicit
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitOptions
+from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.robust import LOSSES
 from parallel_cal.identification.thresholds import (
     MAX_OUTLIER_FITS,
@@ -24,7 +26,7 @@ from parallel_cal.identification.thresholds import (
 )
 from parallel_cal.model.model import Model
 from parallel_cal.model.words import join_words
-from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.dataset import NUMBER, Dataset
 
 
 def find_outliers(
@@ -34,7 +36,8 @@ def find_outliers(
     others, by a robust linear regression (iterative reweighting with the loss `cauchy`).
 
     A fit of least squares follows an outlier: its own residual becomes small, and that of others
-    large. It is still the largest. The regression begins with `huber`, which has a single solution.
+    large. It is still the largest, so the regression begins with weights by the given residuals,
+    first of `huber`, which has a single solution.
 
     Parameters
     ----------
@@ -52,16 +55,16 @@ def find_outliers(
     sizes : array (N,)
         Rms residual of each sample after the regression, in units of the typical one.
     """
-    if not _has_outstanding(residual, informative):
-        return np.zeros(0, dtype=int), np.ones(len(residual))
-    p, weight = columns.shape[2], np.ones(len(residual))
+    p, sizes = columns.shape[2], _relative_sizes(residual, informative)
+    if sizes.max(initial=0.0) <= MIN_OUTSTANDING_RATIO:
+        return np.zeros(0, dtype=int), sizes
     for round_ in range(OUTLIER_ROUNDS):
+        weight = LOSSES["huber" if round_ < OUTLIER_ROUNDS // 2 else "cauchy"](sizes) ** 2
         normal = np.einsum("nki,n,nkj->ij", columns, weight, columns, optimize=True)
         gradient = np.einsum("nki,n,nk->i", columns, weight, residual, optimize=True)
         grain = 1e-12 * max(np.trace(normal), 1e-300) / max(p, 1)
         step = np.linalg.solve(normal + grain * np.eye(p), gradient)
         sizes = _relative_sizes(residual - columns @ step, informative)
-        weight = LOSSES["huber" if round_ < OUTLIER_ROUNDS // 2 else "cauchy"](sizes) ** 2
     found = np.flatnonzero(sizes > MIN_OUTLIER_RATIO)
     few = len(found) <= max(1, MAX_OUTLIER_SHARE * len(residual))
     return found if few else found[:0], sizes
@@ -94,14 +97,14 @@ class Outliers:
             f"exclude={','.join(map(str, self.numbers))}"
         )
 
+    def put_before(self, error: ImplausibleGeometryError) -> ImplausibleGeometryError:
+        """Return the error of a fit to all samples, behind what is said of these."""
+        words = f"{self.description}. With all samples, {error}"
+        return ImplausibleGeometryError(words, error.chi2_per_dof, self.numbers)
+
 
 def _find_in(system: System) -> np.ndarray:
     return find_outliers(system.residual, system.jacobian, system.informative)[0]
-
-
-def _has_outstanding(residual: np.ndarray, informative: np.ndarray) -> bool:
-    """Whether least squares leave a sample that is worth a search."""
-    return bool(_relative_sizes(residual, informative).max(initial=0.0) > MIN_OUTSTANDING_RATIO)
 
 
 def _relative_sizes(residual: np.ndarray, informative: np.ndarray) -> np.ndarray:
@@ -109,6 +112,22 @@ def _relative_sizes(residual: np.ndarray, informative: np.ndarray) -> np.ndarray
     sizes = np.sqrt(np.sum(residual**2, axis=1) / np.maximum(informative, 1))
     known = sizes[informative > 0]
     return np.asarray(sizes / max(float(np.median(known)) if len(known) else 0.0, 1e-300))
+
+
+def are_separated(dataset: Dataset, numbers: Collection[int]) -> bool:
+    """Whether a recorded condition separates several samples from all others, such as a payload
+    that only they carry: then they show an effect of it rather than a mistake."""
+    mine = np.isin(dataset.numbers, list(numbers))
+    if np.count_nonzero(mine) < 2 or mine.all():
+        return False
+    for name, values in dataset.conditions.items():
+        if name.startswith(("time", NUMBER, "effort.", "reading.")):
+            continue
+        own, others = values[mine], values[~mine]
+        is_level = np.ptp(own) == 0 and not np.any(others == own[0])
+        if is_level or own.min() > others.max() or own.max() < others.min():
+            return True
+    return False
 
 
 def search_outliers(
@@ -122,17 +141,53 @@ def search_outliers(
     samples are a continuous motion, or if the options select a robust loss or another method.
     `known` is the estimate of all samples, if it is known.
 
-    Only samples count that are far from what the fit to the others predicts.
+    Only samples count that are far from what the fit to the others predicts, and that no recorded
+    condition separates from the others.
     """
     if dataset.mode == "continuous" or (options.method, options.loss) != ("implicit", "linear"):
         return None
-    if known is not None and not _has_outstanding(known.residuals, known.informative):
-        return None
+    if known is not None:
+        sizes = _relative_sizes(known.residuals, known.informative)
+        if sizes.max(initial=0.0) <= MIN_OUTSTANDING_RATIO:
+            return None
     (free, _), prior = chosen_parameters(model, options), options.prior
-    every = implicit.estimate(model, observations, free, prior)
-    if not isinstance(every.system, System):  # too many samples to keep the derivatives
+    linearise = Linearisation(model, observations, free, True)
+    # Gross mistakes, such as a flipped orientation, drag a fit of least squares far away: search
+    # where it starts, too.
+    at_start = linearise(model.values, linearise.start())
+    try:
+        every = implicit.estimate(model, observations, free, prior)
+    except FitError:
         return None
-    found = _find_in(every.system)
+    for system in (at_start, every.system):
+        if not isinstance(system, System):  # too many samples to keep the derivatives
+            continue
+        found = _confirm(_find_in(system), model, observations, free, prior)
+        numbers = [int(dataset.numbers[i]) for i in found.samples] if found else []
+        if found and not are_separated(dataset, numbers):
+            titles = tuple(format_sample(one, dataset.names.get(one, "")) for one in numbers)
+            both = every.chi2_per_dof, found.chi2_per_dof
+            return Outliers(tuple(numbers), titles, found.sizes, both)
+    return None
+
+
+@dataclass(frozen=True)
+class _Confirmed:
+    """Indices of samples, their sizes as in `Outliers`, and chi2/dof of the fit to the others."""
+
+    samples: np.ndarray
+    sizes: tuple[float, ...]
+    chi2_per_dof: float
+
+
+def _confirm(
+    found: np.ndarray,
+    model: Model,
+    observations: Observations,
+    free: np.ndarray,
+    prior: bool | Prior | None,
+) -> _Confirmed | None:
+    """Fit the others, until the same samples are far from the fit that does not use them."""
     for _ in range(MAX_OUTLIER_FITS):
         if not 0 < len(found) <= max(1, MAX_OUTLIER_SHARE * len(observations)):
             return None
@@ -151,9 +206,6 @@ def search_outliers(
         sizes /= max(others.chi2_per_dof, 1e-300) ** 0.5
         far = sizes > MIN_OUTLIER_RATIO
         if far.all():
-            numbers = [int(dataset.numbers[i]) for i in found]
-            titles = tuple(format_sample(one, dataset.names.get(one, "")) for one in numbers)
-            both = every.chi2_per_dof, others.chi2_per_dof
-            return Outliers(tuple(numbers), titles, tuple(sizes.tolist()), both)
+            return _Confirmed(found, tuple(sizes.tolist()), others.chi2_per_dof)
         found = found[far]
     return None

@@ -144,6 +144,6 @@ MAX_SHIFT_TO_SHOWN_RATIO = 10.0
 # Samples that contradict all others
 MIN_OUTSTANDING_RATIO = 4.0  # of the typical rms residual: without such a sample, none is searched
 MIN_OUTLIER_RATIO = 6.0  # of the typical rms residual, after a robust fit
-MAX_OUTLIER_SHARE = 0.05  # of the samples: where more are far away, it is the model that fails
+MAX_OUTLIER_SHARE = 0.1  # of the samples: where more are far away, it is the model that fails
 MAX_OUTLIER_FITS = 6  # without them, until the same samples are far away
 OUTLIER_ROUNDS = 20  # of reweighting

@@ -99,8 +99,9 @@ class Stewart42(Mechanism):
     in m and six angles in degrees, such as `{radius: 0.25, angles: [-10, 10, 110, 130, 230, 250]}`
     (seven points or angles for seven legs, and so on); `height` in m of the platform above the base
     at home; `retracted`, the length in m of a leg at reading zero (default: its length at home, so
-    that the readings at home are 0); `limits` of the readings in m; `tolerance` in m of all these
-    numbers. Without options, the nominal robot has two flat hexagons.
+    that the readings at home are 0; 0 if the readings are whole lengths); `limits` of the readings
+    in m; `tolerance` in m of all these numbers. Without options, the nominal robot has two flat
+    hexagons.
 
     The default of `limits` is 0 to 0.2 m. If you state `base` or `platform` without `retracted`, so
     that the readings at home are 0, it is -L to L, with L = 0.1 m at the default `height`, and in
@@ -157,9 +158,10 @@ class Stewart42(Mechanism):
             zero = lengths if drawn else np.full(n, RETRACTED)
         else:
             zero = np.full(n, retracted)
-        if not (np.isfinite(lengths).all() and (zero > 0).all()):
+        if not (np.isfinite(lengths).all() and (lengths > 0).all() and (zero >= 0).all()):
             raise ModelError(
-                f"height {height} and retracted {retracted}: expected legs longer than 0 m"
+                f"height {height} and retracted {retracted}: expected legs longer than 0 m at "
+                "home, and no shorter than 0 m at reading zero"
             )
         if not low < high:
             raise ModelError(f"limits {low} to {high} m: expected the lower limit first")

@@ -26,6 +26,7 @@ from parallel_cal.diagnosis.stations import exclude_device
 from parallel_cal.diagnosis.verdict import robot_or_device
 from parallel_cal.identification.acceptance import IN_SAMPLE, Acceptance, acceptance
 from parallel_cal.identification.added_effects import limit_patterns
+from parallel_cal.identification.checks import ImplausibleGeometryError
 from parallel_cal.identification.fit import FitResult, fit, fit_unjudged
 from parallel_cal.identification.fit_warnings import list_setting_warnings
 from parallel_cal.identification.observations import Observations
@@ -253,8 +254,13 @@ def add(
         result = _with_given_model_of(result, base)
         return _Addition(kept, scene, more, base, result, tuple(aside))
 
-    both = fit_both(knocked or ())
-    if knocked is None and how.loss == "linear":
+    try:
+        both = fit_both(knocked or ())
+    except ImplausibleGeometryError as error:
+        if knocked is not None or not error.outliers:
+            raise
+        both = fit_both(error.outliers)
+    if knocked is None and not both.knocked and how.loss == "linear":
         fits = [*both.scenes()]
         if not both.judge().against:  # samples that the effect explains, such as a few under load
             fits = fits[1:]

@@ -54,6 +54,11 @@ def samples(
             continue
         for k in count():
             if f"{TOUCHES} {name}{k}" not in stated:
+                if more := sum(f"{TOUCHES} {name}{i}" in stated for i in range(k, 999)):
+                    warnings.append(
+                        f"{name}{k} is missing: like Klipper, this import stops there, and omits "
+                        f"{more} {'heights' if more > 1 else 'height'} behind it"
+                    )
                 break
             within = f"the nozzle's height in mm, from {-limit:g} to {limit:g}"
             height = stated.number(f"{TOUCHES} {name}{k}", within, None, -limit, limit)
