@@ -726,6 +726,8 @@ def test_look_prints_what_a_recording_holds(document, run):
     )
     tolerances = "still_tolerance=1e-3,2e-3,1e-3"
     assert document("look", BAG, "--data", tolerances, "--data", "exclude=3")["samples"] == 93
+    both = ("--data", "exclude=3", "--data", "exclude=7")
+    assert document("look", BAG, *both)["samples"] == 92
     fails(run("look", BAG, "--data", "mood=good"), "expected KEY=VALUE", "measured_pose")
     fails(run("look", ROOT / "setup.cfg"), "not a rosbag2 recording")
 

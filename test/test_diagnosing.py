@@ -118,6 +118,14 @@ def test_the_nearest_places_are_the_same_by_a_tree_and_by_all_distances(monkeypa
     assert (same != np.arange(30)[:, None]).all()
 
 
+def test_poses_are_resampled_where_no_free_direction_is_left(here):
+    """As where the tolerances decide every combination of parameters."""
+    bare = dataclasses.replace(here)
+    bare.__dict__["basis"] = np.zeros((len(here.residual), 0))
+    U = np.eye(len(here.residual))[:, :2]
+    assert np.isfinite(resample_log_p(bare, [U], resamples=5)).all()
+
+
 def test_permutations_find_the_tail_of_a_known_distribution():
     """Copies of a chi-square variable with 8 degrees of freedom, and of a normal one: far outside
     all copies the p-value is that of the distribution, up to the sampling of its moments."""

@@ -127,6 +127,15 @@ def test_a_block_on_the_bed_may_be_half_a_metre_high(file):
             samples("klipper", file(text))
 
 
+def test_touches_behind_a_gap_are_counted(file):
+    """Klipper reads height0, height1, ... until one is missing."""
+    more = LINEAR.replace("height1", "height2")
+    data = samples("klipper", file(more + "#*# height3 = 0.1\n#*# height3_pos = 1.0,2.0,3.0\n"))
+    assert len(data) == 2
+    assert "height1 is missing" in data.warnings[1]
+    assert data.warnings[1].endswith("omits 2 heights behind it")
+
+
 def test_a_nozzle_beside_its_probe_takes_no_part_in_its_touches(file):
     data = samples("klipper", file(LINEAR + "[probe]\nz_offset: 2\nx_offset: -20\n"))
     assert len(data) == 2

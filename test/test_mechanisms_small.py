@@ -944,6 +944,24 @@ def test_a_wrong_drawing_of_a_hexapod_is_refused(options, words):
         load_mechanism("stewart42", **options)
 
 
+def test_readings_may_be_whole_lengths_of_the_legs():
+    whole = load_mechanism("stewart42", retracted=0.0, limits=[0.1, 0.6])
+    C, B = (
+        np.array(
+            [
+                [
+                    whole.parameters.nominal[whole.parameters.index_of(f"leg{i}.{p}_{a}")]
+                    for a in "xyz"
+                ]
+                for i in range(1, 7)
+            ]
+        )
+        for p in "CB"
+    )
+    lengths = np.linalg.norm(B + whole.home.position - C, axis=1)
+    np.testing.assert_allclose(whole.home.joints, lengths, atol=1e-12)
+
+
 @pytest.mark.parametrize("height", [0.3, 0.6])
 def test_a_hexapod_from_a_drawing_can_move_to_both_sides_of_home(height):
     """Its readings are relative to home, which must not be at a limit."""

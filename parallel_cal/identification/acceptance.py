@@ -28,6 +28,8 @@ UNCHANGED = (
 )
 
 FOREIGN_SHARE = 0.5  # of the measured motion: a model with a larger error explains hardly any of it
+# Of the motion of joints in m: other sensors, such as a probe, read what is left of this motion
+MAX_READING_SHARE = 0.2
 
 
 @dataclass(frozen=True)
@@ -129,7 +131,16 @@ def _describe_foreign_model(new: FitResult, now: Summary) -> str:
     """Say that a model explains hardly any of the measured motion, and what to check."""
     seen = new.dataset.measured[:, :3].all(axis=1)
     if now.position_rms is None or not seen.any():
-        return ""
+        joints = float(
+            np.std(new.dataset.q[:, [u == "m" for u in new.model.mechanism.joint_units]])
+        )
+        if not now.reading_rms or not now.reading_rms > MAX_READING_SHARE * joints > 0:
+            return ""
+        return (
+            f"; the joints themselves move by {1e3 * joints:.4g} mm (rms), so their readings do "
+            "not belong to these sensors: check the unit and the drive of each joint (of a "
+            "printer: whether rotation_distance, gears or microsteps changed after the touches)"
+        )
     motion = float(np.sqrt(np.var(new.dataset.r[seen], axis=0).sum()))
     if now.position_rms < FOREIGN_SHARE * motion:
         return ""
