@@ -356,6 +356,12 @@ def test_a_factor_that_all_lengths_share_is_said_and_refused():
     data = measured(0)
     with pytest.raises(FitError, match=r"all lengths would be 10 % larger than drawn; check units"):
         fit(new_model("delta54"), replace(data, r=1.1 * data.r), hold_out=0)
+    small = fit(new_model("delta54"), replace(data, r=1.02 * data.r), hold_out=0)
+    said = [w for w in small.warnings if w.startswith("all lengths would be 2")]
+    assert said == [w for w in small.warnings if "the scale of the measuring device" in w]
+    assert len(said) == 1
+    right = fit(new_model("delta54"), data, hold_out=0)
+    assert not any("all lengths" in w for w in right.warnings)
 
 
 def drawn_otherwise(**factors):

@@ -53,6 +53,17 @@ def test_a_regression_finds_what_least_squares_hide():
     assert not len(find_outliers(y, X, np.full(40, 2))[0])
 
 
+def test_a_sample_that_determines_a_direction_alone_is_no_outlier():
+    """Its residual is large by chance, and nothing else holds the direction without it."""
+    rng = np.random.default_rng(1)
+    X, r = rng.standard_normal((40, 2, 5)), 0.1 * rng.standard_normal((40, 2))
+    X[:, :, 4] = 0.0
+    X[7, 0, 4], r[7] = 1.0, (0.0, 0.6)
+    found, sizes = find_outliers(r, X, np.full(40, 2))
+    assert found.tolist() in ([], [7])
+    assert sizes[7] < 8
+
+
 def test_samples_at_which_the_target_slipped_are_named_and_excluded():
     few = {k: SLIPPED[k] for k in (20, 50)}
     data, clean = moved(measured(0), few), fit(DELTA, measured(0))

@@ -10,6 +10,7 @@ from arms import nominal, seen
 
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.identification import prediction_errors
 from parallel_cal.identification.acceptance import acceptance
 from parallel_cal.identification.fit import fit
@@ -230,6 +231,9 @@ def test_an_added_effect_moves_the_frame_back_from_where_its_lack_had_moved_it()
 
     assert two_steps.estimate.chi2_per_dof == pytest.approx(one_step.estimate.chi2_per_dof, 2e-3)
     assert distance(two_steps) < 1.2 * distance(one_step)
+    # One pose is predicted on another branch; the residuals of a diagnosis are those of the fit.
+    scene = Scene.of(two_steps.model, data, two_steps.observations, two_steps.free)
+    assert scene.chi2_per_dof == pytest.approx(two_steps.estimate.chi2_per_dof, rel=1e-3)
 
 
 def test_a_pose_is_judged_on_the_branch_on_which_the_robot_was_measured(monkeypatch):

@@ -23,8 +23,8 @@ IN_SAMPLE = (
 )
 
 UNCHANGED = (
-    ", but only because the frames of the device were fitted without these poses before: at all "
-    "samples the error is the one before the fit, so the fit did not change the robot"
+    ". But only the frames of the device explain this: before, they were fitted without these "
+    "poses. At all samples the error is the one before the fit, so the fit did not change the robot"
 )
 
 FOREIGN_SHARE = 0.5  # of the measured motion: a model with a larger error explains hardly any of it
@@ -131,9 +131,8 @@ def _describe_foreign_model(new: FitResult, now: Summary) -> str:
     """Say that a model explains hardly any of the measured motion, and what to check."""
     seen = new.dataset.measured[:, :3].all(axis=1)
     if now.position_rms is None or not seen.any():
-        joints = float(
-            np.std(new.dataset.q[:, [u == "m" for u in new.model.mechanism.joint_units]])
-        )
+        sliding = [unit == "m" for unit in new.model.mechanism.joint_units]
+        joints = float(np.std(new.dataset.q[:, sliding])) if any(sliding) else 0.0
         if not now.reading_rms or not now.reading_rms > MAX_READING_SHARE * joints > 0:
             return ""
         return (

@@ -8,12 +8,16 @@ from dataclasses import replace
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.identification.common_scale import find_scale_of_lengths
+from parallel_cal.identification.common_scale import (
+    describe_scale_of_lengths,
+    find_scale_of_lengths,
+)
 from parallel_cal.identification.estimate import Estimate, NoSolutionError
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import Errors
 from parallel_cal.identification.prior import Prior
+from parallel_cal.identification.thresholds import MIN_COMMON_SCALE
 from parallel_cal.identification.unusual import UnusualSize, describe_by_effect
 from parallel_cal.model.model import Model
 from parallel_cal.model.parameters import MAX_TOLERANCES, RANGE_MARGIN_SIGMAS, Parameter
@@ -159,10 +163,7 @@ def check_plausible(
                     f"only noise (chi2/dof {chi2:.3g}): check this dimension or zero in the drawing"
                 )
                 continue
-            scaled = ""
-            if scale is not None:
-                larger = "larger" if scale > 0 else "smaller"
-                scaled = f"all lengths would be {100 * abs(scale):.3g} % {larger} than drawn; "
+            scaled = "" if scale is None else f"{describe_scale_of_lengths(scale)}; "
             raise ImplausibleGeometryError(
                 f"{found} (plausible {least:.6g} to {most:.6g}; chi2/dof {chi2:.3g}): {scaled}"
                 "check units and mechanism, fix the parameter, use priors, correct nominal and "
@@ -180,6 +181,11 @@ def check_plausible(
         tolerances[p.name] = 1.2 * p.tolerance * (value - p.nominal) / (bound - p.nominal)
         usual_tolerances.setdefault(p.name, p.tolerance)
         unusual[p.name] = UnusualSize.of(p, value)
+    if scale is not None and abs(scale) > MIN_COMMON_SCALE:
+        accepted.append(
+            f"{describe_scale_of_lengths(scale)}: check the unit and the scale of the measuring "
+            "device, and the drawing"
+        )
     if unusual and usual_only:
         words = "; ".join(describe_by_effect(unusual.values()).values())
         raise FitError(

@@ -20,6 +20,7 @@ from parallel_cal.identification.thresholds import (
     MAX_UNSCALED_SHARE,
     MIN_COMMON_SCALE,
     MIN_COMMON_SCALE_SIGMAS,
+    MIN_SCALED_LENGTHS,
     UNKNOWN_PLACE,
     UNKNOWN_SCALE,
 )
@@ -86,10 +87,17 @@ def find_scale_of_lengths(model: Model, geometry: np.ndarray) -> float | None:
     as a wrong unit or device causes; else None."""
     lengths = geometry & np.array([p.unit == "m" for p in model.table])
     size = (model.table.nominal / model.table.tolerance)[lengths]
+    if np.count_nonzero(size) < MIN_SCALED_LENGTHS:
+        return None
     moved = (model.values / model.table.tolerance)[lengths] - size
-    scale = float(moved @ size) / max(float(size @ size), 1e-300)
+    scale = float(moved @ size) / float(size @ size)
     rest = np.sum((moved - scale * size) ** 2)
     return scale if rest < MAX_UNSCALED_SHARE * np.sum(moved**2) else None
+
+
+def describe_scale_of_lengths(scale: float) -> str:
+    larger = "larger" if scale > 0 else "smaller"
+    return f"all lengths would be {100 * abs(scale):.3g} % {larger} than drawn"
 
 
 def _may_differ(model: Model, free: np.ndarray) -> bool:

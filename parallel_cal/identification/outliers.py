@@ -21,6 +21,7 @@ from parallel_cal.identification.thresholds import (
     MAX_OUTLIER_FITS,
     MAX_OUTLIER_SHARE,
     MIN_OUTLIER_RATIO,
+    MIN_OUTLIER_WEIGHT,
     MIN_OUTSTANDING_RATIO,
     OUTLIER_ROUNDS,
 )
@@ -59,7 +60,9 @@ def find_outliers(
     if sizes.max(initial=0.0) <= MIN_OUTSTANDING_RATIO:
         return np.zeros(0, dtype=int), sizes
     for round_ in range(OUTLIER_ROUNDS):
-        weight = LOSSES["huber" if round_ < OUTLIER_ROUNDS // 2 else "cauchy"](sizes) ** 2
+        loss = LOSSES["huber" if round_ < OUTLIER_ROUNDS // 2 else "cauchy"]
+        # No weight is zero: a direction that one sample determines alone would run away.
+        weight = np.maximum(loss(sizes), MIN_OUTLIER_WEIGHT) ** 2
         normal = np.einsum("nki,n,nkj->ij", columns, weight, columns, optimize=True)
         gradient = np.einsum("nki,n,nk->i", columns, weight, residual, optimize=True)
         grain = 1e-12 * max(np.trace(normal), 1e-300) / max(p, 1)

@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
 
-from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.identification.image_poses import find_shown_poses
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.predictions import (
-    apply_pose_device,
     condition_columns,
+    predict_poses,
     reading_residuals,
+    turns_between,
 )
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
-from parallel_cal.kinematics.solutions import replace_rows
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
 
 ERRORS = ("position", "orientation", "joint", "reading", "pixel")
-MAX_BRANCH_TURN_RAD = 1.0  # a pose that is predicted further away is on another branch
 
 
 @dataclass(frozen=True)
@@ -174,19 +172,10 @@ def compute_rms_sigmas(found: Errors, groups: np.ndarray) -> dict[str, float]:
 def errors(model: Model, observations: Observations) -> Errors:
     """Compare measured and predicted values at every sample: the pose and the readings predicted
     from the joints, and the joints from the pose."""
-    kinematics = Kinematics(model)
     n, m = len(model.joints), model.mechanism
-    at = condition_columns(model, observations)
     seen, measured = Configuration.from_rows(observations.x), observations.measured
-    # The robot is solved in {B}; the device shows its poses in frames of its own.
-    reached = kinematics.direct(seen.q, at)
-    pose = apply_pose_device(model, reached)
-    turn = _turn_between(seen.R, pose.rotation)
-    away = measured[:, n + 3 :].all(axis=1) & (np.linalg.norm(turn, axis=1) > MAX_BRANCH_TURN_RAD)
-    if away.any():
-        reached = _follow_measured_branch(kinematics, observations, reached, np.flatnonzero(away))
-        pose = apply_pose_device(model, reached)
-        turn = _turn_between(seen.R, pose.rotation)
+    reached, pose = predict_poses(model, observations)
+    turn = turns_between(seen.R, pose.rotation)
     placed, orientation = (
         find_judgeable_samples(m, measured[:, n:], part) for part in (range(3), range(3, 6))
     )
@@ -208,38 +197,11 @@ def errors(model: Model, observations: Observations) -> Errors:
     return Errors(
         position,
         turned,
-        _compute_joint_errors(kinematics, observations, reached, pose),
+        _compute_joint_errors(Kinematics(model), observations, reached, pose),
         np.where(in_pixels, np.nan, residuals),
         where_known(find_fully_measured_samples(model, observations), closure),
         np.where(in_pixels, residuals, np.nan),
     )
-
-
-def _turn_between(R: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Rotation vectors (N, 3) from other rotations to R; unknown ones count as the identity."""
-    known = np.where(np.isfinite(other), other, np.eye(3))
-    return rotation_vector(R @ known.transpose(0, 2, 1))
-
-
-def _follow_measured_branch(
-    kinematics: Kinematics, observations: Observations, reached: Solutions, away: np.ndarray
-) -> Solutions:
-    """Solve samples (indices) that were predicted on another branch again, from the measured pose:
-    the robot was there. A solution that is not nearer to it is not taken."""
-    model, some = kinematics.model, observations.select(away)
-    n, home = len(model.joints), np.array(model.mechanism.home.position)
-    position, turned = model.structure.to_base(some.x[:, n:], model.values)
-    placed = np.asarray(some.measured[:, n : n + 3].all(axis=1))
-    start = replace(
-        reached[away],
-        position=np.where(placed[:, None], position, home),
-        rotation=turned.reshape(-1, 3, 3),
-    )
-    at = condition_columns(model, some)
-    again = kinematics.direct(some.x[:, :n], at, start, keep_branch=True)
-    turn = _turn_between(start.rotation, again.rotation)
-    better = again.solved & (np.linalg.norm(turn, axis=1) < MAX_BRANCH_TURN_RAD)
-    return replace_rows(reached, away[better], again[better])
 
 
 def _compute_joint_errors(

@@ -128,8 +128,10 @@ class Registration:
         if not self.told:
             also += " (assumed: the platform does not turn enough to determine it; if it is off by "
             also += "more than 2 mm, state it as target_position of the sensor device_frame)"
+        # The device states the base's name, but measured in another frame.
+        own, of = ("", "") if self.frame != self.base else (" of the poses", " of the model")
         return (
-            f"frame '{self.frame}' was registered to '{self.base}' ({self.why}): "
+            f"frame '{self.frame}'{own} was registered to '{self.base}'{of} ({self.why}): "
             f"{' '.join(f'{v:.5f}' for v in self.position)} m, rotation {turned[0]} deg; "
             f"its target in '{self.platform}': {target} mm{also}"
         )

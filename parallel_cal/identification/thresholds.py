@@ -7,6 +7,7 @@ MAX_HELD_ERROR_TO_NOISE_RATIO = (
 )
 MIN_TRUSTED_WEIGHT = 0.5  # a sample that a robust loss gives less weight than this is named
 MIN_DOF_TO_JUDGE = 10  # degrees of freedom: with fewer, chi2/dof does not show what a fit leaves
+MIN_SCALED_LENGTHS = 3  # not zero in the drawing: fewer share a factor by chance
 MAX_UNSCALED_SHARE = 0.05  # of the squares of what moved lengths: the rest is one common factor
 MIN_NAMED_SHARE = 0.1  # of a direction's largest part: smaller ones are not named
 MAX_NAMED_DIRECTIONS = 6  # unidentifiable directions to name one by one; more are one sentence
@@ -144,6 +145,7 @@ MAX_SHIFT_TO_SHOWN_RATIO = 10.0
 # Samples that contradict all others
 MIN_OUTSTANDING_RATIO = 4.0  # of the typical rms residual: without such a sample, none is searched
 MIN_OUTLIER_RATIO = 6.0  # of the typical rms residual, after a robust fit
+MIN_OUTLIER_WEIGHT = 1e-4  # of a sample in the robust fit
 MAX_OUTLIER_SHARE = 0.1  # of the samples: where more are far away, it is the model that fails
 MAX_OUTLIER_FITS = 6  # without them, until the same samples are far away
 OUTLIER_ROUNDS = 20  # of reweighting
