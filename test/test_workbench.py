@@ -493,15 +493,18 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
         turn = page.get_by_role("figure", name="residuals of main").locator("canvas").first
         before = camera(page, "beside")
 
+        def are_equal():
+            return before != camera(page, "beside") == camera(page, "main")
+
         def both_turned():
-            if camera(page, "main") == before:  # a view that is still being drawn does not turn
+            if not are_equal():  # a view that is still being drawn neither turns nor follows
                 box = turn.bounding_box()
                 page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
                 page.mouse.down()
                 page.mouse.move(box["x"] + box["width"] / 4, box["y"] + box["height"] / 3, steps=5)
                 page.mouse.up()
-                time.sleep(0.5)
-            return before != camera(page, "beside") == camera(page, "main")
+                time.sleep(1)
+            return are_equal()
 
         until(
             both_turned,
