@@ -210,17 +210,15 @@ def disagreement(case: Case, peer: MuJoCo, problem: str) -> float:
 def compiled_limit(model: Model, one: Solutions, problem: str) -> Row:
     """One solution by the generated C, from buffer to buffer: with further iterations where the
     first do not arrive, as a public call makes them."""
-    functions, fixed = (
-        newton_functions(model.structure, problem),
-        Problem(model, problem, True).fixed,
-    )
+    functions = newton_functions(model.structure, problem)
+    k_and_limits = Problem(model, problem, True).k_and_limits
     single = Single(compile_function(functions.solve))
     given = np.concatenate([one.joints, one.position, one.rotation.ravel()])
-    x, step, *_ = single(given, np.zeros(0), fixed)
+    x, step, *_ = single(given, np.zeros(0), k_and_limits)
     seconds = processor_each(single.evaluate)
     if step.item() >= MAX_SETTLED_STEP_M:
         further = Single(compile_function(functions.refine))
-        further(x, np.zeros(0), fixed)
+        further(x, np.zeros(0), k_and_limits)
         seconds += processor_each(further.evaluate)
     return Row("limit: compiled C, buffer to buffer", seconds)
 

@@ -406,10 +406,8 @@ def _set_knocked_samples_aside(
     is far from it may show what the model lacks.
     """
     trials = [found.base, found.best] if found.effects else [found.base]
-    if (
-        found.verdict.word == "explained"
-    ):  # samples that the effects explain, such as a few under load
-        trials = [found.best]
+    if found.verdict.word == "explained":
+        trials = [found.best]  # samples that it explains, such as a few under load, are not odd
     aside = set_knocked_samples_aside(
         ((trial.scene, trial.fitted) for trial in trials),
         lambda samples: without(

@@ -20,7 +20,7 @@ from parallel_cal.diagnosis.thresholds import (
     MIN_VARIATION_RATIO,
     ROUGHNESS,
 )
-from parallel_cal.recordings.dataset import NUMBER
+from parallel_cal.recordings.dataset import DESCRIPTIVE
 from parallel_cal.recordings.replicates import average_groups
 
 
@@ -109,7 +109,7 @@ def regressors(scene: Scene) -> Iterator[tuple[str, np.ndarray]]:
         yield [*scene.model.joints, *"xyz"][k], scene.x[:, k]
     for name, values in scene.dataset.conditions.items():
         varies = len(values) and np.isfinite(values).all() and np.ptp(values) > 0
-        if varies and not name.startswith(("time", NUMBER, "effort.", "reading.")):
+        if varies and not name.startswith(DESCRIPTIVE):
             yield name, np.asarray(values)
 
 

@@ -298,10 +298,8 @@ def _iterate_suspects(
         numbers = set(scene.dataset.numbers[outliers].tolist())
         if numbers and are_few(numbers, scene.dataset) and numbers != {one.sample for one in far}:
             odd = odd_samples(scene, Field.of(scene), numbers)
-            yield (
-                found,
-                [one for one in odd if one.sample in numbers and _exceeds_noise(one, scene)],
-            )
+            hidden = [one for one in odd if one.sample in numbers]
+            yield found, [one for one in hidden if _exceeds_noise(one, scene)]
 
 
 def _exceeds_noise(one: OddSample, scene: Scene) -> bool:

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from parallel_cal.diagnosis.thresholds import MAX_SHARED_BYTES
-from parallel_cal.identification.linearisation import Linearisation
+from parallel_cal.identification.linearisation import Linearisation, rms_by_sample
 from parallel_cal.identification.observations import Observations, blocks, conditions
 from parallel_cal.identification.predictions import predict_configurations, reading_residuals
 from parallel_cal.identification.registration import shows_pose
@@ -167,8 +167,7 @@ class Scene:
     @property
     def sigmas(self) -> np.ndarray:
         """Rms residual (N,) of each sample."""
-        squares = np.sum(self.by_sample(self.residual) ** 2, axis=1)
-        return np.asarray(np.sqrt(squares / np.maximum(self.informative, 1)))
+        return rms_by_sample(self.by_sample(self.residual), self.informative)
 
     def by_sample(self, column: np.ndarray) -> np.ndarray:
         """A column (n,) as (N, rows), or columns (n, k) as (N, rows, k)."""

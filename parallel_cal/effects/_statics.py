@@ -162,7 +162,7 @@ def _slopes(mechanism: Mechanism, gravity: tuple[float, ...]) -> ca.Function:
     """Build the derivatives of (phi, U) by the moved part of the pose (x, w), by the joints and by
     the parameters of the rods.
 
-    They are functions of (q, r, R, geometry, masses) and the same in all effects of a mechanism.
+    They are functions of (q, r, R, geometry, masses), which all effects of a mechanism share.
     """
     names = mechanism.parameters.names
     q, r, R = ca.SX.sym("q", len(mechanism.joints)), ca.SX.sym("r", 3), ca.SX.sym("R", 3, 3)

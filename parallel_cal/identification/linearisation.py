@@ -27,6 +27,12 @@ MAX_JACOBIAN_BYTES = 1 << 28  # bytes of a Jacobian; a larger one is computed ag
 Adjust = Callable[[np.ndarray], np.ndarray]
 
 
+def rms_by_sample(residual: np.ndarray, informative: np.ndarray) -> np.ndarray:
+    """Rms (N,) of whitened residuals (N, rows), of which `informative` (N,) are independent."""
+    squares = np.sum(residual**2, axis=1)
+    return np.asarray(np.sqrt(squares / np.maximum(informative, 1)))
+
+
 @dataclass
 class System:
     """Whitened residuals (N, rows) and Jacobian (N, rows, n_free) at one point, with unmeasured

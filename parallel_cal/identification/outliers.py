@@ -11,7 +11,7 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.base.sample_names import format_sample
 from parallel_cal.identification.checks import ImplausibleGeometryError, chosen_parameters
 from parallel_cal.identification.estimate import Estimate
-from parallel_cal.identification.linearisation import Linearisation, System
+from parallel_cal.identification.linearisation import Linearisation, System, rms_by_sample
 from parallel_cal.identification.methods import implicit
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitOptions
@@ -27,7 +27,7 @@ from parallel_cal.identification.thresholds import (
 )
 from parallel_cal.model.model import Model
 from parallel_cal.model.words import join_words
-from parallel_cal.recordings.dataset import NUMBER, Dataset
+from parallel_cal.recordings.dataset import DESCRIPTIVE, Dataset
 
 
 def find_outliers(
@@ -112,7 +112,7 @@ def _find_in(system: System) -> np.ndarray:
 
 def _relative_sizes(residual: np.ndarray, informative: np.ndarray) -> np.ndarray:
     """Rms residual of each sample, in units of the typical one."""
-    sizes = np.sqrt(np.sum(residual**2, axis=1) / np.maximum(informative, 1))
+    sizes = rms_by_sample(residual, informative)
     known = sizes[informative > 0]
     return np.asarray(sizes / max(float(np.median(known)) if len(known) else 0.0, 1e-300))
 
@@ -124,7 +124,7 @@ def are_separated(dataset: Dataset, numbers: Collection[int]) -> bool:
     if np.count_nonzero(mine) < 2 or mine.all():
         return False
     for name, values in dataset.conditions.items():
-        if name.startswith(("time", NUMBER, "effort.", "reading.")):
+        if name.startswith(DESCRIPTIVE):
             continue
         own, others = values[mine], values[~mine]
         is_level = np.ptp(own) == 0 and not np.any(others == own[0])
@@ -205,7 +205,7 @@ def _confirm(
             continue
         at = Linearisation(model, observations.select(found), free, True)
         away = at(others.values, at.start())
-        sizes = np.sqrt(np.sum(away.residual**2, axis=1) / np.maximum(away.informative, 1))
+        sizes = rms_by_sample(away.residual, away.informative)
         sizes /= max(others.chi2_per_dof, 1e-300) ** 0.5
         far = sizes > MIN_OUTLIER_RATIO
         if far.all():

@@ -53,7 +53,7 @@ def newton_functions(structure: Structure, problem: str) -> NewtonFunctions:
     step = _step_function(s, residual, J, symbols, columns, order)
     prepare = dense("prepare", [s.configuration, s.a, table_symbols], [before])
     tables_function = dense("tables", [s.v], [tables])
-    iterate = Iteration(prepare, step, residual, constants.shape[0], s.q.numel())
+    iterate = Iteration(prepare, step, residual, constants.shape[0])
     solve = iterate.function(f"{problem}_solve", from_start=True)
     refine = iterate.function(f"{problem}_refine", from_start=False)
     return NewtonFunctions(tables_function, solve, refine, columns, iterate)
@@ -203,17 +203,15 @@ class Iteration:
     step: ca.Function
     residual: ca.Function
     n_constants: int
-    n_joints: int
 
     def function(self, name: str, from_start: bool) -> ca.Function:
         """Build a fixed number of iterations; a short step is inlined, a long one is called."""
         symbol = ca.SX if self.step.n_instructions() < INLINE_BELOW else ca.MX
-        n = self.n_joints
-        given, a = (symbol.sym(f"i{i}", self.prepare.numel_in(i)) for i in range(2))
-        fixed = symbol.sym("i2", self.prepare.numel_in(2) + 2 * n)
-        k, low, high = ca.vertsplit(
-            fixed, [0, fixed.numel() - 2 * n, fixed.numel() - n, fixed.numel()]
-        )
+        sizes = [self.prepare.numel_in(i) for i in range(3)]
+        n = sizes[0] - 12  # joints, before r and R9
+        given, a = (symbol.sym(f"i{i}", size) for i, size in enumerate(sizes[:2]))
+        k_and_limits = symbol.sym("i2", sizes[2] + 2 * n)
+        k, low, high = ca.vertsplit(k_and_limits, [0, sizes[2], sizes[2] + n, sizes[2] + 2 * n])
         prepared = self.prepare(given, a, k)
         constants = prepared[: self.n_constants]
         x = prepared[self.n_constants :] if from_start else given
@@ -221,4 +219,4 @@ class Iteration:
             x, length, pivot = self.step(x, constants)
         residual = ca.norm_2(self.residual(x, constants))
         inside = ca.mmin(ca.vertcat(x[:n] - low, high - x[:n]))
-        return ca.Function(name, [given, a, fixed], [x, length, residual, pivot, inside])
+        return ca.Function(name, [given, a, k_and_limits], [x, length, residual, pivot, inside])

@@ -40,7 +40,7 @@ class Problem:
         self._n = len(model.joints)
         self.unknown_joints = name == "inverse"
         low, high = np.array(model.mechanism.joint_limits, dtype=float).reshape(-1, 2).T
-        self.fixed = np.concatenate([self.calls.tables(model.values)[0], low, high])
+        self.k_and_limits = np.concatenate([self.calls.tables(model.values)[0], low, high])
         self.columns = self.calls.columns
         # More rows than unknowns (lines of a cable robot): the solution is that of least squares.
         # Its residual is not zero, so the residual does not decide on the status.
@@ -51,11 +51,11 @@ class Problem:
     def solve_many(self, given: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
         """Iterate from the mechanism's own start; return the parts of a `NewtonResult`."""
         # Joints may be moved by whole turns later, so their distance from the limits is omitted.
-        return self.calls.many(given, rows, self.fixed)[:4]
+        return self.calls.many(given, rows, self.k_and_limits)[:4]
 
     def refine(self, begin: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
         """Iterate from given configurations, like `solve_many`."""
-        return self.calls.refine(begin, rows, self.fixed)[:4]
+        return self.calls.refine(begin, rows, self.k_and_limits)[:4]
 
     def begin(self, given: np.ndarray, start: Solutions) -> np.ndarray:
         """Copy `given`, with the unknown coordinates taken from `start`."""
@@ -74,15 +74,17 @@ class Problem:
     def single_solver(self) -> Single:
         """`solve_many` for one sample; its buffers hold home, neutral conditions and the tables."""
         single, home = Single(self.calls.many.function), self.model.mechanism.home.configuration
-        for array, known in zip(single.arguments, (home, self.neutral, self.fixed), strict=True):
+        for array, known in zip(
+            single.arguments, (home, self.neutral, self.k_and_limits), strict=True
+        ):
             array[:] = known
         return single
 
     @cached_property
     def single_refiner(self) -> Single:
         """`refine` for one sample, from the end of `single_solver`, whose buffers it reads."""
-        begin, (_, a, fixed) = self.single_solver.results[0], self.single_solver.arguments
-        return Single(self.calls.refine.function, (begin, a, fixed))
+        begin, (_, a, k_and_limits) = self.single_solver.results[0], self.single_solver.arguments
+        return Single(self.calls.refine.function, (begin, a, k_and_limits))
 
     @cached_property
     def neutral(self) -> np.ndarray:

@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     pass
 
 NUMBER = "number"  # the condition that keeps the numbers of samples after others were excluded
+# Conditions with these beginnings describe a sample; they are no cause of its error.
+DESCRIPTIVE = ("time", NUMBER, "effort.", "reading.")
 
 
 @dataclass(frozen=True)

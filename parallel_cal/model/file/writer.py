@@ -84,10 +84,12 @@ def _mechanism(model: Model) -> Iterator[str]:
 def _parameters(model: Model) -> Iterator[str]:
     yield "parameters:"
     for i, parameter in enumerate(model.mechanism.parameters):
-        name, usual = parameter.name, model.usual_tolerances.get(parameter.name)
-        tolerance = model.tolerances.get(name, parameter.tolerance)
-        own = {"nominal": float(parameter.nominal), "tolerance": float(tolerance)}
-        own |= {"usual_tolerance": float(usual)} if usual is not None else {}
+        name = parameter.name
+        own = {
+            "nominal": parameter.nominal,
+            "tolerance": model.tolerances.get(name, parameter.tolerance),
+            "usual_tolerance": model.usual_tolerances.get(name),
+        }
         yield f"  {flow(name)}: {flow(_entry(model, i, parameter, own))}"
 
 
@@ -121,17 +123,19 @@ def _numbers(model: Model, part: Effect | Sensor) -> Iterator[str]:
     yield "  parameters:" if len(table) else "  parameters: {}"
     for parameter in table:
         name, i = parameter.name.removeprefix(f"{part.name}."), model.table.index_of(parameter.name)
-        given = {
+        own = {
             "tolerance": model.tolerances.get(parameter.name),
             "usual_tolerance": model.usual_tolerances.get(parameter.name),
         }
-        own = {key: float(value) for key, value in given.items() if value is not None}
         yield f"    {flow(name)}: {flow(_entry(model, i, parameter, own))}"
 
 
-def _entry(model: Model, i: int, parameter: Parameter, own: Mapping[str, float]) -> dict[str, Any]:
-    """One parameter's keys, the value first."""
-    entry: dict[str, Any] = {"value": float(model.values[i]), "unit": parameter.unit, **own}
+def _entry(
+    model: Model, i: int, parameter: Parameter, own: Mapping[str, float | None]
+) -> dict[str, Any]:
+    """One parameter's keys, the value first; `own` without those that are None."""
+    entry: dict[str, Any] = {"value": float(model.values[i]), "unit": parameter.unit}
+    entry |= {key: float(value) for key, value in own.items() if value is not None}
     if model.covariance is not None and model.covariance[i, i] > 0:
         entry["sigma"] = math.sqrt(model.covariance[i, i])
     if model.fixed is not None and model.fixed[i]:
