@@ -14,6 +14,7 @@ pytest.importorskip("rclpy")
 from rclpy.time import Time  # noqa: E402
 
 from parallel_cal.base.errors import DatasetError  # noqa: E402
+from parallel_cal.base.rotation import rotation_matrix  # noqa: E402
 from parallel_cal.model.file.modelfile import read_model  # noqa: E402
 from parallel_cal.nodes.frames import Transform, lookup, to_base_frame, transform_dataset  # noqa: E402
 from parallel_cal.recordings.dataset import Dataset  # noqa: E402
@@ -54,10 +55,20 @@ def test_a_transform_leaves_unmeasured_coordinates_unmeasured(samples):
     there = transform_dataset(blind, STANDS, "base")
     np.testing.assert_array_equal(there.R, samples.R)
     assert np.isnan(there.pose_cov).all()
+
+
+def test_a_transform_keeps_single_coordinates_that_it_does_not_mix_with_unmeasured_ones(samples):
+    flat = replace(samples, measured=np.array([[True, True] + [False] * 4]))
+    there = transform_dataset(flat, STANDS, "base")
+    np.testing.assert_allclose(there.r[0, :2], [0.8, 2.1], atol=1e-15)
+    assert there.measured.tolist() == [[True, True] + [False] * 4]
+    only_x = replace(samples, measured=np.array([[True] + [False] * 5]))
+    assert transform_dataset(only_x, STANDS, "base").measured.tolist() == [
+        [False, True] + [False] * 4
+    ]
+    tilted = Transform(STANDS.r, rotation_matrix(np.array([0.1, 0.0, 0.0])), 0.0)
     with pytest.raises(DatasetError, match="single coordinates"):
-        transform_dataset(
-            replace(samples, measured=np.array([[True, False] + [True] * 4])), STANDS, "base"
-        )
+        transform_dataset(flat, tilted, "base")
 
 
 def test_another_frame_without_a_transform_is_refused_where_the_samples_do_not_tell_it(

@@ -75,15 +75,15 @@ def compute_base_motion(model: Model, observations: Observations) -> BaseMotion 
         return None
     joints = observations.x[:, : len(robot.joints)]
     found = Kinematics(robot).direct(joints, condition_columns(robot, observations))
-    placed, turned = drawn.placed & found.solved, drawn.turned & found.solved
-    if placed.sum() < MIN_POSITIONS:
+    # Both poses are predicted: where one coordinate was measured, all are known.
+    both = np.stack([drawn.placed, drawn.turned], axis=1) & found.solved[:, None]
+    if both[:, 0].sum() < MIN_POSITIONS:
         return None
     poses = replace(
         drawn,
         seen_r=found.position,
         seen_R=found.rotation,
-        placed=placed,
-        turned=turned,
+        measured=np.repeat(both, 3, axis=1),
         now=IDENTITY_FRAMES,
     )
     frames = poses.frames

@@ -135,7 +135,7 @@ def _compute_motions(model: Model, observations: Observations) -> dict[str, np.n
     n, table = len(model.joints), model.table
     complete = Configuration.from_rows(predict_configurations(model, observations))
     judged = [
-        find_judgeable_samples(model.mechanism, observations.measured[:, n:], range(6)[part])
+        find_judgeable_samples(model, observations.measured[:, n:], range(6)[part])
         for part in KINDS.values()
     ]
     known = np.repeat(np.stack(judged, axis=1), 3, axis=1)

@@ -179,8 +179,7 @@ def doubt_columns(
     some = np.unique(np.linspace(0, len(observations) - 1, MAX_GUESS_SAMPLES).astype(int))
     few = observations.select(some)
     placed, turned = (
-        bool(few.measured[:, part].all(axis=1).any())
-        for part in (slice(n, n + 3), slice(n + 3, None))
+        bool(few.measured[:, part].any()) for part in (slice(n, n + 3), slice(n + 3, None))
     )
     guesses = [
         (guess, poses)

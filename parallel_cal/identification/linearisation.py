@@ -13,10 +13,11 @@ from functools import cached_property
 import numpy as np
 
 from parallel_cal.identification.observations import Observations
-from parallel_cal.identification.predictions import apply_pose_device
+from parallel_cal.identification.predictions import apply_pose_device, axes_of_device
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
+from parallel_cal.recordings.transforming import MAX_ROUNDING
 
 BLOCK = 1024  # samples at a time, so that their arrays fit the processor's cache
 MIN_SAMPLES_TO_COMPILE = (
@@ -140,21 +141,27 @@ class Linearisation:
         moved[: self._n] = True
         moved[[self._n + i for i in model.mechanism.moved]] = True
         self._unknown = moved & ~observations.measured
+        if self._unknown.any():
+            # The device may look across the plane in which the robot moves.
+            axes = np.kron(np.eye(2), np.abs(axes_of_device(model)) > MAX_ROUNDING)
+            self._unknown[:, self._n :] &= axes[model.mechanism.moved].any(axis=0)
         self._complete = not self._unknown.any()
 
     def start(self) -> np.ndarray:
         """The measured configurations. Positions that were not measured, and orientations without a
         measured part, are those of the model."""
         x, n = self._observations.x.copy(), self._n
-        unplaced, unturned = self._unknown[:, n : n + 3], self._unknown[:, n + 3 :].all(axis=1)
+        unplaced = self._unknown[:, n : n + 3]
+        turned = self._observations.measured[:, n + 3 :].any(axis=1)
+        unturned = self._unknown[:, n + 3 :].any(axis=1) & ~turned
         blind = np.flatnonzero(unplaced.any(axis=1) | unturned)
         if len(blind):
             at = dict(zip(self._model.conditions, self._observations.a[blind].T, strict=True))
             pose = apply_pose_device(self._model, Kinematics(self._model).direct(x[blind, :n], at))
             own, here = pose.configuration.rows, x[blind]
             solved = np.isfinite(own).all(axis=1)[:, None]
-            turned = np.repeat(unturned[blind, None], 9, axis=1)
-            taken = np.hstack([np.zeros((len(blind), n), bool), unplaced[blind], turned])
+            rotated = np.repeat(unturned[blind, None], 9, axis=1)
+            taken = np.hstack([np.zeros((len(blind), n), bool), unplaced[blind], rotated])
             x[blind] = np.where(taken & solved, own, here)
         return x
 

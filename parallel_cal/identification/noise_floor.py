@@ -81,7 +81,8 @@ def simulate_noise_floor(model: Model, observations: Observations, seed: int = 0
     read = np.where(np.isfinite(observations.reading), read, np.nan)
     in_pixels = model.structure.channel_units == "px"
     pose = np.where(measured, pose, 0.0)
-    placed, turned = (find_judgeable_samples(m, measured, part) for part in (range(3), range(3, 6)))
+    placed = find_judgeable_samples(model, measured, range(3))
+    turned = find_judgeable_samples(model, measured, range(3, 6))
     each = (
         where_known(placed, keep_moved_coordinates(model, pose[:, :, :3], range(3))),
         where_known(turned, keep_moved_coordinates(model, pose[:, :, 3:], range(3, 6))),

@@ -23,6 +23,7 @@ from parallel_cal.identification.thresholds import (
 )
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.solutions import Solutions
+from parallel_cal.model.mechanism import POSE
 from parallel_cal.model.model import Model
 from parallel_cal.model.sensor import Sensor, View
 
@@ -115,10 +116,9 @@ def _compare(model: Model, view: View, reached: Solutions) -> DevicePoses | None
         reached.rotation,
         view.r,
         view.R,
-        placed=used,
-        turned=used,
+        measured=np.repeat(used[:, None], 6, axis=1),
         length=model.mechanism.length,
-        turns=True,
+        moves=POSE,
         tilts=turned > MIN_PLACEMENT_TILT_RAD,
         target_known=False,
         poses=int(used.sum()),

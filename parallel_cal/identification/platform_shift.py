@@ -23,7 +23,7 @@ from parallel_cal.identification.thresholds import (
 )
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.model.effect import CONDITIONS
-from parallel_cal.model.mechanism import poses_in_workspace
+from parallel_cal.model.mechanism import POSE, poses_in_workspace
 from parallel_cal.model.model import Model
 
 
@@ -122,10 +122,9 @@ def _compare_poses(one: Solutions, other: Solutions) -> DevicePoses:
         other.rotation,
         one.position,
         one.rotation,
-        placed=both,
-        turned=np.zeros(len(both), bool),
+        measured=both[:, None] & (np.arange(6) < 3),
         length=1.0,
-        turns=True,
+        moves=POSE,
         tilts=True,
         target_known=False,
         poses=int(both.sum()),

@@ -11,6 +11,7 @@ import numpy as np
 from parallel_cal.identification.image_poses import find_shown_poses
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.predictions import (
+    axes_of_device,
     condition_columns,
     predict_poses,
     reading_residuals,
@@ -18,8 +19,8 @@ from parallel_cal.identification.predictions import (
 )
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.model.configuration import Configuration
-from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
+from parallel_cal.recordings.transforming import find_measured_after_turn
 
 ERRORS = ("position", "orientation", "joint", "reading", "pixel")
 
@@ -177,7 +178,7 @@ def errors(model: Model, observations: Observations) -> Errors:
     reached, pose = predict_poses(model, observations)
     turn = turns_between(seen.R, pose.rotation)
     placed, orientation = (
-        find_judgeable_samples(m, measured[:, n:], part) for part in (range(3), range(3, 6))
+        find_judgeable_samples(model, measured[:, n:], part) for part in (range(3), range(3, 6))
     )
     apart = np.where(measured[:, n : n + 3], seen.r - pose.position, 0.0)
     apart = keep_moved_coordinates(model, apart, range(3))
@@ -215,20 +216,20 @@ def _compute_joint_errors(
     """
     model, n = kinematics.model, len(kinematics.model.joints)
     m, apart = model.mechanism, np.full((len(observations), n), np.nan)
-    controlled = [n + i for i in m.controlled]
     if model.structure.phi.shape[0] > len(m.moves):
         pose_unknown = ~observations.measured[:, n : n + 6].any(axis=1)
         alone = np.flatnonzero(pose_unknown & (not model.sensors))
         apart[alone] = _compute_disagreement(kinematics, observations.select(alone), reached[alone])
-    given = np.flatnonzero(observations.measured[:, controlled].all(axis=1))
+    known = find_known_coordinates(model, observations.measured[:, n:])
+    given = np.flatnonzero(known[:, m.controlled].all(axis=1))
     if not len(given):
         return apart
     read, seen = observations.select(given), Configuration.from_rows(observations.x[given])
     # Take the predicted orientation, not the identity, if it was not measured: the position of the
     # target depends on it.
     turned_known = np.asarray(read.measured[:, n + 3 :].all(axis=1))
-    known = turned_known[:, None, None] | ~np.isfinite(pose.rotation[given])
-    at_target = Configuration(seen.q, seen.r, np.where(known, seen.R, pose.rotation[given])).rows
+    kept = turned_known[:, None, None] | ~np.isfinite(pose.rotation[given])
+    at_target = Configuration(seen.q, seen.r, np.where(kept, seen.R, pose.rotation[given])).rows
     position, turned = model.structure.to_base(at_target[:, n:], model.values)
     at = condition_columns(model, read)
     # Search in the measured assembly mode: an arm's wrist may be flipped relative to home.
@@ -254,15 +255,22 @@ def _compute_disagreement(
 
 
 def find_fully_measured_samples(model: Model, observations: Observations) -> np.ndarray:
-    moved = [len(model.joints) + i for i in model.mechanism.moved]
-    return np.asarray(observations.measured[:, moved].all(axis=1))
+    known = find_known_coordinates(model, observations.measured[:, len(model.joints) :])
+    return np.asarray(known[:, model.mechanism.moved].all(axis=1))
 
 
-def find_judgeable_samples(mechanism: Mechanism, measured: np.ndarray, part: range) -> np.ndarray:
+def find_judgeable_samples(model: Model, measured: np.ndarray, part: range) -> np.ndarray:
     """Samples (N,) whose position (or orientation) can be judged: every coordinate of it that the
-    mechanism moves was measured; if it moves none, all three were."""
-    moved = [i for i in part if i in mechanism.moved]
-    return np.asarray(measured[:, moved or list(part)].all(axis=1))
+    mechanism moves was measured (N, 6); if it moves none, all three were."""
+    moved = [i for i in part if i in model.mechanism.moved]
+    return np.asarray(find_known_coordinates(model, measured)[:, moved or list(part)].all(axis=1))
+
+
+def find_known_coordinates(model: Model, measured: np.ndarray) -> np.ndarray:
+    """Coordinates (N, 6) that the device measured, or that follow in {B} from those that it
+    measured: its x and y may be x and z of a robot that moves in a vertical plane."""
+    turn = np.kron(np.eye(2), axes_of_device(model))
+    return np.asarray(measured | find_measured_after_turn(measured, turn))
 
 
 def keep_moved_coordinates(model: Model, difference: np.ndarray, part: range) -> np.ndarray:
@@ -272,9 +280,7 @@ def keep_moved_coordinates(model: Model, difference: np.ndarray, part: range) ->
     moved = np.array([i in model.mechanism.moved for i in part])
     if moved.all() or not moved.any():
         return difference
-    rows = np.hstack([np.vstack([np.zeros(3), np.eye(3)]), np.tile(np.eye(3).ravel(), (4, 1))])
-    places = np.asarray(model.structure.to_base(rows, model.values)[0])
-    to_base = (places[1:] - places[0]).T  # columns: the axes of the device in {B}
+    to_base = axes_of_device(model)
     return np.asarray(difference @ (to_base.T @ (moved[:, None] * to_base)))
 
 

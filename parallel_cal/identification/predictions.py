@@ -24,6 +24,13 @@ def apply_pose_device(model: Model, solutions: Solutions) -> Solutions:
     return replace(solutions, position=r, rotation=R9.reshape(-1, 3, 3))
 
 
+def axes_of_device(model: Model) -> np.ndarray:
+    """The axes of the device in {B}, as columns (3, 3)."""
+    rows = np.hstack([np.vstack([np.zeros(3), np.eye(3)]), np.tile(np.eye(3).ravel(), (4, 1))])
+    places = np.asarray(model.structure.to_base(rows, model.values)[0])
+    return (places[1:] - places[0]).T
+
+
 def condition_columns(model: Model, observations: Observations) -> dict[str, Any]:
     return {name: observations.a[:, k] for k, name in enumerate(model.conditions)}
 

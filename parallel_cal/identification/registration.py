@@ -7,6 +7,7 @@ errors of the robot remain.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -49,6 +50,7 @@ from parallel_cal.identification.thresholds import (
 )
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.configuration import Configuration
+from parallel_cal.model.mechanism import POSE, list_shown_displacements
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_sensor
 from parallel_cal.recordings.dataset import Dataset
@@ -101,7 +103,9 @@ class Registration:
     """Pose of a device's frame in the base, and of its target on the platform.
 
     `why` is the reason for the registration. `told` is whether the platform turned enough to
-    determine the target. Positions in m, quaternions x y z w.
+    determine the target. `held` are the coordinates of the device's frame that the samples do not
+    show, because the robot does not move in them: they stay as the model has them. Positions in m,
+    quaternions x y z w.
     """
 
     frame: str
@@ -113,6 +117,7 @@ class Registration:
     target_position: tuple[float, ...]
     target_quaternion: tuple[float, ...]
     told: bool
+    held: tuple[str, ...] = ()
 
     @property
     def description(self) -> str:
@@ -128,6 +133,8 @@ class Registration:
         if not self.told:
             also += " (assumed: the platform does not turn enough to determine it; if it is off by "
             also += "more than 2 mm, state it as target_position of the sensor device_frame)"
+        if self.held:
+            also += f"; {', '.join(self.held)} of the frame are not measured and were held"
         # The device states the base's name, but measured in another frame.
         own, of = ("", "") if self.frame != self.base else (" of the poses", " of the model")
         return (
@@ -159,9 +166,9 @@ def register_observed(
     """Register as `register_device` does, from observations in `frame` and their poses."""
     if there is None:
         return model, None
-    found, base = there.frames, model.frames["base"]
-    elsewhere = frame not in ("", base) and _device(model) is None
-    if not (elsewhere or there.is_misplaced(found, is_identified(model))):
+    found, base, stated = there.frames, model.frames["base"], _device(model) is not None
+    elsewhere = frame not in ("", base) and not stated
+    if not (elsewhere or there.is_misplaced(found, is_identified(model), stated)):
         return model, None
     placed = _with_fitted_frames(model, observations, there, found)
     why = "the poses are in another frame" if elsewhere else "the poses did not fit without it"
@@ -171,7 +178,7 @@ def register_observed(
             f"{describe_what_moved(model, observations, there)}"
         )
     told = there.tilts or not (there.turns and there.placed.any())
-    return placed, _registration(placed, frame or "device", why, told)
+    return placed, _registration(placed, frame or "device", why, told, there.held)
 
 
 def registered_by(model: Model, observations: Observations) -> Model | None:
@@ -243,8 +250,8 @@ def prepared_for_fit(
     settled = _fit_frames(model, observations, options)
     if registration is None:
         return settled, None
-    frame, why, told = registration.frame, registration.why, registration.told
-    return settled, _registration(settled, frame, why, told)
+    why, told, held = registration.why, registration.told, registration.held
+    return settled, _registration(settled, registration.frame, why, told, held)
 
 
 def _are_others_free(model: Model, options: FitOptions) -> bool:
@@ -269,21 +276,20 @@ def add_registration_warning(dataset: Dataset, registration: Registration | None
 class DevicePoses:
     """Predicted poses in {B} and poses as the device shows them.
 
-    `placed` and `turned` (N,) mark measured positions and orientations. `turns` is whether the
-    platform can turn, `tilts` whether it turned further than its tolerances explain, or so far that
-    no robot's errors explain it: otherwise no pose determines where the target sits.
-    `target_known` is whether an effect of the model states it. `poses` counts different poses.
-    Angles are multiplied by `length`.
+    `measured` (N, 6) marks the coordinates x y z rx ry rz that the device measured, in its axes.
+    `moves` are the coordinates in which the robot moves. `tilts` is whether the platform turned
+    further than its tolerances explain, or so far that no robot's errors explain it: otherwise no
+    pose determines where the target sits. `target_known` is whether an effect of the model states
+    it. `poses` counts different poses. Angles are multiplied by `length`.
     """
 
     r: Array
     R: Array
     seen_r: Array
     seen_R: Array
-    placed: Array
-    turned: Array
+    measured: Array
     length: float
-    turns: bool
+    moves: tuple[str, ...]
     tilts: bool
     target_known: bool
     poses: int
@@ -303,8 +309,9 @@ class DevicePoses:
         )
         solved = reached.solved
         moves = [any(i in m.moved for i in part) for part in (range(3), range(3, 6))]
-        placed = solved & observations.measured[:, n : n + 3].all(axis=1) & moves[0]
-        turned = solved & observations.measured[:, n + 3 :].all(axis=1)
+        measured = solved[:, None] & observations.measured[:, n:]
+        measured[:, :3] &= moves[0]
+        placed, turned = (measured[:, part].any(axis=1) for part in (slice(3), slice(3, 6)))
         if max(placed.sum(), turned.sum() * moves[1]) < 4:
             return None
         # The error that tolerances allow differs little between poses: a few poses are enough.
@@ -336,16 +343,56 @@ class DevicePoses:
             reached.rotation,
             seen.r,
             seen.R,
-            placed,
-            turned,
+            measured,
             m.length,
-            moves[1],
+            m.moves,
             tilts,
             any(effect.name == TARGET_EFFECT for effect in model.effects),
             len(np.unique(observations.group[placed | turned])),
             frames_of(model),
             np.array([sizes[0], m.length * sizes[1]]),
         )
+
+    @property
+    def placed(self) -> Array:
+        """Mask (N,) of the samples of which a coordinate of the position was measured."""
+        return np.asarray(self.measured[:, :3].any(axis=1))
+
+    @property
+    def turned(self) -> Array:
+        """Mask (N,) of the samples of which a coordinate of the orientation was measured."""
+        return np.asarray(self.measured[:, 3:].any(axis=1))
+
+    @property
+    def turns(self) -> bool:
+        """Whether the platform can turn."""
+        return any(c.startswith("r") for c in self.moves)
+
+    @property
+    def held(self) -> tuple[str, ...]:
+        """Coordinates of the device's frame that no sample shows: the robot does not move in them,
+        and the device does not measure that it does not. If the robot moves in x, y and z, these
+        are the axes of the device along which nothing was measured."""
+        if self._hidden or not self.placed.any():
+            return self._hidden
+        seen = self.measured[:, :3].any(axis=0)
+        return tuple(axis for axis, shown in zip(POSE, seen, strict=False) if not shown)
+
+    @property
+    def _hidden(self) -> tuple[str, ...]:
+        """Coordinates in {B} of the device's frame that no sample shows."""
+        if self._fully_placed.sum() >= 3:
+            return ()
+        frame = POSE if set(POSE[:3]) & set(self.moves) else POSE[3:]
+        return tuple(c for c in frame if c not in list_shown_displacements(self.moves))
+
+    @property
+    def _fully_placed(self) -> Array:
+        return np.asarray(self.measured[:, :3].all(axis=1))
+
+    @property
+    def _fully_turned(self) -> Array:
+        return np.asarray(self.measured[:, 3:].all(axis=1))
 
     @cached_property
     def frames(self) -> Frames:
@@ -362,26 +409,29 @@ class DevicePoses:
         """Whether enough measured positions tell a displaced target from a displaced frame."""
         return self.tilts and self.poses >= MIN_REGISTRATION_POSES and bool(self.placed.any())
 
-    def is_misplaced(self, found: Frames, identified: bool) -> bool:
+    def is_misplaced(self, found: Frames, identified: bool, stated: bool) -> bool:
         """Whether the data show that the device or its target is not where the model has it.
 
         Either the error exceeds what the robot's tolerances explain, and frames explain most of it.
         Or frames explain a significant part (by BIC) and differ from the model's by more than a
         workshop would call aligned; this does not depend on tolerances. An `identified` robot has
         no errors of its own that resemble frames, so the limit of alignment does not apply to it.
+        If the model has `stated` where the device stands, a fit moves the frame from there.
         """
         before, after = self.compute_median_errors(self.now), self.compute_median_errors(found)
         off = before > MIN_UNREGISTERED_ERROR_RATIO * self.expected
         if (off & (before > MIN_EXPLAINED_ERROR_RATIO * after)).any():
             return True
-        judged = self.determines_target or (identified and self.poses >= MIN_REGISTRATION_POSES)
+        # On a platform that never turns, a displaced target is a displaced frame.
+        separate = self.determines_target or not (self.turns or stated) or identified
+        judged = separate and self.poses >= MIN_REGISTRATION_POSES
         return judged and self.is_displaced(found, identified)
 
     def is_displaced(self, found: Frames, identified: bool) -> bool:
         """Whether frames explain a significant part of the error and differ from the model's by
         more than a workshop calls aligned."""
         squares = [float(np.sum(self._residual(frames) ** 2)) for frames in (self.now, found)]
-        rows = 3 * int(self.placed.sum() + self.turned.sum())
+        rows = int(self.measured.sum())
         parameters = int(np.linalg.matrix_rank(self._jacobian(found).reshape(-1, 12)))
         share = MAX_REMAINING_SHARE_IDENTIFIED if identified else MAX_REMAINING_SHARE
         significant = rows * np.log(squares[0] / max(squares[1], 1e-300)) > parameters * np.log(
@@ -424,9 +474,9 @@ class DevicePoses:
         return int(np.linalg.matrix_rank((self._jacobian(frames) * free).reshape(-1, 12)))
 
     def compute_errors(self, frames: Frames) -> Array:
-        """Errors of what was measured (rows,): positions (m), and orientations times length."""
-        seen = np.stack([self.placed, self.turned], axis=1)
-        return np.asarray(self._residual(frames).reshape(-1, 2, 3)[seen].ravel())
+        """Errors of the measured coordinates (rows,): of positions (m), and of orientations times
+        length."""
+        return np.asarray(self._residual(frames)[self.measured])
 
     def compute_rms(self, frames: Frames) -> float:
         """Rms error of the positions (m), or of the orientations (rad) if no position was
@@ -452,12 +502,15 @@ class DevicePoses:
         return nearest_rotation((R.transpose(0, 2, 1) @ F @ seen).sum(axis=0))
 
     def is_free(self, name: str) -> bool:
-        """Whether a parameter of the sensor can be fitted: no pose determines the target of a
-        platform that does not tilt, and an effect may state it."""
-        kind = name.removeprefix(f"{SENSOR}.")
-        if kind in ("target.x", "target.y", "target.z"):
-            return self._target_is_free
-        return name.startswith(FRAME_PARAMETERS)
+        """Whether a parameter of the sensor can be fitted: the closure holds only the coordinates
+        in which the robot moves, no pose determines the target of a platform that does not tilt,
+        and an effect may state it."""
+        if not name.startswith(FRAME_PARAMETERS):
+            return False
+        _, part, coordinate = name.split(".")
+        if part == "frame":
+            return coordinate in list_shown_displacements(self.moves)
+        return coordinate in POSE[3:] or bool(self._free[6 + POSE.index(coordinate)])
 
     @property
     def _used(self) -> Array:
@@ -497,12 +550,12 @@ class DevicePoses:
         return np.asarray(np.linalg.norm(self._residual(frames), axis=1))
 
     def _residual(self, frames: Frames) -> Array:
-        """(N, 6): position (m), then orientation times length; zero where not measured."""
+        """(N, 6) in axes of the device: position (m), then orientation times length; zero where not
+        measured."""
         place = self.seen_r @ frames.F.T + frames.f - self.r - self.R @ frames.t
         turn = rotation_vector(frames.F @ self.seen_R @ (self.R @ frames.T).transpose(0, 2, 1))
-        place = np.where(self.placed[:, None], place, 0.0)
-        turn = np.where(self.turned[:, None], self.length * turn, 0.0)
-        return np.nan_to_num(np.hstack([place, turn]))
+        apart = np.hstack([place @ frames.F, self.length * turn @ frames.F])
+        return np.nan_to_num(np.where(self.measured, apart, 0.0))
 
     def descend(self, frames: Frames, used: Array, free: Array | None = None) -> Frames:
         """Gauss-Newton over the frames, or over those of their 12 coordinates that are `free`;
@@ -517,21 +570,33 @@ class DevicePoses:
                 break
         return frames
 
+    @property
+    def _free(self) -> Array:
+        """Mask (12,) of the coordinates of f, F, t, T that the measured coordinates show."""
+        axes = "xyz"
+        frame = [c not in self._hidden for c in POSE]
+        turns = {c[1] for c in self.moves if c.startswith("r")}
+        # A turn about an axis does not move the points on it.
+        target = [self._target_is_free and bool(turns - {axis}) for axis in axes]
+        seen = list_shown_displacements(tuple(c for c in self.moves if c.startswith("r")))
+        everything = not self.turns or self._fully_turned.any()
+        turn = [self._target_turn_is_free and (everything or f"r{axis}" in seen) for axis in axes]
+        return np.array([*frame, *target, *turn])
+
     def _jacobian(self, frames: Frames) -> Array:
         """d residual / d (f, F, t, T): (N, 6, 12)."""
         J, R = np.zeros((len(self.r), 6, 12)), np.nan_to_num(self.R)
         J[:, :3, :3] = np.eye(3)
-        x, y, z = np.nan_to_num(self.seen_r @ frames.F.T).T
+        x, y, z = (np.nan_to_num(self.r) + R @ frames.t - frames.f).T
         zero = np.zeros(len(x))
-        # With v = F r', the columns of [v]x are those of w -> v x w.
+        # With v = r + R t - f, the columns of [v]x are those of w -> v x w.
         cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
         J[:, :3, 3:6] = -np.moveaxis(cross, -1, 0)
-        J[:, :3, 6:9] = -R if self._target_is_free else 0.0
+        J[:, :3, 6:9] = -R
         J[:, 3:, 3:6] = self.length * np.eye(3)
-        J[:, 3:, 9:] = -self.length * R if self._target_turn_is_free else 0.0
-        J[:, :3] *= self.placed[:, None, None]
-        J[:, 3:] *= self.turned[:, None, None]
-        return J
+        J[:, 3:, 9:] = -self.length * R
+        J = np.concatenate([frames.F.T @ J[:, :3], frames.F.T @ J[:, 3:]], axis=1)
+        return np.asarray(J * self.measured[:, :, None] * self._free)
 
     def _starts(self) -> list[Frames]:
         """Starts of the descent: the frames of the model; frames from positions, with the target of
@@ -539,10 +604,10 @@ class DevicePoses:
         starts = [self.now]
         if self.placed.sum() >= 3:
             starts.append(self._from_positions(self.now.t))
-            if self._target_is_free:
+            if self._target_is_free and self._fully_placed.sum() >= 3:
                 starts.append(self._from_positions(self._linear_target()))
-        if self.turns and self.turned.sum() >= 3:
-            R, seen = self.R[self.turned], self.seen_R[self.turned]
+        if self.turns and self._fully_turned.sum() >= 3:
+            R, seen = self.R[self._fully_turned], self.seen_R[self._fully_turned]
             # The sum of tr(F R' T^T R^T) is vec(F)^T K vec(T): the singular vectors of the largest
             # singular value of K maximise it.
             K = np.einsum("nac,nbd->abcd", R, seen).reshape(9, 9)
@@ -553,16 +618,23 @@ class DevicePoses:
         return starts
 
     def _from_positions(self, t: Array) -> Frames:
-        """Frames with Kabsch's rotation for a target at t in {P}."""
+        """Frames with Kabsch's rotation for a target at t in {P}, from the measured coordinates."""
         ours = (self.r + self.R @ t)[self.placed]
-        theirs = self.seen_r[self.placed]
-        F = nearest_rotation((ours - ours.mean(axis=0)).T @ (theirs - theirs.mean(axis=0)))
-        return self._complete_frames(F, t)
+        theirs = np.where(self.measured[:, :3], self.seen_r, np.nan)[self.placed]
+        with warnings.catch_warnings(action="ignore"):  # of a coordinate that was never measured
+            theirs = np.nan_to_num(theirs - np.nanmean(theirs, axis=0))
+        H = (ours - ours.mean(axis=0)).T @ theirs
+        # Points on a line leave a turn about it open: it stays as the model has it.
+        U, sizes, V = np.linalg.svd(H)
+        unknown = sizes <= LSTSQ_RANK_TOLERANCE * sizes[0]
+        P, Q = U[:, unknown] @ U[:, unknown].T, V[unknown].T @ V[unknown]
+        open_turn = LSTSQ_RANK_TOLERANCE * sizes[0] * (P @ self.now.F @ Q)
+        return self._complete_frames(nearest_rotation(H + open_turn), t)
 
     def _linear_target(self) -> Array:
         """Solve M r' + f = r + R t for the 15 numbers of M, f and t, with M any matrix; return
         t."""
-        ours, theirs, R = (a[self.placed] for a in (self.r, self.seen_r, self.R))
+        ours, theirs, R = (a[self._fully_placed] for a in (self.r, self.seen_r, self.R))
         n = len(ours)
         A = np.zeros((n, 3, 15))
         for i in range(3):
@@ -579,29 +651,31 @@ class DevicePoses:
             T = self.find_target_turn(F, self.turned)
         if not self.placed.any():
             return Frames(np.zeros(3), F, np.zeros(3), T)
-        away = (self.r - self.seen_r @ F.T)[self.placed]
-        if t is None and not self._target_is_free:
-            t = self.now.t
-        if t is None:
-            n = len(away)
-            A = np.concatenate([np.tile(np.eye(3), (n, 1, 1)), -self.R[self.placed]], axis=2)
-            both = np.linalg.lstsq(A.reshape(-1, 6), away.ravel(), rcond=LSTSQ_RANK_TOLERANCE)[0]
-            return Frames(both[:3], F, both[3:], T)
-        return Frames((away + self.R[self.placed] @ t).mean(axis=0), F, t, T)
+        start = Frames(self.now.f, F, self.now.t if t is None else t, T)
+        # The positions are linear in f and t.
+        linear = np.repeat([True, False, t is None, False], 3)
+        J = (self._jacobian(start) * linear)[:, :3].reshape(-1, 12)
+        away = self._residual(start)[:, :3].ravel()
+        return start.moved(-np.linalg.lstsq(J, away, rcond=LSTSQ_RANK_TOLERANCE)[0])
 
 
 def _with_frames(model: Model, frames: Frames) -> Model:
     """The model whose sensor `device_frame` has these frames as nominal values."""
     now: Any = _device(model) or load_sensor(SENSOR)
+    names = [p.name for p in now.parameters(model.mechanism)]
+    shown = list_shown_displacements(model.mechanism.moves)
+    hidden = [f"frame.{c}" for c in POSE if c not in shown and f"frame.{c}" in names]
     sensor = replace(
         now,
         position=_tuple(frames.f),
         quaternion=_tuple(matrix_to_quaternion(frames.F)),
         target_position=_tuple(frames.t),
         target_quaternion=_tuple(matrix_to_quaternion(frames.T)),
+        fixed=tuple(dict.fromkeys([*now.fixed, *hidden])),
     )
     others = tuple(s for s in model.sensors if s.name != SENSOR)
     model = model.with_sensors((*others, sensor))
+    model = replace(model, fixed=model.fixed | model.table.matching(sensor.fixed_patterns()))
     own = [name.startswith(FRAME_PARAMETERS) for name in model.table.names]
     return model.with_values(np.where(own, 0.0, model.values), model.covariance)
 
@@ -741,7 +815,9 @@ def frames_of(model: Model) -> Frames:
     return Frames(*parts)
 
 
-def _registration(model: Model, frame: str, why: str, told: bool) -> Registration:
+def _registration(
+    model: Model, frame: str, why: str, told: bool, held: tuple[str, ...]
+) -> Registration:
     sensor: Any = _device(model)
     base, platform = model.frames["base"], model.frames["platform"]
     return Registration(
@@ -754,6 +830,7 @@ def _registration(model: Model, frame: str, why: str, told: bool) -> Registratio
         sensor.target_position,
         sensor.target_quaternion,
         told,
+        held,
     )
 
 

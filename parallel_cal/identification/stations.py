@@ -28,7 +28,7 @@ from parallel_cal.identification.registration import (
 )
 from parallel_cal.identification.thresholds import MIN_REGISTRATION_POSES
 from parallel_cal.model.effect import Effect, Seen
-from parallel_cal.model.mechanism import POSE, Mechanism
+from parallel_cal.model.mechanism import POSE, Mechanism, list_shown_displacements
 from parallel_cal.model.model import Model
 from parallel_cal.model.parameters import Named, Parameter
 from parallel_cal.model.shelf import load_effect
@@ -124,7 +124,7 @@ class Station:
         moved = transform_poses(dataset, self.position, self.rotation, dataset.frame)
         if not self.turned:
             return moved
-        turned = moved.measured[:, 3, None, None]
+        turned = moved.measured[:, 3:].any(axis=1)[:, None, None]
         R = np.where(turned, moved.R @ self.own.T.T @ self.first.T, moved.R)
         return replace(moved, R=R)
 
@@ -169,14 +169,11 @@ def register_recordings(
         )
     described = tuple(station.describe(k) for k, station in found.items())
     for k, station in found.items():
-        moved = station.move(dataset)
-        its = session == k
-        parts: dict[str, Any] = {
-            name: np.where(
-                its.reshape(-1, *[1] * (new.ndim - 1)), new, np.asarray(getattr(dataset, name))
-            )
-            for name, new in (("r", moved.r), ("R", moved.R), ("pose_cov", moved.pose_cov))
-        }
+        its = np.flatnonzero(session == k)
+        moved, parts = station.move(dataset.select(its)), dict[str, Any]()
+        for name in ("r", "R", "measured", "pose_cov"):
+            parts[name] = np.array(getattr(dataset, name))
+            parts[name][its] = getattr(moved, name)
         dataset = replace(dataset, **parts)
     return _with_stations(bare, found), replace(dataset, warnings=(*dataset.warnings, *described))
 
@@ -219,11 +216,14 @@ def _with_stations(model: Model, stations: Mapping[int, Station]) -> Model:
     """The model with the effect, whose parameters for these recordings are free."""
     extended = model.with_effects((load_effect(STATION_EFFECT), *model.effects))
     values, fixed = extended.values.copy(), extended.fixed.copy()
+    shown = list_shown_displacements(model.mechanism.moves)
     for i, name in enumerate(extended.table.names):
         for k, station in stations.items():
             part = name.removeprefix(f"{STATION_EFFECT}.recording{k + 1}.")
             kind, _, axis = part.partition(".")
             if part == name or (kind == "target" and not station.is_free(axis)):
+                continue
+            if kind == "frame" and axis not in shown:
                 continue
             fixed[i] = False
             if kind == "target" and axis in "xyz":

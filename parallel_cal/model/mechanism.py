@@ -359,6 +359,25 @@ def _places(coordinates: Sequence[str]) -> list[int]:
     return [POSE.index(c) for c in coordinates]
 
 
+def list_shown_displacements(moves: Sequence[str]) -> tuple[str, ...]:
+    """Return the coordinates x y z rx ry rz of a small displacement of the frame {B}, or of a frame
+    in which the poses are measured, that changes one of the coordinates in which a robot `moves`.
+
+    A robot that moves in x and y shows x, y and rz. No pose of it shows the other three.
+    """
+
+    def is_shown(coordinate: str) -> bool:
+        axis = coordinate[-1]
+        others = [other for other in "xyz" if other != axis]
+        # A turn about an axis exchanges motions along (or about) the two other axes.
+        pairs = [[coordinate], others, [f"r{other}" for other in others]]
+        return any(
+            set(pair) <= set(moves) for pair in (pairs if coordinate[0] == "r" else pairs[:1])
+        )
+
+    return tuple(c for c in POSE if is_shown(c))
+
+
 def nearest(candidates: Sequence[Any], distance: Callable[[Any], Any]) -> Any:
     """Return the candidate of least distance, chosen when the expression is evaluated.
 

@@ -89,8 +89,7 @@ def by_tf(dataset: Dataset, model: Model, look: Look) -> Dataset:
 def transform_dataset(dataset: Dataset, by: Transform, frame: str) -> Dataset:
     """Transform poses and covariances: r -> R_t r + r_t, R -> R_t R.
 
-    The position must be measured in all directions or in none, and so must the rotation; otherwise
-    raise DatasetError.
+    Raise DatasetError if the rotation mixes measured coordinates with others.
     """
     return transform_poses(dataset, by.r, by.R, frame)
 

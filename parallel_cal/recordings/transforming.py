@@ -10,23 +10,35 @@ from parallel_cal.base.errors import DatasetError
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array
 
+MAX_ROUNDING = 1e-9  # of a rotation matrix: a smaller entry is zero
+
+
+def find_measured_after_turn(measured: Array, turn: Array) -> Array:
+    """Mask (N, 6) of the coordinates that follow, after a turn (6, 6) of the axes, from those that
+    were measured (N, 6)."""
+    needs = np.abs(turn) > MAX_ROUNDING
+    return np.asarray(~(~measured[:, None, :] & needs).any(axis=2))
+
 
 def transform_poses(dataset: Dataset, r: Array, R: Array, frame: str) -> Dataset:
     """Return the samples with poses and covariances transformed: x -> R x + r, and named `frame`.
 
-    The position must be measured in all directions or in none, and so must the rotation; otherwise
-    raise DatasetError.
+    A new coordinate is measured if all coordinates were measured from which it follows. Raise
+    DatasetError if R mixes measured coordinates with others: a rotation in the plane keeps x and y
+    of a sample without z.
     """
-    for part in (dataset.measured[:, :3], dataset.measured[:, 3:]):
-        if (part.any(axis=1) != part.all(axis=1)).any():
-            raise DatasetError(
-                f"{dataset.source or 'samples'}: single coordinates of a position or rotation were "
-                "measured; expected all or none: only whole positions and rotations can be "
-                "transformed to another frame"
-            )
     turn = np.zeros((6, 6))
     turn[:3, :3] = turn[3:, 3:] = R
-    placed, turned = dataset.measured[:, :1], dataset.measured[:, 3, None, None]
+    measured = find_measured_after_turn(dataset.measured, turn)
+    if (measured.sum(axis=1) < dataset.measured.sum(axis=1)).any():
+        raise DatasetError(
+            f"{dataset.source or 'samples'}: single coordinates of a position or rotation were "
+            "measured, and the transformation to another frame mixes them with those that were "
+            "not; expected whole positions and rotations, or a frame that is turned only about "
+            "the axis that was not measured"
+        )
+    position = np.where(dataset.measured[:, :3], dataset.r, 0.0) @ R.T + r
+    turned = dataset.measured[:, 3:].any(axis=1)[:, None, None]
     known = np.nan_to_num(dataset.pose_cov)
     diagonal = np.diagonal(dataset.pose_cov, axis1=1, axis2=2)
     given = ~np.isnan(diagonal)
@@ -35,8 +47,9 @@ def transform_poses(dataset: Dataset, r: Array, R: Array, frame: str) -> Dataset
     covariance[gaps] = np.nan
     return dataclasses.replace(
         dataset,
-        r=np.where(placed, dataset.r @ R.T + r, dataset.r),
+        r=np.where(measured[:, :3], position, dataset.r),
         R=np.where(turned, R @ dataset.R, dataset.R),
+        measured=measured,
         pose_cov=covariance,
         frame=frame,
     )
