@@ -123,7 +123,7 @@ def test_effects_of_single_lines_do_not_apply():
     [
         ({"second_anchors": [[1, 0, 2]]}, "1 second_anchors for 2 anchors"),
         ({"second_anchors": [[1, 1, 2], None]}, "outside the plane of the anchors"),
-        ({"second_anchors": [[0, 0, 0], None]}, "at the origin"),
+        ({"second_anchors": [[0, 0, 0], None], "home": [0, 0]}, "at home"),
         ({"second_anchors": [[1], None]}, r"expected \[x, y, z\]"),
         ({"second_strands": [0, 1]}, "expected numbers above 0"),
     ],

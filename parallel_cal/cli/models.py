@@ -147,7 +147,8 @@ def _make_model(
     from parallel_cal.model.model import new_model
 
     if mechanism is not None:
-        return new_model(_mechanism(mechanism, options or [])), "at their nominal values", ()
+        model = new_model(_mechanism(mechanism, options or []))
+        return model, "at their nominal values", model.mechanism.remarks
     from parallel_cal.importing.controller_files import configured
 
     files = configuration or []

@@ -33,20 +33,33 @@ def hangs(mechanism: Mechanism) -> bool:
     return bool(np.array(mechanism.gravity)[mechanism.moved].any())
 
 
+def _explain_gravity(mechanism: Mechanism) -> str:
+    """Say what to state if the platform hangs, although gravity is across its motion."""
+    down = [-9.81 * (axis == mechanism.moves[-1]) + 0.0 for axis in "xyz"]
+    return (
+        f"gravity {list(mechanism.gravity)} m/s^2 does not act in its directions of motion "
+        f"({' '.join(mechanism.moves)}); if it hangs, state gravity in the model file "
+        f"(gravity: {down})"
+    )
+
+
 def needs_tension(mechanism: Mechanism) -> str:
     """Return why the tensions of the lines are not known; empty if they are."""
     if why := needs_lines(mechanism):
         return why
     if hangs(mechanism) or has_redundant_lines(mechanism):
         return ""
-    return "neither a weight nor redundant lines keep its lines taut"
+    why = "neither a weight nor redundant lines keep its lines taut"
+    return f"{why}: {_explain_gravity(mechanism)}"
 
 
 def needs_hanging_lines(mechanism: Mechanism) -> str:
     """Return why the weight of the platform does not stretch lines; empty if it does."""
     if why := needs_lines(mechanism):
         return why
-    return "" if hangs(mechanism) else "the platform does not move along gravity"
+    if hangs(mechanism):
+        return ""
+    return f"the platform does not move along gravity: {_explain_gravity(mechanism)}"
 
 
 def compute_sag(seen: Seen, mechanism: Cable, weight: Any) -> Any:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from parallel_cal.base.errors import ModelError
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.model.shelf import load_mechanism
 from parallel_cal.recordings.recording import Array
@@ -45,6 +46,10 @@ class Hangprinter:
 
         Lines whose spools have the same radius and advantage share the radius as a parameter.
         """
+        if not self.anchors.any(axis=1).all():
+            raise ModelError(
+                "an anchor is at the origin, where readings are zero: its line has no length"
+            )
         alike = [*dict.fromkeys(zip(self.radii, self.advantages, strict=True))]
         spools = [alike.index(p) + 1 for p in zip(self.radii, self.advantages, strict=True)]
         mechanism = load_mechanism(

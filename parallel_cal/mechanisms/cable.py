@@ -4,6 +4,7 @@ have more lines than degrees of freedom."""
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -18,6 +19,7 @@ from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 GEAR, RADIUS = 255 / 20, 75 * MM
+MIN_LENGTH = 1e-6  # m, of a line
 
 # The Hangprinter HP4: three lines pull low and share one spool radius, the fourth pulls high.
 HP4_ANCHORS = ((0, -1.6, -0.11), (1.3, 1.25, -0.15), (-1.44, 0.74, -0.16), (0, 0, 2.345))
@@ -36,8 +38,11 @@ class Cable(Mechanism):
       radius.
     - `radius`: radius of the spools, m. One number, or (n,), one for each line.
     - `gear`: turns of the motor per turn of the spool. One number, or (n,), one for each line.
-    - `zero`: `origin` (default): readings are zero if P is at the origin. `anchors`: a reading is
-      the whole length of the line from the anchor to P.
+    - `zero`: `origin` (default): readings are zero if P is at `home`. `anchors`: a reading is the
+      whole length of the line from the anchor to P.
+    - `home` (3,): the position of P, m, from which poses are searched. Default: the origin; if the
+      lines cannot hold P there (an anchor is there, or all anchors are on one line with it), the
+      middle of the anchors, or a point below it.
     - `second_anchors` (n,): for each line a point E, m, or null. A line with such a point does not
       end at P: it runs over a pulley there, and on to E. Its length is advantage |P - A| + strands
       |P - E|.
@@ -50,10 +55,15 @@ class Cable(Mechanism):
     advantage have the same influence as the radius of the spool. They are counted, not measured,
     and therefore fixed by default: their tolerance matters only if you free them.
 
-    If the same coordinate is 0 for all anchors, the robot is planar: P moves in this plane, and a
-    measured third coordinate is ignored. `anchors` (n, 2) are x and y. A planar robot has at least
-    two lines. A robot in space has at least three, and its first three anchors must not be
-    collinear.
+    If the same coordinate is 0 for all anchors and for `home`, the robot is planar: P moves in this
+    plane, and a measured third coordinate is ignored. `anchors` (n, 2) are x and y. A planar robot
+    has at least two lines. A robot in space has at least three. Several lines may start at one
+    point. At `home`, their directions must span the plane or space.
+
+    Two lines hold a point in a plane only against a weight. If they are drawn in x and y, gravity
+    therefore acts along y: towards negative y if the anchors are above `home`, else towards
+    positive y. With more lines in x and y, gravity is along z. If such a machine stands upright,
+    state `gravity: [0, -9.81, 0]` in the model file.
     """
 
     periodic = False
@@ -70,14 +80,17 @@ class Cable(Mechanism):
         zero: str = "origin",
         second_anchors: Sequence[Sequence[float] | None] | None = None,
         second_strands: Sequence[float] | None = None,
+        home: Sequence[float] | None = None,
     ):
         hp4 = anchors is None
         anchors = HP4_ANCHORS if anchors is None else anchors
         n = len(anchors)
         points = _check_anchors(anchors)
-        used = np.flatnonzero(points.any(axis=0))
+        stated = None if home is None else _read_point("home", home)
+        flat = len(anchors[0]) == 2 and (stated is None or not stated[2])
+        used = np.flatnonzero([True, True, False]) if flat else _find_axes(points, stated)
         self.moves = self.controls = tuple("xyz"[axis] for axis in used)
-        ends = _check_second_anchors(points, second_anchors, second_strands)
+        ends = _check_second_anchors(n, used, second_anchors, second_strands)
         self.moving_pulleys = tuple(end is not None for end in ends)
         if any(self.moving_pulleys):
             self.closed_forms = ("inverse",)
@@ -93,7 +106,11 @@ class Cable(Mechanism):
             for name, given, default in (("radius", radius, RADIUS), ("gear", gear, GEAR))
         )
         _check_lines(n, advantages, self.spools or own)
-        box = np.array([Cable.workspace.low, Cable.workspace.high])[:, used].tolist()
+        strands = second_strands or (1.0,) * n
+        lines_at = _Lines(points, ends, np.divide(strands, advantages), used)
+        self.zero_point = lines_at.find_home(stated)
+        box = np.array([Cable.workspace.low, Cable.workspace.high]) + self.zero_point
+        box = box[:, used].tolist()
         self.workspace = Workspace(low=tuple(box[0]), high=tuple(box[1]))
         self.joints = tuple(f"{'motor' if motors else 'line'}{i + 1}" for i in range(n))
         self.joint_unit = "rad" if motors else "m"
@@ -109,7 +126,6 @@ class Cable(Mechanism):
             _line(i + 1, place, advantages[i], gears[i] if motors else None)
             for i, place in enumerate(places)
         ]
-        strands = second_strands or (1.0,) * n
         for i, end in enumerate(ends):
             if end is not None:
                 place = dict(zip(self.moves, end[used], strict=True))
@@ -120,11 +136,22 @@ class Cable(Mechanism):
             for k, size in shared.items()
         ]
         self.parameters = ParameterTable([*(p for line in lines for p in line), *spooled])
-        self.home = Home(joints=(0.0,) * n)
+        position = tuple(self.zero_point.tolist())
+        self.home = Home(joints=(0.0,) * n, position=position)
         if self.whole:
             p = Named(self.parameters.names, self.parameters.nominal)
-            joints = self.joint_candidates(ca.DM.zeros(3), None, p)
-            self.home = Home(joints=tuple(round(float(q[0]), 13) for q in joints))
+            joints = self.joint_candidates(ca.DM(position), None, p)
+            self.home = Home(tuple(round(float(q[0]), 13) for q in joints), position)
+        self.start_lines = lines_at.find_independent()
+        self.remarks = ()
+        if stated is None and self.zero_point.any():
+            zero = "" if self.whole else "readings are taken as zero there; "
+            self.remarks = (
+                f"the lines cannot hold the point at the origin: home is {list(position)} m; "
+                f"{zero}state another point with the option home",
+            )
+        if self.moves == ("x", "y") and n == 2:  # lines hold the point only if it hangs
+            self.gravity = lines_at.find_gravity(self.zero_point) or self.gravity
 
     @classmethod
     def complete_options(
@@ -148,15 +175,17 @@ class Cable(Mechanism):
         return tuple(float(self.per_reading(p, i)) for i in range(len(self.spools)))
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
-        """Compute |P - A| - |A| - (line let out + offset): length error of each line, in metres;
-        without |A| if readings are zero at the anchors. A line over a pulley at P has |P - A| +
-        strands / advantage |P - E| in place of |P - A|."""
+        """Compute |P - A| - |H - A| - (line let out + offset): length error of each line (m).
+
+        H is home. There is no |H - A| if readings are zero at the anchors. A line over a pulley at
+        P has |P - A| + strands / advantage |P - E| in place of |P - A|.
+        """
         P = self.place(r)
         let_out = [
             q[i] * self.per_reading(p, i) + p[f"line{i + 1}"].offset
             for i in range(len(self.joints))
         ]
-        ways, at_zero = self._ways(P, p), self._ways(0 * P, p)
+        ways, at_zero = self._ways(P, p), self._ways(self.place(ca.DM(self.zero_point)), p)
         return ca.vertcat(
             *[
                 way - (0 if self.whole else way0) - l
@@ -222,10 +251,14 @@ class Cable(Mechanism):
         P makes an ellipsoid; the sphere about the mean of its anchors is near enough to begin a
         search.
         """
-        origin, n = ca.DM.zeros(3), len(self.moves)
-        more = -self.closure(q, origin, ca.DM.eye(3), p)  # than the distance of the origin
+        home, n = ca.DM(self.zero_point), len(self.moves)
+        if len(self.start_lines) < n:  # spheres about points on a line do not meet in a point
+            return super().candidates(q, p)
+        more = -self.closure(q, home, ca.DM.eye(3), p)  # than the distance of home
         centres, squares = [], []
-        for i, way in enumerate(self._ways(self.place(origin), p)):
+        ways = self._ways(self.place(home), p)
+        for i in self.start_lines:
+            way = ways[i]
             centre, ends, share = self.anchors(p)[i], 0, 0
             if self.moving_pulleys[i]:
                 c = p[f"line{i + 1}"]
@@ -239,8 +272,8 @@ class Cable(Mechanism):
         two_points = three_spheres if n == 3 else two_circles
         points = (
             [_one_point(centres, squares)]
-            if self._spans()
-            else two_points(centres[:n], squares[:n])
+            if len(self.start_lines) > n
+            else two_points(centres, squares)
         )
         return [(self.in_base(point), ca.DM.eye(3)) for point in points]
 
@@ -248,16 +281,6 @@ class Cable(Mechanism):
         """Find the only solution: each line's length gives its motor's angle."""
         missing = self.closure(ca.DM.zeros(len(self.joints)), r, R, p)
         return [(missing[i] / self.per_reading(p, i),) for i in range(len(self.joints))]
-
-    def _spans(self) -> bool:
-        """Whether the first n + 1 anchors (n: degrees of freedom) clearly span space or plane."""
-        n = len(self.moves)
-        if len(self.joints) <= n:
-            return False
-        names = [f"line{i + 1}.A_{axis}" for i in range(n + 1) for axis in self.moves]
-        points = np.array([self.parameters[name].nominal for name in names]).reshape(n + 1, n)
-        sizes = np.linalg.svd(points[1:] - points[0], compute_uv=False)
-        return bool(sizes[-1] > 0.05 * sizes[0])
 
 
 def _numbers(name: str, given: Any, default: float, n: int) -> list[float]:
@@ -280,70 +303,142 @@ def _check_lines(n: int, advantages: Sequence[float], spools: Sequence[int]) -> 
 
 
 def _check_anchors(anchors: Sequence[Any]) -> np.ndarray:
-    """Return the anchors (n, 3) m of a robot in space or in a coordinate plane, or ModelError."""
-    n = len(anchors)
+    """Return the anchors (n, 3) m, or ModelError."""
     if {len(point) for point in anchors} not in ({2}, {3}):
         raise ModelError(f"anchors {list(anchors)}: expected points [x, y, z], or all [x, y], in m")
-    points = np.zeros((n, 3))
+    points = np.zeros((len(anchors), 3))
     points[:, : len(anchors[0])] = np.array(anchors, dtype=float)
-    least = np.count_nonzero(points.any(axis=0))
-    if least < 2:
-        raise ModelError(
-            f"the {n} anchors {points.tolist()} are collinear with the origin: expected anchors "
-            "that span a plane or space"
-        )
-    if n < least:
-        raise ModelError(
-            f"{n} anchors given, expected at least 3 points [x, y, z] in m, or at least 2 points "
-            "[x, y] of a planar robot"
-        )
-    if not points.any(axis=1).all():
-        raise ModelError(
-            "an anchor is at the origin, where readings are zero: its line has no length"
-        )
-    if least == 3 and np.linalg.norm(np.cross(*(points[1:3] - points[0]))) < 1e-6:
-        raise ModelError(f"the first 3 anchors {points[:3].tolist()} are collinear")
-    if least == 2 and np.linalg.norm(points[1] - points[0]) < 1e-6:
-        raise ModelError(f"the first 2 anchors {points[:2].tolist()} are the same point")
-    if least == 2 and np.linalg.matrix_rank(points, tol=1e-6) < 2:
-        raise ModelError(
-            f"the anchors {points.tolist()} and the origin are collinear: the lines cannot hold "
-            "the point there"
-        )
     return points
 
 
+def _find_axes(points: np.ndarray, home: np.ndarray | None) -> np.ndarray:
+    """Return the coordinates (indices) in which the point moves, or ModelError."""
+    n, every = len(points), points if home is None else np.vstack([points, home])
+    used = np.flatnonzero(every.any(axis=0))
+    if len(used) < 2:
+        raise ModelError(
+            f"the {n} anchors {points.tolist()} are collinear with the origin: expected anchors "
+            "that span a plane or space; state those in a plane as [x, y], or state a point that "
+            "the lines hold as the option home"
+        )
+    return used
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """Drawn lines: `anchors` (n, 3) m, the second ones or None, and `shares` (n,): strands to the
+    second anchor over the advantage. `used` are the coordinates in which the point moves."""
+
+    anchors: np.ndarray
+    ends: Sequence[np.ndarray | None]
+    shares: np.ndarray
+    used: np.ndarray
+
+    def find_home(self, stated: np.ndarray | None) -> np.ndarray:
+        """Return the stated home, or else the first of some points that the lines can hold.
+
+        ModelError if they hold none.
+        """
+        n, freedoms = len(self.anchors), len(self.used)
+        if n < freedoms:
+            raise ModelError(
+                f"{n} anchors given, expected at least 3 points [x, y, z] in m, or at least 2 "
+                "points [x, y] of a planar robot"
+            )
+        every = np.array([*self.anchors, *(end for end in self.ends if end is not None)])
+        middle, down = np.round(every.mean(axis=0), 3), np.zeros(3)
+        down[self.used[-1]] = np.round(np.ptp(every, axis=0).max() / 2, 3)
+        places = [np.zeros(3), middle, middle - down] if stated is None else [stated]
+        for place in places:
+            if self.count_directions(place) == freedoms:
+                return place
+        where = "at the origin" if stated is None else f"at home {stated.tolist()}"
+        if np.min(np.linalg.norm(every - places[0], axis=1)) < MIN_LENGTH:
+            raise ModelError(f"an anchor is {where}: its line has no length there")
+        raise ModelError(
+            f"the lines from the anchors {self.anchors.tolist()} do not hold the point {where}: "
+            f"they pull along {self.count_directions(places[0])} of {freedoms} independent "
+            "directions; expected anchors at different points that are not on one line (in space, "
+            "in one plane) with home"
+        )
+
+    def directions(self, place: np.ndarray) -> np.ndarray:
+        """Return by how much each line is longer per metre of motion (n, freedoms); NaN if the
+        place is an anchor."""
+        rows = []
+        for anchor, end, share in zip(self.anchors, self.ends, self.shares, strict=True):
+            row = _unit(place - anchor)
+            rows.append(row if end is None else row + share * _unit(place - end))
+        return np.array(rows)[:, self.used]
+
+    def count_directions(self, place: np.ndarray) -> int:
+        """Count the independent directions in which the lines pull; 0 at an anchor."""
+        rows = self.directions(place)
+        if not np.isfinite(rows).all():
+            return 0
+        return int(np.linalg.matrix_rank(rows, tol=1e-6))
+
+    def find_independent(self) -> list[int]:
+        """Return the first lines whose spheres meet in one point, or in two if there are no more
+        lines than freedoms (by their numbers)."""
+        centres = self.anchors.copy()
+        for i, end in enumerate(self.ends):
+            if end is not None:
+                centres[i] += self.shares[i] / (1 + self.shares[i]) * (end - centres[i])
+        found = list[int]()
+        for i in range(len(centres)):
+            apart = centres[[*found[1:], i]] - centres[found[0]] if found else np.eye(3)
+            sizes = np.linalg.svd(apart[:, self.used], compute_uv=False)
+            if sizes[min(len(apart), len(self.used)) - 1] > 0.05 * sizes[0]:
+                found.append(i)
+            if len(found) > len(self.used):
+                break
+        return found
+
+    def find_gravity(self, home: np.ndarray) -> tuple[float, float, float] | None:
+        """Return the gravity (m/s^2) along y that keeps both lines of a planar robot taut at home;
+        None if neither direction does."""
+        tensions = -np.linalg.solve(self.directions(home).T, np.array([0.0, 1.0]))
+        if (tensions >= 0).all():
+            return (0.0, -9.81, 0.0)
+        return (0.0, 9.81, 0.0) if (tensions <= 0).all() else None
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    size = float(np.linalg.norm(vector))
+    return vector / size if size > MIN_LENGTH else np.full(3, np.nan)
+
+
 def _check_second_anchors(
-    anchors: np.ndarray,
+    n: int,
+    used: np.ndarray,
     given: Sequence[Sequence[float] | None] | None,
     strands: Sequence[float] | None,
 ) -> list[np.ndarray | None]:
     """Return the second anchor (3,) m of each line, None of a line without one, or ModelError."""
-    n = len(anchors)
     for name, values in (("second_anchors", given), ("second_strands", strands)):
         if values is not None and len(values) != n:
             raise ModelError(f"{len(values)} {name} for {n} anchors, expected one for each")
     if strands is not None and not all(value > 0 for value in strands):
         raise ModelError(f"second_strands {list(strands)}, expected numbers above 0")
-    moving = np.any(anchors != 0, axis=0)
-    return [None if end is None else _place(end, moving) for end in given or [None] * n]
+    ends = [
+        None if end is None else _read_point("second anchor", end) for end in given or [None] * n
+    ]
+    for end in ends:
+        if end is not None and np.delete(end, used).any():
+            raise ModelError(
+                f"second anchor {end.tolist()} is outside the plane of the anchors, which the "
+                "lines of a planar robot do not leave"
+            )
+    return ends
 
 
-def _place(end: Sequence[float], moving: np.ndarray) -> np.ndarray:
-    """Return a second anchor (3,) m, in the plane of a planar robot, or ModelError."""
+def _read_point(name: str, given: Sequence[float]) -> np.ndarray:
+    """Return a point (3,) m that is given as [x, y, z] or [x, y], or ModelError."""
     point = np.zeros(3)
-    if len(end) not in (2, 3):
-        raise ModelError(f"second anchor {list(end)}: expected [x, y, z] or [x, y], in m")
-    point[: len(end)] = np.array(end, dtype=float)
-    if point[~moving].any():
-        raise ModelError(
-            f"second anchor {list(end)} is outside the plane of the anchors, which the lines of a "
-            "planar robot do not leave"
-        )
-    if not point.any():
-        raise ModelError(
-            "a second anchor is at the origin, where readings are zero: its strands have no length"
-        )
+    if len(given) not in (2, 3):
+        raise ModelError(f"{name} {list(given)}: expected [x, y, z] or [x, y], in m")
+    point[: len(given)] = np.array(given, dtype=float)
     return point
 
 

@@ -144,6 +144,8 @@ class Mechanism(ABC):
         readings of joints are lengths: the linear scales, screws or belts that measure these.
     parts : tuple of str
         Kinds of links for which `centres` returns the centres of mass. Default none.
+    remarks : tuple of str
+        What the user should check, because the options do not state it. Default none.
     options : dict
         Options that the model file passes to the class. Default none.
     """
@@ -167,6 +169,7 @@ class Mechanism(ABC):
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)  # m/s^2 in {B}
     bodies: Mapping[str, Sequence[str]] = {}  # patterns of the lengths of one material
     parts: tuple[str, ...] = ()  # kinds of links whose centres of mass are known
+    remarks: tuple[str, ...] = ()
     options: Mapping[str, Any] = {}
 
     @classmethod

@@ -172,6 +172,11 @@ def _cable(model: Model) -> Projection:
         raise ModelError(
             "rrf: its lines run over pulleys on the platform, expected lines that end there"
         )
+    if cable.zero_point.any():
+        raise ModelError(
+            f"rrf: the lines count from home {cable.zero_point.tolist()} m, expected from the "
+            "origin: state the anchors relative to home"
+        )
     rows = range(1, n + 1)
     anchors = np.array([[model.value(f"line{i}.A_{axis}") for axis in "xyz"] for i in rows])
     gears, advantages = (
