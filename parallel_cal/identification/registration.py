@@ -375,7 +375,7 @@ class DevicePoses:
         are the axes of the device along which nothing was measured."""
         if self._hidden or not self.placed.any():
             return self._hidden
-        seen = self.measured[:, :3].any(axis=0)
+        seen = np.any(self.measured[:, :3], axis=0)
         return tuple(axis for axis, shown in zip(POSE, seen, strict=False) if not shown)
 
     @property

@@ -124,7 +124,7 @@ class Station:
         moved = transform_poses(dataset, self.position, self.rotation, dataset.frame)
         if not self.turned:
             return moved
-        turned = moved.measured[:, 3:].any(axis=1)[:, None, None]
+        turned = np.any(moved.measured[:, 3:], axis=1)[:, None, None]
         R = np.where(turned, moved.R @ self.own.T.T @ self.first.T, moved.R)
         return replace(moved, R=R)
 

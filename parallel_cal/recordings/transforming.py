@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from numpy.typing import NDArray
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.recordings.dataset import Dataset
@@ -13,11 +14,11 @@ from parallel_cal.recordings.recording import Array
 MAX_ROUNDING = 1e-9  # of a rotation matrix: a smaller entry is zero
 
 
-def find_measured_after_turn(measured: Array, turn: Array) -> Array:
+def find_measured_after_turn(measured: NDArray[np.bool_], turn: Array) -> NDArray[np.bool_]:
     """Mask (N, 6) of the coordinates that follow, after a turn (6, 6) of the axes, from those that
     were measured (N, 6)."""
     needs = np.abs(turn) > MAX_ROUNDING
-    return np.asarray(~(~measured[:, None, :] & needs).any(axis=2))
+    return np.all(measured[:, None, :] | ~needs, axis=2)
 
 
 def transform_poses(dataset: Dataset, r: Array, R: Array, frame: str) -> Dataset:
@@ -38,7 +39,7 @@ def transform_poses(dataset: Dataset, r: Array, R: Array, frame: str) -> Dataset
             "the axis that was not measured"
         )
     position = np.where(dataset.measured[:, :3], dataset.r, 0.0) @ R.T + r
-    turned = dataset.measured[:, 3:].any(axis=1)[:, None, None]
+    turned = np.any(dataset.measured[:, 3:], axis=1)[:, None, None]
     known = np.nan_to_num(dataset.pose_cov)
     diagonal = np.diagonal(dataset.pose_cov, axis1=1, axis2=2)
     given = ~np.isnan(diagonal)
