@@ -728,3 +728,30 @@ def test_a_length_in_px_is_refused(files):
         import_csv(
             *files(TABLE.replace(",x,y,z,", ",x [px],y,z,"), MAP.replace("z], unit: mm", "z]"))
         )
+
+
+# The arm goes up three times, down, and up again. Nobody measured at 10, 50 and 45 degrees.
+SHOTS = "1,0,0,0\n2,1,10,0\n3,2,30,0\n4,3,50,0\n5,4,40,0\n6,5,45,0\n"
+
+
+def test_visits_that_nobody_measured_count_for_the_directions_of_the_others(two):
+    """From shot 3 (30 degrees) to 5 (40 degrees) the arm came down from 50 degrees."""
+    data = two(SHOTS, "1,0,0,0,0\n3,2,0,0,0\n5,4,0,0,0\n", "join: {by: no}")
+    np.testing.assert_array_equal(data.conditions["direction.arm"], [0, 1, -1])
+    np.testing.assert_allclose(data.conditions["travel.arm"], np.radians([0, 30, -10]))
+    assert data.sides_from_order
+    assert any("from the order of all rows of" in w and "joints.csv" in w for w in data.warnings)
+
+
+def test_no_direction_is_taken_from_tables_that_list_the_rows_in_different_orders(two):
+    data = two(SHOTS, "5,4,0,0,0\n1,0,0,0,0\n3,2,0,0,0\n", "join: {by: no}")
+    assert not any(name.startswith(("direction", "travel")) for name in data.conditions)
+    assert not data.sides_from_order
+    assert any("list the rows in different orders" in w for w in data.warnings)
+
+
+def test_samples_keep_the_directions_of_the_whole_table_however_they_are_picked(files):
+    data = import_csv(*files(VISITS, SHORT + "position: {columns: [x, y, z]}"))
+    picked = data.select([3, 1])
+    np.testing.assert_array_equal(picked.conditions["direction.arm"], [-1, 1])
+    np.testing.assert_array_equal(data.excluding([2]).conditions["direction.arm"], [0, 1, -1])

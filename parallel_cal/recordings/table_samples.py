@@ -43,20 +43,27 @@ def make_dataset(
         for name, given in wanted.conditions.items()
     }
     notes += found.describe_clocks(wanted)
-    order, source = conditions.get("time"), " + ".join(str(table.path) for table in given)
-    if order is None and wanted.join and wanted.join.within and len(tables) > 1:
-        order = found.numbers([wanted.join.by])[:, 0]
+    source = " + ".join(str(table.path) for table in given)
     stated = any(name.split(".")[0] in ("direction", "travel") for name in wanted.conditions)
     from_order = wanted.visits == "in order" and not stated and n > 1
-    if from_order:
-        conditions |= _directions_of_visits(wanted, q, order)
-        where = "times" if order is not None else "order"
+    visits = _find_visits(given, tables, wanted, q, conditions.get("time"), asks)
+    if from_order and visits is None:
+        from_order = False
         notes.append(
-            f"{source}: direction and travel of the joints were taken from the {where} of "
-            "the rows, as if each joint moved straight from row to row. If it did not, name "
-            "columns direction.JOINT (1 if the reading of the joint rose before the stop, else "
-            "-1), or state visits: unordered in the column map. Nothing is known of the sides of "
-            "the first row: it counts as the middle of a backlash"
+            f"{source}: the tables list the rows in different orders, so the order of visits is "
+            "not known and no direction of a joint follows from it: backlash and hysteresis count "
+            "as not testable. Sort both tables by the order of visits, or name a column time, or "
+            "columns direction.JOINT"
+        )
+    if from_order and visits is not None:
+        conditions |= visits.conditions(wanted)
+        notes.append(
+            f"{source}: direction and travel of the joints were taken from the {visits.where}, as "
+            "if each joint moved straight from row to row. If it did not, or if the rows were "
+            "sorted or picked from more visits, name columns direction.JOINT (1 if the reading of "
+            "the joint rose before the stop, else -1), or state visits: unordered in the column "
+            "map. Nothing is known of the sides of the first row: it counts as the middle of a "
+            "backlash"
         )
     noise = wanted.noise  # as the manufacturers state it; NaN if they do not
     sigma = np.repeat([noise.position or np.nan, noise.orientation or np.nan], 3)
@@ -85,21 +92,71 @@ def make_dataset(
     return dataclasses.replace(dataset, sha256=fingerprint(dataset))
 
 
-def _directions_of_visits(wanted: ColumnMap, q: Array, time: Array | None) -> dict[str, Array]:
-    """Return the conditions direction.JOINT and travel.JOINT of rows in the order of their time, or
-    of the file."""
+@dataclasses.dataclass(frozen=True)
+class _Visits:
+    """Joint readings (M, nq) of all visits in their order, which of them are the samples (N,), and
+    what the order was taken from."""
+
+    q: Array
+    samples: np.ndarray
+    where: str
+
+    def conditions(self, wanted: ColumnMap) -> dict[str, Array]:
+        """Return the conditions direction.JOINT and travel.JOINT of the samples."""
+        noise = MAX_STILL_SIGMAS * (wanted.noise.joint or 0.0)
+        threshold = np.maximum(MAX_STILL_SHARE * np.ptp(self.q, axis=0), noise)
+        at, level = self.samples.tolist(), self.q[self.samples]
+        direction = approach(self.q, at, level, threshold)
+        distance = travel(self.q, at, level, direction, threshold)
+        columns = (("direction", direction.astype(float)), ("travel", distance))
+        return {
+            f"{name}.{joint}": values[:, j]
+            for j, joint in enumerate(wanted.joints)
+            for name, values in columns
+        }
+
+
+def _find_visits(
+    given: Sequence[Table],
+    matched: Sequence[Table],
+    wanted: ColumnMap,
+    q: Array,
+    time: Array | None,
+    asks: str,
+) -> _Visits | None:
+    """Find the order in which the rows (N, nq) were visited: by their times, or that of the table.
+
+    The robot was also at the rows of the joints that have no partner in another table. None if no
+    time states the order and the tables contradict each other.
+    """
+    names, join = wanted.joint_columns, wanted.join
+    for table, chosen in zip(given, matched, strict=True):
+        if len(given) == 1 or any(table.find(name) is None for name in names):
+            continue
+        clock = join.by if join and join.within is not None else wanted.conditions.get("time")
+        word = table.find(clock) if isinstance(clock, str) else None
+        if time is not None and word is None:
+            break  # another table states the times
+        if word is None and any((np.diff(one.lines) < 0).any() for one in matched):
+            return None
+        own = [table.column(found) for name in names if (found := table.find(name))]
+        rows = np.flatnonzero(np.isfinite(own).all(axis=0))
+        every = table.select(rows.tolist())
+        if word is not None:
+            if join and join.within is not None:
+                times = read_times(every, word, join.unit)
+            else:
+                times = Columns([every], asks).condition("time", str(clock))
+            rows = rows[np.argsort(times, kind="stable")]
+            every = table.select(rows.tolist())
+        columns = Columns([every], asks)
+        level = np.hstack([columns.joint(joint) for joint in wanted.joints.values()])
+        place = {line: k for k, line in enumerate(every.lines)}
+        where = f"{'order' if word is None else 'times'} of all rows of {table.path}"
+        return _Visits(level, np.array([place[line] for line in chosen.lines]), where)
     order = np.arange(len(q)) if time is None else np.argsort(time, kind="stable")
-    level = q[order]
-    noise = MAX_STILL_SIGMAS * (wanted.noise.joint or 0.0)
-    threshold = np.maximum(MAX_STILL_SHARE * np.ptp(level, axis=0), noise)
-    direction = approach(level, range(len(q)), level, threshold)
-    distance = travel(level, range(len(q)), level, direction, threshold)
-    conditions = {}
-    for j, joint in enumerate(wanted.joints):
-        for name, values in (("direction", direction), ("travel", distance)):
-            column = conditions[f"{name}.{joint}"] = np.zeros(len(q))
-            column[order] = values[:, j]
-    return conditions
+    where = f"{'order' if time is None else 'times'} of the rows"
+    return _Visits(q[order], np.argsort(order), where)
 
 
 def _match_rows(
