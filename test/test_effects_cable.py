@@ -90,9 +90,19 @@ def test_a_plotter_on_a_wall_sags_in_its_plane():
     np.testing.assert_allclose(r, [0, 0, -3 * 9.81 * 1e-7 / 0.256], atol=1e-9)
 
 
+def test_a_plotter_on_two_lines_drawn_in_x_and_y_sags_too():
+    """The weight holds its lines taut, so gravity acts along y."""
+    wall = load_mechanism("cable", anchors=[[-3, 4], [3, 4]])
+    numbers = {"line_stretch.compliance": 1e-7, "line_stretch.mass": 3.0}
+    model = new_model(wall, numbers, ["line_stretch"])
+    r = Kinematics(model).direct(np.zeros(2), {"payload": 0.0}).position
+    np.testing.assert_allclose(r, [0, -3 * 9.81 * 1e-7 / 0.256, 0], atol=1e-9)
+
+
 def test_a_plotter_on_a_table_does_not_sag():
-    table = load_mechanism("cable", anchors=[[-3, 4], [3, 4]])
-    with pytest.raises(ModelError, match="the platform does not move along gravity"):
+    table = load_mechanism("cable", anchors=[[-3, 4], [3, 4], [3, -4], [-3, -4]])
+    words = r"does not move along gravity: .* state gravity .* \[0.0, -9.81, 0.0\]"
+    with pytest.raises(ModelError, match=words):
         new_model(table).with_effect("line_stretch")
 
 
