@@ -18,6 +18,7 @@ import parallel_cal as pc
 from parallel_cal.base.errors import FitError
 from parallel_cal.cli import main as cli
 from parallel_cal.identification.acceptance import acceptance
+from parallel_cal.identification.conventions import VECTOR, find_numbers
 from parallel_cal.identification.fit import fit as fit_as_it_is
 from parallel_cal.identification.prediction_errors import Errors
 from parallel_cal.identification.unexplained import describe_unexplained_motion
@@ -82,15 +83,23 @@ def mirrored(data):
 CASES = [
     (coupled(2, 1, -1), "joint2 and joint3 are coupled: joint3 = J3 + J2, where J2 and J3 are"),
     (coupled(2, 1, 1), "joint2 and joint3 are coupled: joint3 = J3 - J2, where J2 and J3 are"),
-    (coupled(5, 4, 1), "joint5 and joint6 are coupled: joint6 = J6 - J5, where"),
+    pytest.param(
+        coupled(5, 4, 1),
+        "joint5 and joint6 are coupled: joint6 = J6 - J5, where",
+        marks=pytest.mark.wide,
+    ),
     (differential, "joint5 = (J5 + J6) / 2, joint6 = (J5 - J6) / 2, where"),
     (written("vector", "xyz"), "a rotation vector, not angles (column map: rotation_vector in"),
-    (written("vector", "ZYX"), "a rotation vector, not angles (column map: rotation_vector in"),
+    pytest.param(
+        written("vector", "ZYX"),
+        "a rotation vector, not angles (column map: rotation_vector in",
+        marks=pytest.mark.wide,
+    ),
     (written("xyz", "vector"), "angles xyz, not a rotation vector (column map: angles: {col"),
     (written("ZYZ", "xyz"), "the angles are ZYZ, not xyz (column map: axes: ZYZ in place of xyz"),
-    (written("ZYZ", "ZYX"), "or ZYZ in place of ZYX)"),
-    (written("xyz", "ZYZ"), "or xyz in place of ZYZ)"),
-    (written("ZXZ", "xyz"), "axes: ZXZ in place of xyz"),
+    pytest.param(written("ZYZ", "ZYX"), "or ZYZ in place of ZYX)", marks=pytest.mark.wide),
+    pytest.param(written("xyz", "ZYZ"), "or xyz in place of ZYZ)", marks=pytest.mark.wide),
+    pytest.param(written("ZXZ", "xyz"), "axes: ZXZ in place of xyz", marks=pytest.mark.wide),
     (inverse, "the poses are inverse, those of {B} seen by {P}"),
     (mirrored, "the positions, but not the orientations, are left-handed: y has the other sign"),
 ]
@@ -112,6 +121,20 @@ def test_a_coupling_shows_in_positions_alone(session, sign):
     only = replace(session, measured=session.measured & (np.arange(6) < 3))
     with pytest.raises(FitError, match=rf"joint3 = J3 \{'-' if sign > 0 else '+'} J2"):
         pc.fit(nominal("ur5"), coupled(2, 1, sign)(only))
+
+
+@pytest.mark.parametrize("read", ["xyz", "zyx", "zyz", "zxz", VECTOR])
+def test_all_numbers_of_a_convention_read_as_the_rotation(read):
+    R = Rotation.random(20, random_state=0)
+    numbers = find_numbers(R.as_matrix(), read)
+    assert numbers.shape == (20, 3 if read == VECTOR else 2, 3)
+    for k in range(numbers.shape[1]):
+        again = (
+            Rotation.from_rotvec(numbers[:, k])
+            if read == VECTOR
+            else Rotation.from_euler(read, numbers[:, k])
+        )
+        assert (again.inv() * R).magnitude() == pytest.approx(0, abs=1e-7)
 
 
 def test_sound_samples_are_fitted_as_precisely_as_they_were_measured(session):
@@ -200,6 +223,7 @@ def test_a_fit_of_a_right_geometry_names_diagnose_as_the_way_on():
     assert "pc.diagnose(model, dataset)" in str(refused.value)
 
 
+@pytest.mark.wide
 def test_command_and_python_name_the_effect_that_permits_a_fit_in_both_spellings(tmp_path, capsys):
     """Drives that go 6 % too far."""
     data, model = measured(2, effects=[ve.WrongPitch((0.06, 0.055, 0.065))]), new_model("delta54")

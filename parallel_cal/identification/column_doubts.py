@@ -14,9 +14,9 @@ from itertools import combinations, permutations, product
 
 import numpy as np
 
-from parallel_cal.base.rotation import turns_from_mean
 from parallel_cal.base.units import ANGLES, MM
 from parallel_cal.identification.conventions import Convention, list_conventions
+from parallel_cal.identification.couplings import Coupling, list_couplings
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.registration import DevicePoses
 from parallel_cal.identification.thresholds import (
@@ -62,13 +62,10 @@ MIRRORS = {
 }
 
 
-Sum = tuple[int, tuple[tuple[int, float], ...]]  # a joint, and the factors of columns
-
-
 @dataclass(frozen=True)
 class Guess:
     """What samples mean: the reading of each joint is `factor` times that in the column of joint
-    `column`, plus `zero` (rad), or one of the `sums` of columns; positions are multiplied by
+    `column`, plus `zero` (rad), or that of a `coupling`; positions are multiplied by
     `length`; orientations are of another `convention`; the poses are `inverted`: those of the base
     seen by the platform; the frame of the device is left-handed by one of MIRRORS, `mirror`, for
     positions, and for orientations if `turns_mirrored`. `scale` describes factors of a unit."""
@@ -77,7 +74,7 @@ class Guess:
     factor: tuple[float, ...]
     zero: tuple[float, ...]
     scale: str = ""
-    sums: tuple[Sum, ...] = ()
+    coupling: Coupling | None = None
     length: float = 1.0
     convention: Convention | None = None
     inverted: bool = False
@@ -92,17 +89,15 @@ class Guess:
     def keeps_joints(self) -> bool:
         """Whether the joint readings mean what they were taken for."""
         given = Guess.as_given(len(self.column))
-        return (self.column, self.factor, self.zero, self.sums) == (
+        return (self.column, self.factor, self.zero, self.coupling) == (
             *(given.column, given.factor, given.zero),
-            (),
+            None,
         )
 
     def read_joints(self, q: Array) -> Array:
         """Return the joint readings (N, nq) that were meant."""
         meant = q[:, self.column] * np.array(self.factor) + np.array(self.zero)
-        for joint, terms in self.sums:
-            meant[:, joint] = sum(factor * q[:, k] for k, factor in terms)
-        return np.asarray(meant)
+        return np.asarray(meant if self.coupling is None else self.coupling.apply(meant))
 
     def read_poses(self, there: DevicePoses, F: Array | None) -> DevicePoses:
         """Return the poses that were meant; `F` is the rotation of the device that the positions
@@ -135,8 +130,8 @@ class Guess:
                 angle = f"{np.degrees(zero):g} deg"
                 entry = f"{name}: {{column: ..., offset: {angle}}}"
                 parts.append(f"{angle} are added to {name} (column map: {entry})")
-        if self.sums:
-            parts.append(_describe_sums(self.sums, names))
+        if self.coupling is not None:
+            parts.append(self.coupling.describe(names))
         if self.length != 1:
             parts.append(f"the positions are in {LENGTHS[self.length]} (column map: unit)")
         if self.convention is not None:
@@ -153,25 +148,6 @@ class Guess:
                 else f"the positions, but not the orientations, are left-handed: {self.mirror}"
             )
         return " and ".join(parts)
-
-
-def _describe_sums(sums: Sequence[Sum], names: Sequence[str]) -> str:
-    """`joint2 and joint3 are coupled: joint3 = J3 + J2, ...`, with J for what columns hold."""
-    coupled = sorted({k for _, terms in sums for k, _ in terms})
-    formulas = []
-    for joint, terms in sums:
-        signs = [("-" if factor < 0 else "+", f"J{k + 1}") for k, factor in terms]
-        words = " ".join(f"{sign} {column}" for sign, column in signs).removeprefix("+ ")
-        halved = abs(terms[0][1]) != 1
-        formulas.append(f"{names[joint]} = {f'({words}) / 2' if halved else words}")
-    joints, columns = (
-        " and ".join(names[k] for k in coupled),
-        " and ".join(f"J{k + 1}" for k in coupled),
-    )
-    return (
-        f"{joints} are coupled: {', '.join(formulas)}, where {columns} are the readings in the "
-        f"columns of {joints}"
-    )
 
 
 LEFT_HANDED = "the frame of the device is left-handed (two of its axes are exchanged)"
@@ -201,28 +177,7 @@ def doubt_columns(
         return ""
     some = np.unique(np.linspace(0, len(observations) - 1, MAX_GUESS_SAMPLES).astype(int))
     few = observations.select(some)
-    placed, turned = (
-        bool(few.measured[:, part].all(axis=1).any())
-        for part in (slice(n, n + 3), slice(n + 3, None))
-    )
-    given = _read_joints(model, few, Guess.as_given(n))
-    shown_by_positions = None if given is None else _find_device_rotation(given)
-    guesses = [
-        (guess, guess.read_poses(poses, shown_by_positions))
-        for guess in _list_guesses(model, placed, turned)
-        if (poses := given if guess.keeps_joints else _read_joints(model, few, guess))
-    ]
-    guesses.sort(key=lambda one: one[1].compute_median_error(one[1].closed_form_frames()))
-    best = guesses[:MAX_GUESSES_REFINED]
-    errors = [poses.compute_median_error(poses.frames) for _, poses in best]
-    before = np.inf if given is None else given.compute_median_error(given.frames)
-    fitting = [
-        (guess, poses)
-        for (guess, poses), error in zip(best, errors, strict=True)
-        if error * MIN_GUESS_ERROR_RATIO < before
-        and error < SAME_GUESS_ERROR_RATIO * min(errors)
-        and _explains_motion(poses)
-    ]
+    fitting, before = _find_fitting_guesses(model, few)
     if not fitting:
         return ""
     low, high = np.array(model.mechanism.joint_limits, float).T
@@ -241,13 +196,57 @@ def doubt_columns(
     smaller = ""
     if np.isfinite(before):
         ratio = before / poses.compute_median_error(poses.frames)
-        left = _format_errors(poses)
-        smaller = f": the errors are then {ratio:.0f} times smaller ({left} before a fit)"
+        position, turned_by = poses.compute_median_errors(poses.frames)
+        left = [f"{position / MM:.3g} mm"] if poses.placed.any() else []
+        if poses.turned.any() and poses.turns:
+            left.append(f"{turned_by / poses.length / ANGLES['arcmin']:.3g} arcmin")
+        smaller = (
+            f": the errors are then {ratio:.0f} times smaller ({', '.join(left)} before a fit)"
+        )
     return (
         f"{source or 'samples'}: the joint readings do not fit the measured poses, wherever the "
         f"device stands. They fit if {meant}{smaller}. Correct this where "
         "the samples are recorded or imported"
     )
+
+
+def _find_fitting_guesses(
+    model: Model, few: Observations
+) -> tuple[list[tuple[Guess, DevicePoses]], float]:
+    """Return the guesses that fit clearly better than what was given and as well as the best, with
+    their poses; and the error of what was given."""
+    n = len(model.joints)
+    placed, turned = (
+        bool(few.measured[:, part].all(axis=1).any())
+        for part in (slice(n, n + 3), slice(n + 3, None))
+    )
+    given = _read_joints(model, few, Guess.as_given(n))
+    nowhere = np.zeros(len(few), dtype=bool)
+    F = None  # the rotation of the device that positions show, whatever orientations mean
+    if given is not None and given.placed.sum() >= MIN_PLACEMENT_POSES:
+        F = replace(given, turned=nowhere).frames.F
+    guesses = [
+        (guess, guess.read_poses(poses, F))
+        for guess in _list_guesses(model, placed, turned)
+        if (poses := given if guess.keeps_joints else _read_joints(model, few, guess))
+    ]
+    guesses.sort(key=lambda one: one[1].compute_median_error(one[1].closed_form_frames()))
+    best = guesses[:MAX_GUESSES_REFINED]
+    errors = [poses.compute_median_error(poses.frames) for _, poses in best]
+    before = np.inf if given is None else given.compute_median_error(given.frames)
+    fitting = [
+        (guess, poses)
+        for (guess, poses), error in zip(best, errors, strict=True)
+        if error * MIN_GUESS_ERROR_RATIO < before
+        and error < SAME_GUESS_ERROR_RATIO * min(errors)
+        and poses.find_unexplained_share() < MAX_GUESS_SHARE
+        and (
+            # Where the platform turns, the orientations must be explained, too.
+            not (poses.tilts and poses.turned.any())
+            or replace(poses, placed=nowhere).find_unexplained_share() < MAX_GUESS_SHARE
+        )
+    ]
+    return fitting, before
 
 
 def _list_guesses(model: Model, placed: bool, turned: bool) -> Iterator[Guess]:
@@ -276,7 +275,7 @@ def _list_guesses(model: Model, placed: bool, turned: bool) -> Iterator[Guess]:
         yield from (replace(given, convention=one) for one in list_conventions())
         if placed:
             yield replace(given, inverted=True)
-    yield from (replace(given, sums=sums) for sums in _list_sums(units))
+    yield from (replace(given, coupling=one) for one in list_couplings(units))
 
 
 def _list_orders(joints: int) -> list[tuple[int, ...]]:
@@ -294,22 +293,6 @@ def _list_orders(joints: int) -> list[tuple[int, ...]]:
     return found
 
 
-def _list_sums(units: Sequence[str]) -> Iterator[tuple[Sum, ...]]:
-    """List what couples two joints of one unit: a joint that moves with another one, such as the
-    forearm on a parallelogram, and two motors that together move two joints, as those of a
-    differential wrist or of two belts."""
-    for i, k in combinations(range(len(units)), 2):
-        if units[i] != units[k]:
-            continue
-        for sign in (1.0, -1.0):
-            yield ((i, ((i, 1.0), (k, sign))),)
-            yield ((k, ((k, 1.0), (i, sign))),)
-        half, difference = ((i, 0.5), (k, 0.5)), ((i, 0.5), (k, -0.5))
-        for other in (difference, ((k, 0.5), (i, -0.5))):
-            yield ((i, half), (k, other))
-            yield ((i, other), (k, half))
-
-
 def _read_joints(model: Model, observations: Observations, guess: Guess) -> DevicePoses | None:
     """Return the poses with the joint readings that a guess means; None if the robot cannot be
     there."""
@@ -322,31 +305,3 @@ def _read_joints(model: Model, observations: Observations, guess: Guess) -> Devi
     if there is None or np.mean(there.placed | there.turned) < least:
         return None
     return there
-
-
-def _find_device_rotation(there: DevicePoses) -> Array | None:
-    """Return the rotation of the device for which the positions fit best, whatever the
-    orientations mean; None for too few positions."""
-    if there.placed.sum() < MIN_PLACEMENT_POSES:
-        return None
-    return replace(there, turned=np.zeros_like(there.turned)).frames.F
-
-
-def _explains_motion(poses: DevicePoses) -> bool:
-    """Whether the positions, and the orientations if the platform turns, are explained each."""
-    if poses.find_unexplained_share() >= MAX_GUESS_SHARE:
-        return False
-    if not (poses.tilts and poses.turned.any()):
-        return True
-    away = np.linalg.norm(turns_from_mean(poses.seen_R[poses.turned]), axis=1)
-    left = poses.compute_median_errors(poses.frames)[1] / poses.length
-    return bool(left < MAX_GUESS_SHARE * np.sqrt(np.mean(away**2)))
-
-
-def _format_errors(poses: DevicePoses) -> str:
-    """`1.57 mm, 5.9 arcmin`: the medians of what was measured."""
-    position, turned = poses.compute_median_errors(poses.frames)
-    parts = [f"{position / MM:.3g} mm"] if poses.placed.any() else []
-    if poses.turned.any() and poses.turns:
-        parts.append(f"{turned / poses.length / ANGLES['arcmin']:.3g} arcmin")
-    return ", ".join(parts)

@@ -8,7 +8,7 @@ the same rotation: the samples decide which of them was written.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -54,39 +54,47 @@ class Convention:
 def list_conventions() -> tuple[Convention, ...]:
     """List what orientations may mean. Angles in deg that were taken for rad cannot be found
     again."""
-    return (
+    found = [
         Convention(
             "the rotations are those of the device seen by the target",
             lambda R: R.transpose(0, 2, 1)[:, None],
         ),
         Convention("the quaternions are w x y z, not x y z w", _read_scalar_first),
-        *_list_other_numbers(),
-    )
-
-
-def _list_other_numbers() -> Iterator[Convention]:
+    ]
     for read in READ:
-        for meant in MEANT:
-            if meant != read:
-                yield Convention(
-                    f"the angles are {meant}, not {read} (column map: axes: {meant} in place of "
-                    f"{read}, or {_backwards(meant)} in place of {_backwards(read)})",
-                    _reader(read, meant),
-                )
-        for order in (slice(None), slice(None, None, -1)):
-            yield Convention(
+        found += [
+            Convention(
+                f"the angles are {meant}, not {read} (column map: axes: {meant} in place of "
+                f"{read}, or {_backwards(meant)} in place of {_backwards(read)})",
+                _reader(read, meant),
+            )
+            for meant in MEANT
+            if meant != read
+        ]
+        found += [
+            Convention(
                 "the three numbers are a rotation vector, not angles (column map: "
                 "rotation_vector in place of angles)",
                 _reader(read, VECTOR, order=order),
             )
-    for meant in MEANT:
-        yield Convention(
+            for order in (slice(None), slice(None, None, -1))
+        ]
+    found += [
+        Convention(
             f"the three numbers are the angles {meant}, not a rotation vector (column map: "
             f"angles: {{columns: ..., axes: {meant}}} in place of rotation_vector)",
             _reader(VECTOR, meant),
         )
-    for read in ("xyz", "zyx", VECTOR):
-        yield Convention("the angles are in rad, not deg", _reader(read, read, np.degrees(1.0)))
+        for meant in MEANT
+    ]
+    found += [
+        Convention(
+            "the angles are in rad, not deg (column map: unit)",
+            _reader(read, read, np.degrees(1.0)),
+        )
+        for read in ("xyz", "zyx", VECTOR)
+    ]
+    return tuple(found)
 
 
 def _backwards(order: str) -> str:
@@ -102,7 +110,7 @@ def _reader(
     def turn(R: Array) -> Array:
         from scipy.spatial.transform import Rotation
 
-        numbers = factor * _find_numbers(R, read)[:, :, order]
+        numbers = factor * find_numbers(R, read)[:, :, order]
         flat = numbers.reshape(-1, 3)
         if meant == VECTOR:
             turned = Rotation.from_rotvec(flat)
@@ -113,7 +121,7 @@ def _reader(
     return turn
 
 
-def _find_numbers(R: Array, read: str) -> Array:
+def find_numbers(R: Array, read: str) -> Array:
     """Return the numbers (N, K, 3) that a convention reads as the rotations (N, 3, 3)."""
     from scipy.spatial.transform import Rotation
 

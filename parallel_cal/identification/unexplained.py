@@ -39,7 +39,15 @@ def describe_unexplained_motion(result: FitResult) -> str:
             away = turns_from_mean(dataset.R[known])
         motion = float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
         error = float(np.median(errors[known]))
-        stated = _compute_stated_noise(result, kind, known)
+        if error <= MAX_UNEXPLAINED_SHARE * motion:
+            continue
+        stated = result.noise_floor.rms(kind)
+        if stated is None:  # of the noise, only that of the device may be stated
+            part = slice(first - 6, first - 3 or None)
+            variance = np.diagonal(result.observations.S, axis1=1, axis2=2)[known, part].copy()
+            for unknown in result.observations.unknown:
+                variance[unknown.coordinates[known, part]] = 0.0
+            stated = float(np.sqrt(np.mean(np.sum(variance, axis=1))))
         if error**2 - stated**2 > (MAX_UNEXPLAINED_SHARE * motion) ** 2:
             unit, factor = ERROR_UNITS[kind]
             found.append(
@@ -47,15 +55,3 @@ def describe_unexplained_motion(result: FitResult) -> str:
                 f"% of their measured motion ({factor * motion:.3g} {unit} rms)"
             )
     return f"the fitted model misses {' and '.join(found)}" if found else ""
-
-
-def _compute_stated_noise(result: FitResult, kind: str, known: np.ndarray) -> float:
-    """Rms error that the stated noise explains; 0 where no noise was stated."""
-    if (floor := result.noise_floor.rms(kind)) is not None:
-        return floor
-    observations, n = result.observations, len(result.model.joints)
-    part = slice(n, n + 3) if kind == "position" else slice(n + 3, n + 6)
-    variance = np.diagonal(observations.S, axis1=1, axis2=2)[known, part].copy()
-    for unknown in observations.unknown:
-        variance[unknown.coordinates[known, part]] = 0.0
-    return float(np.sqrt(np.mean(np.sum(variance, axis=1))))
