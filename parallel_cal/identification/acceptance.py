@@ -29,8 +29,8 @@ UNCHANGED = (
 )
 
 RIGHT_GEOMETRY = (
-    ". So the samples show no error of the geometry. If more than noise remains, diagnose names "
-    "the missing effect without a fit: parallel-cal diagnose MODEL RECORDING (in Python: "
+    ". Another geometry does not explain the samples better. If more than noise remains, diagnose "
+    "names the missing effect without a fit: parallel-cal diagnose MODEL RECORDING (in Python: "
     "pc.diagnose(model, dataset))"
 )
 
@@ -91,11 +91,12 @@ def acceptance(
     # contradict is chance.
     fall = np.bincount(blocks(new.dataset)[known], (squares[0] - squares[1])[known])
     clearly = rise > 0 or fall.mean() > fall.std() / np.sqrt(len(fall))
-    falls, risen = ratio is not None and ratio < 1 + rise, dict[str, float]()
+    risen = dict[str, float]()
     if now.pixel_rms is None and now.position_rms and now.orientation_rms:
         # A mean of both would let one error rise for the fall of the other.
         risen = _find_risen_parts(new, before, after, known, rise)
-        falls = bool(rise or fall.sum() > 0)
+        ratio = float(np.sqrt(squares[1][known].sum() / squares[0][known].sum()))
+    falls = ratio is not None and ratio < 1 + rise
     foreign = _describe_foreign_model(new, now)
     # The frames alone were fitted, before without the held-out poses: all samples tell that.
     was, total = (np.nansum(_squared(new, one)) for one in (new.before, new.after))
@@ -111,7 +112,7 @@ def acceptance(
     else:
         verb = "falls" if clearly else "falls by no more than its own uncertainty"
     factor = "" if ratio is None else f"; factor {ratio:.3f}"
-    advice = _advise(new.given) if old is None and not (foreign or risen) else ""
+    advice = _advise(new.given) if old is None and not foreign else ""
     if stuck and verb == "falls":
         advice = UNCHANGED
     return Acceptance(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from parallel_cal.base.rotation import turns_from_mean
-from parallel_cal.base.units import ERROR_UNITS
+from parallel_cal.base.units import MM
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.thresholds import (
     MAX_UNEXPLAINED_SHARE,
@@ -49,9 +49,9 @@ def describe_unexplained_motion(result: FitResult) -> str:
                 variance[unknown.coordinates[known, part]] = 0.0
             stated = float(np.sqrt(np.mean(np.sum(variance, axis=1))))
         if error**2 - stated**2 > (MAX_UNEXPLAINED_SHARE * motion) ** 2:
-            unit, factor = ERROR_UNITS[kind]
+            unit, factor = ("mm", 1 / MM) if kind == "position" else ("deg", np.degrees(1.0))
             found.append(
                 f"the {kind}s by {factor * error:.3g} {unit} (median), {100 * error / motion:.0f} "
-                f"% of their measured motion ({factor * motion:.3g} {unit} rms)"
+                f"% of their measured motion ({factor * motion:.4g} {unit} rms)"
             )
     return f"the fitted model misses {' and '.join(found)}" if found else ""
