@@ -24,13 +24,13 @@ from .diagnosis.comparison import Comparison as Comparison
 from .diagnosis.comparison import compare as compare
 from .diagnosis.diagnose import Diagnosis as Diagnosis
 from .diagnosis.diagnose import diagnose as diagnose
+from .diagnosis.fitting import fit as fit
 from .discovery.discovery import discover as discover
 from .discovery.law import Discovery as Discovery
 from .discovery.law import Law as Law
 from .exporting.export import ExportResult as ExportResult
 from .exporting.export import export as export
 from .identification.fit import FitResult as FitResult
-from .identification.fit import fit as fit
 from .identification.options import FitOptions as FitOptions
 from .kinematics.kinematics import Kinematics as Kinematics
 from .kinematics.solutions import Solutions as Solutions

@@ -398,7 +398,7 @@ def test_what_was_meant_is_named_if_it_fits_the_poses(spoil, words, elsewhere):
 
 @pytest.mark.wide
 def test_a_convention_that_tolerances_would_excuse_is_named_where_no_geometry_fits():
-    with pytest.raises(FitError, match=r"the angles are about rotated, .* As they are, leg"):
+    with pytest.raises(FitError, match=r"the angles are ZYX, not zyx .* As they are, leg"):
         fitted(stewart(), about_rotated_axes(legs()))
 
 

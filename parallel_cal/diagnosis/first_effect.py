@@ -19,7 +19,10 @@ from parallel_cal.diagnosis.catalogue import (
 )
 from parallel_cal.diagnosis.search import Chosen
 from parallel_cal.identification.acceptance import FOREIGN_SHARE
-from parallel_cal.identification.checks import ImplausibleGeometryError
+from parallel_cal.identification.checks import (
+    ImplausibleGeometryError,
+    UnexplainedMotionError,
+)
 from parallel_cal.identification.column_doubts import doubt_columns
 from parallel_cal.identification.estimate import NoSolutionError
 from parallel_cal.identification.fit import fit
@@ -111,20 +114,21 @@ def proposing_first_effect(
     model: Model,
     dataset: Dataset,
     options: FitOptions,
-    effects: Iterable[str] = (),
+    effects: Iterable[str] | None = (),
     progress: Progress | None = None,
 ) -> Iterator[None]:
     """If no plausible geometry describes the samples, say which other columns or conventions fit
     them; if none do, add to the error which effect in the first fit permits a plausible geometry:
-    it is the likeliest cause, unless few samples contradict all others."""
+    it is the likeliest cause, unless few samples contradict all others. Those of `effects` are
+    tried (all of the catalogue if none is named), or none if it is None."""
     try:
         yield
-    except (ImplausibleGeometryError, NoSolutionError) as error:
+    except (ImplausibleGeometryError, NoSolutionError, UnexplainedMotionError) as error:
         observations = observe(model, dataset, options.joint_sigma, options.insist)
         there = DevicePoses.of(model, observations)
         if words := doubt_columns(model, observations, there, dataset.source, suspected=True):
             raise FitError(f"{words}. As they are, {error}") from None
-        if not isinstance(error, ImplausibleGeometryError) or error.outliers:
+        if effects is None or not isinstance(error, ImplausibleGeometryError) or error.outliers:
             raise
         if there is not None and (share := there.find_unexplained_share()) > FOREIGN_SHARE:
             raise FitError(
@@ -158,6 +162,7 @@ def _describe_proposal(ranked: Sequence[FirstEffect], chi2_per_dof: float) -> st
             "No effect of the catalogue in the first fit leads to a plausible geometry that "
             "explains as much"
         )
+    first = proposed[0].chosen.text
     names = " or ".join(
         f"{one.chosen.text} (chi2/dof {format_distinctly([one.chi2_per_dof, chi2_per_dof])[0]})"
         for one in proposed
@@ -166,7 +171,8 @@ def _describe_proposal(ranked: Sequence[FirstEffect], chi2_per_dof: float) -> st
     more = "" if likely else ", but it explains only a part of the error: more is missing. Begin"
     return (
         f"With {names} in the first fit, {each}the geometry is plausible{more}: parallel-cal fit "
-        f"MODEL RECORDING --effect {proposed[0].chosen.text} -o FITTED.yaml"
+        f"MODEL RECORDING --effect {first} -o FITTED.yaml (in Python: pc.fit(model, dataset, "
+        f"effects=[{first!r}]))"
     )
 
 

@@ -17,6 +17,7 @@ from parallel_cal.base.progress import Progress, ignore_progress, never_falling
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.diagnose import find_mistrusted_samples
 from parallel_cal.diagnosis.field import Field
+from parallel_cal.diagnosis.first_effect import proposing_first_effect
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.stations import DeviceField, find_stations
 from parallel_cal.diagnosis.thresholds import MAX_HELD_COORDINATE_SIGMAS
@@ -117,7 +118,8 @@ def discover(
     options = with_changes(options, FitOptions, changes, FitError)
     report("identifying the geometry", 0.0)
     dataset = add_lagged_conditions(name_lags(dataset), dataset)
-    base = fit(model, dataset, options)
+    with proposing_first_effect(model, dataset, options, progress=progress):
+        base = fit(model, dataset, options)
     if options.loss != "linear":
         dataset = dataset.excluding(find_mistrusted_samples(base), f"by --loss {options.loss}")
         options = replace(options, loss="linear")

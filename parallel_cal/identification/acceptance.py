@@ -16,6 +16,7 @@ from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.observations import blocks
 from parallel_cal.identification.prediction_errors import Errors, Summary, held_out_ratio
+from parallel_cal.identification.thresholds import MAX_NEGLIGIBLE_ERROR_RISE
 
 IN_SAMPLE = (
     "the model was fitted to these samples before, so its own error is in-sample; for the error at "
@@ -27,6 +28,13 @@ UNCHANGED = (
     "poses. At all samples the error is the one before the fit, so the fit did not change the robot"
 )
 
+RIGHT_GEOMETRY = (
+    ". Another geometry does not explain the samples better. If more than noise remains, diagnose "
+    "names the missing effect without a fit: parallel-cal diagnose MODEL RECORDING (in Python: "
+    "pc.diagnose(model, dataset))"
+)
+
+NOISE_OF_THREE_AXES = 3.0  # squared error that noise alone leaves, in units of its variance
 FOREIGN_SHARE = 0.5  # of the measured motion: a model with a larger error explains hardly any of it
 # Of the motion of joints in m: other sensors, such as a probe, read what is left of this motion
 MAX_READING_SHARE = 0.2
@@ -62,7 +70,8 @@ class Acceptance:
 def acceptance(
     new: FitResult, old: FitResult | None = None, change: str = "", rise: float = 0.0
 ) -> Acceptance:
-    """Judge whether the validation error falls by more than its own uncertainty.
+    """Judge whether the validation error falls by more than its own uncertainty, while neither the
+    position error nor the orientation error rises.
 
     `old` is the fit of the same samples that the new model must beat: without the added effect, or
     with the removed one. By default it is the model before `new`. `change` names the change
@@ -82,27 +91,35 @@ def acceptance(
     # contradict is chance.
     fall = np.bincount(blocks(new.dataset)[known], (squares[0] - squares[1])[known])
     clearly = rise > 0 or fall.mean() > fall.std() / np.sqrt(len(fall))
+    risen = dict[str, float]()
+    if now.pixel_rms is None and now.position_rms and now.orientation_rms:
+        # A mean of both would let one error rise for the fall of the other.
+        risen = _find_risen_parts(new, before, after, known, rise)
+        ratio = float(np.sqrt(squares[1][known].sum() / squares[0][known].sum()))
+    falls = ratio is not None and ratio < 1 + rise
     foreign = _describe_foreign_model(new, now)
     # The frames alone were fitted, before without the held-out poses: all samples tell that.
     was, total = (np.nansum(_squared(new, one)) for one in (new.before, new.after))
     stuck = old is None and bool(np.isclose(was, total, rtol=1e-6, atol=0.0))
-    if ratio is not None and ratio < 1 + rise and clearly and not (foreign or stuck):
+    if falls and clearly and not (risen or foreign or stuck):
         return Acceptance(then, now, True)
-    if rise:
+    if risen:
+        ratio = max(risen.values())
+    if rise or risen:
         verb = "rises"
-    elif ratio is None or ratio >= 1:
+    elif not falls:
         verb = "does not fall"
     else:
         verb = "falls" if clearly else "falls by no more than its own uncertainty"
     factor = "" if ratio is None else f"; factor {ratio:.3f}"
-    advice = _advise(new.given) if old is None else ""
+    advice = _advise(new.given) if old is None and not foreign else ""
     if stuck and verb == "falls":
         advice = UNCHANGED
     return Acceptance(
         then,
         now,
         True,
-        f"the error at held-out poses {verb}{change} "
+        f"the {' and '.join(risen)}{' ' if risen else ''}error at held-out poses {verb}{change} "
         f"({format_errors(now, then)}{factor}){advice}{foreign}",
     )
 
@@ -113,7 +130,7 @@ def _advise(given: GivenModel) -> str:
         return f"; {IN_SAMPLE}"
     earlier = dict.fromkeys(str(entry["dataset"].get("source")) for entry in given.earlier_fits)
     if not earlier:
-        return ""
+        return RIGHT_GEOMETRY
     sources = ", ".join(earlier)
     if given.known_samples.any():
         return (
@@ -150,24 +167,47 @@ def _describe_foreign_model(new: FitResult, now: Summary) -> str:
     )
 
 
+def _find_risen_parts(
+    new: FitResult, before: Errors, after: Errors, known: np.ndarray, rise: float
+) -> dict[str, float]:
+    """Return `position` or `orientation` with its ratio if that error rises: by the share `rise`,
+    or else by more than a hundredth, its own uncertainty and the noise."""
+    parts, found = ("position", "orientation"), dict[str, float]()
+    pairs = zip(parts, _squared_parts(new, before), _squared_parts(new, after), strict=True)
+    for kind, was, now in pairs:
+        seen = known & np.isfinite(was + now)
+        change = np.bincount(blocks(new.dataset)[seen], (now - was)[seen])
+        ratio = float(np.sqrt(now[seen].sum() / was[seen].sum()))
+        exceeds_noise = float(np.mean((now - was)[seen])) > NOISE_OF_THREE_AXES
+        clearly = exceeds_noise and change.mean() > change.std() / np.sqrt(len(change))
+        if ratio >= 1 + (rise or MAX_NEGLIGIBLE_ERROR_RISE) and (rise or clearly):
+            found[kind] = ratio
+    return found
+
+
 def _squared(result: FitResult, found: Errors) -> np.ndarray:
     """Squared error (N,) of the pixels of an image; else of the pose in units of the device's
     noise; if no pose was measured, of the readings of sensors, or of the joints."""
-    n = len(result.model.joints)
     seen = np.isfinite(found.pixel).any(axis=1)
     if seen.any():
         return np.where(seen, np.nansum(found.pixel**2, axis=1), np.nan)
-    variance = np.diagonal(result.observations.S, axis1=1, axis2=2)
-    parts = [
-        np.sum(e**2, axis=1) / np.mean(variance[:, at], axis=1)
-        for e, at in ((found.position, slice(n, n + 3)), (found.orientation, slice(n + 3, n + 6)))
-    ]
+    parts = _squared_parts(result, found)
     if np.isfinite(parts).any():
         return np.where(np.isnan(parts).all(axis=0), np.nan, np.nansum(parts, axis=0))
     read = np.isfinite(found.reading).any(axis=1)
     if read.any():
         return np.where(read, np.nansum(found.reading**2, axis=1), np.nan)
     return np.asarray(np.sum(found.joint**2, axis=1))
+
+
+def _squared_parts(result: FitResult, found: Errors) -> list[np.ndarray]:
+    """Squared errors (N,) of position and of orientation in units of the device's noise."""
+    n = len(result.model.joints)
+    variance = np.diagonal(result.observations.S, axis1=1, axis2=2)
+    return [
+        np.sum(e**2, axis=1) / np.mean(variance[:, at], axis=1)
+        for e, at in ((found.position, slice(n, n + 3)), (found.orientation, slice(n + 3, n + 6)))
+    ]
 
 
 def format_errors(after: Summary, before: Summary | None = None) -> str:

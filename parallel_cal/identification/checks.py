@@ -91,6 +91,10 @@ class ImplausibleGeometryError(FitError):
         return type(self), (str(self), self.chi2_per_dof, self.outliers)
 
 
+class UnexplainedMotionError(FitError):
+    """A fit leaves so much of the measured motion that it does not describe the samples."""
+
+
 class WrongSignError(FitError):
     """An effect fits only with a sign that its physics forbids."""
 

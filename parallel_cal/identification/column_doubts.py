@@ -8,12 +8,15 @@ registration of the device, with the geometry as it is.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations, product
 
 import numpy as np
 
+from parallel_cal.base.units import ANGLES, MM
+from parallel_cal.identification.conventions import Convention, list_conventions
+from parallel_cal.identification.couplings import Coupling, list_couplings
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.registration import DevicePoses
 from parallel_cal.identification.thresholds import (
@@ -23,6 +26,7 @@ from parallel_cal.identification.thresholds import (
     MAX_JOINTS_IN_ANY_ORDER,
     MAX_JOINTS_OF_ANY_SIGN,
     MIN_GUESS_ERROR_RATIO,
+    MIN_PLACEMENT_POSES,
     MIN_QUICK_SHARE,
     MIN_REACHED_SHARE,
     MIN_SCALE_SAMPLES,
@@ -46,84 +50,72 @@ SCALES = {  # factors to the readings of all joints with a unit
     "rad": {np.degrees(1.0): "rad, not deg", np.radians(1.0): "deg, not rad"},
     "m": {1e3: "m, not mm", 1e-3: "mm, not m"},
 }
-MIRROR = np.diag([1.0, 1.0, -1.0])
+# What a left-handed frame does to positions. Where orientations are in the same frame, one of these
+# stands for all: a rotation of the device makes the others of it.
+MIRRORS = {
+    "z has the other sign": np.diag([1.0, 1.0, -1.0]),
+    "y has the other sign": np.diag([1.0, -1.0, 1.0]),
+    "x has the other sign": np.diag([-1.0, 1.0, 1.0]),
+    "x and y are exchanged": np.eye(3)[[1, 0, 2]],
+    "x and z are exchanged": np.eye(3)[[2, 1, 0]],
+    "y and z are exchanged": np.eye(3)[[0, 2, 1]],
+}
 
 
-def _euler(given: str, meant: str, factor: float = 1.0) -> Callable[[Array], Array]:
-    """Return what reads the angles of rotations about the axes `given` as those about `meant`."""
-
-    def turn(R: Array) -> Array:
-        from scipy.spatial.transform import Rotation
-
-        angles = Rotation.from_matrix(R).as_euler(given)
-        return np.asarray(Rotation.from_euler(meant, factor * angles).as_matrix())
-
-    return turn
-
-
-def _scalar_first(R: Array) -> Array:
-    """Read quaternions that were taken for x y z w as w x y z."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(
-        Rotation.from_quat(Rotation.from_matrix(R).as_quat()[:, [1, 2, 3, 0]]).as_matrix()
-    )
-
-
-OTHER_AXES = (
-    "about rotated, not fixed axes, or the reverse (axes: XYZ in place of xyz, or the reverse)"
-)
-REVERSED = "in the reverse order"
-IN_RAD = "in rad, not deg"
-# What orientations may mean. xyz of three angles is ZYX of the reversed ones, so that these pairs
-# include all others. Angles in deg that were taken for rad cannot be found again.
-ORIENTATIONS: tuple[tuple[str, Callable[[Array], Array]], ...] = (
-    ("the rotations are those of the device seen by the target", lambda R: R.transpose(0, 2, 1)),
-    ("the quaternions are w x y z, not x y z w", _scalar_first),
-    (f"the angles are {OTHER_AXES}", _euler("xyz", "XYZ")),
-    (f"the angles are {OTHER_AXES}", _euler("XYZ", "xyz")),
-    (f"the angles are {REVERSED}", _euler("xyz", "ZYX")),
-    (f"the angles are {REVERSED}", _euler("XYZ", "zyx")),
-    (f"the angles are {REVERSED}, and {OTHER_AXES}", _euler("xyz", "zyx")),
-    (f"the angles are {REVERSED}, and {OTHER_AXES}", _euler("XYZ", "ZYX")),
-    (f"the angles are {IN_RAD}", _euler("xyz", "xyz", np.degrees(1.0))),
-    (f"the angles are {IN_RAD}", _euler("XYZ", "XYZ", np.degrees(1.0))),
-)
+PLACE = np.arange(6) < 3  # the coordinates of a pose that are its position
 
 
 @dataclass(frozen=True)
 class Guess:
     """What samples mean: the reading of each joint is `factor` times that in the column of joint
-    `column`, plus `zero` (rad); positions are multiplied by `length`; `orientation` is one of
-    ORIENTATIONS; the frame of the device is left-handed for what is `mirrored`: positions (1), or
-    orientations, too (2). `scale` describes factors of a unit."""
+    `column`, plus `zero` (rad), or that of a `coupling`; positions are multiplied by
+    `length`; orientations are of another `convention`; the poses are `inverted`: those of the base
+    seen by the platform; the frame of the device is left-handed by one of MIRRORS, `mirror`, for
+    positions, and for orientations if `turns_mirrored`. `scale` describes factors of a unit."""
 
     column: tuple[int, ...]
     factor: tuple[float, ...]
     zero: tuple[float, ...]
     scale: str = ""
+    coupling: Coupling | None = None
     length: float = 1.0
-    orientation: int | None = None
-    mirrored: int = 0
+    convention: Convention | None = None
+    inverted: bool = False
+    mirror: str = ""
+    turns_mirrored: bool = False
 
     @classmethod
     def as_given(cls, joints: int) -> Guess:
         return cls(tuple(range(joints)), (1.0,) * joints, (0.0,) * joints)
 
-    def apply(self, x: Array) -> Array:
-        """Return the configurations (N, nq + 12) that were meant."""
-        x, n = x.copy(), len(self.column)
-        x[:, :n] = x[:, self.column] * np.array(self.factor) + np.array(self.zero)
-        R = x[:, n + 3 :].reshape(-1, 3, 3)
-        if self.orientation is not None:
-            R = ORIENTATIONS[self.orientation][1](R)
-        if self.mirrored:
-            x[:, n : n + 3] @= MIRROR
-        if self.mirrored == 2:
-            R = MIRROR @ R @ MIRROR
-        x[:, n : n + 3] *= self.length
-        x[:, n + 3 :] = R.reshape(-1, 9)
-        return x
+    @property
+    def keeps_joints(self) -> bool:
+        """Whether the joint readings mean what they were taken for."""
+        given = Guess.as_given(len(self.column))
+        return (self.column, self.factor, self.zero, self.coupling) == (
+            *(given.column, given.factor, given.zero),
+            None,
+        )
+
+    def read_joints(self, q: Array) -> Array:
+        """Return the joint readings (N, nq) that were meant."""
+        meant = q[:, self.column] * np.array(self.factor) + np.array(self.zero)
+        return np.asarray(meant if self.coupling is None else self.coupling.apply(meant))
+
+    def read_poses(self, there: DevicePoses, F: Array | None) -> DevicePoses:
+        """Return the poses that were meant; `F` is the rotation of the device that the positions
+        show, None if they show none."""
+        r, R, measured = there.seen_r, there.seen_R, there.measured
+        if self.convention is not None:
+            R = self.convention.choose(there, F)
+        if self.inverted:
+            R = R.transpose(0, 2, 1)
+            r = -np.einsum("nij,nj->ni", R, r)
+            measured = measured & (there.turned[:, None] | ~PLACE)
+        if self.mirror:
+            mirror = MIRRORS[self.mirror]
+            r, R = r @ mirror, mirror @ R @ mirror if self.turns_mirrored else R
+        return replace(there, seen_r=self.length * r, seen_R=R, measured=measured)
 
     def describe(self, names: Sequence[str]) -> str:
         """Describe what was meant, with the entries of a column map."""
@@ -142,12 +134,23 @@ class Guess:
                 angle = f"{np.degrees(zero):g} deg"
                 entry = f"{name}: {{column: ..., offset: {angle}}}"
                 parts.append(f"{angle} are added to {name} (column map: {entry})")
+        if self.coupling is not None:
+            parts.append(self.coupling.describe(names))
         if self.length != 1:
             parts.append(f"the positions are in {LENGTHS[self.length]} (column map: unit)")
-        if self.orientation is not None:
-            parts.append(ORIENTATIONS[self.orientation][0])
-        if self.mirrored:
-            parts.append(LEFT_HANDED)
+        if self.convention is not None:
+            parts.append(self.convention.words)
+        if self.inverted:
+            parts.append(
+                "the poses are inverse, those of {B} seen by {P} (invert them: position -R^T r, "
+                "rotation R^T)"
+            )
+        if self.mirror:
+            parts.append(
+                LEFT_HANDED
+                if self.turns_mirrored
+                else f"the positions, but not the orientations, are left-handed: {self.mirror}"
+            )
         return " and ".join(parts)
 
 
@@ -178,26 +181,7 @@ def doubt_columns(
         return ""
     some = np.unique(np.linspace(0, len(observations) - 1, MAX_GUESS_SAMPLES).astype(int))
     few = observations.select(some)
-    placed, turned = (
-        bool(few.measured[:, part].any()) for part in (slice(n, n + 3), slice(n + 3, None))
-    )
-    guesses = [
-        (guess, poses)
-        for guess in _list_guesses(model, placed, turned)
-        if (poses := _read(model, few, guess))
-    ]
-    guesses.sort(key=lambda one: one[1].compute_median_error(one[1].closed_form_frames()))
-    best = guesses[:MAX_GUESSES_REFINED]
-    errors = [poses.compute_median_error(poses.frames) for _, poses in best]
-    given = _read(model, few, Guess.as_given(n))
-    before = np.inf if given is None else given.compute_median_error(given.frames)
-    fitting = [
-        (guess, poses)
-        for (guess, poses), error in zip(best, errors, strict=True)
-        if error * MIN_GUESS_ERROR_RATIO < before
-        and error < SAME_GUESS_ERROR_RATIO * min(errors)
-        and poses.find_unexplained_share() < MAX_GUESS_SHARE
-    ]
+    fitting, before = _find_fitting_guesses(model, few)
     if not fitting:
         return ""
     low, high = np.array(model.mechanism.joint_limits, float).T
@@ -206,23 +190,65 @@ def doubt_columns(
         """Of guesses that the poses do not decide between, prefer readings inside the limits, and a
         device that need not be turned."""
         guess, poses = one
-        q = guess.apply(few.x)[:, :n]
+        q = guess.read_joints(few.x[:, :n])
         outside = float(np.mean((q < low) | (q > high)))
         return outside, poses.compute_median_error(poses.now)
 
     guess, poses = min(fitting, key=preference)
-    meant = guess.describe(model.joints)
-    if not guess.mirrored and any(one.mirrored for one, _ in fitting):
-        meant += f", or if {LEFT_HANDED}"
+    others = [one for one, _ in fitting if one.convention or one.mirror]
+    meant = ", or if ".join(dict.fromkeys(one.describe(model.joints) for one in (guess, *others)))
     smaller = ""
     if np.isfinite(before):
         ratio = before / poses.compute_median_error(poses.frames)
-        smaller = f": the errors are then {ratio:.0f} times smaller"
+        position, turned_by = poses.compute_median_errors(poses.frames)
+        left = [f"{position / MM:.3g} mm"] if poses.placed.any() else []
+        if poses.turned.any() and poses.turns:
+            left.append(f"{turned_by / poses.length / ANGLES['arcmin']:.3g} arcmin")
+        smaller = (
+            f": the errors are then {ratio:.0f} times smaller ({', '.join(left)} before a fit)"
+        )
     return (
         f"{source or 'samples'}: the joint readings do not fit the measured poses, wherever the "
         f"device stands. They fit if {meant}{smaller}. Correct this where "
         "the samples are recorded or imported"
     )
+
+
+def _find_fitting_guesses(
+    model: Model, few: Observations
+) -> tuple[list[tuple[Guess, DevicePoses]], float]:
+    """Return the guesses that fit clearly better than what was given and as well as the best, with
+    their poses; and the error of what was given."""
+    n = len(model.joints)
+    placed, turned = (
+        bool(few.measured[:, part].any()) for part in (slice(n, n + 3), slice(n + 3, None))
+    )
+    given = _read_joints(model, few, Guess.as_given(n))
+    F = None  # the rotation of the device that positions show, whatever orientations mean
+    if given is not None and given.placed.sum() >= MIN_PLACEMENT_POSES:
+        F = replace(given, measured=given.measured & PLACE).frames.F
+    guesses = [
+        (guess, guess.read_poses(poses, F))
+        for guess in _list_guesses(model, placed, turned)
+        if (poses := given if guess.keeps_joints else _read_joints(model, few, guess))
+    ]
+    guesses.sort(key=lambda one: one[1].compute_median_error(one[1].closed_form_frames()))
+    best = guesses[:MAX_GUESSES_REFINED]
+    errors = [poses.compute_median_error(poses.frames) for _, poses in best]
+    before = np.inf if given is None else given.compute_median_error(given.frames)
+    fitting = [
+        (guess, poses)
+        for (guess, poses), error in zip(best, errors, strict=True)
+        if error * MIN_GUESS_ERROR_RATIO < before
+        and error < SAME_GUESS_ERROR_RATIO * min(errors)
+        and poses.find_unexplained_share() < MAX_GUESS_SHARE
+        and (
+            # Where the platform turns, the orientations must be explained, too.
+            not (poses.tilts and poses.turned.any())
+            or replace(poses, measured=poses.measured & ~PLACE).find_unexplained_share() < MAX_GUESS_SHARE
+        )
+    ]
+    return fitting, before
 
 
 def _list_guesses(model: Model, placed: bool, turned: bool) -> Iterator[Guess]:
@@ -245,9 +271,13 @@ def _list_guesses(model: Model, placed: bool, turned: bool) -> Iterator[Guess]:
             yield replace(given, zero=tuple(turn if k == i else 0.0 for k in range(joints)))
     if placed:
         yield from (replace(given, length=factor) for factor in LENGTHS)
-        yield from (replace(given, mirrored=kind) for kind in ((1, 2) if turned else (1,)))
+        yield replace(given, mirror="z has the other sign", turns_mirrored=True)
+        yield from (replace(given, mirror=words) for words in MIRRORS if turned)
     if turned and max(model.mechanism.moved) >= 3:
-        yield from (replace(given, orientation=k) for k in range(len(ORIENTATIONS)))
+        yield from (replace(given, convention=one) for one in list_conventions())
+        if placed:
+            yield replace(given, inverted=True)
+    yield from (replace(given, coupling=one) for one in list_couplings(units))
 
 
 def _list_orders(joints: int) -> list[tuple[int, ...]]:
@@ -265,10 +295,12 @@ def _list_orders(joints: int) -> list[tuple[int, ...]]:
     return found
 
 
-def _read(model: Model, observations: Observations, guess: Guess) -> DevicePoses | None:
-    """Return the poses with the readings that a guess means; None if the robot cannot be there."""
-    meant = replace(observations, x=guess.apply(observations.x))
-    there = DevicePoses.of(model, meant, quick=True)
+def _read_joints(model: Model, observations: Observations, guess: Guess) -> DevicePoses | None:
+    """Return the poses with the joint readings that a guess means; None if the robot cannot be
+    there."""
+    x, n = observations.x.copy(), len(model.joints)
+    x[:, :n] = guess.read_joints(x[:, :n])
+    there = DevicePoses.of(model, replace(observations, x=x), quick=True)
     # Where more joints than freedoms contradict each other a little, many solutions take longer.
     has_more_joints = len(model.joints) > len(model.mechanism.moves)
     least = MIN_QUICK_SHARE if has_more_joints else MIN_REACHED_SHARE

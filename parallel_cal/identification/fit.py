@@ -484,75 +484,11 @@ def fit(
     effects: Sequence[str] = (),
     **changes: Unpack[FitKeywords],
 ) -> FitResult:
-    """Identify the free parameters of a model from measurements.
+    """Identify the free parameters of a model from measurements, and take the result as it is.
 
-    Weighted least squares on the closure equations phi(q, x, p) = 0 of the joint readings q, the
-    measured pose x and the parameters p. The noise of q and x, propagated to each equation, gives
-    its weight. If the poses are measured in the device's own frame,
-    the model is registered first. Cross-validation gives the errors at held-out poses; the
-    estimates use all samples.
-
-    Parameters
-    ----------
-    model : Model
-        The start values, the list of the free parameters, and their tolerances.
-    dataset : Dataset
-        N samples: joint readings (N, nq) in rad or m, and measured poses.
-    options : FitOptions, optional
-        All options as one object.
-    progress : callable, optional
-        Called with a stage in words and the completed share (0 to 1). An exception that it raises
-        cancels the fit.
-    effects : sequence of str, optional
-        Effects to add to the model before the fit, each `"NAME"` or `"NAME:parameter=value"`. Use
-        it if the geometry alone runs away because a large effect is missing. The errors before the
-        fit are those of the given model.
-    **changes
-        Single options by name. They replace the same fields of `options`:
-
-        - `hold_out` (default 0.25): share of the poses held out in each fold; 0 skips the
-          validation.
-        - `joint_sigma`: noise of the joint readings, 1 sigma, in rad or m. It replaces what
-          recording and model file state.
-        - `free`, `fix`: name patterns, such as `["chain1.*"]`, of parameters to estimate or to
-          keep.
-        - `refit`: name patterns. Only these are identified, and the others keep the covariance
-          that the model has.
-        - `prior`: where tolerances act as priors. None (the default): only for combinations of
-          parameters that the data determine less precisely than the tolerances. True: for all
-          parameters. False: for none. A Prior states mean and covariance instead.
-        - `method` (default `"implicit"`), `loss` (`"linear"`, or a robust one such as `"huber"`),
-          `seed` of the folds, `insist` (accept implausible joint readings, and combinations of an
-          effect's values that are physically impossible), `usual_only` (refuse effects that are
-          larger than usual).
-
-    Returns
-    -------
-    FitResult
-        `model` is the identified one. `after` holds its errors at the samples, `held_out` those at
-        held-out poses, `noise_floor` the noise floor. `parameters()` lists every estimate with its
-        sigma.
-
-    Raises
-    ------
-    FitError
-        If the data cannot determine the parameters, or an estimate is physically impossible.
-    ModelError
-        If an effect is unknown or does not apply to the model.
-
-    References
-    ----------
-    Vischer, P. (1996). Improving the Accuracy of Parallel Robots. Thesis 1570, EPFL, eq. 5.1 to
-    5.20.
-
-    Examples
-    --------
-    >>> import parallel_cal as pc
-    >>> model = pc.read_model("config/delta_mockup_nominal.yaml")
-    >>> data = pc.load_dataset("bags/delta_backlash", joints=model.joints)
-    >>> result = pc.fit(model, data, hold_out=0.2)
-    >>> result.held_out.summary.position_rms < result.before.summary.position_rms / 5
-    True
+    Arguments, result and errors are those of `parallel_cal.diagnosis.fitting.fit`, which also
+    refuses a result that does not describe the samples, and names the likeliest cause of a
+    refusal. Callers that compare many fits need neither.
     """
     options = with_changes(options, FitOptions, changes, FitError)
     if not dataset.sha256:  # so that another fit of these samples knows that the first used them

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -15,10 +14,10 @@ from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress
 from parallel_cal.base.threads import single_threaded
+from parallel_cal.diagnosis import fitting
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_to_test
 from parallel_cal.diagnosis.device import find_doubtful_effects, is_needed
 from parallel_cal.diagnosis.entries import are_confused, is_clearly_better
-from parallel_cal.diagnosis.first_effect import proposing_first_effect
 from parallel_cal.diagnosis.patterns import explain_exclusion, set_knocked_samples_aside
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.search import Trial, is_as_good, is_superfluous
@@ -157,16 +156,13 @@ class Step(ShownInNotebook):
 def fitted(
     model: Model, dataset: Dataset, force: bool = False, **options: Unpack[FittedKeywords]
 ) -> Step:
-    """Identify the free parameters, with the options of `identification.fit`.
+    """Identify the free parameters, with the options of `fit`.
 
-    FitError if the validation error does not fall. If no plausible geometry describes the samples,
-    the message names the effects that would make it plausible.
+    FitError if the validation error does not fall, or as `fit` raises it.
     """
     effects = options.pop("effects", ())
     how, progress = _collect_options(options)
-    proposing = proposing_first_effect(model, dataset, how, progress=progress)
-    with nullcontext() if effects else proposing:
-        result = fit(model, dataset, how, progress, effects=effects)
+    result = fitting.fit(model, dataset, how, progress, effects=effects)
     if result.given.fits_of_these_samples:
         result = replace(result, warnings=(*result.warnings, IN_SAMPLE))
     added = "+".join(n for text in effects for n, _ in parse_effects(text))
