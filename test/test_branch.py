@@ -1,18 +1,23 @@
 """The branch of home is kept under any reading, as other constructions of the robots show."""
 
 import ctypes
+import re
 import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from parallel_cal.base.errors import ModelError, ModelFileError
 from parallel_cal.exporting.targets.c import files
 from parallel_cal.kinematics.kinematics import Kinematics, Status
-from parallel_cal.kinematics.solving import direct
 from parallel_cal.kinematics.singularity import distances
+from parallel_cal.kinematics.solving import direct
+from parallel_cal.model.file.modelfile import parse_model
+from parallel_cal.model.file.writer import dump_model
 from parallel_cal.model.mechanism import Home
-from parallel_cal.model.model import Model, new_model
+from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import load_mechanism
 
 ANGLES = 2 * np.pi / 3 * np.arange(3)
 RODS = 0.34  # m, of the rotary Delta below
@@ -37,22 +42,10 @@ def elbows(q, radius, arm):
     return np.column_stack([out * np.cos(ANGLES), out * np.sin(ANGLES), arm * np.sin(q)])
 
 
-def rotary_delta(home_joints, side):
+def rotary_delta(home, below=False):
     """A Delta with arms of 250 mm on a base hardly larger than the platform."""
-    model = new_model("delta_nominal")
-    mechanism, values = model.mechanism, model.values.copy()
-    values[-3:] = 0.0076, 0.25, RODS
-    z = three_spheres(elbows(np.full(3, home_joints), 0.0076, 0.25), RODS)[side][2]
-    mechanism.home = Home(joints=(home_joints,) * 3, position=(0.0, 0.0, float(z)))
-    mechanism.parameters = mechanism.parameters.with_tolerances({})
-    names = mechanism.parameters.names
-    mechanism.parameters = type(mechanism.parameters)(
-        [
-            p if p.name not in names[-3:] else type(p)(p.name, p.unit, v, p.tolerance)
-            for p, v in zip(mechanism.parameters, values, strict=True)
-        ]
-    )
-    return Model(mechanism, (), values)
+    size = {"base": 0.0876, "platform": 0.08, "arm": 0.25, "rod": RODS, "limits": [-0.5, 2.3]}
+    return new_model(load_mechanism("delta24", **size, home=home, below=below))
 
 
 def readings(model, n, seed=0):
@@ -61,9 +54,9 @@ def readings(model, n, seed=0):
 
 
 @pytest.mark.parametrize("side", [0, 1])
-@pytest.mark.parametrize("home_joints", [0.3, 0.8, 1.5])
-def test_a_rotary_delta_stays_on_the_side_of_its_elbows_on_which_home_lies(home_joints, side):
-    model = rotary_delta(home_joints, side)
+@pytest.mark.parametrize("home", [0.3, 0.8, 1.5])
+def test_a_rotary_delta_stays_on_the_side_of_its_elbows_on_which_home_lies(home, side):
+    model = rotary_delta(home, below=side == 1)
     q = readings(model, 400)
     found = Kinematics(model).direct(q)
     poses = [three_spheres(elbows(one, 0.0076, 0.25), RODS) for one in q]
@@ -153,4 +146,58 @@ def test_exported_c_answers_as_python_at_any_reading(name, tmp_path: Path):
 def test_the_numbers_of_the_statuses_are_those_of_the_ros_message():
     text = (Path(__file__).parents[1] / "msg_defs/msg/Solution.msg").read_text()
     for status in Status:
-        assert f"uint8 {status.name} = {int(status)} " in text
+        assert re.search(rf"^uint8 {status.name} = {int(status)}\b", text, re.M)
+
+
+def test_a_home_that_the_joints_do_not_lead_to_is_refused_with_the_poses_they_lead_to():
+    text = dump_model(new_model("delta24"))
+    edited = re.sub(r"(La_x: \{value: )0.119963(.*?nominal: )0.119963", r"\g<1>0.25\g<2>0.25", text)
+    edited = re.sub(r"(Lb: \{value: )0.24(.*?nominal: )0.24", r"\g<1>0.34\g<2>0.34", edited)
+    assert edited.count("0.34") == 6
+    with pytest.raises(ModelFileError, match=r"home: .*they lead to \[.*\] or \[.*\] m") as refused:
+        parse_model(edited)
+    # arms of 250 mm at 30.65 degrees, with the encoder's offset of -3 mm across them
+    arm = elbows(np.full(3, np.radians(30.65)), 0.0, 1.0)[0]
+    out = 0.076 + 0.25 * arm[0] + 0.003 * arm[2]
+    up = -0.0165 + 0.25 * arm[2] - 0.003 * arm[0]
+    for side in (1, -1):
+        assert f"{up + side * np.sqrt(0.34**2 - out**2):.6f}"[:7] in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["delta24", "delta54", "delta_nominal"])
+def test_a_rotary_delta_is_made_from_its_size_and_read_again(name):
+    size = {"base": 0.2, "platform": 0.07, "arm": 0.25, "rod": 0.55}
+    for below, side in ((False, 0), (True, 1)):
+        model = new_model(load_mechanism(name, **size, below=below))
+        again = parse_model(dump_model(model))
+        q = again.mechanism.home.joints
+        expected = three_spheres(elbows(np.array(q), 0.13, 0.25), 0.55)[side]
+        np.testing.assert_allclose(again.mechanism.home.position, expected, atol=1e-12)
+        assert Kinematics(again).direct(q).ok
+        assert (expected[2] < 0) == below
+
+
+def test_a_linear_delta_and_a_five_bar_are_made_from_their_size():
+    model = new_model(load_mechanism("linear_delta", base=0.14, platform=0.035, rod=0.215))
+    height = np.sqrt(0.215**2 - 0.105**2)
+    assert Kinematics(model).direct([0.3] * 3).position[2] == pytest.approx(0.3 - height)
+    bars = new_model(load_mechanism("five_bar", base=0.08, crank=0.2, rod=0.25, below=True))
+    crank = np.array([0.04 + 0.2 * np.cos(np.pi / 3), 0.2 * np.sin(np.pi / 3)])
+    y = crank[1] - np.sqrt(0.25**2 - crank[0] ** 2)
+    np.testing.assert_allclose(bars.mechanism.home.position, [0, y, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "words"),
+    [
+        ("delta24", {"arm": -1}, "arm is -1: expected one number, above 0"),
+        ("delta54", {"rod": 0.01}, "rod is 0.01 m: too short"),
+        ("linear_delta", {"rod": 0.05}, "rod is 0.05 m: too short"),
+        ("linear_delta", {"limits": [3, 1]}, "limits is .3, 1.: expected two numbers in m"),
+        ("five_bar", {"rod": "x"}, "rod is 'x': expected one number"),
+        ("five_bar", {"rod": 0.01}, "the rods do not meet at home"),
+    ],
+)
+def test_an_impossible_size_is_refused(name, options, words):
+    with pytest.raises(ModelError, match=words):
+        load_mechanism(name, **options)

@@ -5,14 +5,10 @@ Two solutions are on one branch if a path without a singularity joins them.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from parallel_cal.kinematics.problem import Problem
 from parallel_cal.model.configuration import Configuration
-
-if TYPE_CHECKING:
-    from parallel_cal.kinematics.problem import Problem
 
 MIN_STEP_FRACTION = 2.0**-12  # of a path; below it the branch has ended
 PATH_GROWTH = 1.5  # of a step that stayed on the branch
@@ -47,6 +43,12 @@ def follow_from_home(
         else:
             step /= 2
     return here if t == 1.0 else None
+
+
+def is_jump(problem: Problem, begin: np.ndarray, end: np.ndarray, row: np.ndarray) -> bool:
+    """Whether iterations jumped over a singularity; a robot may pass one in short steps."""
+    same = problem.is_on_home_side(begin, row) == problem.is_on_home_side(end, row)
+    return not same and not is_short_step(problem.model.mechanism.length, begin, end)
 
 
 def is_short_step(length: float, here: np.ndarray, there: np.ndarray) -> bool:

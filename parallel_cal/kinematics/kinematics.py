@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from parallel_cal.base.arguments import require, require_model
 from parallel_cal.base.compiled import Single
 from parallel_cal.base.errors import SolveError
-from parallel_cal.kinematics.branch import follow_from_home, is_short_step
+from parallel_cal.kinematics.branch import follow_from_home, is_jump, is_short_step
 from parallel_cal.kinematics.one_sample import FastSolver, fast_solver
 from parallel_cal.kinematics.problem import Problem
 from parallel_cal.kinematics.rows import joint_rows, pose_rows
@@ -335,7 +335,7 @@ class Kinematics:
                 x[i], residual[i], status[i] = self._stay_on_home_branch(
                     problem, x[i], rows[i], given[i], bool(settled[i])
                 )
-            elif not any_branch and problem.is_jump(begin[i], x[i], rows[i]):
+            elif not any_branch and is_jump(problem, begin[i], x[i], rows[i]):
                 status[i] = Status.OTHER_BRANCH
         low, high = np.array(self._limits, dtype=float).T
         inside = ((x[:, :n] >= low) & (x[:, :n] <= high)).all(axis=1)

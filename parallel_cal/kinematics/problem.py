@@ -7,7 +7,6 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from parallel_cal.base.compiled import Batch, Single
-from parallel_cal.kinematics.branch import is_short_step
 from parallel_cal.kinematics.newton import newton_functions
 from parallel_cal.kinematics.solutions import (
     MAX_CLOSED_RESIDUAL_M,
@@ -153,11 +152,6 @@ class Problem:
             return True
         J = self._phi_and_jacobian(x, a)[1]
         return bool(np.isfinite(J).all() and sign * np.linalg.det(J) > 0.0)
-
-    def is_jump(self, begin: np.ndarray, end: np.ndarray, a: np.ndarray) -> bool:
-        """Whether iterations jumped over a singularity; a robot may pass one in short steps."""
-        same = self.is_on_home_side(begin, a) == self.is_on_home_side(end, a)
-        return not same and not is_short_step(self.model.mechanism.length, begin, end)
 
     def solve_carefully(
         self, x: np.ndarray, a: np.ndarray, given: np.ndarray

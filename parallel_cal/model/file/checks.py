@@ -10,7 +10,8 @@ import numpy as np
 from parallel_cal.base.units import si_factor
 from parallel_cal.model.file.schema import CovariancePart, DrivePart, JointPart, suggestion
 from parallel_cal.model.file.yamltext import Document, Path
-from parallel_cal.model.parameters import Parameter, ParameterTable
+from parallel_cal.model.model import Model
+from parallel_cal.model.parameters import MAX_TOLERANCES, Parameter, ParameterTable
 
 # Units in which people paste values: one of them may explain an implausible value.
 FOREIGN = {
@@ -120,6 +121,32 @@ def number(
     )
     text = f"{value!r} {parameter.unit} {why}; {expected}{next(guesses, '')}"
     raise document.error((*path, "value"), text)
+
+
+def home(document: Document, model: Model) -> None:
+    """Check that home is a solution of the nominal mechanism, up to ten tolerances of its
+    parameters and a hundredth of its length: home selects the branch of all solutions."""
+    s, m = model.structure.ideal, model.mechanism
+    p, at = m.parameters, m.home
+    neutral = np.empty((1, 0))
+    phi = s.closure_batch(at.configuration[None], neutral, p.nominal)[0][0]
+    by_parameters = s.jacobians(at.configuration[None], neutral, p.nominal)[1][0]
+    usual = np.linalg.norm(by_parameters * p.tolerance, axis=1)
+    if (np.abs(phi) <= MAX_TOLERANCES * usual + 0.01 * m.length).all():
+        return
+    poses = np.array(s.candidates(at.joints, p.nominal)).T[:, :3]
+    leads = [pose for pose in poses if np.isfinite(pose).all()] if len(poses) < 3 else []
+    if not np.abs(np.diff([at.position, *leads], axis=0)).any():
+        leads = []  # a mechanism without a closed form proposes home
+    to = " or ".join(str(pose.round(6).tolist()) for pose in leads)
+    words = f"they lead to {to} m: state that position" if leads else "correct the position"
+    raise document.error(
+        ("home",),
+        f"with the parameters of this file, the joints do not lead to the position "
+        f"{[*at.position]} m (an equation is wrong by {np.abs(phi).max():.3g} m); {words}, or the "
+        "joints that belong to this pose, or write a new file (parallel-cal new "
+        f"{m.name} --option ...)",
+    )
 
 
 class Hint:
