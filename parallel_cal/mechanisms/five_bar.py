@@ -33,8 +33,8 @@ class FiveBar(Mechanism):
     right crank at home (2.09 and 1.05); `below`, true if the point is below the line through the
     elbows, on its -y side (default false); `limits` of both angles in rad (default 1.05 to 3.14 of
     the left crank and 0 to 2.09 of the right one; with another `home`, 1.05 to both sides of it).
-    Home and workspace follow from them. `switches` (rad) are the readings at which the cranks touch their
-    homing switches.
+    Home and workspace follow from them. `switches` (rad) are the readings at which the cranks touch
+    their homing switches.
     """
 
     joints = ("left", "right")
@@ -52,7 +52,10 @@ class FiveBar(Mechanism):
     )
     home = Home(joints=(120 * DEGREE, 60 * DEGREE), position=(0.0, HEIGHT, 0.0))
     workspace = Workspace(low=(-40 * MM, 170 * MM), high=(40 * MM, 230 * MM))
-    joint_limits = ((60 * DEGREE, 180 * DEGREE), (0.0, 120 * DEGREE))
+    joint_limits: tuple[tuple[float, float], ...] = (
+        (60 * DEGREE, 180 * DEGREE),
+        (0.0, 120 * DEGREE),
+    )
     closed_forms = ("direct", "inverse")
     length = CRANK
     bodies = BODIES
