@@ -18,6 +18,7 @@ FOREIGN = {
     "m": ("mm", "um", "inch"),
     "rad": ("degrees", "mrad", "arcmin"),
 }
+CLEARLY_NEARER = 2.0  # an inexact home is so many times nearer to one solution than to the other
 MAX_LIMIT_RAD = 50.0  # eight turns; larger limits are probably in degrees
 
 
@@ -124,28 +125,32 @@ def number(
 
 
 def home(document: Document, model: Model) -> None:
-    """Check that home is a solution of the nominal mechanism, up to ten tolerances of its
-    parameters and a hundredth of its length: home selects the branch of all solutions."""
+    """Check that home selects one of two poses to which its joints lead with the nominal mechanism.
+
+    Home need not be exact: errors of ten tolerances of the parameters are usual. If it is further
+    from a solution, it must be clearly nearer to one of the two.
+    """
     s, m = model.structure.ideal, model.mechanism
     p, at = m.parameters, m.home
     neutral = np.empty((1, 0))
     phi = s.closure_batch(at.configuration[None], neutral, p.nominal)[0][0]
     by_parameters = s.jacobians(at.configuration[None], neutral, p.nominal)[1][0]
     usual = np.linalg.norm(by_parameters * p.tolerance, axis=1)
-    if (np.abs(phi) <= MAX_TOLERANCES * usual + 0.01 * m.length).all():
-        return
     poses = np.array(s.candidates(at.joints, p.nominal)).T[:, :3]
-    leads = [pose for pose in poses if np.isfinite(pose).all()] if len(poses) < 3 else []
-    if not np.abs(np.diff([at.position, *leads], axis=0)).any():
-        leads = []  # a mechanism without a closed form proposes home
-    to = " or ".join(str(pose.round(6).tolist()) for pose in leads)
-    words = f"they lead to {to} m: state that position" if leads else "correct the position"
+    if len(poses) != 2 or (np.abs(phi) <= MAX_TOLERANCES * usual + 0.01 * m.length).all():
+        return
+    near, far = np.sort(np.linalg.norm(poses - at.position, axis=1))
+    if CLEARLY_NEARER * near < far:
+        return
+    leads = "to no position: correct joints and position"
+    if np.isfinite(near):
+        one, other = (str((pose.round(6) + 0.0).tolist()) for pose in poses)
+        leads = f"to {one} or {other} m: state that of them at which the robot works"
     raise document.error(
         ("home",),
         f"with the parameters of this file, the joints do not lead to the position "
-        f"{[*at.position]} m (an equation is wrong by {np.abs(phi).max():.3g} m); {words}, or the "
-        "joints that belong to this pose, or write a new file (parallel-cal new "
-        f"{m.name} --option ...)",
+        f"{[*at.position]} m, but {leads}, or write a new file (parallel-cal new {m.name} "
+        "--option ...)",
     )
 
 
