@@ -489,8 +489,10 @@ def test_a_model_file_of_another_mechanism_names_what_does_not_fit(text):
 
 def test_an_option_that_the_mechanism_does_not_take_is_refused(text):
     bad = text.replace("mechanism: delta24", "mechanism: {name: delta24, options: {legs: 6}}")
-    refused(bad, "delta24: there is no option 'legs'; its options: none")
-    refused(bad.replace("legs", "name"), "there is no option 'name'; its options: none")
+    refused(bad, "delta24: there is no option 'legs'; its options: base=None, platform")
+    refused(
+        bad.replace("legs", "name"), "there is no option 'name'; its options: base=None, platform"
+    )
 
 
 def test_an_unknown_effect_is_refused_and_the_nearest_is_suggested(text):

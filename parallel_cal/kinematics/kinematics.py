@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from parallel_cal.base.arguments import require, require_model
 from parallel_cal.base.compiled import Single
 from parallel_cal.base.errors import SolveError
+from parallel_cal.kinematics.branch import follow_from_home, is_jump, is_short_step
 from parallel_cal.kinematics.one_sample import FastSolver, fast_solver
 from parallel_cal.kinematics.problem import Problem
 from parallel_cal.kinematics.rows import joint_rows, pose_rows
@@ -255,7 +256,7 @@ class Kinematics:
     ) -> Solutions:
         require("keep_branch", keep_branch, "bool", SolveError)
         rows = self.model.condition_rows(at, len(given))
-        solutions = self._solve_from(problem, given, rows, start)
+        solutions = self._solve_from(problem, given, rows, start, keep_branch)
         if start is not None and not keep_branch and solutions.status.any():
             solutions = self._replace_lost(problem, given, rows, solutions)
         return solutions[0] if np.ndim(shape_like) == 1 else solutions
@@ -289,20 +290,34 @@ class Kinematics:
         return self._solve_from(problem, given, self.model.condition_rows(at, len(given)), start)
 
     def _solve_from(
-        self, problem: Problem, given: np.ndarray, rows: np.ndarray, start: Solutions | None
+        self,
+        problem: Problem,
+        given: np.ndarray,
+        rows: np.ndarray,
+        start: Solutions | None,
+        any_branch: bool = True,
     ) -> Solutions:
+        """Solve from the starts, or on the branch of home. With `any_branch`, iterations from a
+        start may end on another branch than its own."""
         if start is None:
-            reached = problem.solve_many(given, rows)
-        else:
-            reached = problem.refine(problem.begin(given, start), rows)
-        return self._classify(problem, given, rows, NewtonResult(*reached))
+            return self._classify(problem, given, rows, problem.solve_many(given, rows))
+        begin = problem.begin(given, start)
+        reached = problem.refine(begin, rows)
+        return self._classify(problem, given, rows, reached, begin, any_branch)
 
     def _classify(
-        self, problem: Problem, given: np.ndarray, rows: np.ndarray, reached: NewtonResult
+        self,
+        problem: Problem,
+        given: np.ndarray,
+        rows: np.ndarray,
+        reached: Sequence[np.ndarray],
+        begin: np.ndarray | None = None,
+        any_branch: bool = False,
     ) -> Solutions:
-        """Assign a status to each sample; the robust solver repeats what did not converge."""
+        """Assign a status to each sample; the robust solver repeats what did not converge, and a
+        path from home what converged on another branch."""
         n = self._n
-        x, step, residual, pivot = self._wrap_and_refine(problem, reached, rows)
+        x, step, residual, pivot = self._wrap_and_refine(problem, NewtonResult(*reached), rows)
         status = np.full(len(x), Status.CONVERGED, dtype=np.int8)
         finite = np.isfinite(given).all(axis=1) & np.isfinite(rows).all(axis=1)
         status[~finite] = Status.INVALID_INPUT
@@ -316,6 +331,12 @@ class Kinematics:
         for i in np.flatnonzero(suspect & (status == Status.CONVERGED)):
             if problem.smallest_singular_value(x[i], rows[i]) < MIN_REGULAR_SINGULAR_VALUE:
                 status[i] = Status.SINGULAR
+            elif begin is None:
+                x[i], residual[i], status[i] = self._stay_on_home_branch(
+                    problem, x[i], rows[i], given[i], bool(settled[i])
+                )
+            elif not any_branch and is_jump(problem, begin[i], x[i], rows[i]):
+                status[i] = Status.OTHER_BRANCH
         low, high = np.array(self._limits, dtype=float).T
         inside = ((x[:, :n] >= low) & (x[:, :n] <= high)).all(axis=1)
         status[~inside & (status == Status.CONVERGED)] = Status.OUTSIDE_LIMITS
@@ -333,6 +354,31 @@ class Kinematics:
         if not self.model.effects:
             return turned, residual, status
         return problem.solve_carefully(turned, row, given)
+
+    def _stay_on_home_branch(
+        self, problem: Problem, x: np.ndarray, row: np.ndarray, given: np.ndarray, settled: bool
+    ) -> tuple[np.ndarray, float, Status]:
+        """Return the solution on the branch of home, if x is not known to be on it.
+
+        It is if Newton's method settled on the side of the singularities on which it began.
+        Otherwise the readings (or the pose) move from home to those given; if the branch ends on
+        this path, x is joined with home by a path of the other coordinates.
+        """
+        side = problem.is_on_home_side(x, row)
+        keeps_side = problem.is_on_home_side(problem.start(given), row) == side
+        if (settled and keeps_side) or not problem.calls.home_sign:
+            return x, problem.residual(x, row), Status.CONVERGED
+        followed = None if self._quick else follow_from_home(problem, problem, given, row)
+        if followed is not None:
+            x = followed
+            x[: self._n] = _wrap_towards_home(x[: self._n], problem.unknown_joints, self.model)
+            return x, problem.residual(x, row), Status.CONVERGED
+        if side and not self._quick:
+            other = self.direct_problem if problem.unknown_joints else self.inverse_problem
+            end = follow_from_home(other, problem, x, row)
+            if end is not None and is_short_step(self.model.mechanism.length, end, x):
+                return x, problem.residual(x, row), Status.CONVERGED
+        return x, problem.residual(x, row), Status.OTHER_BRANCH
 
     def _wrap_and_refine(
         self, problem: Problem, reached: NewtonResult, rows: np.ndarray

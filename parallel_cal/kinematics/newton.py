@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, reduce
+from operator import mul
 from typing import Any
 
 import casadi as ca
@@ -11,6 +12,7 @@ import numpy as np
 
 from parallel_cal.base.compiled import dense
 from parallel_cal.base.rotation import cayley
+from parallel_cal.kinematics.solutions import MIN_REGULAR_SINGULAR_VALUE
 from parallel_cal.model.structure import Structure
 
 ITERATIONS = 2  # third order, from the solution of model 24; more follow only if necessary
@@ -23,15 +25,18 @@ class NewtonFunctions:
 
     `tables`: v -> k, evaluated once per model. `solve` and `refine`: (configuration, a, k with the
     lower and upper joint limits) -> configuration, last step (m), norm of phi (m), smallest pivot,
-    smallest distance of a joint from its limits, negative outside. `solve` begins at the
-    mechanism's own start, `refine` at the given configuration. `columns`: the unknown columns of
-    (q, r, w). `iteration`: the parts of `solve` and `refine`.
+    smallest distance of a joint from its limits, negative outside. The pivot is negative on the
+    other side of a singularity than home. `solve` begins at the mechanism's own start, `refine` at
+    the given configuration. `columns`: the unknown columns of (q, r, w). `home_sign`: sign of the
+    determinant of the closure's Jacobian in the unknowns at home; 0 if home selects no side.
+    `iteration`: the parts of `solve` and `refine`.
     """
 
     tables: ca.Function
     solve: ca.Function
     refine: ca.Function
     columns: list[int]
+    home_sign: float
     iteration: Iteration
 
 
@@ -45,18 +50,20 @@ def newton_functions(structure: Structure, problem: str) -> NewtonFunctions:
     s = structure
     columns, given, start = split(s, problem)
     J = s.jacobian_configuration[:, columns] / ca.repmat(ca.DM(s.scale[columns]).T, s.phi.shape[0])
-    order = row_order(s, J)
+    order, home_sign = row_order(s, J), find_home_sign(s, J)
     (phi, J), constants, symbols = _extract_constant_parts([s.phi, J], ca.vertcat(given, s.v, s.a))
     before = ca.vertcat(constants, start)
     (before,), tables, table_symbols = _extract_constant_parts([before], s.v)
     residual = dense("residual", [s.configuration, symbols], [phi])
-    step = _step_function(s, residual, J, symbols, columns, order)
+    # The determinant of the ordered rows is that of J times the sign of the permutation.
+    side = home_sign * np.linalg.det(np.eye(len(order))[order])
+    step = _step_function(s, residual, J, symbols, columns, order, float(side.round()))
     prepare = dense("prepare", [s.configuration, s.a, table_symbols], [before])
     tables_function = dense("tables", [s.v], [tables])
     iterate = Iteration(prepare, step, residual, constants.shape[0])
     solve = iterate.function(f"{problem}_solve", from_start=True)
     refine = iterate.function(f"{problem}_refine", from_start=False)
-    return NewtonFunctions(tables_function, solve, refine, columns, iterate)
+    return NewtonFunctions(tables_function, solve, refine, columns, home_sign, iterate)
 
 
 def split(s: Structure, problem: str) -> tuple[list[int], Any, Any]:
@@ -90,9 +97,17 @@ def _extract_constant_parts(expressions: list[Any], of: Any) -> tuple[list[Any],
 
 
 def _step_function(
-    s: Structure, residual: ca.Function, J: Any, symbols: Any, columns: list[int], order: list[int]
+    s: Structure,
+    residual: ca.Function,
+    J: Any,
+    symbols: Any,
+    columns: list[int],
+    order: list[int],
+    side: float,
 ) -> ca.Function:
     """(configuration, constants) -> configuration after one iteration, last step, pivot.
+
+    The pivot is negative if the determinant of the ordered rows has another sign than `side`.
 
     One iteration is a Newton step and a second step with the same Jacobian: third order
     (Traub) at little more than the cost of one step. With more rows than unknowns the step is that
@@ -110,7 +125,8 @@ def _step_function(
 
     once, _ = stepped(s.configuration)
     twice, scaled = stepped(once)
-    return dense("step", [s.configuration, symbols], [twice, ca.norm_2(scaled), solver.pivot])
+    pivot = solver.pivot * (ca.sign(side * solver.determinant) if side else 1)
+    return dense("step", [s.configuration, symbols], [twice, ca.norm_2(scaled), pivot])
 
 
 def _square(J: Any) -> Any:
@@ -128,6 +144,17 @@ def apply_change(s: Structure, x: Any, columns: list[int], scaled: Any) -> Any:
     if any(c >= n + 3 for c in columns):
         R9 = ca.vec((cayley(change[n + 3 :]) @ ca.reshape(R9, 3, 3).T).T)
     return ca.vertcat(x[: n + 3] + change[: n + 3], R9)
+
+
+def find_home_sign(s: Structure, J: Any) -> float:
+    """Sign of the determinant of the nominal robot's Jacobian at home; 0 at a singular home, and
+    if there are more rows than unknowns or fewer: then two branches may have equal signs."""
+    jacobian = ca.Function("J", [s.configuration, s.v, s.a], [J])
+    A = np.array(jacobian(s.mechanism.home.configuration, s.table.nominal, s.neutral))
+    if A.shape[0] != A.shape[1] or not np.isfinite(A).all():
+        return 0.0
+    regular = np.linalg.svd(A, compute_uv=False)[-1] > MIN_REGULAR_SINGULAR_VALUE
+    return float(np.sign(np.linalg.det(A))) if regular else 0.0
 
 
 def row_order(s: Structure, J: Any) -> list[int]:
@@ -148,7 +175,8 @@ def row_order(s: Structure, J: Any) -> list[int]:
 
 
 class Elimination:
-    """Compute A^-1 b for several b by elimination in a given row order, and the smallest pivot.
+    """Compute A^-1 b for several b by elimination in a given row order, the smallest pivot, and the
+    determinant of the ordered rows.
 
     Rows are not exchanged at run time, so the result is one expression without branches. Newton's
     method corrects the lost accuracy; a small pivot sends the sample to the careful solver.
@@ -157,7 +185,7 @@ class Elimination:
     def __init__(self, A: Any, order: list[int]):
         self._order = order
         factorise, self._substitute = _elimination(len(order))
-        self._factors, self.pivot = factorise(A[order, :])
+        self._factors, self.pivot, self.determinant = factorise(A[order, :])
 
     def __call__(self, b: Any) -> Any:
         return self._substitute(self._factors, b[self._order])
@@ -165,7 +193,8 @@ class Elimination:
 
 @lru_cache(maxsize=16)
 def _elimination(n: int) -> tuple[ca.Function, ca.Function]:
-    """Build A -> (factors of A, smallest pivot), and (factors, b) -> A^-1 b, for n unknowns.
+    """Build A -> (factors of A, smallest pivot, determinant), and (factors, b) -> A^-1 b, for n
+    unknowns.
 
     To call these functions with symbols takes a tenth of the time of the same operations in Python.
     """
@@ -178,14 +207,15 @@ def _elimination(n: int) -> tuple[ca.Function, ca.Function]:
             for j in range(k + 1, n):
                 M[i][j] = M[i][j] - M[i][k] * M[k][j]
     factors = ca.vertcat(*[ca.horzcat(*row) for row in M])
-    pivot = ca.mmin(ca.fabs(ca.diag(factors)))
+    pivots = ca.diag(factors)
+    pivot, determinant = ca.mmin(ca.fabs(pivots)), reduce(mul, ca.vertsplit(pivots))
     y = ca.vertsplit(b)
     for i in range(n):
         y[i] = y[i] - sum(A[i, k] * y[k] for k in range(i))
     for i in reversed(range(n)):
         y[i] = (y[i] - sum(A[i, k] * y[k] for k in range(i + 1, n))) / A[i, i]
     return (
-        ca.Function("factorise", [A], [factors, pivot]),
+        ca.Function("factorise", [A], [factors, pivot, determinant]),
         ca.Function("substitute", [A, b], [ca.vertcat(*y)]),
     )
 

@@ -8,7 +8,12 @@ import numpy as np
 
 from parallel_cal.base.compiled import Batch, Single
 from parallel_cal.kinematics.newton import newton_functions
-from parallel_cal.kinematics.solutions import MAX_CLOSED_RESIDUAL_M, Solutions, Status
+from parallel_cal.kinematics.solutions import (
+    MAX_CLOSED_RESIDUAL_M,
+    MAX_SETTLED_STEP_M,
+    Solutions,
+    Status,
+)
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.model.structure import Structure
@@ -21,6 +26,7 @@ class _Calls:
         functions = newton_functions(structure, name)
         self._refine, self._compile = functions.refine, compile
         self.columns, self.tables = functions.columns, Single(functions.tables)
+        self.home_sign = functions.home_sign
         self.many = Batch(functions.solve, compile)
 
     @cached_property
@@ -59,16 +65,43 @@ class Problem:
 
     def begin(self, given: np.ndarray, start: Solutions) -> np.ndarray:
         """Copy `given`, with the unknown coordinates taken from `start`."""
-        begin, n = given.copy(), self._n
+        return self.begin_from(given, start.configuration.rows)
+
+    def begin_from(self, given: np.ndarray, start: np.ndarray) -> np.ndarray:
+        """Copy `given`, with the unknown coordinates taken from the configurations `start`."""
+        return np.where(self._is_unknown, start, given)
+
+    @cached_property
+    def _is_unknown(self) -> np.ndarray:
+        """Which entries (nq + 12,) of a configuration are unknown."""
+        n, passive = self._n, self.model.mechanism.passive
+        unknown = range(6) if not self.unknown_joints else passive
+        joints, turned = [self.unknown_joints] * n, any(i >= 3 for i in unknown)
+        return np.array([*joints, *(i in unknown for i in range(3)), *[turned] * 9])
+
+    def start(self, given: np.ndarray) -> np.ndarray:
+        """Copy one configuration, with the unknown coordinates where `solve_many` begins."""
+        ideal, n = self.model.structure.ideal, self._n
+        geometry = self.model.values[: len(ideal.table)]
+        q, r, R9 = np.split(given, (n, n + 3))
         if self.unknown_joints:
-            begin[:, :n] = start.joints
-        from_start = self.model.mechanism.passive if self.unknown_joints else range(6)
-        for i in from_start:
-            if i < 3:
-                begin[:, n + i] = np.asarray(start.position)[..., i]
-        if any(i >= 3 for i in from_start):
-            Configuration.from_rows(begin).R[:] = start.rotation
-        return begin
+            q = ideal.start_joints(r, R9, geometry)
+        else:
+            r, R9 = ideal.start_pose(q, geometry)
+        return np.concatenate([np.array(part).ravel() for part in (q, r, R9)])
+
+    def settle(self, begin: np.ndarray, row: np.ndarray) -> np.ndarray | None:
+        """Iterate from one configuration; None if the iterations do not settle on home's side of
+        the singularities."""
+        x, step, residual, pivot, _ = self._refine_one(begin, row, self.k_and_limits)
+        if not step[0] < MAX_SETTLED_STEP_M:
+            x, step, residual, pivot, _ = self._refine_one(x, row, self.k_and_limits)
+        settled = step[0] < MAX_SETTLED_STEP_M and residual[0] < self.largest and pivot[0] > 0.0
+        return x if settled else None
+
+    @cached_property
+    def _refine_one(self) -> Single:
+        return Single(self.calls.refine.function)
 
     @cached_property
     def single_solver(self) -> Single:
@@ -107,6 +140,18 @@ class Problem:
         Zero means singular.
         """
         return float(np.linalg.svd(self._phi_and_jacobian(x, a)[1], compute_uv=False)[-1])
+
+    def residual(self, x: np.ndarray, a: np.ndarray) -> float:
+        """Norm of the closure, m."""
+        return float(np.linalg.norm(self._phi_and_jacobian(x, a)[0]))
+
+    def is_on_home_side(self, x: np.ndarray, a: np.ndarray) -> bool:
+        """Whether the determinant of that Jacobian has the sign that it has at home."""
+        sign = self.calls.home_sign
+        if not sign:
+            return True
+        J = self._phi_and_jacobian(x, a)[1]
+        return bool(np.isfinite(J).all() and sign * np.linalg.det(J) > 0.0)
 
     def solve_carefully(
         self, x: np.ndarray, a: np.ndarray, given: np.ndarray

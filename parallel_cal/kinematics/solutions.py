@@ -32,6 +32,7 @@ class Status(IntEnum):
     OUTSIDE_LIMITS = 3
     NOT_CONVERGED = 4
     INVALID_INPUT = 5
+    OTHER_BRANCH = 8
 
     @property
     def text(self) -> str:
@@ -42,7 +43,10 @@ class Status(IntEnum):
 CONVERGED = np.array(Status.CONVERGED, dtype=np.int8)
 CONVERGED.setflags(write=False)
 ARRAYS = ("joints", "position", "rotation", "residual", "status")  # of Solutions, by rows
-SOLVED = np.isin(list(Status), [Status.CONVERGED, Status.SINGULAR, Status.OUTSIDE_LIMITS])
+# By the number of a status
+SOLVED = np.isin(
+    np.arange(max(Status) + 1), [Status.CONVERGED, Status.SINGULAR, Status.OUTSIDE_LIMITS]
+)
 
 
 @dataclass(frozen=True)
@@ -123,7 +127,8 @@ class Solutions:
 
     @property
     def solved(self) -> np.ndarray:
-        """Which rows close, including singular ones and those outside the joint limits."""
+        """Which rows close on the requested branch, including singular ones and those outside the
+        joint limits."""
         return np.asarray(SOLVED[self.status])
 
     @property

@@ -42,6 +42,10 @@ class Argos(Mechanism):
         """Find the nominal model's four orientations, with the centre at home (section 6.7.2)."""
         return orientations(q, p)
 
+    def start(self, q: Any, p: Named) -> tuple[Any, Any]:
+        """Return the orientation nearest to home: the others are half a turn away from it."""
+        return self.nearest_home_pose(self.candidates(q, p))
+
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
         """Find both angles of every motor, with the centre at home.
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
+from parallel_cal.base.errors import ModelError
 from parallel_cal.base.units import DEGREE, MM
+from parallel_cal.mechanisms._size import read_limits, read_numbers
 from parallel_cal.model.drawing import Line, ring
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
@@ -35,6 +39,55 @@ class Delta(Mechanism):
     workspace = Workspace(low=(-0.06, -0.06, 0.14), high=(0.06, 0.06, 0.26))
     joint_limits = ((-30 * DEGREE, 135 * DEGREE),) * 3  # section 2.3.2: mechanical stops
     length = 24 * MM  # half the bar of a rod pair
+
+
+class SizedDelta(Delta):
+    """A Delta whose size may be stated in a few numbers; its subclasses describe the options."""
+
+    def __init__(
+        self,
+        base: float | None = None,
+        platform: float | None = None,
+        arm: float | None = None,
+        rod: float | None = None,
+        direction: float = 0.0,
+        home: float | None = None,
+        below: bool = False,
+        limits: Sequence[float] | None = None,
+    ):
+        stated = {"base": base, "platform": platform, "arm": arm, "rod": rod}
+        stated = {name: value for name, value in stated.items() if value is not None}
+        if not stated and not direction and home is None and not below and limits is None:
+            return
+        size = {"base": 100 * MM, "platform": 24 * MM, "arm": 120 * MM, "rod": 240 * MM}
+        size |= read_numbers(stated, may_be_zero=("platform",))
+        side, out = -1 if below else 1, size["base"] - size["platform"]
+        numbers = {"D_x": out, "R": out, "D_y": 0.0, "La_y": 0.0, "Lb": size["rod"]}
+        numbers |= {"La_x": size["arm"], "La": size["arm"], "b_x": size["platform"]}
+        nominal = {f"chain{i + 1}.theta": float(direction) + i * 120 * DEGREE for i in range(3)}
+        nominal |= {
+            name: numbers[last]
+            for name in self.parameters.names
+            if (last := name.rpartition(".")[2]) in numbers
+        }
+        self.parameters = self.parameters.with_nominal(nominal)
+        angle = side * Delta.home.joints[0] if home is None else float(home)
+        drop = size["rod"] ** 2 - (out + size["arm"] * np.cos(angle)) ** 2
+        if not drop > 0:
+            raise ModelError(
+                f"rod is {size['rod']:g} m: too short for the elbows at home, which are "
+                f"{abs(out + size['arm'] * np.cos(angle)):.6g} m from the axis; expected a longer "
+                "rod, or another angle home"
+            )
+        z = round(float(size["arm"] * np.sin(angle) + side * np.sqrt(drop)), 13)
+        self.home = Home(joints=(angle,) * 3, position=(0.0, 0.0, z))
+        reach = size["arm"] * np.array([0.4, 0.4, 0.25])
+        centre = np.array([0.0, 0.0, z])
+        self.workspace = Workspace(
+            tuple(map(float, centre - reach)), tuple(map(float, centre + reach))
+        )
+        low, high = sorted(side * limit for limit in Delta.joint_limits[0])
+        self.joint_limits = ((low, high) if limits is None else read_limits(limits, "rad"),) * 3
 
 
 def chain_parameters(groups: dict[str, dict[str, Entry]]) -> ParameterTable:

@@ -11,7 +11,7 @@ from parallel_cal.base.rotation import rot_x, rot_y, rot_z
 from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.mechanisms._delta import (
     POSITION,
-    Delta,
+    SizedDelta,
     chain_parameters,
     pair_errors,
     pair_lengths,
@@ -46,7 +46,7 @@ def rotation_as_matrix(v: Any) -> Any:
     return ca.vertcat(ca.horzcat(x, -y, 0), ca.horzcat(y, x, 0), ca.horzcat(0, 0, z))
 
 
-class Delta54(Delta):
+class Delta54(SizedDelta):
     """Delta robot with three arms and six rods, each with its own length and end points.
 
     Position and orientation of the platform vary.
@@ -59,6 +59,16 @@ class Delta54(Delta):
       and z is parallel to the motor axis.
     - b, D and dC are the vectors of the parameters `b_x, b_y, b_z` and so on.
       `La = (La_x, La_y, 0)` and `d = (0, 0, d_z)`.
+
+    Options: `base`, `platform`, `arm`, `rod`, `direction`, `home`, `below` and `limits`, the size
+    of the robot in m and rad. `base` and `platform` are the distances of the motor axes and of the
+    rods' joints on the platform from the centre (0.1 and 0.024), `arm` and `rod` the lengths (0.12
+    and 0.24). `direction` is that of the first motor about z, measured from x (0); the others
+    follow at 120 and 240 degrees. `home` is the angle of all arms at home, positive towards +z
+    (0.535). With `below: true` the platform is on the -z side of the arms: a hanging robot with z
+    up (then `home` is -0.535). `limits` are those of the angles (-0.52 to 2.36, or -2.36 to 0.52
+    with `below`). With any of them, the motors lie in the plane z = 0, and home and workspace
+    follow from the size. Without options, the robot is that of table 5.12.
     """
 
     parameters = chain_parameters(GROUPS)

@@ -19,6 +19,16 @@ class DeltaNominal(Delta24):
     """Delta robot with three equal chains at the angles theta_i.
 
     R is the radius of the base minus the radius of the platform.
+
+    Options: `base`, `platform`, `arm`, `rod`, `direction`, `home`, `below` and `limits`, the size
+    of the robot in m and rad. `base` and `platform` are the distances of the motor axes and of the
+    rods' joints on the platform from the centre (0.1 and 0.024), `arm` and `rod` the lengths (0.12
+    and 0.24). `direction` is that of the first motor about z, measured from x (0); the others
+    follow at 120 and 240 degrees. `home` is the angle of all arms at home, positive towards +z
+    (0.535). With `below: true` the platform is on the -z side of the arms: a hanging robot with z
+    up (then `home` is -0.535). `limits` are those of the angles (-0.52 to 2.36, or -2.36 to 0.52
+    with `below`). With any of them, the motors lie in the plane z = 0, and home and workspace
+    follow from the size. Without options, the robot is that of table 3.12.
     """
 
     parameters = ParameterTable(

@@ -10,12 +10,14 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.units import DEGREE, MM
+from parallel_cal.mechanisms._controller import read_one_per_joint
+from parallel_cal.mechanisms._size import read_limits, read_numbers
 from parallel_cal.model.closed_form import joint_angles, two_circles
 from parallel_cal.model.drawing import Line
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
-CRANK, ROD = 100 * MM, 150 * MM
+BASE, CRANK, ROD = 100 * MM, 100 * MM, 150 * MM
 HEIGHT = float(CRANK * np.sin(60 * DEGREE) + np.sqrt(ROD**2 - CRANK**2))  # m: the point at home
 SIDES = {"left": -1, "right": 1}
 BODIES = {"base": ("*.x", "*.y"), "cranks": ("*.crank",), "rods": ("*.rod",)}
@@ -26,7 +28,13 @@ class FiveBar(Mechanism):
 
     The angles of the cranks are measured from the x axis.
 
-    The option `switches` (rad) states the readings at which the cranks touch their homing switches.
+    Options: `base`, the distance in m of the cranks' axes (0.1), which lie on the x axis; `crank`
+    and `rod`, the lengths in m (0.1 and 0.15); `home`, the angles in rad of the left and of the
+    right crank at home (2.09 and 1.05); `below`, true if the point is below the line through the
+    elbows, on its -y side (default false); `limits` of both angles in rad (default 1.05 to 3.14 of
+    the left crank and 0 to 2.09 of the right one; with another `home`, 1.05 to both sides of it).
+    Home and workspace follow from them. `switches` (rad) are the readings at which the cranks touch
+    their homing switches.
     """
 
     joints = ("left", "right")
@@ -35,7 +43,7 @@ class FiveBar(Mechanism):
         Parameter(f"{side}.{name}", unit, nominal, tolerance, label=label)
         for side, sign in SIDES.items()
         for name, unit, nominal, tolerance, label in (
-            ("x", "m", sign * 50 * MM, 0.2 * MM, "crank axis' x"),
+            ("x", "m", sign * BASE / 2, 0.2 * MM, "crank axis' x"),
             ("y", "m", 0.0, 0.2 * MM, "crank axis' y"),
             ("crank", "m", CRANK, 0.2 * MM, "crank length"),
             ("rod", "m", ROD, 0.2 * MM, "rod length"),
@@ -44,15 +52,55 @@ class FiveBar(Mechanism):
     )
     home = Home(joints=(120 * DEGREE, 60 * DEGREE), position=(0.0, HEIGHT, 0.0))
     workspace = Workspace(low=(-40 * MM, 170 * MM), high=(40 * MM, 230 * MM))
-    joint_limits = ((60 * DEGREE, 180 * DEGREE), (0.0, 120 * DEGREE))
+    joint_limits: tuple[tuple[float, float], ...] = (
+        (60 * DEGREE, 180 * DEGREE),
+        (0.0, 120 * DEGREE),
+    )
     closed_forms = ("direct", "inverse")
     length = CRANK
     bodies = BODIES
 
-    def __init__(self, switches: Sequence[float] = (180 * DEGREE, 0.0)):
+    def __init__(
+        self,
+        switches: Sequence[float] = (180 * DEGREE, 0.0),
+        base: float | None = None,
+        crank: float | None = None,
+        rod: float | None = None,
+        home: Sequence[float] | None = None,
+        below: bool = False,
+        limits: Sequence[float] | None = None,
+    ):
         if len(switches) != 2:
             raise ModelError(f"{len(switches)} switches given, expected one for each crank, in rad")
         self.switches = tuple(map(float, switches))
+        if limits is not None:
+            self.joint_limits = (read_limits(limits, "rad"),) * 2
+        stated = {"base": base, "crank": crank, "rod": rod}
+        stated = {name: value for name, value in stated.items() if value is not None}
+        if not stated and home is None and not below:
+            return
+        size = {"base": BASE, "crank": CRANK, "rod": ROD} | read_numbers(stated)
+        angles = np.array(
+            FiveBar.home.joints if home is None else read_one_per_joint("home", home, 2, "crank")
+        )
+        nominal = {f"{side}.{part}": size[part] for side in SIDES for part in ("crank", "rod")}
+        nominal |= {f"{side}.x": sign * size["base"] / 2 for side, sign in SIDES.items()}
+        self.parameters = self.parameters.with_nominal(nominal)
+        p = Named(self.parameters.names, ca.DM(self.parameters.nominal))
+        pose = self.candidates(ca.DM(angles), p)[1 if below else 0][0]
+        x, y = (round(float(v), 13) for v in pose.elements()[:2])
+        if not np.isfinite([x, y]).all():
+            raise ModelError(
+                f"rod is {size['rod']:g} m: the rods do not meet at home, with the cranks at "
+                f"{angles[0]:g} and {angles[1]:g} rad; expected longer rods"
+            )
+        self.home = Home(tuple(map(float, angles)), (x, y, 0.0))
+        if home is not None and limits is None:
+            self.joint_limits = tuple(
+                (float(q) - 60 * DEGREE, float(q) + 60 * DEGREE) for q in angles
+            )
+        half = 0.25 * size["crank"]
+        self.workspace = Workspace((x - half, y - half), (x + half, y + half))
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """Compute the length error (|P - elbow|^2 - rod^2) / (2 rod) of each rod, in metres."""

@@ -8,16 +8,19 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import rot_x, rot_y, rot_z
 from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.mechanisms._controller import read_scale
 from parallel_cal.mechanisms._delta import pair_errors, pair_lengths, rod_pairs
+from parallel_cal.mechanisms._size import read_limits, read_numbers
 from parallel_cal.model.closed_form import positions
 from parallel_cal.model.drawing import Line
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 OFFSET, ROD, LOW = 100 * MM, 250 * MM, 100 * MM  # rail to rod plane, rod, platform at home
+PLATFORM = 30 * MM
 
 # In the chain's frame: x outwards, y along the rod pair's bar, z up. The pairs are written as
 # mean and half difference, as in model 54. name: unit, nominal, tolerance, group.
@@ -35,7 +38,7 @@ CHAIN = {
     "d_x": ("m", 0.0, 0.2 * MM, "P2"),  # the platform's half bar and where it sits
     "d_y": ("m", 25 * MM, 0.2 * MM, "P2"),
     "d_z": ("m", 0.0, 0.2 * MM, "P2"),
-    "b_x": ("m", 30 * MM, 0.2 * MM, "P2"),
+    "b_x": ("m", PLATFORM, 0.2 * MM, "P2"),
     "b_y": ("m", 0.0, 0.2 * MM, "P2"),
     "b_z": ("m", 0.0, 0.2 * MM, "P2"),
 }
@@ -49,9 +52,16 @@ class LinearDelta(Mechanism):
 
     Position and orientation of the platform vary.
 
-    Options: `inclination` (rad), the angle by which the rails lean outwards from the vertical;
-    `direction` (rad), the angle of the first rail about z, measured from x. Both are 0 by default:
-    vertical rails, the first of them on the x axis. The others follow at 120 and 240 degrees.
+    Options: `base` and `platform`, the distances in m of the carriages' joints at reading zero and
+    of the platform's joints from the centre (0.13 and 0.03); `rod`, the length in m of the rods
+    (0.25); `height` in m of the platform at home (0.1); `limits` of the readings in m (0 to 0.6;
+    with another size, up to one rod above home). Home and workspace follow from them. The carriages
+    are above the platform.
+
+    `inclination` (rad) is the angle by which the rails lean outwards from the vertical;
+    `direction` (rad) is the angle of the first rail about z, measured from x. Both are 0 by
+    default: vertical rails, the first of them on the x axis. The others follow at 120 and 240
+    degrees.
     `scale` describes the controller with which the joints were recorded: how many steps or turns of
     its motor make a joint's reading 1 m longer, one number for each joint (default: unknown). An
     export for this controller starts from it.
@@ -76,15 +86,45 @@ class LinearDelta(Mechanism):
         inclination: float = 0.0,
         direction: float = 0.0,
         scale: Sequence[float] | None = None,
+        base: float | None = None,
+        platform: float | None = None,
+        rod: float | None = None,
+        height: float = LOW,
+        limits: Sequence[float] | None = None,
     ):
         self.inclination, self.direction = float(inclination), float(direction)
         self.scale = None if scale is None else read_scale(scale, len(self.joints))
         # At reading q the carriage is pushed out by q sin(inclination). Solve for the rod's length.
         lean = np.array([np.sin(self.inclination), np.cos(self.inclination)])
-        away = np.array([OFFSET, -LOW])
+        stated = {"base": base, "platform": platform, "rod": rod}
+        stated = {name: value for name, value in stated.items() if value is not None}
+        size = {"base": OFFSET + PLATFORM, "platform": PLATFORM, "rod": ROD}
+        size |= read_numbers(stated, may_be_zero=("platform",))
+        offset, long = round(size["base"] - size["platform"], 13), size["rod"]
+        away = np.array([offset, -float(height)])
         along = float(away @ lean)
-        reading = float(-along + np.sqrt(along**2 - away @ away + ROD**2))
-        self.home = Home(joints=(reading,) * 3, position=(0.0, 0.0, LOW))
+        square = along**2 - away @ away + long**2
+        if not square > 0:
+            raise ModelError(
+                f"rod is {long:g} m: too short for a platform {offset:g} m inside the rails; "
+                "expected a longer rod"
+            )
+        reading = float(-along + np.sqrt(square))
+        self.home = Home(joints=(reading,) * 3, position=(0.0, 0.0, float(height)))
+        if limits is not None:
+            self.joint_limits = (read_limits(limits, "m"),) * 3
+        if not stated and height == LOW:
+            return
+        numbers = {"D_x": offset, "b_x": size["platform"], "Lb": long}
+        self.parameters = self.parameters.with_nominal(
+            {f"chain{i}.{name}": value for i in (1, 2, 3) for name, value in numbers.items()}
+        )
+        if limits is None:
+            self.joint_limits = ((min(0.0, reading - long), reading + long),) * 3
+        reach, middle = abs(offset) * np.array([0.6, 0.6, 0.8]), np.array([0.0, 0.0, height])
+        self.workspace = Workspace(
+            tuple(map(float, middle - reach)), tuple(map(float, middle + reach))
+        )
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """Compute mean and half difference of each pair's two rods, like eq. 3.12, in metres."""

@@ -26,8 +26,9 @@ SCALES = "scales"  # what measures the joints whose readings are lengths
 class Home:
     """A configuration in the assembly mode in which the robot works.
 
-    If a problem has several solutions (elbow in or out, platform above or below), the solution
-    nearest to home is chosen. So home belongs to the model file, not to a solver.
+    If a problem has several solutions (elbow in or out, platform above or below), the solution on
+    the branch of home is chosen: the one that a motion from home reaches without passing a
+    singularity. So home belongs to the model file, not to a solver.
 
     Parameters
     ----------
@@ -204,34 +205,54 @@ class Mechanism(ABC):
         """Return poses [(r, R)] near the solutions of the direct problem; by default, home.
 
         The poses are exact if the thesis or the paper has a closed-form solution. Otherwise they
-        are starting points of Newton's method.
+        are starting points of Newton's method. Their order is the same for all readings: the k-th
+        one is always on the same branch, as both roots of a quadratic equation are. Mechanisms
+        without such an order override `start`.
         """
         return [(ca.DM(self.home.position), ca.DM(quaternion_to_matrix(self.home.quaternion)))]
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
-        """Return joint values near the solutions of the inverse problem; by default, home."""
+        """Return joint values near the solutions of the inverse problem, in an order as that of
+        `candidates`; by default, home."""
         return [(joint,) for joint in self.home.joints]
 
     def start(self, q: Any, p: Named) -> tuple[Any, Any]:
-        """Return the candidate pose nearest to home, which is in the robot's assembly mode."""
-        position, rotation = Mechanism.candidates(self, q, p)[0]
+        """Return the candidate pose on the branch of home."""
+        at_home = self.candidates(ca.DM(self.home.joints), self._nominal)
+        k = _index_of_least([self._distance_from_home(pose) for pose in at_home])
+        found = self.candidates(q, p)
+        return self.nearest_home_pose(found) if k is None else found[k]
 
-        def distance(pose: tuple[Any, Any]) -> Any:
-            turned = ca.sumsqr(pose[1] - rotation) / 2  # the squared angle, if it is small
-            return ca.sumsqr(pose[0] - position) + self.length**2 * turned
-
-        return nearest(self.candidates(q, p), distance)
+    def nearest_home_pose(self, candidates: list[tuple[Any, Any]]) -> tuple[Any, Any]:
+        """Return the candidate pose nearest to home: the branch of home only near home."""
+        return nearest(candidates, self._distance_from_home)
 
     def start_inverse(self, r: Any, R: Any, p: Named) -> Any:
-        """Return the candidate nearest to home for each joint."""
-        return self.nearest_home(self.joint_candidates(r, R, p))
+        """Return the candidate on the branch of home for each joint."""
+        return self.select_home_branch(self.joint_candidates(r, R, p))
 
-    def nearest_home(self, candidates: list[tuple[Any, ...]]) -> Any:
-        """Return for each joint the value nearest to home; angles are compared on the circle."""
-        choices = zip(self.wrap_to_home(candidates), self.home.joints, strict=True)
-        return ca.vertcat(
-            *[nearest(c, partial(lambda h, q: ca.fabs(q - h), home)) for c, home in choices]
-        )
+    def select_home_branch(self, candidates: list[tuple[Any, ...]]) -> Any:
+        """Return for each joint the candidate on the branch of home, within half a turn of home;
+        `candidates` are in the order of `joint_candidates`."""
+        r, R = ca.DM(self.home.position), ca.DM(quaternion_to_matrix(self.home.quaternion))
+        there = self.wrap_to_home(self.joint_candidates(r, R, self._nominal))
+        chosen = []
+        for joint, at_home, home in zip(
+            self.wrap_to_home(candidates), there, self.home.joints, strict=True
+        ):
+            distance = partial(lambda h, q: ca.fabs(q - h), home)
+            k = _index_of_least([distance(q) for q in at_home])
+            chosen.append(nearest(joint, distance) if k is None else joint[k])
+        return ca.vertcat(*chosen)
+
+    @property
+    def _nominal(self) -> Named:
+        return Named(self.parameters.names, ca.DM(self.parameters.nominal))
+
+    def _distance_from_home(self, pose: tuple[Any, Any]) -> Any:
+        position, rotation = Mechanism.candidates(self, None, self._nominal)[0]
+        turned = ca.sumsqr(pose[1] - rotation) / 2  # the squared angle, if it is small
+        return ca.sumsqr(pose[0] - position) + self.length**2 * turned
 
     def wrap_to_home(self, candidates: list[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
         """Return each joint's values with angles moved to within half a turn of home."""
@@ -379,6 +400,12 @@ def list_shown_displacements(moves: Sequence[str]) -> tuple[str, ...]:
         )
 
     return tuple(c for c in POSE if is_shown(c))
+
+
+def _index_of_least(expressions: Sequence[Any]) -> int | None:
+    """Return the index of the smallest number; None if all are NaN. They have no symbols."""
+    numbers = np.array([float(ca.evalf(ca.SX(expression))) for expression in expressions])
+    return None if np.isnan(numbers).all() else int(np.nanargmin(numbers))
 
 
 def nearest(candidates: Sequence[Any], distance: Callable[[Any], Any]) -> Any:

@@ -33,6 +33,8 @@ ADVICE: dict[int, str] = {
     Status.OUTSIDE_LIMITS: "solved, but a joint is outside its limits",
     Status.NOT_CONVERGED: "the solver gave up; a solution may exist",
     Status.INVALID_INPUT: "the input holds a value that is not finite",
+    Status.OTHER_BRANCH: "solved, but mirrored or turned over: no path without a singularity from "
+    "home to this solution was found",
 }
 
 

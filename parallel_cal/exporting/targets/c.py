@@ -18,6 +18,7 @@ from parallel_cal import __version__
 from parallel_cal.base.compiled import Single, dense
 from parallel_cal.base.errors import ModelError
 from parallel_cal.exporting.targets._vectors import vectors
+from parallel_cal.kinematics.branch import MAX_PATH_STEPS, MIN_STEP_FRACTION, PATH_GROWTH
 from parallel_cal.kinematics.newton import NewtonFunctions, newton_functions
 from parallel_cal.kinematics.solutions import (
     MAX_CLOSED_RESIDUAL_M,
@@ -151,8 +152,12 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
         "home_position": _list(home[n : n + 3]),
         "home_rotation": _list(home[n + 3 :]),
         "threshold": DIRECTION_THRESHOLD,
-        "all_steps": 8 * MAX_DESCENTS,
+        "all_steps": 8 * MAX_DESCENTS + 2 * MAX_PATH_STEPS,
         "descents": MAX_DESCENTS,
+        "path_steps": MAX_PATH_STEPS,
+        "path_growth": PATH_GROWTH,
+        "least_step": MIN_STEP_FRACTION,
+        "length": m.length,
         "amplitude": PATH_AMPLITUDE * m.length,
         "followed": _lines(
             f"memcpy(at->{kind}, motion->{kind}, sizeof at->{kind});"
@@ -167,13 +172,16 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
         "given": _lines(_generate_copy("given", "", m.controlled)),
         "passive": _lines(_generate_copy("x", "start->", m.passive), 8),
     }
-    for problem, u, g, c in zip(PROBLEMS, unknown, given, constants, strict=True):
+    for problem, functions, u, g, c in zip(
+        PROBLEMS, newton, unknown, given, constants, strict=True
+    ):
         words |= {
             f"unknown_{problem}": _list(u),
             f"n_{problem}": len(u),
             f"given_{problem}": _list(g),
             f"g_{problem}": len(g),
             f"constants_{problem}": c,
+            f"home_sign_{problem}": int(functions.home_sign),
         }
     return {key: str(value) for key, value in words.items()}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import lru_cache
 from itertools import product
 from typing import Any
@@ -127,11 +128,18 @@ def solve_on_home_branch(
     at: Mapping[str, Any] | None,
     every: Callable[[Model, np.ndarray, Mapping[str, Any] | None], Solutions],
 ) -> Solutions:
-    """Return the first solution of `every` for joints (nq,) or (N, nq); unreachable if none."""
+    """Return the first solution of `every` for joints (nq,) or (N, nq); unreachable if none.
+
+    `every` begins with what Newton's method returns, also if that is on another branch.
+    """
     q = np.asarray(q, dtype=float)
     if q.ndim == 1:
         found = every(model, q, at) if np.isfinite(q).all() else None
-        return found[0] if found else make_unsolved(model, q=q)
+        if not found:
+            return make_unsolved(model, q=q)
+        if get_kinematics(model).direct(q, at).status != Status.OTHER_BRANCH:
+            return found[0]
+        return replace(found[0], status=np.array(Status.OTHER_BRANCH, dtype=np.int8))
     rows = [
         solve_on_home_branch(model, row, select_conditions(at, i), every) for i, row in enumerate(q)
     ]

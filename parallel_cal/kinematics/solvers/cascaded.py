@@ -76,12 +76,12 @@ def direct_function(s: Structure, half_steps: int) -> ca.Function:
     ideal = _check_structure(s)
     p = ideal.p if half_steps else _perfect(ideal.p, s)
     turn, r, R = _orientation(s, ideal.q, p, ideal.p), s.r, ca.SX.eye(3)
-    home = ca.DM(s.mechanism.home.position)
+    near = s.mechanism.start(ideal.q, p)[0]  # on the branch of home
     for k in range(max(half_steps, 2)):
         if k % 2:
             R = turn(r, R)
         else:
-            r = nearest(positions(s.mechanism, ideal.q, p, R), lambda x: ca.sumsqr(x - home))
+            r = nearest(positions(s.mechanism, ideal.q, p, R), lambda x: ca.sumsqr(x - near))
     return half_step_function("cascaded_direct", s, s.q, r, R)
 
 
@@ -104,7 +104,7 @@ def inverse_function(s: Structure, half_steps: int) -> ca.Function:
                 R = _orientation(s, ideal_q, p, complete)(s.r, R)
             else:
                 both = joint_angles(s.mechanism, s.r, R, p)  # eqs 6.36-6.37
-                change = s.mechanism.nearest_home(both) - ideal_q
+                change = s.mechanism.select_home_branch(both) - ideal_q
                 q = q + ca.atan2(ca.sin(change), ca.cos(change))  # without whole turns
     return half_step_function("cascaded_inverse", s, q, s.r, R)
 

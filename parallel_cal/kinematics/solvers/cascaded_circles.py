@@ -92,7 +92,7 @@ def inverse_function(s: Structure, half_steps: int) -> ca.Function:
         if k % 2:
             r = _centre(s.mechanism, q, s.R, ideal.p, r)
         else:
-            q = s.mechanism.nearest_home(joint_angles(s.mechanism, r, s.R, ideal.p))
+            q = s.mechanism.select_home_branch(joint_angles(s.mechanism, r, s.R, ideal.p))
     return half_step_function("circles_inverse", s, q, r, s.R)
 
 

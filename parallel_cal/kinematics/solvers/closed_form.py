@@ -63,11 +63,12 @@ def inverse(
 def inverse_all(
     model: Model, position: np.ndarray, rotation: np.ndarray | None = None, at: At | None = None
 ) -> Solutions:
-    """Find the candidate joints for a pose that are exact, those nearest to home first."""
+    """Find the candidate joints for a pose that are exact, the home branch first."""
     home = model.mechanism.home
     R = quaternion_to_matrix(home.quaternion) if rotation is None else np.reshape(rotation, (3, 3))
     found = _select_exact(model, joint_candidates(model, position, R), at, "inverse")
-    order = np.argsort(np.sum(1 - np.cos(found.joints - np.array(home.joints)), axis=1))
+    first = get_kinematics(model).inverse(position, R, at).joints
+    order = np.argsort(np.sum(1 - np.cos(found.joints - first), axis=1))
     return replace(found[order], complete=found.complete)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
+from parallel_cal.kinematics.branch import MIN_STEP_FRACTION, is_short_step
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.singularity import distances
 from parallel_cal.kinematics.solutions import (
@@ -26,7 +27,6 @@ from parallel_cal.model.model import Model
 
 MIN_SAFE_DISTANCE = 0.02  # scaled singular value; below it the assembly mode is in danger
 WARN_POINTS_AHEAD = 5  # danger is announced if the branch will end within so many points
-MIN_STEP_FRACTION = 2.0**-12  # of the path between two points; below it the branch has ended
 SOLVED = (Status.CONVERGED, Status.OUTSIDE_LIMITS)
 # Driven joints leave the platform free in a direct singularity only. A commanded platform brings
 # the robot into either kind.
@@ -179,11 +179,8 @@ def _is_same_branch(
     signs = [getattr(both, f"{end}_sign") for end in SINGULARITY_KINDS[kind]]
     if any(before != after for before, after in signs):
         return False
-    moved = np.abs(there.position - here.position).max() / model.mechanism.length
-    turned = np.abs(there.rotation - here.rotation).max()
-    swung = np.abs(there.joints - here.joints).max()
-    # A jump to another branch is finite, however short the step; these bounds are well below it.
-    return bool(max(moved / 4, turned, swung / 2) < 0.25)
+    ends = here.configuration.rows, there.configuration.rows
+    return is_short_step(model.mechanism.length, *ends)
 
 
 def _fill_lost_points(track: Track, joints: np.ndarray, positions: np.ndarray) -> Solutions:

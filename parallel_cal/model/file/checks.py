@@ -10,13 +10,15 @@ import numpy as np
 from parallel_cal.base.units import si_factor
 from parallel_cal.model.file.schema import CovariancePart, DrivePart, JointPart, suggestion
 from parallel_cal.model.file.yamltext import Document, Path
-from parallel_cal.model.parameters import Parameter, ParameterTable
+from parallel_cal.model.model import Model
+from parallel_cal.model.parameters import MAX_TOLERANCES, Parameter, ParameterTable
 
 # Units in which people paste values: one of them may explain an implausible value.
 FOREIGN = {
     "m": ("mm", "um", "inch"),
     "rad": ("degrees", "mrad", "arcmin"),
 }
+CLEARLY_NEARER = 2.0  # an inexact home is so many times nearer to one solution than to the other
 MAX_LIMIT_RAD = 50.0  # eight turns; larger limits are probably in degrees
 
 
@@ -120,6 +122,36 @@ def number(
     )
     text = f"{value!r} {parameter.unit} {why}; {expected}{next(guesses, '')}"
     raise document.error((*path, "value"), text)
+
+
+def home(document: Document, model: Model) -> None:
+    """Check that home selects one of two poses to which its joints lead with the nominal mechanism.
+
+    Home need not be exact: errors of ten tolerances of the parameters are usual. If it is further
+    from a solution, it must be clearly nearer to one of the two.
+    """
+    s, m = model.structure.ideal, model.mechanism
+    p, at = m.parameters, m.home
+    neutral = np.empty((1, 0))
+    phi = s.closure_batch(at.configuration[None], neutral, p.nominal)[0][0]
+    by_parameters = s.jacobians(at.configuration[None], neutral, p.nominal)[1][0]
+    usual = np.linalg.norm(by_parameters * p.tolerance, axis=1)
+    poses = np.array(s.candidates(at.joints, p.nominal)).T[:, :3]
+    if len(poses) != 2 or (np.abs(phi) <= MAX_TOLERANCES * usual + 0.01 * m.length).all():
+        return
+    near, far = np.sort(np.linalg.norm(poses - at.position, axis=1))
+    if CLEARLY_NEARER * near < far:
+        return
+    leads = "to no position: correct joints and position"
+    if np.isfinite(near):
+        one, other = (str((pose.round(6) + 0.0).tolist()) for pose in poses)
+        leads = f"to {one} or {other} m: state that of them at which the robot works"
+    raise document.error(
+        ("home",),
+        f"with the parameters of this file, the joints do not lead to the position "
+        f"{[*at.position]} m, but {leads}, or write a new file (parallel-cal new {m.name} "
+        "--option ...)",
+    )
 
 
 class Hint:

@@ -84,6 +84,8 @@ class Reader:
             model.structure.phi  # noqa: B018  (evaluate a user's closure now, not at its first use)
         except ModelError as error:
             raise self._error(("mechanism",), str(error)) from None
+        if file.home is not None:
+            checks.home(self._document, model)
         return model
 
     # ------------------------------------------------------------------ version, mechanism, parts

@@ -19,8 +19,10 @@
 #define SUSPECT @suspect@   /* a pivot below this asks for that value */
 #define ITERATIONS 2 /* of third order; twice, where the first do not arrive */
 #define DESCENTS @descents@
+#define PATH_STEPS @path_steps@
+#define LEAST_STEP @least_step@ /* of a path; below it the branch has ended */
 
-#define ALL_STEPS @all_steps@ /* two descents, twice, from two starts */
+#define ALL_STEPS @all_steps@ /* two descents, twice, from two starts; two paths from home */
 
 enum { DIRECT, INVERSE };
 
@@ -39,6 +41,8 @@ static const int UNKNOWN[2][MOST] = {{@unknown_direct@}, {@unknown_inverse@}};
 static const int UNKNOWNS[2] = {@n_direct@, @n_inverse@};
 static const int GIVEN[2][MOST] = {{@given_direct@}, {@given_inverse@}};
 static const int GIVENS[2] = {@g_direct@, @g_inverse@};
+static const int HOME_SIGN[2] = {@home_sign_direct@, @home_sign_inverse@}; /* 0: selects no side */
+static const double LENGTH = @length@;         /* m */
 static const int TABLE[2] = {@constants_direct@, @constants_inverse@};
 
 /* ------------------------------------------------ the model, generated from its expression */
@@ -49,14 +53,17 @@ static inline double sign(double x) { return x < 0 ? -1 : x > 0 ? 1 : x; }
 @generated@
 /* ------------------------------------------------------------------ linear algebra */
 
-/* A (n, n) x = b for m right sides, row by row, by elimination with pivots; 0 where singular. */
+/* A (n, n) x = b for m right sides, row by row, by elimination with pivots. Returns the sign of A's
+ * determinant, 0 where singular. */
 static int solved(int n, double *A, int m, double *b)
 {
+    int side = 1;
     for (int k = 0; k < n; ++k) {
         int best = k;
         for (int i = k + 1; i < n; ++i)
             if (fabs(A[i * n + k]) > fabs(A[best * n + k])) best = i;
         if (!(fabs(A[best * n + k]) > 0) || !isfinite(A[best * n + k])) return 0;
+        if ((best != k) != (A[best * n + k] < 0)) side = -side;
         for (int j = 0; j < n && best != k; ++j) {
             double kept = A[k * n + j];
             A[k * n + j] = A[best * n + j], A[best * n + j] = kept;
@@ -76,7 +83,7 @@ static int solved(int n, double *A, int m, double *b)
             for (int k = i + 1; k < n; ++k) b[i * m + j] -= A[i * n + k] * b[k * m + j];
             b[i * m + j] /= A[i * n + i];
         }
-    return 1;
+    return side;
 }
 
 /* J^T J, or J J^T where that is smaller; J (ROWS, n) row by row. Returns its size. */
@@ -118,6 +125,18 @@ static double smallest_singular_value(int n, const double *J)
 
 /* ------------------------------------------------------------------ configurations */
 
+/* The unknown coordinates of `from` into x. */
+static void unknowns_of(int problem, const double *from, double *x)
+{
+    for (int j = 0; j < UNKNOWNS[problem]; ++j) {
+        int column = UNKNOWN[problem][j];
+        if (column < NQ + 3)
+            x[column] = from[column];
+        else
+            memcpy(x + NQ + 3, from + NQ + 3, 9 * sizeof *x);
+    }
+}
+
 static int all_finite(int n, const double *x)
 {
     for (int i = 0; i < n; ++i)
@@ -142,14 +161,10 @@ static double closure_and_slopes(int problem, const double *x, const double *a, 
     return sqrt(sum);
 }
 
-/* x after a change of its unknowns (m): R <- exp(w) R. */
-static void moved(int problem, const double *x, const double *step, double *to)
+/* x after a change: R <- exp(w) R. */
+static void changed(const double *x, const double *change, double *to)
 {
-    double change[NC] = {0}, *w = change + NQ + 3;
-    for (int j = 0; j < UNKNOWNS[problem]; ++j) {
-        int column = UNKNOWN[problem][j];
-        change[column] = step[j] / SCALE[column];
-    }
+    const double *w = change + NQ + 3;
     double angle = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]);
     double s = angle > 1e-8 ? sin(angle) / angle : 1 - angle * angle / 6;
     double h = angle > 1e-8 ? 2 * square(sin(angle / 2) / angle) : 0.5;
@@ -168,6 +183,62 @@ static void moved(int problem, const double *x, const double *step, double *to)
             turned[3 * i + j] = sum;
         }
     memcpy(to + NQ + 3, turned, sizeof turned);
+}
+
+/* x after a change of its unknowns (m). */
+static void moved(int problem, const double *x, const double *step, double *to)
+{
+    double change[NC] = {0};
+    for (int j = 0; j < UNKNOWNS[problem]; ++j) {
+        int column = UNKNOWN[problem][j];
+        change[column] = step[j] / SCALE[column];
+    }
+    changed(x, change, to);
+}
+
+/* The change from x to `to`; its turn is the largest row of the quaternion's products. */
+static void change_between(const double *x, const double *to, double *change)
+{
+    double D[9], size = 0, angle;
+    for (int i = 0; i < NQ + 3; ++i) change[i] = to[i] - x[i];
+    for (int i = 0; i < 3; ++i)
+        for (int j = 0; j < 3; ++j) {
+            D[3 * i + j] = 0;
+            for (int k = 0; k < 3; ++k)
+                D[3 * i + j] += to[NQ + 3 + 3 * i + k] * x[NQ + 3 + 3 * j + k];
+        }
+    const double products[4][4] = {
+        {1 + D[0] + D[4] + D[8], D[7] - D[5], D[2] - D[6], D[3] - D[1]},
+        {D[7] - D[5], 1 + D[0] - D[4] - D[8], D[1] + D[3], D[2] + D[6]},
+        {D[2] - D[6], D[1] + D[3], 1 - D[0] + D[4] - D[8], D[5] + D[7]},
+        {D[3] - D[1], D[2] + D[6], D[5] + D[7], 1 - D[0] - D[4] + D[8]}};
+    int best = 0;
+    for (int k = 1; k < 4; ++k)
+        if (products[k][k] > products[best][best]) best = k;
+    const double *quaternion = products[best];
+    for (int i = 1; i < 4; ++i) size += square(quaternion[i]);
+    angle = 2 * atan2(sqrt(size), fabs(quaternion[0])) * (quaternion[0] < 0 ? -1 : 1);
+    for (int i = 0; i < 3; ++i)
+        change[NQ + 3 + i] = size > 0 ? angle / sqrt(size) * quaternion[i + 1] : 0;
+}
+
+/* Whether the determinant of the slopes has the sign that it has at home. */
+static int on_home_side(int problem, const double *x, const double *a)
+{
+    double phi[ROWS], J[ROWS * MOST];
+    if (HOME_SIGN[problem] == 0) return 1;
+    closure_and_slopes(problem, x, a, phi, J);
+    return HOME_SIGN[problem] * solved(UNKNOWNS[problem], J, 0, J) > 0;
+}
+
+/* Whether two configurations are too near for a jump to another branch. */
+static int short_step(const double *here, const double *there)
+{
+    for (int i = 0; i < NX; ++i) {
+        double unit = i < NQ ? 2 : i < NQ + 3 ? 4 * LENGTH : 1;
+        if (!(fabs(there[i] - here[i]) < 0.25 * unit)) return 0;
+    }
+    return 1;
 }
 
 static int within_limits(int joint, double q)
@@ -209,6 +280,63 @@ static double iterated(int problem, int most, const double *constants, double *x
         memcpy(x, next, sizeof next);
     }
     return length;
+}
+
+static double norm_of_closure(int problem, const double *x, const double *constants)
+{
+    double phi[ROWS], squares = 0;
+    if (problem == DIRECT)
+        direct_residual(x, constants, phi);
+    else
+        inverse_residual(x, constants, phi);
+    for (int i = 0; i < ROWS; ++i) squares += phi[i] * phi[i];
+    return sqrt(squares);
+}
+
+static void prepare(int problem, const double *given, const double *a, double *before)
+{
+    if (problem == DIRECT)
+        direct_prepare(given, a, before);
+    else
+        inverse_prepare(given, a, before);
+}
+
+/* The solution, in place of x, for what x holds as given; whether Newton's method finds it, on
+ * home's side of the problem's singularities. */
+static int settled_on_home_side(int problem, const double *a, double *x)
+{
+    double before[CONSTANTS + NX], pivot = 0;
+    prepare(problem, x, a, before);
+    return iterated(problem, 2 * ITERATIONS, before, x, &pivot) < SETTLED
+        && norm_of_closure(problem, x, before) < CLOSED && pivot > 0;
+}
+
+/* What a problem is given moves in a straight line from home to x, and its solution follows on home's
+ * side of the singularities of `judge`: x is replaced by the end. Whether the branch does not end
+ * before. */
+static int followed(int problem, int judge, const double *a, int *steps, double *x)
+{
+    double change[NC], here[NX], there[NX], part[NC], t = 0, step = 1;
+    memcpy(here, HOME, sizeof here);
+    change_between(HOME, x, change);
+    if (!settled_on_home_side(problem, a, here)) return 0;
+    for (int i = 0; i < PATH_STEPS && t < 1 && step >= LEAST_STEP; ++i) {
+        double target = fmin(t + step, 1);
+        if (--*steps < 0) return 0;
+        for (int k = 0; k < NC; ++k) part[k] = target * change[k];
+        changed(HOME, part, there);
+        unknowns_of(problem, here, there);
+        if (settled_on_home_side(problem, a, there) && short_step(here, there)
+            && on_home_side(judge, there, a)) {
+            memcpy(here, there, sizeof here);
+            t = target, step *= @path_growth@;
+        } else {
+            step /= 2;
+        }
+    }
+    if (t < 1) return 0;
+    memcpy(x, here, sizeof here);
+    return 1;
 }
 
 /* Levenberg-Marquardt from x, in place, with at most DESCENTS and `steps` steps; a status. */
@@ -283,31 +411,47 @@ static int carefully(int problem, const double *given, const double *a, int *ste
     return status[best];
 }
 
+/* The status of a solution x that is not known to be on the branch of home: it is if Newton's method
+ * settled on the side on which it began. Otherwise a path from home leads to the solution, or a path
+ * of the other coordinates joins x with home. */
+static int on_home_branch(int problem, const double *given, const double *begin, const double *a,
+    int settled, int *steps, double *x, double *residual)
+{
+    double end[NX], phi[ROWS], J[ROWS * MOST];
+    int side = on_home_side(problem, x, a);
+    if (HOME_SIGN[problem] == 0 || (settled && on_home_side(problem, begin, a) == side))
+        return @ROBOT@_CONVERGED;
+    memcpy(end, given, sizeof end);
+    if (followed(problem, problem, a, steps, end)) {
+        memcpy(x, end, sizeof end);
+        turned_towards_home(problem, x);
+        *residual = closure_and_slopes(problem, x, a, phi, J);
+        return @ROBOT@_CONVERGED;
+    }
+    memcpy(end, x, sizeof end);
+    if (side && followed(!problem, problem, a, steps, end) && short_step(end, x))
+        return @ROBOT@_CONVERGED;
+    return *steps < 0 ? @ROBOT@_EFFORT_EXCEEDED : @ROBOT@_OTHER_BRANCH;
+}
+
 /* x (in: the start, where `warm`) for what is given; a status. */
 static int solve_once(int problem, const double *given, const double *a, int warm, int *steps,
     double *x, double *residual)
 {
-    double before[CONSTANTS + NX], phi[ROWS], J[ROWS * MOST], pivot = 0, squares = 0;
+    double before[CONSTANTS + NX], begin[NX], phi[ROWS], J[ROWS * MOST], pivot = 0;
     int status = @ROBOT@_CONVERGED, inside = 1;
     if (!all_finite(NX, given) || !all_finite(CONDITIONS, a)) {
         for (int i = 0; i < NX; ++i) x[i] = NAN;
         *residual = NAN;
         return @ROBOT@_INVALID_INPUT;
     }
-    if (problem == DIRECT)
-        direct_prepare(given, a, before);
-    else
-        inverse_prepare(given, a, before);
+    prepare(problem, given, a, before);
     if (!warm) memcpy(x, before + TABLE[problem], NX * sizeof *x);
+    memcpy(begin, x, sizeof begin);
     double length = iterated(problem, ITERATIONS, before, x, &pivot);
     if ((turned_towards_home(problem, x) && EFFECTS != 0) || (isfinite(length) && length >= SETTLED))
         length = iterated(problem, ITERATIONS, before, x, &pivot);
-    if (problem == DIRECT)
-        direct_residual(x, before, phi);
-    else
-        inverse_residual(x, before, phi);
-    for (int i = 0; i < ROWS; ++i) squares += phi[i] * phi[i];
-    *residual = sqrt(squares);
+    *residual = norm_of_closure(problem, x, before);
     int closed = redundant(problem) ? isfinite(*residual) : *residual < CLOSED;
     int settled = length < SETTLED && closed;
     if (!settled) {
@@ -317,13 +461,19 @@ static int solve_once(int problem, const double *given, const double *a, int war
     }
     if (status == @ROBOT@_CONVERGED && !(settled && pivot > SUSPECT)) {
         closure_and_slopes(problem, x, a, phi, J);
-        if (smallest_singular_value(UNKNOWNS[problem], J) < SMALL) status = @ROBOT@_SINGULAR;
+        if (smallest_singular_value(UNKNOWNS[problem], J) < SMALL)
+            status = @ROBOT@_SINGULAR;
+        else if (!warm)
+            status = on_home_branch(problem, given, begin, a, settled, steps, x, residual);
+        else if (on_home_side(problem, begin, a) != on_home_side(problem, x, a)
+            && !short_step(begin, x))
+            status = @ROBOT@_OTHER_BRANCH;
     }
     for (int i = 0; i < NQ; ++i) inside &= within_limits(i, x[i]);
     return status == @ROBOT@_CONVERGED && !inside ? (int)@ROBOT@_OUTSIDE_LIMITS : status;
 }
 
-/* The same. Where a start leads to nothing, or to unknown joints outside their limits, once more
+/* The same. Where a start leads to nothing, to another branch than its own, or to unknown joints outside their limits, once more
  * without it, with the steps that are left; the end from the start stays where that fails, too. */
 static int answered(int problem, const double *given, const double *a, int warm, int steps,
     double *x, double *residual)

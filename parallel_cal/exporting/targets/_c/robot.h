@@ -23,7 +23,9 @@ enum {
     @ROBOT@_OUTSIDE_LIMITS = 3, /* solved; a joint is beyond its limits */
     @ROBOT@_NOT_CONVERGED = 4,
     @ROBOT@_INVALID_INPUT = 5,  /* NaN or infinity was given; the answer is NaN */
-    @ROBOT@_EFFORT_EXCEEDED = 7 /* the allowed steps did not suffice; the answer is the last one */
+    @ROBOT@_EFFORT_EXCEEDED = 7, /* the allowed steps did not suffice; the answer is the last one */
+    @ROBOT@_OTHER_BRANCH = 8 /* the answer closes, but is mirrored or turned over: no path without a
+                              * singularity from home to it was found */
 };
 
 /* What the robot's errors depend on. NULL stands for the values named here. */
@@ -48,9 +50,9 @@ extern const double @robot@_joint_velocity[@ROBOT@_JOINTS]; /* per s */
 extern const double @robot@_joint_acceleration[@ROBOT@_JOINTS]; /* per s^2 */
 
 /* Pose for joints; returns a status. `start` is an answer before or near this one and selects the
- * branch (NULL: the start of the model's home branch). Where it leads to nothing, or in the inverse
- * problem to joints outside their limits, the answer is that of NULL if that one converged inside
- * the limits: joints may then jump to another branch. `residual` (may be NULL) is the norm of the
+ * branch (NULL: the branch of home). Where it leads to nothing or by a long step to another branch, or
+ * in the inverse problem to joints outside their limits, the answer is that of NULL if that one
+ * converged inside the limits: joints may then jump to another branch. `residual` (may be NULL) is the norm of the
  * closure, m. */
 int @robot@_direct(const double joints[@ROBOT@_JOINTS], const @robot@_conditions *at,
     const @robot@_configuration *start, @robot@_configuration *answer, double *residual);
@@ -69,11 +71,12 @@ int @robot@_jacobian(const @robot@_configuration *answer, const @robot@_conditio
 int @robot@_inverse_jacobian(const @robot@_configuration *answer, const @robot@_conditions *at,
     double jacobian[@ROBOT@_JOINTS * 6]);
 
-/* As above, with at most `steps` steps of Levenberg and Marquardt's method, for a bounded time: 0
- * allows Newton's method alone, which suffices from a start nearby. Where more are needed, the
- * status is @ROBOT@_EFFORT_EXCEEDED. The steps are those of one call, from `start` and from NULL's
- * together. The functions that are not capped allow @all_steps@. Beside the steps, a call makes at
- * most 8 iterations of Newton's method, and 4 where `start` is NULL. */
+/* As above, with at most `steps` steps of Levenberg and Marquardt's method and of paths from home,
+ * for a bounded time: 0 allows Newton's method alone, which suffices from a start nearby. Where more
+ * are needed, the status is @ROBOT@_EFFORT_EXCEEDED. The steps are those of one call, from `start`
+ * and from NULL's together. The functions that are not capped allow @all_steps@. A step of a path
+ * takes at most 4 iterations of Newton's method. Beside the steps, a call makes at most 8, and 4
+ * where `start` is NULL (8 more for each of two paths from home). */
 int @robot@_direct_capped(const double joints[@ROBOT@_JOINTS], const @robot@_conditions *at,
     const @robot@_configuration *start, int steps, @robot@_configuration *answer,
     double *residual);

@@ -39,7 +39,8 @@ enum class Status : int {
     outside_limits = 3,
     not_converged = 4,
     invalid_input = 5,
-    effort_exceeded = 7
+    effort_exceeded = 7,
+    other_branch = 8
 };
 
 // The state of one controller: the last pose and command, the motion of the joints, the conditions.
