@@ -1,12 +1,11 @@
-"""A serial arm from a URDF: the chain between two of its links as DH and Hayati links.
+"""A serial arm from a URDF: the chain between two of its links.
 
-Frames with z along the joints' axes follow table 3.5 along the chain, so that the parameters are
-the same as those of an arm that was described by hand. Source: ROS wiki, "urdf/XML/joint".
+Source: ROS wiki, "urdf/XML/joint".
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,16 +15,26 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.files import read_text
+from parallel_cal.base.rotation import rotation_matrix
+from parallel_cal.importing.chain import chain_links, choose_controls, rotation_from_rpy
 from parallel_cal.importing.controller_files import ConfiguredRobot
+from parallel_cal.mechanisms.serial import JOINT_UNITS
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
 from parallel_cal.recordings.recording import Array
 
 KINDS = {"revolute": "R", "continuous": "R", "prismatic": "P", "fixed": None}
-MAX_PARALLEL_SINE = 0.1  # sine of the angle between axes below which they count as parallel
-MAX_COINCIDENT_DISTANCE_M = 1e-3  # m between parallel axes below which they count as one
 ASSUMED_TRAVEL_M = 0.5  # of a slide without limits, as the mechanism `serial` has it
-ROUNDING_TOLERANCE = 1e-13  # m or 1; smaller values are rounding errors
+MAX_AXIS_LENGTH_ERROR = 1e-3  # of 1; 0.707 0.707 0 is a direction with rounded numbers
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """The position of a joint that follows another one: factor * its position + offset."""
+
+    joint: str
+    factor: float = 1.0
+    offset: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -41,6 +50,8 @@ class Joint:
     limits: tuple[float, float]
     velocity: float
     is_limit_zero: bool = False  # stated as 0 to 0
+    mimic: Mimic | None = None
+    axis_length: float = 1.0  # in the file
 
 
 def arm(path: Path, start: str = "", end: str = "", **options: Any) -> ConfiguredRobot:
@@ -48,35 +59,167 @@ def arm(path: Path, start: str = "", end: str = "", **options: Any) -> Configure
 
     Without `end`, it is the only leaf that a joint moves. If several leaves are fixed to the same
     last joint, it is the one after the most fixed joints; a remark names the others. `options` are
-    the options of the mechanism `serial` except its links.
+    the options of the mechanism `serial` except its links. A joint with `<mimic>` follows its
+    master, on the chain or off it, and has no reading of its own.
     """
     every, remarks = _joints(path), list[str]()
     if not end:
         end, remark = _find_tip(path, every, start)
         remarks += [remark] if remark else []
-    joints = _chain(path, every, start, end)
-    driven = [joint for joint in joints if joint.kind]
-    if not driven:
+    joints = [_resolve_mimic(path, joint, every) for joint in _chain(path, every, start, end)]
+    moving = [joint for joint in joints if joint.kind]
+    if not moving:
         raise DatasetError(f"{path}: no joint moves between '{start}' and '{end}'")
-    finite = [
-        tuple(np.clip(j.limits, -2 * np.pi, 2 * np.pi).tolist()) if j.kind == "R" else j.limits
-        for j in driven
+    links = chain_links(joints)
+    driven = _drive(
+        [link for link in links if link["joint"]], moving, {joint.name: joint for joint in every}
+    )
+    mechanism = load_mechanism("serial", links=links, **options)
+    limits = tuple(mechanism.narrow_limits(name, master.limits) for name, master in driven.items())
+    if "home" not in options:
+        finite = np.nan_to_num(limits, posinf=2 * np.pi, neginf=-2 * np.pi).tolist()
+        options["home"] = [0.0 if low < 0 < high else (low + high) / 2 for low, high in finite]
+        mechanism = load_mechanism("serial", links=links, **options)
+    if "controls" not in options and (able := choose_controls(mechanism)) != mechanism.controls:
+        mechanism = load_mechanism("serial", links=links, **options, controls=list(able))
+        remarks.append(f"the arm controls {', '.join(able)}: other coordinates follow from them")
+    mechanism.joints = tuple(master.name for master in driven.values())
+    mechanism.joint_limits = limits
+    mechanism.joint_rates = tuple(
+        (_narrow_velocity(master, moving), np.inf) for master in driven.values()
+    )
+    remarks += _describe_mimics(moving, driven)
+    remarks += _describe_limits([*driven.values()], limits)
+    remarks += [
+        f"the axis of {joint.name} has the length {joint.axis_length:.6g}. It was read as a "
+        "direction, so that the joint moves by its reading; some programs (yourdfpy, ikpy) "
+        f"multiply the motion by {joint.axis_length:.6g}: write an axis of length 1"
+        for joint in moving
+        if joint.kind == "P" and abs(joint.axis_length - 1) > MAX_AXIS_LENGTH_ERROR
     ]
-    links = _links(joints)
-    for link, limits in zip([k for k in links if k["joint"]], finite, strict=True):
-        link |= {"low": limits[0], "high": limits[1]}
-    middle = [0.0 if low <= 0 <= high else (low + high) / 2 for low, high in finite]
-    mechanism = load_mechanism("serial", links=links, **{"home": middle, **options})
-    mechanism.joints = tuple(joint.name for joint in driven)
-    mechanism.joint_limits = tuple(joint.limits for joint in driven)
-    mechanism.joint_rates = tuple((joint.velocity, np.inf) for joint in driven)
     frames = {"base": joints[0].parent, "platform": joints[-1].child}
-    if unlimited := [joint.name for joint in driven if joint.is_limit_zero]:
-        remarks.append(
+    return ConfiguredRobot(replace(new_model(mechanism), frames=frames), tuple(remarks))
+
+
+def _describe_limits(
+    masters: Sequence[Joint], narrowed: Sequence[tuple[float, float]]
+) -> list[str]:
+    """Say which limits are narrower than in the file, and which the file does not state."""
+    said = [
+        f"{master.name} is limited to {low:.6g} to {high:.6g} {JOINT_UNITS[master.kind or '']}: "
+        "beyond, a joint that follows it leaves its own limits"
+        for master, (low, high) in zip(masters, narrowed, strict=True)
+        if master.limits != (low, high)
+    ]
+    if unlimited := [joint.name for joint in masters if joint.is_limit_zero]:
+        said.append(
             f"the limits of {', '.join(unlimited)} are 0 to 0, which does not state how far they "
             "move: set them in the model file (joint_limits)"
         )
-    return ConfiguredRobot(replace(new_model(mechanism), frames=frames), tuple(remarks))
+    return said
+
+
+# ------------------------------------------------------------------ joints that follow others
+
+
+def _resolve_mimic(path: Path, joint: Joint, every: Sequence[Joint]) -> Joint:
+    """Return a joint whose mimic names the joint that does not follow another one itself.
+
+    A joint that follows with the factor 0 stands still: it becomes a fixed one.
+    """
+    if joint.kind is None or joint.mimic is None:
+        return joint
+    known = {other.name: other for other in every}
+    factor, offset, passed, at = 1.0, 0.0, [joint.name], joint
+    while at.mimic:
+        offset += factor * at.mimic.offset
+        factor *= at.mimic.factor
+        where, master = f"{path}: joint '{at.name}': mimic", at.mimic.joint
+        if master not in known:
+            raise DatasetError(
+                f"{where} names the joint '{master}', which the file does not have; expected one "
+                f"of {', '.join(sorted(known))}"
+            )
+        if master in passed:
+            raise DatasetError(
+                f"{where}: {' follows '.join([*passed, master])}: remove one of these mimics"
+            )
+        at = known[master]
+        passed.append(master)
+    if factor == 0:
+        origin = joint.origin @ _motion(joint, offset)
+        return replace(joint, kind=None, origin=origin, mimic=None)
+    if at.kind not in ("R", "P"):
+        raise DatasetError(
+            f"{where} names the joint '{at.name}', which is {at.kind or 'fixed'}; expected a "
+            "revolute, continuous or prismatic joint"
+        )
+    return replace(joint, mimic=Mimic(at.name, factor, offset))
+
+
+def _motion(joint: Joint, position: float) -> Array:
+    """Return the motion (4, 4) of a joint from zero to a position."""
+    T = np.eye(4)
+    if joint.kind == "P":
+        T[:3, 3] = joint.axis * position
+    else:
+        T[:3, :3] = rotation_matrix(joint.axis * position)
+    return T
+
+
+def _drive(
+    steps: Sequence[dict[str, Any]], moving: Sequence[Joint], known: Mapping[str, Joint]
+) -> dict[str, Joint]:
+    """Enter what drives each joint in its link, and return the links with readings and the joints
+    of the file that have these readings.
+
+    The reading of a master off the chain is that of the first joint that follows it.
+    """
+    masters = [joint.mimic.joint if joint.mimic else joint.name for joint in moving]
+    names = [f"link{k}" for k in range(1, len(moving) + 1)]
+    owners = dict(zip(reversed(masters), reversed(names), strict=True))
+    owners |= {j.name: name for j, name in zip(moving, names, strict=True) if not j.mimic}
+    for step, joint, master in zip(steps, moving, masters, strict=True):
+        if joint.mimic:
+            step |= {"driven_by": {owners[master]: joint.mimic.factor}}
+            step |= {"offset": joint.mimic.offset} if joint.mimic.offset else {}
+            low, high = joint.limits
+            step |= {k: v for k, v in (("low", low), ("high", high)) if np.isfinite(v)}
+    for master, name in owners.items():
+        if known[master].kind != (own := steps[names.index(name)])["joint"]:
+            own["reading"] = JOINT_UNITS[known[master].kind or ""]
+    first = dict(zip(names, masters, strict=True))
+    driven = {name: known[first[name]] for name in names if name in owners.values()}
+    for name, master in driven.items():
+        low, high = master.limits
+        if master.kind == "R":
+            low, high = np.clip(master.limits, -2 * np.pi, 2 * np.pi).tolist()
+        steps[names.index(name)] |= {"low": low, "high": high}
+    return driven
+
+
+def _narrow_velocity(master: Joint, moving: Sequence[Joint]) -> float:
+    """Return the velocity at which no joint exceeds its own that follows this one."""
+    following = [j for j in moving if j.mimic and j.mimic.joint == master.name]
+    return min([master.velocity, *(j.velocity / abs(j.mimic.factor) for j in following if j.mimic)])
+
+
+def _describe_mimics(moving: Sequence[Joint], driven: Mapping[str, Joint]) -> list[str]:
+    """Say which joints follow which, and how."""
+    said = []
+    for k, joint in enumerate(moving, start=1):
+        if joint.mimic is None:
+            continue
+        unit, master = JOINT_UNITS[joint.kind or ""], joint.mimic.joint
+        law = f"{joint.mimic.factor:.6g} {master}"
+        law += f" {joint.mimic.offset:+.6g} {unit}" if joint.mimic.offset else ""
+        off = "" if any(j.name == master for j in moving) else ", which is not on the chain"
+        owner = next(name for name, one in driven.items() if one.name == master)
+        factor = (
+            f"; the factor is link{k}.by_{owner}, which is fixed" if owner != f"link{k}" else ""
+        )
+        said.append(f"{joint.name} follows {master}{off} ({law}){factor}")
+    return said
 
 
 # ------------------------------------------------------------------ the file
@@ -104,13 +247,17 @@ def _joint(path: Path, part: ElementTree.Element) -> Joint:
         raise DatasetError(f"{where}: no parent or child link")
     origin = np.eye(4)
     origin[:3, 3] = _read_three(where, part.find("origin"), "xyz", "0 0 0")
-    origin[:3, :3] = _rotation_from_rpy(_read_three(where, part.find("origin"), "rpy", "0 0 0"))
+    origin[:3, :3] = rotation_from_rpy(_read_three(where, part.find("origin"), "rpy", "0 0 0"))
     axis = _read_three(where, part.find("axis"), "xyz", "1 0 0")
     if kind in KINDS and KINDS[kind] and not np.linalg.norm(axis) > 0:
         raise DatasetError(f"{where}: axis xyz is '0 0 0', expected a direction")
     limit, moves = part.find("limit"), kind in ("revolute", "prismatic")
     low, high = (_read_one(where, limit, k, None if moves else 0.0) for k in ("lower", "upper"))
     velocity = _read_one(where, limit, "velocity", 0.0) or np.inf
+    copied, mimic = part.find("mimic"), None
+    if copied is not None:
+        factor = _read_one(where, copied, "multiplier", 1.0)
+        mimic = Mimic(copied.get("joint", ""), factor, _read_one(where, copied, "offset", 0.0))
     zero = moves and low == high == 0
     if zero:  # what generators write for joints without limits
         low, high = (
@@ -126,6 +273,8 @@ def _joint(path: Path, part: ElementTree.Element) -> Joint:
         (low, high) if moves else (-np.inf, np.inf),
         velocity,
         zero,
+        mimic,
+        float(np.linalg.norm(axis)),
     )
 
 
@@ -149,19 +298,8 @@ def _read_one(
     try:
         return float(text or "")
     except ValueError:
-        raise DatasetError(f"{where}: limit {key} is '{text or ''}', expected a number") from None
-
-
-def _rotation_from_rpy(rpy: Array) -> Array:
-    """Return the rotation about the fixed x, then y, then z."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
+        tag = "limit" if part is None else part.tag
+        raise DatasetError(f"{where}: {tag} {key} is '{text or ''}', expected a number") from None
 
 
 def _find_tip(path: Path, joints: Sequence[Joint], start: str) -> tuple[str, str]:
@@ -223,107 +361,3 @@ def _chain(path: Path, joints: Sequence[Joint], start: str, end: str) -> list[Jo
     if not chain:
         raise DatasetError(f"{path}: '{start}' and '{end}' are the same link")
     return chain[::-1]
-
-
-# ------------------------------------------------------------------ the links
-
-
-def _links(joints: Sequence[Joint]) -> list[dict[str, Any]]:
-    """Return the numbers of every link of the mechanism `serial`.
-
-    The first link has no joint and leads to the first axis; the last one leads to {P}.
-    """
-    at, links, kind = np.eye(4), list[dict[str, Any]](), None
-    frame = np.eye(4)  # of the current joint, at reading zero
-    for joint in joints:
-        frame = frame @ joint.origin
-        if joint.kind:
-            step, at = _to_axis(at, frame[:3, 3], frame[:3, :3] @ joint.axis, joint.kind)
-            links.append({"joint": kind, **step})
-            kind = joint.kind
-    return [*links, *_to_frame(at, frame, kind)]
-
-
-def _to_axis(F: Array, p: Array, u: Array, kind: str) -> tuple[dict[str, Any], Array]:
-    """Return the link from frame F to the axis through p along u, and the frame there."""
-    offset, toward = F[:3, :3].T @ (p - F[:3, 3]), F[:3, :3].T @ u
-    normal = np.array([-toward[1], toward[0], 0.0])  # z x u
-    if np.linalg.norm(normal) > MAX_PARALLEL_SINE:
-        return _perpendicular(F, offset, toward, normal / np.linalg.norm(normal), kind)
-    foot = offset - toward * offset[2] / toward[2] if kind == "R" else np.zeros(3)
-    a = float(np.hypot(*foot[:2]))
-    polar = a > MAX_COINCIDENT_DISTANCE_M
-    theta = float(np.arctan2(foot[1], foot[0])) if polar else 0.0
-    x, y = np.cos(theta) * toward[:2] + np.sin(theta) * np.array([toward[1], -toward[0]])
-    beta, alpha = float(np.arcsin(np.clip(x, -1, 1))), float(np.arctan2(-y, toward[2]))
-    step: dict[str, Any] = {
-        "axes": "parallel",
-        "theta": theta,
-        "a": a,
-        "alpha": alpha,
-        "beta": beta,
-    }
-    if kind == "R" and not polar:
-        step |= {"axes": "coincident", "a": float(foot[0]), "b": float(foot[1])}
-    return _remove_rounding(step), F @ _matrix(_remove_rounding(step))
-
-
-def _perpendicular(
-    F: Array, offset: Array, toward: Array, normal: Array, kind: str
-) -> tuple[dict[str, Any], Array]:
-    """Return the DH link: x is along the common normal, from this axis to the next one."""
-    a = float(offset @ normal)
-    if a < 0:
-        normal, a = -normal, -a
-    alpha = float(np.arctan2(np.cross([0.0, 0.0, 1.0], toward) @ normal, toward[2]))
-    # d is the height at which the next axis is nearest to z.
-    across = np.array([-normal[1], normal[0], 0.0])
-    d = float(offset[2] - toward[2] * (offset @ across) / (toward @ across))
-    step = {
-        "axes": "perpendicular",
-        "theta": float(np.arctan2(normal[1], normal[0])),
-        "alpha": alpha,
-    }
-    if kind == "R":
-        step |= {"d": d, "a": a}  # for a sliding joint only the direction counts
-    return _remove_rounding(step), F @ _matrix(_remove_rounding(step))
-
-
-def _to_frame(F: Array, P: Array, kind: str | None) -> list[dict[str, Any]]:
-    """Return the last link; if {P}'s y-axis is nearly along z, a quarter turn comes before it."""
-    first: list[dict[str, Any]] = []
-    left = np.linalg.solve(F, P)
-    if abs(left[2, 1]) > 0.9:
-        quarter: dict[str, Any] = {"joint": kind, "free": [], "alpha": np.pi / 2}
-        first, left, kind = [quarter], np.linalg.solve(_matrix(quarter), left), None
-    alpha = float(np.arcsin(np.clip(left[2, 1], -1, 1)))
-    theta = float(np.arctan2(-left[0, 1], left[1, 1]))
-    beta = float(np.arctan2(-left[2, 0], left[2, 2]))
-    turn = np.array([[np.cos(theta), np.sin(theta)], [-np.sin(theta), np.cos(theta)]])
-    a, b = (turn @ left[:2, 3]).tolist()
-    step = {"theta": theta, "d": float(left[2, 3]), "a": a, "b": b, "alpha": alpha, "beta": beta}
-    return [*first, {"joint": kind, **_remove_rounding(step)}]
-
-
-def _matrix(step: dict[str, Any]) -> Array:
-    """Return Rz(theta) Tz(d) Tx(a) Ty(b) Rx(alpha) Ry(beta), (4, 4)."""
-    theta, d, a, b, alpha, beta = (
-        step.get(k, 0.0) for k in ("theta", "d", "a", "b", "alpha", "beta")
-    )
-    T = np.eye(4)
-    T[:3, 3] = [a * np.cos(theta) - b * np.sin(theta), a * np.sin(theta) + b * np.cos(theta), d]
-    about_y = _rotation_from_rpy(np.array([0.0, beta, 0.0]))
-    T[:3, :3] = (
-        _rotation_from_rpy(np.array([0, 0, theta]))
-        @ _rotation_from_rpy(np.array([alpha, 0, 0]))
-        @ about_y
-    )
-    return T
-
-
-def _remove_rounding(step: dict[str, Any]) -> dict[str, Any]:
-    """Set values that are only rounding errors to zero."""
-    return {
-        k: 0.0 if isinstance(v, float) and abs(v) < ROUNDING_TOLERANCE else v
-        for k, v in step.items()
-    }
