@@ -211,14 +211,13 @@ def _describe_mimics(moving: Sequence[Joint], driven: Mapping[str, Joint]) -> li
         if joint.mimic is None:
             continue
         unit, master = JOINT_UNITS[joint.kind or ""], joint.mimic.joint
-        law = f"{joint.mimic.factor:.6g} {master}"
-        law += f" {joint.mimic.offset:+.6g} {unit}" if joint.mimic.offset else ""
+        factor, offset = joint.mimic.factor, joint.mimic.offset
+        law = f"{factor:.6g} {master}"
+        law += f" {'-' if offset < 0 else '+'} {abs(offset):.6g} {unit}" if offset else ""
         off = "" if any(j.name == master for j in moving) else ", which is not on the chain"
         owner = next(name for name, one in driven.items() if one.name == master)
-        factor = (
-            f"; the factor is link{k}.by_{owner}, which is fixed" if owner != f"link{k}" else ""
-        )
-        said.append(f"{joint.name} follows {master}{off} ({law}){factor}")
+        fixed = "" if owner == f"link{k}" else f"; the factor link{k}.by_{owner} is fixed"
+        said.append(f"{joint.name} follows {master}{off} ({law}){fixed}")
     return said
 
 
