@@ -101,6 +101,13 @@ def arm(path: Path, start: str = "", end: str = "", **options: Any) -> Configure
     return ConfiguredRobot(replace(new_model(mechanism), frames=frames), tuple(remarks))
 
 
+def read_chain(path: Path, start: str, end: str) -> list[Joint]:
+    """Return the joints of a file from link `start` to `end`, fixed ones included; mimics name the
+    joint that does not follow another one itself."""
+    every = _joints(path)
+    return [_resolve_mimic(path, joint, every) for joint in _chain(path, every, start, end)]
+
+
 def _describe_limits(
     masters: Sequence[Joint], narrowed: Sequence[tuple[float, float]]
 ) -> list[str]:
@@ -148,7 +155,7 @@ def _resolve_mimic(path: Path, joint: Joint, every: Sequence[Joint]) -> Joint:
         passed.append(master)
     if factor == 0:
         origin = joint.origin @ _motion(joint, offset)
-        return replace(joint, kind=None, origin=origin, mimic=None)
+        return replace(joint, kind=None, origin=origin)
     if at.kind not in ("R", "P"):
         raise DatasetError(
             f"{where} names the joint '{at.name}', which is {at.kind or 'fixed'}; expected a "
@@ -231,6 +238,11 @@ def _joints(path: Path) -> list[Joint]:
         raise DatasetError(f"{path}: cannot be read: {error.strerror}") from None
     except (ElementTree.ParseError, UnicodeDecodeError) as error:
         raise DatasetError(f"{path}: not a URDF: {error}") from None
+    if any("xacro" in part.tag.partition("}")[0] for part in root.iter()):
+        raise DatasetError(
+            f"{path}: a xacro, expected a URDF: expand it first (xacro {path.name} > robot.urdf) "
+            "and give the expanded file"
+        )
     if root.tag != "robot" or not root.findall("joint"):
         raise DatasetError(
             f"{path}: not a URDF: expected <robot> with <joint>s, found <{root.tag}>"
