@@ -143,6 +143,9 @@ def test_what_follows_is_said_and_keeps_its_limits(tmp_path):
     assert found.model.mechanism.joint_rates[0][0] == 1.0
     off = imported(tmp_path, ROBOTS["the master is off the chain"][0])
     assert "b follows motor, which is not on the chain (0.5 motor + 0.1 rad)" in off.remarks
+    narrow = chain(("b", "revolute", "0 0 0", "0 0 1", 'joint="motor" multiplier="2"'))
+    text = narrow.replace("</robot>", MOTOR + "</robot>")
+    assert imported(tmp_path, text).model.mechanism.joint_limits == ((-1.5, 1.5),)
 
 
 @pytest.mark.parametrize(

@@ -13,15 +13,17 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.importing.chain import motion_of
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.mechanisms.serial import JOINT_UNITS, Link, Serial
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.model import Model
 from parallel_cal.model.parameters import Named
 from parallel_cal.model.region import IdentifiedRegion
-from parallel_cal.recordings.recording import Array
 
+Array = np.ndarray
 N_COMPARED_CONFIGURATIONS = 500
+Z = np.array([0.0, 0.0, 1.0])
 ROUNDING_ERROR = 1e-15  # m or rad
 
 
@@ -96,7 +98,7 @@ def arm_joints(model: Model) -> list[ArmJoint]:
             beside.append(_own_joint(model, own, kind, base, np.eye(4)))
             own = ""
         if own or len(factors) > 1:  # of several joints on one axis, or one that has no mimic
-            origin, offset = origin @ _motion(link.joint, offset), 0.0
+            origin, offset = origin @ motion_of(link.joint, Z, offset), 0.0
         for reading, factor in factors.items():
             if reading == own:
                 joint = _own_joint(model, own, link.joint, parent, origin)
@@ -119,17 +121,6 @@ def _own_joint(model: Model, name: str, kind: str | None, parent: str, origin: A
     rate = m.joint_rates[i][0] if m.joint_rates else np.inf
     child = f"{name}_link"
     return ArmJoint(name, kind, parent, child, origin, None, m.joint_limits[i], rate)
-
-
-def _motion(kind: str | None, position: float) -> Array:
-    """Return the motion (4, 4) of a joint with the axis z."""
-    T = np.eye(4)
-    if kind == "P":
-        T[2, 3] = position
-    else:
-        c, s = np.cos(position), np.sin(position)
-        T[:2, :2] = [[c, -s], [s, c]]
-    return T
 
 
 def _arm(model: Model) -> Serial:

@@ -10,25 +10,22 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 from xml.parsers import expat
 
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError, ModelError
-from parallel_cal.base.rotation import rotation_matrix, rotation_vector
+from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.exporting.arm_urdf import format_exactly, link_frames, moving_links, rpy_of
 from parallel_cal.exporting.editing import read_verbatim
-from parallel_cal.importing.chain import MAX_PARALLEL_SINE
-from parallel_cal.importing.urdf import Joint, arm, read_chain
+from parallel_cal.exporting.frame_placement import place_frames
+from parallel_cal.importing.mimic import Joint
+from parallel_cal.importing.urdf import arm, read_chain
 from parallel_cal.model.model import Model
-from parallel_cal.recordings.recording import Array
 
+Array = np.ndarray
+START_TAG = re.compile(rb"""<(?:[^>"']|"[^"]*"|'[^']*')*>""")  # `>` may be within quotes
 ROUNDING_TOLERANCE = 1e-13  # m or 1; an origin that changes by less stays as it is
-MAX_ITERATIONS = 20  # of Gauss and Newton's method with two unknowns
-ARM_M = 0.1  # m, by which errors of directions count beside those of points
-QUARTER_TURNS = (0.0, np.pi / 2, -np.pi / 2, np.pi)  # a model may count from another zero
-DIGITS = 9  # of an error, m: of equal ones, the first start counts
 
 
 def edit_arm(model: Model, path: Path) -> tuple[str, list[str]]:
@@ -46,7 +43,8 @@ def edit_arm(model: Model, path: Path) -> tuple[str, list[str]]:
         ) from None
     _check_joints(model, path)
     moving = [joint for joint in chain if joint.kind]
-    frames, tip = _place_frames(model, chain)
+    identified, tip = link_frames(model)
+    frames = place_frames(chain, identified, tip)
     origins, at, placed = dict[str, Array](), np.eye(4), iter(frames)
     for joint in chain:
         after = next(placed) if joint.kind else at @ joint.origin
@@ -92,124 +90,6 @@ def _check_joints(model: Model, path: Path) -> None:
             f"{shown[1]}, but the model has {shown[0]}: expected the file from which the model "
             "was made (new --from), or a model file whose joints have the file's names"
         )
-
-
-def _place_frames(model: Model, chain: Sequence[Joint]) -> tuple[list[Array], Array]:
-    """Return the frame (4, 4) in the base of every moving joint of a file, and that of {P}, where
-    the positions of all joints are zero.
-
-    Each frame is where the file has it relative to the one before, but for the motion that brings
-    it to its identified axis. A turn about this axis and a shift along it are free. They are such
-    that the next axis is where the file has it: an error of an encoder's zero thus stays in the
-    origin of its own joint, and turns or shifts the link behind it as a whole.
-    """
-    identified, tip = link_frames(model)
-    at, placed = np.eye(4), list[Array]()
-    for k, joint in enumerate(chain):
-        at = at @ joint.origin
-        if joint.kind:
-            at = _bring_to_axis(at, joint, identified[len(placed)])
-            target = _find_target(at, chain[k:], identified[len(placed) :], tip)
-            at = target.turn_and_shift(at, joint)
-            placed.append(at)
-    return placed, tip
-
-
-def _find_target(
-    frame: Array, chain: Sequence[Joint], identified: Sequence[Array], tip: Array
-) -> _Target:
-    """Return where the link behind the first joint of a chain has to lead: to the next axis, or to
-    the platform. A slide leads to the first axis that shows how far it is out."""
-    ahead, following = np.eye(4), iter(identified[1:])
-    for joint in chain[1:]:
-        ahead = ahead @ joint.origin
-        if joint.kind:
-            target = _Target.axis(ahead, joint, next(following))
-            shown = target.counted @ frame[:3, :3] @ chain[0].axis
-            if chain[0].kind == "R" or np.linalg.norm(shown) > MAX_PARALLEL_SINE:
-                return target
-    return _Target.frame(ahead, tip)
-
-
-@dataclass(frozen=True)
-class _Target:
-    """Where a link has to lead: directions (3, n) and a point in the frame of its joint, where they
-    belong in the base, and in which directions the point counts."""
-
-    directions: Array
-    point: Array
-    wanted_directions: Array
-    wanted_point: Array
-    counted: Array
-
-    @classmethod
-    def axis(cls, ahead: Array, joint: Joint, identified: Array) -> _Target:
-        """Lead to the axis of a joint: to any point of one that turns, of a slide's to none."""
-        u = identified[:3, 2]
-        counted = np.eye(3) - np.outer(u, u) if joint.kind == "R" else np.zeros((3, 3))
-        direction = (ahead[:3, :3] @ joint.axis)[:, None]
-        return cls(direction, ahead[:3, 3], u[:, None], identified[:3, 3], counted)
-
-    @classmethod
-    def frame(cls, ahead: Array, tip: Array) -> _Target:
-        """Lead to the frame of the platform."""
-        return cls(ahead[:3, :3], ahead[:3, 3], tip[:3, :3], tip[:3, 3], np.eye(3))
-
-    def turn_and_shift(self, frame: Array, joint: Joint) -> Array:
-        """Return the frame of a turning joint turned about its axis, and of any joint shifted along
-        it, so that the link leads to the target as well as possible."""
-        axis = frame[:3, :3] @ joint.axis
-        starts = QUARTER_TURNS if joint.kind == "R" else (0.0,)
-        found = [self._approach(_screwed(frame, axis, turn, 0.0), axis, joint) for turn in starts]
-        return min(found, key=lambda one: round(one[0], DIGITS))[1]
-
-    def _approach(self, frame: Array, axis: Array, joint: Joint) -> tuple[float, Array]:
-        """Return the error that is left (m) and the frame, by Gauss and Newton."""
-        for _ in range(MAX_ITERATIONS):
-            error, R = self._error(frame), frame[:3, :3]
-            lever = R @ self.point
-            turned = np.append(
-                ARM_M * np.cross(axis, (R @ self.directions).T).ravel(),
-                self.counted @ np.cross(axis, lever),
-            )
-            shifted = np.append(np.zeros(self.directions.size), self.counted @ axis)
-            # Nearly parallel axes do not show a shift, and nearly equal ones no turn either.
-            turned *= joint.kind == "R" and np.linalg.norm(turned) > MAX_PARALLEL_SINE * ARM_M
-            shifted *= np.linalg.norm(shifted) > MAX_PARALLEL_SINE
-            J = np.column_stack([turned, shifted])
-            turn, shift = -np.linalg.lstsq(J, error)[0]
-            frame = _screwed(frame, axis, turn, shift)
-            if max(abs(turn), abs(shift)) < ROUNDING_TOLERANCE / 10:
-                break
-        return float(np.linalg.norm(self._error(frame))), frame
-
-    def _error(self, frame: Array) -> Array:
-        R, p = frame[:3, :3], frame[:3, 3]
-        away = (R @ self.directions - self.wanted_directions).T.ravel()
-        return np.append(ARM_M * away, self.counted @ (R @ self.point + p - self.wanted_point))
-
-
-def _screwed(frame: Array, axis: Array, turn: float, shift: float) -> Array:
-    """Return a frame turned about an axis through its origin and shifted along it."""
-    found = frame.copy()
-    found[:3, :3] = rotation_matrix(turn * axis) @ frame[:3, :3]
-    found[:3, 3] += shift * axis
-    return found
-
-
-def _bring_to_axis(frame: Array, joint: Joint, identified: Array) -> Array:
-    """Return the frame of a joint after the shortest motion to its identified axis."""
-    axis, point = identified[:3, 2], identified[:3, 3]
-    before, found = frame[:3, :3] @ joint.axis, frame.copy()
-    normal, cosine = np.cross(before, axis), float(before @ axis)
-    sine = float(np.linalg.norm(normal))
-    if sine == 0 and cosine < 0:  # any normal
-        normal = np.cross(before, np.eye(3)[np.argmin(np.abs(before))])
-    length = float(np.linalg.norm(normal)) or 1.0
-    found[:3, :3] = rotation_matrix(np.arctan2(sine, cosine) * normal / length) @ frame[:3, :3]
-    if joint.kind == "R":
-        found[:3, 3] = point + axis * (axis @ (frame[:3, 3] - point))
-    return found
 
 
 def _origin_words(origin: Array) -> dict[str, str]:
@@ -302,7 +182,7 @@ def edit_elements(text: str, part: str, edits: Mapping[str, Mapping[str, str]]) 
     for name, words in edits.items():
         at = places.parts.get(name)
         begin = places.joints[name] if at is None else at
-        stop = begin + len(_start_tag(content[begin:]))
+        stop = begin + START_TAG.match(content[begin:]).end()  # type: ignore[union-attr]
         if at is None:
             attributes = " ".join(f'{key}="{value}"' for key, value in words.items())
             changes.append((stop, stop, f"<{part} {attributes}/>"))
@@ -313,20 +193,12 @@ def edit_elements(text: str, part: str, edits: Mapping[str, Mapping[str, str]]) 
     return text[:lead] + content.decode()
 
 
-def _start_tag(content: bytes) -> bytes:
-    """Return the start tag at the beginning of a text; `>` may be within quotes."""
-    found: Any = re.match(rb"""<(?:[^>"']|"[^"]*"|'[^']*')*>""", content)
-    return found[0]  # type: ignore[no-any-return]
-
-
 def _with_attributes(tag: str, words: Mapping[str, str]) -> str:
     """Return a start tag with other values of some attributes."""
     for key, value in words.items():
-        pattern = rf"""(\s{key}\s*=\s*)("[^"]*"|'[^']*')"""
-        if re.search(pattern, tag):
-            tag = re.sub(pattern, lambda found, new=value: f'{found[1]}"{new}"', tag)
-        else:
-            tag = re.sub(r"\s*(/?>)$", lambda found, new=f' {key}="{value}"': new + found[1], tag)
+        found = re.search(rf"""\s{key}\s*=\s*("[^"]*"|'[^']*')""", tag)
+        begin, stop = found.span() if found else (len(tag.rstrip("/> \t\r\n")),) * 2
+        tag = f'{tag[:begin]} {key}="{value}"{tag[stop:]}'
     return tag
 
 

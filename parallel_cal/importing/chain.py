@@ -13,8 +13,8 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
-from parallel_cal.mechanisms.serial import Serial
-from parallel_cal.model.mechanism import POSE
+from parallel_cal.base.rotation import rotation_matrix
+from parallel_cal.model.mechanism import POSE, Mechanism
 from parallel_cal.model.parameters import Named
 from parallel_cal.recordings.recording import Array
 
@@ -154,19 +154,30 @@ def rotation_from_rpy(rpy: Array) -> Array:
     )
 
 
-def choose_controls(arm: Serial) -> tuple[str, ...]:
+def motion_of(kind: str | None, axis: Array, position: float) -> Array:
+    """Return the motion (4, 4) of a joint, R or P, from zero to a position."""
+    T = np.eye(4)
+    if kind == "P":
+        T[:3, 3] = axis * position
+    else:
+        T[:3, :3] = rotation_matrix(axis * position)
+    return T
+
+
+def choose_controls(arm: Mechanism) -> tuple[str, ...]:
     """Return the coordinates that an arm can move independently.
 
     x, y and z come first if the arm can move all of them. The others are those that it moves best:
     a SCARA cannot turn about x, and a palletizer hardly.
     """
     q = ca.SX.sym("q", len(arm.joints))
-    r, R = arm.pose(q, Named(arm.parameters.names, ca.DM(arm.parameters.nominal)))
+    p = Named(arm.parameters.names, ca.DM(arm.parameters.nominal))
+    r, R = arm.candidates(q, p)[0]  # an arm has one pose
     by_q = [ca.reshape(ca.jacobian(R, q[i]), 3, 3) @ R.T for i in range(q.numel())]
     turns = ca.horzcat(*[ca.vertcat(W[2, 1], W[0, 2], W[1, 0]) for W in by_q])
     motion = ca.Function("motion", [q], [ca.vertcat(ca.jacobian(r, q), arm.length * turns)])
-    limits = np.clip(np.array(arm.joint_limits, float).T, -np.pi, np.pi)
-    drawn = np.random.default_rng(0).uniform(*limits, (N_CONFIGURATIONS, q.numel()))
+    low, high = np.clip(np.array(arm.joint_limits, float).T, -np.pi, np.pi)
+    drawn = np.random.default_rng(0).uniform(low, high, (N_CONFIGURATIONS, q.numel()))
     J = np.array([np.array(motion(row)) for row in (arm.home.joints, *drawn)])
     position = (0, 1, 2)
 

@@ -5,8 +5,8 @@ Source: ROS wiki, "urdf/XML/joint".
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -15,10 +15,16 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.files import read_text
-from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.importing.chain import chain_links, choose_controls, rotation_from_rpy
 from parallel_cal.importing.controller_files import ConfiguredRobot
-from parallel_cal.mechanisms.serial import JOINT_UNITS
+from parallel_cal.importing.mimic import (
+    Joint,
+    Mimic,
+    describe_limits,
+    describe_mimics,
+    enter_drives,
+    resolve_mimic,
+)
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
 from parallel_cal.recordings.recording import Array
@@ -26,32 +32,6 @@ from parallel_cal.recordings.recording import Array
 KINDS = {"revolute": "R", "continuous": "R", "prismatic": "P", "fixed": None}
 ASSUMED_TRAVEL_M = 0.5  # of a slide without limits, as the mechanism `serial` has it
 MAX_AXIS_LENGTH_ERROR = 1e-3  # of 1; 0.707 0.707 0 is a direction with rounded numbers
-
-
-@dataclass(frozen=True)
-class Mimic:
-    """The position of a joint that follows another one: factor * its position + offset."""
-
-    joint: str
-    factor: float = 1.0
-    offset: float = 0.0
-
-
-@dataclass(frozen=True)
-class Joint:
-    """One joint of a chain: its frame (4, 4) in its parent's frame, and its axis in its own."""
-
-    name: str
-    kind: str | None
-    parent: str
-    child: str
-    origin: Array
-    axis: Array
-    limits: tuple[float, float]
-    velocity: float
-    is_limit_zero: bool = False  # stated as 0 to 0
-    mimic: Mimic | None = None
-    axis_length: float = 1.0  # in the file
 
 
 def arm(path: Path, start: str = "", end: str = "", **options: Any) -> ConfiguredRobot:
@@ -66,16 +46,20 @@ def arm(path: Path, start: str = "", end: str = "", **options: Any) -> Configure
     if not end:
         end, remark = _find_tip(path, every, start)
         remarks += [remark] if remark else []
-    joints = [_resolve_mimic(path, joint, every) for joint in _chain(path, every, start, end)]
+    joints = [resolve_mimic(path, joint, every) for joint in _chain(path, every, start, end)]
     moving = [joint for joint in joints if joint.kind]
     if not moving:
         raise DatasetError(f"{path}: no joint moves between '{start}' and '{end}'")
     links = chain_links(joints)
-    driven = _drive(
+    driven = enter_drives(
         [link for link in links if link["joint"]], moving, {joint.name: joint for joint in every}
     )
     mechanism = load_mechanism("serial", links=links, **options)
-    limits = tuple(mechanism.narrow_limits(name, master.limits) for name, master in driven.items())
+    masters = [*driven.values()]
+    limits = tuple(  # an endless joint is endless, if no follower limits it
+        master.limits if np.array_equal(found, master.finite_limits) else found
+        for master, found in zip(masters, mechanism.joint_limits, strict=True)
+    )
     if "home" not in options:
         finite = np.nan_to_num(limits, posinf=2 * np.pi, neginf=-2 * np.pi).tolist()
         options["home"] = [0.0 if low < 0 < high else (low + high) / 2 for low, high in finite]
@@ -83,13 +67,21 @@ def arm(path: Path, start: str = "", end: str = "", **options: Any) -> Configure
     if "controls" not in options and (able := choose_controls(mechanism)) != mechanism.controls:
         mechanism = load_mechanism("serial", links=links, **options, controls=list(able))
         remarks.append(f"the arm controls {', '.join(able)}: other coordinates follow from them")
-    mechanism.joints = tuple(master.name for master in driven.values())
+    mechanism.joints = tuple(master.name for master in masters)
     mechanism.joint_limits = limits
-    mechanism.joint_rates = tuple(
-        (_narrow_velocity(master, moving), np.inf) for master in driven.values()
-    )
-    remarks += _describe_mimics(moving, driven)
-    remarks += _describe_limits([*driven.values()], limits)
+    following = [(joint, joint.mimic) for joint in moving if joint.mimic]
+    slowest = [
+        min(
+            [
+                one.velocity,
+                *(j.velocity / abs(m.factor) for j, m in following if m.joint == one.name),
+            ]
+        )
+        for one in masters
+    ]
+    mechanism.joint_rates = tuple((velocity, np.inf) for velocity in slowest)
+    remarks += describe_mimics(moving, driven)
+    remarks += describe_limits(masters, limits)
     remarks += [
         f"the axis of {joint.name} has the length {joint.axis_length:.6g}. It was read as a "
         "direction, so that the joint moves by its reading; some programs (yourdfpy, ikpy) "
@@ -105,127 +97,7 @@ def read_chain(path: Path, start: str, end: str) -> list[Joint]:
     """Return the joints of a file from link `start` to `end`, fixed ones included; mimics name the
     joint that does not follow another one itself."""
     every = _joints(path)
-    return [_resolve_mimic(path, joint, every) for joint in _chain(path, every, start, end)]
-
-
-def _describe_limits(
-    masters: Sequence[Joint], narrowed: Sequence[tuple[float, float]]
-) -> list[str]:
-    """Say which limits are narrower than in the file, and which the file does not state."""
-    said = [
-        f"{master.name} is limited to {low:.6g} to {high:.6g} {JOINT_UNITS[master.kind or '']}: "
-        "beyond, a joint that follows it leaves its own limits"
-        for master, (low, high) in zip(masters, narrowed, strict=True)
-        if master.limits != (low, high)
-    ]
-    if unlimited := [joint.name for joint in masters if joint.is_limit_zero]:
-        said.append(
-            f"the limits of {', '.join(unlimited)} are 0 to 0, which does not state how far they "
-            "move: set them in the model file (joint_limits)"
-        )
-    return said
-
-
-# ------------------------------------------------------------------ joints that follow others
-
-
-def _resolve_mimic(path: Path, joint: Joint, every: Sequence[Joint]) -> Joint:
-    """Return a joint whose mimic names the joint that does not follow another one itself.
-
-    A joint that follows with the factor 0 stands still: it becomes a fixed one.
-    """
-    if joint.kind is None or joint.mimic is None:
-        return joint
-    known = {other.name: other for other in every}
-    factor, offset, passed, at = 1.0, 0.0, [joint.name], joint
-    while at.mimic:
-        offset += factor * at.mimic.offset
-        factor *= at.mimic.factor
-        where, master = f"{path}: joint '{at.name}': mimic", at.mimic.joint
-        if master not in known:
-            raise DatasetError(
-                f"{where} names the joint '{master}', which the file does not have; expected one "
-                f"of {', '.join(sorted(known))}"
-            )
-        if master in passed:
-            raise DatasetError(
-                f"{where}: {' follows '.join([*passed, master])}: remove one of these mimics"
-            )
-        at = known[master]
-        passed.append(master)
-    if factor == 0:
-        origin = joint.origin @ _motion(joint, offset)
-        return replace(joint, kind=None, origin=origin)
-    if at.kind not in ("R", "P"):
-        raise DatasetError(
-            f"{where} names the joint '{at.name}', which is {at.kind or 'fixed'}; expected a "
-            "revolute, continuous or prismatic joint"
-        )
-    return replace(joint, mimic=Mimic(at.name, factor, offset))
-
-
-def _motion(joint: Joint, position: float) -> Array:
-    """Return the motion (4, 4) of a joint from zero to a position."""
-    T = np.eye(4)
-    if joint.kind == "P":
-        T[:3, 3] = joint.axis * position
-    else:
-        T[:3, :3] = rotation_matrix(joint.axis * position)
-    return T
-
-
-def _drive(
-    steps: Sequence[dict[str, Any]], moving: Sequence[Joint], known: Mapping[str, Joint]
-) -> dict[str, Joint]:
-    """Enter what drives each joint in its link, and return the links with readings and the joints
-    of the file that have these readings.
-
-    The reading of a master off the chain is that of the first joint that follows it.
-    """
-    masters = [joint.mimic.joint if joint.mimic else joint.name for joint in moving]
-    names = [f"link{k}" for k in range(1, len(moving) + 1)]
-    owners = dict(zip(reversed(masters), reversed(names), strict=True))
-    owners |= {j.name: name for j, name in zip(moving, names, strict=True) if not j.mimic}
-    for step, joint, master in zip(steps, moving, masters, strict=True):
-        if joint.mimic:
-            step |= {"driven_by": {owners[master]: joint.mimic.factor}}
-            step |= {"offset": joint.mimic.offset} if joint.mimic.offset else {}
-            low, high = joint.limits
-            step |= {k: v for k, v in (("low", low), ("high", high)) if np.isfinite(v)}
-    for master, name in owners.items():
-        if known[master].kind != (own := steps[names.index(name)])["joint"]:
-            own["reading"] = JOINT_UNITS[known[master].kind or ""]
-    first = dict(zip(names, masters, strict=True))
-    driven = {name: known[first[name]] for name in names if name in owners.values()}
-    for name, master in driven.items():
-        low, high = master.limits
-        if master.kind == "R":
-            low, high = np.clip(master.limits, -2 * np.pi, 2 * np.pi).tolist()
-        steps[names.index(name)] |= {"low": low, "high": high}
-    return driven
-
-
-def _narrow_velocity(master: Joint, moving: Sequence[Joint]) -> float:
-    """Return the velocity at which no joint exceeds its own that follows this one."""
-    following = [j for j in moving if j.mimic and j.mimic.joint == master.name]
-    return min([master.velocity, *(j.velocity / abs(j.mimic.factor) for j in following if j.mimic)])
-
-
-def _describe_mimics(moving: Sequence[Joint], driven: Mapping[str, Joint]) -> list[str]:
-    """Say which joints follow which, and how."""
-    said = []
-    for k, joint in enumerate(moving, start=1):
-        if joint.mimic is None:
-            continue
-        unit, master = JOINT_UNITS[joint.kind or ""], joint.mimic.joint
-        factor, offset = joint.mimic.factor, joint.mimic.offset
-        law = f"{factor:.6g} {master}"
-        law += f" {'-' if offset < 0 else '+'} {abs(offset):.6g} {unit}" if offset else ""
-        off = "" if any(j.name == master for j in moving) else ", which is not on the chain"
-        owner = next(name for name, one in driven.items() if one.name == master)
-        fixed = "" if owner == f"link{k}" else f"; the factor link{k}.by_{owner} is fixed"
-        said.append(f"{joint.name} follows {master}{off} ({law}){fixed}")
-    return said
+    return [resolve_mimic(path, joint, every) for joint in _chain(path, every, start, end)]
 
 
 # ------------------------------------------------------------------ the file

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf, isfinite
 from numbers import Real
@@ -120,7 +120,7 @@ class Serial(Mechanism):
         self.links = read_links(links)
         self.driven = [link for link in self.links if link.has_reading]
         self.joints = tuple(f"joint{i + 1}" for i in range(len(self.driven)))
-        self.joint_limits = tuple(self.narrow_limits(k.name, k.limits) for k in self.driven)
+        self.joint_limits = tuple(self._narrow_limits(k) for k in self.driven)
         tolerance = {"m": length_tolerance, "rad": angle_tolerance}
         geometry = [
             Parameter(f"{link.name}.{key}", unit, link.nominal[key], tolerance[unit])
@@ -128,7 +128,20 @@ class Serial(Mechanism):
             for key, unit in UNITS.items()
             if key in link.free
         ]
-        factors = [*self._factors()]
+        units = {link.name: link.reading for link in self.driven}
+        factors = [
+            Parameter(
+                f"{link.name}.by_{name}",
+                "1" if own == units[name] else f"{own}/{units[name]}",
+                factor,
+                FACTOR_TOLERANCE * abs(factor),
+                label="factor",
+            )
+            for link in self.links
+            for own in (JOINT_UNITS.get(link.joint or "", ""),)
+            for name, factor in link.driven_by.items()
+            if name != link.name
+        ]
         self.parameters = ParameterTable([*geometry, *factors])
         self.fixed = tuple(factor.name for factor in factors)
         self.bodies = {"links": [p.name for p in self.parameters if p.unit == "m"]}
@@ -178,31 +191,16 @@ class Serial(Mechanism):
                     periods[[one.name for one in self.driven].index(name)] = 0.0
         return periods
 
-    def _factors(self) -> Iterator[Parameter]:
-        """Yield the factors by which readings of other links move joints."""
-        units = {link.name: link.reading for link in self.driven}
-        for link in self.links:
-            for name, factor in link.driven_by.items():
-                if name != link.name:
-                    unit, own = JOINT_UNITS[link.joint or ""], units[name]
-                    yield Parameter(
-                        f"{link.name}.by_{name}",
-                        "1" if unit == own else f"{unit}/{own}",
-                        factor,
-                        FACTOR_TOLERANCE * abs(factor),
-                        label="factor",
-                    )
-
-    def narrow_limits(self, name: str, limits: tuple[float, float]) -> tuple[float, float]:
+    def _narrow_limits(self, driven: Link) -> tuple[float, float]:
         """Return the range of a link's reading that keeps the joints that it alone moves within
-        their limits; `limits` if there is none."""
-        low, high = limits
+        their limits; its own if there is none."""
+        low, high = driven.limits
         for link in self.links:
-            if link.name != name and [*link.driven_by] == [name]:
-                factor = link.driven_by[name]
+            if link is not driven and [*link.driven_by] == [driven.name]:
+                factor = link.driven_by[driven.name]
                 ends = sorted((end - link.offset) / factor for end in link.limits)
                 low, high = max(low, ends[0]), min(high, ends[1])
-        return (low, high) if low < high else limits
+        return (low, high) if low < high else driven.limits
 
     def positions(self, q: Any, p: Named) -> list[Any]:
         """Return the position (rad, m) of the joint of every link; 0 for a link without one."""
@@ -288,20 +286,14 @@ def read_links(given: Sequence[Mapping[str, Any]]) -> tuple[Link, ...]:
     following = [*(link.get("joint") for link in given[1:]), None]
     rows = zip(names, given, following, strict=True)
     links = tuple(_link(name, link, next_joint) for name, link, next_joint in rows)
-    _check_drives(links)
-    return links
-
-
-def _check_drives(links: Sequence[Link]) -> None:
-    """Refuse a joint that no reading moves, or a link that is not there or has no reading."""
     read = [link.name for link in links if link.has_reading]
     for link in links:
-        for name in link.driven_by:
-            if name not in read:
-                raise ModelError(
-                    f"{link.name}: driven_by names {name}, expected links whose joints have "
-                    f"readings of their own: {', '.join(read) or 'none'}"
-                )
+        if missing := [name for name in link.driven_by if name not in read]:
+            raise ModelError(
+                f"{link.name}: driven_by names {missing[0]}, expected links whose joints have "
+                f"readings of their own: {', '.join(read) or 'none'}"
+            )
+    return links
 
 
 def _link(name: str, given: Mapping[str, Any], next_joint: str | None) -> Link:

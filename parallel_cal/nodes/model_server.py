@@ -15,7 +15,6 @@ from parallel_cal.base.errors import ModelError, ModelFileError, ParallelCalErro
 from parallel_cal.campaign.path_guard import Guard
 from parallel_cal.exporting.tree import Tree, tree_of
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
-from parallel_cal.mechanisms.serial import Serial
 from parallel_cal.model.file.modelfile import model_hash, model_text, parse_model
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
@@ -49,10 +48,7 @@ class ServedModel:
 
     @cached_property
     def tree(self) -> Tree | None:
-        """The links of an exported URDF; None if the mechanism has no drawing, or no passive joint
-        because it is a serial arm."""
-        if isinstance(self.model.mechanism, Serial):
-            return None
+        """The links of an exported URDF; None without a drawing or without passive joints."""
         try:
             return tree_of(self.model)
         except ModelError:

@@ -45,7 +45,15 @@ def files(model: Model, name: str = "robot") -> dict[str, str]:
     if isinstance(model.mechanism, Serial):
         _add_arm(root, model)
     else:
-        _add_tree(root, tree_of(model))
+        tree = tree_of(model)
+        lengths = [np.ptp(s.ends, axis=0).max() for link in tree.links.values() for s in link]
+        radius = THICKNESS * max(lengths, default=0.1)
+        for link, segments in tree.links.items():
+            part = ElementTree.SubElement(root, "link", name=link)
+            for segment in segments:
+                _draw(part, segment, radius)
+        for joint in tree.joints:
+            _join(root, joint, tree)
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="unicode")
     return {f"{name}.urdf": f'<?xml version="1.0"?>\n{text}\n'}
@@ -103,8 +111,8 @@ def _add_arm_joint(root: ElementTree.Element, joint: ArmJoint) -> None:
     part = ElementTree.SubElement(root, "joint", name=joint.name, type=kind)
     ElementTree.SubElement(part, "parent", link=joint.parent)
     ElementTree.SubElement(part, "child", link=joint.child)
-    place = {"xyz": joint.origin[:3, 3], "rpy": rpy_of(joint.origin[:3, :3])}
-    ElementTree.SubElement(part, "origin", {k: format_exactly(v) for k, v in place.items()})
+    xyz, rpy = (format_exactly(v) for v in (joint.origin[:3, 3], rpy_of(joint.origin[:3, :3])))
+    ElementTree.SubElement(part, "origin", xyz=xyz, rpy=rpy)
     if joint.kind is None:
         return
     ElementTree.SubElement(part, "axis", xyz="0 0 1")
@@ -115,18 +123,6 @@ def _add_arm_joint(root: ElementTree.Element, joint: ArmJoint) -> None:
         law = {"multiplier": joint.follows.factor, "offset": joint.follows.offset}
         words = {k: format_exactly((v,)) for k, v in law.items()}
         ElementTree.SubElement(part, "mimic", {"joint": joint.follows.reading} | words)
-
-
-def _add_tree(root: ElementTree.Element, tree: Tree) -> None:
-    """Add the drawing's links and joints."""
-    lengths = [np.ptp(s.ends, axis=0).max() for link in tree.links.values() for s in link]
-    radius = THICKNESS * max(lengths, default=0.1)
-    for link, segments in tree.links.items():
-        part = ElementTree.SubElement(root, "link", name=link)
-        for segment in segments:
-            _draw(part, segment, radius)
-    for joint in tree.joints:
-        _join(root, joint, tree)
 
 
 def _draw(link: ElementTree.Element, segment: Segment, radius: float) -> None:
