@@ -14,13 +14,13 @@ from xml.parsers import expat
 
 import numpy as np
 
-from parallel_cal.base.errors import DatasetError, ModelError
+from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.exporting.arm_urdf import format_exactly, link_frames, moving_links, rpy_of
 from parallel_cal.exporting.editing import read_verbatim
 from parallel_cal.exporting.frame_placement import place_frames
 from parallel_cal.importing.mimic import Joint
-from parallel_cal.importing.urdf import arm, read_chain
+from parallel_cal.importing.urdf import arm, read_chain, read_links
 from parallel_cal.model.model import Model
 
 Array = np.ndarray
@@ -34,13 +34,13 @@ def edit_arm(model: Model, path: Path) -> tuple[str, list[str]]:
     ModelError if its joints are not those of the model.
     """
     base, platform = (model.frames[name] for name in ("base", "platform"))
-    try:
-        chain = read_chain(path, base, platform)
-    except DatasetError as error:
+    links = read_links(path)
+    if missing := [name for name in (base, platform) if name not in links]:
         raise ModelError(
-            f"{error}. The model file names the links of both ends: frames: {{base: {base}, "
-            f"platform: {platform}}}"
-        ) from None
+            f"{path}: no link '{missing[0]}', expected one of {', '.join(links)}. The model file "
+            f"names the links of both ends: frames: {{base: {base}, platform: {platform}}}"
+        )
+    chain = read_chain(path, base, platform)
     _check_joints(model, path)
     moving = [joint for joint in chain if joint.kind]
     identified, tip = link_frames(model)

@@ -100,6 +100,11 @@ def read_chain(path: Path, start: str, end: str) -> list[Joint]:
     return [resolve_mimic(path, joint, every) for joint in _chain(path, every, start, end)]
 
 
+def read_links(path: Path) -> list[str]:
+    """Return the names of the links that the joints of a file connect, sorted."""
+    return sorted({link for joint in _joints(path) for link in (joint.parent, joint.child)})
+
+
 # ------------------------------------------------------------------ the file
 
 
