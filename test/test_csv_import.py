@@ -239,7 +239,7 @@ def test_a_bad_table_is_named_by_file_line_and_column(files, change, words):
         ),
         (
             ("a_deg, unit: deg", "a_deg, gear: 2"),
-            "map.yaml:2: joints.arm.gear: unknown key; expected one of column, unit, factor, per_",
+            "map.yaml:2: joints.arm.gear: unknown key; expected one of unit, factor, per_rev, col",
         ),
         (
             ("noise: {joint: 1.0e-4", "matrix: [a, b, c, d, e, f, g, h, i]\nnoise: {joint: 1.0e-4"),
@@ -545,6 +545,55 @@ def test_counts_become_lengths_by_a_factor_a_travel_and_an_offset(files):
 def test_a_wrong_factor_or_offset_is_refused(files, entry, words):
     with pytest.raises(ParallelCalError, match=words):
         import_csv(*files(columns=MAP.replace("b_mm, unit: mm", f"b_mm, {entry}")))
+
+
+def test_a_joint_may_be_a_sum_of_columns_with_factors(files):
+    """J3 counted from the horizontal, a differential wrist, and a ball screw with a spline."""
+    table = "J2_deg,J3_deg,m5_rad,m6_rad,nut_rev,spline_deg,x_m,y_m,z_m\n10,25,0.5,0.1,3,90,0,0,1\n"
+    columns = """\
+joints:
+  joint2: {column: J2_deg}
+  joint3: {J3_deg: 1, J2_deg: 1}
+  bend: {columns: {m5_rad: 0.5, m6_rad: 0.5}}
+  roll: {columns: {m5_rad: 0.5, m6_rad: -0.5}, offset: 90 deg}
+  quill: {columns: {nut: {per_rev: 16 mm}, spline: {unit: deg, factor: -1, per_rev: 16 mm}},
+          unit: rev, offset: 20 mm}
+position: {columns: [x, y, z]}
+"""
+    columns = columns.replace("nut:", "nut_rev:").replace("spline:", "spline_deg:")
+    data = import_csv(*files(table, columns))
+    deg = np.pi / 180
+    expected = [10 * deg, 35 * deg, 0.3, 0.2 + 90 * deg, 3 * 0.016 - 0.25 * 0.016 + 0.02]
+    np.testing.assert_allclose(data.q, [expected], atol=1e-15)
+    assert data.joint_units == ("rad", "rad", "rad", "rad", "m")
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        (
+            "{a_deg: 1, b_mm: 1}",
+            "map.yaml adds lengths and angles to one joint: a_deg in rad, b_mm",
+        ),
+        ("{columns: {b_mm: 1, c_mm: 1}}", "no column c_mm, which .*map.yaml names"),
+        ("{columns: {b_mm: 0}}", "slide.columns.b_mm.factor: expected a number other than 0"),
+        (
+            "{columns: {b_mm: {gear: 2}}}",
+            "b_mm.gear: unknown key; expected one of unit, factor, pe",
+        ),
+        (
+            "{columns: {b_mm: 1}, column: b_mm}",
+            "slide: expected either column, or columns with the",
+        ),
+        ("{unit: mm}", "slide: expected either column, or columns with their factors"),
+        ("{colum: b_mm}", "slide.colum: unknown key; did you mean 'column'"),
+        ("{columns: {b_mm: 1}, factor: 2}", "slide: factor and per_rev are of one column: state"),
+        ("{columns: {}}", "slide: expected either column, or columns with their factors"),
+    ],
+)
+def test_a_wrong_sum_of_columns_is_refused(files, entry, words):
+    with pytest.raises(ParallelCalError, match=words):
+        import_csv(*files(columns=MAP.replace("{column: b_mm, unit: mm}", entry)))
 
 
 def screw_model(tmp_path, drive=""):

@@ -82,7 +82,8 @@ def export(
             "movement": done.movement,
             "remarks": done.remarks,
         }
-        return console.emit({"target": to, "files": files} | (document if done.loss else {}))
+        document = document if done.loss else {"remarks": done.remarks} if done.remarks else {}
+        return console.emit({"target": to, "files": files} | document)
     console.say(f"written: {', '.join(files)}")
     # Touches alone do not determine the model's x and y: a difference from them says nothing.
     if done.movement is None or done.movement.measured:

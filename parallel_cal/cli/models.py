@@ -134,7 +134,7 @@ def _get_urdf(mechanism: str | None, configuration: list[Path]) -> Path | None:
     """Return the URDF of a serial arm, by its ending or because the arm is called `serial`."""
     if len(configuration) != 1 or mechanism not in (None, "serial"):
         return None
-    by_name = mechanism == "serial" or configuration[0].suffix.lower() == ".urdf"
+    by_name = mechanism == "serial" or configuration[0].suffix.lower() in (".urdf", ".xacro")
     return configuration[0] if by_name else None
 
 

@@ -136,6 +136,8 @@ def export(
         (Path(folder) / file).parent.mkdir(exist_ok=True)
         write_atomically(Path(folder) / file, text)
         result.paths.append(Path(folder) / file)
+    if hasattr(module, "remarks"):
+        result.remarks.extend(module.remarks(robot))
     result.remarks.extend(_describe_limits(model))
     return result
 
@@ -156,6 +158,12 @@ def export_into(
     and the result is a ModelError, unless `force` is set.
     """
     module, robot = load_module(SHELF, target), model.robot()
+    if hasattr(module, "edit"):
+        if touches is not None:
+            raise ModelError(f"{target} is no firmware that probes a bed: export without touches")
+        texts, remarks = module.edit(robot, files)
+        _replace_files(texts)
+        return ExportResult(list(texts), remarks=[*remarks, *_describe_limits(model)])
     if not _holds(module, model):
         raise _refusal(target, module, model)
     stated: Settings = module.settings(files)
@@ -209,9 +217,7 @@ def export_into(
         held_out = _held_out_height(target, module, robot, every, present)
         heights = replace(heights, held_out=held_out)
     before, after = loss(robot, old), loss(robot, new)
-    for path, text in texts.items():
-        write_atomically(path.with_name(path.name + BACKUP_SUFFIX), read_verbatim(path), like=path)
-        write_atomically(path, text)
+    _replace_files(texts)
     remarks = [*_remarks(robot, projection), *_describe_limits(model)]
     for path in later:
         if winning := [field for field in module.settings([path]).texts if field in written]:
@@ -221,6 +227,13 @@ def export_into(
                 "that file as well"
             )
     return ExportResult(list(texts), after, before, remarks, heights, movement)
+
+
+def _replace_files(texts: Mapping[Path, str]) -> None:
+    """Write files, and keep the old ones as `NAME.previous`."""
+    for path, text in texts.items():
+        write_atomically(path.with_name(path.name + BACKUP_SUFFIX), read_verbatim(path), like=path)
+        write_atomically(path, text)
 
 
 def _worse_bed(files: Sequence[Path], heights: BedHeights) -> ModelError:

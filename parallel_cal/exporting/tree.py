@@ -14,6 +14,7 @@ import numpy as np
 from parallel_cal.base.compiled import Single, dense
 from parallel_cal.base.errors import ModelError
 from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.mechanisms.serial import Serial
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Model
 
@@ -80,7 +81,10 @@ class Tree:
 
 
 def tree_of(model: Model) -> Tree:
-    """Return the tree of a model's geometry; ModelError if the mechanism has no drawing."""
+    """Return the tree of a model's geometry; ModelError if the mechanism has no drawing, or if it
+    is a serial arm, which has no passive joints."""
+    if isinstance(model.mechanism, Serial):
+        raise ModelError(f"{model.mechanism.name} is a serial arm, so it has no passive joints")
     return _Builder(model).tree
 
 

@@ -1,13 +1,12 @@
-"""A serial arm from a URDF: the chain between two of its links as DH and Hayati links.
+"""A serial arm from a URDF: the chain between two of its links.
 
-Frames with z along the joints' axes follow table 3.5 along the chain, so that the parameters are
-the same as those of an arm that was described by hand. Source: ROS wiki, "urdf/XML/joint".
+Source: ROS wiki, "urdf/XML/joint".
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -16,31 +15,23 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.files import read_text
+from parallel_cal.importing.chain import chain_links, choose_controls, rotation_from_rpy
 from parallel_cal.importing.controller_files import ConfiguredRobot
+from parallel_cal.importing.mimic import (
+    Joint,
+    Mimic,
+    describe_limits,
+    describe_mimics,
+    enter_drives,
+    resolve_mimic,
+)
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
 from parallel_cal.recordings.recording import Array
 
 KINDS = {"revolute": "R", "continuous": "R", "prismatic": "P", "fixed": None}
-MAX_PARALLEL_SINE = 0.1  # sine of the angle between axes below which they count as parallel
-MAX_COINCIDENT_DISTANCE_M = 1e-3  # m between parallel axes below which they count as one
 ASSUMED_TRAVEL_M = 0.5  # of a slide without limits, as the mechanism `serial` has it
-ROUNDING_TOLERANCE = 1e-13  # m or 1; smaller values are rounding errors
-
-
-@dataclass(frozen=True)
-class Joint:
-    """One joint of a chain: its frame (4, 4) in its parent's frame, and its axis in its own."""
-
-    name: str
-    kind: str | None
-    parent: str
-    child: str
-    origin: Array
-    axis: Array
-    limits: tuple[float, float]
-    velocity: float
-    is_limit_zero: bool = False  # stated as 0 to 0
+MAX_AXIS_LENGTH_ERROR = 1e-3  # of 1; 0.707 0.707 0 is a direction with rounded numbers
 
 
 def arm(path: Path, start: str = "", end: str = "", **options: Any) -> ConfiguredRobot:
@@ -48,35 +39,70 @@ def arm(path: Path, start: str = "", end: str = "", **options: Any) -> Configure
 
     Without `end`, it is the only leaf that a joint moves. If several leaves are fixed to the same
     last joint, it is the one after the most fixed joints; a remark names the others. `options` are
-    the options of the mechanism `serial` except its links.
+    the options of the mechanism `serial` except its links. A joint with `<mimic>` follows its
+    master, on the chain or off it, and has no reading of its own.
     """
     every, remarks = _joints(path), list[str]()
     if not end:
         end, remark = _find_tip(path, every, start)
         remarks += [remark] if remark else []
-    joints = _chain(path, every, start, end)
-    driven = [joint for joint in joints if joint.kind]
-    if not driven:
+    joints = [resolve_mimic(path, joint, every) for joint in _chain(path, every, start, end)]
+    moving = [joint for joint in joints if joint.kind]
+    if not moving:
         raise DatasetError(f"{path}: no joint moves between '{start}' and '{end}'")
-    finite = [
-        tuple(np.clip(j.limits, -2 * np.pi, 2 * np.pi).tolist()) if j.kind == "R" else j.limits
-        for j in driven
-    ]
-    links = _links(joints)
-    for link, limits in zip([k for k in links if k["joint"]], finite, strict=True):
-        link |= {"low": limits[0], "high": limits[1]}
-    middle = [0.0 if low <= 0 <= high else (low + high) / 2 for low, high in finite]
-    mechanism = load_mechanism("serial", links=links, **{"home": middle, **options})
-    mechanism.joints = tuple(joint.name for joint in driven)
-    mechanism.joint_limits = tuple(joint.limits for joint in driven)
-    mechanism.joint_rates = tuple((joint.velocity, np.inf) for joint in driven)
-    frames = {"base": joints[0].parent, "platform": joints[-1].child}
-    if unlimited := [joint.name for joint in driven if joint.is_limit_zero]:
-        remarks.append(
-            f"the limits of {', '.join(unlimited)} are 0 to 0, which does not state how far they "
-            "move: set them in the model file (joint_limits)"
+    links = chain_links(joints)
+    driven = enter_drives(
+        [link for link in links if link["joint"]], moving, {joint.name: joint for joint in every}
+    )
+    mechanism = load_mechanism("serial", links=links, **options)
+    masters = [*driven.values()]
+    limits = tuple(  # an endless joint is endless, if no follower limits it
+        master.limits if np.array_equal(found, master.finite_limits) else found
+        for master, found in zip(masters, mechanism.joint_limits, strict=True)
+    )
+    if "home" not in options:
+        finite = np.nan_to_num(limits, posinf=2 * np.pi, neginf=-2 * np.pi).tolist()
+        options["home"] = [0.0 if low < 0 < high else (low + high) / 2 for low, high in finite]
+        mechanism = load_mechanism("serial", links=links, **options)
+    if "controls" not in options and (able := choose_controls(mechanism)) != mechanism.controls:
+        mechanism = load_mechanism("serial", links=links, **options, controls=list(able))
+        remarks.append(f"the arm controls {', '.join(able)}: other coordinates follow from them")
+    mechanism.joints = tuple(master.name for master in masters)
+    mechanism.joint_limits = limits
+    following = [(joint, joint.mimic) for joint in moving if joint.mimic]
+    slowest = [
+        min(
+            [
+                one.velocity,
+                *(j.velocity / abs(m.factor) for j, m in following if m.joint == one.name),
+            ]
         )
+        for one in masters
+    ]
+    mechanism.joint_rates = tuple((velocity, np.inf) for velocity in slowest)
+    remarks += describe_mimics(moving, driven)
+    remarks += describe_limits(masters, limits)
+    remarks += [
+        f"the axis of {joint.name} has the length {joint.axis_length:.6g}. It was read as a "
+        "direction, so that the joint moves by its reading; some programs (yourdfpy, ikpy) "
+        f"multiply the motion by {joint.axis_length:.6g}: write an axis of length 1"
+        for joint in moving
+        if joint.kind == "P" and abs(joint.axis_length - 1) > MAX_AXIS_LENGTH_ERROR
+    ]
+    frames = {"base": joints[0].parent, "platform": joints[-1].child}
     return ConfiguredRobot(replace(new_model(mechanism), frames=frames), tuple(remarks))
+
+
+def read_chain(path: Path, start: str, end: str) -> list[Joint]:
+    """Return the joints of a file from link `start` to `end`, fixed ones included; mimics name the
+    joint that does not follow another one itself."""
+    every = _joints(path)
+    return [resolve_mimic(path, joint, every) for joint in _chain(path, every, start, end)]
+
+
+def read_links(path: Path) -> list[str]:
+    """Return the names of the links that the joints of a file connect, sorted."""
+    return sorted({link for joint in _joints(path) for link in (joint.parent, joint.child)})
 
 
 # ------------------------------------------------------------------ the file
@@ -89,6 +115,11 @@ def _joints(path: Path) -> list[Joint]:
         raise DatasetError(f"{path}: cannot be read: {error.strerror}") from None
     except (ElementTree.ParseError, UnicodeDecodeError) as error:
         raise DatasetError(f"{path}: not a URDF: {error}") from None
+    if any("xacro" in part.tag.partition("}")[0] for part in root.iter()):
+        raise DatasetError(
+            f"{path}: a xacro, expected a URDF: expand it first (xacro {path.name} > robot.urdf) "
+            "and give the expanded file"
+        )
     if root.tag != "robot" or not root.findall("joint"):
         raise DatasetError(
             f"{path}: not a URDF: expected <robot> with <joint>s, found <{root.tag}>"
@@ -104,13 +135,17 @@ def _joint(path: Path, part: ElementTree.Element) -> Joint:
         raise DatasetError(f"{where}: no parent or child link")
     origin = np.eye(4)
     origin[:3, 3] = _read_three(where, part.find("origin"), "xyz", "0 0 0")
-    origin[:3, :3] = _rotation_from_rpy(_read_three(where, part.find("origin"), "rpy", "0 0 0"))
+    origin[:3, :3] = rotation_from_rpy(_read_three(where, part.find("origin"), "rpy", "0 0 0"))
     axis = _read_three(where, part.find("axis"), "xyz", "1 0 0")
     if kind in KINDS and KINDS[kind] and not np.linalg.norm(axis) > 0:
         raise DatasetError(f"{where}: axis xyz is '0 0 0', expected a direction")
     limit, moves = part.find("limit"), kind in ("revolute", "prismatic")
     low, high = (_read_one(where, limit, k, None if moves else 0.0) for k in ("lower", "upper"))
     velocity = _read_one(where, limit, "velocity", 0.0) or np.inf
+    copied, mimic = part.find("mimic"), None
+    if copied is not None:
+        factor = _read_one(where, copied, "multiplier", 1.0)
+        mimic = Mimic(copied.get("joint", ""), factor, _read_one(where, copied, "offset", 0.0))
     zero = moves and low == high == 0
     if zero:  # what generators write for joints without limits
         low, high = (
@@ -126,6 +161,8 @@ def _joint(path: Path, part: ElementTree.Element) -> Joint:
         (low, high) if moves else (-np.inf, np.inf),
         velocity,
         zero,
+        mimic,
+        float(np.linalg.norm(axis)),
     )
 
 
@@ -149,19 +186,8 @@ def _read_one(
     try:
         return float(text or "")
     except ValueError:
-        raise DatasetError(f"{where}: limit {key} is '{text or ''}', expected a number") from None
-
-
-def _rotation_from_rpy(rpy: Array) -> Array:
-    """Return the rotation about the fixed x, then y, then z."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
+        tag = "limit" if part is None else part.tag
+        raise DatasetError(f"{where}: {tag} {key} is '{text or ''}', expected a number") from None
 
 
 def _find_tip(path: Path, joints: Sequence[Joint], start: str) -> tuple[str, str]:
@@ -223,107 +249,3 @@ def _chain(path: Path, joints: Sequence[Joint], start: str, end: str) -> list[Jo
     if not chain:
         raise DatasetError(f"{path}: '{start}' and '{end}' are the same link")
     return chain[::-1]
-
-
-# ------------------------------------------------------------------ the links
-
-
-def _links(joints: Sequence[Joint]) -> list[dict[str, Any]]:
-    """Return the numbers of every link of the mechanism `serial`.
-
-    The first link has no joint and leads to the first axis; the last one leads to {P}.
-    """
-    at, links, kind = np.eye(4), list[dict[str, Any]](), None
-    frame = np.eye(4)  # of the current joint, at reading zero
-    for joint in joints:
-        frame = frame @ joint.origin
-        if joint.kind:
-            step, at = _to_axis(at, frame[:3, 3], frame[:3, :3] @ joint.axis, joint.kind)
-            links.append({"joint": kind, **step})
-            kind = joint.kind
-    return [*links, *_to_frame(at, frame, kind)]
-
-
-def _to_axis(F: Array, p: Array, u: Array, kind: str) -> tuple[dict[str, Any], Array]:
-    """Return the link from frame F to the axis through p along u, and the frame there."""
-    offset, toward = F[:3, :3].T @ (p - F[:3, 3]), F[:3, :3].T @ u
-    normal = np.array([-toward[1], toward[0], 0.0])  # z x u
-    if np.linalg.norm(normal) > MAX_PARALLEL_SINE:
-        return _perpendicular(F, offset, toward, normal / np.linalg.norm(normal), kind)
-    foot = offset - toward * offset[2] / toward[2] if kind == "R" else np.zeros(3)
-    a = float(np.hypot(*foot[:2]))
-    polar = a > MAX_COINCIDENT_DISTANCE_M
-    theta = float(np.arctan2(foot[1], foot[0])) if polar else 0.0
-    x, y = np.cos(theta) * toward[:2] + np.sin(theta) * np.array([toward[1], -toward[0]])
-    beta, alpha = float(np.arcsin(np.clip(x, -1, 1))), float(np.arctan2(-y, toward[2]))
-    step: dict[str, Any] = {
-        "axes": "parallel",
-        "theta": theta,
-        "a": a,
-        "alpha": alpha,
-        "beta": beta,
-    }
-    if kind == "R" and not polar:
-        step |= {"axes": "coincident", "a": float(foot[0]), "b": float(foot[1])}
-    return _remove_rounding(step), F @ _matrix(_remove_rounding(step))
-
-
-def _perpendicular(
-    F: Array, offset: Array, toward: Array, normal: Array, kind: str
-) -> tuple[dict[str, Any], Array]:
-    """Return the DH link: x is along the common normal, from this axis to the next one."""
-    a = float(offset @ normal)
-    if a < 0:
-        normal, a = -normal, -a
-    alpha = float(np.arctan2(np.cross([0.0, 0.0, 1.0], toward) @ normal, toward[2]))
-    # d is the height at which the next axis is nearest to z.
-    across = np.array([-normal[1], normal[0], 0.0])
-    d = float(offset[2] - toward[2] * (offset @ across) / (toward @ across))
-    step = {
-        "axes": "perpendicular",
-        "theta": float(np.arctan2(normal[1], normal[0])),
-        "alpha": alpha,
-    }
-    if kind == "R":
-        step |= {"d": d, "a": a}  # for a sliding joint only the direction counts
-    return _remove_rounding(step), F @ _matrix(_remove_rounding(step))
-
-
-def _to_frame(F: Array, P: Array, kind: str | None) -> list[dict[str, Any]]:
-    """Return the last link; if {P}'s y-axis is nearly along z, a quarter turn comes before it."""
-    first: list[dict[str, Any]] = []
-    left = np.linalg.solve(F, P)
-    if abs(left[2, 1]) > 0.9:
-        quarter: dict[str, Any] = {"joint": kind, "free": [], "alpha": np.pi / 2}
-        first, left, kind = [quarter], np.linalg.solve(_matrix(quarter), left), None
-    alpha = float(np.arcsin(np.clip(left[2, 1], -1, 1)))
-    theta = float(np.arctan2(-left[0, 1], left[1, 1]))
-    beta = float(np.arctan2(-left[2, 0], left[2, 2]))
-    turn = np.array([[np.cos(theta), np.sin(theta)], [-np.sin(theta), np.cos(theta)]])
-    a, b = (turn @ left[:2, 3]).tolist()
-    step = {"theta": theta, "d": float(left[2, 3]), "a": a, "b": b, "alpha": alpha, "beta": beta}
-    return [*first, {"joint": kind, **_remove_rounding(step)}]
-
-
-def _matrix(step: dict[str, Any]) -> Array:
-    """Return Rz(theta) Tz(d) Tx(a) Ty(b) Rx(alpha) Ry(beta), (4, 4)."""
-    theta, d, a, b, alpha, beta = (
-        step.get(k, 0.0) for k in ("theta", "d", "a", "b", "alpha", "beta")
-    )
-    T = np.eye(4)
-    T[:3, 3] = [a * np.cos(theta) - b * np.sin(theta), a * np.sin(theta) + b * np.cos(theta), d]
-    about_y = _rotation_from_rpy(np.array([0.0, beta, 0.0]))
-    T[:3, :3] = (
-        _rotation_from_rpy(np.array([0, 0, theta]))
-        @ _rotation_from_rpy(np.array([alpha, 0, 0]))
-        @ about_y
-    )
-    return T
-
-
-def _remove_rounding(step: dict[str, Any]) -> dict[str, Any]:
-    """Set values that are only rounding errors to zero."""
-    return {
-        k: 0.0 if isinstance(v, float) and abs(v) < ROUNDING_TOLERANCE else v
-        for k, v in step.items()
-    }

@@ -259,10 +259,12 @@ class Mechanism(ABC):
         if not self.periodic:
             return candidates
         turn, wrapped = 2 * ca.pi, list[tuple[Any, ...]]()
-        for joint, unit, home in zip(candidates, self.joint_units, self.home.joints, strict=True):
+        for joint, period, home in zip(
+            candidates, self.joint_periods, self.home.joints, strict=True
+        ):
             wrapped.append(
                 tuple(q - turn * ca.floor((q - home) / turn + 0.5) for q in joint)
-                if unit == "rad"
+                if period
                 else joint
             )
         return wrapped

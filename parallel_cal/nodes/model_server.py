@@ -48,7 +48,7 @@ class ServedModel:
 
     @cached_property
     def tree(self) -> Tree | None:
-        """The links of an exported URDF; None if the mechanism has no drawing."""
+        """The links of an exported URDF; None without a drawing or without passive joints."""
         try:
             return tree_of(self.model)
         except ModelError:

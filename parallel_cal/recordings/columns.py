@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError, field_validator
+from pydantic import BeforeValidator, Field, ValidationError, field_validator, model_validator
 
 from parallel_cal.base.errors import DatasetError, ModelFileError, format_suggestion
 from parallel_cal.base.files import read_foreign_text
@@ -22,20 +22,22 @@ from parallel_cal.recordings.samples import READING
 from parallel_cal.recordings.table import Table, split_condition, split_unit
 
 
-class JointColumn(Part):
-    """A joint's readings; the key is its name in the model file.
+def _factor_of_term(given: Any) -> Any:
+    """A number in place of a term is its factor."""
+    return {"factor": given} if isinstance(given, int | float) else given
 
-    Without `unit`, the header states the unit. `factor` multiplies the cells, for example to
-    convert encoder counts to revolutions. `per_rev` is the travel of the joint per turn of the
-    motor (`71.2 mm`, negative if it moves backwards): the column then contains the motor's angle.
-    `offset` (`12.5 mm`) is the position of the joint where the column is zero.
+
+class Term(Part):
+    """A column that moves a joint: its cells times `factor`, and its unit.
+
+    `factor` also converts encoder counts to revolutions. `per_rev` is the travel of the joint per
+    turn of the motor (`71.2 mm`, negative if it moves backwards): the column then contains the
+    motor's angle.
     """
 
-    column: str
     unit: Literal[Angle, Length] | None = None
     factor: float = 1.0
     per_rev: str | None = None
-    offset: str | None = None
 
     @field_validator("factor")
     @classmethod
@@ -44,7 +46,7 @@ class JointColumn(Part):
             raise ValueError("expected a number other than 0")
         return factor
 
-    @field_validator("per_rev", "offset", mode="before")
+    @field_validator("per_rev", "offset", mode="before", check_fields=False)
     @classmethod
     def _check_travel(cls, text: Any) -> Any:
         if text is not None:
@@ -59,6 +61,55 @@ class JointColumn(Part):
     def joint_unit(self, unit: str) -> str:
         """Return the SI unit of the joint whose column has this unit."""
         return si_unit(self.per_rev.split()[1] if self.per_rev else unit)
+
+
+class JointColumn(Term):
+    """A joint's readings; the key is its name in the model file.
+
+    `column` is the column of the joint. Instead of it, `columns` states a sum of columns, each
+    with its factor: a controller may count a joint relative to another one, and both motors of a
+    differential move both joints. `{J3: 1, J2: 1}` is short for `{columns: {J3: 1, J2: 1}}`.
+    Without `unit`, the header states the unit. `offset` (`12.5 mm`) is the position of the joint
+    where the column or the sum is zero.
+    """
+
+    column: str | None = None
+    columns: dict[str, Annotated[Term, BeforeValidator(_factor_of_term)]] = Field(
+        default_factory=dict
+    )
+    offset: str | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _complete_short_form(cls, given: Any) -> Any:
+        if isinstance(given, dict) and given and not given.keys() & cls.model_fields.keys():
+            numbers = [isinstance(v, int | float) for v in given.values()]
+            return {"columns": given} if all(numbers) else given
+        return given
+
+    @model_validator(mode="after")
+    def _check_columns(self) -> JointColumn:
+        if (self.column is None) == (not self.columns):
+            raise ValueError(
+                "expected either column, or columns with their factors: {column: J3}, or "
+                "{columns: {J3: 1, J2: 1}}"
+            )
+        if self.columns and (self.factor != 1 or self.per_rev is not None):
+            raise ValueError(
+                "factor and per_rev are of one column: state them at each of the columns, as in "
+                "{columns: {J3: {factor: 2, per_rev: 5 mm}, J2: 1}}"
+            )
+        return self
+
+    @property
+    def terms(self) -> dict[str, Term]:
+        """The columns whose sum is the joint's reading, each with its unit."""
+        if self.column is not None:
+            return {self.column: self}
+        return {
+            name: term if term.unit else term.model_copy(update={"unit": self.unit})
+            for name, term in self.columns.items()
+        }
 
 
 def si_unit(unit: str) -> str:
@@ -185,7 +236,7 @@ class ColumnMap(Part):
     @property
     def joint_columns(self) -> list[str]:
         """The columns of the joints."""
-        return [joint.column for joint in self.joints.values()]
+        return [name for joint in self.joints.values() for name in joint.terms]
 
     @property
     def pose_columns(self) -> list[str]:
@@ -338,6 +389,7 @@ def read_column_map(path: Path, measured_elsewhere: bool = False) -> ColumnMap:
         place = tuple(first["loc"])
         if first["type"] == "extra_forbidden":
             part = ColumnMap if len(place) == 1 else PARTS[place[0]]
+            part = Term if place[0] == "joints" and len(place) > 3 else part
             known = list(part.model_fields)
             near = format_suggestion(str(place[-1]), known)
             text = f"unknown key{near}; expected one of {', '.join(known)}"

@@ -22,6 +22,7 @@ from parallel_cal.recordings.columns import (
     ColumnMap,
     JointColumn,
     ReadingColumn,
+    Term,
     si_unit,
     travel,
 )
@@ -91,30 +92,47 @@ class Columns:
         return self._column(wanted.column, wanted.unit, gaps=True, pixels=True)
 
     def joint(self, wanted: JointColumn, gaps: bool = False) -> Array:
-        """Return (N, 1) readings in m or rad; DatasetError if per_rev or offset do not fit them."""
-        table, word = self._find_column(wanted.column)
-        unit = wanted.unit or split_unit(word)[1]
-        if wanted.per_rev is not None and unit in LENGTHS:
-            raise DatasetError(
-                f"{table.path}:1: column {word} is in {unit}, but {self.map} has per_rev "
-                f"{wanted.per_rev}, which needs an angle: state the motor's unit (unit: "
-                "rev or deg), or remove per_rev"
-            )
-        readings = self.si([wanted.column], wanted.unit, gaps) * wanted.factor * wanted.per_radian
+        """Return (N, 1) readings in m or rad; DatasetError if the units of its columns, per_rev and
+        offset do not fit each other."""
+        terms = [self._term(name, term, gaps) for name, term in wanted.terms.items()]
+        readings = np.sum(terms, axis=0)
+        joint_unit = self.joint_unit(wanted)
         if wanted.offset is None:
             return readings
-        joint_unit = self.joint_unit(wanted)
         if si_unit(wanted.offset.split()[1]) != joint_unit:
+            table, word = self._find_column(next(iter(wanted.terms)))
             raise DatasetError(
                 f"{table.path}:1: column {word} gives a joint in {joint_unit}, but {self.map} has "
                 f"the offset {wanted.offset}: state the offset in a unit of the joint"
             )
         return readings + travel(wanted.offset)
 
+    def _term(self, name: str, term: Term, gaps: bool) -> Array:
+        """Return (N, 1) what a column contributes to a joint, in m or rad."""
+        table, word = self._find_column(name)
+        unit = term.unit or split_unit(word)[1]
+        if term.per_rev is not None and unit in LENGTHS:
+            raise DatasetError(
+                f"{table.path}:1: column {word} is in {unit}, but {self.map} has per_rev "
+                f"{term.per_rev}, which needs an angle: state the motor's unit (unit: "
+                "rev or deg), or remove per_rev"
+            )
+        return self.si([name], term.unit, gaps) * term.factor * term.per_radian
+
     def joint_unit(self, wanted: JointColumn) -> str:
-        """Return the SI unit of a joint, m or rad."""
-        word = self._find_column(wanted.column)[1]
-        return wanted.joint_unit(wanted.unit or split_unit(word)[1] or "")
+        """Return the SI unit of a joint, m or rad; DatasetError if its columns have both."""
+        units = dict[str, str]()
+        for name, term in wanted.terms.items():
+            table, word = self._find_column(name)
+            units[word] = term.joint_unit(term.unit or split_unit(word)[1] or "")
+        if len({*units.values()}) > 1:
+            found = ", ".join(f"{word} in {unit}" for word, unit in units.items())
+            raise DatasetError(
+                f"{table.path}:1: {self.map} adds lengths and angles to one joint: {found}; state "
+                "how far the joint moves per turn of the column that is an angle: "
+                "{factor: 1, per_rev: 16 mm}"
+            )
+        return next(iter(units.values()))
 
     def numbers(self, names: Sequence[str], gaps: bool = False) -> Array:
         """Return (N, len(names)) without conversion; DatasetError at a cell that is not finite.
