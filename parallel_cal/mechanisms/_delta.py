@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
 
 from parallel_cal.base.units import DEGREE, MM
+from parallel_cal.mechanisms._controller import read_one_per_joint
 from parallel_cal.model.drawing import Line, ring
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
@@ -35,6 +37,14 @@ class Delta(Mechanism):
     workspace = Workspace(low=(-0.06, -0.06, 0.14), high=(0.06, 0.06, 0.26))
     joint_limits = ((-30 * DEGREE, 135 * DEGREE),) * 3  # section 2.3.2: mechanical stops
     length = 24 * MM  # half the bar of a rod pair
+
+    def __init__(self, switches: Sequence[float] | None = None):
+        self.switches = read_switches(switches, len(self.joints))
+
+
+def read_switches(given: Sequence[float] | None, n: int) -> tuple[float, ...] | None:
+    """Return the option `switches`: the readings at which the controller homes the joints."""
+    return None if given is None else read_one_per_joint("switches", given, n, "joint")
 
 
 def chain_parameters(groups: dict[str, dict[str, Entry]]) -> ParameterTable:

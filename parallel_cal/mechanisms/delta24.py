@@ -20,6 +20,9 @@ class Delta24(Delta):
     """Delta robot with ideal parallelograms: the platform cannot rotate.
 
     Each parallelogram acts as one rod, and the three rods meet in one point of the platform.
+
+    Options: `switches` (rad), the readings at which the controller homes the joints (default: the
+    upper limits).
     """
 
     moves = ("x", "y", "z")

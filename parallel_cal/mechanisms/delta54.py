@@ -59,6 +59,9 @@ class Delta54(Delta):
       and z is parallel to the motor axis.
     - b, D and dC are the vectors of the parameters `b_x, b_y, b_z` and so on.
       `La = (La_x, La_y, 0)` and `d = (0, 0, d_z)`.
+
+    Options: `switches` (rad), the readings at which the controller homes the joints (default: the
+    upper limits).
     """
 
     parameters = chain_parameters(GROUPS)

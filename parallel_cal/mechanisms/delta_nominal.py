@@ -19,6 +19,9 @@ class DeltaNominal(Delta24):
     """Delta robot with three equal chains at the angles theta_i.
 
     R is the radius of the base minus the radius of the platform.
+
+    Options: `switches` (rad), the readings at which the controller homes the joints (default: the
+    upper limits).
     """
 
     parameters = ParameterTable(
