@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError
-from parallel_cal.base.files import read_text
+from parallel_cal.base.files import read_foreign_text
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
@@ -84,7 +84,9 @@ def arm(path: Path, start: str = "", end: str = "", **options: Any) -> Configure
 
 def _joints(path: Path) -> list[Joint]:
     try:
-        root = ElementTree.fromstring(read_text(path))
+        text = read_foreign_text(path)
+        # XML allows nothing before its declaration, but files have blank lines and comments there.
+        root = ElementTree.fromstring(text[max(text.find("<?xml"), 0) :])
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read: {error.strerror}") from None
     except (ElementTree.ParseError, UnicodeDecodeError) as error:
