@@ -1,7 +1,7 @@
 """Positions of a laser tracker or a measuring machine, and a log of joints.
 
 One table contains points with the columns x, y and z, and another one joint readings. Any lines may
-precede the header. Commas, semicolons or tabs separate the cells. A column that both tables have
+precede the header. Commas, semicolons, tabs or spaces separate the cells. A column that both have
 joins their rows: a point's name or number, or the time. Tables of equal length without such a
 column are matched row by row. The unit is in the header (`X [mm]`), in a
 line before it (`Units: Millimeters`), or an option.
