@@ -294,9 +294,10 @@ def check_reach(delta: Delta, stated: Settings, field: str) -> None:
 def _set_home(mechanism: Mechanism, delta: Delta, box: Workspace) -> Mechanism:
     """Place home on the axis at half the height of a workspace, which shrinks to what the joints
     reach inside their limits."""
-    at = np.array([0.0, 0.0, (box.low[2] + box.high[2]) / 2])
+    height = (box.low[2] + box.high[2]) / 2
+    at = np.array([0.0, 0.0, height])
     home = delta.joints(at[None])[0]
-    mechanism.home = Home(tuple(map(float, home)), tuple(map(float, at)))
+    mechanism.home = Home(tuple(map(float, home)), (0.0, 0.0, height))
     limits = np.array(mechanism.joint_limits)
     mechanism.workspace = shrink_workspace(box, at, delta.joints, limits)
     return mechanism
