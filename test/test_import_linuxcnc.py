@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 import virtual_firmware as vf
+from scipy.optimize import fsolve
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.exporting.export import export, export_into
+from parallel_cal.identification.fit import fit
 from parallel_cal.importing.controller_files import configured, samples
 from parallel_cal.importing.importers import linuxcnc
 from parallel_cal.importing.touch_samples import touches_in
@@ -372,6 +374,35 @@ def test_the_bed_of_a_machine_with_zero_at_the_top_calibrates_where_it_is(tmp_pa
     model = configured(files).model
     assert model.mechanism.switches == (0.0, 0.0, 0.0)
     assert touches_in(data, model.joints).explain_other_model(model) == ""
+
+
+def test_a_fit_finds_an_unstated_bed_and_the_export_leaves_it_there(tmp_path):
+    """True: R 150.4, switches 0.3, -0.2 and 0.1 mm off, the bed at -900 where -920 is assumed."""
+    files = towers_with(tmp_path, span(-720, 1))
+    angles = np.radians([90, 210, 330])
+
+    def carriages(r, radius, off):
+        towers = radius * np.column_stack([np.cos(angles), np.sin(angles)])
+        away = ((r[:, None, :2] - towers) ** 2).sum(axis=2)
+        return r[:, 2:] + np.sqrt(250**2 - away) - np.array(off)
+
+    grid = np.array([(x, y) for x in range(-80, 81, 20) for y in range(-80, 81, 20)], float)
+    bed = np.column_stack([grid, np.full(len(grid), -900.0)])[np.hypot(*grid.T) < 85]
+    counted = carriages(bed, 150.4, [0.3, -0.2, 0.1])
+    by_firmware = [
+        fsolve(lambda r, q: carriages(r[None], 150, [0, 0, 0])[0] - q, r, args=(q,))
+        for r, q in zip(bed, counted, strict=True)
+    ]
+    lines = [" ".join(f"{v:.6f}" for v in (*r, *[0] * 6)) for r in by_firmware]
+    (tmp_path / "probe.txt").write_text("\n".join(lines))
+    touches = samples("linuxcnc", [tmp_path / "probe.txt", *files], unit="mm")
+    found = fit(configured(files).model, touches, hold_out=0, prior=True).model
+    assert found.value("probe.plate.z") == pytest.approx(-0.9, abs=1e-3)
+    done = export_into(found, "linuxcnc", files, touches_in(touches, found.joints))
+    assert done.heights.after < 1e-6 < 100e-6 < done.heights.before
+    # LinuxCNC's z moves by less than 1 mm.
+    stops = [float(t.split()[-1]) for t in files[1].read_text().splitlines() if "HOME_O" in t]
+    np.testing.assert_allclose(stops, 0, atol=1.0)
 
 
 def test_switches_inside_the_limits_stay_where_they_are(tmp_path):

@@ -51,16 +51,15 @@ class Chains:
         return Machine(delta, replace(self.frame, origin=moved), self.stops)
 
 
-def chains_of(model: Model, places: Array | None, has_bed_at_zero: bool = True) -> Chains:
+def chains_of(model: Model, places: Array | None) -> Chains:
     """Return the chains of a Delta for a firmware whose towers are near `places` (3,) in rad.
 
     Without `places`, the towers may be anywhere. The frame is then not turned about z, and the
     chains are in the model's order, or in the order 1, 3, 2 if only this is counter-clockwise seen
     from above in the firmware's frame.
 
-    Height 0 is the plate of a sensor `probe`. If the firmware's bed may be at any height
-    (`has_bed_at_zero` false), the plate stays at its nominal height. Without a probe, height 0 is
-    the origin of {B}, or, if z of {B} points down, the far end of the workspace.
+    Height 0 is the plate of a sensor `probe`. Without a probe, it is the origin of {B}, or, if z of
+    {B} points down, the far end of the workspace.
     """
     model = model.widen() if model.mechanism.name == "delta_nominal" else model
     m, linear = model.mechanism, model.mechanism.name in LINEAR
@@ -83,8 +82,6 @@ def chains_of(model: Model, places: Array | None, has_bed_at_zero: bool = True) 
     bed = None if height is None else Bed(height, tilt)
     if height is None:
         height = m.workspace.high[2] if down else 0.0
-    elif not (has_bed_at_zero or down):
-        height -= model.table.nominal[model.table.index_of("probe.plate.z")]
     angles, planned = (-each if down else each for each in (angles, planned))
     if places is None:
         turn, order = 0.0, (0, 1, 2) if are_counter_clockwise(planned) else (0, 2, 1)
@@ -235,7 +232,7 @@ def fit_equal_towers(
     model: Model, places: Array, present: Refinement | None = None
 ) -> tuple[Towers, Machine]:
     """Fit equal towers at `places`, an end-stop for each, and the origin."""
-    c = chains_of(model, places, has_bed_at_zero=False)
+    c = chains_of(model, places)
 
     def machine(v: Array) -> Machine:
         same = np.ones(3)

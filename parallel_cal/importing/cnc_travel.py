@@ -34,7 +34,8 @@ NOT_REACHED = (
 )
 BED_ELSEWHERE = (
     "the limits do not let the tool use z = 0, so the bed is assumed at the lowest height that "
-    "they permit, z = {:.1f} mm. State where it is (--sensor 'probe: {{height: {:.4g}}}', in m)"
+    "they permit, z = {:.1f} mm, and a fit finds it. State where it is, if you know it (--sensor "
+    "'probe: {{height: {:.4g}}}', in m)"
 )
 
 

@@ -281,7 +281,8 @@ class Model:
         """Return the model with these sensors.
 
         Parameters that the model already has keep their values and covariance, and stay free or
-        fixed. A sensor that states another nominal value than before starts at that value.
+        fixed. A sensor that states another nominal value than before starts at that value, with its
+        usual tolerance.
         """
         return self._with_parts(self.effects, sensors).with_covariance_of(self)
 
@@ -307,10 +308,13 @@ class Model:
         fresh = zip(table.nominal, given, strict=True)
         kept = [known.get((p.name, p.nominal), new) for p, new in zip(table, fresh, strict=True)]
         values, fixed = (np.array(column) for column in zip(*kept, strict=True))
+        names = {name for name, _ in known}
+        restated = {p.name for p in table if p.name in names and (p.name, p.nominal) not in known}
         return replace(
             self,
             effects=effects,
             sensors=sensors,
+            tolerances={n: size for n, size in self.tolerances.items() if n not in restated},
             values=values,
             fixed=fixed.astype(bool),
             covariance=None,

@@ -49,8 +49,9 @@ def find_separator(lines: Sequence[str]) -> str:
 def find_heading(lines: Sequence[str]) -> tuple[int, str]:
     """Return the index of the heading among the lines of a table, and the heading as a line.
 
-    It is the first line without a number that has as many cells as the numbers or units below it.
-    It may be written as a remark. Otherwise it is the first line that is no remark.
+    It is the first line without a number that has as many cells as the numbers or units below it,
+    and may be written as a remark. It is the first line that is no remark if that line has as many
+    cells as this one, as in a table of names, or if there is no such line.
     """
     filled = [k for k, line in enumerate(lines) if line.strip() and not STATED.fullmatch(line)]
     first = next((k for k in filled if not is_remark(lines[k])), None)
@@ -62,7 +63,8 @@ def find_heading(lines: Sequence[str]) -> tuple[int, str]:
     for k, below in pairwise(filled[start : start + MAX_LINES]):
         line = _strip_marker(lines[k]) if is_remark(lines[k]) else lines[k]
         if not is_remark(lines[below]) and _is_heading_of(line, lines[below]):
-            return k, line
+            belongs = k > first and _count_cells(lines[first]) == _count_cells(line)
+            return (first, lines[first]) if belongs else (k, line)
     return first, lines[first]
 
 
@@ -112,6 +114,10 @@ def _are_units(cells: Sequence[str]) -> bool:
 
 def _strip_brackets(cell: str) -> str:
     return cell.strip().strip("[]()").strip()
+
+
+def _count_cells(line: str) -> int:
+    return len(_drop_last_blanks(_split(line, find_separator([line]))))
 
 
 def _split(line: str, separator: str) -> list[str]:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -88,7 +89,11 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     if isinstance(machine, Towers):
         rails, more = with_rails(machine, stated, unit)
         bed = rails.box.low[2] if rails.box else 0.0
-        return deltas.make_configured_robot(rails, NO_PROBE, remarks=[*remarks, *more], bed=bed)
+        found = deltas.make_configured_robot(rails, NO_PROBE, remarks=[*remarks, *more], bed=bed)
+        if not bed:
+            return found
+        anywhere = {"probe.plate.z": float(np.ptp(found.model.mechanism.joint_limits))}
+        return replace(found, model=replace(found.model, tolerances=anywhere))
     if isinstance(machine, Shoulders):
         arms, more = with_arm_travel(machine, stated, unit, _short_shins(stated))
         remarks += [*more, deltas.ANGLES_UP.format("LinuxCNC")]
