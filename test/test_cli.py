@@ -22,7 +22,12 @@ from parallel_cal.base.options import option
 from parallel_cal.cli import main as cli
 from parallel_cal.cli.arguments import with_options
 from parallel_cal.kinematics.kinematics import Kinematics
-from parallel_cal.model.file.modelfile import model_hash, read_model, write_model
+from parallel_cal.model.file.modelfile import (
+    model_hash,
+    read_model,
+    replace_model,
+    write_model,
+)
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.reporting import console
@@ -277,7 +282,7 @@ def test_the_options_of_a_mechanism_are_listed(run):
     assert "Options: without any" in listed
     assert "\n- `anchors` (n, 3): positions of the anchors, m.\n" in listed
     assert "If the same coordinate is 0 for all anchors, the robot is planar" in listed
-    assert "Options" not in run("mechanisms", "delta24")[1]
+    assert "Options" not in run("mechanisms", "scara16")[1]
     assert "\njoints: motor1 [rad], motor2 [rad], motor3 [rad], motor4 [rad]\n" in listed
 
 
@@ -690,6 +695,16 @@ def test_add_is_refused_where_the_held_out_error_does_not_fall(document, run, tm
     out = tmp_path / "out.yaml"
     fails(run("add", NOMINAL, "backlash", clean, "-o", out), "does not fall", "--force")
     assert not out.exists()
+
+
+def test_a_refused_fit_names_priors_until_they_were_used(run, tmp_path, clean):
+    """A model that is right already, and that states no fit of these samples."""
+    right, said = tmp_path / "right.yaml", "drawing as priors (--prior). Use --force to write it"
+    assert run("fit", NOMINAL, clean, "-o", right)[0] == 0
+    replace_model(replace(read_model(right), history=()), right)
+    command = ("fit", right, clean, "-o", tmp_path / "out.yaml")
+    fails(run(*command), said)
+    assert said not in run(*command, "--prior")[2]
 
 
 def test_compare_prints_errors_and_rows_worst_first(document, run, clean):

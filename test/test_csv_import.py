@@ -208,7 +208,7 @@ def test_orientations_alone_are_a_measurement(files):
         ((",23,home", ',"2\n3",home'), r"t.csv:6: column T contains '2\\n3', expected a finite"),
         ((",22.5,", ",1_000,"), "t.csv:4: column T contains '1_000'"),
         ((",22.5,", ',"22,5",'), "column T contains '22,5', .*decimal comma needs a semicolon"),
-        (("number,a_deg", "x,a_deg"), "t.csv:1: a column occurs twice"),
+        (("number,a_deg", "x,a_deg"), "t.csv:1: column x occurs 2 times"),
         ((TABLE, "a,b\n"), "expected a header line and rows, found only 1 line"),
     ],
 )

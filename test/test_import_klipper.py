@@ -114,6 +114,20 @@ def test_steps_count_from_the_end_stops(file):
     assert model.value("chain2.D_y") == pytest.approx(0.15 * np.sin(DEGREE))
 
 
+@pytest.mark.parametrize("old", ["rotation_distance: 40", "rotation_distance: 40\nmicrosteps: 16"])
+def test_a_step_distance_of_an_old_configuration_is_read(file, old):
+    """40 mm a turn of 3200 microsteps are 12.5 um a microstep."""
+    text = LINEAR.replace(old, "step_distance: .0125").replace("gear_ratio: 2:1\n", "")
+    assert text.count("step_distance: .0125") == 3
+    expected = samples("klipper", file(LINEAR.replace("gear_ratio: 2:1\n", "")))
+    found = samples("klipper", file(text))
+    np.testing.assert_allclose(found.q, expected.q, atol=1e-12)
+    np.testing.assert_allclose(found.joint_sigma, expected.joint_sigma)
+    assert configured(file(text)).model.mechanism.scale is None
+    with pytest.raises(ParallelCalError, match="step_distance is '0', expected mm a microstep"):
+        samples("klipper", file(text.replace(".0125", "0")))
+
+
 def test_a_block_on_the_bed_may_be_half_a_metre_high(file):
     data = samples("klipper", file(LINEAR.replace("manual_height0 = 0.1", "manual_height0 = 50.8")))
     assert data.conditions["reading.probe"][2] == pytest.approx(0.0508)

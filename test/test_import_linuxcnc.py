@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 import virtual_firmware as vf
+from scipy.optimize import fsolve
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.exporting.export import export, export_into
+from parallel_cal.identification.fit import fit
 from parallel_cal.importing.controller_files import configured, samples
 from parallel_cal.importing.importers import linuxcnc
+from parallel_cal.importing.touch_samples import touches_in
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import new_model
@@ -307,6 +310,155 @@ def test_what_was_exported_for_its_own_kinematics_is_read_again(name, tmp_path):
     assert done.loss["position_max"] < 0.1e-6
     for file in files:
         assert (tmp_path / "again" / folder.name / file.name).read_text() == file.read_text()
+
+
+def towers_with(folder, joints, axes="", homed=None):
+    """Files of a linear Delta in mm, R 150 and L 250: carriages are 200 above a central tool."""
+    (folder / "machine.hal").write_text("setp lineardeltakins.R 150\nsetp lineardeltakins.L 250\n")
+    stops = f"HOME_OFFSET = {homed}\n" if homed is not None else ""
+    sections = "".join(f"[JOINT_{i}]\n{stops}{joints}" for i in range(3))
+    (folder / "machine.ini").write_text(f"[TRAJ]\nLINEAR_UNITS = mm\n{sections}{axes}")
+    return [folder / "machine.hal", folder / "machine.ini"]
+
+
+def span(low, high):
+    return f"MIN_LIMIT = {low}\nMAX_LIMIT = {high}\n"
+
+
+# limits of the joints and of z, HOME_OFFSET -> joint limits, heights of the workspace, the bed (mm)
+BED, FAR = "[AXIS_Z]\n" + span(450, 640), "[AXIS_Z]\n" + span(900, 990)
+RAILS = {
+    "its own example": (span(0, 375), "[AXIS_Z]\n" + span(-5, 35), 375, (0, 375), (0, 35), 0),
+    "zero at the top": (span(-700, 1), "", 0, (-700, 1), (-900, -800), -900),
+    "a bed above zero": (span(600, 950), BED, 950, (600, 950), (450, 640), 450),
+    "no limits": ("", "", 0, (-100, 0), (-300, -200), -300),
+    "limits of nothing": (span(-1e99, 1e6), "", 500, (-100, 500), (0, 100), 0),
+    "z beyond the joints": (span(0, 400), FAR, 400, (0, 400), (0, 100), 0),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", RAILS)
+def test_a_linear_delta_works_between_the_limits_of_its_ini_file(tmp_path, name):
+    joints, axes, homed, limits, heights, bed = RAILS[name]
+    found = configured(towers_with(tmp_path, joints, axes, homed))
+    model, mechanism = found.model, found.model.mechanism
+    if name == "no limits":  # the lower ones are those of the assumed workspace
+        np.testing.assert_allclose(np.array(mechanism.joint_limits)[:, 1], 0, atol=1e-12)
+    else:
+        np.testing.assert_allclose(mechanism.joint_limits, [np.array(limits) * 1e-3] * 3)
+    low, high = np.array(mechanism.joint_limits).T
+    home, box = mechanism.home, mechanism.workspace
+    height = home.position[2]
+    assert height == pytest.approx(np.mean(heights) * 1e-3)
+    np.testing.assert_allclose(home.joints, height + 0.2)  # 250^2 = 150^2 + 200^2
+    assert ((home.joints > low) & (home.joints < high)).all()
+    assert heights[0] * 1e-3 - 1e-9 <= box.low[2] < height < box.high[2] <= heights[1] * 1e-3 + 1e-9
+    r, _ = poses_in_workspace(mechanism, 200, np.random.default_rng(1))
+    q = Kinematics(model).inverse(r).joints
+    assert ((q >= low - 1e-9) & (q <= high + 1e-9)).all()
+    assert model.value("probe.plate.z") == pytest.approx(bed * 1e-3)
+    said = "\n".join(found.remarks)
+    assert ("--sensor 'probe: {height: " in said) == (bed != 0)
+    assert ("joint limits are assumed" in said) == (name in ("no limits", "limits of nothing"))
+    assert ("[AXIS_Z] MIN_LIMIT and MAX_LIMIT are heights" in said) == (
+        name == "z beyond the joints"
+    )
+
+
+def test_the_bed_of_a_machine_with_zero_at_the_top_calibrates_where_it_is(tmp_path):
+    """By hand: 250^2 = 150^2 + 200^2, so the carriages are at -700 when the tool is at -900."""
+    files = towers_with(tmp_path, span(-720, 1))  # LinuxCNC's HOME_OFFSET is then 0
+    (tmp_path / "probe.txt").write_text("0 0 -900 0 0 0 0 0 0\n0 80 -900.5 0 0 0 0 0 0\n")
+    data = samples("linuxcnc", [tmp_path / "probe.txt", *files], unit="mm")
+    np.testing.assert_allclose(data.q[0], -0.7, atol=1e-12)
+    model = configured(files).model
+    assert model.mechanism.switches == (0.0, 0.0, 0.0)
+    assert touches_in(data, model.joints).explain_other_model(model) == ""
+
+
+def test_a_fit_finds_an_unstated_bed_and_the_export_leaves_it_there(tmp_path):
+    """True: R 150.4, switches 0.3, -0.2 and 0.1 mm off, the bed at -900 where -920 is assumed."""
+    files = towers_with(tmp_path, span(-720, 1))
+    angles = np.radians([90, 210, 330])
+
+    def carriages(r, radius, off):
+        towers = radius * np.column_stack([np.cos(angles), np.sin(angles)])
+        away = ((r[:, None, :2] - towers) ** 2).sum(axis=2)
+        return r[:, 2:] + np.sqrt(250**2 - away) - np.array(off)
+
+    grid = np.array([(x, y) for x in range(-80, 81, 20) for y in range(-80, 81, 20)], float)
+    bed = np.column_stack([grid, np.full(len(grid), -900.0)])[np.hypot(*grid.T) < 85]
+    counted = carriages(bed, 150.4, [0.3, -0.2, 0.1])
+    by_firmware = [
+        fsolve(lambda r, q: carriages(r[None], 150, [0, 0, 0])[0] - q, r, args=(q,))
+        for r, q in zip(bed, counted, strict=True)
+    ]
+    lines = [" ".join(f"{v:.6f}" for v in (*r, *[0] * 6)) for r in by_firmware]
+    (tmp_path / "probe.txt").write_text("\n".join(lines))
+    touches = samples("linuxcnc", [tmp_path / "probe.txt", *files], unit="mm")
+    found = fit(configured(files).model, touches, hold_out=0, prior=True).model
+    assert found.value("probe.plate.z") == pytest.approx(-0.9, abs=1e-3)
+    done = export_into(found, "linuxcnc", files, touches_in(touches, found.joints))
+    assert done.heights.after < 1e-6 < 100e-6 < done.heights.before
+    # LinuxCNC's z moves by less than 1 mm.
+    stops = [float(t.split()[-1]) for t in files[1].read_text().splitlines() if "HOME_O" in t]
+    np.testing.assert_allclose(stops, 0, atol=1.0)
+
+
+def test_switches_inside_the_limits_stay_where_they_are(tmp_path):
+    """The export writes HOME_OFFSET again, not the upper limit."""
+    files = towers_with(tmp_path, span(-700, 5), homed=-1.5)
+    model = configured(files).model
+    assert model.mechanism.switches == pytest.approx((-0.0015,) * 3)
+    before = files[1].read_text()
+    assert export_into(model, "linuxcnc", files).loss["position_max"] < 5e-9
+    assert files[1].read_text() == before
+
+
+def test_a_rotary_delta_has_the_limits_of_its_ini_file_with_its_own_signs(tmp_path):
+    """LinuxCNC counts downwards, the model upwards: -45..80 is -80..45. z is -18..-10 inches."""
+    files = machine(tmp_path, ROTARY, "inch", [0, 5, -5])
+    joints = files[1].read_text().replace("MAX_LIMIT = 90.0", "MIN_LIMIT = -45\nMAX_LIMIT = 80")
+    files[1].write_text(joints + "[AXIS_Z]\nMIN_LIMIT = -18\nMAX_LIMIT = -10\n")
+    found = configured(files)
+    mechanism = found.model.mechanism
+    np.testing.assert_allclose(np.degrees(mechanism.joint_limits), [[-80, 45]] * 3)
+    np.testing.assert_allclose(np.degrees(mechanism.switches), [0, -5, 5], atol=1e-12)
+    assert mechanism.home.position == pytest.approx((0, 0, -14 * INCH * 1e-3))
+    t = mechanism.home.joints[0]  # in inches: 18^2 = (5 + 10 cos t)^2 + (14 + 10 sin t)^2
+    assert np.hypot(5 + 10 * np.cos(t), 14 + 10 * np.sin(t)) == pytest.approx(18)
+    low, high = mechanism.workspace.low[2], mechanism.workspace.high[2]
+    assert -18 * INCH * 1e-3 - 1e-9 <= low < high <= -10 * INCH * 1e-3 + 1e-9
+    assert any("minus" in r or "-1 times" in r for r in found.remarks)
+    before = files[1].read_text()
+    export_into(found.model, "linuxcnc", files)
+    assert files[1].read_text() == before
+
+
+def test_arms_that_cannot_be_at_their_switches_have_home_inside_their_limits(tmp_path):
+    files = machine(tmp_path, ROTARY, "inch", [0, 0, 0])
+    limits = "MIN_LIMIT = 30\nMAX_LIMIT = 80"
+    files[1].write_text(files[1].read_text().replace("MAX_LIMIT = 90.0", limits))
+    mechanism = configured(files).model.mechanism
+    np.testing.assert_allclose(np.degrees(mechanism.home.joints), -55, atol=1e-9)
+
+
+@pytest.mark.parametrize("limits", [(-1000, 1000), (0, 1e6), (-1e99, 1e99), (0, 25)])
+def test_limits_that_no_strut_can_reach_are_none(tmp_path, limits):
+    """LinuxCNC's example of a hexapod has -1000 and 1000 inches."""
+    pins, lengths = hexapod_pins()
+    files = machine(tmp_path, pins, "inch", lengths)
+    low, high = limits
+    high = high if high > 25 else float(lengths.max()) + 4
+    text = files[1].read_text().replace("MAX_LIMIT = 90.0\n", span(low, high))
+    files[1].write_text(text)
+    found = configured(files)
+    assert any("joint limits are assumed" in remark for remark in found.remarks)
+    bounds = np.array(found.model.mechanism.joint_limits) / (INCH * 1e-3)
+    assert (bounds[:, 0] > 0).all()
+    assert (bounds[:, 0] < lengths).all()
+    expected = [high] * 6 if high < 100 else 1.5 * lengths
+    np.testing.assert_allclose(bounds[:, 1], expected)
 
 
 def test_what_is_wrong_in_files_of_its_own_kinematics_is_said(tmp_path):

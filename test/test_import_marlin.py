@@ -106,11 +106,63 @@ def test_b_is_the_circle_of_older_versions(log):
     assert np.hypot(*after.position[0, :2]) == pytest.approx(0.075, abs=1e-9)
 
 
+HOSTS = {
+    "OctoPrint's serial.log": "2024-05-01 08:55:33,358 - {way}: {line}",
+    "Pronterface": "{line}",
+    "Repetier-Host": "08:55:33.358 : {line}",
+    "Repetier-Server": "{way}:08:55:33.358: {line}",
+    "Simplify3D": "{read}: {line}",
+    "MatterControl": "{arrow}{line}",
+    "Arduino": "08:55:33.358 -> {line}",
+    "minicom": "[2024-05-01 08:55:33] {line}",
+}
+
+
+@pytest.mark.parametrize("host", HOSTS)
+def test_a_log_has_what_its_host_writes_before_a_line(log, host):
+    """The same machine and touches, whoever recorded the conversation."""
+    lines = []
+    for line in (G33 + BED.removeprefix(SETTINGS)).splitlines():
+        sent = line.startswith(("Send", ">>>"))
+        plain = line.removeprefix("Send: ").removeprefix("Recv: ").removeprefix(">>> ")
+        way, read, arrow = ("Send", "SENT", "->") if sent else ("Recv", "READ", "<-")
+        lines.append(HOSTS[host].format(way=way, read=read, arrow=arrow, line=plain))
+    expected = samples("marlin", log(G33 + BED.removeprefix(SETTINGS)))
+    stated = configured(log(G33)).model
+    found = samples("marlin", log("\n".join(lines)))
+    assert found.q.tolist() == expected.q.tolist()
+    assert configured(log("\n".join(lines))).model.values.tolist() == stated.values.tolist()
+
+
+def test_what_a_log_only_mentions_is_no_setting(log):
+    mentioned = "echo:; M665 L1.00\n; Recv: M665 L2.00\nError:Resend: 12\n"
+    assert (
+        samples("marlin", log(BED + mentioned)).q.tolist() == samples("marlin", log(BED)).q.tolist()
+    )
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "M665L250.00R150.00H300.00A0.00B0.00C0.00",
+        "N7 M665 L250.00 R150.00 H300.00 A0.00 B0.00 C0.00*83",
+        "M665 L 250.00 R 150.00 H 300.00 A 0.00 B 0.00 C 0.00",
+    ],
+)
+def test_words_may_be_written_as_marlin_reads_them(log, command):
+    text = BED.replace(
+        "  M665 L250.00 R150.00 H300.00 S200.00 X0.00 Y0.00 Z0.00 A0.00 B0.00 C0.00", command
+    )
+    assert command in text
+    assert samples("marlin", log(text)).q.tolist() == samples("marlin", log(BED)).q.tolist()
+
+
 BROKEN = {
     "rod": (BED, "L250.00", "L25O.0", "log:4: M665 L is '25O.0', expected the rods"),
     "short": (BED, "L250.00", "L100", "log:4: M665 L is '100', expected"),
     "no rod": (BED, "L250.00", "", "no M665 L, expected the rods' length in mm"),
     "no settings": (BED, "M665", "M605", "no M665 R, expected the delta radius in mm"),
+    "no height": (BED, "H300.00", "", "no M665 H, expected the homed height in mm, which M665 wit"),
     "height": (BED, "H300.00", "H-1", "log:4: M665 H is '-1', expected the homed height"),
     "end-stop": (BED, "Z-1.00", "Z1.00", "log:5: M666 Z is '1.00', expected mm, 0 or less"),
     "probe": (BED, "Z-2.00", "Z--2", "log:6: M851 Z is '--2', expected mm"),

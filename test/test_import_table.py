@@ -193,13 +193,13 @@ BROKEN = {
         {},
         "tracker.txt:6: column Y [mm] contains '-2O,25', expected a",
     ),
-    "cell": (("; 10; 250,125", "; 250,125"), {}, "tracker.txt:8: the line's length is '6', exp"),
+    "cell": (("; 10; 250,125", "; 250,125"), {}, "tracker.txt:8: 5 cells, but the header has 6"),
     "no unit": (("Units: Millimeters", ""), {}, "tracker.txt:1: column X has no unit; state it"),
     "no x": (("; X;", "; Xx;"), {}, "none of the tables has the columns x, y, z; state which"),
     "two x": (
         ("slide [mm]\tT", "X\tY\tZ\tT"),
         {},
-        "joints.txt: the file contains no table, expected",
+        "2 of the tables have the columns x, y, z; give those of the position other names",
     ),
     "no index": (
         ("point name", "number"),
@@ -218,7 +218,7 @@ BROKEN = {
     "empty": (
         (TRACKER, ""),
         {},
-        "tracker.txt: the file contains no table, expected a header, and rows",
+        "tracker.txt:1: the file is empty; expected a header line",
     ),
     "option": (("", ""), {"x": 1}, "its options: by="),
 }

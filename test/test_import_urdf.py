@@ -209,6 +209,17 @@ def test_limits_of_0_and_0_state_no_limits(file):
     assert np.isfinite(stands).all()
 
 
+@pytest.mark.parametrize(
+    "before", ["\n", "\r\n\r\n", "<!-- by xacro -->\n", "\ufeff", "\ufeff\n", "String value is: "]
+)
+def test_what_precedes_the_declaration_does_not_matter(tmp_path, before):
+    for name, text in (("plain.urdf", SCARA), ("other.urdf", before + SCARA)):
+        (tmp_path / name).write_bytes(text.encode("utf-8"))
+    plain, other = (arm(tmp_path / name).model for name in ("plain.urdf", "other.urdf"))
+    assert other.values.tolist() == plain.values.tolist()
+    assert other.joints == plain.joints
+
+
 BROKEN = {
     "leaves": ("", "", ("", ""), "the chain may end in camera, tool0: choose one with --to-link"),
     "no link": ("", "", ("base", "hand"), "no link 'hand', expected one of base, camera, fore"),

@@ -337,6 +337,21 @@ def test_a_plan_for_the_device_says_that_it_does_not_count_the_probe(run, tmp_pa
     ]
 
 
+def test_a_sensor_option_wins_over_the_configuration_and_leaves_its_other_numbers(run, tmp_path):
+    """RepRapFirmware's config.g states the bed's slopes and where the probe's tip is."""
+    (tmp_path / "config.g").write_text("M665 L250 R125 H300\nM666 A1 B-2\nG31 X10 Y5 Z2\n")
+    sensor = "probe: {height: 0.3, tip: [0.02, 0.005, -0.002]}"
+    out = tmp_path / "printer.yaml"
+    run("new", "--from", tmp_path / "config.g", "--sensor", sensor, "-o", out, "--json")
+    model = read_model(out)
+    [probe] = model.sensors
+    assert (probe.height, probe.tip, probe.sigma) == (0.3, (0.02, 0.005, -0.002), None)
+    values = {name: model.value(f"probe.{name}") for name in ("plate.z", "tip.x", "tip.z")}
+    assert values == {"plate.z": 0.3, "tip.x": 0.02, "tip.z": -0.002}
+    assert model.value("probe.plate.ry") == pytest.approx(-0.01)  # 1 % along x
+    assert model.value("probe.plate.rx") == pytest.approx(-0.02)
+
+
 @pytest.mark.parametrize(
     ("sensor", "words"),
     [

@@ -97,6 +97,8 @@ def chains_of(model: Model, places: Array | None) -> Chains:
     limits, home = np.array(m.joint_limits, float), np.array(m.home.joints)
     stops = limits[:, 0] if down else limits[:, 1]
     stops = np.where(np.isfinite(stops), stops, home)
+    if switches := getattr(m, "switches", None):
+        stops = np.array(switches)
     rows = np.array(order)
     homed = frame.motors(stops + offset) - (height if linear else 0.0)
     heights = (up - height)[rows] * (-1 if down else 1)

@@ -245,7 +245,8 @@ def _worse_bed(files: Sequence[Path], heights: BedHeights) -> ModelError:
     )
     cure = (
         "probe more points, exclude wrong touches (fit --data exclude=N), fix the "
-        "parameters that the firmware does not have (fit --fix), or pass --force"
+        "parameters that the firmware does not have (fit --fix), keep what the touches determine "
+        "poorly near the drawing (fit --prior), or pass --force"
     )
     return ModelError(f"{', '.join(map(str, files))}: {words}; nothing was written: {cure}")
 
@@ -262,7 +263,8 @@ def _moves_too_far(files: Sequence[Path], movement: Movement, heights: BedHeight
     )
     cure = (
         "measure one printed length (import --option printed_x=[sent, measured]) and fit again, "
-        "or, if the present parameters are only those of the drawing, pass --force"
+        "keep what the touches determine poorly near the drawing (fit --prior), or, if the present "
+        "parameters are only those of the drawing, pass --force"
     )
     return ModelError(f"{', '.join(map(str, files))}: {words}; nothing was written: {cure}")
 

@@ -170,9 +170,9 @@ def check_plausible(
             scaled = "" if scale is None else f"{describe_scale_of_lengths(scale)}; "
             raise ImplausibleGeometryError(
                 f"{found} (plausible {least:.6g} to {most:.6g}; chi2/dof {chi2:.3g}): {scaled}"
-                "check units and mechanism, fix the parameter, use priors, correct nominal and "
-                "tolerance in the model file, or let the fit identify the effect that the "
-                "geometry imitates, too (fit --effect NAME)",
+                "check units and mechanism, fix the parameter, use priors (fit --prior), correct "
+                "nominal and tolerance in the model file, or let the fit identify the effect that "
+                "the geometry imitates, too (fit --effect NAME)",
                 chi2,
             )
         bound = least if value < low[i] else most

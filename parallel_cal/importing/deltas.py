@@ -15,7 +15,7 @@ Klipper documentation, "Configuration reference", "Delta calibration".
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.importing.controller_files import ConfiguredRobot
+from parallel_cal.importing.reach import shrink_workspace
 from parallel_cal.importing.settings import Settings
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.model import Model, new_model
@@ -33,7 +34,7 @@ from parallel_cal.recordings.recording import Array
 
 JOINT_NAMES = ("joint1", "joint2", "joint3")
 HOME_HEIGHT_M = 0.05  # m above the bed; the middle of the used height
-BED_LEVELS = (0.0, HOME_HEIGHT_M, 0.1)  # m: the bed, home and the top of the workspace
+USED_HEIGHT_M = 2 * HOME_HEIGHT_M  # above the bed
 BELOW_HOMED = 30 * DEGREE  # of a hanging rotary Delta's arms in the middle of its workspace
 HANGING_ANGLES = np.radians([270.0, 30.0, 150.0])  # of the motors of LinuxCNC and grblHAL
 FLAT = 1e-6  # twice the area of a triangle on the unit circle; a smaller one has no orientation
@@ -41,6 +42,10 @@ NOT_STATED = (
     "inclinations of towers or motors, errors between the two rods of a pair "
     "and the size of the effector have no number in the firmware: they have "
     "the mechanism's nominal values"
+)
+ANGLES_UP = (
+    "the model counts the angles of the arms upwards from the horizontal, {} downwards: a joint "
+    "reading of the model is -1 times that of the controller (factor: -1 in a column map)"
 )
 PROBE_NOISE_UNKNOWN = (
     "the probe's noise is not stated, so a fit estimates it from the residuals. To state it, touch "
@@ -74,6 +79,9 @@ class Towers:
     `scale` is how many steps or turns of its motor the firmware counts for 1 m of a carriage, if it
     states this. With the scale with which joints were `recorded`, the joints are the readings that
     the same steps had then. Without it, they are heights of the carriages.
+
+    `limits` are those of the joints (m), by default from 0.1 m below 0 to the end-stops. The `box`
+    is the workspace, by default from z = 0 upwards.
     """
 
     radius: Array
@@ -86,6 +94,8 @@ class Towers:
     reach: float | None = None
     scale: Array | None = None
     recorded: Array | None = None
+    limits: tuple[tuple[float, float], ...] | None = None
+    box: Workspace | None = None
 
     @classmethod
     def of(
@@ -141,19 +151,27 @@ class Towers:
             }
         return found
 
+    @property
+    def usual_reach(self) -> float:
+        """Radius (m) of the workspace."""
+        return self.reach or 0.6 * float(self.radius.mean())
+
     def mechanism(self) -> Mechanism:
+        limits = self.limits or tuple((-0.1, float(top)) for top in self.end_stops)
         stated = {} if self.scale is None else {"scale": self.scale.tolist()}
+        stated |= _state_switches(self.end_stops, limits)
         mechanism = load_mechanism("linear_delta", direction=self.first, **stated)
         mechanism.parameters = mechanism.parameters.with_nominal(self.nominal)
-        mechanism.joint_limits = tuple((-0.1, float(top)) for top in self.end_stops)
-        return _set_home(mechanism, self, self.reach or 0.6 * float(self.radius.mean()))
+        mechanism.joint_limits = limits
+        return _set_home(mechanism, self, self.box or make_box(self.usual_reach))
 
 
 @dataclass(frozen=True)
 class Shoulders:
     """A rotary Delta; `angles` (rad) are the directions of its motors about z.
 
-    `middle` is the height (m) of the middle of its workspace; without it, there is a bed at z = 0.
+    `switches` (3,) are its joints at the end-stops (rad), by default the upper limits. The `box` is
+    its workspace; without it, there is a bed at z = 0.
     """
 
     radius: float
@@ -163,11 +181,12 @@ class Shoulders:
     angles: Array
     limits: tuple[tuple[float, float], ...] = ((-np.pi / 2, np.pi / 2),) * 3
     reach: float | None = None
-    middle: float | None = None
+    switches: Array | None = None
+    box: Workspace | None = None
 
     @property
     def homed(self) -> Array:
-        return np.array(self.limits)[:, 1]
+        return np.array(self.limits)[:, 1] if self.switches is None else self.switches
 
     def joints(self, r: Array, R: Array | None = None) -> Array:
         cos, sin = np.cos(self.angles), np.sin(self.angles)
@@ -192,15 +211,16 @@ class Shoulders:
             }
         return found
 
+    @property
+    def usual_reach(self) -> float:
+        """Radius (m) of the workspace."""
+        return self.reach or 0.6 * float(self.arms.min())
+
     def mechanism(self) -> Mechanism:
-        mechanism = load_mechanism("delta24")
+        mechanism = load_mechanism("delta24", **_state_switches(self.homed, self.limits))
         mechanism.parameters = mechanism.parameters.with_nominal(self.nominal)
         mechanism.joint_limits = self.limits
-        arm = float(self.arms.min())
-        if self.middle is None:
-            return _set_home(mechanism, self, self.reach or 0.6 * arm)
-        levels = (self.middle - arm / 4, self.middle, self.middle + arm / 4)
-        return _set_home(mechanism, self, self.reach or 0.6 * arm, levels)
+        return _set_home(mechanism, self, self.box or make_box(self.usual_reach))
 
 
 def hang_shoulders(
@@ -211,13 +231,41 @@ def hang_shoulders(
     `homed` (3,) are its joints at the end-stops (rad). Raise `unreachable` if the rods are too
     short for the middle of the workspace.
     """
-    middle = homed - BELOW_HOMED
-    drop = rod**2 - (radius + arm * np.cos(middle)) ** 2
-    if (drop <= 0).any():
-        raise unreachable
-    z = float(np.mean(arm * np.sin(middle) - np.sqrt(drop)))
     same, limits = np.ones(3), tuple((-np.pi / 2, float(top)) for top in homed)
-    return Shoulders(radius, 0 * same, arm * same, rod * same, HANGING_ANGLES, limits, middle=z)
+    hung = Shoulders(radius, 0 * same, arm * same, rod * same, HANGING_ANGLES, limits)
+    return place_below(hung, homed - BELOW_HOMED, unreachable)
+
+
+def place_below(hung: Shoulders, middle: Array, unreachable: DatasetError) -> Shoulders:
+    """Return a hanging Delta whose workspace is about the joints `middle` (3,) rad.
+
+    Raise `unreachable` if its rods are too short for them.
+    """
+    z = float(np.mean(heights_on_axis(hung, middle)))
+    if np.isnan(z):
+        raise unreachable
+    arm = float(hung.arms.min())
+    return replace(hung, box=make_box(hung.usual_reach, z - arm / 4, z + arm / 4))
+
+
+def heights_on_axis(hung: Shoulders, joints: Array) -> Array:
+    """Return the heights (3,) m at which each arm (rad) holds the end point on the axis, below the
+    arms; NaN where it does not reach."""
+    out, up = hung.radius + hung.arms * np.cos(joints), hung.arms * np.sin(joints)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(hung.heights + up - np.sqrt(hung.rods**2 - out**2))
+
+
+def make_box(reach: float, low: float = 0.0, high: float = USED_HEIGHT_M) -> Workspace:
+    """Return the workspace in a circle of radius `reach` between two heights (m)."""
+    side = reach / 2**0.5
+    return Workspace((-side, -side, low), (side, side, high))
+
+
+def _state_switches(homed: Array, limits: Sequence[tuple[float, float]]) -> dict[str, list[float]]:
+    """Return the option `switches` of joints that are not homed at their upper limits."""
+    at_tops = np.array_equal(homed, [high for _, high in limits])
+    return {} if at_tops else {"switches": homed.tolist()}
 
 
 def end_stops(delta: Delta) -> dict[str, float]:
@@ -243,22 +291,15 @@ def check_reach(delta: Delta, stated: Settings, field: str) -> None:
         )
 
 
-def _set_home(
-    mechanism: Mechanism,
-    delta: Delta,
-    reach: float,
-    levels: tuple[float, float, float] = BED_LEVELS,
-) -> Mechanism:
-    """Place home on the axis, with a workspace of radius `reach` (m).
-
-    `levels` are the heights (m) of the workspace's floor, of home and of the workspace's top.
-    """
-    low, at, high = levels
-    home = delta.joints(np.array([[0.0, 0.0, at]]))[0]
-    mechanism.home = Home(tuple(map(float, home)), (0.0, 0.0, at))
-    mechanism.workspace = Workspace(
-        (-reach / 2**0.5,) * 2 + (low,), (reach / 2**0.5,) * 2 + (high,)
-    )
+def _set_home(mechanism: Mechanism, delta: Delta, box: Workspace) -> Mechanism:
+    """Place home on the axis at half the height of a workspace, which shrinks to what the joints
+    reach inside their limits."""
+    height = (box.low[2] + box.high[2]) / 2
+    at = np.array([0.0, 0.0, height])
+    home = delta.joints(at[None])[0]
+    mechanism.home = Home(tuple(map(float, home)), (0.0, 0.0, height))
+    limits = np.array(mechanism.joint_limits)
+    mechanism.workspace = shrink_workspace(box, at, delta.joints, limits)
     return mechanism
 
 
@@ -267,13 +308,14 @@ def make_configured_robot(
     tip: Array,
     plate: tuple[float, float] = (0.0, 0.0),
     remarks: Sequence[str] = (),
+    bed: float = 0.0,
 ) -> ConfiguredRobot:
     """Return the model of a printer with a probe and a bed.
 
-    `tip` is the probe's tip in {P} (m). The bed is the plane z = plate . (x, y).
+    `tip` is the probe's tip in {P} (m). The bed is the plane z = bed + plate . (x, y).
     """
     at = {"tip": tuple(map(float, tip))} if np.any(tip) else {}
-    probe = load_sensor("probe", height=0.0, sigma=None, **at)
+    probe = load_sensor("probe", height=bed, sigma=None, **at)
     model: Model = new_model(delta.mechanism(), sensors=[probe])
     values = model.values.copy()
     for axis, slope in (("rx", plate[1]), ("ry", -plate[0])):

@@ -16,6 +16,9 @@ STEPS_FIELDS = tuple(f"M92 {axis}" for axis in "XYZ")  # steps per mm of three t
 
 GLOBAL = re.compile(r"(?:set\s+)?global[\s.]\s*(\w+)\s*=\s*([^\s;]+)")  # of RepRapFirmware
 USE = re.compile(r"\{\s*global\.(\w+)\s*\}")
+GLUED = re.compile(r"(?:[A-Za-z][-+]?\d[\d.:]*)+")  # such as L250R125: words without spaces
+PARTED = re.compile(r"(?<=[A-Za-z])\s+(?=[-+]?\.?\d)")  # such as L 250
+CHECKSUM = re.compile(r"\*\d+\s*$")  # of a line that a host sent
 COMMAND = re.compile(r"\s*(?:N\d+\s*)?([GM]\d+)(?![\d.])(.*)", re.IGNORECASE)
 
 
@@ -54,6 +57,7 @@ def parse_settings_line(
         raise place.error("unit", "G20", "millimetres (G21)")
     if code not in codes or not found:
         return None
-    for word in found[2].split():
-        texts[f"{code} {word[0].upper()}"] = (word[1:], place)
+    for word in PARTED.sub("", CHECKSUM.sub("", found[2])).split():
+        whole = re.findall(r"[A-Za-z][^A-Za-z]*", word) if GLUED.fullmatch(word) else [word]
+        texts |= {f"{code} {each[0].upper()}": (each[1:], place) for each in whole}
     return code

@@ -7,16 +7,14 @@ documentation, kins(9), "genhexkins".
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
-from parallel_cal.model.mechanism import Home, Mechanism, Workspace
+from parallel_cal.importing.reach import shrink_workspace
+from parallel_cal.model.mechanism import Home, Mechanism
 from parallel_cal.model.shelf import load_mechanism
 from parallel_cal.recordings.recording import Array
-
-SHRINK = np.linspace(1.0, 0.02, 50)  # of the default workspace
 
 
 @dataclass(frozen=True)
@@ -79,24 +77,10 @@ class Struts:
         home = self.lengths(position, np.eye(3)[None])[0]
         found.home = Home(tuple(map(float, home)), (0.0, 0.0, height))
         found.joint_limits = tuple((float(low), float(high)) for low, high in limits)
-        found.workspace = self._reachable(found)
+        found.workspace = shrink_workspace(
+            found.workspace,
+            np.array([*found.home.position, 0.0, 0.0, 0.0]),
+            lambda poses: self.lengths(*found.poses(poses)),
+            limits,
+        )
         return found
-
-    def _reachable(self, mechanism: Mechanism) -> Workspace:
-        """Return the mechanism's workspace, smaller if needed: with corners inside the limits.
-
-        It is unchanged if even home is outside.
-        """
-        box, home = mechanism.workspace, np.array([*mechanism.home.position, 0.0, 0.0, 0.0])
-        low, high = np.array(mechanism.joint_limits).T
-        corners = np.array([*product(*zip(box.low, box.high, strict=True))]) - home
-
-        def fits(part: float) -> bool:
-            lengths = self.lengths(*mechanism.poses(home + part * corners))
-            return bool(((lengths >= low) & (lengths <= high)).all())
-
-        if not fits(0.0):
-            return box
-        part = next((part for part in SHRINK if fits(part)), SHRINK[-1])
-        sides = (home + part * (np.array(side) - home) for side in (box.low, box.high))
-        return Workspace(*(tuple(map(float, side)) for side in sides))

@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError
-from parallel_cal.base.files import read_text
+from parallel_cal.base.files import read_foreign_text
 from parallel_cal.importing.chain import chain_links, choose_controls, rotation_from_rpy
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.mimic import (
@@ -110,7 +110,9 @@ def read_links(path: Path) -> list[str]:
 
 def _joints(path: Path) -> list[Joint]:
     try:
-        root = ElementTree.fromstring(read_text(path))
+        text = read_foreign_text(path)
+        # XML allows nothing before its declaration, but files have blank lines and comments there.
+        root = ElementTree.fromstring(text[max(text.find("<?xml"), 0) :])
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read: {error.strerror}") from None
     except (ElementTree.ParseError, UnicodeDecodeError) as error:

@@ -10,6 +10,7 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.units import DEGREE, MM
+from parallel_cal.mechanisms._controller import read_one_per_joint
 from parallel_cal.mechanisms._size import read_limits, read_numbers
 from parallel_cal.model.drawing import Line, ring
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
@@ -40,6 +41,14 @@ class Delta(Mechanism):
     joint_limits = ((-30 * DEGREE, 135 * DEGREE),) * 3  # section 2.3.2: mechanical stops
     length = 24 * MM  # half the bar of a rod pair
 
+    def __init__(self, switches: Sequence[float] | None = None):
+        self.switches = read_switches(switches, len(self.joints))
+
+
+def read_switches(given: Sequence[float] | None, n: int) -> tuple[float, ...] | None:
+    """Return the option `switches`: the readings at which the controller homes the joints."""
+    return None if given is None else read_one_per_joint("switches", given, n, "joint")
+
 
 class SizedDelta(Delta):
     """A Delta whose size may be stated in a few numbers; its subclasses describe the options."""
@@ -54,7 +63,9 @@ class SizedDelta(Delta):
         home: float | None = None,
         below: bool = False,
         limits: Sequence[float] | None = None,
+        switches: Sequence[float] | None = None,
     ):
+        super().__init__(switches)
         stated = {"base": base, "platform": platform, "arm": arm, "rod": rod}
         stated = {name: value for name, value in stated.items() if value is not None}
         if not stated and not direction and home is None and not below and limits is None:

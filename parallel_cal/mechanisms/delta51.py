@@ -152,6 +152,9 @@ class Delta51(Delta):
 
     It has the 51 parameters of Savoure et al. (2006), and nine coordinates of the motor axes that
     are fixed by default. Position and orientation of the platform vary.
+
+    Options: `switches` (rad), the readings at which the controller homes the joints (default: the
+    upper limits).
     """
 
     parameters = _table()

@@ -69,6 +69,9 @@ class Delta54(SizedDelta):
     up (then `home` is -0.535). `limits` are those of the angles (-0.52 to 2.36, or -2.36 to 0.52
     with `below`). With any of them, the motors lie in the plane z = 0, and home and workspace
     follow from the size. Without options, the robot is that of table 5.12.
+
+    `switches` (rad) are the readings at which the controller homes the joints (default: the upper
+    limits).
     """
 
     parameters = chain_parameters(GROUPS)

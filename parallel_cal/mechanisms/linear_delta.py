@@ -12,7 +12,7 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import rot_x, rot_y, rot_z
 from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.mechanisms._controller import read_scale
-from parallel_cal.mechanisms._delta import pair_errors, pair_lengths, rod_pairs
+from parallel_cal.mechanisms._delta import pair_errors, pair_lengths, read_switches, rod_pairs
 from parallel_cal.mechanisms._size import read_limits, read_numbers
 from parallel_cal.model.closed_form import positions
 from parallel_cal.model.drawing import Line
@@ -64,7 +64,8 @@ class LinearDelta(Mechanism):
     degrees.
     `scale` describes the controller with which the joints were recorded: how many steps or turns of
     its motor make a joint's reading 1 m longer, one number for each joint (default: unknown). An
-    export for this controller starts from it.
+    export for this controller starts from it. `switches` are the readings in m at which it homes
+    the joints (default: the upper limits).
     """
 
     joints = ("joint1", "joint2", "joint3")
@@ -91,9 +92,11 @@ class LinearDelta(Mechanism):
         rod: float | None = None,
         height: float = LOW,
         limits: Sequence[float] | None = None,
+        switches: Sequence[float] | None = None,
     ):
         self.inclination, self.direction = float(inclination), float(direction)
         self.scale = None if scale is None else read_scale(scale, len(self.joints))
+        self.switches = read_switches(switches, len(self.joints))
         # At reading q the carriage is pushed out by q sin(inclination). Solve for the rod's length.
         lean = np.array([np.sin(self.inclination), np.cos(self.inclination)])
         stated = {"base": base, "platform": platform, "rod": rod}

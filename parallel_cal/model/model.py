@@ -281,7 +281,8 @@ class Model:
         """Return the model with these sensors.
 
         Parameters that the model already has keep their values and covariance, and stay free or
-        fixed.
+        fixed. A sensor that states another nominal value than before starts at that value, with its
+        usual tolerance.
         """
         return self._with_parts(self.effects, sensors).with_covariance_of(self)
 
@@ -300,16 +301,20 @@ class Model:
 
     def _with_parts(self, effects: tuple[Effect, ...], sensors: tuple[Sensor, ...]) -> Model:
         table = structure_of(self.mechanism, effects, sensors).table
-        known = dict(zip(self.table.names, zip(self.values, self.fixed, strict=True), strict=True))
+        stated = zip(self.table.names, self.table.nominal, strict=True)
+        known = dict(zip(stated, zip(self.values, self.fixed, strict=True), strict=True))
         parts: tuple[Effect | Sensor, ...] = (*effects, *sensors)
         given = table.matching(p for part in parts for p in part.fixed_patterns())
         fresh = zip(table.nominal, given, strict=True)
-        kept = [known.get(p.name, new) for p, new in zip(table, fresh, strict=True)]
+        kept = [known.get((p.name, p.nominal), new) for p, new in zip(table, fresh, strict=True)]
         values, fixed = (np.array(column) for column in zip(*kept, strict=True))
+        names = {name for name, _ in known}
+        restated = {p.name for p in table if p.name in names and (p.name, p.nominal) not in known}
         return replace(
             self,
             effects=effects,
             sensors=sensors,
+            tolerances={n: size for n, size in self.tolerances.items() if n not in restated},
             values=values,
             fixed=fixed.astype(bool),
             covariance=None,

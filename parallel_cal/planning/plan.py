@@ -394,5 +394,6 @@ def _check_determined(expected: Expectation, rank: int, prior: bool) -> None:
     if seen.rank < rank and not prior:
         raise FitError(
             f"{seen.poses} poses determine only {seen.rank} of the {rank} directions of the "
-            "parameters that the workspace determines: plan more, fix parameters, or use priors"
+            "parameters that the workspace determines: plan more, fix parameters, or use "
+            "priors (--prior)"
         )

@@ -18,6 +18,7 @@ from parallel_cal.model.effect import CONDITIONS, parse_part
 from parallel_cal.model.file.schema import NoisePart, Part, sentence
 from parallel_cal.model.file.yamltext import parse_yaml
 from parallel_cal.recordings.channels import list_channels
+from parallel_cal.recordings.joint_names import match_numbered_names, rename_conditions
 from parallel_cal.recordings.samples import READING
 from parallel_cal.recordings.table import Table, split_condition, split_unit
 
@@ -289,6 +290,11 @@ def map_by_names(table: Table, joints: Sequence[str], beside: Path) -> ColumnMap
     qy, qz, qw, of readings (`reading.CHANNEL`) and of conditions. DatasetError with the columns
     that are missing; the map can be stated in the file `beside`."""
     missing = [joint for joint in joints if table.find(joint) is None]
+    columns = {joint: joint for joint in joints}
+    words = [split_unit(word)[0] for word in table.header]
+    if missing and (alike := match_numbered_names(joints, words)):
+        columns, missing = alike, []
+    names = {column: joint for joint, column in columns.items()}
     position, orientation = (
         [name for name in names if name not in joints and table.find(name) is not None]
         for names in (POSITION, QUATERNION)
@@ -298,11 +304,11 @@ def map_by_names(table: Table, joints: Sequence[str], beside: Path) -> ColumnMap
     if missing or not joints or not measured:
         raise DatasetError(_explain_missing(table, joints, missing, beside))
     return ColumnMap(
-        joints={joint: JointColumn(column=joint) for joint in joints},
+        joints={joint: JointColumn(column=columns[joint]) for joint in joints},
         position=PositionColumns(columns=position) if len(position) == 3 else None,
         orientation=orientation if len(orientation) == 4 else None,
         readings=readings,
-        conditions=find_conditions(table, joints),
+        conditions=rename_conditions(find_conditions(table, [*names]), names),
         name=find_names(table),
     )
 

@@ -11,14 +11,15 @@ from collections.abc import Mapping
 
 from parallel_cal.model.model import Model
 
-END_STOP = ".end_stop"  # after the name of a joint: its reading at the upper end-stop
+END_STOP = ".end_stop"  # after the name of a joint: its reading at its end-stop
 MAX_DIFFERENCE = 1e-6  # m or rad; less changes no joint reading by a motor's step
 
 
 def numbers_of(model: Model) -> dict[str, float]:
     """Return the numbers of a model that a configuration may state, in m or rad."""
-    limits = zip(model.joints, model.mechanism.joint_limits, strict=True)
-    stops = {joint + END_STOP: float(high) for joint, (_, high) in limits}
+    m = model.mechanism
+    switches = getattr(m, "switches", None) or [high for _, high in m.joint_limits]
+    stops = {j + END_STOP: float(at) for j, at in zip(model.joints, switches, strict=True)}
     nominal = zip(model.table.names, map(float, model.table.nominal), strict=True)
     return dict(nominal) | stops
 

@@ -21,6 +21,11 @@ from parallel_cal.recordings.clocks import align_clocks
 from parallel_cal.recordings.columns import ColumnMap, map_by_names, read_column_map
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import join_datasets
+from parallel_cal.recordings.joint_names import (
+    describe_match,
+    match_numbered_names,
+    rename_conditions,
+)
 from parallel_cal.recordings.options import ReadKeywords, ReadOptions, SampleOptions
 from parallel_cal.recordings.recording import Array, Dropped, Recording
 from parallel_cal.recordings.replicates import replicate_ids
@@ -128,7 +133,12 @@ def load_table(path: Path, options: ReadOptions) -> Dataset:
         file = Path(options.columns or beside)
         return load_tables([table], read_column_map(file), str(file), options)
     wanted = map_by_names(table, options.joint_names or (), beside)
-    return load_tables([table], wanted, str(beside), options)
+    dataset = load_tables([table], wanted, str(beside), options)
+    matched = {joint: of.column for joint, of in wanted.joints.items() if of.column != joint}
+    if matched:
+        note = describe_match(str(path), matched)
+        dataset = dataclasses.replace(dataset, warnings=(*dataset.warnings, note))
+    return dataset
 
 
 def load_tables(
@@ -343,15 +353,27 @@ def match_joint_units(dataset: Dataset, mechanism: Mechanism) -> Dataset:
 
 
 def order_joints(dataset: Dataset, joints: Sequence[str] | None) -> Dataset:
-    """Return the dataset with its joints in the given order; DatasetError if one is missing."""
+    """Return the dataset with its joints in the given order; DatasetError if one is missing.
+
+    Joints that are only numbered alike are matched, and a warning says so.
+    """
     if joints is None or tuple(joints) == dataset.joint_names:
         return dataset
     missing = [name for name in joints if name not in dataset.joint_names]
-    if missing:
+    if missing and (matched := match_numbered_names(joints, dataset.joint_names)):
+        names = {name: joint for joint, name in matched.items()}
+        dataset = dataclasses.replace(
+            dataset,
+            joint_names=tuple(names.get(name, name) for name in dataset.joint_names),
+            conditions=rename_conditions(dataset.conditions, names),
+            warnings=(*dataset.warnings, describe_match(dataset.source, matched)),
+        )
+    elif missing:
         raise DatasetError(
             f"{dataset.source}: joints expected: {', '.join(joints)}; in the samples: "
             f"{', '.join(dataset.joint_names)}; not found: {', '.join(missing)}. Use "
-            "the same names in the samples and in the model file"
+            "the same names in the samples (the keys of joints in a column map) and in the model "
+            "file"
         )
     order = [dataset.joint_names.index(name) for name in joints]
     sigma, units = dataset.joint_sigma, dataset.joint_units

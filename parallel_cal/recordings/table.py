@@ -1,13 +1,13 @@
 """A table in a text file: a header and rows, read as numbers by column.
 
-Commas, semicolons or tabs separate the cells. The decimal sign is a point, or a comma if commas do
-not separate the cells. A column in which both occur has thousands separators, and is refused.
+Commas, semicolons, tabs or spaces separate the cells (heading.py). The decimal sign is a point, or
+a comma if commas do not separate the cells. A column in which both occur has thousands separators,
+and is refused.
 """
 
 from __future__ import annotations
 
 import csv
-import io
 import math
 import re
 from collections.abc import Sequence
@@ -26,11 +26,21 @@ from parallel_cal.base.units import (
     UNITS,
 )
 from parallel_cal.model.effect import CONDITIONS
-from parallel_cal.recordings.motive import is_motive, merge_header
-from parallel_cal.recordings.vicon import HEADER_LINES, convert_rows, is_vicon
+from parallel_cal.recordings.heading import (
+    SPACE,
+    find_heading,
+    find_separator,
+    is_remark,
+    join_brackets,
+    join_units,
+    split_cells,
+)
+from parallel_cal.recordings.motive import FIRST_CELL, is_motive, merge_header
+from parallel_cal.recordings.vicon import HEADER_LINES, KINDS, convert_rows, is_vicon
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
 MAX_TABLE_BYTES = 512 * MEGABYTE
+EXPORTED = (FIRST_CELL, *KINDS)  # the first cell of a table that a device's program wrote
 
 
 @dataclass(frozen=True)
@@ -43,25 +53,35 @@ class Table:
     lines: list[int]
     decimal: str = "."
     exported: bool = False  # by a program whose tables have many columns besides those of interest
+    assumed_unit: str = ""  # of lengths, if the program did not state it
 
     def find(self, name: str) -> str | None:
-        """Return the header's word for a column: its name, or name and unit (`x [mm]`, `x_mm`)."""
-        if name in self.header:
-            return name
+        """Return the header's word for a column: its name, or name and unit (`x [mm]`, `x_mm`).
+
+        DatasetError if several columns have the name.
+        """
         splits = (split_unit, split_condition)
-        return next((w for w in self.header if name in [split(w)[0] for split in splits]), None)
+        same = [k for k, word in enumerate(self.header, start=1) if word == name] or [
+            k
+            for k, word in enumerate(self.header, start=1)
+            if name in [split(word)[0] for split in splits]
+        ]
+        if len(same) > 1:
+            raise DatasetError(
+                f"{self.path}:1: column {name} occurs {len(same)} times (columns "
+                f"{', '.join(map(str, same))}): rename all but one of them in the table"
+            )
+        return self.header[same[0] - 1] if same else None
 
     def select(self, rows: Sequence[int]) -> Table:
         """Return the table with some rows, in this order."""
         return replace(self, rows=[self.rows[k] for k in rows], lines=[self.lines[k] for k in rows])
 
     def drop_empty_rows(self) -> Table:
-        """Return the table without empty rows; DatasetError for a missing cell or repeated name."""
+        """Return the table without empty rows; DatasetError for a missing cell."""
         kept = [k for k, row in enumerate(self.rows) if any(map(str.strip, row))]
         if not kept:
             raise DatasetError(f"{self.path}: expected a header line and rows, found only 1 line")
-        if len(set(self.header)) < len(self.header):
-            raise DatasetError(f"{self.path}:1: a column occurs twice in '{','.join(self.header)}'")
         for k in kept:
             if len(self.rows[k]) != len(self.header):
                 raise DatasetError(
@@ -71,7 +91,11 @@ class Table:
         return self.select(kept)
 
     def texts(self, name: str) -> list[str]:
-        """Return a column's cells; empty in rows whose length differs from the header's."""
+        """Return a column's cells; empty in rows whose length differs from the header's.
+
+        DatasetError if several columns have the name.
+        """
+        self.find(name)
         column, width = self.header.index(name), len(self.header)
         return [row[column].strip() if len(row) == width else "" for row in self.rows]
 
@@ -120,7 +144,7 @@ class Table:
 
 
 def read_table(path: Path) -> Table:
-    """Read a table with a header line; skip empty lines and leading `#` lines.
+    """Read a table with a header line; skip titles, empty lines and remarks.
 
     The header of an export of OptiTrack's Motive (motive.py), or of Vicon's Tracker or Nexus
     (vicon.py), is merged into one line.
@@ -137,35 +161,73 @@ def read_table(path: Path) -> Table:
             "text"
         ) from None
     lines = text.splitlines(keepends=True)
-    remarks = next((k for k, l in enumerate(lines) if l.strip() and l[0] != "#"), len(lines))
-    body = "".join(lines[remarks:])
     try:
-        apart = max(
-            ",;\t", key=lambda sign: len(next(csv.reader(io.StringIO(body), delimiter=sign), []))
-        )
-        reader = csv.reader(io.StringIO(body), delimiter=apart, strict=True)
-        found = [(remarks + reader.line_num, row) for row in reader if row]
+        return _parse(path, lines)
     except csv.Error as error:
         raise DatasetError(f"{path}: not a CSV table: {error}") from None
+
+
+def _parse(path: Path, lines: list[str]) -> Table:
+    """Return the table in a text; csv.Error if its quotation marks do not match."""
+    if exported := _parse_export(path, lines):
+        return exported
+    at, heading = find_heading(lines)
+    body = [heading, *lines[at + 1 :]]
+    separator = find_separator(body)
+    found = [(at + line, row) for line, row in split_cells(body, separator)]
     if not found or not any(found[0][1]):
         raise DatasetError(f"{path}:1: the file is empty; expected a header line")
+    (_, header), *rows = found
+    names = [" ".join(name.split()) for name in header]  # Excel breaks lines within a cell
+    width = max(k for k, name in enumerate(names, start=1) if name)
+    decimal = "." if separator == "," else ","
+    if separator == SPACE and rows and len(rows[0][1]) < width:
+        names = join_brackets(names)
+        width = len(names)
+    if rows and (joined := join_units(names, rows[0][1])):
+        names, rows = joined, rows[1:]
+    kept = [
+        (line, _fit_row(row, width, len(names)))
+        for line, row in rows
+        if len(row) == len(names) or not is_remark(row[0])
+    ]
+    return Table(path, names[:width], [row for _, row in kept], [n for n, _ in kept], decimal)
+
+
+def _fit_row(row: list[str], width: int, columns: int) -> list[str]:
+    """Return the cells of a row under the `width` columns up to the last named one.
+
+    A row with filled cells beyond all `columns` of the header is unchanged. A row that is shorter
+    than the header and ends with a separator lacks a cell.
+    """
+    if any(map(str.strip, row[columns:])):
+        return row
+    return row[:-1] if len(row) < columns and not row[-1].strip() else row[:width]
+
+
+def _parse_export(path: Path, lines: list[str]) -> Table | None:
+    """Return the table that a device's program wrote, with several lines of header."""
+    remarks = next((k for k, line in enumerate(lines) if line.strip() and line[0] != "#"), None)
+    if remarks is None or re.split(r"[,;\t]", lines[remarks])[0].strip('" \n') not in EXPORTED:
+        return None
+    separator = find_separator(lines[remarks:])
+    found = [(remarks + line, row) for line, row in split_cells(lines[remarks:], separator)]
     cells = [row for _, row in found]
     if is_vicon(cells):
         header, converted = convert_rows(cells)
+        assumed = ""
         numbers = [line for line, _ in found[HEADER_LINES:]]
         rows = [*zip(numbers, converted, strict=False)]
     elif is_motive(cells):
-        last, header = merge_header(cells)
+        last, header, assumed = merge_header(cells)
         rows = [
             (line, [*row, *[""] * len(header)][: len(header)]) for line, row in found[last + 1 :]
         ]
     else:
-        (_, header), *rows = found
-    names = [" ".join(name.split()) for name in header]  # Excel breaks lines within a cell
-    decimal = "." if apart == "," else ","
-    exported = is_vicon(cells) or is_motive(cells)
+        return None
+    decimal = "." if separator == "," else ","
     texts, numbers = [row for _, row in rows], [line for line, _ in rows]
-    return Table(path, names, texts, numbers, decimal, exported)
+    return Table(path, header, texts, numbers, decimal, exported=True, assumed_unit=assumed)
 
 
 def is_table(path: Path) -> bool:
@@ -194,7 +256,7 @@ def split_condition(word: str) -> tuple[str, str | None]:
 
 def _split_last_word(word: str) -> tuple[str, str]:
     """Split a header's word into a name and what may be its unit, empty if there is none."""
-    match = re.fullmatch(r"(.+?)\s*(?:\[(.+)\]|\((.+)\)|[_/ ]\s*([^_/ ]+))", word)
+    match = re.fullmatch(r"(.+?)\s*(?:\[([^\[\]]+)\]|\(([^()]+)\)|[_/ ]\s*([^_/ ]+))", word)
     if match is None:
         return word, ""
     return match[1], next(group for group in match.groups()[1:] if group).strip()

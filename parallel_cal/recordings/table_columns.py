@@ -40,6 +40,13 @@ def name_unused_columns(
     for an export of a device's program, which always has such columns."""
     notes = []
     for table in tables:
+        place = wanted.position
+        if table.assumed_unit and place and not place.unit and table.find(place.names[0]):
+            notes.append(
+                f"{table.path}: it states no unit of lengths, so {', '.join(place.names)} are "
+                f"taken to be in {table.assumed_unit}. If they are not, state the unit in the "
+                "column map (position: {unit: mm})"
+            )
         taken = {table.find(name) for name in (*wanted.columns, *used) if name}
         unused = [word for word in table.header if word and word not in taken]
         if unused and not table.exported:
@@ -191,7 +198,9 @@ class Columns:
         is."""
         if wanted.position is None:
             return None
-        found = self.si(wanted.position.names, wanted.position.unit, gaps)
+        table, word = self._find_column(wanted.position.names[0])
+        assumed = None if split_unit(word)[1] else table.assumed_unit or None
+        found = self.si(wanted.position.names, wanted.position.unit or assumed, gaps)
         position = np.zeros((len(found), 3))
         position[:, wanted.position.measured] = found
         return position

@@ -56,6 +56,9 @@ class StepKeywords(FitKeywords, total=False):
     progress: Progress | None
 
 
+PRIORS = "Repeat the fit with the tolerances of the drawing as priors (--prior). "
+
+
 class FittedKeywords(StepKeywords, total=False):
     """Keyword arguments of `fitted`, which can add effects before the fit."""
 
@@ -166,7 +169,10 @@ def fitted(
     if result.given.fits_of_these_samples:
         result = replace(result, warnings=(*result.warnings, IN_SAMPLE))
     added = "+".join(n for text in effects for n, _ in parse_effects(text))
-    return _step("fit", result, _check_proven(acceptance(result), force), effect=added or None)
+    judged = acceptance(result)
+    may_help = judged.judged and not (how.prior or result.given.fits_of_these_samples)
+    found = _check_proven(judged, force, PRIORS if may_help else "")
+    return _step("fit", result, found, effect=added or None)
 
 
 @check_arguments(ModelError)
@@ -457,15 +463,15 @@ def _collect_options(options: StepKeywords) -> tuple[FitOptions, Progress | None
 class UnprovenStepError(FitError):
     """A step was refused because of `against`, and the caller did not force it."""
 
-    def __init__(self, against: str) -> None:
-        super().__init__(f"{against}; nothing was written. Use --force to write it anyway")
+    def __init__(self, against: str, cure: str = "") -> None:
+        super().__init__(f"{against}; nothing was written. {cure}Use --force to write it anyway")
         self.against = against
 
 
-def _check_proven(found: Acceptance, force: bool) -> Acceptance:
+def _check_proven(found: Acceptance, force: bool, cure: str = "") -> Acceptance:
     """Return `found`; UnprovenStepError if it has an objection and the caller does not force."""
     if found.against and not force:
-        raise UnprovenStepError(found.against)
+        raise UnprovenStepError(found.against, cure)
     return found
 
 

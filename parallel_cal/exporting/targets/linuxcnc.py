@@ -31,7 +31,7 @@ from parallel_cal.exporting.projection import (
     fit_numbers,
 )
 from parallel_cal.exporting.targets import c
-from parallel_cal.importing.deltas import HANGING_ANGLES
+from parallel_cal.importing.deltas import HANGING_ANGLES, Towers
 from parallel_cal.importing.importers import linuxcnc
 from parallel_cal.importing.importers.linuxcnc import HEXAPOD, HOMED, ROTARY_PINS
 from parallel_cal.importing.settings import Settings
@@ -48,12 +48,13 @@ SCALE_DIGITS = 10  # 0.1 um in 100 m
 MARGIN = MM  # by which samples may be outside the workspace without a remark
 LEAD = f"{HEXAPOD}.screw-lead"
 STRUTS = 6  # of genhexkins
+PLATE = "probe.plate.z"
 SWITCHES = (
     "HOME_OFFSET assumes switches at the joints' upper limits in the model "
     "file: if yours are elsewhere, change these limits"
 )
 STATED_SWITCHES = (
-    "HOME_OFFSET is for switches at the readings {} mm (option switches of the model file)"
+    "HOME_OFFSET is for switches at the readings {} {} (option switches of the model file)"
 )
 NO_SCALE = (
     "SCALE is not exported, because the model file does not state it: state the SCALE of the "
@@ -75,7 +76,7 @@ HEAD = """\
 # The component contains the zero corrections of the joints, HOME_OFFSET here does, too.
 # Lengths are in mm{}.
 """
-TOWERS = np.radians([90.0, 210.0, 330.0])
+TOWER_ANGLES = np.radians([90.0, 210.0, 330.0])
 
 
 def files(model: Model, name: str = "") -> dict[str, str]:
@@ -133,8 +134,10 @@ def firmware(stated: Settings) -> Firmware:
 def complete(read: Firmware, model: Model) -> Firmware:
     """Return kinematics that were read from files, with positions in the counts of a model.
 
-    A model that does not state SCALE compares lengths.
+    A model that does not state SCALE compares lengths. Carriages count from the bed.
     """
+    if isinstance(read, Towers):
+        return replace(read, end_stops=read.end_stops - _bed_height(model))
     if not isinstance(read, Struts):
         return read
     scale = getattr(model.mechanism, "scale", None)
@@ -170,17 +173,27 @@ def adapt(stated: Settings, numbers: Mapping[str, str]) -> dict[str, str]:
     return {field: convert(field, text) for field, text in numbers.items()}
 
 
+def _bed_height(model: Model) -> float:
+    """Return the height (m) of the bed of a linear Delta in LinuxCNC's frame.
+
+    A bed near z = 0 is made z = 0. Another bed stays where the model has it.
+    """
+    if PLATE not in model.table.names or not model.table.nominal[model.table.index_of(PLATE)]:
+        return 0.0
+    return float(model.value(PLATE))
+
+
 def _format_scale(scale: float) -> str:
     return f"{scale:.{SCALE_DIGITS}g}"
 
 
 def project(model: Model, present: Refinement | None = None) -> Projection:
-    name, scale, remarks = model.mechanism.name, None, [SWITCHES]
+    name, scale, remarks = model.mechanism.name, None, [_describe_switches(model)]
     expressed: tuple[str, ...] = ()
     if name in LINEAR:
-        tall, found = fit_equal_towers(model, TOWERS, present)
+        tall, found = fit_equal_towers(model, TOWER_ANGLES, present)
         pins = {"lineardeltakins.R": tall.radius[0], "lineardeltakins.L": tall.rods[0]}
-        homed = tall.homed / MM
+        homed = (tall.homed + _bed_height(model)) / MM
     elif name in ROTARY:
         turned, found = fit_equal_shoulders(model, HANGING_ANGLES, one_stop=False, present=present)
         sizes = (turned.radius, turned.arms[0], turned.rods[0], 0.0)
@@ -209,14 +222,22 @@ def project(model: Model, present: Refinement | None = None) -> Projection:
 
 def _remarks(model: Model) -> list[str]:
     """Say what the numbers of a hexapod assume, and what the user must set."""
-    m, remarks = model.mechanism, [SWITCHES]
-    if switches := getattr(m, "switches", None):
-        remarks = [STATED_SWITCHES.format(" ".join(f"{q / MM:.3f}" for q in switches))]
+    m, remarks = model.mechanism, [_describe_switches(model)]
     if getattr(m, "scale", None) is None and model.effects:
         remarks.append(NO_SCALE)
     remarks.extend(filter(None, [_describe_unfitted_region(model)]))
     remarks.extend(filter(None, [_describe_backlash(model)]))
     return remarks
+
+
+def _describe_switches(model: Model) -> str:
+    """Say for which places of the switches HOME_OFFSET is."""
+    m = model.mechanism
+    switches = getattr(m, "switches", None)
+    if not switches:
+        return SWITCHES
+    unit, factor = ("mm", MM) if m.joint_units[0] == "m" else ("degrees", DEGREE)
+    return STATED_SWITCHES.format(" ".join(f"{q / factor:.3f}" for q in switches), unit)
 
 
 def _describe_backlash(model: Model) -> str:

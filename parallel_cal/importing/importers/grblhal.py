@@ -25,6 +25,7 @@ CONFIGURATION = (".txt", ".settings")
 MACHINE_CLASS: MachineClass = "hobby"  # belts, printed parts, open loop
 SETTING = re.compile(r"\s*(\$\d+)\s*=\s*([^\s;(]*)")
 ROD = "$641"
+REVERSED = deltas.ANGLES_UP.format("grblHAL")
 SIDE = np.tan(np.radians(30)) / 2  # distance of an axis from the centre, per side of its triangle
 
 
@@ -36,7 +37,7 @@ def recognizes(path: Path) -> bool:
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     """Return the robot as configured."""
     machine = shoulders(settings(paths))
-    return ConfiguredRobot(new_model(machine.mechanism()), (deltas.NOT_STATED,))
+    return ConfiguredRobot(new_model(machine.mechanism()), (deltas.NOT_STATED, REVERSED))
 
 
 def settings(paths: Sequence[Path]) -> Settings:

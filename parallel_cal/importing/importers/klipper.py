@@ -30,6 +30,7 @@ MACHINE_CLASS: MachineClass = "hobby"  # belts, printed parts, open loop
 TOUCHES = "[delta_calibrate]"
 STEPPERS = [f"[stepper_{a}]" for a in "abc"]
 ROTATION_DISTANCE, GEAR_RATIO = "rotation_distance", "gear_ratio"
+STEP_DISTANCE = "step_distance"
 # The bed is near 0; a block on it may be of any height that a printer reaches.
 MAX_HEIGHTS_MM = {"height": 50.0, "manual_height": 500.0}
 KINDS = "delta or rotary_delta"
@@ -117,11 +118,19 @@ def _read_stepper_values(
 
 
 def _steps(stated: Settings) -> Array:
-    """Return the length of a microstep (3,) in m or rad."""
+    """Return the length of a microstep (3,) in m or rad.
+
+    Until 2021, a configuration stated it as `step_distance`.
+    """
     found = []
+    linear = _kind(stated) == "delta"
     for stepper in STEPPERS:
-        turn = 2 * np.pi
-        if _kind(stated) == "delta":
+        turn, old = 2 * np.pi, f"{stepper} {STEP_DISTANCE}"
+        if old in stated and f"{stepper} {ROTATION_DISTANCE}" not in stated:
+            expected = "mm a microstep" if linear else "rad a microstep"
+            found.append(stated.number(old, expected, low=1e-9) * (MM if linear else 1.0))
+            continue
+        if linear:
             field = f"{stepper} {ROTATION_DISTANCE}"
             turn = stated.number(field, "mm a turn", low=1e-3) * MM
         full = stated.number(f"{stepper} full_steps_per_rotation", "steps", 200.0, 1)

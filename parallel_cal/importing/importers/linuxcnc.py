@@ -2,8 +2,8 @@
 
 Its own kinematics are lineardeltakins, rotarydeltakins and genhexkins. Their pins are set in a HAL
 file; the .ini file has their unit (LINEAR_UNITS), where the joints are homed (HOME_OFFSET:
-the position of a joint at its switch), their range (MIN_LIMIT, MAX_LIMIT) and their counts or steps
-per unit (SCALE).
+the position of a joint at its switch), their range (MIN_LIMIT, MAX_LIMIT), their counts or steps
+per unit (SCALE), and the range of the end point ([AXIS_Z] MIN_LIMIT).
 
 A log that (PROBEOPEN) opened contains X Y Z A B C U V W of each touch, one touch per line, in the
 program's coordinates and units. So no offsets may be active while probing. Sources: LinuxCNC
@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ import numpy as np
 from parallel_cal.base.errors import DatasetError, ModelError
 from parallel_cal.base.units import DEGREE, MM, UNITS
 from parallel_cal.importing import deltas, sections
+from parallel_cal.importing.cnc_travel import HOMED, strut_limits, with_arm_travel, with_rails
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.deltas import Shoulders, Towers
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines
@@ -35,18 +37,11 @@ AXES = "XYZABCUVW"
 KINS, HEXAPOD, ROTARY = "lineardeltakins.", "genhexkins", "rotarydeltakins"
 ANY = "pins of genhexkins, lineardeltakins or rotarydeltakins"
 ROTARY_PINS = {"platformradius": "R", "thighlength": "U", "shinlength": "L", "footradius": "E"}
-HOMED = "[JOINT_{}] HOME_OFFSET"  # in the .ini file: the joint at its switch
 HOME = "[JOINT_{}] HOME"  # where the joint goes when it is homed
-# Counts or steps per unit of the joint's position, and the range in which it may move.
-SCALE = "[JOINT_{}] SCALE"
-MIN_LIMIT, MAX_LIMIT = "[JOINT_{}] MIN_LIMIT", "[JOINT_{}] MAX_LIMIT"
+SCALE = "[JOINT_{}] SCALE"  # counts or steps per unit of the joint's position
 UNIT = "[TRAJ] LINEAR_UNITS"
 LINEAR_UNITS = {"mm": "mm", "metric": "mm", "inch": "in", "in": "in", "imperial": "in"}
 INI_VALUE = re.compile(r"\[(\w+)\]\(?(\w+)\)?")  # in a .hal file
-NO_LIMITS = (
-    "the .ini file has no MIN_LIMIT or MAX_LIMIT: joint limits are assumed in the model file; "
-    "correct them there"
-)
 BEYOND_LIMITS = (
     "at HOME a strut is outside MIN_LIMIT and MAX_LIMIT: the platform cannot be "
     "parallel to the base at these lengths; correct the joint limits or home in the model file"
@@ -90,13 +85,21 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     if UNIT not in stated:
         remarks.append("no LINEAR_UNITS (the .ini file): lengths are assumed to be in mm")
     machine = kinematics(stated)
+    unit = length_unit(stated)
     if isinstance(machine, Towers):
-        return deltas.make_configured_robot(machine, NO_PROBE, remarks=remarks)
+        rails, more = with_rails(machine, stated, unit)
+        bed = rails.box.low[2] if rails.box else 0.0
+        found = deltas.make_configured_robot(rails, NO_PROBE, remarks=[*remarks, *more], bed=bed)
+        if not bed:
+            return found
+        anywhere = {"probe.plate.z": float(np.ptp(found.model.mechanism.joint_limits))}
+        return replace(found, model=replace(found.model, tolerances=anywhere))
     if isinstance(machine, Shoulders):
-        return ConfiguredRobot(new_model(machine.mechanism()), (deltas.NOT_STATED, *remarks))
+        arms, more = with_arm_travel(machine, stated, unit, _short_shins(stated))
+        remarks += [*more, deltas.ANGLES_UP.format("LinuxCNC")]
+        return ConfiguredRobot(new_model(arms.mechanism()), (deltas.NOT_STATED, *remarks))
     if stated.number(f"{HEXAPOD}.screw-lead", "a length", 0.0):
         remarks.append(f"{HEXAPOD}.screw-lead: the correction of the struts' lengths is not used")
-    unit = length_unit(stated)
     for pin in OFFSETS:
         if stated.number(pin, "a length", 0.0):
             remarks.append(f"{pin} is not used: poses in the model are those with {pin} 0")
@@ -104,18 +107,8 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     shortest = (HOME if HOME.format(0) in stated else HOMED).format(int(home.argmin()))
     if (home <= 0).any():
         raise stated.error(shortest, "the length of a strut, more than 0")
-    limits = np.column_stack(
-        [
-            _joints_at(stated, MIN_LIMIT, 6, unit, np.full(6, float(home.min()) / 2)),
-            _joints_at(stated, MAX_LIMIT, 6, unit, np.maximum(2 * home - machine.switches, home)),
-        ]
-    )
-    if any(k.format(i) not in stated for k in (MIN_LIMIT, MAX_LIMIT) for i in range(6)):
-        remarks.append(NO_LIMITS)
-    for i, (low, high) in enumerate(limits):
-        if not 0 < low < high:
-            field = MAX_LIMIT if MAX_LIMIT.format(i) in stated else MIN_LIMIT
-            raise stated.error(field.format(i), "limits of a strut's length, MIN_LIMIT < MAX_LIMIT")
+    limits, more = strut_limits(stated, home, machine.switches, unit)
+    remarks += more
     try:
         mechanism = machine.mechanism(home, limits)
     except ModelError as error:
@@ -147,15 +140,18 @@ def kinematics(stated: Settings) -> Towers | Shoulders | Struts:
 
     if f"{ROTARY}.thighlength" in stated:
         size = {short: pin(f"{ROTARY}.{name}", 0.0) for name, short in ROTARY_PINS.items()}
-        radius, homed = size["R"] - size["E"], -_joints_at(stated, HOMED, 3, DEGREE)
-        short = stated.error(f"{ROTARY}.shinlength", "a length that reaches the middle")
-        return deltas.hang_shoulders(radius, size["U"], size["L"], homed, short)
+        radius, homed = size["R"] - size["E"], 0.0 - _joints_at(stated, HOMED, 3, DEGREE)
+        return deltas.hang_shoulders(radius, size["U"], size["L"], homed, _short_shins(stated))
     stated.text(f"{HEXAPOD}.base.0.x", ANY)
     base, platform = (
         np.array([[pin(f"{HEXAPOD}.{ends}.{k}.{a}") for a in "xyz"] for k in range(6)])
         for ends in ("base", "platform")
     )
     return Struts(base, platform, _joints_at(stated, HOMED, 6, unit), _scale(stated, unit))
+
+
+def _short_shins(stated: Settings) -> DatasetError:
+    return stated.error(f"{ROTARY}.shinlength", "a length that reaches the middle")
 
 
 def _scale(stated: Settings, unit: float) -> np.ndarray | None:
@@ -182,14 +178,17 @@ def _joints_at(
 def towers(stated: Settings, unit: str) -> Towers:
     """Return the Delta of lineardeltakins: R, L, J0off, J1off, J2off, and HOME_OFFSET in the .ini.
 
-    Joint 0 stands along y.
+    Joint 0 stands along y. LinuxCNC takes 0 for a HOME_OFFSET that the .ini does not state. Without
+    the .ini, a carriage is assumed to be homed three rods above z = 0.
     """
     size = UNITS[unit]
     radius = stated.number(f"{KINS}R", f"setp, the radius in {unit}", low=1e-3) * size
     expected = f"setp, the rods' length in {unit}, more than R"
     rods = np.full(3, stated.number(f"{KINS}L", expected, low=radius / size) * size)
     zero = [stated.number(f"{KINS}J{i}off", unit, 0.0) * size for i in range(3)]
-    tops = [stated.number(HOMED.format(i), unit, 3 * rods[i] / size) for i in range(3)]
+    has_joints = any(field.startswith("[JOINT_0]") for field in stated.texts)
+    top = 0.0 if has_joints else 3 * rods[0] / size
+    tops = [stated.number(HOMED.format(i), unit, top) for i in range(3)]
     return Towers(
         np.full(3, radius),
         rods,

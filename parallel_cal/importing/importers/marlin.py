@@ -33,8 +33,13 @@ from parallel_cal.recordings.recording import Array
 CONFIGURATION = (".log", ".txt", ".gcode", ".h")
 MACHINE_CLASS: MachineClass = "hobby"  # belts, printed parts, open loop
 CODES = ("M92", "M665", "M666", "M851")
+# What hosts write before a line: OctoPrint `Recv: `, Pronterface `>>> `, Simplify3D `READ: `,
+# Repetier-Host `08:55:33.358 : `, Arduino `08:55:33.358 -> `, MatterControl `->`; Marlin `echo:`.
+TIME = r"[\[(]?(?:\d{4}-\d\d-\d\d[ T])?\d{1,2}:\d\d:\d\d(?:[.,]\d+)?[\])]?"
+DIRECTION = r"\b(?:Recv|Send|Sent|Read|Received|Sending)\s*:"
 HOST_PREFIX = re.compile(
-    r"^.*?(?:Recv|Send|RECV|SENDING|<<<|>>>|echo)\s*:?\s*(?:[\d:.]+:)?\s*(?:echo:)?"
+    rf"^(?:[^;]*?{DIRECTION})?(?:\s*(?:{TIME}|<+|-?>+|<-)\s*[-|:]*)*\s*(?:echo\s*:)?",
+    re.IGNORECASE,
 )
 BED = re.compile(r"Bed X:\s*(\S+)\s+Y:\s*(\S+)\s+Z:\s*(\S+)")
 REPORT = re.compile(r"(?<!\w)(c|x|y|z|yz|zx|xy):\s*([-+.\w]+)")
@@ -58,6 +63,7 @@ FIELDS |= {f"E{a}": f"M666 {a.upper()}" for a in "xyz"}
 FIELDS |= {f"T{a}": f"M665 {a.upper()}" for a in "xyz"}
 # The points of G33.
 POINT_ANGLES_DEG = {"x": 210, "xy": 270, "y": 330, "yz": 30, "z": 90, "zx": 150}
+KEPT = ", which M665 without it does not change: capture M503, which lists what the printer has"
 Z_ONLY = np.array([0.0, 0.0, 1.0])  # G33 moves the nozzle over its points, with O the probe
 STEPS = 80.0  # per mm, if M92 is not in the log
 MEANS = "G33's numbers are means of several touches, except for P2 and P3: not used"
@@ -210,7 +216,7 @@ def towers(stated: Settings) -> Towers:
         more = [stated.number(f"M665 {t}", "mm", 0.0, -10, 10) for t in "ABC"]
     rod = stated.number("M665 L", "the rods' length in mm, more than the radius", low=radius)
     stops = [stated.number(f"M666 {t}", "mm, 0 or less", 0.0, high=0.0) for t in "XYZ"]
-    homed = stated.number("M665 H", "the homed height in mm", low=0.0)
+    homed = stated.number("M665 H", f"the homed height in mm{KEPT}", low=0.0)
     trim = [stated.number(f"M665 {t}", "degrees", 0.0, -30, 30) for t in "XYZ"]
     heights = homed - np.array(stops)
     return Towers.of(radius + out, rod + np.array(more), trim, heights, scale=read_scale(stated))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -47,6 +48,19 @@ UNEQUAL_ARMS = (
 )
 STEPS = 80.0  # per mm or degree, if M92 is missing
 ANCHORS = "ABCDI"  # letters of M669 that are anchors
+# What the firmware (read 3.5.3) assumes for words that a machine may do without, by M669 K.
+DEFAULTS = {
+    3: {"M665 H": "240"},
+    6: {"M666 Q": "0.007", "M666 R": "75", "M666 L": "20", "M666 H": "255"},
+    9: {"M669 C": "10:170:10:170"},
+}
+ABOVE = "M669 D"  # the anchor above the others
+OLD_ANCHOR = (
+    f"{ABOVE} is one number: the height of the anchor above the origin, as firmware before May "
+    "2021 reads it. An export writes x:y:z, which needs newer firmware"
+)
+SWITCHES = {1: "20:10", 2: "110:20", 4: "110:100"}  # of a five-bar by its work mode: M669 B
+ADVANTAGES = (2, 2, 2, 2, 4)  # of a Hangprinter's lines: M666 U
 
 
 def samples(
@@ -61,11 +75,11 @@ def samples(
             "config-override.g, in the order in which they are read)"
         )
     stated = settings([path for path in paths if path not in maps], CODES)
-    delta = read_delta(stated)
+    delta, assumed = read_delta(stated), describe_defaults(stated)
     unit = DEGREE if kind(stated) == 10 else MM  # in which M92 counts the steps
     read = [read_map(path) for path in maps]
     points = np.concatenate([each[0] for each in read])
-    return make_touch_samples(
+    found = make_touch_samples(
         delta,
         points - tip(stated),
         [place for each in read for place in each[1]],
@@ -75,13 +89,17 @@ def samples(
         dropped=[gap for each in read for gap in each[2]],
         printed=make_printed_ends(delta, printed_x, printed_y),
     )
+    return replace(found, warnings=(*found.warnings, *assumed))
 
 
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     """Return the printer as configured; M666 A and B are the slopes of the bed."""
     stated = settings(paths, CODES)
+    assumed = describe_defaults(stated)
     if kind(stated) == 6:
-        remarks = ["lines on spools of one radius and advantage share it"]
+        remarks = [*assumed, "lines on spools of one radius and advantage share it"]
+        if ":" not in stated.text(ABOVE, "x:y:z")[0]:
+            remarks.append(OLD_ANCHOR)
         if stated.number("M666 W", "kg", 0.0) > 0:
             remarks.append("M666 W: the firmware's correction of the lines' stretch is not used")
         lines = read_hangprinter(stated)
@@ -90,9 +108,9 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
         except ModelError as error:
             raise stated.error("M669 A", f"other anchors: {error}") from None
     if kind(stated) == 9:
-        return ConfiguredRobot(new_model(read_five_bars(stated).mechanism()))
+        return ConfiguredRobot(new_model(read_five_bars(stated).mechanism()), tuple(assumed))
     delta = read_delta(stated)
-    remarks = []
+    remarks = assumed
     if isinstance(delta, Shoulders):
         deltas.check_reach(delta, stated, "M669 H")
         if np.ptp(delta.arms):
@@ -173,7 +191,36 @@ def kind(stated: Settings) -> int:
     return int(stated.number("M669 K", KINDS, 3.0))
 
 
+def find_defaults(stated: Settings) -> dict[str, str]:
+    """Return the texts that the firmware assumes for words that the files do not state."""
+    found = dict(DEFAULTS.get(kind(stated), {}))
+    if kind(stated) == 6:
+        found["M666 U"] = ":".join(map(str, ADVANTAGES[: _count_anchors(stated)]))
+    if kind(stated) == 9:
+        found["M669 B"] = SWITCHES[_work_mode(stated)]
+    return {field: text for field, text in found.items() if field not in stated}
+
+
+def describe_defaults(stated: Settings) -> list[str]:
+    """Name the words that the files do not state, with what the firmware assumes for them."""
+    assumed = ", ".join(f"{field} {text}" for field, text in find_defaults(stated).items())
+    if not assumed:
+        return []
+    return [
+        f"not stated, so the default of RepRapFirmware (3.5.3) is taken: {assumed}. If your "
+        "machine states another value elsewhere, give that file as well"
+    ]
+
+
+def with_defaults(stated: Settings) -> Settings:
+    """Return settings with what the firmware assumes for words that the files do not state."""
+    place = SourceLine(stated.paths[0], 1)
+    assumed = {field: (text, place) for field, text in find_defaults(stated).items()}
+    return replace(stated, texts=assumed | stated.texts)
+
+
 def read_delta(stated: Settings) -> Delta:
+    stated = with_defaults(stated)
     if kind(stated) == 3:  # M665 L R H B X Y Z and M666 X Y Z A B; A and B are in per cent
         radius = stated.number("M665 R", "the delta radius in mm", low=1.0)
         least = "rod lengths in mm, longer than the delta radius"
@@ -225,12 +272,15 @@ def _reach(stated: Settings, field: str) -> float | None:
 
 def read_hangprinter(stated: Settings) -> Hangprinter:
     """Return the Hangprinter of M669 K6 N with one triple per anchor, and M666 Q R U O L H."""
-    n = int(stated.number("M669 N", "the number of anchors", 4.0, 4, len(ANCHORS)))
+    stated, n = with_defaults(stated), _count_anchors(stated)
     rows, expected = [], "x:y:z of the anchor in mm"
     for field in (f"M669 {letter}" for letter in ANCHORS[:n]):
-        if ":" not in stated.text(field, expected)[0]:  # a single number does not stand for all
+        if ":" in stated.text(field, expected)[0]:
+            rows.append(stated.numbers(field, expected, 3))
+        elif field == ABOVE:
+            rows.append(np.array([0.0, 0.0, stated.number(field, expected)]))
+        else:  # a single number does not stand for all
             raise stated.error(field, expected)
-        rows.append(stated.numbers(field, expected, 3))
     anchors = np.array(rows)
 
     def each(letter: str, what: str) -> Array:
@@ -245,18 +295,28 @@ def read_hangprinter(stated: Settings) -> Hangprinter:
     return Hangprinter(anchors * MM, radii, gears, each("U", "mechanical advantages"), buildup)
 
 
+def _count_anchors(stated: Settings) -> int:
+    return int(stated.number("M669 N", "the number of anchors", 4.0, 4, len(ANCHORS)))
+
+
+def _work_mode(stated: Settings) -> int:
+    mode = stated.number("M669 L", "the work mode", 1.0)
+    if mode not in TURNS:
+        raise stated.error("M669 L", f"one of the work modes {', '.join(map(str, TURNS))}")
+    return int(mode)
+
+
 def read_five_bars(stated: Settings) -> FiveBars:
     """Return the five-bar of M669 K9: X, Y, P, D (cantilevers of 0), L, B and C.
 
     L is the work mode, B the angles at the switches, and C the limits of the cranks (degrees).
     """
 
+    stated, mode = with_defaults(stated), _work_mode(stated)
+
     def both(letter: str, what: str, low: float = -np.inf) -> Array:
         return stated.numbers(f"M669 {letter}", f"{what} of left:right", 2, low=low)
 
-    mode, modes = stated.number("M669 L", "the work mode", 1.0), ", ".join(map(str, TURNS))
-    if mode not in TURNS:
-        raise stated.error("M669 L", f"one of the work modes {modes}")
     turns = "least:most degrees of left:right"
     least, most = stated.numbers("M669 C", turns, 4).reshape(2, 2).T
     if (most <= least).any():
@@ -272,7 +332,7 @@ def read_five_bars(stated: Settings) -> FiveBars:
         raise stated.error("M669 D", whole)
     limits = tuple(zip((least * DEGREE).tolist(), (most * DEGREE).tolist(), strict=True))
     cranks = both("P", "lengths in mm", 1.0) * MM
-    bars = FiveBars(axes, cranks, rods[:2] * MM, TURNS[int(mode)], homed, limits)
+    bars = FiveBars(axes, cranks, rods[:2] * MM, TURNS[mode], homed, limits)
     if not np.isfinite(bars.mechanism().home.joints).all():
         raise stated.error("M669 P", "cranks whose rods meet in front of the axes")
     return bars

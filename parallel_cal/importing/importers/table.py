@@ -1,7 +1,7 @@
 """Positions of a laser tracker or a measuring machine, and a log of joints.
 
 One table contains points with the columns x, y and z, and another one joint readings. Any lines may
-precede the header. Commas, semicolons or tabs separate the cells. A column that both tables have
+precede the header. Commas, semicolons, tabs or spaces separate the cells. A column that both have
 joins their rows: a point's name or number, or the time. Tables of equal length without such a
 column are matched row by row. The unit is in the header (`X [mm]`), in a
 line before it (`Units: Millimeters`), or an option.
@@ -9,12 +9,10 @@ line before it (`Units: Millimeters`), or an option.
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import date
-from itertools import pairwise
 from pathlib import Path
 
 from parallel_cal.base.errors import DatasetError
@@ -23,10 +21,9 @@ from parallel_cal.importing.settings import SourceLine, read_lines
 from parallel_cal.model.file.schema import NoisePart
 from parallel_cal.recordings.columns import ColumnMap, Join, JointColumn, PositionColumns
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.recordings.table import Table, split_unit
+from parallel_cal.recordings.table import Table, read_table, split_unit
 from parallel_cal.recordings.table_samples import make_dataset
 
-REMARKS = ("#", "//", "%", "!")
 XYZ = ("x", "y", "z")
 ROW = "row"  # joins tables line by line
 TIMES = ("t", "time", "timestamp", "stamp", "datetime")
@@ -92,37 +89,12 @@ def samples(
 
 def _read_table(path: Path) -> tuple[Table, str]:
     """Read a table, and the unit stated before its header; skip remarks."""
-    said, rows = "", []
-    for place, line in read_lines(path):
+    said = ""
+    for _, line in read_lines(path):
         if found := UNIT_STATEMENT.search(line):
             word = found[1].lower()
             said = said or (word if word in UNITS else UNIT_ALIASES.get(word, ""))
-        if line.strip() and not line.lstrip().startswith(REMARKS):
-            rows.append((place.line, line))
-    for k, ((_, line), (_, below)) in enumerate(pairwise(rows)):
-        for apart in sorted(";\t,", key=line.count, reverse=True):  # a comma may be decimal
-            header, first = _cells(line, apart), _cells(below, apart)
-            if len(header) == len(first) > 1 and any(header) and not any(map(_is_number, header)):
-                return _table(path, header, apart, rows[k + 1 :]), said
-    expected = "a header, and rows with as many cells, separated by , ; or tabs"
-    raise DatasetError(f"{path}: the file contains no table, expected {expected}")
-
-
-def _table(path: Path, header: list[str], apart: str, rows: Sequence[tuple[int, str]]) -> Table:
-    """Make a table; remove the empty last cell of lines that end with a separator."""
-    width = max(i for i, name in enumerate(header, 1) if name)
-    body = [_cells(line, apart) for _, line in rows]
-    for (number, _), cells in zip(rows, body, strict=True):
-        if len(cells) != len(header):
-            found, expected = str(len(cells)), f"{len(header)} cells, like the header"
-            raise SourceLine(path, number).error("the line's length", found, expected)
-    numbers = [number for number, _ in rows]
-    decimal = "." if apart == "," else ","
-    return Table(path, header[:width], [cells[:width] for cells in body], numbers, decimal)
-
-
-def _cells(line: str, apart: str) -> list[str]:
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=apart), [])]
+    return read_table(path), said
 
 
 def _points(tables: Sequence[Table], position: Sequence[str]) -> Table:
