@@ -6,7 +6,7 @@ frames, the folds and the noise are the same, so that `add` reaches what the dia
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -58,6 +58,8 @@ class Addition:
         The residuals of `base`.
     effects : tuple of Candidate
         The effects, scored on these residuals, with their settings.
+    text : str
+        The effects as `add` takes them.
     knocked : tuple of int
         Numbers of the samples that both fits exclude because they are far from all others.
     """
@@ -67,6 +69,7 @@ class Addition:
     result: FitResult
     scene: Scene
     effects: tuple[Candidate, ...]
+    text: str
     knocked: tuple[int, ...] = ()
 
     @property
@@ -75,10 +78,7 @@ class Addition:
 
     @cached_property
     def acceptance(self) -> Acceptance:
-        """Whether the effects may be added, with the reason against them if not.
-
-        Several effects may be added if they may be added together, or one after the other.
-        """
+        """Whether the effects may be added, with the reason against them if not."""
         found, _ = self._judgement
         return found
 
@@ -90,10 +90,7 @@ class Addition:
 
     @cached_property
     def _judgement(self) -> tuple[Acceptance, tuple[str, ...]]:
-        found, doubtful = self._judge_together()
-        several = found.device_may_err and len(self.effects) > 1
-        if several and not any(step.acceptance.against for step in self._iterate_steps()):
-            return replace(found, against="", device_may_err=False), ()
+        found, doubtful = self._judge_by_errors_and_doubts()
         if found.against and (settings := list_setting_warnings(self.result.model)):
             found = replace(found, against="; ".join([*settings, found.against]))
         if found.against and self.knocked:
@@ -101,7 +98,7 @@ class Addition:
             found = replace(found, against=f"{found.against} (judged without sample {numbers})")
         return found, doubtful
 
-    def _judge_together(self) -> tuple[Acceptance, tuple[str, ...]]:
+    def _judge_by_errors_and_doubts(self) -> tuple[Acceptance, tuple[str, ...]]:
         base, result = self.base, self.result
         found = acceptance(result, base, f" with '{self.names}'")
         if found.against:
@@ -163,7 +160,13 @@ class Addition:
         extended = self.base.start
         for other in others:
             extended = extended.with_effect(other.name, other.settings)
-        beside = see(self._fit_like_result(extended, hold_out=0.0))
+        limited = limit_patterns(self.result.options, extended, self.result.start)
+        limited = replace(limited, hold_out=0.0)
+        try:
+            fitted = fit_unjudged(extended, self.base.dataset, limited, given=self.base.given)
+        except FitError:  # the others need it
+            return []
+        beside = see(fitted.result)
         again = replace(candidate(beside, one.name), settings=one.settings)
         names = {c.name for c in better}
         return [
@@ -193,23 +196,6 @@ class Addition:
         if rival.name in its and one.name not in own:
             return False
         return is_as_good(Trial((), result), Trial((), other))
-
-    def _iterate_steps(self) -> Iterator[Addition]:
-        """Iterate over the additions of one effect after the other."""
-        before, scene = self.base, self.scene
-        for k, one in enumerate(self.effects):
-            last = k + 1 == len(self.effects)
-            extended = before.start.with_effect(one.name, one.settings)
-            after = self.result if last else self._fit_like_result(extended)
-            added = replace(candidate(scene, one.name), settings=one.settings)
-            yield Addition(self.recorded, before, after, scene, (added,))
-            before, scene = after, see(after)
-
-    def _fit_like_result(self, model: Model, **changes: float) -> FitResult:
-        """Fit a model with some of the effects as `result` was fitted."""
-        options = limit_patterns(self.result.options, model, self.result.start)
-        options = replace(options, **changes)
-        return fit_unjudged(model, self.base.dataset, options, given=self.base.given).judge()
 
 
 def _list_device_candidates(scene: Scene) -> list[Candidate]:
@@ -281,7 +267,7 @@ def find_addition(
                 raise
             return fit_both(outliers.numbers)
         result = with_given_model_of(result, base)
-        return Addition(keep(aside), base, result, scene, tuple(added), tuple(aside))
+        return Addition(keep(aside), base, result, scene, tuple(added), effect, tuple(aside))
 
     def fit_both(aside: Sequence[int]) -> Addition:
         return extend(fit(model, keep(aside), limited, progress), aside)

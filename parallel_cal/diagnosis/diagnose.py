@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.base.threads import single_threaded
+from parallel_cal.diagnosis.addition import Addition, find_addition
 from parallel_cal.diagnosis.ambiguity import (
     Ambiguity,
     describe_ambiguities,
@@ -94,6 +96,7 @@ from parallel_cal.recordings.dataset import Dataset
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+FindAddition = Callable[[str, FitResult], Addition]  # of effects to the fit without them
 LIKE_DRIFT = "indistinguishable from drift: neighbours in time explain each other as well"
 OF_LOAD = "its error goes with the payload, which no device knows: the robot deflects"
 
@@ -138,6 +141,12 @@ class Diagnosis(ShownInNotebook):
         from `base` and `best`.
     unseparated : tuple of str
         Effects of the device that the samples do not separate from errors of the robot.
+    addition : Addition or None
+        The effects found that `add` accepts in one step, with the fit that it writes; None if it
+        accepts none.
+    doubted : Addition or None
+        All effects found, judged as `add` judges them, if the robot or the device may cause some of
+        them.
     """
 
     model: Model
@@ -163,6 +172,8 @@ class Diagnosis(ShownInNotebook):
     ambiguous: tuple[Ambiguity, ...] = ()
     knocked: tuple[OddSample, ...] = ()
     unseparated: tuple[str, ...] = ()
+    addition: Addition | None = None
+    doubted: Addition | None = None
 
     @property
     def leaves_an_error(self) -> bool:
@@ -180,17 +191,23 @@ class Diagnosis(ShownInNotebook):
             "search for a law outside the catalogue: parallel-cal discover MODEL RECORDING "
             "-o my_law.py"
         )
-        exclude = f"--data exclude={','.join(str(one.sample) for one in self.knocked)}"
-        options = f"RECORDING{f' {exclude}' if self.knocked else ''} -o BETTER.yaml"
-        doubtful = {*self.robot_or_device, *self.unseparated}
-        named = list(zip(self.effects, self.additions, strict=True))
-        proven = "+".join(one for name, one in named if name not in doubtful)
-        others = "+".join(one for name, one in named if name in doubtful)
-        adds = [f"add what was found: parallel-cal add MODEL {proven} {options}"] if proven else []
-        if others:
+        excluded = sorted(self.dataset.excluded)  # the command is copied: it names all of them
+        exclude = f"--data exclude={','.join(map(str, excluded))}"
+        options = f"RECORDING{f' {exclude}' if excluded else ''} -o BETTER.yaml"
+        adds = []
+        if (addition := self.addition) is not None:
+            part = ""
+            if len(addition.effects) < len(self.effects):
+                part = f" ({addition.acceptance.description})"
             adds.append(
-                "once you know whether the robot or the device errs (until then, add refuses), "
-                f"add what errs: parallel-cal add MODEL {others} {options}"
+                f"add what was found{part}: parallel-cal add MODEL {addition.text} {options}"
+            )
+        if self.doubted is not None:
+            what = "what errs" if self.addition is None else "all of it"
+            refused = " (until then, add refuses)" if self.doubted.acceptance.against else ""
+            adds.append(
+                f"once you know whether the robot or the device errs{refused}, "
+                f"add {what}: parallel-cal add MODEL {self.doubted.text} {options}"
             )
         discovers = [discover] if self.leaves_an_error else []
         if self.verdict.needs_sides:
@@ -223,8 +240,7 @@ class Diagnosis(ShownInNotebook):
         """The effects found, as arguments of `add`, such as `gear_transmission_error:ratio=80`.
 
         To add all of them in one step, join them by `+`."""
-        names = self.best.fitted.model.table.names
-        return tuple(format_effect(c.name, c.settings, names) for c in self.best.chosen)
+        return _format_additions(self.best, self.best.chosen)
 
     @property
     def band(self) -> tuple[float, float]:
@@ -341,6 +357,7 @@ def diagnose(
     options = with_changes(options, FitOptions, changes, FitError)
     # The search refits with unusual sizes in any case: they are evidence against other effects.
     usual_only, options = options.usual_only, replace(options, usual_only=False)
+    asked, recorded = model, dataset
     given = GivenModel.of(model, dataset, options.joint_sigma, options.insist)
     dataset = given.dataset
     model, registration = prepared_for_fit(given.start, given.registration, dataset, options)
@@ -351,8 +368,13 @@ def diagnose(
         kept = dataset.excluding(aside, why)
         least_squares = replace(options, loss="linear")
         judged = given.with_dataset(kept)
+
+        def find(text: str, base: FitResult) -> Addition:
+            as_add = replace(least_squares, usual_only=usual_only)
+            return find_addition(asked, text, recorded.excluding(aside, why), as_add, base=base)
+
         return _diagnose_trusted(
-            model, judged, names, least_squares, registration, report, usual_only
+            model, judged, names, least_squares, registration, report, usual_only, find
         )
 
     def suspects(judged: Model) -> list[int]:
@@ -378,7 +400,7 @@ def diagnose(
         aside = [] if options.loss == "linear" else suspects(model)
         found = without(aside) if aside else without_outliers()
     if options.loss == "linear":
-        return _set_knocked_samples_aside(found, without)
+        return _exclude_as_add_does(_set_knocked_samples_aside(found, without), found, without)
     # A good pose may look bad only for as long as the effect is not in the model.
     try:
         again = suspects(found.best.fitted.model) if found.effects else aside
@@ -431,6 +453,22 @@ def _set_knocked_samples_aside(
     return found
 
 
+def _exclude_as_add_does(
+    found: Diagnosis, every: Diagnosis, without: Callable[[list[int], str], Diagnosis]
+) -> Diagnosis:
+    """Diagnose again without the samples that `add` would exclude with the effects found; `every`
+    is the diagnosis of all samples."""
+    if found.addition is None or not found.addition.knocked:
+        return found
+    numbers = sorted({*found.addition.knocked, *(one.sample for one in found.knocked)})
+    others = without(numbers, f"because it is {explain_exclusion(every.dataset, numbers)}")
+    base = every.base.fitted
+    aside = list_samples_far_from(
+        others.best.fitted.model, base.dataset, base.observations, numbers
+    )
+    return _with_samples_aside(others, aside)
+
+
 def _with_samples_aside(others: Diagnosis, aside: Sequence[OddSample]) -> Diagnosis:
     """Name the samples in a diagnosis that was made without them."""
     words = f"{others.verdict.summary.rstrip('.')}. {describe_knocked_samples(aside)}"
@@ -452,8 +490,9 @@ def _diagnose_trusted(
     registration: Registration | None,
     report: Progress,
     usual_only: bool,
+    find: FindAddition,
 ) -> Diagnosis:
-    """Diagnose samples without excluding any."""
+    """Diagnose samples without excluding any; `find` returns what `add` makes of effects."""
     dataset = given.dataset
     noise_of_base: Observations | None = None
 
@@ -477,6 +516,11 @@ def _diagnose_trusted(
         best = base  # what was found only imitates it
     best = search.order_for_adding(best)
     best, swaps, robot_or_device = _choose_side(search, best, catalogue, ranked)
+    report("judging the effects as add does", 0.7)
+    confirmed = _confirm(search, best, robot_or_device, find)
+    best, robot_or_device = confirmed.best, confirmed.robot_or_device
+    against |= confirmed.against
+    swaps = {name: rivals for name, rivals in swaps.items() if name in best.names}
     residual_field = Field.of(best.scene)
     structure = lack_of_fit(best.scene, residual_field)
     shape = NoiseShape.of(best.scene, residual_field)
@@ -511,7 +555,10 @@ def _diagnose_trusted(
         remaining=remaining,
         held=residual_field.held,
         swaps=swaps,
-        refused=tuple(trial.reason for trial in tried if trial.reason),
+        refused=(
+            *confirmed.against.values(),
+            *(trial.reason for trial in tried if trial.reason),
+        ),
         wrong_signs=tuple(trial.reason for trial in tried if trial.wrong_sign),
         robot_or_device=robot_or_device,
         outdone=find_better_lookalikes(best, search, catalogue),
@@ -547,7 +594,77 @@ def _diagnose_trusted(
         unseparated=tuple(find_large_device_effects(best.fitted.model))
         if findings.unseparated
         else (),
+        addition=confirmed.addition,
+        doubted=confirmed.doubted,
     )
+
+
+def _format_additions(best: Trial, chosen: Iterable[Chosen]) -> tuple[str, ...]:
+    """Effects of a trial, each as an argument of `add`."""
+    names = best.fitted.model.table.names
+    return tuple(format_effect(c.name, c.settings, names) for c in chosen)
+
+
+@dataclass(frozen=True)
+class _Confirmed:
+    """The effects of a search as `add` judges them; `against` are the objections to those that it
+    does not accept."""
+
+    best: Trial
+    robot_or_device: tuple[str, ...]
+    addition: Addition | None
+    doubted: Addition | None
+    against: Mapping[str, str]
+
+
+def _confirm(
+    search: Search, best: Trial, robot_or_device: tuple[str, ...], find: FindAddition
+) -> _Confirmed:
+    """Judge what a search found as `add` judges it, in one step.
+
+    An effect that `add` refuses because the robot or the device may err stays in the diagnosis as
+    doubtful; one that it refuses for another reason does not stay. The validation errors become
+    those that `add` reaches. Without held-out poses `add` accepts nothing, and all stays.
+    """
+    base = search.fit().fitted
+    against = dict[str, str]()
+    doubtful = [*robot_or_device]
+    if best.chosen and explain_unseparated_device(base, best.fitted):
+        doubtful += find_large_device_effects(best.fitted.model)
+    addition: Addition | None = None
+
+    def judge(chosen: Sequence[Chosen]) -> Addition:
+        return find("+".join(_format_additions(best, chosen)), base)
+
+    while base.held_out.judged.any() and addition is None:
+        proven = [c for c in best.chosen if c.name not in doubtful]
+        if not proven:
+            break
+        try:
+            addition = judge(proven)
+            objection = addition.acceptance.against
+        except FitError as error:
+            objection = str(error)
+        if not objection:
+            break
+        more = () if addition is None else addition.doubtful
+        addition = None
+        if more:
+            doubtful += more
+            continue
+        against[proven[-1].name] = objection
+        left = [c for c in best.chosen if c is not proven[-1]]
+        best = search.fit_as_shown(*left)
+    doubted: Addition | None = None
+    others = any(c.name in doubtful for c in best.chosen)
+    if others and base.held_out.judged.any():
+        with suppress(FitError):
+            doubted = judge(best.chosen)
+    if addition is not None and not others and not addition.knocked:
+        best = replace(best, result=replace(best.fitted, held_out=addition.result.held_out))
+    large = find_large_device_effects(best.fitted.model)
+    names = [n for n in best.names if n in doubtful and (n in robot_or_device or n not in large)]
+    return _Confirmed(best, tuple(names), addition, doubted, against)
 
 
 def _choose_side(
