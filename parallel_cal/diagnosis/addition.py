@@ -210,7 +210,7 @@ def find_addition(
     options: FitOptions,
     progress: Progress | None = None,
     knocked: Sequence[int] | None = None,
-    base: FitResult | None = None,
+    known: tuple[FitResult, FitResult | None] | None = None,
 ) -> Addition:
     """Fit a model without and with effects to the same samples.
 
@@ -225,8 +225,9 @@ def find_addition(
     knocked : sequence of int, optional
         Numbers of the samples to exclude because they are far from all others. By default they are
         searched for, unless the loss is robust.
-    base : FitResult, optional
-        The fit of the model to all samples, if it is known.
+    known : tuple of FitResult, optional
+        The fits of all samples without and with the effects, if they are known. The second is None
+        if the noise is not stated: this fit estimates it.
 
     Returns
     -------
@@ -248,7 +249,7 @@ def find_addition(
     def keep(aside: Sequence[int]) -> Dataset:
         return dataset.excluding(aside, f"because it is {explain_exclusion(dataset, aside)}")
 
-    def extend(base: FitResult, aside: Sequence[int]) -> Addition:
+    def extend(base: FitResult, aside: Sequence[int], result: FitResult | None = None) -> Addition:
         scene, added = see(base), list[Candidate]()
         # Start where the base started, so that the device's frame is the one registered there.
         extended = base.start
@@ -257,7 +258,7 @@ def find_addition(
             added.append(replace(one, settings=settings or one.settings))
             extended = extended.with_effect(name, added[-1].settings)
         try:
-            result = fit(extended, base.dataset, options, progress)
+            result = result or fit(extended, base.dataset, options, progress)
         except FitError:
             # One knocked sample may be what no plausible size of the effects describes.
             seen = observe(extended, base.dataset, options.joint_sigma, options.insist)
@@ -273,7 +274,7 @@ def find_addition(
         return extend(fit(model, keep(aside), limited, progress), aside)
 
     try:
-        both = extend(base, ()) if base and not knocked else fit_both(knocked or ())
+        both = extend(known[0], (), known[1]) if known else fit_both(knocked or ())
     except ImplausibleGeometryError as error:
         if knocked is not None or not error.outliers:
             raise

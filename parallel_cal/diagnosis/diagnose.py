@@ -96,7 +96,8 @@ from parallel_cal.recordings.dataset import Dataset
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-FindAddition = Callable[[str, FitResult], Addition]  # of effects to the fit without them
+# What `add` makes of effects, with the fits without and with them
+FindAddition = Callable[[str, FitResult, FitResult | None], Addition]
 LIKE_DRIFT = "indistinguishable from drift: neighbours in time explain each other as well"
 OF_LOAD = "its error goes with the payload, which no device knows: the robot deflects"
 
@@ -369,9 +370,10 @@ def diagnose(
         least_squares = replace(options, loss="linear")
         judged = given.with_dataset(kept)
 
-        def find(text: str, base: FitResult) -> Addition:
+        def find(text: str, base: FitResult, result: FitResult | None) -> Addition:
             as_add = replace(least_squares, usual_only=usual_only)
-            return find_addition(asked, text, recorded.excluding(aside, why), as_add, base=base)
+            samples = recorded.excluding(aside, why)
+            return find_addition(asked, text, samples, as_add, known=(base, result))
 
         return _diagnose_trusted(
             model, judged, names, least_squares, registration, report, usual_only, find
@@ -634,7 +636,9 @@ def _confirm(
     addition: Addition | None = None
 
     def judge(chosen: Sequence[Chosen]) -> Addition:
-        return find("+".join(_format_additions(best, chosen)), base)
+        # With stated noise the search has fitted them as `add` does.
+        fitted = None if base.observations.unknown else search.fit_as_shown(*chosen).result
+        return find("+".join(_format_additions(best, chosen)), base, fitted)
 
     while base.held_out.judged.any() and addition is None:
         proven = [c for c in best.chosen if c.name not in doubtful]

@@ -10,6 +10,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+import numpy as np
+
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.diagnosis.catalogue import (
@@ -41,6 +43,7 @@ MIN_CHI2_DIFFERENCE = 25.0
 # Effects with more settings to scan are not tried: they are ripples, too small to mislead the
 # geometry, and each setting costs a fit.
 MAX_SETTINGS = 32
+GAIN = "encoder_gain"
 
 
 @dataclass(frozen=True)
@@ -123,6 +126,9 @@ def proposing_first_effect(
         observations = observe(model, dataset, options.joint_sigma, options.insist)
         there = DevicePoses.of(model, observations)
         if words := doubt_columns(model, observations, there, dataset.source, suspected=True):
+            most = _compute_error_with_gains(model, dataset, options)
+            words = doubt_columns(model, observations, there, dataset.source, True, most)
+        if words:
             raise FitError(f"{words}. As they are, {error}") from None
         if not isinstance(error, ImplausibleGeometryError) or error.outliers:
             raise
@@ -136,6 +142,20 @@ def proposing_first_effect(
         ranked = rank_first_effects(model, dataset, effects, options, progress)
         words = _describe_proposal(ranked, error.chi2_per_dof)
         raise ImplausibleGeometryError(f"{error}. {words}", error.chi2_per_dof) from None
+
+
+def _compute_error_with_gains(model: Model, dataset: Dataset, options: FitOptions) -> float:
+    """Median error of the poses (m) if each joint has a gain of its own; infinity if no plausible
+    geometry goes with such gains. Joints that contradict each other by a few per cent look like
+    joints in exchanged columns."""
+    if load_effect(GAIN).applies(model.mechanism):
+        return np.inf
+    try:
+        found = fit(model.with_effect(GAIN), dataset, options, hold_out=0)
+    except (FitError, ModelError):
+        return np.inf
+    there = DevicePoses.of(found.model, found.observations)
+    return np.inf if there is None else there.compute_median_error(there.now)
 
 
 def _describe_proposal(ranked: Sequence[FirstEffect], chi2_per_dof: float) -> str:
