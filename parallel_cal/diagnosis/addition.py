@@ -279,12 +279,19 @@ def find_addition(
         if knocked is not None or not error.outliers:
             raise
         both = fit_both(error.outliers)
-    if knocked is None and not both.knocked and options.loss == "linear":
+    while knocked is None and options.loss == "linear":  # a knocked sample may hide another one
         fits = [(both.scene, both.base), (see(both.result), both.result)]
         if not both.acceptance.against:  # samples that it explains, such as a few under load
             fits = fits[1:]
-        without = set_knocked_samples_aside(fits, fit_both, lambda others: others.result.model)
-        both = without[1] if without else both
+        before = both.knocked
+        without = set_knocked_samples_aside(
+            fits,
+            lambda more, before=before: fit_both(sorted({*before, *more})),
+            lambda others: others.result.model,
+        )
+        if without is None or not are_few(without[1].knocked, dataset):
+            break
+        both = without[1]
     return both
 
 

@@ -402,7 +402,7 @@ def diagnose(
         aside = [] if options.loss == "linear" else suspects(model)
         found = without(aside) if aside else without_outliers()
     if options.loss == "linear":
-        return _exclude_as_add_does(_set_knocked_samples_aside(found, without), found, without)
+        return _exclude_as_add_does(_set_knocked_samples_aside(found, without), without)
     # A good pose may look bad only for as long as the effect is not in the model.
     try:
         again = suspects(found.best.fitted.model) if found.effects else aside
@@ -426,49 +426,52 @@ def _set_knocked_samples_aside(
 
     One such sample hides effects, because it makes up most of chi2. A large effect in turn hides
     such a sample, which shows only when the effect is in the model. It counts as knocked if it is
-    as far from what the model predicts that describes the others. If no model does, a sample that
-    is far from it may show what the model lacks.
+    as far from what the model predicts that describes the others. If no model does, and none
+    describes more of them than before, a sample that is far from it may show what the model lacks.
     """
+    before = [one.sample for one in found.knocked]
+
+    def without_more(samples: list[int]) -> Diagnosis:
+        numbers = sorted({*before, *samples})
+        return without(numbers, f"because it is {explain_exclusion(found.dataset, samples)}")
+
     trials = [found.base, found.best] if found.effects else [found.base]
     if found.verdict.word == "explained":
         trials = [found.best]  # samples that it explains, such as a few under load, are not odd
     aside = set_knocked_samples_aside(
         ((trial.scene, trial.fitted) for trial in trials),
-        lambda samples: without(
-            samples, f"because it is {explain_exclusion(found.base.fitted.dataset, samples)}"
-        ),
+        without_more,
         lambda others: others.best.fitted.model,
     )
     if aside is not None:
         confirmed, others = aside
         only_unusual = others.unusual and not others.verdict.suspected_of_law
-        if others.verdict.word in ("unexplained", "partly_explained") and not only_unusual:
+        names_more = others.addition is not None and not {*others.effects} <= {*found.effects}
+        unexplained = others.verdict.word in ("unexplained", "partly_explained")
+        if unexplained and not only_unusual and not names_more:
             return found
-        return _with_samples_aside(others, confirmed)
+        return _with_samples_aside(others, [*found.knocked, *confirmed])
     # Samples of unknown sides may be what a verdict does not explain.
     partly = found.verdict.word == "partly_explained"
     if sideless := list_sideless_samples(found.effects, found.best.scene) if partly else []:
-        numbers = [one.sample for one in sideless]
-        others = without(numbers, f"because it is {explain_exclusion(found.dataset, numbers)}")
+        others = without_more([one.sample for one in sideless])
         if others.verdict.word == "explained":
-            return _with_samples_aside(others, sideless)
+            return _with_samples_aside(others, [*found.knocked, *sideless])
     return found
 
 
 def _exclude_as_add_does(
-    found: Diagnosis, every: Diagnosis, without: Callable[[list[int], str], Diagnosis]
+    found: Diagnosis, without: Callable[[list[int], str], Diagnosis]
 ) -> Diagnosis:
-    """Diagnose again without the samples that `add` would exclude with the effects found; `every`
-    is the diagnosis of all samples."""
+    """Diagnose again without the samples that `add` would exclude with the effects found."""
     if found.addition is None or not found.addition.knocked:
         return found
-    numbers = sorted({*found.addition.knocked, *(one.sample for one in found.knocked)})
-    others = without(numbers, f"because it is {explain_exclusion(every.dataset, numbers)}")
-    base = every.base.fitted
-    aside = list_samples_far_from(
-        others.best.fitted.model, base.dataset, base.observations, numbers
-    )
-    return _with_samples_aside(others, aside)
+    before, more = [one.sample for one in found.knocked], found.addition.knocked
+    why = f"because it is {explain_exclusion(found.dataset, more)}"
+    others, base = without(sorted({*before, *more}), why), found.base.fitted
+    best = others.best.fitted.model
+    aside = list_samples_far_from(best, base.dataset, base.observations, more)
+    return _with_samples_aside(others, [*found.knocked, *aside])
 
 
 def _with_samples_aside(others: Diagnosis, aside: Sequence[OddSample]) -> Diagnosis:
