@@ -128,16 +128,13 @@ def test_no_command_is_proposed_that_add_refuses_for_want_of_held_out_poses():
     assert not any("parallel-cal add" in step for step in found.next_steps)
 
 
-ANCHORS = [
-    (x, y, z)
-    for z in (0.0, 2.0)
-    for x, y in ((-1.5, -1.15), (1.5, -1.15), (1.5, 1.15), (-1.5, 1.15))
-]
+CORNERS = ((-1.5, -1.15), (1.5, -1.15), (1.5, 1.15), (-1.5, 1.15))
+ANCHORS = [(x, y, z) for z in (0.0, 2.0) for x, y in CORNERS]
 
 
-def eight_lines(gains, columns, seed=1):
+def eight_lines(gains, columns):
     """80 positions of a point on eight lines, whose drives have gains, read in some columns."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(1)
     place = rng.uniform((-0.6, -0.6, 0.4), (0.6, 0.6, 1.6), (80, 3))
     lengths = np.linalg.norm(place[:, None] - np.array(ANCHORS), axis=2) * gains
     read = lengths[:, columns] + 5e-4 * rng.standard_normal(lengths.shape)
@@ -154,10 +151,15 @@ def eight_lines(gains, columns, seed=1):
     )
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_gains_of_some_per_cent_are_not_taken_for_exchanged_columns(seed):
-    gains = 1 + 0.06 * np.random.default_rng(seed).standard_normal(8)
-    model, data = eight_lines(gains, list(range(8)), seed)
+@pytest.mark.parametrize(
+    "gains",
+    [
+        (0.978, 0.993, 0.916, 0.998, 0.9, 1.084, 0.995, 0.961),
+        (0.975, 0.926, 0.923, 0.896, 1.028, 1.133, 0.898, 1.008),
+    ],
+)
+def test_gains_of_some_per_cent_are_not_taken_for_exchanged_columns(gains):
+    model, data = eight_lines(gains, list(range(8)))
     with pytest.raises(FitError) as refusal:
         fitted(model, data)
     assert "are in the columns of" not in str(refusal.value)

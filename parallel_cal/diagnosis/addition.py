@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.base.progress import Progress
@@ -80,6 +80,11 @@ class Addition:
     def acceptance(self) -> Acceptance:
         """Whether the effects may be added, with the reason against them if not."""
         found, _ = self._judgement
+        if found.against and (settings := list_setting_warnings(self.result.model)):
+            found = replace(found, against="; ".join([*settings, found.against]))
+        if found.against and self.knocked:
+            numbers = ", ".join(map(str, self.knocked))
+            found = replace(found, against=f"{found.against} (judged without sample {numbers})")
         return found
 
     @property
@@ -90,15 +95,6 @@ class Addition:
 
     @cached_property
     def _judgement(self) -> tuple[Acceptance, tuple[str, ...]]:
-        found, doubtful = self._judge_by_errors_and_doubts()
-        if found.against and (settings := list_setting_warnings(self.result.model)):
-            found = replace(found, against="; ".join([*settings, found.against]))
-        if found.against and self.knocked:
-            numbers = ", ".join(map(str, self.knocked))
-            found = replace(found, against=f"{found.against} (judged without sample {numbers})")
-        return found, doubtful
-
-    def _judge_by_errors_and_doubts(self) -> tuple[Acceptance, tuple[str, ...]]:
         base, result = self.base, self.result
         found = acceptance(result, base, f" with '{self.names}'")
         if found.against:
@@ -273,6 +269,9 @@ def find_addition(
     def fit_both(aside: Sequence[int]) -> Addition:
         return extend(fit(model, keep(aside), limited, progress), aside)
 
+    def fit_without_more(before: Sequence[int], more: list[int]) -> Addition:
+        return fit_both(sorted({*before, *more}))
+
     try:
         both = extend(known[0], (), known[1]) if known else fit_both(knocked or ())
     except ImplausibleGeometryError as error:
@@ -283,12 +282,8 @@ def find_addition(
         fits = [(both.scene, both.base), (see(both.result), both.result)]
         if not both.acceptance.against:  # samples that it explains, such as a few under load
             fits = fits[1:]
-        before = both.knocked
-        without = set_knocked_samples_aside(
-            fits,
-            lambda more, before=before: fit_both(sorted({*before, *more})),
-            lambda others: others.result.model,
-        )
+        fit_more = partial(fit_without_more, both.knocked)
+        without = set_knocked_samples_aside(fits, fit_more, lambda others: others.result.model)
         if without is None or not are_few(without[1].knocked, dataset):
             break
         both = without[1]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +22,7 @@ from parallel_cal.diagnosis.ambiguity import (
     find_ambiguous_effects,
 )
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_to_test
+from parallel_cal.diagnosis.confirmation import Confirmed, FindAddition, format_additions
 from parallel_cal.diagnosis.device import find_doubtful_effects, find_effects_of_load
 from parallel_cal.diagnosis.drift import compute_drift_p_value
 from parallel_cal.diagnosis.entries import (
@@ -87,7 +87,6 @@ from parallel_cal.identification.registration import (
     add_registration_warning,
     prepared_for_fit,
 )
-from parallel_cal.model.effect import format_effect
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.model.words import join_words
@@ -96,8 +95,6 @@ from parallel_cal.recordings.dataset import Dataset
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-# What `add` makes of effects, with the fits without and with them
-FindAddition = Callable[[str, FitResult, FitResult | None], Addition]
 LIKE_DRIFT = "indistinguishable from drift: neighbours in time explain each other as well"
 OF_LOAD = "its error goes with the payload, which no device knows: the robot deflects"
 
@@ -241,7 +238,7 @@ class Diagnosis(ShownInNotebook):
         """The effects found, as arguments of `add`, such as `gear_transmission_error:ratio=80`.
 
         To add all of them in one step, join them by `+`."""
-        return _format_additions(self.best, self.best.chosen)
+        return format_additions(self.best, self.best.chosen)
 
     @property
     def band(self) -> tuple[float, float]:
@@ -522,7 +519,7 @@ def _diagnose_trusted(
     best = search.order_for_adding(best)
     best, swaps, robot_or_device = _choose_side(search, best, catalogue, ranked)
     report("judging the effects as add does", 0.7)
-    confirmed = _confirm(search, best, robot_or_device, find)
+    confirmed = Confirmed.of(search, best, robot_or_device, find)
     best, robot_or_device = confirmed.best, confirmed.robot_or_device
     against |= confirmed.against
     swaps = {name: rivals for name, rivals in swaps.items() if name in best.names}
@@ -602,76 +599,6 @@ def _diagnose_trusted(
         addition=confirmed.addition,
         doubted=confirmed.doubted,
     )
-
-
-def _format_additions(best: Trial, chosen: Iterable[Chosen]) -> tuple[str, ...]:
-    """Effects of a trial, each as an argument of `add`."""
-    names = best.fitted.model.table.names
-    return tuple(format_effect(c.name, c.settings, names) for c in chosen)
-
-
-@dataclass(frozen=True)
-class _Confirmed:
-    """The effects of a search as `add` judges them; `against` are the objections to those that it
-    does not accept."""
-
-    best: Trial
-    robot_or_device: tuple[str, ...]
-    addition: Addition | None
-    doubted: Addition | None
-    against: Mapping[str, str]
-
-
-def _confirm(
-    search: Search, best: Trial, robot_or_device: tuple[str, ...], find: FindAddition
-) -> _Confirmed:
-    """Judge what a search found as `add` judges it, in one step.
-
-    An effect that `add` refuses because the robot or the device may err stays in the diagnosis as
-    doubtful; one that it refuses for another reason does not stay. The validation errors become
-    those that `add` reaches. Without held-out poses `add` accepts nothing, and all stays.
-    """
-    base = search.fit().fitted
-    against = dict[str, str]()
-    doubtful = [*robot_or_device]
-    if best.chosen and explain_unseparated_device(base, best.fitted):
-        doubtful += find_large_device_effects(best.fitted.model)
-    addition: Addition | None = None
-
-    def judge(chosen: Sequence[Chosen]) -> Addition:
-        # With stated noise the search has fitted them as `add` does.
-        fitted = None if base.observations.unknown else search.fit_as_shown(*chosen).result
-        return find("+".join(_format_additions(best, chosen)), base, fitted)
-
-    while base.held_out.judged.any() and addition is None:
-        proven = [c for c in best.chosen if c.name not in doubtful]
-        if not proven:
-            break
-        try:
-            addition = judge(proven)
-            objection = addition.acceptance.against
-        except FitError as error:
-            objection = str(error)
-        if not objection:
-            break
-        more = () if addition is None else addition.doubtful
-        addition = None
-        if more:
-            doubtful += more
-            continue
-        against[proven[-1].name] = objection
-        left = [c for c in best.chosen if c is not proven[-1]]
-        best = search.fit_as_shown(*left)
-    doubted: Addition | None = None
-    others = any(c.name in doubtful for c in best.chosen)
-    if others and base.held_out.judged.any():
-        with suppress(FitError):
-            doubted = judge(best.chosen)
-    if addition is not None and not others and not addition.knocked:
-        best = replace(best, result=replace(best.fitted, held_out=addition.result.held_out))
-    large = find_large_device_effects(best.fitted.model)
-    names = [n for n in best.names if n in doubtful and (n in robot_or_device or n not in large)]
-    return _Confirmed(best, tuple(names), addition, doubted, against)
 
 
 def _choose_side(

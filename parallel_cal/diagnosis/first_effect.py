@@ -7,7 +7,7 @@ robot has, and no fit of the geometry alone succeeds.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -118,7 +118,7 @@ def proposing_first_effect(
     progress: Progress | None = None,
 ) -> Iterator[None]:
     """If no plausible geometry describes the samples, say which other columns or conventions fit
-    them; if none do, add to the error which effect in the first fit permits a plausible geometry:
+    them clearly better, and better than a gain of each joint; if none do, add to the error which effect in the first fit permits a plausible geometry:
     it is the likeliest cause, unless few samples contradict all others."""
     try:
         yield
@@ -126,7 +126,12 @@ def proposing_first_effect(
         observations = observe(model, dataset, options.joint_sigma, options.insist)
         there = DevicePoses.of(model, observations)
         if words := doubt_columns(model, observations, there, dataset.source, suspected=True):
-            most = _compute_error_with_gains(model, dataset, options)
+            # Joints that contradict each other by a few per cent look like exchanged ones.
+            most = np.inf
+            with suppress(FitError, ModelError):
+                gained = fit(model.with_effect(GAIN), dataset, options, hold_out=0)
+                if (seen := DevicePoses.of(gained.model, gained.observations)) is not None:
+                    most = seen.compute_median_error(seen.now)
             words = doubt_columns(model, observations, there, dataset.source, True, most)
         if words:
             raise FitError(f"{words}. As they are, {error}") from None
@@ -142,20 +147,6 @@ def proposing_first_effect(
         ranked = rank_first_effects(model, dataset, effects, options, progress)
         words = _describe_proposal(ranked, error.chi2_per_dof)
         raise ImplausibleGeometryError(f"{error}. {words}", error.chi2_per_dof) from None
-
-
-def _compute_error_with_gains(model: Model, dataset: Dataset, options: FitOptions) -> float:
-    """Median error of the poses (m) if each joint has a gain of its own; infinity if no plausible
-    geometry goes with such gains. Joints that contradict each other by a few per cent look like
-    joints in exchanged columns."""
-    if load_effect(GAIN).applies(model.mechanism):
-        return np.inf
-    try:
-        found = fit(model.with_effect(GAIN), dataset, options, hold_out=0)
-    except (FitError, ModelError):
-        return np.inf
-    there = DevicePoses.of(found.model, found.observations)
-    return np.inf if there is None else there.compute_median_error(there.now)
 
 
 def _describe_proposal(ranked: Sequence[FirstEffect], chi2_per_dof: float) -> str:
