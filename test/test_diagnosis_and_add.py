@@ -151,14 +151,8 @@ def eight_lines(gains, columns):
     )
 
 
-@pytest.mark.parametrize(
-    "gains",
-    [
-        (0.978, 0.993, 0.916, 0.998, 0.9, 1.084, 0.995, 0.961),
-        (0.975, 0.926, 0.923, 0.896, 1.028, 1.133, 0.898, 1.008),
-    ],
-)
-def test_gains_of_some_per_cent_are_not_taken_for_exchanged_columns(gains):
+def test_gains_of_some_per_cent_are_not_taken_for_exchanged_columns():
+    gains = (0.975, 0.926, 0.923, 0.896, 1.028, 1.133, 0.898, 1.008)
     model, data = eight_lines(gains, list(range(8)))
     with pytest.raises(FitError) as refusal:
         fitted(model, data)

@@ -118,7 +118,7 @@ def proposing_first_effect(
     progress: Progress | None = None,
 ) -> Iterator[None]:
     """If no plausible geometry describes the samples, say which other columns or conventions fit
-    them clearly better, and better than a gain of each joint; if none do, add to the error which effect in the first fit permits a plausible geometry:
+    them; if none do, add to the error which effect in the first fit permits a plausible geometry:
     it is the likeliest cause, unless few samples contradict all others."""
     try:
         yield
