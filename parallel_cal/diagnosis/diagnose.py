@@ -444,6 +444,7 @@ def _set_knocked_samples_aside(
         confirmed, others = aside
         only_unusual = others.unusual and not others.verdict.suspected_of_law
         names_more = others.addition is not None and not {*others.effects} <= {*found.effects}
+        names_more &= found.verdict.word != "explained"
         unexplained = others.verdict.word in ("unexplained", "partly_explained")
         if unexplained and not only_unusual and not names_more:
             return found
@@ -466,6 +467,8 @@ def _exclude_as_add_does(
     before, more = [one.sample for one in found.knocked], found.addition.knocked
     why = f"because it is {explain_exclusion(found.dataset, more)}"
     others, base = without(sorted({*before, *more}), why), found.base.fitted
+    if found.verdict.word == "explained" != others.verdict.word:
+        return found  # what the effects explain with the sample is no mistake
     best = others.best.fitted.model
     aside = list_samples_far_from(best, base.dataset, base.observations, more)
     return _with_samples_aside(others, [*found.knocked, *aside])
