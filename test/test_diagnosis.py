@@ -184,9 +184,10 @@ def test_an_unknown_gear_ratio_is_found_and_add_finds_it_too():
     assert alone in show(found)
     # Beside another effect, another ratio may fit best. The text states the one that is proposed.
     beside = Chosen("gear_transmission_error", (("ratio", 41.5),))
-    text = show(replace(found, best=replace(found.best, chosen=(Chosen("backlash"), beside))))
+    both = replace(found, best=replace(found.best, chosen=(Chosen("backlash"), beside)))
+    text = show(both)
     assert f"ratio 41.5 fits best beside the other effects found ({ratio:.4g} +- " in text
-    assert "backlash+gear_transmission_error:ratio=41.5 " in text
+    assert both.additions == ("backlash", "gear_transmission_error:ratio=41.5")
     assert alone not in text
 
 

@@ -335,7 +335,7 @@ def _joint_fields(scene: Scene) -> Iterator[np.ndarray]:
         yield F.reshape(len(F), -1)
         yield from (F[:, joint] for joint in range(n))
         own = [_smooth_functions(q[:, [j]] / max(q[:, j].std(), 1e-12), length) for j in range(n)]
-        F = np.hstack([by_joint[:, :, [j]] * own[j][:, None] for j in range(n)])
+        F = np.dstack([by_joint[:, :, [j]] * own[j][:, None] for j in range(n)])
         yield scene.project_off_geometry(F.reshape(len(scene.residual), -1))
 
 

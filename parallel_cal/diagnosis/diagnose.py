@@ -15,12 +15,14 @@ from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.base.threads import single_threaded
+from parallel_cal.diagnosis.addition import Addition, find_addition
 from parallel_cal.diagnosis.ambiguity import (
     Ambiguity,
     describe_ambiguities,
     find_ambiguous_effects,
 )
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_to_test
+from parallel_cal.diagnosis.confirmation import Confirmed, FindAddition, format_additions
 from parallel_cal.diagnosis.device import find_doubtful_effects, find_effects_of_load
 from parallel_cal.diagnosis.drift import compute_drift_p_value
 from parallel_cal.diagnosis.entries import (
@@ -85,7 +87,6 @@ from parallel_cal.identification.registration import (
     add_registration_warning,
     prepared_for_fit,
 )
-from parallel_cal.model.effect import format_effect
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.model.words import join_words
@@ -138,6 +139,12 @@ class Diagnosis(ShownInNotebook):
         from `base` and `best`.
     unseparated : tuple of str
         Effects of the device that the samples do not separate from errors of the robot.
+    addition : Addition or None
+        The effects found that `add` accepts in one step, with the fit that it writes; None if it
+        accepts none.
+    doubted : Addition or None
+        All effects found, judged as `add` judges them, if the robot or the device may cause some of
+        them.
     """
 
     model: Model
@@ -163,6 +170,8 @@ class Diagnosis(ShownInNotebook):
     ambiguous: tuple[Ambiguity, ...] = ()
     knocked: tuple[OddSample, ...] = ()
     unseparated: tuple[str, ...] = ()
+    addition: Addition | None = None
+    doubted: Addition | None = None
 
     @property
     def leaves_an_error(self) -> bool:
@@ -180,17 +189,23 @@ class Diagnosis(ShownInNotebook):
             "search for a law outside the catalogue: parallel-cal discover MODEL RECORDING "
             "-o my_law.py"
         )
-        exclude = f"--data exclude={','.join(str(one.sample) for one in self.knocked)}"
-        options = f"RECORDING{f' {exclude}' if self.knocked else ''} -o BETTER.yaml"
-        doubtful = {*self.robot_or_device, *self.unseparated}
-        named = list(zip(self.effects, self.additions, strict=True))
-        proven = "+".join(one for name, one in named if name not in doubtful)
-        others = "+".join(one for name, one in named if name in doubtful)
-        adds = [f"add what was found: parallel-cal add MODEL {proven} {options}"] if proven else []
-        if others:
+        excluded = sorted(self.dataset.excluded)  # the command is copied: it names all of them
+        exclude = f"--data exclude={','.join(map(str, excluded))}"
+        options = f"RECORDING{f' {exclude}' if excluded else ''} -o BETTER.yaml"
+        adds = []
+        if (addition := self.addition) is not None:
+            part = ""
+            if len(addition.effects) < len(self.effects):
+                part = f" ({addition.acceptance.description})"
             adds.append(
-                "once you know whether the robot or the device errs (until then, add refuses), "
-                f"add what errs: parallel-cal add MODEL {others} {options}"
+                f"add what was found{part}: parallel-cal add MODEL {addition.text} {options}"
+            )
+        if self.doubted is not None:
+            what = "what errs" if self.addition is None else "all of it"
+            refused = " (until then, add refuses)" if self.doubted.acceptance.against else ""
+            adds.append(
+                f"once you know whether the robot or the device errs{refused}, "
+                f"add {what}: parallel-cal add MODEL {self.doubted.text} {options}"
             )
         discovers = [discover] if self.leaves_an_error else []
         if self.verdict.needs_sides:
@@ -223,8 +238,7 @@ class Diagnosis(ShownInNotebook):
         """The effects found, as arguments of `add`, such as `gear_transmission_error:ratio=80`.
 
         To add all of them in one step, join them by `+`."""
-        names = self.best.fitted.model.table.names
-        return tuple(format_effect(c.name, c.settings, names) for c in self.best.chosen)
+        return format_additions(self.best, self.best.chosen)
 
     @property
     def band(self) -> tuple[float, float]:
@@ -341,6 +355,7 @@ def diagnose(
     options = with_changes(options, FitOptions, changes, FitError)
     # The search refits with unusual sizes in any case: they are evidence against other effects.
     usual_only, options = options.usual_only, replace(options, usual_only=False)
+    asked, recorded = model, dataset
     given = GivenModel.of(model, dataset, options.joint_sigma, options.insist)
     dataset = given.dataset
     model, registration = prepared_for_fit(given.start, given.registration, dataset, options)
@@ -351,8 +366,14 @@ def diagnose(
         kept = dataset.excluding(aside, why)
         least_squares = replace(options, loss="linear")
         judged = given.with_dataset(kept)
+
+        def find(text: str, base: FitResult, result: FitResult | None) -> Addition:
+            as_add = replace(least_squares, usual_only=usual_only)
+            samples = recorded.excluding(aside, why)
+            return find_addition(asked, text, samples, as_add, known=(base, result))
+
         return _diagnose_trusted(
-            model, judged, names, least_squares, registration, report, usual_only
+            model, judged, names, least_squares, registration, report, usual_only, find
         )
 
     def suspects(judged: Model) -> list[int]:
@@ -378,7 +399,7 @@ def diagnose(
         aside = [] if options.loss == "linear" else suspects(model)
         found = without(aside) if aside else without_outliers()
     if options.loss == "linear":
-        return _set_knocked_samples_aside(found, without)
+        return _exclude_as_add_does(_set_knocked_samples_aside(found, without), without)
     # A good pose may look bad only for as long as the effect is not in the model.
     try:
         again = suspects(found.best.fitted.model) if found.effects else aside
@@ -402,33 +423,55 @@ def _set_knocked_samples_aside(
 
     One such sample hides effects, because it makes up most of chi2. A large effect in turn hides
     such a sample, which shows only when the effect is in the model. It counts as knocked if it is
-    as far from what the model predicts that describes the others. If no model does, a sample that
-    is far from it may show what the model lacks.
+    as far from what the model predicts that describes the others. If no model does, and none
+    describes more of them than before, a sample that is far from it may show what the model lacks.
     """
+    before = [one.sample for one in found.knocked]
+
+    def without_more(samples: list[int]) -> Diagnosis:
+        numbers = sorted({*before, *samples})
+        return without(numbers, f"because it is {explain_exclusion(found.dataset, samples)}")
+
     trials = [found.base, found.best] if found.effects else [found.base]
     if found.verdict.word == "explained":
         trials = [found.best]  # samples that it explains, such as a few under load, are not odd
     aside = set_knocked_samples_aside(
         ((trial.scene, trial.fitted) for trial in trials),
-        lambda samples: without(
-            samples, f"because it is {explain_exclusion(found.base.fitted.dataset, samples)}"
-        ),
+        without_more,
         lambda others: others.best.fitted.model,
     )
     if aside is not None:
         confirmed, others = aside
         only_unusual = others.unusual and not others.verdict.suspected_of_law
-        if others.verdict.word in ("unexplained", "partly_explained") and not only_unusual:
+        names_more = others.addition is not None and not {*others.effects} <= {*found.effects}
+        names_more &= found.verdict.word != "explained"
+        unexplained = others.verdict.word in ("unexplained", "partly_explained")
+        if unexplained and not only_unusual and not names_more:
             return found
-        return _with_samples_aside(others, confirmed)
+        return _with_samples_aside(others, [*found.knocked, *confirmed])
     # Samples of unknown sides may be what a verdict does not explain.
     partly = found.verdict.word == "partly_explained"
     if sideless := list_sideless_samples(found.effects, found.best.scene) if partly else []:
-        numbers = [one.sample for one in sideless]
-        others = without(numbers, f"because it is {explain_exclusion(found.dataset, numbers)}")
+        others = without_more([one.sample for one in sideless])
         if others.verdict.word == "explained":
-            return _with_samples_aside(others, sideless)
+            return _with_samples_aside(others, [*found.knocked, *sideless])
     return found
+
+
+def _exclude_as_add_does(
+    found: Diagnosis, without: Callable[[list[int], str], Diagnosis]
+) -> Diagnosis:
+    """Diagnose again without the samples that `add` would exclude with the effects found."""
+    if found.addition is None or not found.addition.knocked:
+        return found
+    before, more = [one.sample for one in found.knocked], found.addition.knocked
+    why = f"because it is {explain_exclusion(found.dataset, more)}"
+    others, base = without(sorted({*before, *more}), why), found.base.fitted
+    if found.verdict.word == "explained" != others.verdict.word:
+        return found  # what the effects explain with the sample is no mistake
+    best = others.best.fitted.model
+    aside = list_samples_far_from(best, base.dataset, base.observations, more)
+    return _with_samples_aside(others, [*found.knocked, *aside])
 
 
 def _with_samples_aside(others: Diagnosis, aside: Sequence[OddSample]) -> Diagnosis:
@@ -452,8 +495,9 @@ def _diagnose_trusted(
     registration: Registration | None,
     report: Progress,
     usual_only: bool,
+    find: FindAddition,
 ) -> Diagnosis:
-    """Diagnose samples without excluding any."""
+    """Diagnose samples without excluding any; `find` returns what `add` makes of effects."""
     dataset = given.dataset
     noise_of_base: Observations | None = None
 
@@ -477,6 +521,11 @@ def _diagnose_trusted(
         best = base  # what was found only imitates it
     best = search.order_for_adding(best)
     best, swaps, robot_or_device = _choose_side(search, best, catalogue, ranked)
+    report("judging the effects as add does", 0.7)
+    confirmed = Confirmed.of(search, best, robot_or_device, find)
+    best, robot_or_device = confirmed.best, confirmed.robot_or_device
+    against |= confirmed.against
+    swaps = {name: rivals for name, rivals in swaps.items() if name in best.names}
     residual_field = Field.of(best.scene)
     structure = lack_of_fit(best.scene, residual_field)
     shape = NoiseShape.of(best.scene, residual_field)
@@ -511,7 +560,10 @@ def _diagnose_trusted(
         remaining=remaining,
         held=residual_field.held,
         swaps=swaps,
-        refused=tuple(trial.reason for trial in tried if trial.reason),
+        refused=(
+            *confirmed.against.values(),
+            *(trial.reason for trial in tried if trial.reason),
+        ),
         wrong_signs=tuple(trial.reason for trial in tried if trial.wrong_sign),
         robot_or_device=robot_or_device,
         outdone=find_better_lookalikes(best, search, catalogue),
@@ -547,6 +599,8 @@ def _diagnose_trusted(
         unseparated=tuple(find_large_device_effects(best.fitted.model))
         if findings.unseparated
         else (),
+        addition=confirmed.addition,
+        doubted=confirmed.doubted,
     )
 
 

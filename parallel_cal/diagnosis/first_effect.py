@@ -7,8 +7,10 @@ robot has, and no fit of the geometry alone succeeds.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+
+import numpy as np
 
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.base.progress import Progress, ignore_progress
@@ -44,6 +46,7 @@ MIN_CHI2_DIFFERENCE = 25.0
 # Effects with more settings to scan are not tried: they are ripples, too small to mislead the
 # geometry, and each setting costs a fit.
 MAX_SETTINGS = 32
+GAIN = "encoder_gain"
 
 
 @dataclass(frozen=True)
@@ -127,6 +130,14 @@ def proposing_first_effect(
         observations = observe(model, dataset, options.joint_sigma, options.insist)
         there = DevicePoses.of(model, observations)
         if words := doubt_columns(model, observations, there, dataset.source, suspected=True):
+            # Joints that contradict each other by a few per cent look like exchanged ones.
+            most = np.inf
+            with suppress(FitError, ModelError):
+                gained = fit(model.with_effect(GAIN), dataset, options, hold_out=0)
+                if (seen := DevicePoses.of(gained.model, gained.observations)) is not None:
+                    most = seen.compute_median_error(seen.now)
+            words = doubt_columns(model, observations, there, dataset.source, True, most)
+        if words:
             raise FitError(f"{words}. As they are, {error}") from None
         if effects is None or not isinstance(error, ImplausibleGeometryError) or error.outliers:
             raise

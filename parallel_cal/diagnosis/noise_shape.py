@@ -15,6 +15,8 @@ from parallel_cal.diagnosis.thresholds import (
     PERMUTATIONS,
 )
 
+EQUAL_DISTANCE = 1e-9  # relative: below it, distances differ by rounding
+
 
 @dataclass(frozen=True)
 class NoiseShape:
@@ -57,10 +59,9 @@ class NoiseShape:
     def of(cls, scene: Scene, field: Field) -> NoiseShape:
         """Test what a model leaves of a session. Consecutive samples of a moving robot are similar
         anyway."""
-        n = len(scene.model.joints)
         if scene.dataset.mode == "continuous":
             return cls(0.0, 1.0, 0.0, 1.0, 1.0)
-        shape = noise_shape(field.noise_units, scene.dataset.time, scene.x[:, n : n + 3])
+        shape = noise_shape(field.noise_units, scene.dataset.time, scene.places)
         known = "time" in scene.dataset.conditions  # the order of samples is none
         return (
             shape
@@ -70,7 +71,8 @@ class NoiseShape:
 
 
 def noise_shape(z: np.ndarray, time: np.ndarray, places: np.ndarray, seed: int = 0) -> NoiseShape:
-    """The shape of residuals z (N, k) in noise units, taken at times (N,) s and places (N, 3) m."""
+    """The shape of residuals z (N, k) in noise units, taken at times (N,) s and places (N, 3), m or
+    rad. Places that are all equally far from their centre show no growth."""
     z = z[:, np.any(z != 0, axis=0)]
     if len(z) < 9 or not z.any():
         return NoiseShape(0.0, 1.0, 0.0, 1.0, 1.0)
@@ -96,6 +98,8 @@ def noise_shape(z: np.ndarray, time: np.ndarray, places: np.ndarray, seed: int =
     orders = (rng.permutation(len(z)) for _ in range(PERMUTATIONS))
     p = permutation_p_values(seen, ((correlation(z[k]), growth(size[k])) for k in orders))
     step = float(np.median(np.diff(time[order])))
+    if np.ptp(away) <= EQUAL_DISTANCE * away.max():
+        seen, p = (seen[0], 1.0), np.array([p[0], 1.0])
     memory = -step / np.log(np.clip(seen[0], 1e-3, 1 - 1e-3))
     # Variance of a slow mean over that of white noise: 1 + 2 sum (1 - l / L) rho_l over the lags
     # l < L (Newey and West 1987), at least that of the first lag alone.

@@ -8,12 +8,14 @@ from functools import cached_property
 
 import numpy as np
 
+from parallel_cal.base.rotation import turns_from_mean
 from parallel_cal.diagnosis.thresholds import MAX_SHARED_BYTES
 from parallel_cal.identification.linearisation import Linearisation, rms_by_sample
 from parallel_cal.identification.observations import Observations, blocks, conditions
 from parallel_cal.identification.predictions import predict_configurations, reading_residuals
 from parallel_cal.identification.registration import shows_pose
 from parallel_cal.identification.thresholds import MIN_SIGMAS_PER_TOLERANCE, RELATIVE_RANK
+from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 
@@ -163,6 +165,16 @@ class Scene:
     def project_off_geometry(self, columns: np.ndarray) -> np.ndarray:
         """Remove from columns (n, k) the part that the free parameters can imitate."""
         return np.asarray(columns - self.basis @ (self.basis.T @ columns))
+
+    @cached_property
+    def places(self) -> np.ndarray:
+        """Where the platform is (N, 3): its predicted position (m), or its turns from the mean
+        orientation (rad) if only the orientation was measured."""
+        predicted, n = Configuration.from_rows(self.x), len(self.model.joints)
+        position, orientation = np.split(self.observations.measured[:, n:].any(axis=0), 2)
+        if orientation.any() and not position.any():
+            return turns_from_mean(predicted.R)
+        return predicted.r
 
     @property
     def sigmas(self) -> np.ndarray:

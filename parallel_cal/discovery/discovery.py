@@ -104,7 +104,7 @@ def discover(
     Raises
     ------
     FitError
-        If the free parameters cannot be identified.
+        If the free parameters cannot be identified, or take all equations of the samples.
 
     Examples
     --------
@@ -125,6 +125,12 @@ def discover(
         options = replace(options, loss="linear")
         base = fit(model, dataset, options)
     scene, given = _make_scene(base, dataset)
+    if scene.dof < 1:
+        raise FitError(
+            f"{dataset.source or 'the dataset'}: {len(dataset)} samples determine the free "
+            "parameters and leave no equation that could show a law: measure more poses (plan "
+            "proposes them), or fix parameters"
+        )
     drivers = list_drivers(scene)
     stations = find_stations(scene, given)
     places = list_places(scene, stations)

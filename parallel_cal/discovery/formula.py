@@ -296,7 +296,7 @@ class _Alike:
         residual."""
         Z = np.concatenate([self.along, self.project(along)], axis=2)
         onto = self.project(left)[:, :, 0]
-        lengths = np.sqrt(np.diagonal(self.gram, axis1=1, axis2=2))
+        lengths = np.sqrt(np.maximum(np.diagonal(self.gram, axis1=1, axis2=2), 0.0))
         scale = np.where(lengths > 1e-12, 1 / np.maximum(lengths, 1e-12), 0.0)
         rest = (self.gram - Z @ Z.transpose(0, 2, 1)) * scale[:, :, None] * scale[:, None, :]
         squares, V = np.linalg.eigh(rest)

@@ -33,8 +33,7 @@ def characterise_noise(scene: Scene, residual: np.ndarray) -> Noise:
     """Find the shape of noise in a residual (n,), which no law explains."""
     from scipy.special import chdtrc
 
-    n = len(scene.model.joints)
-    places = scene.x[:, n : n + 3]
+    places = scene.places
     shape = noise_shape(_by_sensor(scene, residual), scene.dataset.time, places)
     growth = np.ones(len(places))
     if shape.growth_p < MAX_CORRELATION_P and shape.growth > 1:

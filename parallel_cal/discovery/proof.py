@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from parallel_cal.base.parallel import Runner
+from parallel_cal.diagnosis.addition import with_noise_of
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.scene import Scene
@@ -37,7 +38,7 @@ from parallel_cal.identification.checks import ImplausibleGeometryError
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.session.steps import Step, add, with_noise_of
+from parallel_cal.session.steps import Step, add
 
 
 @dataclass(frozen=True)

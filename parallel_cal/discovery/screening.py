@@ -116,7 +116,7 @@ def evidence(explained: np.ndarray, total: np.ndarray, rank: np.ndarray, dof: in
     """Log of how much likelier a residual is with `rank` columns that explain some of its sum of
     squares: dof/2 log(total / rest) - rank/2 log(dof) (Schwarz 1978), noise of unknown size."""
     rest = np.maximum(total - explained, 1e-12 * total)
-    return np.asarray(dof / 2 * np.log(total / rest) - rank / 2 * np.log(dof))
+    return np.asarray(dof / 2 * np.log(total / rest) - rank / 2 * np.log(max(dof, 1)))
 
 
 class Screening:
@@ -244,6 +244,7 @@ class Screening:
             of_members = [
                 tuple(by_rod[family, place.rod] for place in site.members)
                 for family in dict.fromkeys(one.family for one in of_rods)
+                if all((family, place.rod) in by_rod for place in site.members)
             ]
             return [*of_members, *((one,) * n for one in common)]
         if n == 1:
@@ -260,8 +261,12 @@ class Screening:
                 if all(member is not None for member in members):
                     sets.append(tuple(one for one in members if one is not None))
         all_joints = site.kind == JOINT and n == self._n_joints > 1
-        if all_joints and READING in families:
-            readings = [by_joint[READING, int(joint or 0)] for joint in joints]
+        readings = [
+            by_joint[READING, int(joint or 0)]
+            for joint in joints
+            if (READING, int(joint or 0)) in by_joint  # the reading of a joint at rest is no driver
+        ]
+        if all_joints and len(readings) == n:
             for family, step in ((NEXT, 1), (PREVIOUS, -1)):
                 turned = [readings[(k + step) % n] for k in range(n)]
                 sets.append(tuple(replace(one, family=family) for one in turned))
@@ -351,7 +356,7 @@ class _SiteWork:
         else:
             B, G = onto.sum(axis=0), gram.sum(axis=(1, 3))
         along, onto = B[:, :, : self._p], B[:, :, self._p :]
-        lengths = np.sqrt(np.diagonal(G, axis1=1, axis2=2))
+        lengths = np.sqrt(np.maximum(np.diagonal(G, axis1=1, axis2=2), 0.0))
         scale = np.where(lengths > 1e-12, 1 / np.maximum(lengths, 1e-12), 0.0)
         left = (G - along @ along.transpose(0, 2, 1)) * scale[:, :, None] * scale[:, None, :]
         squares, directions = np.linalg.eigh(left)

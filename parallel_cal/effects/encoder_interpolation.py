@@ -69,7 +69,8 @@ class EncoderInterpolation(Effect):
         """Return periods whose reciprocals (1/m) are 1 / (2 travel) apart: half a peak's width."""
         travel = max(np.ptp(recorded[joint]) for joint in find_prismatic_joints(mechanism))
         short, long = PERIODS
-        for waves in np.arange(1 / long, 1 / short, 1 / (2 * travel)):
+        low, high = 1 / long, 1 / short
+        for waves in np.arange(low, high, 1 / (2 * max(travel, 0.5 / (high - low)))):
             yield {"period": float(1 / waves)}
 
     def multiples(self, setting: Mapping[str, float]) -> Iterator[Mapping[str, float]]:

@@ -74,7 +74,8 @@ class ScrewPitchError(Effect):
             return
         travel = max(np.ptp(recorded[joint]) for joint in _find_prismatic_joints(mechanism))
         short, long = LEADS
-        for turns in np.arange(1 / long, 1 / short, 1 / (2 * travel)):
+        low, high = 1 / long, 1 / short
+        for turns in np.arange(low, high, 1 / (2 * max(travel, 0.5 / (high - low)))):
             yield {"lead": float(1 / turns)}
 
     def period(self, setting: Mapping[str, float]) -> float:

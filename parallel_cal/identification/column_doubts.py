@@ -163,12 +163,14 @@ def doubt_columns(
     there: DevicePoses | None,
     source: str,
     suspected: bool = False,
+    most: float = np.inf,
 ) -> str:
     """Explain with which other readings or orientations the samples fit the robot, if they do not
     as they are; empty if none do.
 
     `there` are the poses of the observations. If the samples are not `suspected`, because a fit to
-    them failed, their errors must exceed what the tolerances explain.
+    them failed, their errors must exceed what the tolerances explain. Other readings must leave a
+    median error below `most` (m).
     """
     n = len(model.joints)
     if there is None:  # the robot cannot be there
@@ -183,6 +185,8 @@ def doubt_columns(
     few = observations.select(some)
     fitting, before = _find_fitting_guesses(model, few)
     if not fitting:
+        return ""
+    if min(poses.compute_median_error(poses.frames) for _, poses in fitting) >= most:
         return ""
     low, high = np.array(model.mechanism.joint_limits, float).T
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -15,26 +15,14 @@ from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis import fitting
-from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_to_test
-from parallel_cal.diagnosis.device import find_doubtful_effects, is_needed
-from parallel_cal.diagnosis.entries import are_confused, is_clearly_better
-from parallel_cal.diagnosis.patterns import explain_exclusion, set_knocked_samples_aside
-from parallel_cal.diagnosis.scene import Scene
-from parallel_cal.diagnosis.search import Trial, is_as_good, is_superfluous
-from parallel_cal.diagnosis.stations import exclude_device
-from parallel_cal.diagnosis.verdict import robot_or_device
+from parallel_cal.diagnosis.addition import find_addition, with_given_model_of
 from parallel_cal.identification.acceptance import IN_SAMPLE, Acceptance, acceptance
 from parallel_cal.identification.added_effects import limit_patterns
-from parallel_cal.identification.checks import ImplausibleGeometryError
-from parallel_cal.identification.fit import FitResult, fit, fit_unjudged
-from parallel_cal.identification.fit_warnings import list_setting_warnings
-from parallel_cal.identification.observations import Observations
+from parallel_cal.identification.fit import FitResult, fit
 from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.platform_shift import (
     PlatformShift,
     compute_platform_shift,
-    explain_unseparated_device,
-    find_large_device_effects,
 )
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.identification.stations import without_stations
@@ -43,7 +31,6 @@ from parallel_cal.model.effect import parse_effects
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.recordings.lagged import add_lagged_conditions
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -235,161 +222,10 @@ def add(
     >>> step.model.effects[-1].name
     'backlash'
     """
-    asked, larger = parse_effects(effect), model
-    for name, _ in asked:  # report a wrong name before a search
-        larger = larger.with_effect(name)
-    dataset = add_lagged_conditions(larger.conditions, dataset)
     how, progress = _collect_options(options)
-
-    def fit_both(aside: Sequence[int]) -> _Addition:
-        limited = limit_patterns(how, model, larger)
-        kept = dataset.excluding(aside, f"because it is {explain_exclusion(dataset, aside)}")
-        base = fit(model, kept, limited, progress)
-        scene = _see(base)
-        # Start where the base started, so that the device's frame is the one registered there.
-        more, extended = list[Candidate](), base.start
-        for name, settings in asked:
-            one = candidate(scene, name)  # with the settings that fit the residuals best
-            more.append(replace(one, settings=settings or one.settings))
-            extended = extended.with_effect(name, more[-1].settings)
-        result = fit(extended, base.dataset, how, progress)
-        result = _with_given_model_of(result, base)
-        return _Addition(kept, scene, more, base, result, tuple(aside))
-
-    try:
-        both = fit_both(knocked or ())
-    except ImplausibleGeometryError as error:
-        if knocked is not None or not error.outliers:
-            raise
-        both = fit_both(error.outliers)
-    if knocked is None and not both.knocked and how.loss == "linear":
-        fits = [*both.scenes()]
-        if not both.judge().against:  # samples that the effect explains, such as a few under load
-            fits = fits[1:]
-        without = set_knocked_samples_aside(fits, fit_both, lambda others: others.result.model)
-        both = without[1] if without else both
-    found = both.judge()
-    if found.against and (doubtful := list_setting_warnings(both.result.model)):
-        found = replace(found, against="; ".join([*doubtful, found.against]))
-    if found.against and both.knocked:
-        numbers = ", ".join(map(str, both.knocked))
-        found = replace(found, against=f"{found.against} (judged without sample {numbers})")
-    found = _check_proven(found, force)
-    return _step("add", both.result, found, both.base, both.names, both.knocked)
-
-
-def _see(found: FitResult) -> Scene:
-    """The residuals of a fit, on which candidates are scored."""
-    return Scene.of(found.model, found.dataset, found.observations, found.free)
-
-
-@dataclass(frozen=True)
-class _Addition:
-    """Effects that may be added, as candidates in a scene, with the fits without and with them;
-    `recorded` are the samples in the frames in which each recording has them, and `knocked` those
-    that both fits leave out."""
-
-    recorded: Dataset
-    scene: Scene
-    effects: list[Candidate]
-    base: FitResult
-    result: FitResult
-    knocked: tuple[int, ...]
-
-    @property
-    def names(self) -> str:
-        return "+".join(one.name for one in self.effects)
-
-    def scenes(self) -> Iterator[tuple[Scene, FitResult]]:
-        """The residuals of both fits, and the fits."""
-        yield self.scene, self.base
-        yield _see(self.result), self.result
-
-    def judge(self) -> Acceptance:
-        """Judge whether the effects may be added, with the reason against them if not."""
-        scene, base, result = self.scene, self.base, self.result
-        found = acceptance(result, base, f" with '{self.names}'")
-        if found.against:
-            return found
-        if is_superfluous(with_noise_of(base, result.observations).estimate, result.estimate):
-            return replace(found, against=f"the improvement by '{self.names}' may be chance")
-        if exclude_device(scene, self.recorded, self.effects, result.model):
-            return found
-        doubt = explain_unseparated_device(base, result)
-        if doubt := doubt or _explain_doubt(scene, self.effects, base, result):
-            return replace(found, against=doubt, device_may_err=True)
-        return found
-
-
-def with_noise_of(found: FitResult, noise: Observations) -> FitResult:
-    """Repeat a fit with the noise that another fit of the same samples estimated.
-
-    Only with equal weights can the residuals of two fits be compared. If all noise is stated, the
-    fit is returned as it is.
-    """
-    if not noise.unknown:
-        return found
-    options = replace(found.options, hold_out=0)
-    return fit_unjudged(found.start, found.dataset, options, noise=noise).judge()
-
-
-def _with_given_model_of(result: FitResult, rival: FitResult) -> FitResult:
-    """Let a fit be compared with the model that its rival started from."""
-    given = replace(rival.given, known_held_out=rival.held_out_before)
-    return replace(result, given=given, registration=rival.registration)
-
-
-def _explain_doubt(scene: Scene, added: list[Candidate], base: FitResult, result: FitResult) -> str:
-    """Explain why effects that lower the error may be wrong; empty if nothing suggests it.
-
-    The device may cause one of them, or an effect of the device explains the error clearly better,
-    or as well in place of one of them.
-    """
-    fitted = result.model
-    device_effects = [n for n in list_effects_to_test(scene.model) if load_effect(n).of_device]
-    device = [candidate(scene, name) for name in device_effects]
-    if doubtful := find_doubtful_effects(scene, added, device, fitted):
-        return robot_or_device(doubtful[0])
-    large = find_large_device_effects(fitted)
-    for one in added:
-        # An error of the device of usual size is none that the robot would learn.
-        if one.effect.of_device and one.name not in large:
-            continue
-        better = [c for c in device if c.scene is one.scene and is_clearly_better(c, one)]
-        others = [c for c in added if c is not one]  # they may hide what this one explains
-        if better and not is_needed([one], [*others, *better], scene, fitted):
-            outdone_by = " and ".join(c.name for c in better)
-            return (
-                f"{outdone_by} explains the error clearly better than '{one.name}' (see diagnose)"
-            )
-    for one in added:
-        alike = [c for c in device if not c.effect.needs and are_confused(one, c)]
-        if not one.effect.of_device and any(
-            _fits_as_well(one, rival, added, base, result) for rival in alike
-        ):
-            return robot_or_device(one.name)
-    return ""
-
-
-def _fits_as_well(
-    one: Candidate, rival: Candidate, added: list[Candidate], base: FitResult, result: FitResult
-) -> bool:
-    """Whether a rival fits as well in place of one of the added effects. It may be larger than
-    usual if this effect is."""
-    swapped = base.start
-    try:
-        for each in added:
-            chosen = rival if each is one else each
-            swapped = swapped.with_effect(chosen.name, chosen.settings)
-        other = fit_unjudged(
-            swapped, base.dataset, result.options, given=base.given, noise=result.observations
-        ).judge()
-    except (FitError, ModelError):
-        return False
-    own, its = ({size.effect for size in r.unusual.values()} for r in (result, other))
-    if rival.name in its and one.name not in own:
-        return False
-    return is_as_good(Trial((), result), Trial((), other))
+    found = find_addition(model, effect, dataset, how, progress, knocked)
+    accepted = _check_proven(found.acceptance, force)
+    return _step("add", found.result, accepted, found.base, found.names, found.knocked)
 
 
 @check_arguments(ModelError)
@@ -445,7 +281,7 @@ def remove(
     how, progress = _collect_options(options)
     with_it = fit(model, dataset, how, progress)
     limited = limit_patterns(how, smaller, model)
-    result = _with_given_model_of(
+    result = with_given_model_of(
         fit(with_it.start.without_effect(effect), with_it.dataset, limited, progress), with_it
     )
     found = acceptance(result, with_it, f" without '{effect}'", MAX_NEGLIGIBLE_ERROR_RISE)

@@ -256,9 +256,10 @@ def _make_report_view(found: Report) -> View:
     chosen = [by_name[name] for name in diagnosis.effects if name in by_name]
     first_pattern = next((signature(one) for one in chosen if one.score), None)
     together = None
-    if len(diagnosis.effects) > 1:  # offered together, because one alone may be refused
-        names = " and ".join(diagnosis.effects)
-        together = {"names": names, "text": "+".join(diagnosis.additions)}
+    offered = diagnosis.addition or diagnosis.doubted
+    if offered and len(offered.effects) > 1:  # together, because one alone may be refused
+        names = " and ".join(one.name for one in offered.effects)
+        together = {"names": names, "text": offered.text}
     candidates = as_rows(results.candidate_table(diagnosis, tested))["rows"]
     residuals, shown = _select_shown(found.residuals, found.samples)
     separation = diagnosis.measure_next.plan

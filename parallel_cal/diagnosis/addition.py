@@ -1,0 +1,313 @@
+"""Add effects to a model, and judge whether they may be added.
+
+`add` writes what is accepted here, and `diagnose` names what is accepted here: the samples, the
+frames, the folds and the noise are the same, so that `add` reaches what the diagnosis promised.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+
+from parallel_cal.base.errors import FitError, ModelError
+from parallel_cal.base.progress import Progress
+from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_to_test
+from parallel_cal.diagnosis.device import find_doubtful_effects, is_needed
+from parallel_cal.diagnosis.entries import are_confused, is_clearly_better
+from parallel_cal.diagnosis.patterns import (
+    are_few,
+    explain_exclusion,
+    set_knocked_samples_aside,
+)
+from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.diagnosis.search import Trial, is_as_good, is_superfluous
+from parallel_cal.diagnosis.stations import exclude_device
+from parallel_cal.diagnosis.verdict import robot_or_device
+from parallel_cal.identification.acceptance import Acceptance, acceptance
+from parallel_cal.identification.added_effects import limit_patterns
+from parallel_cal.identification.checks import ImplausibleGeometryError
+from parallel_cal.identification.fit import FitResult, fit, fit_unjudged
+from parallel_cal.identification.fit_warnings import list_setting_warnings
+from parallel_cal.identification.observations import Observations, observe
+from parallel_cal.identification.options import FitOptions
+from parallel_cal.identification.outliers import search_outliers
+from parallel_cal.identification.platform_shift import (
+    explain_unseparated_device,
+    find_large_device_effects,
+)
+from parallel_cal.model.effect import parse_effects
+from parallel_cal.model.model import Model
+from parallel_cal.model.shelf import load_effect
+from parallel_cal.model.words import join_words
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.lagged import add_lagged_conditions
+
+
+@dataclass(frozen=True)
+class Addition:
+    """Effects that may be added, with the fits without and with them, and their judgement.
+
+    Attributes
+    ----------
+    recorded : Dataset
+        The samples in the frames in which each recording has them.
+    base, result : FitResult
+        The fits of these samples without and with the effects.
+    scene : Scene
+        The residuals of `base`.
+    effects : tuple of Candidate
+        The effects, scored on these residuals, with their settings.
+    text : str
+        The effects as `add` takes them.
+    knocked : tuple of int
+        Numbers of the samples that both fits exclude because they are far from all others.
+    """
+
+    recorded: Dataset = field(repr=False)
+    base: FitResult
+    result: FitResult
+    scene: Scene
+    effects: tuple[Candidate, ...]
+    text: str
+    knocked: tuple[int, ...] = ()
+
+    @property
+    def names(self) -> str:
+        return "+".join(one.name for one in self.effects)
+
+    @cached_property
+    def acceptance(self) -> Acceptance:
+        """Whether the effects may be added, with the reason against them if not."""
+        found, _ = self._judgement
+        if found.against and (settings := list_setting_warnings(self.result.model)):
+            found = replace(found, against="; ".join([*settings, found.against]))
+        if found.against and self.knocked:
+            numbers = ", ".join(map(str, self.knocked))
+            found = replace(found, against=f"{found.against} (judged without sample {numbers})")
+        return found
+
+    @property
+    def doubtful(self) -> tuple[str, ...]:
+        """Names of the effects that the other side, robot or device, may cause, if they are refused
+        for that."""
+        return self._judgement[1]
+
+    @cached_property
+    def _judgement(self) -> tuple[Acceptance, tuple[str, ...]]:
+        base, result = self.base, self.result
+        found = acceptance(result, base, f" with '{self.names}'")
+        if found.against:
+            return found, ()
+        if is_superfluous(with_noise_of(base, result.observations).estimate, result.estimate):
+            return replace(found, against=f"the improvement by '{self.names}' may be chance"), ()
+        if exclude_device(self.scene, self.recorded, self.effects, result.model):
+            return found, ()
+        doubtful = tuple(find_large_device_effects(result.model))
+        doubt = explain_unseparated_device(base, result)
+        if not doubt:
+            doubtful, doubt = self._find_doubt()
+        if doubt:
+            return replace(found, against=doubt, device_may_err=True), doubtful
+        return found, ()
+
+    def _find_doubt(self) -> tuple[tuple[str, ...], str]:
+        """Find an effect that lowers the error and may be wrong, and explain why; no effect and no
+        text if nothing suggests it.
+
+        The device may cause it, or an effect of the device explains the error clearly better, or as
+        well in its place.
+        """
+        scene, fitted = self.scene, self.result.model
+        device = _list_device_candidates(scene)
+        if doubtful := find_doubtful_effects(scene, self.effects, device, fitted):
+            return tuple(doubtful), robot_or_device(doubtful[0])
+        large = find_large_device_effects(fitted)
+        for one in self.effects:
+            # An error of the device of usual size is none that the robot would learn.
+            if one.effect.of_device and one.name not in large:
+                continue
+            if better := self._find_better_of_device(one, device):
+                outdone_by = join_words(c.name for c in better)
+                verb = "explains" if len(better) == 1 else "explain"
+                return (
+                    (one.name,),
+                    f"{outdone_by} {verb} the error clearly better than '{one.name}' "
+                    "(see diagnose)",
+                )
+        for one in self.effects:
+            alike = [c for c in device if not c.effect.needs and are_confused(one, c)]
+            if not one.effect.of_device and any(self._fits_as_well(one, c) for c in alike):
+                return (one.name,), robot_or_device(one.name)
+        return (), ""
+
+    def _find_better_of_device(
+        self, one: Candidate, device: Sequence[Candidate]
+    ) -> list[Candidate]:
+        """The effects of the device that explain clearly more than one of the added effects, and
+        leave nothing for it; each next to the others that are added."""
+        better = [c for c in device if c.scene is one.scene and is_clearly_better(c, one)]
+        others = [c for c in self.effects if c is not one]
+        if not better or is_needed([one], [*others, *better], self.scene, self.result.model):
+            return []
+        if not others:
+            return better
+        # What the others explain makes neither of them better.
+        extended = self.base.start
+        for other in others:
+            extended = extended.with_effect(other.name, other.settings)
+        limited = limit_patterns(self.result.options, extended, self.result.start)
+        limited = replace(limited, hold_out=0.0)
+        try:
+            fitted = fit_unjudged(extended, self.base.dataset, limited, given=self.base.given)
+        except FitError:  # the others need it
+            return []
+        beside = see(fitted.result)
+        again = replace(candidate(beside, one.name), settings=one.settings)
+        names = {c.name for c in better}
+        return [
+            c
+            for c in _list_device_candidates(beside)
+            if c.name in names and is_clearly_better(c, again)
+        ]
+
+    def _fits_as_well(self, one: Candidate, rival: Candidate) -> bool:
+        """Whether a rival fits as well in place of one of the added effects. It may be larger than
+        usual if this effect is."""
+        swapped, result = self.base.start, self.result
+        try:
+            for each in self.effects:
+                chosen = rival if each is one else each
+                swapped = swapped.with_effect(chosen.name, chosen.settings)
+            other = fit_unjudged(
+                swapped,
+                self.base.dataset,
+                result.options,
+                given=self.base.given,
+                noise=result.observations,
+            ).judge()
+        except (FitError, ModelError):
+            return False
+        own, its = ({size.effect for size in r.unusual.values()} for r in (result, other))
+        if rival.name in its and one.name not in own:
+            return False
+        return is_as_good(Trial((), result), Trial((), other))
+
+
+def _list_device_candidates(scene: Scene) -> list[Candidate]:
+    names = [n for n in list_effects_to_test(scene.model) if load_effect(n).of_device]
+    return [candidate(scene, name) for name in names]
+
+
+def find_addition(
+    model: Model,
+    effect: str,
+    dataset: Dataset,
+    options: FitOptions,
+    progress: Progress | None = None,
+    knocked: Sequence[int] | None = None,
+    known: tuple[FitResult, FitResult | None] | None = None,
+) -> Addition:
+    """Fit a model without and with effects to the same samples.
+
+    Parameters
+    ----------
+    model : Model
+    effect : str
+        As `add` takes it: `"NAME:parameter=value,..."`, several effects joined by `+`.
+    dataset : Dataset
+    options : FitOptions
+    progress : callable, optional
+    knocked : sequence of int, optional
+        Numbers of the samples to exclude because they are far from all others. By default they are
+        searched for, unless the loss is robust.
+    known : tuple of FitResult, optional
+        The fits of all samples without and with the effects, if they are known. The second is None
+        if the noise is not stated: this fit estimates it.
+
+    Returns
+    -------
+    Addition
+
+    Raises
+    ------
+    FitError
+        If the model, or the model with the effects, cannot be identified from the samples.
+    ModelError
+        If an effect is unknown or does not apply to the model.
+    """
+    asked, larger = parse_effects(effect), model
+    for name, _ in asked:  # report a wrong name before a search
+        larger = larger.with_effect(name)
+    dataset = add_lagged_conditions(larger.conditions, dataset)
+    limited = limit_patterns(options, model, larger)
+
+    def keep(aside: Sequence[int]) -> Dataset:
+        return dataset.excluding(aside, f"because it is {explain_exclusion(dataset, aside)}")
+
+    def extend(base: FitResult, aside: Sequence[int], result: FitResult | None = None) -> Addition:
+        scene, added = see(base), list[Candidate]()
+        # Start where the base started, so that the device's frame is the one registered there.
+        extended = base.start
+        for name, settings in asked:
+            one = candidate(scene, name)  # with the settings that fit the residuals best
+            added.append(replace(one, settings=settings or one.settings))
+            extended = extended.with_effect(name, added[-1].settings)
+        try:
+            result = result or fit(extended, base.dataset, options, progress)
+        except FitError:
+            # One knocked sample may be what no plausible size of the effects describes.
+            seen = observe(extended, base.dataset, options.joint_sigma, options.insist)
+            outliers = search_outliers(extended, base.dataset, seen, options)
+            searched = knocked is None and not aside
+            if outliers is None or not searched or not are_few(outliers.numbers, dataset):
+                raise
+            return fit_both(outliers.numbers)
+        result = with_given_model_of(result, base)
+        return Addition(keep(aside), base, result, scene, tuple(added), effect, tuple(aside))
+
+    def fit_both(aside: Sequence[int]) -> Addition:
+        return extend(fit(model, keep(aside), limited, progress), aside)
+
+    def fit_without_more(before: Sequence[int], more: list[int]) -> Addition:
+        return fit_both(sorted({*before, *more}))
+
+    try:
+        both = extend(known[0], (), known[1]) if known else fit_both(knocked or ())
+    except ImplausibleGeometryError as error:
+        if knocked is not None or not error.outliers:
+            raise
+        both = fit_both(error.outliers)
+    while knocked is None and options.loss == "linear":  # a knocked sample may hide another one
+        fits = [(both.scene, both.base), (see(both.result), both.result)]
+        if not both.acceptance.against:  # samples that it explains, such as a few under load
+            fits = fits[1:]
+        fit_more = partial(fit_without_more, both.knocked)
+        without = set_knocked_samples_aside(fits, fit_more, lambda others: others.result.model)
+        if without is None or not are_few(without[1].knocked, dataset):
+            break
+        both = without[1]
+    return both
+
+
+def see(found: FitResult) -> Scene:
+    """The residuals of a fit, on which candidates are scored."""
+    return Scene.of(found.model, found.dataset, found.observations, found.free)
+
+
+def with_noise_of(found: FitResult, noise: Observations) -> FitResult:
+    """Repeat a fit with the noise that another fit of the same samples estimated.
+
+    Only with equal weights can the residuals of two fits be compared. If all noise is stated, the
+    fit is returned as it is.
+    """
+    if not noise.unknown:
+        return found
+    options = replace(found.options, hold_out=0)
+    return fit_unjudged(found.start, found.dataset, options, noise=noise).judge()
+
+
+def with_given_model_of(result: FitResult, rival: FitResult) -> FitResult:
+    """Let a fit be compared with the model that its rival started from."""
+    given = replace(rival.given, known_held_out=rival.held_out_before)
+    return replace(result, given=given, registration=rival.registration)
