@@ -146,6 +146,49 @@ def test_measurements_that_a_network_delivers_late_are_not_astray(messages):
     assert found.strays == 0
 
 
+@pytest.mark.parametrize("rate", [0.5, 1, 3, 10, 40])
+@pytest.mark.parametrize("silent", ["joint_states", "measured_pose"])
+def test_a_gap_in_a_recording_played_at_any_rate_is_no_clock_that_was_set(messages, silent, rate):
+    """Played three times too fast, a gap of 5 s shifted all later poses by 2.1 s: 31 mm."""
+    part = until(messages, 40)
+    first = part[0][1]
+    gapped = [
+        (topic, log, message)
+        for topic, log, message in part
+        if topic != silent or not 10e9 < log - first < 15e9
+    ]
+    played = [(topic, first + round((log - first) / rate), m) for topic, log, m in gapped]
+    found, whole = feed(Collector(), played), feed(Collector(), gapped)
+    same(found.collection().dataset, whole.collection().dataset)
+    assert len(found) > 20
+    assert found.warnings() == whole.warnings() == []
+    assert found.strays == 0
+
+
+@pytest.mark.parametrize("bad", ["late", "ahead of the joints"])
+def test_a_burst_of_poses_in_a_gap_of_the_joint_states_is_no_clock_that_was_set(messages, bad):
+    """Poses that arrive while no joint state does tell nothing about the clocks."""
+    part = until(messages, 30)
+    first = part[0][1]
+    begin, end = first + 10 * 10**9, first + 15 * 10**9
+    gapped, k = [], 0
+    for topic, log, message in part:
+        if topic == "joint_states":
+            if begin < log < end - 10**8:
+                continue
+        elif begin < log < end:  # 5 s of poses are received at once
+            k += 1
+            log = (end if bad == "late" else begin) + k
+        gapped.append((topic, log, message))
+    gapped.sort(key=lambda m: m[1])
+    found = feed(Collector(), gapped)
+    true = feed(Collector(), part).collection().dataset
+    for q, r in zip(*(getattr(found.collection().dataset, name) for name in "qr"), strict=True):
+        assert np.linalg.norm(true.r[np.argmin(np.abs(true.q - q).max(axis=1))] - r) < 1e-3
+    assert len(found) >= 15
+    assert found.warnings() == []
+
+
 @pytest.mark.parametrize("channel", ["joint_states", "measured_pose"])
 def test_a_first_message_ahead_of_its_time_costs_no_sample(messages, channel):
     part = until(messages, 15)
