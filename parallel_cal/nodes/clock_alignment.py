@@ -119,7 +119,7 @@ class ClockAlignment:
         return released
 
     def _release(self, message: StampedMessage) -> StampedMessage:
-        self._last = message
+        self._last = message if message.stamp else self._last
         corrected = replace(message, stamp=message.stamp and message.stamp - self._moved)
         self._unrelated.append(corrected)
         return corrected
