@@ -210,6 +210,27 @@ def test_messages_without_a_stamp_among_stamped_ones_are_dropped_and_end_no_sess
         ]
 
 
+@pytest.mark.parametrize("by", [37, -37, 1_000_000])
+@pytest.mark.parametrize("seconds", [4, 30])
+def test_poses_on_a_clock_that_never_overlaps_the_joints_give_the_same_samples(
+    messages, by, seconds
+):
+    """A campaign with a tracker whose clock was 37 s off ended at its first pose: the order of
+    reception tells the first offset, and the motion a better one."""
+    part = until(messages, seconds)
+    off = [(t, log, stamped(m, by) if "pose" in t else m) for t, log, m in part]
+    found, whole = feed(Collector(), off), feed(Collector(), part)
+    assert len(found) == len(whole) > (1 if seconds < 10 else 15)
+    np.testing.assert_allclose(
+        found.collection().dataset.r, whole.collection().dataset.r, atol=2e-5
+    )
+    np.testing.assert_allclose(
+        found.collection().dataset.q, whole.collection().dataset.q, atol=1e-5
+    )
+    late = "later" if by > 0 else "earlier"
+    assert any(f"was stamped {abs(by)}.0 s {late} than joint_states" in w for w in found.warnings())
+
+
 @pytest.mark.parametrize("channel", ["joint_states", "measured_pose"])
 def test_a_first_message_ahead_of_its_time_costs_no_sample(messages, channel):
     part = until(messages, 15)

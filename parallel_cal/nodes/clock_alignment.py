@@ -104,7 +104,8 @@ class ClockAlignment:
                 self._held.append(message)
                 continue
             held, self._held = self._held, []
-            if _continue([*held, message]):  # they arrived late
+            steps = (b.stamp - a.stamp for a, b in pairwise([*held, message]))
+            if all(abs(step) <= MAX_STAMP_JUMP_NS for step in steps):  # they were only late
                 released += map(self._release, held)
             elif held:
                 self.strays += len(held)
@@ -181,11 +182,6 @@ class ClockAlignment:
         )
         self.trouble = KeyedWarning(words, "clock set", self._name)
         return [self._release(message) for message in held]
-
-
-def _continue(messages: Sequence[StampedMessage]) -> bool:
-    """Return whether the stamps follow one another without a jump."""
-    return all(abs(b.stamp - a.stamp) <= MAX_STAMP_JUMP_NS for a, b in pairwise(messages))
 
 
 def _offset_range(stamp: int, before: int | None, after: int | None) -> OffsetRange | None:
