@@ -22,7 +22,12 @@ pytest.importorskip("rclpy")
 pytest.importorskip("parallel_cal_msgs")
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Vector3Stamped
+from geometry_msgs.msg import (
+    InertiaStamped,
+    PoseStamped,
+    PoseWithCovarianceStamped,
+    Vector3Stamped,
+)
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from parallel_cal_msgs.action import Identify
@@ -40,7 +45,7 @@ from rcl_interfaces.srv import GetParameterTypes, SetParameters
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.task import Future
 from ros_helpers import LONG, NodeProcess
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
@@ -826,33 +831,43 @@ def test_a_constraint_session_gives_the_samples_of_its_bag_and_calibrates_the_ro
 
 @mock.patch.dict(os.environ)
 def test_best_effort_streams_are_received_and_said_to_be_so(tmp_path):
-    """Of a device with sensor data QoS, 0 of 360 poses arrived."""
+    """Of a device with sensor data QoS, 0 of 360 poses arrived; of a thermometer, 0 of 80."""
     namespace = use_private_domain() + "_best_effort"
     node = Process("calibration_node", tmp_path, namespace, journal=False)
     client = Client("tester", namespace, [node])
     status = client.subscribe_latest(CollectionStatus, "calibration_node/collection_status")
     client.wait(lambda: bool(status), "a status")
-    publishers = {}
-    for topic, kind in (("joint_states", JointState), ("measured_pose", PoseWithCovarianceStamped)):
-        publishers[topic] = client._node.create_publisher(kind, topic, qos_profile_sensor_data)
-    state, pose = JointState(name=["a"], position=[0.1]), PoseWithCovarianceStamped()
-    pose.pose.pose.orientation.w = 1.0
+    received = []
+    client._node.create_subscription(DiagnosticArray, "/diagnostics", received.append, 10)
+    messages = {
+        "joint_states": JointState(name=["a"], position=[0.1]),
+        "measured_pose": PoseWithCovarianceStamped(),
+        "temperature": Temperature(temperature=21.0),
+        "payload": InertiaStamped(),
+    }
+    messages["measured_pose"].pose.pose.orientation.w = 1.0
+    publishers = {
+        topic: client._node.create_publisher(type(message), topic, qos_profile_sensor_data)
+        for topic, message in messages.items()
+    }
     sent = 0
 
     def arrived():
         nonlocal sent
         sent += 1
-        for message, topic in ((state, "joint_states"), (pose, "measured_pose")):
+        for topic, message in messages.items():
             message.header.stamp.sec = 100 + sent // 50
             message.header.stamp.nanosec = sent % 50 * 20_000_000
             publishers[topic].publish(message)
-        return status[0].joint_states_received > 20 and status[0].poses_received > 20
+        shown = {s.name.split(": ")[-1] for array in received for s in array.status}
+        enough = status[0].joint_states_received > 20 and status[0].poses_received > 20
+        return enough and shown >= messages.keys()
 
     client.wait(arrived, "messages that were published best effort", 120)
     client.close()
     assert node.end() == 0
     said = node.log.read_text()
-    for topic in publishers:
+    for topic in messages:
         assert f"{namespace}/{topic} is published best effort by {namespace}/tester" in said
 
 

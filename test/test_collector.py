@@ -146,6 +146,91 @@ def test_measurements_that_a_network_delivers_late_are_not_astray(messages):
     assert found.strays == 0
 
 
+@pytest.mark.parametrize("rate", [0.5, 1, 3, 10, 40])
+@pytest.mark.parametrize("silent", ["joint_states", "measured_pose"])
+def test_a_gap_in_a_recording_played_at_any_rate_is_no_clock_that_was_set(messages, silent, rate):
+    """Played three times too fast, a gap of 5 s shifted all later poses by 2.1 s: 31 mm."""
+    part = until(messages, 40)
+    first = part[0][1]
+    gapped = [
+        (topic, log, message)
+        for topic, log, message in part
+        if topic != silent or not 10e9 < log - first < 15e9
+    ]
+    played = [(topic, first + round((log - first) / rate), m) for topic, log, m in gapped]
+    found, whole = feed(Collector(), played), feed(Collector(), gapped)
+    same(found.collection().dataset, whole.collection().dataset)
+    assert len(found) > 20
+    assert found.warnings() == whole.warnings() == []
+    assert found.strays == 0
+
+
+@pytest.mark.parametrize("bad", ["late", "ahead of the joints"])
+def test_a_burst_of_poses_in_a_gap_of_the_joint_states_is_no_clock_that_was_set(messages, bad):
+    """Poses that arrive while no joint state does tell nothing about the clocks."""
+    part = until(messages, 30)
+    first = part[0][1]
+    begin, end = first + 10 * 10**9, first + 15 * 10**9
+    gapped, k = [], 0
+    for topic, log, message in part:
+        if topic == "joint_states":
+            if begin < log < end - 10**8:
+                continue
+        elif begin < log < end:  # 5 s of poses are received at once
+            k += 1
+            log = (end if bad == "late" else begin) + k
+        gapped.append((topic, log, message))
+    gapped.sort(key=lambda m: m[1])
+    found = feed(Collector(), gapped)
+    true = feed(Collector(), part).collection().dataset
+    for q, r in zip(*(getattr(found.collection().dataset, name) for name in "qr"), strict=True):
+        assert np.linalg.norm(true.r[np.argmin(np.abs(true.q - q).max(axis=1))] - r) < 1e-3
+    assert len(found) >= 15
+    assert found.warnings() == []
+
+
+def test_messages_without_a_stamp_among_stamped_ones_are_dropped_and_end_no_session(messages):
+    """500 of them after 3 dwells gave all later poses the computer's time: no sample more."""
+    part = until(messages, 20)
+    first = part[0][1]
+    bad = []
+    topic, log, message = next(m for m in part if "pose" in m[0] and m[1] - first > 5e9)
+    for k in range(2000):
+        unstamped = copy.deepcopy(message)
+        unstamped.header.stamp.sec = unstamped.header.stamp.nanosec = 0
+        bad.append((topic, log + 1 + k, unstamped))
+    spoilt = sorted([*part, *bad], key=lambda m: m[1])
+    simulated = [(t, log - first + 1, m) for t, log, m in spoilt]  # received at another clock
+    whole = feed(Collector(), part)
+    for stream in (spoilt, simulated):
+        found = feed(Collector(), stream)
+        same(found.collection().dataset, whole.collection().dataset)
+        assert [(d.reason, d.count) for d in found.dropped() if d.count >= 2000] == [
+            ("header stamp is zero", 2000)
+        ]
+
+
+@pytest.mark.parametrize("by", [37, -37, 1_000_000])
+@pytest.mark.parametrize("seconds", [4, 30])
+def test_poses_on_a_clock_that_never_overlaps_the_joints_give_the_same_samples(
+    messages, by, seconds
+):
+    """A campaign with a tracker whose clock was 37 s off ended at its first pose: the order of
+    reception tells the first offset, and the motion a better one."""
+    part = until(messages, seconds)
+    off = [(t, log, stamped(m, by) if "pose" in t else m) for t, log, m in part]
+    found, whole = feed(Collector(), off), feed(Collector(), part)
+    assert len(found) == len(whole) > (1 if seconds < 10 else 15)
+    np.testing.assert_allclose(
+        found.collection().dataset.r, whole.collection().dataset.r, atol=2e-5
+    )
+    np.testing.assert_allclose(
+        found.collection().dataset.q, whole.collection().dataset.q, atol=1e-5
+    )
+    late = "later" if by > 0 else "earlier"
+    assert any(f"was stamped {abs(by)}.0 s {late} than joint_states" in w for w in found.warnings())
+
+
 @pytest.mark.parametrize("channel", ["joint_states", "measured_pose"])
 def test_a_first_message_ahead_of_its_time_costs_no_sample(messages, channel):
     part = until(messages, 15)

@@ -1,6 +1,9 @@
 """Keep the offset between a stream's stamps and the joint states' stamps when a clock is set.
 
-Stamps are compared at the same time of receiving. This module does not use ROS. Times are in ns.
+The order of reception is compared, not its times: a message's stamp lies between the stamps of the
+joint states that were received before and after it, whether they come in real time, from a
+recording that is played ten times as fast, or after a gap. This module does not use ROS. Times are
+in ns.
 """
 
 from __future__ import annotations
@@ -9,7 +12,8 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
-from statistics import median
+from itertools import pairwise
+from typing import NamedTuple
 
 from parallel_cal.base.keyed_warning import KeyedWarning
 from parallel_cal.nodes.gate import (
@@ -20,7 +24,26 @@ from parallel_cal.nodes.gate import (
 )
 
 MAX_JOINT_STATES = 50_000  # joint states whose times are remembered
-N_RECENT_OFFSETS = 50  # messages whose median offset relates two clocks
+N_RECENT_OFFSETS = 50  # messages that relate two clocks
+
+
+class OffsetRange(NamedTuple):
+    """Limits of a stamp minus the joint states' stamp at the same moment."""
+
+    low: int
+    high: int
+
+    @property
+    def middle(self) -> int:
+        return (self.low + self.high) // 2
+
+    @property
+    def is_narrow(self) -> bool:
+        """Whether it tells the offset; it does not in a gap of the joint states."""
+        return abs(self.high - self.low) <= MAX_STAMP_JUMP_NS
+
+    def allows(self, offset: int) -> bool:
+        return self.low - MAX_STAMP_JUMP_NS <= offset <= self.high + MAX_STAMP_JUMP_NS
 
 
 class JointClock:
@@ -31,116 +54,127 @@ class JointClock:
         self._stamps: list[int] = []
         self.leaps = 0  # jumps of more than a second from one stamp to the next
 
-    @property
-    def until(self) -> int:
-        """Time at which the last joint state was received."""
-        return self._logs[-1]
-
     def add(self, stamp: int, log: int) -> None:
         """Add a joint state that has a stamp and was received at the time `log`."""
         if not stamp:
             return
         if len(self._logs) > 2 * MAX_JOINT_STATES:
             del self._logs[:MAX_JOINT_STATES], self._stamps[:MAX_JOINT_STATES]
-        if self._logs and log < self.until:  # the receiving computer's clock was set back
+        if self._logs and log < self._logs[-1]:  # the receiving computer's clock was set back
             self._logs, self._stamps = [], []
         self.leaps += bool(self._stamps and abs(stamp - self._stamps[-1]) > MAX_STAMP_JUMP_NS)
         self._logs.append(log)
         self._stamps.append(stamp)
 
-    def at(self, log: int) -> int | None:
-        """Interpolate the joint states' stamp at a time of receiving; None before the first one."""
+    def neighbours(self, log: int) -> tuple[int | None, int | None]:
+        """Return the stamps of the joint states received last before `log` and first after it."""
         i = bisect_right(self._logs, log)
-        if i == 0:
-            return None
-        before, stamp = self._logs[i - 1], self._stamps[i - 1]
-        if i == len(self._logs):
-            return stamp + log - before
-        share = (log - before) / max(self._logs[i] - before, 1)
-        return stamp + round(share * (self._stamps[i] - stamp))
+        before = self._stamps[i - 1] if i else None
+        return before, self._stamps[i] if i < len(self._stamps) else None
 
 
 class ClockAlignment:
     """Correct the stamps of one stream after its clock or the joints' clock was set.
 
-    After a jump of the stamps, a message is held back if its offset to the joint states' stamps
-    differs by more than a second from the offset before. If several such messages agree, one of the
-    clocks was set, and all later stamps are corrected by the difference. If they do not agree, they
-    are dropped and counted in `strays`. A message that only arrives late has no jump in its stamp.
+    After a jump of the stamps, a message is held back until a joint state follows it. If its offset
+    to the joint states' stamps then differs by more than a second from the offset before, it stays
+    held back. If several such messages agree, one of the clocks was set, and all later stamps are
+    corrected by the difference. If they do not agree, those that continue in the next message that
+    fits were only late; the others are dropped and counted in `strays`.
     """
 
     def __init__(self, name: str, joints: JointClock):
         self._name, self._joints = name, joints
         self._offsets: deque[int] = deque(maxlen=N_RECENT_OFFSETS)
+        self._unrelated: deque[StampedMessage] = deque(maxlen=N_RECENT_OFFSETS)
         self._held: list[StampedMessage] = []
         self._last: StampedMessage | None = None
         self._moved = self._leaps = 0
+        self._in_doubt = False  # a clock may have been set since the last narrow offset
         self.strays = 0
         self.trouble = ""
 
     def take(self, received: Sequence[StampedMessage]) -> list[StampedMessage]:
         """Take messages in; return those that can be used now, with corrected stamps."""
+        self._learn_offsets()
         waiting, self._held = [*self._held, *received], list[StampedMessage]()
         released = list[StampedMessage]()
         for message in waiting:
-            if self._fits(message):
-                if self._held:
-                    self.strays += len(self._held)
-                    self._held = []
-                    words = (
-                        f"{self._name}: {self.strays} messages dropped: their offset to the joint "
-                        "states' stamps changed by more than a second"
-                    )
-                    self.trouble = KeyedWarning(words, "stamps off the joints'", self._name)
-                released.append(self._release(message))
-            else:
+            if not self._fits(message):
                 self._held.append(message)
-        if self._has_agreement():
-            released += self._release_shifted()
+                continue
+            held, self._held = self._held, []
+            steps = (b.stamp - a.stamp for a, b in pairwise([*held, message]))
+            if all(abs(step) <= MAX_STAMP_JUMP_NS for step in steps):  # they were only late
+                released += map(self._release, held)
+            elif held:
+                self.strays += len(held)
+                words = (
+                    f"{self._name}: {self.strays} messages dropped: their offset to the joint "
+                    "states' stamps changed by more than a second"
+                )
+                self.trouble = KeyedWarning(words, "stamps off the joints'", self._name)
+            released.append(self._release(message))
+        if agreeing := self._find_agreement():
+            released += self._release_shifted(agreeing)
         return released
 
     def _release(self, message: StampedMessage) -> StampedMessage:
-        offset = self._offset(message)
-        if offset is not None:
-            self._offsets.append(offset)
-        self._last, self._leaps = message, self._joints.leaps
-        return replace(message, stamp=message.stamp and message.stamp - self._moved)
+        self._last = message if message.stamp else self._last
+        corrected = replace(message, stamp=message.stamp and message.stamp - self._moved)
+        self._unrelated.append(corrected)
+        return corrected
 
-    def _offset(self, message: StampedMessage) -> int | None:
-        """Return the corrected stamp minus that of a joint state received at the same time."""
-        joints = self._joints.at(message.log)
-        if not message.stamp or joints is None:
-            return None
-        return message.stamp - self._moved - joints
+    def _learn_offsets(self) -> None:
+        """Learn the offsets of the released messages that a joint state has followed, unless the
+        joints' clock may have been set meanwhile."""
+        if self._leaps != self._joints.leaps:
+            self._leaps, self._in_doubt = self._joints.leaps, True
+            self._unrelated.clear()
+        while self._unrelated:
+            before, after = self._joints.neighbours(self._unrelated[0].log)
+            if before is not None and after is None:
+                return
+            message = self._unrelated.popleft()
+            offset = _offset_range(message.stamp, before, after)
+            if offset is not None and offset.is_narrow:
+                self._offsets.append(offset.middle)
+
+    @property
+    def _offset_before(self) -> int:
+        """The offset while the clocks agreed: messages arrive late, but never early."""
+        return max(self._offsets)
 
     def _fits(self, message: StampedMessage) -> bool:
-        last, offset = self._last, self._offset(message)
-        if last is None or offset is None or not self._offsets:
+        last = self._last
+        before, after = self._joints.neighbours(message.log)
+        if last is None or not self._offsets or not message.stamp or before is None:
             return True
-        jump = abs(message.stamp - last.stamp) > MAX_STAMP_JUMP_NS
-        if self._leaps == self._joints.leaps and not jump:
+        self._in_doubt |= abs(message.stamp - last.stamp) > MAX_STAMP_JUMP_NS
+        if not self._in_doubt:
             return True
-        return abs(offset - self._offsets[-1]) <= MAX_STAMP_JUMP_NS
+        offset = _offset_range(message.stamp - self._moved, before, after)
+        if offset is None or not offset.allows(self._offset_before):
+            return False
+        self._in_doubt = not offset.is_narrow
+        return True
 
-    def _has_agreement(self) -> bool:
-        """Check that enough held messages agree for long enough.
-
-        The joint states must reach into the same time: an offset beyond them is extrapolated.
-        """
+    def _find_agreement(self) -> list[int]:
+        """Return the offsets of the held messages, if enough agree for long enough."""
         held = self._held
         if len(held) < MIN_AGREEING_MESSAGES or held[-1].log - held[0].log < PUBLISHER_TIMEOUT_NS:
-            return False
-        offsets = [offset for offset in map(self._offset, held) if offset is not None]
-        return (
-            self._joints.until >= held[MIN_AGREEING_MESSAGES - 1].log
-            and max(offsets) - min(offsets) <= MAX_STAMP_JUMP_NS
-        )
+            return []
+        ranges = [
+            _offset_range(m.stamp - self._moved, *self._joints.neighbours(m.log)) for m in held
+        ]
+        offsets = [r.middle for r in ranges if r is not None and r.is_narrow]
+        enough = len(offsets) >= MIN_AGREEING_MESSAGES
+        return offsets if enough and max(offsets) - min(offsets) <= MAX_STAMP_JUMP_NS else []
 
-    def _release_shifted(self) -> list[StampedMessage]:
-        """Correct later stamps by the change of the median offset; release what was held."""
-        held, self._held = self._held, []
-        by = round(median(offset for offset in map(self._offset, held) if offset is not None))
-        by -= round(median(self._offsets))
+    def _release_shifted(self, offsets: Sequence[int]) -> list[StampedMessage]:
+        """Correct later stamps by the change of the offset; release what was held."""
+        held, self._held, self._in_doubt = self._held, [], False
+        by = max(offsets) - self._offset_before
         self._moved += by
         words = (
             f"{self._name}: its clock or the joints' clock was set by {by * 1e-9:+.3f} s; its "
@@ -148,3 +182,10 @@ class ClockAlignment:
         )
         self.trouble = KeyedWarning(words, "clock set", self._name)
         return [self._release(message) for message in held]
+
+
+def _offset_range(stamp: int, before: int | None, after: int | None) -> OffsetRange | None:
+    """Return the limits of a stamp's offset; None while a joint state or the stamp is missing."""
+    if not stamp or before is None or after is None:
+        return None
+    return OffsetRange(*sorted((stamp - before, stamp - after)))

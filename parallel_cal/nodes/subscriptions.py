@@ -56,12 +56,19 @@ class MessageQueue:
         self._node = node
         self._waiting: deque[ReceivedMessage] = deque()
         self._health = {name: Stream() for name in CHANNELS}
+        # When the last messages of channels with two subscriptions were published, ns.
+        self._published = {name: deque[int](maxlen=10) for name, c in CHANNELS.items() if c.latched}
         self.inflow = Inflow()
 
     def put(self, channel: str, message: Any, info: dict[str, int]) -> None:
-        """Append a message while the node is active."""
+        """Append a message while the node is active, once if two subscriptions receive it."""
         if not self._node.active:
             return
+        published = self._published.get(channel)
+        if published is not None:
+            if info["source_timestamp"] in published:
+                return
+            published.append(info["source_timestamp"])
         # When the middleware received it, as a recorder sees it, not when a callback got its turn.
         received = info["received_timestamp"] or time.time_ns()
         sequence = info.get("publication_sequence_number")
@@ -109,6 +116,7 @@ class Subscriptions:
         pose_class = _driver_class(driver_type) or getattr(geometry_msgs.msg, pose_type)
         self._body = body if driver_type else None
         self._pumps: dict[str, Pump] = {}
+        self._rare: dict[str, Any] = {}  # subscriptions in the executor, by their channel
         quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
         for camera in cameras:
             # Each camera searches its images in the thread of its pump.
@@ -139,33 +147,43 @@ class Subscriptions:
         """
         changes = []
         for channel, pump in list(self._pumps.items()):
-            publishers = self._node.get_publishers_info_by_topic(pump.topic)
-            names = sorted(
-                f"{p.node_namespace.rstrip('/')}/{p.node_name}"
-                for p in publishers
-                if p.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
-            )
-            if not (pump.is_reliable and names):
-                continue
             type, topic = pump.type, pump.topic
-            pump.destroy()
-            self._queue.inflow.remove_reader(pump)
-            best_effort = BEST_EFFORT_STREAM if channel in CHANNELS else BEST_EFFORT_IMAGES
-            self._start_pump(channel, topic, type, best_effort, pump.take)
-            changes.append(
-                f"{topic} is published best effort by {', '.join(names)}, so this node receives "
-                "it best effort, too: messages may be lost, and 'lost' counts them"
-            )
+            if pump.is_reliable and (names := self._find_best_effort_publishers(topic)):
+                pump.destroy()
+                self._queue.inflow.remove_reader(pump)
+                best_effort = BEST_EFFORT_STREAM if channel in CHANNELS else BEST_EFFORT_IMAGES
+                self._start_pump(channel, topic, type, best_effort, pump.take)
+                changes.append(_describe_best_effort(topic, names))
+        for channel, subscription in list(self._rare.items()):
+            topic = subscription.topic_name
+            if names := self._find_best_effort_publishers(topic):
+                self._node.destroy_subscription(self._rare.pop(channel))
+                self._subscribe_rare(channel, subscription.msg_type, BEST_EFFORT_STREAM)
+                changes.append(_describe_best_effort(topic, names))
         return changes
 
+    def _find_best_effort_publishers(self, topic: str) -> list[str]:
+        return sorted(
+            f"{p.node_namespace.rstrip('/')}/{p.node_name}"
+            for p in self._node.get_publishers_info_by_topic(topic)
+            if p.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+        )
+
     def _subscribe(self, channel: str, type: Any, qos: QoSProfile, **options: Any) -> None:
-        if CHANNELS[channel].kind not in STREAMED:
-            on_message = partial(self._queue.put, channel)
-            self._node.create_subscription(
-                type, channel, on_message, qos, callback_group=self._group, **options
-            )
+        if CHANNELS[channel].kind in STREAMED:
+            take = partial(self._on_stream, channel)
+            self._start_pump(channel, channel, type, qos, take, **options)
             return
-        self._start_pump(channel, channel, type, qos, partial(self._on_stream, channel), **options)
+        made = self._subscribe_rare(channel, type, qos, **options)
+        if qos is STREAM:  # a latched one gets what a reliable publisher stored for it
+            self._rare[channel] = made
+
+    def _subscribe_rare(self, channel: str, type: Any, qos: QoSProfile, **options: Any) -> Any:
+        """Subscribe to a channel whose few messages the executor can take."""
+        on_message = partial(self._queue.put, channel)
+        return self._node.create_subscription(
+            type, channel, on_message, qos, callback_group=self._group, **options
+        )
 
     def _start_pump(
         self,
@@ -209,6 +227,13 @@ class Subscriptions:
                 throttle_duration_sec=LOG_THROTTLE_S,
             )
         return found
+
+
+def _describe_best_effort(topic: str, publishers: Sequence[str]) -> str:
+    return (
+        f"{topic} is published best effort by {', '.join(publishers)}, so this node receives it "
+        "best effort, too: messages may be lost, and 'lost' counts them"
+    )
 
 
 def _driver_class(name: str) -> Any:

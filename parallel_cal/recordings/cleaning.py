@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from parallel_cal.base.errors import BagError
 from parallel_cal.recordings.channels import Kind, list_channels
+from parallel_cal.recordings.clocks import require_overlap
 from parallel_cal.recordings.joint_stream import clean_joints
 from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.pose_stream import clean_poses
@@ -20,7 +21,6 @@ from parallel_cal.recordings.recording import (
     NO_POSES,
     Dropped,
     JointStream,
-    PoseStream,
     Raw,
     Recording,
     ScalarStream,
@@ -57,7 +57,7 @@ def assemble(
     joints, pose = clean_joints(streams[0], sieves[0], options.joints, said), NO_POSES
     if len(streams) > 1:
         pose = clean_poses(streams[1], sieves[1], options.measures, said)
-        _require_overlap(joints, pose, start)
+        pose = require_overlap(pose, joints, streams, times, start, said)
     for sieve in sieves:
         dropped += sieve.dropped
 
@@ -151,18 +151,3 @@ def _latch_texts(
     before = np.searchsorted(joints.log, np.array(raw.log)[order], side="right") - 1
     time = np.asarray((joint_ns[before.clip(0)] - start) * 1e-9, float)
     return TextStream(raw.topic, time, tuple(raw.rows[i][0] for i in order))
-
-
-def _require_overlap(joints: JointStream, pose: PoseStream, start: int) -> None:
-    """Raise BagError if joints and poses were never recorded at the same time."""
-    if joints.time[0] <= pose.time[-1] and pose.time[0] <= joints.time[-1]:
-        return
-    spans = [
-        f"{s.topic} from {s.time[0] + start * 1e-9:.3f} to {s.time[-1] + start * 1e-9:.3f} s"
-        for s in (joints, pose)
-    ]
-    raise BagError(
-        f"the streams never overlap: {spans[0]}, {spans[1]}. Their clocks differ, "
-        "or one device was off. Record both together, or read by log time "
-        "(stamps='log')."
-    )

@@ -14,17 +14,23 @@ of noise at the best of the compared delays.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from parallel_cal.base.errors import BagError
 from parallel_cal.base.keyed_warning import KeyedWarning
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.recordings.dwells import jitter, noise_span
-from parallel_cal.recordings.recording import Array, Bools, JointStream, PoseStream, Recording
+from parallel_cal.recordings.recording import Array, Bools, JointStream, PoseStream, Raw, Recording
 
 MAX_DRIVER_DELAY_S = 50e-3  # s by which stamps of one clock may differ; `latency` covers them
 MIN_ARRIVAL_JITTER_S = 5e-3  # no device measures so irregularly, but networks deliver so
+# Between such neighbouring joint states, the order of reception tells the offset of a pose.
+MAX_RECEPTION_GAP_NS = 1_000_000_000
+MIN_RECEIVED_AMONG = 3  # poses received so: one or two may be stray
 MAX_STEPS = 800  # steps between neighbouring poses that are used
 MIN_STEPS = 60  # with fewer steps, no delay is estimated
 # Share of the steps' squares: the delay must leave less than this, and less than this share of what
@@ -105,6 +111,48 @@ def clock_offset(joints: JointStream, pose: PoseStream) -> Offset | None:
     if compared * steps.chance(delay) > MAX_CHANCE:
         return None
     return Offset(delay, steps.sigma(delay), measure_jitter(pose.time))
+
+
+def require_overlap(
+    pose: PoseStream,
+    joints: JointStream,
+    streams: Sequence[Raw],
+    times: Sequence[NDArray[np.int64]],
+    start: int,
+    said: list[str],
+) -> PoseStream:
+    """Return poses that overlap the joint states; BagError if they were never recorded together.
+
+    Poses on another clock are moved to the joints' by the order of reception; the motion tells the
+    offset more accurately later.
+    """
+    if joints.time[0] <= pose.time[-1] and pose.time[0] <= joints.time[-1]:
+        return pose
+    logs = [np.array(raw.log, np.int64) for raw in streams]
+    order = np.argsort(logs[0], kind="stable")
+    after = np.searchsorted(logs[0][order], logs[1])
+    among = (after > 0) & (after < len(order))
+    early, late = (times[0][order[after[among] - k]] for k in (1, 0))
+    close = np.abs(late - early) <= MAX_RECEPTION_GAP_NS
+    if close.sum() < MIN_RECEIVED_AMONG:
+        spans = [
+            f"{s.topic} from {s.time[0] + start * 1e-9:.3f} to {s.time[-1] + start * 1e-9:.3f} s"
+            for s in (joints, pose)
+        ]
+        raise BagError(
+            f"the streams never overlap: {spans[0]}, {spans[1]}. Their clocks differ, "
+            "or one device was off. Record both together, or read by log time "
+            "(stamps='log')."
+        )
+    middle = early[close] + (late[close] - early[close]) // 2
+    delay = float(1e-9 * np.median(times[1][among][close] - middle))
+    words = (
+        f"{pose.topic} was stamped {abs(delay):.1f} s {'later' if delay > 0 else 'earlier'} than "
+        f"{joints.topic} (by the order of reception): the two clocks differ. The poses were moved "
+        "to the joints' clock"
+    )
+    said.append(KeyedWarning(words, "two clocks by reception", pose.topic))
+    return dataclasses.replace(pose, time=pose.time - delay)
 
 
 def measure_jitter(time: Array) -> float:

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from parallel_cal.base.errors import BagError
 from parallel_cal.recordings.recording import Array, Bools, Dropped, Raw
 
+MIN_STAMPED_MESSAGES = 3  # with fewer among messages without a stamp, the log time is used
 CLOCK_JUMP = 1_000_000_000  # ns; a stamp further back than this is a clock that was reset
 # m or rad: no robot has such readings, and the sums of their squares would overflow
 MAX_PLAUSIBLE_READING = 1e9
@@ -30,6 +31,8 @@ class Sieve:
                 f"after {before[i] * 1e-9:.3f} s. Record again with one clock, cut the bag there, "
                 "or read it by log time (stamps='log')."
             )
+        header = np.array(raw.stamp, np.int64)
+        self.drop((header == 0) & (stamp != np.array(raw.log)), "header stamp is zero")
         self.drop(stamp < before, "stamp earlier than the message before")
         self.drop(stamp == before, "stamp repeats the message before")
 
@@ -71,9 +74,9 @@ def resolve_stamps(raw: Raw, stamps: str, notes: list[str]) -> NDArray[np.int64]
     if stamps == "log":
         return log
     empty = header == 0
-    if np.mean(empty) > 0.5:
+    if np.count_nonzero(header) < min(MIN_STAMPED_MESSAGES, len(header)):
         notes.append(f"{raw.topic}: header stamps are zero; the log time is used instead")
         return log
-    # A zero among real stamps repeats the stamp before it, and the sieve drops repeated stamps.
+    # A zero among real stamps takes the stamp before it, so that time goes on; the sieve drops it.
     last = np.maximum.accumulate(np.where(empty, int(np.argmin(empty)), np.arange(len(header))))
     return header[last]
