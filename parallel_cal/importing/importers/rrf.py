@@ -73,6 +73,7 @@ def samples(
         [unit / stated.number(f, "steps per unit", STEPS, low=1e-3) for f in STEPS_FIELDS],
         visits=points[:, :2],
         dropped=[gap for each in read for gap in each[2]],
+        warnings=stated.describe_unused(),
         printed=make_printed_ends(delta, printed_x, printed_y),
     )
 
@@ -80,8 +81,9 @@ def samples(
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     """Return the printer as configured; M666 A and B are the slopes of the bed."""
     stated = settings(paths, CODES)
+    unused = stated.describe_unused()
     if kind(stated) == 6:
-        remarks = ["lines on spools of one radius and advantage share it"]
+        remarks = [*unused, "lines on spools of one radius and advantage share it"]
         if stated.number("M666 W", "kg", 0.0) > 0:
             remarks.append("M666 W: the firmware's correction of the lines' stretch is not used")
         lines = read_hangprinter(stated)
@@ -90,9 +92,9 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
         except ModelError as error:
             raise stated.error("M669 A", f"other anchors: {error}") from None
     if kind(stated) == 9:
-        return ConfiguredRobot(new_model(read_five_bars(stated).mechanism()))
+        return ConfiguredRobot(new_model(read_five_bars(stated).mechanism()), tuple(unused))
     delta = read_delta(stated)
-    remarks = []
+    remarks = unused
     if isinstance(delta, Shoulders):
         deltas.check_reach(delta, stated, "M669 H")
         if np.ptp(delta.arms):
