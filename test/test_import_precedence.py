@@ -118,9 +118,7 @@ def test_a_file_that_includes_itself_is_refused(write):
 
 def test_a_second_file_that_is_not_included_is_refused(write):
     extra = write("[printer]\ndelta_radius: 160\n", "extra.cfg")
-    with pytest.raises(
-        DatasetError, match=r"extra\.cfg: .*does not include it, so Klip"
-    ):
+    with pytest.raises(DatasetError, match=r"extra\.cfg: .*does not include it, so Klip"):
         configured([write(MAIN), extra])
     path = write(MAIN + "[include extra.cfg]\n")
     assert fields(extra, path)["[printer] delta_radius"] == "160"  # in any order
@@ -248,3 +246,47 @@ def test_a_dead_override_is_not_written_to(write):
     assert vf.words(path.read_text())["M665 R"] == 101
     assert override.read_text() == "M665 R100\n"
     assert done.loss["position_max"] < 0.2e-6
+
+
+HEADER_H = """\
+#define DELTA_DIAGONAL_ROD 250.0 // mm
+#define DELTA_RADIUS 124.0
+#define DELTA_HEIGHT 295.0
+#define DELTA_ENDSTOP_ADJ { 0.0, -0.5, -0.25 }
+"""
+DUMP = "echo:  M665 L250.00 R{0} H295.00 S200.00 X0.00 Y0.00 Z0.00 A0.00 B0.00 C0.00\n"
+
+
+@pytest.mark.parametrize(
+    ("log", "radius"),
+    [
+        (DUMP.format(124) + DUMP.format(123), 123),  # the later of two reports
+        (DUMP.format(123) + "Send: M500\nSend: M665 R120\nSend: M501\n", 123),
+        (DUMP.format(123) + "Send: M500\nSend: M665 R120\n", 120),
+        (DUMP.format(123) + "Send: M502\n" + DUMP.format(122), 122),
+    ],
+)
+def test_the_last_settings_in_marlins_memory_count(write, log, radius):
+    model = configured([write(log, "m503.log")]).model
+    assert model.value("chain2.D_x") == pytest.approx(radius * 1e-3)
+
+
+def test_settings_before_m502_do_not_count(write):
+    log = write(DUMP.format(123) + "Send: M502\n", "m503.log")
+    with pytest.raises(
+        DatasetError, match=r"no M665 R, .*m503\.log:2: M502 returns to"
+    ):
+        configured([log])
+    model = configured([log, write(HEADER_H, "Configuration.h")]).model
+    assert model.value("chain2.D_x") == pytest.approx(0.124)
+
+
+def test_stored_settings_count_before_those_of_configuration_h(write):
+    log, header = write(DUMP.format(123), "m503.log"), write(HEADER_H, "Configuration.h")
+    for paths in ([log, header], [header, log]):
+        assert configured(paths).model.value("chain2.D_x") == pytest.approx(0.123)
+    model = configured([write(HEADER_H.replace("124", "122"), "new.h")]).model
+    done = export_into(model, "marlin", [log, header])
+    assert done.loss["position_max"] < 0.2e-6
+    assert configured([log]).model.value("chain2.D_x") == pytest.approx(0.122, abs=1e-7)
+    assert configured([header]).model.value("chain2.D_x") == pytest.approx(0.122, abs=1e-7)

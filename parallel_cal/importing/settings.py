@@ -48,7 +48,7 @@ class Settings:
     texts: dict[str, tuple[str, SourceLine]]
     paths: Sequence[Path]
     unread: tuple[str, ...] = ()
-    remarks: tuple[str, ...] = ()
+    remarks: Sequence[str] = ()
 
     def __contains__(self, field: str) -> bool:
         return field in self.texts
