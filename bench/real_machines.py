@@ -97,14 +97,14 @@ HAND_WORK = {
 
 HAND_WORK_NOTE = """## Work of the user
 
-The work was done once from the files as they were published, with the documents of this repository
-and without the files in [real/](../real/README.md), by an AI agent (November 2026) that knew the
-program's documents and these files. The minutes are those of its clock from the first look at the
-data to the printed errors of the first fit (for the printer: to the written configuration). They
-contain the run times of the commands on two busy cores, which are most of them for the arms and the
-printer. The minutes of the two arms were measured together and halved. A person reads and types
-more slowly: compare the counts. Each further step is one command (`diagnose` or `add`); the
-sections list these steps."""
+The machines were tried once as a new user would (November 2026): from the files as they were
+published, with the documents of this repository and without the files in
+[real/](../real/README.md). The minutes are from the first look at the data to the printed errors of
+the first fit (for the printer: to the written configuration). They contain the run times of the
+commands on two busy cores, which are most of them for the arms and the printer. The minutes of the
+two arms were measured together and halved. The documents and files were known before: who reads
+them for the first time is slower, so compare the counts. Each further step is one command
+(`diagnose` or `add`); the sections list these steps."""
 
 
 @dataclass

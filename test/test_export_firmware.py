@@ -317,7 +317,7 @@ PRINTER = """\
 # my printer
 [printer]
 kinematics: delta
-delta_radius: 140   # measured
+#delta_radius: 140   # measured
 print_radius = 80
 [stepper_a]
 position_endstop: 300

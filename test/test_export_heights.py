@@ -13,7 +13,7 @@ import pytest
 import virtual_firmware as vf
 import virtual_printer as vp
 
-from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.base.errors import ModelError, ParallelCalError
 from parallel_cal.cli.main import main
 from parallel_cal.exporting.export import export, export_into
 from parallel_cal.identification.fit import fit
@@ -392,14 +392,14 @@ def test_numbers_that_an_override_had_are_those_that_the_bed_was_touched_with(tm
     override = tmp_path / "config-override.g"
     override.write_text("M665 L250 R100 H300\n")
     touches = touches_in(dataset, model.joints)
-    done = export_into(model, "rrf", [file], touches, force=True)
+    with pytest.raises(ModelError) as error:
+        export_into(model, "rrf", [file], touches, force=True)
+    assert f"{override}:1: M665 L is '250': the firmware also reads this file" in str(error.value)
+    assert f"--into {file} --into {override} changes it there" in str(error.value)
+    done = export_into(model, "rrf", [file, override], touches, force=True)
     assert done.heights.before == pytest.approx(10e-6, abs=0.1e-6)
-    assert done.remarks[-1] == (
-        f"{override} is read after {file} and still sets M665 L, M665 R, M665 H, "
-        "which override the new numbers: remove them there, or export --into that file as well"
-    )
-    both = export_into(model, "rrf", [file, override], touches, force=True)
-    assert not [words for words in both.remarks if "is read after" in words]
+    assert vf.words(file.read_text())["M665 R"] == 102
+    assert vf.words(override.read_text())["M665 R"] != 100
 
 
 @pytest.mark.wide

@@ -13,7 +13,7 @@ MM, DEGREE = 1e-3, np.pi / 180
 LINEAR = """\
 [printer]
 kinematics: delta
-delta_radius: 140   # mm
+#delta_radius: 140   # mm
 print_radius = 120
 
 [stepper_a]
@@ -144,33 +144,39 @@ def test_a_block_on_the_bed_may_be_half_a_metre_high(file):
 def test_touches_behind_a_gap_are_counted(file):
     """Klipper reads height0, height1, ... until one is missing."""
     more = LINEAR.replace("height1", "height2")
-    data = samples("klipper", file(more + "#*# height3 = 0.1\n#*# height3_pos = 1.0,2.0,3.0\n"))
+    more = more.replace(
+        "#*# manual", "#*# height3 = 0.1\n#*# height3_pos = 1.0,2.0,3.0\n#*# manual", 1
+    )
+    data = samples("klipper", file(more))
     assert len(data) == 2
     assert "height1 is missing" in data.warnings[1]
     assert data.warnings[1].endswith("omits 2 heights behind it")
 
 
 def test_a_nozzle_beside_its_probe_takes_no_part_in_its_touches(file):
-    data = samples("klipper", file(LINEAR + "[probe]\nz_offset: 2\nx_offset: -20\n"))
+    data = samples("klipper", file("[probe]\nz_offset: 2\nx_offset: -20\n" + LINEAR))
     assert len(data) == 2
     assert data.warnings[1].startswith("manual heights")
     for kind in ("[bltouch]", "[smart_effector]", "[probe_eddy_current my_coil]"):
-        model = configured(file(LINEAR + f"{kind}\nz_offset: 2\ny_offset: 7\n")).model
+        model = configured(file(f"{kind}\nz_offset: 2\ny_offset: 7\n" + LINEAR)).model
         assert model.sensors[0].tip == (0.0, 0.007, 0.0)
 
 
 def test_an_included_file_that_was_not_read_is_named(file, tmp_path):
     path = file(LINEAR.replace("[printer]", "[include delta.cfg]\n[printer]", 1))
     (remark,) = [text for text in configured(path).remarks if "delta.cfg" in text]
-    assert remark.startswith("the included file delta.cfg was not read: if a value of the kinem")
+    assert remark.startswith("the included file delta.cfg was not found and not read: if a value o")
     head, body = LINEAR.split("[stepper_a]")
-    path = file("[include macros/*.cfg]\n[include delta.cfg]\n" + head)
+    body, saved = body.split("\n#*# <", 1)
+    path = file("[include macros/*.cfg]\n[include delta.cfg]\n" + head + "\n#*# <" + saved)
     with pytest.raises(ParallelCalError) as error:
         configured(path)
-    assert "the included files macros/*.cfg, delta.cfg were not read" in str(error.value)
-    (tmp_path / "delta.cfg").write_text("[stepper_a]" + body)
-    remarks = configured([*path, tmp_path / "delta.cfg"]).remarks
-    assert any("the included file macros/*.cfg was not read" in text for text in remarks)
+    assert "the included files macros/*.cfg, delta.cfg were not found and not" in str(error.value)
+    elsewhere = tmp_path / "download" / "delta.cfg"
+    elsewhere.parent.mkdir()
+    elsewhere.write_text("[stepper_a]" + body)
+    remarks = configured([*path, elsewhere]).remarks
+    assert any("the included file macros/*.cfg was not found" in text for text in remarks)
 
 
 def test_the_rotary_model_is_the_firmwares_formula(file):

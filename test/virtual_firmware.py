@@ -149,7 +149,9 @@ class Klipper:
 
     def __init__(self, text: str) -> None:
         file = ConfigParser(inline_comment_prefixes=("#", ";"), strict=False)
-        file.read_string(re.sub(r"(?m)^#\*# (?=\[|\w+ = )", "", text))  # what is saved counts
+        main, _, saved = text.partition("#*# <-")
+        file.read_string(re.sub(r"(?m)^#\*# (?=\[|\w+ = )", "", f"#{saved}"))
+        file.read_string(main)  # what it states counts
         self.printer, self.steppers = file["printer"], [file[f"stepper_{a}"] for a in "abc"]
         self.around = np.radians(self.each("angle"))
         self.rotary = self.printer["kinematics"] == "rotary_delta"

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import read_text
-from parallel_cal.importing.sections import SAVE_CONFIG_PREFIX
+from parallel_cal.importing.klipper_config import SAVE_CONFIG_PREFIX
 from parallel_cal.importing.settings import Settings
 
 # A line may state a value under another name: a signal that leads to the pin, or a key of an .ini
@@ -38,32 +38,49 @@ def edit_files(
     """Return the texts of files with new settings; each group has the files for its new ones.
 
     A setting replaces its last value, in whatever file, unless this is the same number in other
-    digits. A new one is inserted next to settings of the same command or section, or at the end of
-    the group's last file.
+    digits. A new one is inserted next to settings of the same command or section in one of the
+    group's files, or at the end of its last file, above what SAVE_CONFIG wrote.
     """
     places = {field: (place.path, place.line - 1) for field, (_, place) in stated.texts.items()}
     lines = {path: read_verbatim(path).splitlines(keepends=True) for path in stated.paths}
+    appended = list[tuple[Path, str]]()
     for settings, files in groups:
+        apart = dict[str, str]()
         for field, value in settings.items():
-            if field in stated and _are_same_numbers(stated.texts[field][0], value):
+            if field in stated:
+                old, (path, k) = stated.texts[field][0], places[field]
+                if not are_same_numbers(old, value):
+                    lines[path][k] = _replace_value(lines[path][k], field, old, value)
                 continue
-            near = [place for other, place in places.items() if _head(other) == _head(field)]
-            path, k = places.get(field) or (near[-1] if near else (None, 0))
-            if path is None:
-                end = lines[files[-1]]
-                end.append(
-                    ("" if not end or end[-1].endswith("\n") else "\n")
-                    + format_settings({field: value})
-                )
-                path, k = files[-1], len(end) - 1
-            elif field in stated:
-                lines[path][k] = _replace_value(
-                    lines[path][k], field, stated.texts[field][0], value
-                )
+            near = [f for f in places if _head(f) == _head(field) and places[f][0] in files]
+            if near:
+                path, k = places[near[-1]]
+                begin = _begin(lines[path][: k + 1], near[-1])
+                lines[path][k] = _insert_setting(lines[path][k], field, value, begin)
             else:
-                lines[path][k] = _insert_setting(lines[path][k], field, value)
-            places[field] = (path, k)
+                apart[field] = value
+        if apart:
+            appended.append((files[-1], format_settings(apart)))
+    for path, text in appended:
+        _append(lines[path], text)
     return {path: "".join(text) for path, text in lines.items()}
+
+
+def _append(lines: list[str], text: str) -> None:
+    """Add a text at the end of a file, above what SAVE_CONFIG wrote."""
+    saved = (k for k, line in enumerate(lines) if line.startswith(SAVE_CONFIG_PREFIX))
+    k = next(saved, len(lines))
+    if k and not lines[k - 1].endswith("\n"):
+        lines[k - 1] += "\n"
+    lines.insert(k, text)
+
+
+def _begin(lines: Sequence[str], field: str) -> str:
+    """Return what stands before the key of a setting, whose value is on the last of the lines."""
+    if field[0] != "[":
+        return ""
+    key = re.compile(rf"(?im)^((?:#\*# )?[ \t]*){re.escape(_key(field))}\s*[:=]")
+    return next((found[1] for line in reversed(lines) if (found := key.search(line))), "")
 
 
 def read_verbatim(path: Path) -> str:
@@ -94,7 +111,7 @@ def _line(field: str, value: str) -> str:
     return f"{field}={value}" if field[0] == "$" else f"setp {field} {value}"
 
 
-def _are_same_numbers(old: str, new: str) -> bool:
+def are_same_numbers(old: str, new: str) -> bool:
     """Return whether two texts are the same numbers, such as `1:2:3`; `1` stands for `1:1:1`."""
     try:
         before, after = (
@@ -117,8 +134,10 @@ def _replace_value(line: str, field: str, old: str, new: str) -> str:
             )
         new = new.split(":")[0]
     key = re.escape(next(filter(None, stated.groups())) if stated else _key(field))
+    if field[0] == "[" and not re.search(rf"(?i){begins}{key}\s*[:=]", line):
+        key = ""  # the value is on a line of its own
     pattern = rf"(?i){begins}{key}(\s*[:=]?\s*){re.escape(old)}(?![\w.])"
-    comment = r"\([^)]*\)|;.*" if field[0] in "GM" else r"(?<=\s)[#;].*"
+    comment = r"\([^)]*\)|;.*" if field[0] in "GM" else r"(?<!^)(?<!^#\*)#.*|(?<=\s);.*"
     if field.startswith(DEFINITIONS):
         comment = r"//.*"
     code = re.sub(comment, lambda found: " " * len(found[0]), line)
@@ -128,11 +147,10 @@ def _replace_value(line: str, field: str, old: str, new: str) -> str:
     return line[: places[-1].end() - len(old)] + new + line[places[-1].end() :]
 
 
-def _insert_setting(line: str, field: str, value: str) -> str:
-    """Add a word to a command, or a line after this one."""
+def _insert_setting(line: str, field: str, value: str, begin: str) -> str:
+    """Add a word to a command, or a line after this one that has `begin` before its key."""
     if field[0] in "GM":
         command, comment = re.fullmatch(r"([^;(\r\n]*?)(\s*(?:[;(].*)?\s*)", line, re.S).groups()  # type: ignore[union-attr]
         return f"{command} {_line(field, value)}{comment}"
-    saved = f"{SAVE_CONFIG_PREFIX} " if line.startswith(SAVE_CONFIG_PREFIX) else ""
     end = "\r\n" if line.endswith("\r\n") else "\n"
-    return line.rstrip("\r\n") + end + saved + _line(field, value) + end
+    return line.rstrip("\r\n") + end + begin + _line(field, value) + end

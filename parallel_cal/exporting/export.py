@@ -20,7 +20,12 @@ from parallel_cal.base.threads import single_threaded
 from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.exporting.bed_fit import MAX_UNMEASURED_MOVE, BedFit, Movement, Present
 from parallel_cal.exporting.deltas import with_scale_of
-from parallel_cal.exporting.editing import edit_files, format_settings, read_verbatim
+from parallel_cal.exporting.editing import (
+    are_same_numbers,
+    edit_files,
+    format_settings,
+    read_verbatim,
+)
 from parallel_cal.exporting.heights import BedHeights, nozzle_heights, rms_height, why_not
 from parallel_cal.exporting.projection import Firmware, Machine, Projection, TargetPoses, loss
 from parallel_cal.importing.settings import Settings
@@ -167,13 +172,8 @@ def export_into(
     if not _holds(module, model):
         raise _refusal(target, module, model)
     stated: Settings = module.settings(files)
-    # Files that the firmware reads after these: their values override the new ones.
-    given = {file.resolve() for file in files}
-    later: list[Path] = module.read_later(files) if hasattr(module, "read_later") else []
-    later = [path for path in later if path.resolve() not in given]
-    every: Settings = module.settings([*files, *later])
-    now = _firmware(module, every, robot)
-    projection, found = _project(target, module, robot, every)
+    now = _firmware(module, stated, robot)
+    projection, found = _project(target, module, robot, stated)
     if type(now) is not type(found.firmware):
         raise ModelError(f"{files[0]}: it is configured for another kind of machine")
     old_height = 0.0
@@ -183,9 +183,8 @@ def export_into(
         steps = found.frame.motors(touches.q - found.stops)
         present = Present(with_scale_of(found.firmware, now, steps.mean(axis=0)), touches)
         if _takes(module, "present"):
-            projection, found = _project(target, module, robot, every, present)
+            projection, found = _project(target, module, robot, stated, present)
     groups = list[tuple[dict[str, str], list[Path]]]()
-    written = {field for numbers in projection.settings.values() for field in numbers}
     cleared = [field for field in getattr(module, "CLEARED", ()) if field in stated]
     for file, numbers in projection.settings.items():
         its = [path for path in files if path.suffix == Path(file).suffix]
@@ -200,7 +199,8 @@ def export_into(
             numbers = module.adapt(stated, numbers)
         groups.append(({**numbers, **dict.fromkeys(cleared, "0")}, its))
         cleared = []
-    texts = edit_files(stated, groups)
+    _check_files_are_given(files, stated, [numbers for numbers, _ in groups])
+    texts = edit_files(replace(stated, paths=files), groups)
     old, new = (
         replace(found, firmware=firmware) for firmware in (now, _read(module, files, texts, robot))
     )
@@ -214,19 +214,28 @@ def export_into(
             raise _worse_bed(files, heights)
         if movement.unsupported > MAX_UNMEASURED_MOVE and not force:
             raise _moves_too_far(files, movement, heights)
-        held_out = _held_out_height(target, module, robot, every, present)
+        held_out = _held_out_height(target, module, robot, stated, present)
         heights = replace(heights, held_out=held_out)
     before, after = loss(robot, old), loss(robot, new)
     _replace_files(texts)
-    remarks = [*_remarks(robot, projection), *_describe_limits(model)]
-    for path in later:
-        if winning := [field for field in module.settings([path]).texts if field in written]:
-            remarks.append(
-                f"{path} is read after {files[-1]} and still sets {', '.join(winning)}, "
-                "which override the new numbers: remove them there, or export --into "
-                "that file as well"
-            )
+    remarks = [*_remarks(robot, projection), *_describe_limits(model), *stated.describe_unused()]
     return ExportResult(list(texts), after, before, remarks, heights, movement)
+
+
+def _check_files_are_given(
+    files: Sequence[Path], stated: Settings, groups: Sequence[Mapping[str, str]]
+) -> None:
+    """Refuse new numbers that a file overrides which was not given."""
+    for name, value in (pair for numbers in groups for pair in numbers.items()):
+        text, place = stated.texts.get(name, (value, None))
+        if place is None or place.path in files or are_same_numbers(text, value):
+            continue
+        given = " ".join(f"--into {path}" for path in [*files, place.path])
+        raise ModelError(
+            f"{place.path}:{place.line}: {name} is '{text}': the firmware also reads this file "
+            f"with {files[0]}, and this value is the one that counts. Nothing was written: {given} "
+            "changes it there"
+        )
 
 
 def _replace_files(texts: Mapping[Path, str]) -> None:
@@ -379,6 +388,8 @@ def _read(
     module: ModuleType, files: Sequence[Path], texts: Mapping[Path, str], robot: Model
 ) -> Firmware:
     """Return the firmware that reads these texts in place of the files' present texts."""
+    if "texts" in signature(module.settings).parameters:  # it reads further files beside these
+        return _firmware(module, module.settings(files, texts), robot)
     with TemporaryDirectory() as kept:
         copies = [Path(kept) / str(k) / path.name for k, path in enumerate(files)]
         for copy, path in zip(copies, files, strict=True):

@@ -240,16 +240,17 @@ def _find_fitting_guesses(
     best = guesses[:MAX_GUESSES_REFINED]
     errors = [poses.compute_median_error(poses.frames) for _, poses in best]
     before = np.inf if given is None else given.compute_median_error(given.frames)
+    turned_alone = (replace(poses, measured=poses.measured & ~PLACE) for _, poses in best)
     fitting = [
         (guess, poses)
-        for (guess, poses), error in zip(best, errors, strict=True)
+        for (guess, poses), turns, error in zip(best, turned_alone, errors, strict=True)
         if error * MIN_GUESS_ERROR_RATIO < before
         and error < SAME_GUESS_ERROR_RATIO * min(errors)
         and poses.find_unexplained_share() < MAX_GUESS_SHARE
         and (
             # Where the platform turns, the orientations must be explained, too.
             not (poses.tilts and poses.turned.any())
-            or replace(poses, measured=poses.measured & ~PLACE).find_unexplained_share() < MAX_GUESS_SHARE
+            or turns.find_unexplained_share() < MAX_GUESS_SHARE
         )
     ]
     return fitting, before

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,25 +19,63 @@ USE = re.compile(r"\{\s*global\.(\w+)\s*\}")
 GLUED = re.compile(r"(?:[A-Za-z][-+]?\d[\d.:]*)+")  # such as L250R125: words without spaces
 PARTED = re.compile(r"(?<=[A-Za-z])\s+(?=[-+]?\.?\d)")  # such as L 250
 CHECKSUM = re.compile(r"\*\d+\s*$")  # of a line that a host sent
+LOAD, OVERRIDE = "M501", "config-override.g"  # which M500 writes
 COMMAND = re.compile(r"\s*(?:N\d+\s*)?([GM]\d+)(?![\d.])(.*)", re.IGNORECASE)
 
 
-def settings(paths: Sequence[Path], codes: Sequence[str]) -> Settings:
+def settings(
+    paths: Sequence[Path], codes: Sequence[str], texts: Mapping[Path, str] | None = None
+) -> Settings:
     """Read the words of some commands in G-code files, by fields such as `M665 L`.
 
-    A word such as `R{global.radius}` has the value and the line of the global variable.
+    RepRapFirmware reads config-override.g where another file has M501, and never without it
+    (GCodes2.cpp, 3.5.3). A word such as `R{global.radius}` has the value and the line of the global
+    variable. `texts` replace those of files.
     """
-    texts: dict[str, tuple[str, SourceLine]] = {}
-    variables: dict[str, tuple[str, SourceLine]] = {}
-    for path in paths:
-        for place, line in read_lines(path):
-            parse_settings_line(texts, place, line, codes)
+    reader = _Reader(codes, {path.resolve(): path for path in paths}, texts or {})
+    overrides = [path for path in paths if path.name.lower() == OVERRIDE]
+    for path in paths if len(overrides) == len(paths) else (p for p in paths if p not in overrides):
+        reader.read(path)
+    unused = [path for path in overrides if path not in reader.paths]
+    remarks = [f"{path} is not used, because no M501 loads it" for path in unused]
+    return Settings(reader.resolve_variables(), reader.paths, tuple(reader.unread), tuple(remarks))
+
+
+class _Reader:
+    """Reads G-code files, each line once, in the order in which RepRapFirmware does."""
+
+    def __init__(self, codes: Sequence[str], given: Mapping[Path, Path], texts: Mapping[Path, str]):
+        self.codes, self.given, self.texts = codes, given, texts
+        self.paths, self.unread = list[Path](), list[str]()
+        self.words: dict[str, tuple[str, SourceLine]] = {}
+        self.variables: dict[str, tuple[str, SourceLine]] = {}
+
+    def read(self, path: Path) -> None:
+        if path not in self.paths:
+            self.paths.append(path)
+        for place, line in read_lines(path, self.texts.get(path)):
+            code = parse_settings_line(self.words, place, line, (*self.codes, LOAD))
+            if code == LOAD and path.name.lower() != OVERRIDE:
+                self._load_override(path.with_name(OVERRIDE))
             if found := GLOBAL.match(line):  # an indented line may never be reached
-                variables[found[1]] = (found[2], place)
-    for field, (text, _) in texts.items():
-        if (used := USE.fullmatch(text)) and used[1] in variables:
-            texts[field] = variables[used[1]]
-    return Settings(texts, paths)
+                self.variables[found[1]] = (found[2], place)
+
+    def _load_override(self, path: Path) -> None:
+        elsewhere = [given for given in self.given.values() if given.name.lower() == OVERRIDE]
+        if path.is_file():
+            self.read(self.given.get(path.resolve(), path))
+        elif elsewhere:
+            self.read(elsewhere[0])
+        elif OVERRIDE not in self.unread:
+            self.unread.append(OVERRIDE)
+
+    def resolve_variables(self) -> dict[str, tuple[str, SourceLine]]:
+        """Return the words, with the values of the variables that they name."""
+        found = dict(self.words)
+        for field, (text, _) in self.words.items():
+            if (used := USE.fullmatch(text)) and used[1] in self.variables:
+                found[field] = self.variables[used[1]]
+        return found
 
 
 def read_scale(stated: Settings) -> Array | None:

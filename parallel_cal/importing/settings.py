@@ -41,12 +41,14 @@ class SourceLine:
 class Settings:
     """The texts of a configuration by field (`M665 L`, `[printer] delta_radius`).
 
-    `unread` names files that the configuration includes and that are not among `paths`.
+    `paths` are all files that were read, `unread` names those that the configuration includes and
+    that were not found. `remarks` name values that the controller does not use.
     """
 
     texts: dict[str, tuple[str, SourceLine]]
     paths: Sequence[Path]
     unread: tuple[str, ...] = ()
+    remarks: Sequence[str] = ()
 
     def __contains__(self, field: str) -> bool:
         return field in self.texts
@@ -55,18 +57,23 @@ class Settings:
         """Return a field's text and line; DatasetError if no file has the field."""
         if field not in self.texts:
             files = ", ".join(map(str, self.paths))
-            unread = f"; {self.describe_unread()}" if self.unread else ""
-            raise DatasetError(f"{files}: no {field}, expected {expected}{unread}")
+            why = "".join(f"; {words}" for words in self.describe_unused())
+            raise DatasetError(f"{files}: no {field}, expected {expected}{why}")
         return self.texts[field]
 
-    def describe_unread(self) -> str:
-        """`the included files delta.cfg, macros/*.cfg were not read: name them as well`."""
+    def describe_unused(self) -> list[str]:
+        """Return what was not read or is not used:
+        `the included files delta.cfg, macros/*.cfg were not found: give them as well`."""
+        if not self.unread:
+            return [*self.remarks]
         names = ", ".join(self.unread)
         plural = "s" if len(self.unread) > 1 else ""
-        return (
-            f"the included file{plural} {names} {'were' if plural else 'was'} not read: if a value "
-            "of the kinematics is in there, give that file as well, with the same option"
+        unread = (
+            f"the included file{plural} {names} {'were' if plural else 'was'} not found and not "
+            "read: if a value of the kinematics is in there, give that file as well, with the same "
+            "option"
         )
+        return [*self.remarks, unread]
 
     def error(self, field: str, expected: str) -> DatasetError:
         """Return the error for a field whose text is not as expected."""
@@ -105,10 +112,10 @@ class Settings:
         return np.array(values * count if len(values) == 1 else values)
 
 
-def read_lines(path: Path) -> list[tuple[SourceLine, str]]:
-    """Read the lines of a text file; DatasetError if it is not text."""
+def read_lines(path: Path, text: str | None = None) -> list[tuple[SourceLine, str]]:
+    """Read the lines of a text file, or of `text` in its place; DatasetError if it is not text."""
     try:
-        text = read_foreign_text(path)
+        text = read_foreign_text(path) if text is None else text
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:

@@ -116,6 +116,7 @@ def make_touch_samples(
     step: ArrayLike,
     visits: Array | None = None,
     dropped: Sequence[Dropped] = (),
+    warnings: Sequence[str] = (),
     *,
     printed: PrintedEnds,
 ) -> Dataset:
@@ -130,7 +131,9 @@ def make_touch_samples(
         x, y, z = at[k] / MM
         point = f"x {x:.3f} y {y:.3f} z {z:.3f} mm"
         raise places[k].error("position", point, "a point within reach of the configured rods")
-    found = make_joint_samples(q, np.zeros(len(q)), paths, step, visits, dropped, printed=printed)
+    found = make_joint_samples(
+        q, np.zeros(len(q)), paths, step, visits, dropped, warnings, printed=printed
+    )
     # The positions depend on every number of the configuration, and so do the joints.
     numbers = {name: float(number) for name, number in delta.nominal.items()}
     return replace(found, configuration=numbers | end_stops(delta))

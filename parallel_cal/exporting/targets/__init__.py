@@ -7,7 +7,8 @@ A target is a Python module that defines one or both of these groups of names:
 
    - `HOLDS`: the names of the mechanisms that the firmware can represent
    - `project(model)`: the values of the firmware's parameters that fit the model best
-   - `settings(paths)`: the settings in the firmware's configuration files
+   - `settings(paths)`: the settings in the firmware's configuration files. If it reads further
+     files that these name, it is `settings(paths, texts=None)`; `texts` replace those of files
    - `firmware(settings)`: the kinematics that the firmware computes with these settings
    - `adapt(settings, numbers)`, optional: the numbers in the units and by the names of these files
 """

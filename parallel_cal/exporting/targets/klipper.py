@@ -9,7 +9,7 @@ calibration".
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -36,8 +36,8 @@ FILE = "printer.cfg"
 DECIMALS = 6  # of mm and degrees, as SAVE_CONFIG writes them
 
 
-def settings(paths: Sequence[Path]) -> Settings:
-    return klipper.settings(paths)
+def settings(paths: Sequence[Path], texts: Mapping[Path, str] | None = None) -> Settings:
+    return klipper.settings(paths, texts)
 
 
 def firmware(stated: Settings) -> Firmware:

@@ -86,10 +86,11 @@ def make_projection(
 
 
 def adapt(stated: Settings, numbers: Mapping[str, str]) -> dict[str, str]:
-    """Return settings by the names of the file: those of Configuration.h, or commands."""
+    """Return settings by the names of the files: those of Configuration.h, commands, or both."""
     if marlin.DEFINED not in stated:
         return dict(numbers)
-    found = {}
+    commands = {field.split()[0] for field in stated.texts}
+    found = {field: value for field, value in numbers.items() if field.split()[0] in commands}
     for name, fields in marlin.DEFINITIONS.items():
         values = [numbers[field] for field in fields if field in numbers]
         if name not in stated and not any(float(value) for value in values):

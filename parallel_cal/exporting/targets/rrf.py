@@ -5,8 +5,7 @@ Source: Duet documentation, G-code dictionary (M665, M666, M669).
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,6 @@ from parallel_cal.exporting.deltas import (
     shoulders,
     towers,
 )
-from parallel_cal.exporting.editing import read_verbatim
 from parallel_cal.exporting.projection import (
     Firmware,
     Frame,
@@ -43,24 +41,15 @@ from parallel_cal.importing.settings import Settings
 from parallel_cal.model.model import Model
 
 HOLDS = (*LINEAR, *ROTARY, "five_bar", "cable")
-FILE, OVERRIDE = "config.g", "config-override.g"
-LOADS_OVERRIDE = re.compile(r"^\s*M501\b", re.MULTILINE | re.IGNORECASE)
+FILE = "config.g"
 TEETH = 20  # of a motor's gear, if they give the ratio
 MAX_EQUAL_DIFFERENCE_M = 1e-7  # m; the numbers are written with this digit
 EQUAL_ARMS = "the arms differ, but M669 U has one length for all: " + rrf.UNEQUAL_ARMS
 MIN_BUILDUP_M = 2e-6  # m; the firmware divides by it, and rounding hides a smaller one
 
 
-def settings(paths: Sequence[Path]) -> Settings:
-    return settings_of(paths, rrf.CODES)
-
-
-def read_later(paths: Sequence[Path]) -> list[Path]:
-    """Return each `config-override.g` that the firmware reads because of an M501."""
-    overrides = [
-        path.with_name(OVERRIDE) for path in paths if LOADS_OVERRIDE.search(read_verbatim(path))
-    ]
-    return [path for path in overrides if path.is_file()]
+def settings(paths: Sequence[Path], texts: Mapping[Path, str] | None = None) -> Settings:
+    return settings_of(paths, rrf.CODES, texts)
 
 
 def firmware(stated: Settings) -> Firmware:

@@ -18,7 +18,7 @@ from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.importing import deltas
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.deltas import Delta, Shoulders, Towers, are_counter_clockwise
-from parallel_cal.importing.sections import settings
+from parallel_cal.importing.klipper_config import settings
 from parallel_cal.importing.settings import Settings
 from parallel_cal.importing.touch_samples import make_joint_samples, make_printed_ends
 from parallel_cal.model.machine_class import MachineClass
@@ -48,7 +48,7 @@ def samples(
     stated = settings(paths)
     step, top = _steps(stated), delta(stated).homed
     beside = bool(np.any(_probe(stated)))
-    found, heights, warnings = [], [], []
+    found, heights, warnings = [], [], stated.describe_unused()
     for name, limit in MAX_HEIGHTS_MM.items():
         if name == "manual_height" and beside and f"{TOUCHES} manual_height0" in stated:
             warnings.append("manual heights are heights of the nozzle, not of the probe: not used")
@@ -88,8 +88,7 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     printer = delta(stated)
     if isinstance(printer, Shoulders):
         deltas.check_reach(printer, stated, "[printer] shoulder_height")
-    remarks = [stated.describe_unread()] if stated.unread else []
-    return deltas.make_configured_robot(printer, _probe(stated), remarks=remarks)
+    return deltas.make_configured_robot(printer, _probe(stated), remarks=stated.describe_unused())
 
 
 def _probe(stated: Settings) -> Array:
@@ -159,7 +158,7 @@ def _gear(stated: Settings, field: str) -> float:
         return 1.0
     text, place = stated.text(field, "")
     ratio = 1.0
-    for pair in text.split(","):
+    for pair in filter(str.strip, text.split(",")):
         teeth = pair.split(":")
         if len(teeth) != 2:
             raise place.error(field, text, "ratios such as 57:11, 2:1")

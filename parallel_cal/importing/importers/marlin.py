@@ -5,8 +5,10 @@ Its settings may also be in a file of commands (.gcode), or in Configuration.h.
 Touches are the lines `Bed X: Y: Z:` (G29 V4, G30), and the report of `G33 P2 V3` or `P3`, whose
 numbers are single touches (except for a mean near the centre). With P4 and more they are means over
 the bed and are not used. A touch belongs to the settings before it. Joints count from the
-end-stops, so the settings may change within a log; the last ones are the machine's. Sources: Marlin
-documentation, "M665", "M666", "M851", "G29", "G30", "G33 - Delta Auto Calibration".
+end-stops, so the settings may change within a log; the last ones are the machine's. M501 returns to
+those that M500 stored, M502 to those of Configuration.h. A setting of a log counts before the same
+one of Configuration.h, as the stored one does in the firmware. Sources: Marlin documentation,
+"M665", "M666", "M851", "G29", "G30", "G33 - Delta Auto Calibration"; src/module/settings.cpp.
 """
 
 from __future__ import annotations
@@ -66,6 +68,7 @@ POINT_ANGLES_DEG = {"x": 210, "xy": 270, "y": 330, "yz": 30, "z": 90, "zx": 150}
 KEPT = ", which M665 without it does not change: capture M503, which lists what the printer has"
 Z_ONLY = np.array([0.0, 0.0, 1.0])  # G33 moves the nozzle over its points, with O the probe
 STEPS = 80.0  # per mm, if M92 is not in the log
+STORE, RESTORE, RESET = "M500", "M501", "M502"
 MEANS = "G33's numbers are means of several touches, except for P2 and P3: not used"
 
 
@@ -74,9 +77,10 @@ def samples(
 ) -> Dataset:
     """Read the touches of a log; G33 with more than P3, or without its command, is not used."""
     texts: dict[str, tuple[str, SourceLine]] = {}
-    stated, found, skipped = Settings(texts, paths), [], False
+    remarks = list[str]()
+    stated, found, skipped = Settings(texts, paths, remarks=remarks), [], False
     radius, single, shift = None, False, Z_ONLY
-    for place, line in _iterate_lines(paths, texts):
+    for place, line in _iterate_lines(paths, texts, remarks):
         if asked := re.search(r"(?<!\w)G33\b(.*)", line):
             points = re.search(r"P(\d+)", asked[1])
             if "Calibrate" not in line:
@@ -121,8 +125,8 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
 def settings(paths: Sequence[Path]) -> Settings:
     """Read the last value of each word of the commands, or the definitions of Configuration.h."""
     texts: dict[str, tuple[str, SourceLine]] = {}
-    headers = [path for path in paths if path.suffix == ".h"]
-    for _ in _iterate_lines([path for path in paths if path not in headers], texts):
+    headers, remarks = [path for path in paths if path.suffix == ".h"], list[str]()
+    for _ in _iterate_lines([path for path in paths if path not in headers], texts, remarks):
         pass
     for path in headers:
         for place, line in read_lines(path):
@@ -134,11 +138,11 @@ def settings(paths: Sequence[Path]) -> Settings:
                     found[1], found[2], "one definition of it; delete those that #if excludes"
                 )
             texts[found[1]] = (found[2], place)
-    return Settings(texts, paths)
+    return Settings(texts, paths, remarks=remarks)
 
 
 def _read_defined(stated: Settings) -> Settings:
-    """Return the definitions of Configuration.h as the words of commands."""
+    """Return the definitions of Configuration.h as words of commands, and those of commands."""
     texts: dict[str, tuple[str, SourceLine]] = {}
     for name, fields in DEFINITIONS.items():
         if name in stated:
@@ -150,6 +154,7 @@ def _read_defined(stated: Settings) -> Settings:
     if steps := read_steps(stated):
         place = stated.text(STEPS_DEFINED, "")[1]
         texts |= {f: (word, place) for f, word in zip(STEPS_FIELDS, steps, strict=False)}
+    texts |= {field: value for field, value in stated.texts.items() if field.startswith("M")}
     return Settings(texts, stated.paths)
 
 
@@ -177,13 +182,27 @@ def tip(stated: Settings) -> Array:
 
 
 def _iterate_lines(
-    paths: Sequence[Path], texts: dict[str, tuple[str, SourceLine]]
+    paths: Sequence[Path], texts: dict[str, tuple[str, SourceLine]], remarks: list[str]
 ) -> Iterator[tuple[SourceLine, str]]:
-    """Yield every line without the host's prefix, and add its settings to `texts`."""
+    """Yield every line without the host's prefix, and keep `texts` at the settings in memory."""
+    stored: dict[str, tuple[str, SourceLine]] = {}
     for path in paths:
         for place, line in read_lines(path):
             plain = HOST_PREFIX.sub("", line).strip()
-            if parse_settings_line(texts, place, plain, CODES) is None and plain.startswith("."):
+            code = parse_settings_line(texts, place, plain, (*CODES, STORE, RESTORE, RESET))
+            if code == STORE:
+                stored = dict(texts)
+            elif code == RESTORE and stored:
+                texts.update(stored)
+            elif code == "M665":
+                remarks.clear()
+            elif code == RESET:
+                texts.clear()
+                remarks[:] = [
+                    f"{place.path}:{place.line}: M502 returns to the values of Configuration.h. "
+                    "Send M503 after it, or give Configuration.h as well"
+                ]
+            if code is None and plain.startswith("."):
                 for name, text in SETTING.findall(plain):
                     texts[FIELDS[name]] = (text, place)
             yield place, plain

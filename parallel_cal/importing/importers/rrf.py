@@ -87,6 +87,7 @@ def samples(
         [unit / stated.number(f, "steps per unit", STEPS, low=1e-3) for f in STEPS_FIELDS],
         visits=points[:, :2],
         dropped=[gap for each in read for gap in each[2]],
+        warnings=stated.describe_unused(),
         printed=make_printed_ends(delta, printed_x, printed_y),
     )
     return replace(found, warnings=(*found.warnings, *assumed))
@@ -95,7 +96,7 @@ def samples(
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     """Return the printer as configured; M666 A and B are the slopes of the bed."""
     stated = settings(paths, CODES)
-    assumed = describe_defaults(stated)
+    assumed = [*describe_defaults(stated), *stated.describe_unused()]
     if kind(stated) == 6:
         remarks = [*assumed, "lines on spools of one radius and advantage share it"]
         if ":" not in stated.text(ABOVE, "x:y:z")[0]:
