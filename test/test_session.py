@@ -21,6 +21,7 @@ from parallel_cal.base.errors import (
 from parallel_cal.base.progress import ignore_progress
 from parallel_cal.cli.main import main
 from parallel_cal.diagnosis.comparison import compare
+from parallel_cal.identification.observations import noise_in_use, observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import model_hash, read_model
 from parallel_cal.model.model import new_model
@@ -247,6 +248,23 @@ def test_poses_are_planned_for_what_is_free_here(session, run_cli):
     assert names.startswith("x [m],y [m],z [m]")
     assert len(rows) == 8
     assert run_cli("session", "plan", session.folder, "--poses", "9").strip().endswith("9 poses")
+
+
+def test_a_plan_expects_the_noise_of_the_samples(session, tmp_path):
+    """A table that states 150 um and one that states 15 um gave the same forecast: 15.2 um."""
+
+    def forecast(of):
+        words = of.plan(12).read_text().split("position error of ", 1)[1]
+        return float(words.split(" um", 1)[0])
+
+    data, fitted = session.samples, forecast(session)
+    noise = noise_in_use(session.model, observe(session.model, data))
+    assert session.state.weights == vars(noise)
+    loud = dataclasses.replace(data, pose_cov=100 * data.pose_cov)
+    loud.to_json(tmp_path / "loud.json")
+    louder = Session.new(tmp_path / "louder", session.model, [tmp_path / "loud.json"])
+    assert louder.state.weights == {}
+    assert forecast(louder) > 5 * fitted
 
 
 def test_what_is_identified_can_be_chosen_anew_and_that_is_undone_too(session):
