@@ -382,6 +382,9 @@ def test_the_page_shows_the_model_that_save_writes_although_the_verdict_leaves_a
     (row,) = (row for row in made["parameters"]["rows"] if row["name"] == "chain1.D_x")
     assert row["value"] == pytest.approx(1e3 * session.model.value("chain1.D_x"), abs=1e-3)
     assert made["budget"] is None  # of the fit without the sample
+    assert made["iso"] == []
+    names = [tile["name"] for tile in made["tiles"]]
+    assert names == ["before this step", "now", "now, without sample 17", "noise floor"]
 
 
 def test_a_model_that_was_fitted_with_a_sample_is_not_judged_as_if_it_had_been_held_out(

@@ -34,9 +34,9 @@ class Shape:
 def find_shape(scene: Scene, formula: Formula) -> Shape | None:
     """Fit splines along the driver of a law, as many as can bend as the law does.
 
-    None for a law of two drivers, and for one whose waves are too short for splines that the samples
-    determine: such a curve would contradict the law. Where geometry can imitate a part of the error,
-    the data do not determine it: the splines' part is taken from the law.
+    None for a law of two drivers, and for one whose waves are too short for splines that the
+    samples determine: such a curve would contradict the law. Where geometry can imitate a part of
+    the error, the data do not determine it: the splines' part is taken from the law.
     """
     hypothesis = formula.hypothesis
     if len(hypothesis.drivers) != 1:

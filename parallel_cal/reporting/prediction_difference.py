@@ -50,10 +50,10 @@ def draw_difference(
         f"1 sigma of {name} {'unknown' if sigma is None else with_unit(sigma, 'm')}"
         for name, sigma in zip((one, other), found.sigmas, strict=True)
     ]
+    rms = with_unit(float(np.sqrt(np.mean(sizes**2))), "m")
     words = (
-        f"{title}, as the measuring device sees them, magnified {scale:g} times: {with_unit(float(np.sqrt(np.mean(sizes**2))), 'm')} "
-        f"rms over the workspace, at most {with_unit(float(sizes.max()), 'm')}; "
-        f"{', '.join(sigmas)}"
+        f"{title}, as the measuring device sees them, magnified {scale:g} times: {rms} rms over "
+        f"the workspace, at most {with_unit(float(sizes.max()), 'm')}; {', '.join(sigmas)}"
     )
     words += "".join(f"; {part}" for part in (placed, found.validity) if part)
     return {"words": words, "figure": to_json_value(figure)}
