@@ -375,6 +375,16 @@ def test_a_discovery_is_shown_as_text_and_as_a_figure_of_the_law_over_the_shape(
 
 
 @pytest.mark.wide
+def test_the_curve_without_a_formula_bends_as_often_as_the_law():
+    """Eight splines cannot follow nine teeth: the curve contradicted the law that was proven."""
+    data, *_ = hiding("delta", laws.cogging)
+    shape = discover(new_model("delta54"), data).laws[0].shape
+    apart = shape.error - shape.law
+    assert np.std(apart) < 0.6 * np.std(shape.law)
+    assert np.mean(np.abs(apart) < 2 * shape.sigma) > 0.9
+
+
+@pytest.mark.wide
 def test_the_command_writes_one_json_document_and_the_effect(tmp_path, capsys, monkeypatch):
     data, *_ = hiding("delta", laws.cogging)
     data.to_json(tmp_path / "samples.json")

@@ -11,6 +11,7 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.identification.position_uncertainty import PositionDifference, PositionUncertainty
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import load_sensor
 from parallel_cal.reporting import maps
 
 PLACES = np.array([[0.0, 0.0, 0.1], [0.1, 0.0, 0.1], [0.0, 0.1, 0.2]])
@@ -137,6 +138,28 @@ def test_the_difference_of_a_model_with_backlash_contains_the_backlash(hexapods)
     assert up.validity == (
         "in home orientation, each place with the direction of a sample drawn at random"
     )
+
+
+def test_models_whose_bases_are_placed_differently_are_compared_as_the_device_sees_them():
+    """A hexapod with all feet 0.6 mm and the device 0.6 mm lower is the same robot: its pictures
+    differed by 0.6 mm, and that was shown as an error."""
+    one = new_model("stewart42", sensors=[load_sensor("device_frame", position=(1.0, 2.0, 0.5))])
+    numbers = one.table.mapping(one.values)
+    lowered = {
+        name: value - 0.6e-3
+        for name, value in numbers.items()
+        if name.endswith("C_z") or name == "device_frame.frame.z"
+    }
+    values = np.array(list((numbers | lowered).values()))
+    assert sum(values != one.values) == 7
+    found = PositionDifference.of(one, one.with_values(values))
+    assert np.abs(found.difference).max() < 1e-9
+    assert found.frames_apart == pytest.approx(0.6e-3, rel=1e-6)
+    lower = dict(lowered, **{"device_frame.frame.z": 0.0})
+    values = np.array(list((numbers | lower).values()))
+    found = PositionDifference.of(one, one.with_values(values))
+    np.testing.assert_allclose(found.difference[:, 2], -0.6e-3, rtol=1e-6)
+    assert found.frames_apart < 1e-12
 
 
 def test_the_places_of_a_difference_get_the_conditions_of_whole_samples(hexapods):

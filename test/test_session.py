@@ -21,6 +21,7 @@ from parallel_cal.base.errors import (
 from parallel_cal.base.progress import ignore_progress
 from parallel_cal.cli.main import main
 from parallel_cal.diagnosis.comparison import compare
+from parallel_cal.identification.observations import noise_in_use, observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import model_hash, read_model
 from parallel_cal.model.model import new_model
@@ -249,6 +250,23 @@ def test_poses_are_planned_for_what_is_free_here(session, run_cli):
     assert run_cli("session", "plan", session.folder, "--poses", "9").strip().endswith("9 poses")
 
 
+def test_a_plan_expects_the_noise_of_the_samples(session, tmp_path):
+    """A table that states 150 um and one that states 15 um gave the same forecast: 15.2 um."""
+
+    def forecast(of):
+        words = of.plan(12).read_text().split("position error of ", 1)[1]
+        return float(words.split(" um", 1)[0])
+
+    data, fitted = session.samples, forecast(session)
+    noise = noise_in_use(session.model, observe(session.model, data))
+    assert session.state.weights == vars(noise)
+    loud = dataclasses.replace(data, pose_cov=100 * data.pose_cov)
+    loud.to_json(tmp_path / "loud.json")
+    louder = Session.new(tmp_path / "louder", session.model, [tmp_path / "loud.json"])
+    assert louder.state.weights == {}
+    assert forecast(louder) > 5 * fitted
+
+
 def test_what_is_identified_can_be_chosen_anew_and_that_is_undone_too(session):
     fixed = session.choose(fix=["chain1.*"], prior=True)
     assert fixed.step == "fix chain1.*, prior True"
@@ -364,6 +382,9 @@ def test_the_page_shows_the_model_that_save_writes_although_the_verdict_leaves_a
     (row,) = (row for row in made["parameters"]["rows"] if row["name"] == "chain1.D_x")
     assert row["value"] == pytest.approx(1e3 * session.model.value("chain1.D_x"), abs=1e-3)
     assert made["budget"] is None  # of the fit without the sample
+    assert made["iso"] == []
+    names = [tile["name"] for tile in made["tiles"]]
+    assert names == ["before this step", "now", "now, without sample 17", "noise floor"]
 
 
 def test_a_model_that_was_fitted_with_a_sample_is_not_judged_as_if_it_had_been_held_out(

@@ -10,7 +10,11 @@ from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
 from parallel_cal.discovery import basis
 from parallel_cal.discovery.formula import Formula
-from parallel_cal.discovery.thresholds import SPLINES
+from parallel_cal.discovery.thresholds import MIN_SAMPLES_PER_FINE_SPLINE, SPLINES
+
+# Of the law: what its best splines miss of it. A picture does not show less than the first share;
+# a step, which no splines follow, misses more; waves shorter than any splines miss nearly all.
+FINE_SHARE, MAX_MISSED_SHARE = 0.05, 0.5
 
 
 @dataclass(frozen=True)
@@ -28,20 +32,17 @@ class Shape:
 
 
 def find_shape(scene: Scene, formula: Formula) -> Shape | None:
-    """Fit splines along the driver of a law; None for a law of two drivers.
+    """Fit splines along the driver of a law, as many as can bend as the law does.
 
-    Where geometry can imitate a part of the error, the data do not determine it: the splines' part
-    is taken from the law.
+    None for a law of two drivers, and for one whose waves are too short for splines that the
+    samples determine: such a curve would contradict the law. Where geometry can imitate a part of
+    the error, the data do not determine it: the splines' part is taken from the law.
     """
     hypothesis = formula.hypothesis
     if len(hypothesis.drivers) != 1:
         return None
     own, site = hypothesis.drivers[0], hypothesis.site
-    W = basis.splines(own, SPLINES)
-    used = np.any(W != 0, axis=(0, 1))
     members = range(1) if site.each else range(len(site.members))
-    B = sum(site.members[m].columns[:, :, None] * W[m][:, None, used] for m in members)
-    B = np.asarray(B).reshape(len(scene.residual), -1)
     values = [
         sum(
             c[0] * t.value([own[m].values])
@@ -49,8 +50,21 @@ def find_shape(scene: Scene, formula: Formula) -> Shape | None:
         )
         for m in members
     ]
-    stacked = np.concatenate([W[m][:, used] for m in members])
-    start = np.linalg.lstsq(stacked, np.concatenate(values), rcond=None)[0]
+    law = np.concatenate(values)
+    count, most = SPLINES, max(len(law) // MIN_SAMPLES_PER_FINE_SPLINE, SPLINES)
+    while True:
+        W = basis.splines(own, count)
+        used = np.any(W != 0, axis=(0, 1))
+        stacked = np.concatenate([W[m][:, used] for m in members])
+        start = np.linalg.lstsq(stacked, law, rcond=None)[0]
+        missed = float(np.linalg.norm(law - stacked @ start) / max(np.linalg.norm(law), 1e-300))
+        if missed <= FINE_SHARE or count == most:
+            break
+        count = min(2 * count, most)
+    if missed > MAX_MISSED_SHARE:
+        return None
+    B = sum(site.members[m].columns[:, :, None] * W[m][:, None, used] for m in members)
+    B = np.asarray(B).reshape(len(scene.residual), -1)
     left = scene.project_off_geometry(B)
     r = scene.residual + scene.project_off_geometry(formula.columns) @ formula.coefficients.ravel()
     squares, V = np.linalg.eigh(left.T @ left)

@@ -12,7 +12,7 @@ from parallel_cal.base.rotation import rotation_matrix, rotation_vector
 from parallel_cal.identification.readings import doubt_readings
 from parallel_cal.identification.thresholds import BLOCKS, GUESSED_NOISE_SHARE
 from parallel_cal.model.configuration import Configuration
-from parallel_cal.model.model import Model
+from parallel_cal.model.model import Model, Noise
 from parallel_cal.model.sensor import Sensor
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.samples import READING, list_channel_groups
@@ -219,6 +219,25 @@ def list_noise(model: Model, observations: Observations) -> list[NoiseFigure]:
             rms = float(np.sqrt(np.mean(sigma[used] ** 2)))
             found.append(NoiseFigure(sensor.name, rms, sensor.unit, source))
     return found
+
+
+def noise_in_use(model: Model, observations: Observations) -> Noise:
+    """Return the noise of joints and device with which observations are weighted; None for what is
+    neither stated nor estimated."""
+    n, variance = len(model.joints), np.diagonal(observations.S, axis1=1, axis2=2)
+    guessed = {kind.name for kind in observations.unknown if not kind.estimated}
+    joints: dict[str, float] = {}
+    device: list[float | None] = [None, None]
+    for name, unit, own in _kinds(model):
+        used = observations.measured & own
+        if not used.any() or name in guessed:
+            continue
+        sigma = float(np.sqrt(variance[used].mean()))
+        if own[:n].any():
+            joints[unit] = sigma
+        else:
+            device[int(own[n + 3 :].any())] = sigma
+    return Noise(joints or None, *device)
 
 
 def _kinds(model: Model) -> list[tuple[str, str, np.ndarray]]:

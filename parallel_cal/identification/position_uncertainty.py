@@ -11,6 +11,7 @@ import numpy as np
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.predictions import condition_columns
+from parallel_cal.identification.registration import frames_of
 from parallel_cal.identification.thresholds import RELATIVE_RANK
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.solutions import Solutions
@@ -47,15 +48,18 @@ class PositionUncertainty:
 
 @dataclass(frozen=True)
 class PositionDifference:
-    """Where two models place the platform at the same joints, under the same conditions.
+    """Where two models place the target at the same joints, as the measuring device sees it.
 
-    `places` (M, 3) m in {B} are those of the first model, `difference` (M, 3) m is the second minus
-    the first; `sigmas` are the rms uncertainties of both, m (None: not identified). `validity` says
-    in words for which orientation and conditions it holds.
+    `places` (M, 3) m in {B} are those of the platform by the first model, `difference` (M, 3) m is
+    the second minus the first in its {B}. Each fit places {B} anew in the frame of the device:
+    `frames_apart` (m) is the rms difference of the positions in {B} that this alone causes.
+    `sigmas` are the rms uncertainties of both, m (None: not identified). `validity` says in words
+    for which orientation and conditions it holds.
     """
 
     places: np.ndarray
     difference: np.ndarray
+    frames_apart: float
     sigmas: tuple[float | None, float | None]
     validity: str
 
@@ -87,7 +91,15 @@ class PositionDifference:
         at = {name: values[both] for name, values in at.items()}
         sigmas = (_compute_sigma(first, one, at), _compute_sigma(second, other, at))
         validity = _describe_validity(first, second, recorded=list(columns))
-        return cls(one.position, other.position - one.position, sigmas, validity)
+        frames = frames_of(first), frames_of(second)
+        seen = [
+            (s.position + s.rotation @ f.t - f.f) @ f.F
+            for s, f in zip((one, other), frames, strict=True)
+        ]
+        difference = (seen[1] - seen[0]) @ frames[0].F.T
+        moved = np.linalg.norm(other.position - one.position - difference, axis=1)
+        apart = float(np.sqrt(np.mean(moved**2)))
+        return cls(one.position, difference, apart, sigmas, validity)
 
 
 def _compute_sigma(model: Model, solved: Solutions, at: Mapping[str, np.ndarray]) -> float | None:

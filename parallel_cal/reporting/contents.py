@@ -20,7 +20,7 @@ from parallel_cal.identification.fit import FitResult, ParameterEstimate
 from parallel_cal.identification.given_model import last_fit_to, was_last_fitted_to
 from parallel_cal.identification.observability import directions_in_words
 from parallel_cal.identification.prediction_errors import ERRORS, Errors, Summary
-from parallel_cal.identification.registration import SENSOR
+from parallel_cal.identification.registration import SENSOR, frames_of
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.mechanism import POSE, Mechanism
@@ -156,8 +156,10 @@ def history(diagnosis: Diagnosis, errors: HeldOutErrors) -> list[dict[str, Any]]
 class Residuals:
     """Residuals of a fit, one row per sample.
 
-    `place` (N, 3) is the position in m, or the platform's axis. `now` and `found` (N, 3) are
-    measured minus predicted in m or rad, of the present model and with the effects found.
+    `place` (N, 3) is the position of the target in m, or the platform's axis. `now` and `found`
+    (N, 3) are measured minus predicted in m or rad, of the present model and with the effects
+    found. All three are in the frame of the base, wherever the device stands, as are planned poses
+    and the maps of the workspace.
     `noise_units` (N, k) are the components in sigmas. `regressors` are quantities (N,) that
     residuals may depend on, with their SI `units`, empty if none is stated.
     """
@@ -182,8 +184,8 @@ class Residuals:
             components=[POSE[k] if field.kind else f"{read} {k + 1}" for k in used],
             sample=scene.dataset.numbers,
             place=places(scene, field.kind),
-            now=field.vectors,
-            found=None if found is None else found.vectors,
+            now=vectors_in_base(scene, field),
+            found=None if found is None else vectors_in_base(scene, found),
             noise_units=field.noise_units[:, used],
             noise_units_found=None if found is None else found.noise_units[:, used],
             regressors=dict(regressors(scene)),
@@ -244,10 +246,17 @@ class JointResiduals:
 
 
 def places(scene: Scene, kind: str | None) -> np.ndarray:
-    """Return the predicted positions (N, 3), or the platform's z axis if only the orientation is
-    measured."""
-    predicted = Configuration.from_rows(scene.x)
-    return predicted.R[:, :, 2] if kind == "orientation" else predicted.r
+    """Return the predicted positions (N, 3) of the target in {B}, or its z axis if only the
+    orientation is measured."""
+    predicted, device = Configuration.from_rows(scene.x), frames_of(scene.model)
+    if kind == "orientation":
+        return predicted.R[:, :, 2] @ device.F.T
+    return predicted.r @ device.F.T + device.f
+
+
+def vectors_in_base(scene: Scene, field: Field) -> np.ndarray:
+    """Return the vectors (N, 3) of a field, which are in the frame of the device, in {B}."""
+    return field.vectors @ frames_of(scene.model).F.T
 
 
 def unit_along(m: Mechanism, name: str) -> str:

@@ -61,7 +61,7 @@ def in_space(report: Report, plot: Plot) -> str:
     arrows, scale = spaces.residual_arrows(left.place, fields, left.kind, left.sample)
     flat, same = maps.residuals(left.place, fields, left.kind, left.sample)
     what = (
-        f"Measured minus predicted position, magnified {scale:g} times."
+        f"Measured minus predicted position in {{B}}, magnified {scale:g} times."
         if left.kind == "position"
         else "Rotation from predicted to measured orientation (rotation vector in {B}), at "
         f"the platform's z axis on the unit sphere; 1 rad is drawn {scale:g} long."
@@ -72,7 +72,9 @@ def in_space(report: Report, plot: Plot) -> str:
     legend = f'<p class="note legend">{wheel}<span>{escape(f"{what} {COLOURS}")}</span></p>'
     pages = {
         "in space": figure(legend + plot(arrows)),
-        "plan, front, side": figure(plot(flat), caption=f"Residuals, magnified {same:g} times."),
+        "plan, front, side": figure(
+            plot(flat), caption=f"Residuals in {{B}}, magnified {same:g} times."
+        ),
     }
     if report.spread is not None:
         ellipses, wide = maps.workspace(report.spread)

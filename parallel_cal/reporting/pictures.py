@@ -68,7 +68,8 @@ def _(comparison: Comparison) -> Any:
     if kind is None:
         raise ParallelCalError("no residuals in space to draw: no pose was measured")
     places, numbers = contents.places(comparison.scene, kind), comparison.dataset.numbers
-    return _make_figure(spaces.residual_arrows(places, [field.vectors], kind, numbers)[0])
+    arrows = contents.vectors_in_base(comparison.scene, field)
+    return _make_figure(spaces.residual_arrows(places, [arrows], kind, numbers)[0])
 
 
 @_draw.register

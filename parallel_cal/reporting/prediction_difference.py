@@ -31,8 +31,15 @@ def draw_difference(
     if found is None:
         return {"words": f"{title}: no map, because the models reach no common plane of positions"}
     sizes = np.linalg.norm(found.difference, axis=1)
+    placed = (
+        f"the two fits place the base {with_unit(found.frames_apart, 'm')} apart in the frame of "
+        "the device"
+        if found.frames_apart > SAME_POSITION_M
+        else ""
+    )
     if sizes.max() < SAME_POSITION_M:
-        return {"words": f"{one} and {other} predict the same positions"}
+        same = f"{one} and {other} predict the same positions"
+        return {"words": f"{same}; {placed}" if placed else same}
     figure, scale = maps.residuals(
         found.places, [found.difference], "position", np.arange(len(found.places))
     )
@@ -43,11 +50,10 @@ def draw_difference(
         f"1 sigma of {name} {'unknown' if sigma is None else with_unit(sigma, 'm')}"
         for name, sigma in zip((one, other), found.sigmas, strict=True)
     ]
+    rms = with_unit(float(np.sqrt(np.mean(sizes**2))), "m")
     words = (
-        f"{title}, magnified {scale:g} times: {with_unit(float(np.sqrt(np.mean(sizes**2))), 'm')} "
-        f"rms over the workspace, at most {with_unit(float(sizes.max()), 'm')}; "
-        f"{', '.join(sigmas)}"
+        f"{title}, as the measuring device sees them, magnified {scale:g} times: {rms} rms over "
+        f"the workspace, at most {with_unit(float(sizes.max()), 'm')}; {', '.join(sigmas)}"
     )
-    if found.validity:
-        words += f"; {found.validity}"
+    words += "".join(f"; {part}" for part in (placed, found.validity) if part)
     return {"words": words, "figure": to_json_value(figure)}

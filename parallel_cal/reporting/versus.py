@@ -10,7 +10,7 @@ from parallel_cal.diagnosis.comparison import Comparison
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.model.file.modelfile import model_hash
 from parallel_cal.model.model import Model
-from parallel_cal.reporting.contents import places
+from parallel_cal.reporting.contents import places, vectors_in_base
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Side:
             noise=one.noise,
             chi2_per_dof=one.scene.chi2_per_dof,
             place=places(one.scene, one.field.kind),
-            residual=one.field.vectors,
+            residual=vectors_in_base(one.scene, one.field),
         )
 
 

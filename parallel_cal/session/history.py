@@ -38,6 +38,7 @@ class State(_Part):
 
     `errors` are the errors at held-out poses of the `samples` that the step used, `before` those of
     the step's start at the same samples, `noise` the noise floor: summaries, empty if unknown.
+    `weights` is the noise (a `Noise`) with which the step weighted the samples.
     `imported` are tables that were added since the session began, `taken` is a file of samples
     recorded since then, `fitting` the options that differ from those of the session; all persist
     until changed, as `excluded` does. `verdict` is the word
@@ -59,6 +60,7 @@ class State(_Part):
     before: Mapping[str, float | None] = {}
     errors: Mapping[str, float | None] = {}
     noise: Mapping[str, float | None] = {}
+    weights: Mapping[str, Any] = {}
     against: str = ""
     verdict: str = ""
     summary: str = ""

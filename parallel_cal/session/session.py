@@ -18,10 +18,11 @@ from parallel_cal.base.files import write_atomically
 from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
 from parallel_cal.diagnosis.patterns import explain_exclusion
+from parallel_cal.identification.observations import noise_in_use, observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.effect import parse_effects
 from parallel_cal.model.file.modelfile import read_model, write_model
-from parallel_cal.model.model import Model
+from parallel_cal.model.model import Model, Noise
 from parallel_cal.model.shelf import add_plugin_folder, load_effect
 from parallel_cal.planning.plan import plan
 from parallel_cal.recordings.dataset import Dataset
@@ -44,7 +45,7 @@ CHANGED = "the session changed in the meantime: look at it and try again"
 PERSISTENT = ("excluded", "imported", "taken", "fitting")
 # The fields of a state that judge its model.
 JUDGED = (
-    *("before", "errors", "noise", "sigmas_before", "sigmas", "samples"),
+    *("before", "errors", "noise", "weights", "sigmas_before", "sigmas", "samples"),
     *("against", "verdict", "summary"),
 )
 
@@ -451,11 +452,17 @@ class Session(History):
     @check_arguments(SessionError)
     def plan(self, poses: int, progress: Progress | None = None) -> Path:
         """Plan poses for the free parameters of this state; return the path of their CSV file (m,
-        quaternions and joints)."""
-        asked = self.options
-        found = plan(
-            with_noise(self.model), poses, progress=progress, free=asked.free, fix=asked.fix
-        )
+        quaternions and joints).
+
+        The poses are expected to be measured with the noise of this session's samples, as stated or
+        estimated, and with typical noise where it is unknown.
+        """
+        asked, weights = self.options, dict(self.state.weights)
+        if not weights:
+            samples = observe(self.model, self.dataset, asked.joint_sigma, asked.insist)
+            weights = vars(noise_in_use(self.model, samples))
+        known = with_noise(dataclasses.replace(self.model, noise=Noise(**weights)))
+        found = plan(known, poses, progress=progress, free=asked.free, fix=asked.fix)
         file = self.folder / "plans" / f"{self.state.number}.csv"
         file.parent.mkdir(exist_ok=True)
         write_atomically(file, found.csv())
@@ -521,6 +528,7 @@ class Session(History):
             "before": to_json_value(step.errors_to_beat.document()),
             "errors": to_json_value(step.result.held_out.summary.document()),
             "noise": to_json_value(step.result.noise_floor.document()),
+            "weights": vars(noise_in_use(step.model, step.result.observations)),
             "against": step.acceptance.against,
             "samples": step.result.samples,
             "sigmas": step.result.rms_sigmas(step.result.held_out),

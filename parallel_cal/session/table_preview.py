@@ -23,11 +23,12 @@ USUAL_CONDITIONS = ("time", "temperature", "payload")
 def preview_table(file: Path, folder: Path) -> dict[str, Any]:
     """Read a table for the session in `folder`; `error` says why it cannot be read, empty if it
     can. `joints` are the units (rad or m) of the model's joints by name. `columns`, `conditions`
-    and `readings` name the column of a quantity, `angles` those of three angles, `name` that of a
-    name of each row."""
+    and `readings` (those of the model's sensors) name the column of a quantity, `angles` those of
+    three angles, `name` that of a name of each row."""
     try:
         session = History(folder)
-        mechanism = read_model(folder / session.state.model).mechanism
+        model = read_model(folder / session.state.model)
+        mechanism = model.mechanism
         table = read_table(file).drop_empty_rows()
         conditions = find_conditions(table, mechanism.joints)
     except ParallelCalError as error:
@@ -45,7 +46,8 @@ def preview_table(file: Path, folder: Path) -> dict[str, Any]:
         "angles": next((names for names in angles if all(names)), [None] * 3),
         "conditions": usual | conditions,
         "name": find_names(table),
-        "readings": {name: one.column for name, one in find_readings(table).items()},
+        "readings": dict.fromkeys(model.structure.channels)
+        | {name: one.column for name, one in find_readings(table).items()},
         "joints": dict(zip(mechanism.joints, mechanism.joint_units, strict=True)),
     }
 

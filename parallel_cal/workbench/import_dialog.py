@@ -177,7 +177,12 @@ class ColumnForm:
                 unit, factor = NOISE_UNITS[si]
                 entry = ui.number(f"{name} [{unit}]", min=0, format="%.3g").classes("w-40")
                 self._noise[name] = (entry, factor)
-        self._readings: dict[str, str] = found["readings"]
+        self._readings: dict[str, Any] = {}
+        if found["readings"]:
+            with _row("sensor readings"):
+                self._readings = {
+                    name: self._pick(name, column) for name, column in found["readings"].items()
+                }
         ui.label().classes("text-sm").props("id=unused").bind_text_from(self, "unused")
 
     @property
@@ -185,9 +190,7 @@ class ColumnForm:
         """The columns that the map does not name, in words."""
         chosen = [column for column, _, _ in self._joints.values()]
         chosen += [*self._position, *self._chosen_orientation, *self._conditions.values()]
-        used = {one.value for one in (*chosen, self._group, self._name)} | {
-            *self._readings.values()
-        }
+        used = {one.value for one in (*chosen, *self._readings.values(), self._group, self._name)}
         left = [word for word in self._header if word not in used]
         return f"not used: {', '.join(left)}" if left else ""
 
@@ -237,8 +240,9 @@ class ColumnForm:
                 found["angles"] = {"columns": columns, "axes": self._axes.value} | unit
             else:
                 found["rotation_vector"] = {"columns": columns} | unit
-        if self._readings:
-            found["readings"] = {k: {"column": column} for k, column in self._readings.items()}
+        readings = {k: one.value for k, one in self._readings.items() if one.value}
+        if readings:
+            found["readings"] = {k: {"column": column} for k, column in readings.items()}
         found["conditions"] = {k: c.value for k, c in self._conditions.items() if c.value}
         if self._group.value:
             found["group"] = self._group.value

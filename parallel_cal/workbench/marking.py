@@ -156,3 +156,9 @@ class FigureSlot:
             self._view = draw_figure(figure, words, before)
         if self._marking and before is None:
             self._marking.follow(self._view)
+
+    def clear(self) -> None:
+        """Forget the figure, so that the next one keeps nothing of its axes."""
+        if self._view is not None:
+            self._view.delete()
+            self._view = None

@@ -26,6 +26,7 @@ class ResidualsCard:
     def __init__(self, marking: Marking):
         self.view: dict[str, Any] = {}
         self.strongest: str | None = None  # of the quantities offered
+        self.turned_to = ""  # the tab of the picture
         with card("Where it fails"):
             ui.label(HINT).classes("text-sm quiet")
             self.shown = ui.label().props("id=shown").classes("text-sm")
@@ -49,7 +50,8 @@ class ResidualsCard:
         if arrows is None:
             self.arrows.show(None)
         else:
-            figure, title = arrows["figure"], f"residuals, magnified {arrows['scale']:g} times"
+            figure = arrows["figure"]
+            title = f"residuals in the frame of the base, magnified {arrows['scale']:g} times"
             low = figure | {"layout": figure["layout"] | {"height": HEIGHT}}
             self.arrows.show(low, "residual arrows in space", title)
         sizes = [sample["sigmas"] or 0 for sample in view["samples"]["rows"]]
@@ -80,6 +82,9 @@ class ResidualsCard:
         chosen = [one for one in self.view["pictures"] if one["name"] == self.tabs.value]
         if not chosen:
             return self.picture.show(None)
+        if self.turned_to != chosen[0]["name"]:
+            self.turned_to = chosen[0]["name"]
+            self.picture.clear()
         self.picture.show(chosen[0]["figure"], chosen[0]["words"], chosen[0]["words"])
 
     def _draw_profile(self) -> None:

@@ -157,26 +157,33 @@ def view(session: Session, progress: Progress) -> View:
     session.record_verdict(session.state, verdict.word, f"{verdict.summary}{remark}", knocked)
     if part is None and not knocked:
         return made
-    return made | _make_numbers_of_all(session, made["verdict"], remark)
+    return made | _make_numbers_of_all(session, made, remark)
 
 
-def _make_numbers_of_all(session: Session, verdict: View, remark: str) -> View:
+def _make_numbers_of_all(session: Session, made: View, remark: str) -> View:
     """Make what a diagnosis of a part must not replace: errors and parameters of all samples.
 
-    Figures that only the fit of the part has (budget, chi2/dof) are left out.
+    Figures that only the fit of the part has (budget, ISO 9283, chi2/dof) are omitted.
     """
-    model = session.model
+    model, verdict = session.model, made["verdict"]
     sigma = np.full(len(model.values), np.nan)
     if model.covariance is not None:
         sigma = np.sqrt(np.diag(model.covariance))
     numbers = _make_numbers("", _known_errors(session.state), session.state.sigmas)
+    # The error on which the verdict is based stands beside that of all samples, under its name.
+    judged = [
+        tile | {"name": f"now, without sample {', '.join(map(str, made['knocked']))}"}
+        for tile in made["tiles"]
+        if made["knocked"] and tile["name"] == "now"
+    ]
     fixed = np.asarray(model.fixed)
     parameters = contents.describe_parameters(model, summarise_parameters(model, sigma, fixed))
     return {
         "verdict": verdict | {"words": f"{verdict['words']}{remark}"},
-        "tiles": numbers["tiles"],
+        "tiles": [*numbers["tiles"][:2], *judged, *numbers["tiles"][2:]],
         "counts": f"all errors: rms at {session.state.samples} samples; ± 1 sigma",
         "budget": None,
+        "iso": [],
         "chi2": "",
         "parameters": as_rows(results.parameter_table(parameters)),
     }
@@ -433,7 +440,11 @@ def _pictures(
         flat, scale = maps.residuals(
             residuals.place, [residuals.now], residuals.kind, residuals.sample
         )
-        yield _picture("sides", f"residuals from three sides, magnified {scale:g} times", flat)
+        yield _picture(
+            "sides",
+            f"residuals from three sides, in the frame of the base, magnified {scale:g} times",
+            flat,
+        )
     if (spread := maps.PositionUncertainty.of(scene.model)) is not None:
         known, scale = maps.workspace(spread)
         words = f"model uncertainty: 1-sigma ellipses, magnified {scale:g} times"
