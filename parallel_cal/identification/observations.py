@@ -237,7 +237,7 @@ def noise_in_use(model: Model, observations: Observations) -> Noise:
             joints[unit] = sigma
         else:
             device[int(own[n + 3 :].any())] = sigma
-    return Noise(joints or None, *device)
+    return Noise(joints or None, device[0], device[1])
 
 
 def _kinds(model: Model) -> list[tuple[str, str, np.ndarray]]:

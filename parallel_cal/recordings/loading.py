@@ -134,7 +134,8 @@ def load_table(path: Path, options: ReadOptions) -> Dataset:
         return load_tables([table], read_column_map(file), str(file), options)
     wanted = map_by_names(table, options.joint_names or (), beside)
     dataset = load_tables([table], wanted, str(beside), options)
-    matched = {joint: of.column for joint, of in wanted.joints.items() if of.column != joint}
+    columns = {joint: of.column or joint for joint, of in wanted.joints.items()}
+    matched = {joint: column for joint, column in columns.items() if column != joint}
     if matched:
         note = describe_match(str(path), matched)
         dataset = dataclasses.replace(dataset, warnings=(*dataset.warnings, note))
