@@ -57,8 +57,8 @@ def find_shape(scene: Scene, formula: Formula) -> Shape | None:
         used = np.any(W != 0, axis=(0, 1))
         stacked = np.concatenate([W[m][:, used] for m in members])
         start = np.linalg.lstsq(stacked, law, rcond=None)[0]
-        left, size = np.linalg.norm(law - stacked @ start), np.linalg.norm(law)
-        missed = float(left / size) if size else 0.0
+        gap, size = np.linalg.norm(law - stacked @ start), np.linalg.norm(law)
+        missed = float(gap / size) if size else 0.0
         if missed <= FINE_SHARE or count == most:
             break
         count = min(2 * count, most)
