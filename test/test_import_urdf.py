@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.cli import main as cli
 from parallel_cal.identification.completeness import compute_completeness
 from parallel_cal.importing.urdf import arm
@@ -158,7 +159,23 @@ def test_limits_rates_and_names_are_the_urdfs(file):
     assert m.joint_limits == ((-2.5, 1.5), (-2.5, 1.5), (0.02, 0.12), (-np.inf, np.inf))
     assert [rate[0] for rate in m.joint_rates] == [3.1, 3.1, 0.5, np.inf]
     assert m.joint_units == ("rad", "rad", "m", "rad")
-    assert m.home.joints == pytest.approx((0, 0, 0.07, 0))
+    low, high = np.array(m.joint_limits).T
+    assert ((m.home.joints > low) & (m.home.joints < high)).all()
+
+
+def test_home_is_a_regular_configuration(file):
+    """With all joints at zero, this wrist is stretched: `plan` found 11 poses for 30."""
+    found = arm(file(UR5), "base", "tool0")
+    home = np.array(found.model.mechanism.home.joints)
+    assert found.remarks[-1].startswith("home is at ")
+    assert "singular" in found.remarks[-1]
+    step = 1e-6 * np.eye(6)
+    poses = Kinematics(found.model).direct(np.vstack([home + step, home - step]))
+    turns = rotation_vector(poses.rotation[:6] @ poses.rotation[6:].transpose(0, 2, 1))
+    motion = np.hstack([poses.position[:6] - poses.position[6:], turns]) / 2e-6
+    assert np.linalg.svd(motion, compute_uv=False)[-1] > 0.05
+    stated = arm(file(UR5), "base", "tool0", home=[0.0] * 6)
+    assert stated.model.mechanism.home.joints == (0.0,) * 6
 
 
 def test_the_command_writes_a_model_that_is_read_again(file, tmp_path, capsys):
@@ -186,7 +203,7 @@ def test_a_link_that_no_joint_moves_is_no_end_of_the_chain(file):
     tool = joint("hand", "fixed", "tool0", "gripper")
     found = arm(file(again.replace("</robot>", tool + "</robot>")))
     assert found.model.frames == {"base": "world", "platform": "gripper"}
-    assert found.remarks == ("the chain ends in gripper; camera can be chosen with --to-link",)
+    assert found.remarks[0] == "the chain ends in gripper; camera can be chosen with --to-link"
     assert arm(file(SCARA.replace("</robot>", frame + "</robot>"))).model.frames["platform"] == "d"
 
 

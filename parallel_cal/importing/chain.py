@@ -170,6 +170,43 @@ def choose_controls(arm: Mechanism) -> tuple[str, ...]:
     x, y and z come first if the arm can move all of them. The others are those that it moves best:
     a SCARA cannot turn about x, and a palletizer hardly.
     """
+    drawn, J = _draw_motions(arm)
+    joints, position = drawn.shape[1], (0, 1, 2)
+
+    def least_motions(which: Sequence[int]) -> Array:
+        """Return at each configuration how far the least movable combination moves, m."""
+        return np.asarray(np.linalg.svd(J[:, which], compute_uv=False)[:, -1])
+
+    moves_freely = joints >= 3 and np.median(least_motions(position)) > MIN_INDEPENDENT_MOTION
+    first = position if moves_freely else ()
+    for n in range(min(joints, 6), 0, -1):
+        every = [which for which in combinations(range(6), n) if set(first) <= set(which)]
+        least = {which: least_motions(which) for which in every}
+        able = [which for which in every if np.median(least[which]) > MIN_INDEPENDENT_MOTION]
+        if able:  # at home, and at unfavourable configurations
+            best = max(able, key=lambda w: round(least[w][0] + np.quantile(least[w], 0.05), 9))
+            return tuple(POSE[i] for i in best)
+    return arm.controls
+
+
+def choose_home(arm: Mechanism) -> tuple[float, ...]:
+    """Return home, or if the arm is singular there, the nearest of many configurations within its
+    limits that are far from singular.
+
+    At a singular home, such as a stretched wrist, no joints follow from a small motion of the tool.
+    """
+    drawn, J = _draw_motions(arm)
+    least = np.linalg.svd(J[:, list(arm.controlled)], compute_uv=False)[:, -1]
+    if least[0] > MIN_INDEPENDENT_MOTION:
+        return tuple(arm.home.joints)
+    regular = drawn[least[1:] >= least[1:].max() / 2]
+    away = np.linalg.norm(regular - np.array(arm.home.joints), axis=1)
+    return tuple(round(float(value), 3) for value in regular[int(np.argmin(away))])
+
+
+def _draw_motions(arm: Mechanism) -> tuple[Array, Array]:
+    """Draw configurations (N, nq) within the limits, and the motions (1 + N, 6, nq)
+    of the tool per motion of the joints at home and at these; angles times `length`, m."""
     q = ca.SX.sym("q", len(arm.joints))
     p = Named(arm.parameters.names, ca.DM(arm.parameters.nominal))
     r, R = arm.candidates(q, p)[0]  # an arm has one pose
@@ -178,20 +215,4 @@ def choose_controls(arm: Mechanism) -> tuple[str, ...]:
     motion = ca.Function("motion", [q], [ca.vertcat(ca.jacobian(r, q), arm.length * turns)])
     low, high = np.clip(np.array(arm.joint_limits, float).T, -np.pi, np.pi)
     drawn = np.random.default_rng(0).uniform(low, high, (N_CONFIGURATIONS, q.numel()))
-    J = np.array([np.array(motion(row)) for row in (arm.home.joints, *drawn)])
-    position = (0, 1, 2)
-
-    def least_motions(which: Sequence[int]) -> Array:
-        """Return at each configuration how far the least movable combination moves, m."""
-        return np.asarray(np.linalg.svd(J[:, which], compute_uv=False)[:, -1])
-
-    moves_freely = q.numel() >= 3 and np.median(least_motions(position)) > MIN_INDEPENDENT_MOTION
-    first = position if moves_freely else ()
-    for n in range(min(q.numel(), 6), 0, -1):
-        every = [which for which in combinations(range(6), n) if set(first) <= set(which)]
-        least = {which: least_motions(which) for which in every}
-        able = [which for which in every if np.median(least[which]) > MIN_INDEPENDENT_MOTION]
-        if able:  # at home, and at unfavourable configurations
-            best = max(able, key=lambda w: round(least[w][0] + np.quantile(least[w], 0.05), 9))
-            return tuple(POSE[i] for i in best)
-    return arm.controls
+    return drawn, np.array([np.array(motion(row)) for row in (arm.home.joints, *drawn)])

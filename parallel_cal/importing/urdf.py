@@ -15,7 +15,12 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.files import read_foreign_text
-from parallel_cal.importing.chain import chain_links, choose_controls, rotation_from_rpy
+from parallel_cal.importing.chain import (
+    chain_links,
+    choose_controls,
+    choose_home,
+    rotation_from_rpy,
+)
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.mimic import (
     Joint,
@@ -60,13 +65,26 @@ def arm(path: Path, start: str = "", end: str = "", **options: Any) -> Configure
         master.limits if np.array_equal(found, master.finite_limits) else found
         for master, found in zip(masters, mechanism.joint_limits, strict=True)
     )
+    assumed_home = None
     if "home" not in options:
         finite = np.nan_to_num(limits, posinf=2 * np.pi, neginf=-2 * np.pi).tolist()
-        options["home"] = [0.0 if low < 0 < high else (low + high) / 2 for low, high in finite]
+        assumed_home = [0.0 if low < 0 < high else (low + high) / 2 for low, high in finite]
+        options["home"] = assumed_home
         mechanism = load_mechanism("serial", links=links, **options)
     if "controls" not in options and (able := choose_controls(mechanism)) != mechanism.controls:
         mechanism = load_mechanism("serial", links=links, **options, controls=list(able))
         remarks.append(f"the arm controls {', '.join(able)}: other coordinates follow from them")
+    about_home = list[str]()
+    if assumed_home is not None:
+        regular = choose_home(mechanism)
+        if regular != tuple(mechanism.home.joints):
+            own = {"controls": list(mechanism.controls)} | options | {"home": list(regular)}
+            mechanism = load_mechanism("serial", links=links, **own)
+            about_home.append(
+                f"home is at {', '.join(f'{v:g}' for v in regular)}, because the arm is singular "
+                "with all joints at zero: state another one with --option home=[...] if this is "
+                "not in the robot's usual working range"
+            )
     mechanism.joints = tuple(master.name for master in masters)
     mechanism.joint_limits = limits
     following = [(joint, joint.mimic) for joint in moving if joint.mimic]
@@ -90,7 +108,8 @@ def arm(path: Path, start: str = "", end: str = "", **options: Any) -> Configure
         if joint.kind == "P" and abs(joint.axis_length - 1) > MAX_AXIS_LENGTH_ERROR
     ]
     frames = {"base": joints[0].parent, "platform": joints[-1].child}
-    return ConfiguredRobot(replace(new_model(mechanism), frames=frames), tuple(remarks))
+    model = replace(new_model(mechanism), frames=frames)
+    return ConfiguredRobot(model, (*remarks, *about_home))
 
 
 def read_chain(path: Path, start: str, end: str) -> list[Joint]:
