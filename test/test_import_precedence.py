@@ -273,9 +273,7 @@ def test_the_last_settings_in_marlins_memory_count(write, log, radius):
 
 def test_settings_before_m502_do_not_count(write):
     log = write(DUMP.format(123) + "Send: M502\n", "m503.log")
-    with pytest.raises(
-        DatasetError, match=r"no M665 R, .*m503\.log:2: M502 returns to"
-    ):
+    with pytest.raises(DatasetError, match=r"no M665 R, .*m503\.log:2: M502 returns to"):
         configured([log])
     model = configured([log, write(HEADER_H, "Configuration.h")]).model
     assert model.value("chain2.D_x") == pytest.approx(0.124)
