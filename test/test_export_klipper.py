@@ -180,9 +180,9 @@ CLOCKWISE = {
     "rotary": ROTARY.replace("angle: 271", "angle: 150").replace(
         "[stepper_b]", "[stepper_b]\nangle: 270"
     ),
-    "linear": LINEAR.replace("angle = 331.0", "angle = 91.0").replace(
-        "[stepper_c]", "[stepper_c]\nangle: 330"
-    ),
+    "linear": LINEAR.replace("angle = 331.0", "angle = 91.0")
+    .replace("[stepper_c]", "[stepper_c]\nangle: 330")
+    .partition("#*# distance0 = ")[0],
 }
 
 

@@ -55,7 +55,7 @@ radius: 70
 #*# manual_height0_pos = 24000.000,23960.000,48000.000
 #*# distance0 = 55.1
 #*# distance0_pos1 = 20000.0,20000.0,40000.0
-#*# distance0_pos2 = 20001.0,20000.0,40000.0
+#*# distance0_pos2 = 20100.0,20000.0,40000.0
 """
 ROTARY = """\
 [printer]
@@ -100,11 +100,12 @@ def test_steps_count_from_the_end_stops(file):
     data = samples("klipper", file(LINEAR))
     np.testing.assert_allclose(data.q[0], np.array([200, 200, 200]) * MM, atol=1e-12)
     np.testing.assert_allclose(data.q[1], np.array([199.8, 199.8, 199.8]) * MM, atol=1e-12)
-    np.testing.assert_array_equal(data.conditions["reading.probe"], np.array([0.2, 0, 0.1]) * MM)
-    np.testing.assert_allclose(data.joint_sigma * 12**0.5, np.array([12.5, 12.5, 6.25]) * 1e-6)
-    assert data.warnings[1:] == (
-        "1 distances are not used: --option printed_x=[sent, measured] determines the size",
+    np.testing.assert_array_equal(
+        data.conditions["reading.probe"][:3], np.array([0.2, 0, 0.1]) * MM
     )
+    np.testing.assert_allclose(data.joint_sigma * 12**0.5, np.array([12.5, 12.5, 6.25]) * 1e-6)
+    assert not data.warnings
+    assert len(data) == 5  # with the two ends of a distance
     model = configured(file(LINEAR)).model
     at = Kinematics(model).direct(data.q[:1] + 0.05).position
     np.testing.assert_allclose(at, [[0, 0, 0.05]], atol=1e-9)
@@ -148,15 +149,15 @@ def test_touches_behind_a_gap_are_counted(file):
         "#*# manual", "#*# height3 = 0.1\n#*# height3_pos = 1.0,2.0,3.0\n#*# manual", 1
     )
     data = samples("klipper", file(more))
-    assert len(data) == 2
-    assert "height1 is missing" in data.warnings[1]
-    assert data.warnings[1].endswith("omits 2 heights behind it")
+    assert len(data) == 4
+    assert "height1 is missing" in data.warnings[0]
+    assert data.warnings[0].endswith("omits 2 heights behind it")
 
 
 def test_a_nozzle_beside_its_probe_takes_no_part_in_its_touches(file):
     data = samples("klipper", file("[probe]\nz_offset: 2\nx_offset: -20\n" + LINEAR))
-    assert len(data) == 2
-    assert data.warnings[1].startswith("manual heights")
+    assert len(data) == 4
+    assert data.warnings[0].startswith("manual heights")
     for kind in ("[bltouch]", "[smart_effector]", "[probe_eddy_current my_coil]"):
         model = configured(file(f"{kind}\nz_offset: 2\ny_offset: 7\n" + LINEAR)).model
         assert model.sensors[0].tip == (0.0, 0.007, 0.0)

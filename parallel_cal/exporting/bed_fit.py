@@ -19,16 +19,13 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.exporting.projection import Array, Firmware, Machine
+from parallel_cal.importing.deltas import compute_positions
 from parallel_cal.importing.touch_samples import Touches
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model
 from parallel_cal.model.parameters import Named
 
 PROBE = "probe"
-MAX_STEPS = 50  # of Newton's method; three are usual
-STEPS_PER_SLOPES = 5  # the slopes hardly change over a step
-CLOSE = 1e-10  # m; a smaller step has converged
-DIFFERENCE = 1e-6  # m, for slopes of the firmware's formula
 XY_SIGMA = 0.1e-3  # m, rms over the bed: how exact x and y by the present numbers are taken to be
 MODEL_XY_SIGMA = 0.01e-3  # m, rms over the bed: x and y by no model are taken to be more exact
 COMMON_SIGMA = 0.5e-3  # m, rms: how exact the common shift and turn of all points are taken to be
@@ -42,33 +39,6 @@ N_BED_POINTS = 60  # where x and y are compared in a fit, at each of the LAYERS
 N_JUDGED_POINTS = 240  # where the largest movement is searched: 60 miss up to 15 % of it
 LAYERS = (0.5, 1.0)  # above the bed, in heights of the workspace
 UNDETERMINED = 1e-12  # of a variance in tolerances: the data leave this combination open
-
-
-def compute_positions(firmware: Firmware, motors: Array, near: Array) -> Array:
-    """Return the nozzle's positions (N, 3) in m by a firmware's formula with its motors (N, 3).
-
-    `near` (N, 3) are starting values. NaN if the formula has no solution for these motors.
-    """
-    r, R = np.array(near, float), np.broadcast_to(np.eye(3), (len(near), 3, 3))
-    for k in range(MAX_STEPS):
-        off = firmware.joints(r, R) - motors
-        if k % STEPS_PER_SLOPES == 0:
-            slopes = np.stack(
-                [
-                    (firmware.joints(r + d, R) - firmware.joints(r - d, R)) / (2 * DIFFERENCE)
-                    for d in DIFFERENCE * np.eye(3)
-                ],
-                axis=2,
-            )
-            bad = ~np.isfinite(slopes).all(axis=(1, 2))
-            slopes[bad] = np.eye(3)
-            inverse = np.linalg.inv(slopes)
-            inverse[bad] = np.nan
-        step = np.einsum("nij,nj->ni", inverse, off)
-        r = r - step
-        if not (np.abs(step) > CLOSE).any():
-            return r
-    return np.where(np.abs(step).max(axis=1, keepdims=True) > CLOSE, np.nan, r)
 
 
 @dataclass(frozen=True)

@@ -62,17 +62,13 @@ def edit_files(
         if apart:
             appended.append((files[-1], format_settings(apart)))
     for path, text in appended:
-        _append(lines[path], text)
+        own = lines[path]
+        saved = (k for k, line in enumerate(own) if line.startswith(SAVE_CONFIG_PREFIX))
+        k = next(saved, len(own))
+        if k and not own[k - 1].endswith("\n"):
+            own[k - 1] += "\n"
+        own.insert(k, text)
     return {path: "".join(text) for path, text in lines.items()}
-
-
-def _append(lines: list[str], text: str) -> None:
-    """Add a text at the end of a file, above what SAVE_CONFIG wrote."""
-    saved = (k for k, line in enumerate(lines) if line.startswith(SAVE_CONFIG_PREFIX))
-    k = next(saved, len(lines))
-    if k and not lines[k - 1].endswith("\n"):
-        lines[k - 1] += "\n"
-    lines.insert(k, text)
 
 
 def _begin(lines: Sequence[str], field: str) -> str:

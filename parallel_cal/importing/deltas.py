@@ -37,6 +37,10 @@ HOME_HEIGHT_M = 0.05  # m above the bed; the middle of the used height
 USED_HEIGHT_M = 2 * HOME_HEIGHT_M  # above the bed
 BELOW_HOMED = 30 * DEGREE  # of a hanging rotary Delta's arms in the middle of its workspace
 HANGING_ANGLES = np.radians([270.0, 30.0, 150.0])  # of the motors of LinuxCNC and grblHAL
+MAX_STEPS = 50  # of Newton's method; three are usual
+STEPS_PER_SLOPES = 5  # the slopes hardly change over a step
+CLOSE = 1e-10  # m; a smaller step has converged
+DIFFERENCE = 1e-6  # m, for slopes of the firmware's formula
 FLAT = 1e-6  # twice the area of a triangle on the unit circle; a smaller one has no orientation
 NOT_STATED = (
     "inclinations of towers or motors, errors between the two rods of a pair "
@@ -52,6 +56,13 @@ PROBE_NOISE_UNKNOWN = (
     "one place ten times and give the standard deviation in m (--sensor 'probe: {sigma: 5.0e-6}', "
     "or in the model file under sensors)"
 )
+
+
+class Formula(Protocol):
+    """The inverse kinematics of a firmware with three motors."""
+
+    def joints(self, r: Array, R: Array) -> Array:
+        """Return motors (N, 3) in m or rad for poses r (N, 3), R (N, 3, 3); NaN out of reach."""
 
 
 class Delta(Protocol):
@@ -266,6 +277,33 @@ def _state_switches(homed: Array, limits: Sequence[tuple[float, float]]) -> dict
     """Return the option `switches` of joints that are not homed at their upper limits."""
     at_tops = np.array_equal(homed, [high for _, high in limits])
     return {} if at_tops else {"switches": homed.tolist()}
+
+
+def compute_positions(formula: Formula, motors: Array, near: Array) -> Array:
+    """Return the nozzle's positions (N, 3) in m by a firmware's formula with its motors (N, 3).
+
+    `near` (N, 3) are starting values. NaN if the formula has no solution for these motors.
+    """
+    r, R = np.array(near, float), np.broadcast_to(np.eye(3), (len(near), 3, 3))
+    for k in range(MAX_STEPS):
+        off = formula.joints(r, R) - motors
+        if k % STEPS_PER_SLOPES == 0:
+            slopes = np.stack(
+                [
+                    (formula.joints(r + d, R) - formula.joints(r - d, R)) / (2 * DIFFERENCE)
+                    for d in DIFFERENCE * np.eye(3)
+                ],
+                axis=2,
+            )
+            bad = ~np.isfinite(slopes).all(axis=(1, 2))
+            slopes[bad] = np.eye(3)
+            inverse = np.linalg.inv(slopes)
+            inverse[bad] = np.nan
+        step = np.einsum("nij,nj->ni", inverse, off)
+        r = r - step
+        if not (np.abs(step) > CLOSE).any():
+            return r
+    return np.where(np.abs(step).max(axis=1, keepdims=True) > CLOSE, np.nan, r)
 
 
 def end_stops(delta: Delta) -> dict[str, float]:

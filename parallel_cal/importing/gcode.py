@@ -56,18 +56,14 @@ class _Reader:
         for place, line in read_lines(path, self.texts.get(path)):
             code = parse_settings_line(self.words, place, line, (*self.codes, LOAD))
             if code == LOAD and path.name.lower() != OVERRIDE:
-                self._load_override(path.with_name(OVERRIDE))
-            if found := GLOBAL.match(line):  # an indented line may never be reached
-                self.variables[found[1]] = (found[2], place)
-
-    def _load_override(self, path: Path) -> None:
-        elsewhere = [given for given in self.given.values() if given.name.lower() == OVERRIDE]
-        if path.is_file():
-            self.read(self.given.get(path.resolve(), path))
-        elif elsewhere:
-            self.read(elsewhere[0])
-        elif OVERRIDE not in self.unread:
-            self.unread.append(OVERRIDE)
+                beside = path.with_name(OVERRIDE)
+                found = [self.given.get(beside.resolve(), beside)] if beside.is_file() else []
+                found += [given for given in self.given.values() if given.name.lower() == OVERRIDE]
+                for override in found[:1]:
+                    self.read(override)
+                self.unread = self.unread if found else [OVERRIDE]
+            if variable := GLOBAL.match(line):  # an indented line may never be reached
+                self.variables[variable[1]] = (variable[2], place)
 
     def resolve_variables(self) -> dict[str, tuple[str, SourceLine]]:
         """Return the words, with the values of the variables that they name."""

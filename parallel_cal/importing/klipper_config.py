@@ -9,7 +9,7 @@ not state, and not at all if other text stands below it. Source: Klipper klippy/
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from configparser import MissingSectionHeaderError, ParsingError, RawConfigParser
 from glob import glob
 from pathlib import Path
@@ -129,8 +129,14 @@ class _Reader:
             )
 
     def _parse(self, config: RawConfigParser, lines: Sequence[Line]) -> None:
+        """Parse lines without comments, each with its index in `self.lines` behind it."""
+        marked = []
+        for place, line in lines:
+            plain = COMMENT.sub("", line).rstrip()
+            marked.append(f"{plain}{MARK}{len(self.lines)}\n" if plain else "\n")
+            self.lines.append(place)
         try:
-            config.read_file(self._mark(lines))
+            config.read_file(marked)
         except MissingSectionHeaderError as error:
             place, line = lines[error.lineno - 1]
             expected = "[section] above it; an [include] ends the section before it"
@@ -138,13 +144,6 @@ class _Reader:
         except ParsingError as error:
             place, line = lines[error.errors[0][0] - 1]
             raise place.error("the line", line.strip(), "[section] or key: value") from None
-
-    def _mark(self, lines: Sequence[Line]) -> Iterator[str]:
-        """Yield lines without comments, each with its index in `self.lines` behind it."""
-        for place, line in lines:
-            plain = COMMENT.sub("", line).rstrip()
-            yield f"{plain}{MARK}{len(self.lines)}\n" if plain else "\n"
-            self.lines.append(place)
 
     def _value(self, text: str) -> tuple[str, SourceLine]:
         """Return a value without marks, and the last of its lines that has text."""

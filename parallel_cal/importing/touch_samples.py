@@ -108,6 +108,18 @@ def make_printed_ends(
     return PrintedEnds(delta.joints(at), readings)
 
 
+def join_ends(parts: Sequence[PrintedEnds]) -> PrintedEnds:
+    """Return all ends, each with the readings of its own part; NaN elsewhere."""
+    total, before = sum(len(part.q) for part in parts), 0
+    readings = dict[str, Array]()
+    for part in parts:
+        for name, read in part.readings.items():
+            readings[name] = np.full(total, np.nan)
+            readings[name][before : before + len(read)] = read
+        before += len(part.q)
+    return PrintedEnds(np.vstack([part.q for part in parts]), readings)
+
+
 def make_touch_samples(
     delta: Delta,
     nozzle: ArrayLike,

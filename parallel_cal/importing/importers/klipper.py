@@ -8,8 +8,7 @@ documentation, "Configuration reference", "Delta calibration", "Rotation distanc
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from itertools import count
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +19,17 @@ from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.deltas import Delta, Shoulders, Towers, are_counter_clockwise
 from parallel_cal.importing.klipper_config import settings
 from parallel_cal.importing.settings import Settings
-from parallel_cal.importing.touch_samples import make_joint_samples, make_printed_ends
+from parallel_cal.importing.touch_samples import (
+    PrintedEnds,
+    join_ends,
+    make_joint_samples,
+    make_printed_ends,
+)
 from parallel_cal.model.machine_class import MachineClass
+from parallel_cal.model.shelf import load_sensor
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array
+from parallel_cal.recordings.samples import READING
 
 CONFIGURATION = (".cfg",)
 MACHINE_CLASS: MachineClass = "hobby"  # belts, printed parts, open loop
@@ -35,51 +41,103 @@ STEP_DISTANCE = "step_distance"
 MAX_HEIGHTS_MM = {"height": 50.0, "manual_height": 500.0}
 KINDS = "delta or rotary_delta"
 TOWERS, SHOULDERS = (210.0, 330.0, 90.0), (30.0, 150.0, 270.0)  # degrees, the defaults
-UNUSED = "distances are not used: --option printed_x=[sent, measured] determines the size"
 
 
 def samples(
     paths: Sequence[Path], printed_x: Sequence[float] = (), printed_y: Sequence[float] = ()
 ) -> Dataset:
-    """Read the heights of [delta_calibrate].
+    """Read the heights and the distances of [delta_calibrate].
 
-    Its distances are not used, nor its manual heights if the probe has an offset. Warnings say so.
+    Manual heights are not used if the probe has an offset. A warning says so.
     """
     stated = settings(paths)
-    step, top = _steps(stated), delta(stated).homed
-    beside = bool(np.any(_probe(stated)))
+    machine, step = delta(stated), _steps(stated)
     found, heights, warnings = [], [], stated.describe_unused()
     for name, limit in MAX_HEIGHTS_MM.items():
-        if name == "manual_height" and beside and f"{TOUCHES} manual_height0" in stated:
+        if (
+            name == "manual_height"
+            and bool(np.any(_probe(stated)))
+            and f"{TOUCHES} {name}0" in stated
+        ):
             warnings.append("manual heights are heights of the nozzle, not of the probe: not used")
             continue
-        for k in count():
-            if f"{TOUCHES} {name}{k}" not in stated:
-                if more := sum(f"{TOUCHES} {name}{i}" in stated for i in range(k, 999)):
-                    warnings.append(
-                        f"{name}{k} is missing: like Klipper, this import stops there, and omits "
-                        f"{more} {'heights' if more > 1 else 'height'} behind it"
-                    )
-                break
+        for k in range(_count(stated, name, "height", warnings)):
             within = f"the nozzle's height in mm, from {-limit:g} to {limit:g}"
             height = stated.number(f"{TOUCHES} {name}{k}", within, None, -limit, limit)
             heights.append(height * MM)
-            field = f"{TOUCHES} {name}{k}_pos"
-            text, place = stated.text(field, "steps of motors a, b, c from their end-stops")
-            words = text.split(",")
-            if len(words) != 3:
-                raise place.error(field, text, "three numbers of steps")
-            steps = [place.number(field, word, "three numbers of steps") for word in words]
-            found.append(top - step * np.array(steps))
+            found.append(machine.homed - _stable(stated, f"{TOUCHES} {name}{k}_pos") * step)
     if not found:
         stated.text(f"{TOUCHES} height0", "what DELTA_CALIBRATE and SAVE_CONFIG store")
-    if distances := sum(f"{TOUCHES} distance{k}" in stated for k in range(999)):
-        warnings.append(f"{distances} {UNUSED}")
-    printed = make_printed_ends(delta(stated), printed_x, printed_y)
+    parts = _read_parts(stated, warnings)
+    printed = join_ends(
+        [make_printed_ends(machine, printed_x, printed_y), *([parts.ends] if parts else [])]
+    )
     touched = make_joint_samples(
         np.array(found), np.array(heights), paths, step, warnings=warnings, printed=printed
     )
-    return replace(touched, configuration=deltas.end_stops(delta(stated)))
+    return replace(touched, configuration=deltas.end_stops(machine))
+
+
+def _count(stated: Settings, name: str, what: str, warnings: list[str]) -> int:
+    """Return how many of `height0`, `height1`, ... Klipper reads; it stops where one is missing."""
+    found = [k for k in range(999) if f"{TOUCHES} {name}{k}" in stated]
+    read = next((k for k, number in enumerate(found) if k != number), len(found))
+    if more := len(found) - read:
+        warnings.append(
+            f"{name}{read} is missing: like Klipper, this import stops there, and omits "
+            f"{more} {what}{'s' if more > 1 else ''} behind it"
+        )
+    return read
+
+
+def _stable(stated: Settings, field: str) -> Array:
+    """Return the steps (3,) of the motors from their end-stops."""
+    text, place = stated.text(field, "steps of motors a, b, c from their end-stops")
+    words = text.split(",")
+    if len(words) != 3:
+        raise place.error(field, text, "three numbers of steps")
+    return np.array([place.number(field, word, "three numbers of steps") for word in words])
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """Distances of printed parts: joints at their ends with readings, and their directions."""
+
+    ends: PrintedEnds
+    directions: tuple[float, ...]
+
+
+def _read_parts(stated: Settings, warnings: list[str]) -> _Parts | None:
+    """Return the distances that DELTA_ANALYZE stored; None if there are none.
+
+    Directions and middles are those of the nozzle as the printer is configured.
+    """
+    n = _count(stated, "distance", "distance", warnings)
+    if not n:
+        return None
+    machine, step = delta(stated), _steps(stated)
+    fields = [f"{TOUCHES} distance{k}" for k in range(n)]
+    measured = np.array([stated.number(f, "mm above 0", None, 1e-3) * MM for f in fields])
+    places = [f"{field}_pos{end}" for field in fields for end in (1, 2)]
+    q = np.array([machine.homed - _stable(stated, place) * step for place in places])
+    at = deltas.compute_positions(machine, q, np.zeros_like(q))
+    for k in np.flatnonzero(np.isnan(at).any(axis=1))[:1]:
+        raise stated.error(
+            places[k],
+            "steps at which the configured rods meet: if the steppers were exchanged or geared "
+            "otherwise, delete the distances, or measure them again",
+        )
+    first, second = at[::2, :2], at[1::2, :2]
+    across = second - first
+    angles = np.arctan2(across[:, 1], across[:, 0])
+    middle = np.einsum(
+        "ni,ni->n", (first + second) / 2, np.column_stack([np.cos(angles), np.sin(angles)])
+    )
+    readings = {}
+    for k, (length, centre) in enumerate(zip(measured, middle, strict=True)):
+        column = readings[f"{READING}distance{k}"] = np.full(len(q), np.nan)
+        column[2 * k : 2 * k + 2] = centre - length / 2, centre + length / 2
+    return _Parts(PrintedEnds(q, readings), tuple(map(float, angles)))
 
 
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
@@ -88,7 +146,11 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     printer = delta(stated)
     if isinstance(printer, Shoulders):
         deltas.check_reach(printer, stated, "[printer] shoulder_height")
-    return deltas.make_configured_robot(printer, _probe(stated), remarks=stated.describe_unused())
+    found = deltas.make_configured_robot(printer, _probe(stated), remarks=stated.describe_unused())
+    if (parts := _read_parts(stated, [])) is None:
+        return found
+    sensor = load_sensor("distances", directions=parts.directions)
+    return replace(found, model=found.model.with_sensors((*found.model.sensors, sensor)))
 
 
 def _probe(stated: Settings) -> Array:
