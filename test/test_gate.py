@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import pytest
 
-from parallel_cal.nodes.gate import MIN_AGREEING_MESSAGES, Gate
+from parallel_cal.recordings.gate import MIN_AGREEING_MESSAGES, Gate
 
 S = 1_000_000_000
 

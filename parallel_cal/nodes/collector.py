@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.keyed_warning import KeyedWarning
 from parallel_cal.nodes.clock_alignment import ClockAlignment, JointClock
-from parallel_cal.nodes.gate import Gate, StampedMessage
 from parallel_cal.nodes.inbox import Inbox, Made, Snapshot
 from parallel_cal.nodes.journal import SUFFIX, Entry, Part, read_journal
 from parallel_cal.recordings.channels import CHANNELS, list_channels
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.gate import Gate, StampedMessage
 from parallel_cal.recordings.joining import fingerprint, join_datasets
 from parallel_cal.recordings.loading import load_dataset, order_joints
 from parallel_cal.recordings.options import SampleOptions

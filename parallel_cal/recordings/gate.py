@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from parallel_cal.base.keyed_warning import KeyedWarning
-from parallel_cal.nodes.sources import Source, Sources
+from parallel_cal.recordings.sources import Source, Sources
 
 # A stamp that differs more from its neighbour is wrong, or belongs to another clock.
 MAX_STAMP_JUMP_NS = 1_000_000_000
