@@ -7,8 +7,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from parallel_cal.recordings.recording import COORDINATES, Array, Bools, PoseStream, Raw
-from parallel_cal.recordings.sieve import MAX_PLAUSIBLE_READING, Sieve
+from parallel_cal.recordings.recording import (
+    COORDINATES,
+    MAX_PLAUSIBLE_READING,
+    Array,
+    Bools,
+    PoseStream,
+    Raw,
+)
+from parallel_cal.recordings.sieve import Sieve
 
 NOT_MEASURED = 1e3  # a larger variance means that the coordinate is not measured
 NOT_GIVEN = 1e-24  # up to this, a variance states nothing: no device measures to 1e-12 m or rad
@@ -49,6 +56,15 @@ def clean_poses(
         measured[keep],
         covariance[keep],
     )
+
+
+def pose_values(raw: Raw) -> Array:
+    """Return positions and quaternions (n, 7), which have one sign: that in which the largest
+    component is positive."""
+    position = np.array([row[1] for row in raw.rows], float)
+    quaternion = np.array([row[2] or (0.0, 0.0, 0.0, 1.0) for row in raw.rows], float)
+    largest = quaternion[:, np.argmax(np.abs(np.nan_to_num(quaternion)).sum(axis=0))]
+    return np.hstack([position, quaternion * np.where(largest < 0, -1.0, 1.0)[:, None]])
 
 
 def read_covariance(covariance: Array) -> tuple[Array, Bools]:
