@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parallel_cal.base.errors import BagError
+from parallel_cal.base.float_fields import NEGATIVE_INT, UNCONVERTED, is_unconverted
 from parallel_cal.recordings.channels import Kind, list_channels
 from parallel_cal.recordings.joint_stream import clean_joints, order_readings
 from parallel_cal.recordings.options import ReadOptions
@@ -116,10 +117,18 @@ def _numbers(
         )
         return None
     sieve = Sieve(raw, resolve_stamps(raw, stamps, notes), start)
-    if not np.isfinite(value).any():
-        notes.append(f"{raw.topic}: ignored; it has no finite value")
+    unconverted = is_unconverted(value)
+    also = NEGATIVE_INT if unconverted.any() else ""
+    if not (np.isfinite(value) & ~unconverted).any():
+        shown = (
+            f"{UNCONVERTED}; the first is {value[unconverted][0]:.3g}"
+            if also
+            else "no finite value"
+        )
+        notes.append(f"{raw.topic}: ignored; {shown}")
         return None
-    sieve.drop(~np.isfinite(value), "value is not finite")
+    sieve.drop(unconverted, UNCONVERTED, "", value[:, None])
+    sieve.drop(~np.isfinite(value), f"value is not finite{also}")
     dropped += sieve.dropped
     time = sieve.time[sieve.keep]
     if time[0] > joints.time[-1] or (len(time) > 1 and time[-1] < joints.time[0]):

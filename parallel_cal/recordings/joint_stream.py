@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.base.errors import BagError
+from parallel_cal.base.float_fields import NEGATIVE_INT, UNCONVERTED, is_unconverted
 from parallel_cal.recordings.recording import MAX_PLAUSIBLE_READING, Array, Bools, JointStream, Raw
 from parallel_cal.recordings.sieve import Sieve
 
@@ -64,7 +65,10 @@ def clean_joints(topic: str, readings: OrderedReadings, sieve: Sieve) -> JointSt
     hint = f"Expected a position in rad or m for each of {', '.join(names)}: check their driver."
     sieve.drop(readings.missing, f"lacks some of the joints {', '.join(names)}")
     sieve.drop(readings.ragged, "position and name differ in length", hint)
-    sieve.drop(~np.isfinite(q).all(axis=1), "joint reading is not finite", hint, q)
+    unconverted = is_unconverted(q).any(axis=1)
+    sieve.drop(unconverted, UNCONVERTED, "", q)
+    also = NEGATIVE_INT if unconverted.any() else ""
+    sieve.drop(~np.isfinite(q).all(axis=1), f"joint reading is not finite{also}", hint, q)
     sieve.drop(
         (np.abs(q) > MAX_PLAUSIBLE_READING).any(axis=1), "joint reading is beyond 1e9", hint, q
     )

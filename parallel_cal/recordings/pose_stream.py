@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from parallel_cal.base.float_fields import NEGATIVE_INT, UNCONVERTED, is_unconverted
 from parallel_cal.recordings.recording import (
     COORDINATES,
     MAX_PLAUSIBLE_READING,
@@ -116,7 +117,10 @@ def _sieve_poses(sieve: Sieve, position: Array, quaternion: Array, measured: Boo
     shown = np.hstack([position, quaternion])
     absurd = (np.abs(position) > MAX_PLAUSIBLE_READING).any(axis=1)
     sieve.drop(~measured.any(axis=1), "nothing measured (all variances above 1e3)")
-    sieve.drop(~finite, "pose is not finite", hint, shown)
+    unconverted = is_unconverted(shown).any(axis=1)
+    sieve.drop(unconverted, UNCONVERTED, "", shown)
+    also = NEGATIVE_INT if unconverted.any() else ""
+    sieve.drop(~finite, f"pose is not finite{also}", "" if also else hint, shown)
     sieve.drop(absurd, "position is beyond 1e9", "Expected metres.", shown)
     sieve.drop(norm < 1e-6, "quaternion is zero", hint, quaternion)
     sieve.drop(np.abs(norm - 1.0) > 0.05, "quaternion is not of unit length", hint, quaternion)
