@@ -311,9 +311,18 @@ def test_a_late_message_is_dropped_and_a_clock_reset_is_refused(tmp_path):
     recording = read_bag(write_bag(tmp_path / "a", [*joint_states(MOVES), *poses(MOVES), late]))
     assert reasons(recording) == {"stamp earlier than the message before": 1}
     assert recording.joints.position.max() < 1.0
-    reset = joint_state(2.0001, MOVES.names, [0.0, 0.0, 0.0], stamp=ns(0.2))
-    with pytest.raises(BagError, match=r"joint_states: time runs backwards at message 201: "):
-        read_bag(write_bag(tmp_path / "b", [*joint_states(MOVES), *poses(MOVES), reset]))
+    reset = [joint_state(2.7 + t, MOVES.names, [0.0, 0.0, 0.0], stamp=ns(t)) for t in (0, 0.1, 0.2)]
+    with pytest.raises(BagError, match=r"joint_states: time runs backwards at message 260: "):
+        read_bag(write_bag(tmp_path / "b", [*joint_states(MOVES), *poses(MOVES), *reset]))
+
+
+@pytest.mark.parametrize("off", [-1.8, 100.0, 1e6])
+def test_one_wild_stamp_costs_one_message_as_in_the_live_node(off, tmp_path):
+    wild = joint_state(2.0001, MOVES.names, [9.0, 9.0, 9.0], stamp=ns(2.0 + off))
+    recording = read_bag(write_bag(tmp_path / "a", [*joint_states(MOVES), *poses(MOVES), wild]))
+    assert reasons(recording) == {"stamp fits neither the previous nor the next message": 1}
+    assert recording.joints.position.max() < 1.0
+    assert recording.start_ns == ns(0)
 
 
 def test_a_repeated_stamp_is_dropped(tmp_path):

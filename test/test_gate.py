@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import pytest
 
-from parallel_cal.nodes.gate import MIN_AGREEING_MESSAGES, Gate
+from parallel_cal.recordings.gate import MIN_AGREEING_MESSAGES, Gate
 
 S = 1_000_000_000
 
@@ -60,17 +60,27 @@ def test_a_slow_device_is_no_jumping_clock():
     assert gate.strays == 0
 
 
-def test_messages_of_two_simultaneous_publishers_are_not_used():
-    """Clocks 5 s apart, or the same one."""
-    for apart in (5.0, 0.0):
-        a, b = steady("a" * 300), steady("b" * 300, begin=apart, log=0.005, sequence=700)
-        passed, gate = through(sorted(a + b, key=lambda m: m[2]))
-        assert len(passed) <= 2 * MIN_AGREEING_MESSAGES
-        assert "two publishers" in gate.trouble
+def test_messages_of_two_simultaneous_publishers_whose_clocks_differ_are_not_used():
+    a, b = steady("a" * 300), steady("b" * 300, begin=5.0, log=0.005, sequence=700)
+    passed, gate = through(sorted(a + b, key=lambda m: m[2]))
+    assert len(passed) <= 2 * MIN_AGREEING_MESSAGES
+    assert "two publishers" in gate.trouble
 
 
-def test_they_are_distinguished_with_equal_counts_too():
-    a, b = steady("a" * 300), steady("b" * 300, log=0.005)
+def test_messages_of_two_publishers_on_one_clock_pass_with_the_number_of_their_publisher():
+    gate, passed = Gate("topic"), []
+    a, b = steady("a" * 300), steady("b" * 300, log=0.005, sequence=700)
+    for name, stamp, log, sequence in sorted(a + b, key=lambda m: m[2]):
+        passed += gate.take(int(stamp * S), int(log * S), sequence, name)
+    assert gate.strays == 0
+    assert [m.message for m in passed] == ["a", "b"] * 300
+    numbers = {name: {m.source.number for m in passed[10:] if m.message == name} for name in "ab"}
+    assert len(numbers["a"]) == len(numbers["b"]) == 1
+    assert numbers["a"] != numbers["b"]
+
+
+def test_publishers_whose_clocks_differ_are_distinguished_with_equal_counts_too():
+    a, b = steady("a" * 300), steady("b" * 300, begin=5.0, log=0.005)
     passed, gate = through(sorted(a + b, key=lambda m: m[2]))
     assert len(passed) <= 2 * MIN_AGREEING_MESSAGES
     assert gate.strays > 590

@@ -8,7 +8,7 @@ pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
 
 from parallel_cal.nodes.health import Stream  # noqa: E402
-from parallel_cal.nodes.sources import Sources  # noqa: E402
+from parallel_cal.recordings.sources import Sources  # noqa: E402
 
 
 def told(stream):

@@ -3,7 +3,7 @@
 import pickle
 
 from parallel_cal.base.keyed_warning import KeyedWarning, warning_key
-from parallel_cal.nodes.gate import Gate
+from parallel_cal.recordings.gate import Gate
 
 
 def test_two_warnings_with_other_numbers_have_one_key():

@@ -542,6 +542,7 @@ def test_a_target_becomes_the_command_of_the_calibrated_inverse_and_others_nothi
     bad = {
         "unreachable": PoseStamped(pose=pose((0, 0, 0.9))),
         "not finite": PoseStamped(pose=pose((0, 0, np.nan))),
+        "numpy.float32 or an int": PoseStamped(pose=pose((0, 0, 5e-324))),
         "length 0": PoseStamped(pose=pose((0, 0, 0.2), (0, 0, 0, 0))),
         "frame_id 'tool'": PoseStamped(pose=pose((0, 0, 0.2))),
         "outside limits": PoseStamped(pose=pose(outside_limits(robot))),

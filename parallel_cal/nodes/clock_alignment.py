@@ -16,7 +16,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from parallel_cal.base.keyed_warning import KeyedWarning
-from parallel_cal.nodes.gate import (
+from parallel_cal.recordings.gate import (
     MAX_STAMP_JUMP_NS,
     MIN_AGREEING_MESSAGES,
     PUBLISHER_TIMEOUT_NS,

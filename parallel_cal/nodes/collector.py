@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.keyed_warning import KeyedWarning
 from parallel_cal.nodes.clock_alignment import ClockAlignment, JointClock
-from parallel_cal.nodes.gate import Gate, StampedMessage
 from parallel_cal.nodes.inbox import Inbox, Made, Snapshot
 from parallel_cal.nodes.journal import SUFFIX, Entry, Part, read_journal
 from parallel_cal.recordings.channels import CHANNELS, list_channels
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.gate import Gate, StampedMessage
 from parallel_cal.recordings.joining import fingerprint, join_datasets
 from parallel_cal.recordings.loading import load_dataset, order_joints
 from parallel_cal.recordings.options import SampleOptions
@@ -115,7 +115,8 @@ class Collector:
             alignment = self._alignments.setdefault(stream, ClockAlignment(channel, self._clock))
             released = alignment.take(released)
         for message in released:
-            self._buffer(channel, message.message, message.log, message.stamp)
+            publisher = f" (publisher {message.source.number})" if message.source else ""
+            self._buffer(channel, message.message, message.log, message.stamp, publisher)
 
     def _identify_stream(self, channel: str, message: Any) -> tuple[str, tuple[str, ...]]:
         """Name the stream of a message: one channel may have a publisher per group of joints or per
@@ -166,7 +167,9 @@ class Collector:
         made = [inbox.dataset for inbox in self._inboxes if inbox.dataset is not None]
         return made[-1].frame if made else ""
 
-    def _buffer(self, channel: str, message: Any, log_ns: int, stamp: int) -> None:
+    def _buffer(
+        self, channel: str, message: Any, log_ns: int, stamp: int, publisher: str = ""
+    ) -> None:
         joints = self._at["joint_states"]
         if self._at[channel] is not joints and log_ns - self._moved > SETTLING_TIME_NS:
             self._at[channel] = joints
@@ -181,7 +184,7 @@ class Collector:
             for name, log, word in self._words:
                 self._at[channel].add(name, 0, log, word)
             self._words.clear()
-        self._at[channel].add(channel, stamp, log_ns, message)
+        self._at[channel].add(channel, stamp, log_ns, message, publisher)
 
     def refresh(self, now_ns: int | None = None) -> bool:
         """Make samples of the messages received; return whether there were new ones.

@@ -15,6 +15,7 @@ from parallel_cal_msgs.msg import Condition, Solution
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from parallel_cal.base.errors import SolveError
+from parallel_cal.base.float_fields import UNCONVERTED, is_unconverted
 from parallel_cal.base.rotation import quaternion_to_matrix
 from parallel_cal.campaign.trajectory import Trajectory
 from parallel_cal.kinematics.answers import named_conditions
@@ -99,6 +100,10 @@ def match_joints(message: Any, joints: Sequence[str]) -> tuple[np.ndarray, np.nd
     if len(message.position) != len(message.name):
         raise SolveError(f"{len(message.position)} positions for {len(message.name)} joint names")
     q = np.asarray(message.position)[order]
+    if is_unconverted(q).any():
+        raise SolveError(
+            f"the joint positions are {' '.join(f'{v:.4g}' for v in q)}: {UNCONVERTED}"
+        )
     if not np.isfinite(q).all():
         raise SolveError("a joint position is not finite")
     if len(message.velocity) != len(message.name):
@@ -108,7 +113,9 @@ def match_joints(message: Any, joints: Sequence[str]) -> tuple[np.ndarray, np.nd
 
 
 def check_finite(value: float) -> float:
-    """Return the value; raise SolveError if it is not finite."""
+    """Return the value; raise SolveError if it is not finite or was no float in the driver."""
+    if is_unconverted(value).any():
+        raise SolveError(f"the value is {value:.4g}: {UNCONVERTED}")
     if not np.isfinite(value):
         raise SolveError(f"the value is {value}")
     return value
@@ -121,6 +128,8 @@ def pose_numbers(pose: Pose) -> tuple[np.ndarray, np.ndarray]:
     """
     p, o = pose.position, pose.orientation
     r, quaternion = np.array([p.x, p.y, p.z]), np.array([o.x, o.y, o.z, o.w])
+    if is_unconverted(numbers := np.concatenate([r, quaternion])).any():
+        raise SolveError(f"the pose is {' '.join(f'{v:.4g}' for v in numbers)}: {UNCONVERTED}")
     if not (np.isfinite(r).all() and np.isfinite(quaternion).all()):
         raise SolveError("the pose holds a value that is not finite")
     length = float(np.linalg.norm(quaternion))

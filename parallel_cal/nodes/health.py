@@ -8,8 +8,8 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from parallel_cal.nodes.sources import Sources
 from parallel_cal.nodes.tally import diagnostics
+from parallel_cal.recordings.sources import Sources
 
 WINDOW = 10  # s over which rates and shares are computed
 MAX_LATENCY_S = 0.1  # s from reception to answer; a warning if one in a hundred takes longer

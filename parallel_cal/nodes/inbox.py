@@ -19,7 +19,8 @@ from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.loading import dataset_from_aligned
 from parallel_cal.recordings.options import ReadOptions, SampleOptions
 from parallel_cal.recordings.pairing import find_bracketed
-from parallel_cal.recordings.recording import Bools, Dropped, Raw
+from parallel_cal.recordings.pose_messages import frame_of
+from parallel_cal.recordings.recording import MESSAGE_COLUMNS, Bools, Dropped, Raw
 from parallel_cal.recordings.samples import max_gap
 from parallel_cal.recordings.sieve import CLOCK_JUMP
 
@@ -125,17 +126,18 @@ class Inbox:
         last = self.raws[channel].stamp[-1:]
         return bool(last) and stamp > 0 and stamp < last[0] - CLOCK_JUMP
 
-    def add(self, channel: str, stamp: int, log: int, message: Any) -> None:
+    def add(self, channel: str, stamp: int, log: int, message: Any, publisher: str = "") -> None:
         """Append one message; times in ns."""
         raw, kind = self.raws[channel], CHANNELS[channel]
         if kind.kind == "condition" and raw.stamp[-1:] == [stamp]:
             return  # a latched message arrives twice, see subscriptions
-        raw.append(log, stamp, kind.decode(message))
+        origin = (frame_of(message) or "(empty)") + publisher
+        raw.append(log, stamp, kind.decode(message), origin)
 
     def inherit(self, other: Inbox, channels: Iterable[str]) -> None:
         """Copy the last message of each channel, because it may never be published again."""
         for channel in channels:
-            for part in ("log", "stamp", "rows"):
+            for part in MESSAGE_COLUMNS:
                 setattr(self.raws[channel], part, getattr(other.raws[channel], part)[-1:])
 
     def forget(self) -> None:
@@ -159,10 +161,7 @@ class Inbox:
             return None
         self._seen = messages
         # The lists grow while another thread makes samples of the snapshot.
-        raws = {
-            name: replace(raw, log=list(raw.log), stamp=list(raw.stamp), rows=list(raw.rows))
-            for name, raw in self.raws.items()
-        }
+        raws = {name: raw.select(range(len(raw.stamp))) for name, raw in self.raws.items()}
         return Snapshot(self, next(self._snapshots), raws, joints, options)
 
     def adopt(self, snapshot: Snapshot, made: Made) -> None:
@@ -231,8 +230,7 @@ class Inbox:
     def close(self) -> None:
         """Keep the samples and forget the messages."""
         self.closed = True
-        for raw in self.raws.values():
-            raw.log, raw.stamp, raw.rows = [], [], []
+        self.raws = {name: raw.select(()) for name, raw in self.raws.items()}
 
 
 def find_poses(raws: Mapping[str, Raw]) -> Raw:

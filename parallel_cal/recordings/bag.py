@@ -15,7 +15,13 @@ from parallel_cal.recordings.cleaning import assemble
 from parallel_cal.recordings.joint_state_bytes import JointStateReader
 from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.pose_bytes import PoseReader
-from parallel_cal.recordings.pose_messages import body_names, read_pose, split_body, stamp_of
+from parallel_cal.recordings.pose_messages import (
+    body_names,
+    frame_of,
+    read_pose,
+    split_body,
+    stamp_of,
+)
 from parallel_cal.recordings.recording import Raw, Recording, TopicInfo
 from parallel_cal.recordings.standard_types import DEFINITIONS, collect_definitions
 from parallel_cal.recordings.topics import choose_topics
@@ -242,6 +248,7 @@ class _Decoder:
         self.channel, self.raw, self.body = channel, raw, body
         self.others: set[str] = set()  # bodies in messages that lack the named one
         self.joint_states = JointStateReader()
+        self.frame = ""  # of the joint states that the reader knows
         self.waiting: list[tuple[int, bytes]] = []  # joint states that the reader knows
         self.poses = PoseReader(raw.type)
 
@@ -259,10 +266,12 @@ class _Decoder:
             message = store.deserialize_cdr(data, self.raw.type)
             if self.channel.kind == "joints":
                 row = self.channel.decode(message)
-                self.raw.append(log, stamp_of(message), row)
+                self.frame = frame_of(message)
+                self.raw.append(log, stamp_of(message), row, self.frame)
                 self.joint_states.learn(data, row[0])
             elif self.channel.kind != "poses":
-                self.raw.append(log, stamp_of(message), self.channel.decode(message))
+                row = self.channel.decode(message)
+                self.raw.append(log, stamp_of(message), row, frame_of(message))
             elif (found := read_pose(message, self.body)) is not None:
                 self.raw.append(log, *found)
                 self.poses.learn(data, found[1][0])
@@ -282,6 +291,7 @@ class _Decoder:
         self.raw.log += logs
         self.raw.stamp += stamps
         self.raw.rows += rows
+        self.raw.origins += [self.frame] * len(rows)
         self.waiting.clear()
 
     def require_body(self) -> None:

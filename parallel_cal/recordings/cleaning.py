@@ -12,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parallel_cal.base.errors import BagError
+from parallel_cal.base.float_fields import NEGATIVE_INT, UNCONVERTED, is_unconverted
 from parallel_cal.recordings.channels import Kind, list_channels
 from parallel_cal.recordings.clocks import require_overlap
-from parallel_cal.recordings.joint_stream import clean_joints
+from parallel_cal.recordings.joint_stream import clean_joints, order_readings
 from parallel_cal.recordings.options import ReadOptions
-from parallel_cal.recordings.pose_stream import clean_poses
+from parallel_cal.recordings.pose_stream import clean_poses, pose_values
+from parallel_cal.recordings.publishers import keep_one_publisher, separate_publishers
 from parallel_cal.recordings.recording import (
     NO_POSES,
     Dropped,
@@ -26,7 +28,7 @@ from parallel_cal.recordings.recording import (
     ScalarStream,
     TextStream,
 )
-from parallel_cal.recordings.sieve import Sieve, resolve_stamps
+from parallel_cal.recordings.sieve import Sieve, find_stray_stamps, require_messages, resolve_stamps
 
 
 def assemble(
@@ -51,10 +53,22 @@ def assemble(
         return {name: raws[name] for name in list_channels(kind, among=raws) if name in raws}
 
     streams = [*of("joints").values(), *of("poses").values()][:2]
+    for raw in streams:
+        require_messages(raw)
+    readings = order_readings(streams[0], options.joints, said)
+    contents = [readings.q, *map(pose_values, streams[1:])]
+    kept = [
+        keep_one_publisher(raw, values, said, dropped)
+        for raw, values in zip(streams, contents, strict=True)
+    ]
+    readings = readings.select(kept[0])
+    streams = [raw.select(at) for raw, at in zip(streams, kept, strict=True)]
     times = [resolve_stamps(raw, options.stamps, said) for raw in streams]
-    start = int(min(ns.min() for ns in times))
-    sieves = [Sieve(raw, ns, start) for raw, ns in zip(streams, times, strict=True)]
-    joints, pose = clean_joints(streams[0], sieves[0], options.joints, said), NO_POSES
+    strays = [find_stray_stamps(ns, raw.log) for raw, ns in zip(streams, times, strict=True)]
+    clocks = list(zip(streams, times, strays, strict=True))
+    start = int(min(ns[~stray].min(initial=ns.max()) for _, ns, stray in clocks))
+    sieves = [Sieve(raw, ns, start, stray) for raw, ns, stray in clocks]
+    joints, pose = clean_joints(streams[0].topic, readings, sieves[0]), NO_POSES
     if len(streams) > 1:
         pose = clean_poses(streams[1], sieves[1], options.measures, said)
         pose = require_overlap(pose, joints, streams, times, start, said)
@@ -94,12 +108,27 @@ def _numbers(
     """Return one number over time; None, with a note, if it cannot belong to this recording."""
     if not raw.stamp:
         return None
-    sieve = Sieve(raw, resolve_stamps(raw, stamps, notes), start)
     value = np.array([row[0] for row in raw.rows], float)
-    if not np.isfinite(value).any():
-        notes.append(f"{raw.topic}: ignored; it has no finite value")
+    if groups := separate_publishers(raw, value[:, None], np.flatnonzero(np.isfinite(value))):
+        listed = "; ".join(f"{len(at)} messages {words}" for words, at in groups.items())
+        notes.append(
+            f"{raw.topic}: ignored; it has several publishers, whose values disagree: {listed}. "
+            "Give each sensor a topic of its own"
+        )
         return None
-    sieve.drop(~np.isfinite(value), "value is not finite")
+    sieve = Sieve(raw, resolve_stamps(raw, stamps, notes), start)
+    unconverted = is_unconverted(value)
+    also = NEGATIVE_INT if unconverted.any() else ""
+    if not (np.isfinite(value) & ~unconverted).any():
+        shown = (
+            f"{UNCONVERTED}; the first is {value[unconverted][0]:.3g}"
+            if also
+            else "no finite value"
+        )
+        notes.append(f"{raw.topic}: ignored; {shown}")
+        return None
+    sieve.drop(unconverted, UNCONVERTED, "", value[:, None])
+    sieve.drop(~np.isfinite(value), f"value is not finite{also}")
     dropped += sieve.dropped
     time = sieve.time[sieve.keep]
     if time[0] > joints.time[-1] or (len(time) > 1 and time[-1] < joints.time[0]):

@@ -16,6 +16,7 @@ from parallel_cal.base.arguments import check_arguments
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.files import write_atomically
+from parallel_cal.base.float_fields import UNCONVERTED, find_unconverted
 from parallel_cal.base.sample_names import format_sample
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.recordings.recording import Array, Bools, Dropped
@@ -194,6 +195,9 @@ class Dataset:
         """
         n, nq = len(np.atleast_1d(q)), len(joint_names)
         q, r = _fill("q", q, (n, nq)), _fill("r", r, (n, 3))
+        for name, column in (("q", q), ("r", r)):
+            if (at := find_unconverted(column)) is not None:
+                raise DatasetError(f"{name}[{at}] is {column[at].tolist()}: {UNCONVERTED}")
         shown = np.arange(6) < (3 if R is None else 6) if measured is None else measured
         which = _fill("measured", shown, (n, 6), (6,)).astype(bool)
         R = np.tile(np.eye(3), (n, 1, 1)) if R is None else _fill("R", R, (n, 3, 3))

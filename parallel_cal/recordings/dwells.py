@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from parallel_cal.recordings.recording import Array
+from parallel_cal.recordings.recording import Array, Bools
 
 Indices = NDArray[np.intp]
 
@@ -119,6 +120,24 @@ def still_intervals(
     for a, b in _runs(np.cumsum(joined) > 0):
         intervals += _split(q, a, b + 1, tolerance)
     return [i for i in intervals if time[i.last] - time[i.first] >= 0.999 * shortest]
+
+
+def find_interruptions(
+    time: Array, q: Array, intervals: Sequence[Interval], tolerance: Array, min_dwell: float
+) -> Bools:
+    """Mark the odd readings (n,) that cut a standstill in two.
+
+    They lie between two intervals at the same level, and are too few or too short for a motion
+    there and back: fewer than three readings, or less time than a third of `min_dwell`.
+    """
+    odd = np.zeros(len(time), bool)
+    level = [np.median(q[i.first : i.last + 1], axis=0) for i in intervals]
+    for k, (a, b) in enumerate(pairwise(intervals)):
+        lapse, count = time[b.first] - time[a.last], b.first - a.last - 1
+        brief = lapse < min_dwell / 3 or (count < 3 and lapse < min_dwell)
+        if brief and (np.abs(level[k + 1] - level[k]) <= tolerance).all():
+            odd[a.last + 1 : b.first] = True
+    return odd
 
 
 def _runs(flags: ArrayLike) -> list[tuple[int, int]]:

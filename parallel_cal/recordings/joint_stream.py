@@ -4,17 +4,36 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from parallel_cal.base.errors import BagError
-from parallel_cal.recordings.recording import JointStream, Raw
-from parallel_cal.recordings.sieve import MAX_PLAUSIBLE_READING, Sieve
+from parallel_cal.base.float_fields import NEGATIVE_INT, UNCONVERTED, is_unconverted
+from parallel_cal.recordings.recording import MAX_PLAUSIBLE_READING, Array, Bools, JointStream, Raw
+from parallel_cal.recordings.sieve import Sieve
 
 
-def clean_joints(
-    raw: Raw, sieve: Sieve, wanted: Sequence[str] | None, notes: list[str]
-) -> JointStream:
+@dataclass(frozen=True)
+class OrderedReadings:
+    """Joint readings and efforts (n, nq) of messages, in the order of the names; NaN if not given.
+
+    `missing` marks messages without some of the joints, `ragged` those with more or fewer positions
+    than names.
+    """
+
+    names: tuple[str, ...]
+    q: Array
+    effort: Array
+    missing: Bools
+    ragged: Bools
+
+    def select(self, at: Sequence[int]) -> OrderedReadings:
+        columns = (self.q, self.effort, self.missing, self.ragged)
+        return OrderedReadings(self.names, *(column[at] for column in columns))
+
+
+def order_readings(raw: Raw, wanted: Sequence[str] | None, notes: list[str]) -> OrderedReadings:
     """Return joint readings in the order of `wanted`; the raw rows are (names, q, effort)."""
     names = _joint_names(raw, wanted, notes)
     q = np.full((len(raw.rows), len(names)), np.nan)
@@ -37,15 +56,24 @@ def clean_joints(
             if column == 1:
                 ragged[which[~complete]] = True
     effort[ragged] = np.nan
+    return OrderedReadings(names, q, effort, missing, ragged)
+
+
+def clean_joints(topic: str, readings: OrderedReadings, sieve: Sieve) -> JointStream:
+    """Return the usable joint readings."""
+    names, q = readings.names, readings.q
     hint = f"Expected a position in rad or m for each of {', '.join(names)}: check their driver."
-    sieve.drop(missing, f"lacks some of the joints {', '.join(names)}")
-    sieve.drop(ragged, "position and name differ in length", hint)
-    sieve.drop(~np.isfinite(q).all(axis=1), "joint reading is not finite", hint, q)
+    sieve.drop(readings.missing, f"lacks some of the joints {', '.join(names)}")
+    sieve.drop(readings.ragged, "position and name differ in length", hint)
+    unconverted = is_unconverted(q).any(axis=1)
+    sieve.drop(unconverted, UNCONVERTED, "", q)
+    also = NEGATIVE_INT if unconverted.any() else ""
+    sieve.drop(~np.isfinite(q).all(axis=1), f"joint reading is not finite{also}", hint, q)
     sieve.drop(
         (np.abs(q) > MAX_PLAUSIBLE_READING).any(axis=1), "joint reading is beyond 1e9", hint, q
     )
     keep = sieve.keep
-    return JointStream(raw.topic, names, sieve.time[keep], q[keep], effort[keep])
+    return JointStream(topic, names, sieve.time[keep], q[keep], readings.effort[keep])
 
 
 def _joint_names(raw: Raw, wanted: Sequence[str] | None, notes: list[str]) -> tuple[str, ...]:

@@ -31,7 +31,7 @@ from parallel_cal.recordings.recording import Array, Dropped, Recording
 from parallel_cal.recordings.replicates import replicate_ids
 from parallel_cal.recordings.samplefile import PER_SAMPLE, holds_samples
 from parallel_cal.recordings.samples import Samples, broadcast_to_joints
-from parallel_cal.recordings.sampling import conditions_of, samples_of
+from parallel_cal.recordings.sampling import conditions_of, join_standstills, samples_of
 from parallel_cal.recordings.table import Table, is_table, read_table
 from parallel_cal.recordings.table_columns import Columns
 from parallel_cal.recordings.table_log import make_recording
@@ -223,6 +223,7 @@ def dataset_from_recording(recording: Recording, options: SampleOptions | None =
 
 def dataset_from_aligned(recording: Recording, options: SampleOptions) -> Dataset:
     """Make a Dataset of a recording whose streams are on one clock."""
+    recording = join_standstills(recording, options)
     samples = samples_of(recording, options)
     warnings = [*recording.notes, *samples.warnings]
     _drop_millimetres(samples)

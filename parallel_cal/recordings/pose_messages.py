@@ -108,6 +108,12 @@ def stamp_of(message: Any) -> int:
     return int(stamp.sec * 1_000_000_000 + stamp.nanosec)
 
 
+def frame_of(message: Any) -> str:
+    """Return the frame_id of a message's header; empty if it has no header."""
+    header = getattr(message, "header", None)
+    return "" if header is None else str(header.frame_id)
+
+
 def _row(item: Any, message: Any) -> tuple | None:
     """Return the row of an item in a message; None if the item is not one pose or point."""
     header = getattr(item, "header", None) or getattr(message, "header", None)

@@ -7,8 +7,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from parallel_cal.recordings.recording import COORDINATES, Array, Bools, PoseStream, Raw
-from parallel_cal.recordings.sieve import MAX_PLAUSIBLE_READING, Sieve
+from parallel_cal.base.float_fields import NEGATIVE_INT, UNCONVERTED, is_unconverted
+from parallel_cal.recordings.recording import (
+    COORDINATES,
+    MAX_PLAUSIBLE_READING,
+    Array,
+    Bools,
+    PoseStream,
+    Raw,
+)
+from parallel_cal.recordings.sieve import Sieve
 
 NOT_MEASURED = 1e3  # a larger variance means that the coordinate is not measured
 NOT_GIVEN = 1e-24  # up to this, a variance states nothing: no device measures to 1e-12 m or rad
@@ -49,6 +57,15 @@ def clean_poses(
         measured[keep],
         covariance[keep],
     )
+
+
+def pose_values(raw: Raw) -> Array:
+    """Return positions and quaternions (n, 7), which have one sign: that in which the largest
+    component is positive."""
+    position = np.array([row[1] for row in raw.rows], float)
+    quaternion = np.array([row[2] or (0.0, 0.0, 0.0, 1.0) for row in raw.rows], float)
+    largest = quaternion[:, np.argmax(np.abs(np.nan_to_num(quaternion)).sum(axis=0))]
+    return np.hstack([position, quaternion * np.where(largest < 0, -1.0, 1.0)[:, None]])
 
 
 def read_covariance(covariance: Array) -> tuple[Array, Bools]:
@@ -100,7 +117,10 @@ def _sieve_poses(sieve: Sieve, position: Array, quaternion: Array, measured: Boo
     shown = np.hstack([position, quaternion])
     absurd = (np.abs(position) > MAX_PLAUSIBLE_READING).any(axis=1)
     sieve.drop(~measured.any(axis=1), "nothing measured (all variances above 1e3)")
-    sieve.drop(~finite, "pose is not finite", hint, shown)
+    unconverted = is_unconverted(shown).any(axis=1)
+    sieve.drop(unconverted, UNCONVERTED, "", shown)
+    also = NEGATIVE_INT if unconverted.any() else ""
+    sieve.drop(~finite, f"pose is not finite{also}", "" if also else hint, shown)
     sieve.drop(absurd, "position is beyond 1e9", "Expected metres.", shown)
     sieve.drop(norm < 1e-6, "quaternion is zero", hint, quaternion)
     sieve.drop(np.abs(norm - 1.0) > 0.05, "quaternion is not of unit length", hint, quaternion)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +14,8 @@ from parallel_cal.base.rotation import quaternion_to_matrix
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
+# m or rad: no robot has such readings, and the sums of their squares would overflow
+MAX_PLAUSIBLE_READING = 1e9
 COORDINATES = ("x", "y", "z", "rx", "ry", "rz")
 
 
@@ -36,21 +38,32 @@ class TopicInfo:
     count: int
 
 
+MESSAGE_COLUMNS = ("log", "stamp", "rows", "origins")  # lists of a Raw, one item per message
+
+
 @dataclass
 class Raw:
-    """Messages of one topic as received: log and header times in ns, and rows of content."""
+    """Messages of one topic as received: log and header times in ns, rows of content, and what is
+    known of each one's origin: its frame, and of a live message its publisher."""
 
     topic: str
     type: str
     log: list[int] = field(default_factory=list)
     stamp: list[int] = field(default_factory=list)
     rows: list[tuple] = field(default_factory=list)
+    origins: list[str] = field(default_factory=list)
     undecodable: int = 0
 
-    def append(self, log: int, stamp: int, row: tuple) -> None:
+    def append(self, log: int, stamp: int, row: tuple, origin: str = "") -> None:
         self.log.append(log)
         self.stamp.append(stamp)
         self.rows.append(row)
+        self.origins.append(origin)
+
+    def select(self, at: Sequence[int]) -> Raw:
+        """Return the messages with these numbers, from 0."""
+        columns = {name: [getattr(self, name)[i] for i in at] for name in MESSAGE_COLUMNS}
+        return replace(self, **columns)
 
 
 @dataclass(frozen=True)
@@ -62,6 +75,11 @@ class JointStream:
     time: Array
     position: Array
     effort: Array
+
+    def select(self, which: Bools) -> JointStream:
+        """Return the readings marked in `which` (n,)."""
+        columns = (column[which] for column in (self.time, self.position, self.effort))
+        return JointStream(self.topic, self.names, *columns)
 
     @property
     def period(self) -> float:

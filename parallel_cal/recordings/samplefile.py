@@ -14,6 +14,7 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.files import MEGABYTE, read_text
+from parallel_cal.base.float_fields import UNCONVERTED, find_unconverted
 from parallel_cal.recordings.recording import Dropped
 
 FILE_VERSION = 1
@@ -108,6 +109,9 @@ def _check_column(name: str, column: np.ndarray, n: int) -> None:
     if name not in NULLABLE_FIELDS and not np.isfinite(flat).all():
         i = int(np.argmin(np.isfinite(flat).all(axis=1)))
         raise DatasetError(f"{name} of sample {i} is null: expected numbers")
+    if name in ("q", "r") and (at := find_unconverted(column)) is not None:
+        shown = " ".join(f"{v:.4g}" for v in flat[at])
+        raise DatasetError(f"{name} of sample {at} is {shown}: {UNCONVERTED}")
     if name == "R" and n:
         off = np.abs(column @ np.swapaxes(column, 1, 2) - np.eye(3)).max(axis=(1, 2))
         mirrored = np.linalg.det(column) < 0

@@ -14,7 +14,7 @@ from parallel_cal.recordings.pairing import paired_samples
 from parallel_cal.recordings.readings import reading_columns
 from parallel_cal.recordings.recording import Array, JointStream, Recording
 from parallel_cal.recordings.samples import Samples, broadcast_to_joints
-from parallel_cal.recordings.standstill import standstill_samples
+from parallel_cal.recordings.standstill import drop_odd_readings, standstill_samples
 from parallel_cal.recordings.travel import travel
 
 
@@ -23,6 +23,13 @@ def find_tolerance(joints: JointStream, options: SampleOptions) -> Array:
     if options.still_tolerance is None:
         return still_tolerance(joints.time, joints.position, options.min_dwell)
     return broadcast_to_joints(options.still_tolerance, joints.names, "still_tolerance")
+
+
+def join_standstills(recording: Recording, options: SampleOptions) -> Recording:
+    """Return the recording without the odd joint readings that cut a standstill in two."""
+    if options.mode == "continuous":
+        return recording
+    return drop_odd_readings(recording, options, find_tolerance(recording.joints, options))
 
 
 def samples_of(recording: Recording, options: SampleOptions) -> Samples:

@@ -2,30 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from parallel_cal.base.errors import BagError
+from parallel_cal.recordings.gate import MAX_STAMP_JUMP_NS, Gate, StampedMessage
 from parallel_cal.recordings.recording import Array, Bools, Dropped, Raw
 
 MIN_STAMPED_MESSAGES = 3  # with fewer among messages without a stamp, the log time is used
 CLOCK_JUMP = 1_000_000_000  # ns; a stamp further back than this is a clock that was reset
-# m or rad: no robot has such readings, and the sums of their squares would overflow
-MAX_PLAUSIBLE_READING = 1e9
+STRAY_STAMP = "stamp fits neither the previous nor the next message"
 
 
 class Sieve:
     """Marks messages of one topic as unusable, and counts them by reason."""
 
-    def __init__(self, raw: Raw, stamp: NDArray[np.int64], start_ns: int) -> None:
+    def __init__(
+        self,
+        raw: Raw,
+        stamp: NDArray[np.int64],
+        start_ns: int,
+        strays: Bools | None = None,
+    ) -> None:
         self.topic = raw.topic
         self.time = np.asarray((stamp - start_ns) * 1e-9, float)
         self.keep: Bools = np.ones(len(stamp), bool)
         self.dropped: list[Dropped] = []
-
-        latest = np.maximum.accumulate(stamp)
+        if strays is not None:
+            self.drop(strays, STRAY_STAMP)
+        latest = np.maximum.accumulate(np.where(self.keep, stamp, stamp[self.keep].min()))
         before = np.concatenate([[stamp[0] - 1], latest[:-1]])
-        for i in np.flatnonzero(stamp < before - CLOCK_JUMP)[:1]:
+        for i in np.flatnonzero(self.keep & (stamp < before - CLOCK_JUMP))[:1]:
             raise BagError(
                 f"{self.topic}: time runs backwards at message {i}: {stamp[i] * 1e-9:.3f} s comes "
                 f"after {before[i] * 1e-9:.3f} s. Record again with one clock, cut the bag there, "
@@ -61,15 +70,33 @@ class Sieve:
         self.dropped.append(Dropped(float(self.time[first]), reason, detail, count))
 
 
+def find_stray_stamps(stamp: NDArray[np.int64], log: Sequence[int]) -> Bools:
+    """Mark the messages (n,) that the gate of a live node would not let through."""
+    strays = np.zeros(len(stamp), bool)
+    if (np.abs(np.diff(stamp)) <= MAX_STAMP_JUMP_NS).all():
+        return strays
+    gate, passed = Gate(""), list[StampedMessage]()
+    for i, (sent, received) in enumerate(zip(stamp.tolist(), log, strict=True)):
+        passed += gate.take(sent, received, 0, i)
+    passed += gate.flush()
+    strays[:] = True
+    strays[[message.message for message in passed]] = False
+    return strays
+
+
+def require_messages(raw: Raw) -> None:
+    """Raise BagError if no message of a topic can be decoded."""
+    if raw.stamp:
+        return
+    why = f" ({raw.undecodable} cannot be decoded)" if raw.undecodable else ""
+    raise BagError(
+        f"{raw.topic}: no usable message{why}. Record this topic again; if messages were "
+        "compressed one by one, give the bag's folder with its metadata.yaml."
+    )
+
+
 def resolve_stamps(raw: Raw, stamps: str, notes: list[str]) -> NDArray[np.int64]:
     """Return the time (n,) in ns of each message: of its header, or of the log if headers are 0."""
-    if not raw.stamp:
-        why = f" ({raw.undecodable} cannot be decoded)" if raw.undecodable else ""
-        raise BagError(
-            f"{raw.topic}: no usable message{why}. Record this topic again; if "
-            "messages were compressed one by one, give the bag's folder with its "
-            "metadata.yaml."
-        )
     header, log = np.array(raw.stamp, np.int64), np.array(raw.log, np.int64)
     if stamps == "log":
         return log

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from parallel_cal.base.keyed_warning import KeyedWarning
 from parallel_cal.base.rotation import rotation_vector
-from parallel_cal.recordings.dwells import drift, still_intervals
+from parallel_cal.recordings.dwells import Interval, drift, find_interruptions, still_intervals
 from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.pose_outliers import drop_outliers, find_strays, pose_limits
 from parallel_cal.recordings.recording import Array, Dropped, JointStream, PoseStream, Recording
@@ -32,9 +34,7 @@ def standstill_samples(recording: Recording, options: SampleOptions, tolerance: 
             "still longer"
         )
         found.warnings.append(KeyedWarning(text, "slow joint states", joints.topic))
-    intervals = still_intervals(
-        joints.time, joints.position, tolerance, options.min_dwell / 3, max_gap(joints, options)
-    )
+    intervals = _standstills(joints, options, tolerance)
     windows = [make_dwell(recording, interval, options) for interval in intervals]
     minimum = _min_pose_messages(windows, options, found.warnings)
     dwells = []
@@ -55,6 +55,27 @@ def standstill_samples(recording: Recording, options: SampleOptions, tolerance: 
             found.kept.append(_dwell_sample(joints, pose, dwell))
     _report_lonely_poses(pose, windows, options, found)
     return found
+
+
+def _standstills(joints: JointStream, options: SampleOptions, tolerance: Array) -> list[Interval]:
+    return still_intervals(
+        joints.time, joints.position, tolerance, options.min_dwell / 3, max_gap(joints, options)
+    )
+
+
+def drop_odd_readings(recording: Recording, options: SampleOptions, tolerance: Array) -> Recording:
+    """Drop the joint readings that cut a standstill in two although nothing moved."""
+    joints = recording.joints
+    intervals = _standstills(joints, options, tolerance)
+    odd = find_interruptions(joints.time, joints.position, intervals, tolerance, options.min_dwell)
+    if not odd.any():
+        return recording
+    i, count = int(np.argmax(odd)), int(odd.sum())
+    shown = " ".join(f"{v:.6g}" for v in joints.position[i])
+    detail = f"{joints.topic}: {count} of {len(odd)} messages; the first is message {i}: {shown}"
+    reason = "odd joint reading while the robot rests"
+    dropped = (*recording.dropped, Dropped(float(joints.time[i]), reason, detail, count))
+    return replace(recording, joints=joints.select(~odd), dropped=dropped)
 
 
 def _min_pose_messages(windows: list[Dwell], options: SampleOptions, warnings: list[str]) -> int:

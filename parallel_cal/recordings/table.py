@@ -18,6 +18,7 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.files import MEGABYTE, read_foreign_text
+from parallel_cal.base.float_fields import UNCONVERTED, find_unconverted
 from parallel_cal.base.units import (
     CONDITION_UNIT_ALIASES,
     CONDITION_UNITS,
@@ -123,6 +124,11 @@ class Table:
                     f"{self.path}:{self.lines[k]}: column {name} contains "
                     f"{texts[k]!r:.60}, expected a finite number: enter one or remove "
                     f"the line{hint}"
+                )
+            if (k := find_unconverted(numbers)) is not None:
+                raise DatasetError(
+                    f"{self.path}:{self.lines[k]}: column {name} contains {texts[k]!r:.60}: "
+                    f"{UNCONVERTED}"
                 )
             self._check_decimal_sign(name, texts)
             columns.append(numbers)

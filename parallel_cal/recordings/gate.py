@@ -1,7 +1,9 @@
-"""Lets through the messages of one publisher on one clock; holds back and counts the others.
+"""Lets through the messages on one clock; holds back and counts the others.
 
-Independent of ROS: a message consists of its stamp, its time of reception and its publisher's
-sequence number.
+A live node and the reader of recordings use it. A message consists of its stamp, its time of
+reception and its publisher's sequence number (0 in a recording). Publishers on one clock all pass:
+`publishers` distinguishes them by the content of their messages. A publisher on another clock does
+not.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from parallel_cal.base.keyed_warning import KeyedWarning
-from parallel_cal.nodes.sources import Source, Sources
+from parallel_cal.recordings.sources import Source, Sources
 
 # A stamp that differs more from its neighbour is wrong, or belongs to another clock.
 MAX_STAMP_JUMP_NS = 1_000_000_000
@@ -22,7 +24,7 @@ PUBLISHER_TIMEOUT_NS = 300_000_000
 # No message passes for so long after the last sign of two active publishers.
 MIXED_PUBLISHERS_HOLD_NS = 2_000_000_000
 # Why messages are dropped.
-TWO_PUBLISHERS = "because two publishers are active"
+TWO_PUBLISHERS = "because two publishers are active whose clocks differ"
 NO_NEIGHBOUR = "because its stamp fits neither the previous nor the next message"
 STAMP_JUMP = "stamp jump"
 
@@ -64,7 +66,7 @@ class Gate:
         last, held = self._last, self._held
         if last is None:
             return self._take_first(new)
-        if new.source is last.source and _near(new, last):
+        if _near(new, last):
             # The stream continues: the messages held back in between do not belong to it.
             if held and held[0].source is not last.source:
                 self._drop_mixed(held, log)
@@ -105,12 +107,12 @@ class Gate:
         Two neighbouring messages are trusted, or several of a slow device.
         """
         held = self._held
+        if held and _near(new, held[-1]):
+            self._drop(held[:-1], NO_NEIGHBOUR)
+            return self._release([held[-1], new])
         if held and new.source is not held[-1].source:
             self._drop_mixed(held, new.log)
             held = []
-        elif held and _near(new, held[-1]):
-            self._drop(held[:-1], NO_NEIGHBOUR)
-            return self._release([held[-1], new])
         elif held and new.stamp < held[-1].stamp:
             self._drop(held, NO_NEIGHBOUR)
             held = []
