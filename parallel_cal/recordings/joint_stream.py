@@ -29,8 +29,8 @@ class OrderedReadings:
     ragged: Bools
 
     def select(self, at: Sequence[int]) -> OrderedReadings:
-        columns = (self.q, self.effort, self.missing, self.ragged)
-        return OrderedReadings(self.names, *(column[at] for column in columns))
+        q, effort = self.q[at], self.effort[at]
+        return OrderedReadings(self.names, q, effort, self.missing[at], self.ragged[at])
 
 
 def order_readings(raw: Raw, wanted: Sequence[str] | None, notes: list[str]) -> OrderedReadings:

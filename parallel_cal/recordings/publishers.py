@@ -159,7 +159,7 @@ def _features(raw: Raw, at: NDArray[np.intp], rows: Array) -> Iterator[list[Feat
             off = np.abs(shown - np.round(shown))
             rounded = (off <= ROUNDING * (1.0 + np.abs(shown))).all(axis=1)
             known = f"rounded to {10.0**-k:.{k}f}{unit}"
-            decimal.append(Feature(rounded.astype(np.int64), [f"not {known}", known]))
+            decimal.append(Feature(np.asarray(rounded, np.int64), [f"not {known}", known]))
     yield decimal
     yield group(raw.origins)
     yield group([len(row[2]) if isinstance(row[0], tuple) else 0 for row in raw.rows])

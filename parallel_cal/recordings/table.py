@@ -125,9 +125,9 @@ class Table:
                     f"{texts[k]!r:.60}, expected a finite number: enter one or remove "
                     f"the line{hint}"
                 )
-            if (k := find_unconverted(numbers)) is not None:
+            if (bad := find_unconverted(numbers)) is not None:
                 raise DatasetError(
-                    f"{self.path}:{self.lines[k]}: column {name} contains {texts[k]!r:.60}: "
+                    f"{self.path}:{self.lines[bad]}: column {name} contains {texts[bad]!r:.60}: "
                     f"{UNCONVERTED}"
                 )
             self._check_decimal_sign(name, texts)
