@@ -281,7 +281,9 @@ def test_the_options_of_a_mechanism_are_listed(run):
     listed = run("mechanisms", "cable")[1]
     assert "Options: without any" in listed
     assert "\n- `anchors` (n, 3): positions of the anchors, m.\n" in listed
-    assert "If the same coordinate is 0 for all anchors, the robot is planar" in listed
+    assert (
+        "If the same coordinate is 0 for all anchors and for `home`, the robot is planar" in listed
+    )
     assert "Options" not in run("mechanisms", "scara16")[1]
     assert "\njoints: motor1 [rad], motor2 [rad], motor3 [rad], motor4 [rad]\n" in listed
 

@@ -109,5 +109,5 @@ def test_a_model_of_another_machine_is_told_apart_from_one_that_needs_no_change(
     capsys.readouterr()
     assert run("fit", tmp_path / "point.yaml", samples, "-o", tmp_path / "fit.yaml") == 1
     words = capsys.readouterr().err
-    assert "the measured positions themselves scatter by 1002 mm (rms)" in words
+    assert "63 % of their measured motion (1002 mm rms)" in words
     assert "the drive (spool, screw or belt) of each joint" in words

@@ -309,6 +309,9 @@ def _read_joints(model: Model, observations: Observations, guess: Guess) -> Devi
     # Where more joints than freedoms contradict each other a little, many solutions take longer.
     has_more_joints = len(model.joints) > len(model.mechanism.moves)
     least = MIN_QUICK_SHARE if has_more_joints else MIN_REACHED_SHARE
-    if there is None or np.mean(there.placed | there.turned) < least:
+    # Fewer different poses can be matched to any readings.
+    if there is None or there.poses < MIN_PLACEMENT_POSES:
+        return None
+    if np.mean(there.placed | there.turned) < least:
         return None
     return there
