@@ -63,7 +63,11 @@ def find_heading(lines: Sequence[str]) -> tuple[int, str]:
     for k, below in pairwise(filled[start : start + MAX_LINES]):
         line = _strip_marker(lines[k]) if is_remark(lines[k]) else lines[k]
         if not is_remark(lines[below]) and _is_heading_of(line, lines[below]):
-            belongs = k > first and _count_cells(lines[first]) == _count_cells(line)
+            separator = find_separator([line])
+            widths = [
+                len(_drop_last_blanks(_split(text, separator))) for text in (lines[first], line)
+            ]
+            belongs = k > first and widths[0] == widths[1]
             return (first, lines[first]) if belongs else (k, line)
     return first, lines[first]
 
@@ -114,10 +118,6 @@ def _are_units(cells: Sequence[str]) -> bool:
 
 def _strip_brackets(cell: str) -> str:
     return cell.strip().strip("[]()").strip()
-
-
-def _count_cells(line: str) -> int:
-    return len(_drop_last_blanks(_split(line, find_separator([line]))))
 
 
 def _split(line: str, separator: str) -> list[str]:
