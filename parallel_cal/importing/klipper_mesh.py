@@ -8,7 +8,6 @@ to a square. Sources: Klipper documentation, "Bed Mesh"; klippy/extras/bed_mesh.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -54,7 +53,7 @@ def choose_mesh(
     return name
 
 
-def read_mesh(stated: Settings, name: str, offset: Sequence[float]) -> Array:
+def read_mesh(stated: Settings, name: str, offset: Array) -> Array:
     """Return the positions (N, 3) in m of the nozzle by the firmware at the touches of a mesh.
 
     `offset` (3,) in m is the probe's, from the nozzle: beside it, and the height at a touch.
@@ -63,8 +62,8 @@ def read_mesh(stated: Settings, name: str, offset: Sequence[float]) -> Array:
     axes = []
     for axis in "xy":
         n = stated.number(f"{section} {axis}_count", "a number of points", low=2)
-        ends = [stated.number(f"{section} {end}_{axis}", "mm") for end in ("min", "max")]
-        axes.append(np.linspace(*ends, int(n)))
+        low, high = (stated.number(f"{section} {end}_{axis}", "mm") for end in ("min", "max"))
+        axes.append(np.linspace(low, high, int(n)))
     text, place = stated.text(f"{section} points", "heights in mm")
     words = [word for word in re.split(r"[,\s]+", text) if word]
     x, y = (grid.ravel() for grid in np.meshgrid(*axes))
@@ -81,4 +80,4 @@ def read_mesh(stated: Settings, name: str, offset: Sequence[float]) -> Array:
         centre = (axes[0][[0, -1]].mean(), axes[1][[0, -1]].mean())
         probed = np.hypot(x - centre[0], y - centre[1]) <= radius + 1e-3
     bed = np.column_stack([x, y, z])[probed] * MM
-    return bed + np.array(offset) * [-1, -1, 1]
+    return np.asarray(bed + offset * [-1, -1, 1])

@@ -70,12 +70,12 @@ def samples(
             heights.append(height * MM)
             found.append(machine.homed - _stable(stated, f"{TOUCHES} {name}{k}_pos") * step)
     numbers = deltas.end_stops(machine)
-    if (name := choose_mesh(stated, mesh, bool(found), warnings)) is not None:
+    if (used := choose_mesh(stated, mesh, bool(found), warnings)) is not None:
         height = stated.number(f"{_kind_of_probe(stated)} z_offset", "mm", 0.0) * MM
-        nozzle = read_mesh(stated, name, _probe(stated) + [0.0, 0.0, height])
+        nozzle = read_mesh(stated, used, _probe(stated) + [0.0, 0.0, height])
         q = machine.joints(nozzle)
         if np.isnan(q).any():
-            raise stated.error(f"[bed_mesh {name}] points", "points within reach of the rods")
+            raise stated.error(f"[bed_mesh {used}] points", "points within reach of the rods")
         found += [*q]
         heights += [height] * len(q)
         # Its positions depend on every number of the configuration.
