@@ -162,3 +162,81 @@ def test_a_wrong_distance_is_named_with_line_and_field(printer, old, new, messag
             read()
         assert message in str(error.value)
         assert "\n" not in str(error.value)
+
+
+def mesh(real, nominal, z_offset, radius=None):
+    """What BED_MESH_CALIBRATE stores: the bed's heights by the nominal numbers, 5 x 5 points.
+
+    The probe is 20 mm to the right of the nozzle and z_offset below it. The bed is z = 0 of the
+    real printer, whose nozzle is at z_offset then.
+    """
+    x, y = np.meshgrid(np.linspace(-60, 60, 5), np.linspace(-60, 60, 5))
+    heights = np.zeros(25)
+    for k, (a, b) in enumerate(zip(x.ravel(), y.ravel(), strict=True)):
+        low, high = -5.0, 5.0  # the nozzle's height by the nominal numbers, by bisection
+        for _ in range(60):
+            middle = (low + high) / 2
+            at = reached(real, counted(nominal, np.array([[a - 20, b, middle]])))[0, 2]
+            low, high = (middle, high) if at < z_offset else (low, middle)
+        heights[k] = low - z_offset
+    grid = heights.reshape(5, 5)
+    if radius is not None:  # Klipper repeats the outermost probed height of a row
+        out = np.hypot(x, y) > radius
+        grid = np.array([np.where(o, g[~o][0], g) for o, g in zip(out, grid, strict=True)])
+    rows = "".join("\n  " + ", ".join(f"{z:.6f}" for z in row) for row in grid)
+    text = f"[probe]\nz_offset: {z_offset}\nx_offset: 20\n[bed_mesh default]\nversion = 1\n"
+    text += f"points = {rows}\nx_count = 5\ny_count = 5\n"
+    text += "min_x = -60.0\nmax_x = 60.0\nmin_y = -60.0\nmax_y = 60.0\n"
+    return text + (f"[bed_mesh]\nmesh_radius: {radius}\n" if radius else "")
+
+
+@pytest.mark.parametrize(("radius", "n"), [(None, 25), (61, 13)])
+def test_a_bed_mesh_is_touches_where_the_probe_was(tmp_path, radius, n):
+    real, nominal = vf.Klipper(config(REAL)), vf.Klipper(config(NUMBERS))
+    file = tmp_path / "printer.cfg"
+    file.write_text(config(NUMBERS) + mesh(real, nominal, 2.5, radius))
+    data = samples("klipper", [file])
+    assert len(data) == n
+    assert data.conditions["reading.probe"] == pytest.approx(2.5e-3)
+    q0 = np.array(configured([file]).model.mechanism.joint_limits)[:, 1]
+    heights = reached(real, (q0 - data.q) / MM / STEP)[:, 2]
+    assert heights == pytest.approx(2.5, abs=2e-5)  # where the real printer touches
+    assert any("holds only for the geometry" in words for words in data.warnings)
+    assert data.configuration["chain1.D_x"] == pytest.approx(0.14)
+
+
+def test_a_mesh_is_used_beside_stored_heights_unless_it_is_left_out(printer):
+    file, real, nominal = printer
+    text = file.read_text() + mesh(real, nominal, 2.5)
+    file.write_text(text + "[bed_mesh cold]\npoints = 0\n")
+    data = samples("klipper", [file])
+    assert len(data) == 7 + 25 + 24
+    assert any("not used: [bed_mesh cold]; --option mesh" in words for words in data.warnings)
+    assert len(samples("klipper", [file], mesh="none")) == 7 + 24
+    with pytest.raises(ParallelCalError, match="no mesh 'warm', expected default or cold or none"):
+        samples("klipper", [file], mesh="warm")
+    file.write_text(text + "[bed_mesh]\nzero_reference_position: 0, 0\n")
+    data = samples("klipper", [file])
+    assert len(data) == 7 + 24
+    assert any("count from the point of zero_reference_pos" in words for words in data.warnings)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("x_count = 5", "x_count = 6", "[bed_mesh default] points is '25 heights', expected 30"),
+        ("points = \n  ", "points = \n  x", "[bed_mesh default] points is 'x"),
+        ("min_x = -60.0\n", "", "no [bed_mesh default] min_x, expected mm"),
+        ("max_x = 60.0", "max_x = 900.0", "expected points within reach of the rods"),
+    ],
+)
+def test_a_wrong_mesh_is_named(tmp_path, old, new, message):
+    real, nominal = vf.Klipper(config(REAL)), vf.Klipper(config(NUMBERS))
+    file = tmp_path / "printer.cfg"
+    text = config(NUMBERS) + mesh(real, nominal, 2.5)
+    assert old in text
+    file.write_text(text.replace(old, new))
+    with pytest.raises(ParallelCalError) as error:
+        samples("klipper", [file])
+    assert message in str(error.value)
+    assert len(str(error.value)) < 600

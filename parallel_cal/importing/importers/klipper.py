@@ -18,6 +18,7 @@ from parallel_cal.importing import deltas
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.deltas import Delta, Shoulders, Towers, are_counter_clockwise
 from parallel_cal.importing.klipper_config import settings
+from parallel_cal.importing.klipper_mesh import DEFAULT, choose_mesh, read_mesh
 from parallel_cal.importing.settings import Settings
 from parallel_cal.importing.touch_samples import (
     PrintedEnds,
@@ -44,9 +45,12 @@ TOWERS, SHOULDERS = (210.0, 330.0, 90.0), (30.0, 150.0, 270.0)  # degrees, the d
 
 
 def samples(
-    paths: Sequence[Path], printed_x: Sequence[float] = (), printed_y: Sequence[float] = ()
+    paths: Sequence[Path],
+    printed_x: Sequence[float] = (),
+    printed_y: Sequence[float] = (),
+    mesh: str = DEFAULT,
 ) -> Dataset:
-    """Read the heights and the distances of [delta_calibrate].
+    """Read the heights and the distances of [delta_calibrate], and the touches of a bed `mesh`.
 
     Manual heights are not used if the probe has an offset. A warning says so.
     """
@@ -66,6 +70,17 @@ def samples(
             height = stated.number(f"{TOUCHES} {name}{k}", within, None, -limit, limit)
             heights.append(height * MM)
             found.append(machine.homed - _stable(stated, f"{TOUCHES} {name}{k}_pos") * step)
+    numbers = deltas.end_stops(machine)
+    if (used := choose_mesh(stated, mesh, bool(found), warnings)) is not None:
+        height = stated.number(f"{_kind_of_probe(stated)} z_offset", "mm", 0.0) * MM
+        nozzle = read_mesh(stated, used, _probe(stated) + [0.0, 0.0, height])
+        q = machine.joints(nozzle)
+        if np.isnan(q).any():
+            raise stated.error(f"[bed_mesh {used}] points", "points within reach of the rods")
+        found += [*q]
+        heights += [height] * len(q)
+        # Its positions depend on every number of the configuration.
+        numbers |= {key: float(number) for key, number in machine.nominal.items()}
     if not found:
         stated.text(f"{TOUCHES} height0", "what DELTA_CALIBRATE and SAVE_CONFIG store")
     parts = _read_parts(stated, warnings)
@@ -75,7 +90,7 @@ def samples(
     touched = make_joint_samples(
         np.array(found), np.array(heights), paths, step, warnings=warnings, printed=printed
     )
-    return replace(touched, configuration=deltas.end_stops(machine))
+    return replace(touched, configuration=numbers)
 
 
 def _count(stated: Settings, name: str, what: str, warnings: list[str]) -> int:
@@ -153,12 +168,15 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     return replace(found, model=found.model.with_sensors((*found.model.sensors, sensor)))
 
 
+def _kind_of_probe(stated: Settings) -> str:
+    """Return the section of the probe, of whatever kind, such as `[bltouch]`."""
+    depths = (field for field in stated.texts if field.endswith("] z_offset"))
+    return next(depths, "[probe] z_offset").removesuffix(" z_offset")
+
+
 def _probe(stated: Settings) -> Array:
     """Return the probe's tip (3,) beside the nozzle in m; stored heights are the nozzle's."""
-    depths = (
-        field for field in stated.texts if field.endswith("] z_offset")
-    )  # of any kind of probe
-    kind = next(depths, "[probe] z_offset").removesuffix(" z_offset")
+    kind = _kind_of_probe(stated)
     beside = [stated.number(f"{kind} {a}_offset", "mm", 0.0) * MM for a in "xy"]
     return np.array([*beside, 0.0])
 
