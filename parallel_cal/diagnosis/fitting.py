@@ -26,8 +26,9 @@ if TYPE_CHECKING:
 WAYS_ON = (
     "Sound measurements leave less than 3 %. No single exchange of columns, sign, zero, unit, "
     "coupling of two joints or convention of the poses explains it: two of them may be wrong, the "
-    "rows of joints and poses may not belong together, or the model describes another machine. If "
-    "a large effect may be missing, diagnose names it: parallel-cal diagnose MODEL RECORDING (in "
+    "rows of joints and poses may not belong together, or the model describes another machine: "
+    "check the mechanism, and the unit and the drive (spool, screw or belt) of each joint. If a "
+    "large effect may be missing, diagnose names it: parallel-cal diagnose MODEL RECORDING (in "
     "Python: pc.diagnose(model, dataset)). If the device is so coarse, state its noise. --force "
     "(in Python: insist=True) accepts the fit"
 )
