@@ -315,8 +315,8 @@ class Dataset:
         """
         groups = self.pose_id.copy()
         for name, read in self.conditions.items():
-            ends = np.flatnonzero(np.isfinite(read)) if name.startswith(READING) else ()
-            if len(ends) == 2:
+            ends = np.flatnonzero(np.isfinite(read))
+            if name.startswith(READING) and len(ends) == 2:
                 groups[groups == groups[ends[1]]] = groups[ends[0]]
         if self.mode == "continuous" and 0.0 < fraction <= 0.5:
             blocks = min(len(self), 5 * round(1.0 / fraction))
