@@ -10,6 +10,8 @@ import virtual_firmware as vf
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.cli.main import main
+from parallel_cal.identification.observations import observe
+from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.importing.controller_files import configured, samples
 
 MM = 1e-3
@@ -32,6 +34,7 @@ FIT = (
     "import klipper printer.cfg -o t.json",
     "fit m.yaml t.json --prior -o o.yaml",
 )
+MIDDLE = "distances.middle7"
 HEXAGON = 70 * np.array([[np.cos(a), np.sin(a), 0] for a in np.radians(30 + 60 * np.arange(6))])
 
 
@@ -219,6 +222,41 @@ def test_a_mesh_is_used_beside_stored_heights_unless_it_is_left_out(printer):
     data = samples("klipper", [file])
     assert len(data) == 7 + 24
     assert any("count from the point of zero_reference_pos" in words for words in data.warnings)
+
+
+def test_both_ends_of_a_distance_are_held_out_together(printer):
+    file, *_ = printer
+    data = samples("klipper", [file])
+    pairs = [
+        np.flatnonzero(np.isfinite(data.conditions[f"reading.distance{k}"])) for k in range(12)
+    ]
+    folds = data.folds()
+    assert [np.isin(pair, test).all() for pair in pairs for _, test in folds].count(True) == 12
+    assert not any(np.isin(pair, test).sum() == 1 for pair in pairs for _, test in folds)
+
+
+def test_the_error_of_a_distance_does_not_depend_on_its_middle(printer):
+    """Each end is off by half of measured minus configured distance, with opposite signs."""
+    file, *_ = printer
+    data, model = samples("klipper", [file]), configured([file]).model
+    moved = model.with_values(model.values + 1e-3 * (np.array(model.table.names) == MIDDLE))
+    one, other = (errors(m, observe(m, data)).reading for m in (model, moved))
+    np.testing.assert_allclose(one, other, atol=1e-12)
+    read = data.conditions["reading.distance7"]
+    expected = (np.ptp(read[np.isfinite(read)]) - 70 * MM) / 2
+    off = one[np.isfinite(read), 1 + 7]
+    np.testing.assert_allclose(off, [-expected, expected], atol=1e-7)
+
+
+def test_a_mesh_beside_distances_leaves_micrometres(tmp_path, capsys, monkeypatch):
+    real, nominal = vf.Klipper(config(REAL)), vf.Klipper(config(NUMBERS))
+    file = tmp_path / "printer.cfg"
+    file.write_text(config(NUMBERS) + stored(real, nominal) + mesh(real, nominal, 2.5, 61))
+    monkeypatch.chdir(tmp_path)
+    run([*FIT, "export o.yaml --to klipper --into printer.cfg"])
+    assert "at 20 touches" in capsys.readouterr().out
+    assert shape_error(nominal, real) > 0.15
+    assert shape_error(vf.Klipper(file.read_text()), real) < 0.03
 
 
 @pytest.mark.parametrize(

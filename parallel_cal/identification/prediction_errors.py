@@ -194,6 +194,11 @@ def errors(model: Model, observations: Observations) -> Errors:
         position = np.where(shown.known[:, None] & judged[0], shown.change[:, :3], position)
         turned = np.where(shown.known[:, None] & judged[1], shown.change[:, 3:], turned)
     residuals = where_known(pose.solved, reading_residuals(model, observations, predicted))
+    relative = [c for sensor in model.sensors if sensor.relative for c in sensor.channels]
+    for k in np.flatnonzero(np.isin(model.structure.channels, relative)):
+        known = np.isfinite(residuals[:, k])
+        if known.any():
+            residuals[known, k] -= residuals[known, k].mean()
     in_pixels = model.structure.channel_units == "px"
     return Errors(
         position,

@@ -54,6 +54,10 @@ class Sensor(ABC):
     guessed_sigma : float
         Standard deviation with which the readings are weighted if `sigma` is None, in the unit of
         the readings. A fit then corrects it by the rms of the residuals. Default 2e-5.
+    relative : bool
+        Whether only differences of a channel's readings measure anything, because their common
+        value depends on where a part was placed. Errors are then those without their mean over the
+        judged samples. Default False.
     unit : str
         Unit of the readings, `m` or `px`. Default `m`.
     shows_pose : bool
@@ -76,6 +80,7 @@ class Sensor(ABC):
     fixed: tuple[str, ...] = ()
     sigma: float | None = 0.0
     guessed_sigma: ClassVar[float] = 20e-6
+    relative: ClassVar[bool] = False
     unit: ClassVar[str] = "m"
     shows_pose: ClassVar[bool] = False
     stated_length: ClassVar[str] = ""

@@ -33,6 +33,7 @@ from parallel_cal.recordings.samplefile import (
     read_document,
     restore_field,
 )
+from parallel_cal.recordings.samples import READING
 
 if TYPE_CHECKING:
     pass
@@ -312,10 +313,15 @@ class Dataset:
     ) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
         """Return (train, test) indices of round(1/fraction) folds; every sample is tested once.
 
-        All replicates of a pose are in the same fold. In a continuous motion, samples that follow
-        each other in time are in the same fold.
+        All replicates of a pose are in the same fold, and both ends of a distance: samples that are
+        the only two with a reading of one channel. In a continuous motion, samples that follow each
+        other in time are in the same fold.
         """
-        groups = self.pose_id
+        groups = self.pose_id.copy()
+        for name, read in self.conditions.items():
+            ends = np.flatnonzero(np.isfinite(read))
+            if name.startswith(READING) and len(ends) == 2:
+                groups[groups == groups[ends[1]]] = groups[ends[0]]
         if self.mode == "continuous" and 0.0 < fraction <= 0.5:
             blocks = min(len(self), 5 * round(1.0 / fraction))
             groups = np.arange(len(self)) * blocks // max(1, len(self))

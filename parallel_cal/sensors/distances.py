@@ -27,6 +27,7 @@ class Distances(Sensor):
     directions: tuple[float, ...]
     sigma: float = 20e-6
 
+    relative = True
     physics = "distances between walls of one printed object, measured with a caliper"
     source = "calipers 20-30 um over 150 mm (ISO 13385-1)"
 

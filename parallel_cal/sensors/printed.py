@@ -23,6 +23,7 @@ class Printed(Sensor):
     along: str = "x"
     sigma: float = 20e-6
 
+    relative = True
     physics = "a printed length between two faces, measured with a caliper or micrometer"
     source = "calipers 20-30 um over 150 mm (ISO 13385-1)"
 
