@@ -31,11 +31,13 @@ class Dropped:
 
 @dataclass(frozen=True)
 class TopicInfo:
-    """A topic in the bag: name, message type, number of messages."""
+    """A topic in the bag: name, message type, number of messages, and their encoding; only `cdr`,
+    that of ROS 2, is read."""
 
     name: str
     type: str
     count: int
+    encoding: str = "cdr"
 
 
 MESSAGE_COLUMNS = ("log", "stamp", "rows", "origins")  # lists of a Raw, one item per message
