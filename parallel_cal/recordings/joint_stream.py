@@ -29,8 +29,9 @@ class OrderedReadings:
     ragged: Bools
 
     def select(self, at: Sequence[int]) -> OrderedReadings:
-        columns = (self.q, self.effort, self.missing, self.ragged)
-        return OrderedReadings(self.names, *(column[at] for column in columns))
+        return OrderedReadings(
+            self.names, self.q[at], self.effort[at], self.missing[at], self.ragged[at]
+        )
 
 
 def order_readings(raw: Raw, wanted: Sequence[str] | None, notes: list[str]) -> OrderedReadings:

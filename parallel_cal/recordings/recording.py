@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,7 +65,7 @@ class Raw:
 
     def select(self, at: Sequence[int]) -> Raw:
         """Return the messages with these numbers, from 0."""
-        columns = {name: [getattr(self, name)[i] for i in at] for name in MESSAGE_COLUMNS}
+        columns: Any = {name: [getattr(self, name)[i] for i in at] for name in MESSAGE_COLUMNS}
         return replace(self, **columns)
 
 

@@ -101,9 +101,9 @@ class Table:
                     f"{texts[k]!r:.60}, expected a finite number: enter one or remove "
                     f"the line{hint}"
                 )
-            if (k := find_unconverted(numbers)) is not None:
+            if (row := find_unconverted(numbers)) is not None:
                 raise DatasetError(
-                    f"{self.path}:{self.lines[k]}: column {name} contains {texts[k]!r:.60}: "
+                    f"{self.path}:{self.lines[row]}: column {name} contains {texts[row]!r:.60}: "
                     f"{UNCONVERTED}"
                 )
             self._check_decimal_sign(name, texts)
