@@ -4,7 +4,7 @@ FROM ros:jazzy
 RUN apt-get update \
  && apt-get install -y --no-install-recommends python3-pip \
  && rm -rf /var/lib/apt/lists/*
-RUN pip install --break-system-packages casadi lazy_loader plotly 'pydantic>=2.6' rich rosbags \
+RUN pip install --break-system-packages casadi lazy_loader mcap plotly 'pydantic>=2.6' rich rosbags \
     threadpoolctl typer
 
 COPY . /workspace/src/parallel_cal

@@ -32,5 +32,5 @@ def is_unconverted(values: ArrayLike) -> NDArray[np.bool_]:
 
 def find_unconverted(values: Any) -> int | None:
     """Return the first row of values (n, ...) with an unconverted number; None if there is none."""
-    rows = is_unconverted(values).reshape(len(values), -1).any(axis=1)
-    return int(np.argmax(rows)) if rows.any() else None
+    found = np.argwhere(is_unconverted(values))
+    return int(found[0, 0]) if len(found) else None

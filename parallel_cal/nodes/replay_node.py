@@ -24,6 +24,7 @@ from parallel_cal.nodes.conversions import message_class
 from parallel_cal.nodes.parameters import Setting, declare
 from parallel_cal.nodes.run import ros_context
 from parallel_cal.recordings.bag import list_topics, raw_messages
+from parallel_cal.recordings.mcap_files import ROS_2
 from parallel_cal.recordings.recording import TopicInfo
 
 PARAMETERS = {
@@ -60,7 +61,8 @@ class ReplayNode(Node):
             raise ParallelCalError("no bag given: set the parameter bag")
         if not self.rate > 0:
             raise ParallelCalError(f"rate {self.rate}: expected a positive number")
-        topics, self.duration = list_topics(self.bag)
+        found, self.duration = list_topics(self.bag)
+        topics = tuple(topic for topic in found if topic.encoding == ROS_2)
         chosen = _select_topics(self.bag, topics, self._value("topics"))
         self.count, self.sent = sum(topic.count for topic in chosen), 0
         self._senders = {topic.name: self._make_publisher(topic) for topic in chosen}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from parallel_cal.base.progress import Progress
 from parallel_cal.recordings.channels import Channel, find_channel
 from parallel_cal.recordings.cleaning import assemble
 from parallel_cal.recordings.joint_state_bytes import JointStateReader
+from parallel_cal.recordings.mcap_files import MAGIC, ROS_2, McapFiles
 from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.pose_bytes import PoseReader
 from parallel_cal.recordings.pose_messages import (
@@ -27,6 +29,12 @@ from parallel_cal.recordings.standard_types import DEFINITIONS, collect_definiti
 from parallel_cal.recordings.topics import choose_topics
 
 DATA_FILES = (".mcap", ".db3", ".zstd")
+KINDS = {
+    MAGIC: ".mcap",
+    b"SQLite format 3\0": ".db3",
+    b"#ROSBAG V": ".bag",
+    b"\x28\xb5\x2f\xfd": ".zstd",
+}
 MAX_WAITING = 4096  # joint states that are read at once
 
 
@@ -55,7 +63,7 @@ def read_bag(
 def list_topics(path: str | Path) -> tuple[tuple[TopicInfo, ...], float]:
     """Return the topics of a bag and the duration of its log, in s."""
     with _Bag(Path(path)) as bag:
-        return bag.topics, bag.reader.duration * 1e-9
+        return bag.topics, bag.reader.metadata.duration * 1e-9
 
 
 @dataclass(frozen=True)
@@ -70,8 +78,16 @@ class RawMessage:
 def raw_messages(path: str | Path) -> Iterator[RawMessage]:
     """Yield every message of a bag in the order of its log; BagError if it cannot be read."""
     with _Bag(Path(path)) as bag:
-        for connection, time, data in bag.messages(list(bag.reader.connections)):
+        for connection, time, data in bag.messages(bag.connections):
             yield RawMessage(connection.topic, time, data)
+
+
+def find_kind(file: Path) -> str:
+    """Return the suffix of a data file by its first bytes, whatever its name is: `.mcap`, `.db3`,
+    `.bag` (ROS 1) or `.zstd`; of another file its own."""
+    with file.open("rb") as stream:
+        begin = stream.read(16)
+    return next((kind for magic, kind in KINDS.items() if begin.startswith(magic)), file.suffix)
 
 
 def data_hash(path: str | Path) -> str:
@@ -95,25 +111,65 @@ class _Bag:
     def __init__(self, path: Path) -> None:
         self.path, self.notes = path, list[str]()
         self.topics: tuple[TopicInfo, ...] = ()
+        self.connections: list[Any] = []  # those whose messages can be read
 
     def __enter__(self) -> _Bag:
-        from rosbags.rosbag2 import Reader
-
         file = self._openable()
-        try:
-            self.reader: Any = Reader(file)
-            self.reader.open()
-        except Exception as error:  # a damaged file fails in any layer: struct, yaml, zstd, sqlite
-            raise self._damaged(error) from error
-        counts = [TopicInfo(c.topic, c.msgtype, c.msgcount) for c in self.reader.connections]
-        self.topics = tuple(sorted(counts, key=lambda t: t.name))
-        if not self.reader.message_count:
+        self.reader = self._open(file)
+        counts = Counter[TopicInfo]()
+        for c in self.reader.connections:
+            encoding = c.ext.serialization_format or ROS_2
+            counts[TopicInfo(c.topic, c.msgtype, 0, encoding)] += c.msgcount
+        topics = [replace(topic, count=count) for topic, count in counts.items()]
+        self.topics = tuple(sorted(topics, key=lambda t: t.name))
+        if not self.reader.metadata.message_count:
             self.reader.close()
             raise BagError(f"{self.path}: the bag contains no message. Was anything published?")
+        self.connections = [
+            c for c in self.reader.connections if (c.ext.serialization_format or ROS_2) == ROS_2
+        ]
+        foreign = [f"{t.name} ({t.encoding})" for t in self.topics if t.encoding != ROS_2]
+        if foreign:
+            self.notes.append(
+                f"{self.path}: not read, because only CDR messages of ROS 2 are: "
+                f"{', '.join(foreign)}"
+            )
         return self
 
     def __exit__(self, *_: object) -> None:
         self.reader.close()
+
+    def _open(self, file: Path) -> Any:
+        """Open the storage of a directory or data file; BagError if it is damaged."""
+        from rosbags.rosbag2 import Reader
+
+        try:
+            storage: Any = Reader.STORAGE_PLUGINS["dir" if file.is_dir() else find_kind(file)](file)
+            storage.open()
+            found = storage.connections
+            known = bool(found) or not storage.metadata.message_count
+            if known and all(c.msgtype.count("/") == 2 for c in found):
+                return storage
+            storage.close()
+            why: Exception = BagError("its channels or their types are not described")
+        except Exception as error:  # a damaged file fails in any layer: struct, yaml, zstd, sqlite
+            why = error
+        files = _data_files(file) if file.is_dir() else [file]
+        kinds = [find_kind(one) for one in files]
+        try:
+            if {*kinds} == {".mcap"}:
+                storage = McapFiles(files)
+            elif file.is_dir() and kinds == [".db3"]:
+                storage = Reader.STORAGE_PLUGINS[".db3"](files[0])
+            else:
+                raise why
+            storage.open()
+        except Exception as error:  # the data are damaged, too
+            raise self._damaged(why) from error
+        if file.is_dir():
+            reason = str(why).rstrip(".")
+            self.notes.append(f"{file}: its data files are read without metadata.yaml ({reason})")
+        return storage
 
     def _openable(self) -> Path:
         """Return the directory or data file to open; BagError if there is none."""
@@ -134,13 +190,31 @@ class _Bag:
                     "Give one data file, or rebuild it with 'ros2 bag reindex'."
                 )
             self.notes.append(f"{self.path}: no metadata.yaml; read {files[0].name} directly")
-            return files[0]
-        if self.path.is_file() and self.path.suffix not in (".mcap", ".db3"):
-            raise BagError(
-                f"{self.path}: not a rosbag2 recording; expected a bag directory, .mcap "
-                "or .db3 (convert a ROS 1 .bag with 'rosbags-convert')"
-            )
+            return self._require_data(files[0])
+        if not self.path.is_dir():
+            return self._require_data(self.path)
         return self.path
+
+    def _require_data(self, file: Path) -> Path:
+        """Return a data file that can be opened by itself; BagError if it is another file."""
+        kind = find_kind(file)
+        if kind in (".mcap", ".db3"):
+            return file
+        if kind == ".bag":
+            raise BagError(
+                f"{file}: a recording of ROS 1. Convert it to ROS 2 with "
+                f"'rosbags-convert --src {file.name} --dst {file.stem}', and give the folder "
+                f"{file.stem}"
+            )
+        if kind == ".zstd":
+            raise BagError(
+                f"{file}: compressed as a whole. Give the folder of the recording with its "
+                f"metadata.yaml, or decompress the file with 'zstd -d {file.name}'"
+            )
+        raise BagError(
+            f"{file}: not a rosbag2 recording; expected a bag directory, or an MCAP (.mcap) or "
+            "SQLite (.db3) file"
+        )
 
     def messages(self, connections: list[Any]) -> Iterator[tuple[Any, int, bytes]]:
         """Yield (connection, log time in ns, bytes) of every message on some connections."""
@@ -173,7 +247,7 @@ def _read_messages(
         for name, raw in raws.items()
         if (channel := find_channel(name))
     }
-    connections = [c for c in bag.reader.connections if (c.topic, c.msgtype) in decoders]
+    connections = [c for c in bag.connections if (c.topic, c.msgtype) in decoders]
     store = _type_store(connections)
     total = max(1, sum(c.msgcount for c in connections))
     for i, (connection, log, data) in enumerate(bag.messages(connections)):
@@ -203,7 +277,7 @@ def _add_images(
     for camera, topic in camera_topics(options.images).items():
         chosen = [
             c
-            for c in bag.reader.connections
+            for c in bag.connections
             if c.topic.strip("/") == topic.strip("/") and c.msgtype in (IMAGE, COMPRESSED)
         ]
         if not sum(c.msgcount for c in chosen):
@@ -214,9 +288,7 @@ def _add_images(
             )
         folder = chosen[0].topic.removesuffix("/compressed").rpartition("/")[0]
         beside = f"{folder}/camera_info"
-        lenses = [
-            c for c in bag.reader.connections if c.msgtype == CAMERA_INFO and c.topic == beside
-        ]
+        lenses = [c for c in bag.connections if c.msgtype == CAMERA_INFO and c.topic == beside]
         reader = ImageReader(camera, chosen[0].topic, recording, options)
         store, lens = _type_store([*chosen, *lenses]), ""
         total = sum(c.msgcount for c in chosen)

@@ -29,8 +29,9 @@ class OrderedReadings:
     ragged: Bools
 
     def select(self, at: Sequence[int]) -> OrderedReadings:
-        q, effort = self.q[at], self.effort[at]
-        return OrderedReadings(self.names, q, effort, self.missing[at], self.ragged[at])
+        return OrderedReadings(
+            self.names, self.q[at], self.effort[at], self.missing[at], self.ragged[at]
+        )
 
 
 def order_readings(raw: Raw, wanted: Sequence[str] | None, notes: list[str]) -> OrderedReadings:

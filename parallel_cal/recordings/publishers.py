@@ -157,7 +157,7 @@ def _features(raw: Raw, at: NDArray[np.intp], rows: Array) -> Iterator[list[Feat
         for k in range(1, N_DECIMALS + 1):
             shown = rows / (size * 10.0**-k)
             off = np.abs(shown - np.round(shown))
-            rounded = (off <= ROUNDING * (1.0 + np.abs(shown))).all(axis=1)
+            rounded = np.all(off <= ROUNDING * (1.0 + np.abs(shown)), axis=1)
             known = f"rounded to {10.0**-k:.{k}f}{unit}"
             decimal.append(Feature(np.asarray(rounded, np.int64), [f"not {known}", known]))
     yield decimal

@@ -32,11 +32,13 @@ class Dropped:
 
 @dataclass(frozen=True)
 class TopicInfo:
-    """A topic in the bag: name, message type, number of messages."""
+    """A topic in the bag: name, message type, number of messages, and their encoding; only `cdr`,
+    that of ROS 2, is read."""
 
     name: str
     type: str
     count: int
+    encoding: str = "cdr"
 
 
 MESSAGE_COLUMNS = ("log", "stamp", "rows", "origins")  # lists of a Raw, one item per message
@@ -63,9 +65,7 @@ class Raw:
 
     def select(self, at: Sequence[int]) -> Raw:
         """Return the messages with these numbers, from 0."""
-        columns: dict[str, Any] = {
-            name: [getattr(self, name)[i] for i in at] for name in MESSAGE_COLUMNS
-        }
+        columns: Any = {name: [getattr(self, name)[i] for i in at] for name in MESSAGE_COLUMNS}
         return replace(self, **columns)
 
 

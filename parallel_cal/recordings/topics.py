@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from parallel_cal.base.errors import BagError
 from parallel_cal.recordings.channels import CHANNELS, Channel, Kind, find_channel, list_channels
+from parallel_cal.recordings.mcap_files import ROS_2
 from parallel_cal.recordings.pose_messages import OTHER_POSE_TYPES, may_hold_poses, split_body
 from parallel_cal.recordings.recording import TopicInfo
 
@@ -94,6 +95,13 @@ class _Offer:
         """Return the topic of this name, or None; BagError if its type does not fit."""
         found = [t for t in self.available if name and t.name.strip("/") == name.strip("/")]
         any_pose = set(POSES) <= set(types)  # a pose may have many types if its topic is named
+        foreign = [t for t in found if t.encoding != ROS_2]
+        if foreign and len(foreign) == len(found):
+            raise BagError(
+                f"topic {found[0].name} is encoded as {foreign[0].encoding}; expected CDR, the "
+                f"encoding of ROS 2. Name another topic, or convert it. {self.listing}"
+            )
+        found = [t for t in found if t.encoding == ROS_2]
         fitting = [t for t in found if t.type in types or (any_pose and may_hold_poses(t.type))]
         if found and not fitting:
             expected = (*types, *OTHER_POSE_TYPES, "a driver's own") if any_pose else types
@@ -116,6 +124,7 @@ class _Offer:
             topic
             for topic in self.available
             if topic.type in types
+            and topic.encoding == ROS_2
             and topic.count
             and not any(word in topic.name.lower() for word in NOT_MEASUREMENTS)
         ]
@@ -145,4 +154,7 @@ class _Offer:
 
     @property
     def listing(self) -> str:
-        return "In the bag: " + "; ".join(f"{t.name} [{t.type}] {t.count}" for t in self.available)
+        def kind(topic: TopicInfo) -> str:
+            return topic.type if topic.encoding == ROS_2 else f"{topic.type} ({topic.encoding})"
+
+        return "In the bag: " + "; ".join(f"{t.name} [{kind(t)}] {t.count}" for t in self.available)
