@@ -82,6 +82,7 @@ def mirrored(data):
 
 CASES = [
     (coupled(2, 1, -1), "joint2 and joint3 are coupled: joint3 = J3 + J2, where J2 and J3 are"),
+    (coupled(2, 1, -1), "(column map: joint3: {J3: 1, J2: 1}, with the names"),
     (coupled(2, 1, 1), "joint2 and joint3 are coupled: joint3 = J3 - J2, where J2 and J3 are"),
     pytest.param(
         coupled(5, 4, 1),

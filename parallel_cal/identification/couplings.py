@@ -35,9 +35,13 @@ class Coupling:
             formulas.append(f"{names[joint]} = {words if terms[0][1] == 1 else f'({words}) / 2'}")
         joints = " and ".join(names[k] for k in coupled)
         columns = " and ".join(f"J{k + 1}" for k in coupled)
+        entries = "; ".join(
+            f"{names[joint]}: {{{', '.join(f'J{k + 1}: {factor:g}' for k, factor in terms)}}}"
+            for joint, terms in self.sums
+        )
         return (
             f"{joints} are coupled: {', '.join(formulas)}, where {columns} are the readings in the "
-            f"columns of {joints}"
+            f"columns of {joints} (column map: {entries}, with the names of these columns)"
         )
 
 
