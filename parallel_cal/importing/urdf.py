@@ -80,10 +80,12 @@ def arm(path: Path, start: str = "", end: str = "", **options: Any) -> Configure
         if regular != tuple(mechanism.home.joints):
             own = {"controls": list(mechanism.controls)} | options | {"home": list(regular)}
             mechanism = load_mechanism("serial", links=links, **own)
+            there, assumed = (
+                ", ".join(f"{value:g}" for value in home) for home in (regular, assumed_home)
+            )
             about_home.append(
-                f"home is at {', '.join(f'{v:g}' for v in regular)}, because the arm is singular "
-                "with all joints at zero: state another one with --option home=[...] if this is "
-                "not in the robot's usual working range"
+                f"home is at {there}, because the arm is singular at {assumed}: state another one "
+                "with --option home=[...] if this is not in the robot's usual working range"
             )
     mechanism.joints = tuple(master.name for master in masters)
     mechanism.joint_limits = limits
