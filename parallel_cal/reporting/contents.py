@@ -259,6 +259,14 @@ def vectors_in_base(scene: Scene, field: Field) -> np.ndarray:
     return field.vectors @ frames_of(scene.model).F.T
 
 
+def map_in_base(scene: Scene, drawn: SmoothMap) -> SmoothMap:
+    """Return a smooth map, which is in the frame of the device, in {B}; orientations lie over the
+    joints."""
+    device = frames_of(scene.model)
+    places = drawn.places @ device.F.T + device.f if drawn.kind == "position" else drawn.places
+    return replace(drawn, places=places, field=drawn.field @ device.F.T)
+
+
 def unit_along(m: Mechanism, name: str) -> str:
     """Return the SI unit of a joint, a coordinate or a condition; empty if none is stated."""
     units = dict.fromkeys(POSE[:3], "m") | dict.fromkeys(POSE[3:], "rad")

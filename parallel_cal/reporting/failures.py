@@ -9,7 +9,7 @@ from parallel_cal.base.sample_names import format_sample
 from parallel_cal.diagnosis.lack_of_fit import SmoothMap
 from parallel_cal.diagnosis.patterns import Region
 from parallel_cal.diagnosis.signature import signature
-from parallel_cal.reporting import image_figures, images, joint_panels, maps, spaces
+from parallel_cal.reporting import contents, image_figures, images, joint_panels, maps, spaces
 from parallel_cal.reporting.markup import Plot, as_html, figure, folded, paragraph, table, tabs
 from parallel_cal.reporting.multiples import colour, multiples
 from parallel_cal.reporting.readable import (
@@ -176,7 +176,7 @@ def structure(report: Report, plot: Plot) -> str:
         if found.has_structure
         else f"The residuals show no structure, neither of neighbours nor of signs ({p})."
     )
-    drawn = spaces.smooth_map(found.map)
+    drawn = spaces.smooth_map(contents.map_in_base(report.diagnosis.base.scene, found.map))
     if drawn is None:
         return known + paragraph(
             "There is no smooth map: none predicts the residuals at held-out poses.", "none"
