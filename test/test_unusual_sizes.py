@@ -161,10 +161,11 @@ def test_a_law_outside_the_catalogue_is_searched_before_an_unusual_effect_that_l
     assert found.effects == ("joint_compliance",)
     assert found.verdict.suspected_of_law == ("joint_compliance",)
     assert "joint_compliance leaves an error, so the cause may be" in found.verdict.summary
-    first, second = found.next_steps
+    # `add` takes the sample under the largest load for a knocked one, and so says the diagnosis.
+    *_, first, second = found.next_steps
     assert "parallel-cal discover MODEL RECORDING" in first
     assert "parallel-cal add MODEL joint_compliance RECORDING" in second
-    assert found.document()["next_steps"] == [first, second]
+    assert found.document()["next_steps"] == list(found.next_steps)
     shown = text.show(found)
     assert shown.index(f"next: {first}") < shown.index(f"next: {second}")
 
