@@ -16,13 +16,13 @@ from parallel_cal.recordings.channels import CHANNELS, list_channels
 from parallel_cal.recordings.cleaning import assemble
 from parallel_cal.recordings.clocks import align_clocks
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.gate import MAX_STAMP_JUMP_NS
 from parallel_cal.recordings.loading import dataset_from_aligned
 from parallel_cal.recordings.options import ReadOptions, SampleOptions
 from parallel_cal.recordings.pairing import find_bracketed
 from parallel_cal.recordings.pose_messages import frame_of
 from parallel_cal.recordings.recording import MESSAGE_COLUMNS, Bools, Dropped, Raw
 from parallel_cal.recordings.samples import max_gap
-from parallel_cal.recordings.sieve import CLOCK_JUMP
 
 # s by which the middle of a sample moves at most when it is read again, if its duration is zero.
 SAME_SAMPLE_TOLERANCE_S = 1e-6
@@ -124,7 +124,7 @@ class Inbox:
     def jumps_back(self, channel: str, stamp: int) -> bool:
         """Return whether a stamp is of another clock: a bag played again, a simulation reset."""
         last = self.raws[channel].stamp[-1:]
-        return bool(last) and stamp > 0 and stamp < last[0] - CLOCK_JUMP
+        return bool(last) and stamp > 0 and stamp < last[0] - MAX_STAMP_JUMP_NS
 
     def add(self, channel: str, stamp: int, log: int, message: Any, publisher: str = "") -> None:
         """Append one message; times in ns."""

@@ -61,8 +61,12 @@ def assemble(
         keep_one_publisher(raw, values, said, dropped)
         for raw, values in zip(streams, contents, strict=True)
     ]
-    readings = readings.select(kept[0])
-    streams = [raw.select(at) for raw, at in zip(streams, kept, strict=True)]
+    if len(kept[0]) < len(readings.q):
+        readings = readings.select(kept[0])
+    streams = [
+        raw if len(at) == len(raw.stamp) else raw.select(at)
+        for raw, at in zip(streams, kept, strict=True)
+    ]
     times = [resolve_stamps(raw, options.stamps, said) for raw in streams]
     strays = [find_stray_stamps(ns, raw.log) for raw, ns in zip(streams, times, strict=True)]
     clocks = list(zip(streams, times, strays, strict=True))

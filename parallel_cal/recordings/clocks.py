@@ -24,13 +24,11 @@ from parallel_cal.base.errors import BagError
 from parallel_cal.base.keyed_warning import KeyedWarning
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.recordings.dwells import jitter, noise_span
+from parallel_cal.recordings.gate import MAX_STAMP_JUMP_NS, MIN_AGREEING_MESSAGES
 from parallel_cal.recordings.recording import Array, Bools, JointStream, PoseStream, Raw, Recording
 
 MAX_DRIVER_DELAY_S = 50e-3  # s by which stamps of one clock may differ; `latency` covers them
 MIN_ARRIVAL_JITTER_S = 5e-3  # no device measures so irregularly, but networks deliver so
-# Between such neighbouring joint states, the order of reception tells the offset of a pose.
-MAX_RECEPTION_GAP_NS = 1_000_000_000
-MIN_RECEIVED_AMONG = 3  # poses received so: one or two may be stray
 MAX_STEPS = 800  # steps between neighbouring poses that are used
 MIN_STEPS = 60  # with fewer steps, no delay is estimated
 # Share of the steps' squares: the delay must leave less than this, and less than this share of what
@@ -133,8 +131,8 @@ def require_overlap(
     after = np.searchsorted(logs[0][order], logs[1])
     among = (after > 0) & (after < len(order))
     early, late = (times[0][order[after[among] - k]] for k in (1, 0))
-    close = np.abs(late - early) <= MAX_RECEPTION_GAP_NS
-    if close.sum() < MIN_RECEIVED_AMONG:
+    close = np.abs(late - early) <= MAX_STAMP_JUMP_NS
+    if close.sum() < MIN_AGREEING_MESSAGES:
         spans = [
             f"{s.topic} from {s.time[0] + start * 1e-9:.3f} to {s.time[-1] + start * 1e-9:.3f} s"
             for s in (joints, pose)

@@ -8,11 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from parallel_cal.base.errors import BagError
-from parallel_cal.recordings.gate import MAX_STAMP_JUMP_NS, Gate, StampedMessage
+from parallel_cal.recordings.gate import (
+    MAX_STAMP_JUMP_NS,
+    MIN_AGREEING_MESSAGES,
+    Gate,
+    StampedMessage,
+)
 from parallel_cal.recordings.recording import Array, Bools, Dropped, Raw
 
-MIN_STAMPED_MESSAGES = 3  # with fewer among messages without a stamp, the log time is used
-CLOCK_JUMP = 1_000_000_000  # ns; a stamp further back than this is a clock that was reset
 STRAY_STAMP = "stamp fits neither the previous nor the next message"
 
 
@@ -34,7 +37,7 @@ class Sieve:
             self.drop(strays, STRAY_STAMP)
         latest = np.maximum.accumulate(np.where(self.keep, stamp, stamp[self.keep].min()))
         before = np.concatenate([[stamp[0] - 1], latest[:-1]])
-        for i in np.flatnonzero(self.keep & (stamp < before - CLOCK_JUMP))[:1]:
+        for i in np.flatnonzero(self.keep & (stamp < before - MAX_STAMP_JUMP_NS))[:1]:
             raise BagError(
                 f"{self.topic}: time runs backwards at message {i}: {stamp[i] * 1e-9:.3f} s comes "
                 f"after {before[i] * 1e-9:.3f} s. Record again with one clock, cut the bag there, "
@@ -101,7 +104,7 @@ def resolve_stamps(raw: Raw, stamps: str, notes: list[str]) -> NDArray[np.int64]
     if stamps == "log":
         return log
     empty = header == 0
-    if np.count_nonzero(header) < min(MIN_STAMPED_MESSAGES, len(header)):
+    if np.count_nonzero(header) < min(MIN_AGREEING_MESSAGES, len(header)):
         notes.append(f"{raw.topic}: header stamps are zero; the log time is used instead")
         return log
     # A zero among real stamps takes the stamp before it, so that time goes on; the sieve drops it.
