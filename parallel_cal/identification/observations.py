@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -195,19 +196,15 @@ def observe(
 def list_noise(model: Model, observations: Observations) -> list[NoiseFigure]:
     """List the noise of joints, device and sensors: its rms over the samples."""
     sources = observations.noise_from
-    variance = np.diagonal(observations.S, axis1=1, axis2=2)
     unknown = {
         kind.name: ESTIMATED if kind.estimated else UNSTATED for kind in observations.unknown
     }
     found = []
-    for name, unit, own in _kinds(model):
-        used = observations.measured & own
-        if used.any():
-            source = sources["joint" if own[: len(model.joints)].any() else "pose"]
-            # Another part of the joints or of the device may be the unknown one.
-            stated = "model file" if source in (UNSTATED, ESTIMATED) else source
-            source = unknown.get(name, stated)
-            found.append(NoiseFigure(name, float(np.sqrt(variance[used].mean())), unit, source))
+    for name, unit, own, rms in _measure_kinds(model, observations):
+        source = sources["joint" if own[: len(model.joints)].any() else "pose"]
+        # Another part of the joints or of the device may be the unknown one.
+        stated = "model file" if source in (UNSTATED, ESTIMATED) else source
+        found.append(NoiseFigure(name, rms, unit, unknown.get(name, stated)))
     sigma = observations.get_reading_sigma(model)
     for sensor in model.sensors:
         own = np.isin(model.structure.channels, sensor.channels)
@@ -224,20 +221,30 @@ def list_noise(model: Model, observations: Observations) -> list[NoiseFigure]:
 def noise_in_use(model: Model, observations: Observations) -> Noise:
     """Return the noise of joints and device with which observations are weighted; None for what is
     neither stated nor estimated."""
-    n, variance = len(model.joints), np.diagonal(observations.S, axis1=1, axis2=2)
+    n = len(model.joints)
     guessed = {kind.name for kind in observations.unknown if not kind.estimated}
     joints: dict[str, float] = {}
     device: list[float | None] = [None, None]
-    for name, unit, own in _kinds(model):
-        used = observations.measured & own
-        if not used.any() or name in guessed:
+    for name, unit, own, sigma in _measure_kinds(model, observations):
+        if name in guessed:
             continue
-        sigma = float(np.sqrt(variance[used].mean()))
         if own[:n].any():
             joints[unit] = sigma
         else:
             device[int(own[n + 3 :].any())] = sigma
     return Noise(joints or None, device[0], device[1])
+
+
+def _measure_kinds(
+    model: Model, observations: Observations
+) -> Iterator[tuple[str, str, np.ndarray, float]]:
+    """Name, unit, columns (nq+6,) and rms over the samples of every kind of noise of joints and
+    device that was measured."""
+    variance = np.diagonal(observations.S, axis1=1, axis2=2)
+    for name, unit, own in _kinds(model):
+        used = observations.measured & own
+        if used.any():
+            yield name, unit, own, float(np.sqrt(variance[used].mean()))
 
 
 def _kinds(model: Model) -> list[tuple[str, str, np.ndarray]]:

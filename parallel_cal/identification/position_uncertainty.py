@@ -92,10 +92,7 @@ class PositionDifference:
         sigmas = (_compute_sigma(first, one, at), _compute_sigma(second, other, at))
         validity = _describe_validity(first, second, recorded=list(columns))
         frames = frames_of(first), frames_of(second)
-        seen = [
-            (s.position + s.rotation @ f.t - f.f) @ f.F
-            for s, f in zip((one, other), frames, strict=True)
-        ]
+        seen = [f.see(s.position, s.rotation)[0] for s, f in zip((one, other), frames, strict=True)]
         difference = (seen[1] - seen[0]) @ frames[0].F.T
         moved = np.linalg.norm(other.position - one.position - difference, axis=1)
         apart = float(np.sqrt(np.mean(moved**2)))

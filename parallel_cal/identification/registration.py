@@ -82,6 +82,14 @@ class Frames:
     t: Array
     T: Array
 
+    def see(self, r: Array, R: Array) -> tuple[Array, Array]:
+        """The poses (N, 3), (N, 3, 3) of the target in the frame of the device, of {P} in {B}."""
+        return (r + R @ self.t - self.f) @ self.F, self.F.T @ R @ self.T
+
+    def to_base(self, r: Array) -> Array:
+        """Positions (N, 3) in the frame of the device, in {B}."""
+        return r @ self.F.T + self.f
+
     def describe_move(self, other: Frames) -> str:
         """`its device stands 812.3 mm and 12.30 deg, its target 0.1 mm`, seen by this device."""
         shift = 1e3 * np.linalg.norm(other.f - self.f)

@@ -65,28 +65,24 @@ def arm(path: Path, start: str = "", end: str = "", **options: Any) -> Configure
         master.limits if np.array_equal(found, master.finite_limits) else found
         for master, found in zip(masters, mechanism.joint_limits, strict=True)
     )
-    assumed_home = None
-    if "home" not in options:
+    states_home = "home" in options
+    if not states_home:
         finite = np.nan_to_num(limits, posinf=2 * np.pi, neginf=-2 * np.pi).tolist()
-        assumed_home = [0.0 if low < 0 < high else (low + high) / 2 for low, high in finite]
-        options["home"] = assumed_home
+        options["home"] = [0.0 if low < 0 < high else (low + high) / 2 for low, high in finite]
         mechanism = load_mechanism("serial", links=links, **options)
     if "controls" not in options and (able := choose_controls(mechanism)) != mechanism.controls:
         mechanism = load_mechanism("serial", links=links, **options, controls=list(able))
         remarks.append(f"the arm controls {', '.join(able)}: other coordinates follow from them")
     about_home = list[str]()
-    if assumed_home is not None:
-        regular = choose_home(mechanism)
-        if regular != tuple(mechanism.home.joints):
-            own = {"controls": list(mechanism.controls)} | options | {"home": list(regular)}
-            mechanism = load_mechanism("serial", links=links, **own)
-            there, assumed = (
-                ", ".join(f"{value:g}" for value in home) for home in (regular, assumed_home)
-            )
-            about_home.append(
-                f"home is at {there}, because the arm is singular at {assumed}: state another one "
-                "with --option home=[...] if this is not in the robot's usual working range"
-            )
+    assumed = mechanism.home.joints
+    if not states_home and (regular := choose_home(mechanism)) != assumed:
+        options |= {"controls": list(mechanism.controls), "home": list(regular)}
+        mechanism = load_mechanism("serial", links=links, **options)
+        there, singular = (", ".join(f"{q:g}" for q in home) for home in (regular, assumed))
+        about_home.append(
+            f"home is at {there}, because the arm is singular at {singular}: state another one "
+            "with --option home=[...] if this is not in the robot's usual working range"
+        )
     mechanism.joints = tuple(master.name for master in masters)
     mechanism.joint_limits = limits
     following = [(joint, joint.mimic) for joint in moving if joint.mimic]

@@ -132,8 +132,7 @@ def as_observations(
     The poses are those of {P} in {B}; the observations are of the target in the device's frame.
     """
     n, noise, at = len(model.joints), model.noise, frames_of(model)
-    r, R = poses.position, poses.rotation
-    x = Configuration(poses.joints, (r + R @ at.t - at.f) @ at.F, at.F.T @ R @ at.T).rows
+    x = Configuration(poses.joints, *at.see(poses.position, poses.rotation)).rows
     device = [noise.position or 0.0] * 3 + [noise.orientation or 0.0] * 3
     sigma = np.append(np.nan_to_num(model.joint_noise), device)
     S = np.broadcast_to(np.diag(np.square(sigma)), (len(x), n + 6, n + 6))

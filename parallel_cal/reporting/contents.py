@@ -251,7 +251,7 @@ def places(scene: Scene, kind: str | None) -> np.ndarray:
     predicted, device = Configuration.from_rows(scene.x), frames_of(scene.model)
     if kind == "orientation":
         return predicted.R[:, :, 2] @ device.F.T
-    return predicted.r @ device.F.T + device.f
+    return device.to_base(predicted.r)
 
 
 def vectors_in_base(scene: Scene, field: Field) -> np.ndarray:
@@ -263,7 +263,7 @@ def map_in_base(scene: Scene, drawn: SmoothMap) -> SmoothMap:
     """Return a smooth map, which is in the frame of the device, in {B}; orientations lie over the
     joints."""
     device = frames_of(scene.model)
-    places = drawn.places @ device.F.T + device.f if drawn.kind == "position" else drawn.places
+    places = device.to_base(drawn.places) if drawn.kind == "position" else drawn.places
     return replace(drawn, places=places, field=drawn.field @ device.F.T)
 
 
