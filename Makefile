@@ -29,7 +29,7 @@ $(BIN)/uv pip install -q -p $(BIN)/python $(1) 2>/dev/null \
 endef
 
 # Stamps of their own: a changed list of libraries must not rebuild the messages, which takes longest.
-$(STAMP): $(VENV)/.messages $(VENV)/.controller_messages setup.cfg pyproject.toml
+$(STAMP): $(VENV)/.messages $(VENV)/.controller_messages $(VENV)/.transform_messages setup.cfg pyproject.toml
 	@echo "installing the libraries"
 	@$(call install,$(LIBRARIES))
 	@touch $@
@@ -39,17 +39,20 @@ $(VENV)/.messages: $(VENV)/.created $(wildcard msg_defs/*.* msg_defs/*/*.*)
 	@$(call install,./msg_defs)
 	@touch $@
 
-# The action of robot controllers, of which there is no wheel, for the tests only. It is built as
-# msg_defs is, from the same list of tools.
-CONTROL_MSGS := build/control_msgs
-$(VENV)/.controller_messages: $(VENV)/.created $(wildcard test/control_msgs/*.* test/control_msgs/*/*.*)
-	@rm -rf $(CONTROL_MSGS) && mkdir -p $(CONTROL_MSGS)
-	@cp -R test/control_msgs/* msg_defs/pip_build $(CONTROL_MSGS)
-	@sed -e 's/parallel_cal_msgs/control_msgs/' -e 's/^version = .*/version = "0.0.0"/' \
-	  -e 's/ros-jazzy-geometry-msgs/ros-jazzy-trajectory-msgs/' \
-	  msg_defs/pyproject.toml > $(CONTROL_MSGS)/pyproject.toml
-	@$(call install,./$(CONTROL_MSGS))
+# Messages of which there are no wheels, for the tests only: the action of robot controllers, and TF.
+# They are built as msg_defs is, from the same list of tools.
+$(VENV)/.controller_messages: TRAJECTORIES := -e 's/ros-jazzy-geometry-msgs/ros-jazzy-trajectory-msgs/'
+$(VENV)/.controller_messages: PACKAGE := control_msgs
+$(VENV)/.transform_messages: PACKAGE := tf2_msgs
+$(VENV)/.controller_messages $(VENV)/.transform_messages: $(VENV)/.created
+	@rm -rf build/$(PACKAGE) && mkdir -p build/$(PACKAGE)
+	@cp -R test/$(PACKAGE)/* msg_defs/pip_build build/$(PACKAGE)
+	@sed -e 's/parallel_cal_msgs/$(PACKAGE)/' -e 's/^version = .*/version = "0.0.0"/' $(TRAJECTORIES) \
+	  msg_defs/pyproject.toml > build/$(PACKAGE)/pyproject.toml
+	@$(call install,./build/$(PACKAGE))
 	@touch $@
+$(VENV)/.controller_messages: $(wildcard test/control_msgs/*.* test/control_msgs/*/*.*)
+$(VENV)/.transform_messages: $(wildcard test/tf2_msgs/*.* test/tf2_msgs/*/*.*)
 
 $(VENV)/.created:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \
