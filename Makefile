@@ -16,7 +16,7 @@ endif
 # Nodes under test talk to this machine only.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
-.PHONY: venv demo test wide check lint types slow bags bench faults tables gallery real docs clean
+.PHONY: venv demo test wide check lint types slow bags bench faults tables gallery real docs maintainer clean
 
 venv: $(STAMP)
 
@@ -117,6 +117,17 @@ docs: $(STAMP)
 # The real machines in real/ calibrated beside independent fits (docs/real_machines.md).
 real: $(STAMP)
 	@$(BIN)/python -m bench.real_machines
+
+# Who maintains a release, in every package.xml at once (CONTRIBUTING.md, Before a release):
+#   make maintainer EMAIL=jane@lab.org URL=https://github.com/lab/parallel_cal
+maintainer:
+	@test -n "$(EMAIL)" -a -n "$(URL)" || { echo "usage: make maintainer EMAIL=... URL=..."; exit 2; }
+	@sed -i -E -e '/example.org is a placeholder/d' \
+	  -e 's|(<maintainer email=")[^"]*|\1$(EMAIL)|' \
+	  -e 's|(<url type="website">)[^<]*|\1$(URL)|' \
+	  -e 's|(<url type="repository">)[^<]*|\1$(URL).git|' \
+	  -e 's|(<url type="bugtracker">)[^<]*|\1$(URL)/issues|' \
+	  package.xml msg_defs/package.xml test/*_msgs/package.xml
 
 clean:
 	@rm -rf $(VENV) build install log dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
