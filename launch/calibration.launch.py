@@ -33,6 +33,7 @@ from parallel_cal.nodes.launch_arguments import (
     TOPICS,
     given_parameters,
     in_namespace,
+    parameters_file_of,
     record_command,
 )
 
@@ -52,7 +53,8 @@ def generate_launch_description():
 def start(context):
     values = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     config = PathJoinSubstitution([FindPackageShare("parallel_cal"), "config"])
-    file = values["params_file"] or PathJoinSubstitution([config, "nodes", "parameters.yaml"])
+    usual = PathJoinSubstitution([config, "nodes", "parameters.yaml"])
+    file = parameters_file_of(values, usual)
     actions = [
         Node(
             package="parallel_cal",

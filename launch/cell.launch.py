@@ -39,6 +39,7 @@ from parallel_cal.nodes.launch_arguments import (
     OF_CELL,
     cell_values,
     given_parameters,
+    parameters_file_of,
 )
 
 POLL_INTERVAL_S = 0.2  # s between two looks whether the cell has written the model file
@@ -58,7 +59,8 @@ def start(context):
     values = cell_values(
         {name: LaunchConfiguration(name).perform(context) for name in CELL_ARGUMENTS}
     )
-    config = PathJoinSubstitution([FindPackageShare("parallel_cal"), "config"])
+    share = FindPackageShare("parallel_cal")
+    usual = PathJoinSubstitution([share, "config", "nodes", "parameters.yaml"])
     model = {"model_file": values["model_file"]}
     cell = Node(
         package="parallel_cal",
@@ -66,7 +68,7 @@ def start(context):
         name="virtual_cell_node",
         namespace=values["namespace"],
         parameters=[
-            values["params_file"] or PathJoinSubstitution([config, "nodes", "parameters.yaml"]),
+            parameters_file_of(values, usual),
             given_parameters(OF_CELL, values) | model,
         ],
         output=values["output"],

@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 from unittest import mock
+from xml.etree import ElementTree
 
 import pytest
 import yaml
@@ -94,11 +95,17 @@ def parameters_of(node):
     """The parameters file of a node, and the parameters that replace its values."""
     file, given = node.parameters
     if not isinstance(file, str):
-        folder, *names = file.values[0]
-        share, (config,) = folder.values[0][0], folder.values[0][1:]
-        assert (share.values, config) == (("parallel_cal",), "config")
-        file = str(REPOSITORY.joinpath(config, *names))
+        file = installed(file)
     return file, given
+
+
+def installed(path):
+    """The file in this repository that a path into the share folder of the package means."""
+    first, *names = path.values[0]
+    if kind(first) == "FindPackageShare":
+        assert first.values == ("parallel_cal",)
+        return str(REPOSITORY.joinpath(*names))
+    return str(Path(installed(first), *names))
 
 
 def started(actions, folder):
@@ -139,9 +146,11 @@ def test_without_arguments_the_parameters_file_counts():
         assert (node.output, node.ros_arguments) == ("screen", ["--log-level", "info"])
 
 
-def test_arguments_replace_values_of_the_parameters_file_with_their_types():
+def test_arguments_replace_values_of_the_parameters_file_with_their_types(tmp_path):
+    mine = str(tmp_path / "mine.yaml")
+    Path(mine).write_text("")
     given = {
-        "params_file": "mine.yaml",
+        "params_file": mine,
         "model_file": "12",
         "output_file": "better.yaml",
         "trajectory_action": "/arm/follow",
@@ -156,9 +165,9 @@ def test_arguments_replace_values_of_the_parameters_file_with_their_types():
     }
     kinematics, calibration = launched("calibration.launch.py", **given)
     both = {"model_file": "12", "trajectory_action": "/arm/follow", "autostart": True}
-    assert parameters_of(kinematics) == ("mine.yaml", both | {"tf_rate": 5.0})
+    assert parameters_of(kinematics) == (mine, both | {"tf_rate": 5.0})
     assert parameters_of(calibration) == (
-        "mine.yaml",
+        mine,
         both
         | {
             "output_file": "better.yaml",
@@ -170,6 +179,12 @@ def test_arguments_replace_values_of_the_parameters_file_with_their_types():
     )
     assert calibration.output == "both"
     assert calibration.ros_arguments == ["--log-level", "debug"]
+
+
+@pytest.mark.parametrize("file", ["calibration.launch.py", "cell.launch.py"])
+def test_a_parameters_file_that_is_missing_is_refused(file, tmp_path):
+    with pytest.raises(ParallelCalError, match=r"params_file '.*mine.yaml': no such file"):
+        launched(file, params_file=str(tmp_path / "mine.yaml"), model_file=str(tmp_path / "m.yaml"))
 
 
 def test_an_argument_that_is_no_number_is_refused_with_its_name():
@@ -200,14 +215,22 @@ def test_rviz_shows_the_topics_of_the_nodes_in_their_namespace():
     assert rviz.package == "rviz2"
     assert rviz.arguments[0] == "-d"
     assert rviz.arguments[2:] == ["-f", "base_link"]
-    described = rviz.arguments[1].values[0][-1]
-    text = (REPOSITORY / "config" / described).read_text()
+    text = Path(installed(rviz.arguments[1])).read_text()
     shown = {
         display["Topic" if "Topic" in display else "Description Topic"]["Value"]
         for display in yaml.safe_load(text)["Visualization Manager"]["Displays"]
         if {"Topic", "Description Topic"} & set(display)
     }
     assert dict(rviz.remappings) == {topic: f"/arm{topic}" for topic in shown}
+    policy = ElementTree.parse(REPOSITORY / "config" / "sros2_policy.xml")
+    published = {
+        topic.text.replace("~", f"/{profile.get('node')}")
+        for profile in policy.iter("profile")
+        for part in profile.iter("topics")
+        if part.get("publish")
+        for topic in part
+    }
+    assert shown <= published
 
 
 @mock.patch.dict(os.environ)

@@ -134,6 +134,22 @@ def _parse(name: str, type: type, text: str) -> Any:
         raise ParallelCalError(f"launch argument {name} '{text}': expected {kind}") from None
 
 
+def parameters_file_of(values: Values, usual: Any) -> Any:
+    """Return the parameters file, by default `usual`; ParallelCalError if it is missing.
+
+    launch starts the nodes without a file that is missing, and only logs that.
+    """
+    if not values["params_file"]:
+        return usual
+    file = Path(values["params_file"]).expanduser()
+    if not file.is_file():
+        raise ParallelCalError(
+            f"launch argument params_file '{file}': no such file; expected the parameters of the "
+            "nodes (YAML)"
+        )
+    return str(file)
+
+
 def cell_values(values: Values) -> dict[str, str]:
     """Complete the values of the cell: a model file for each robot, the images of its camera, and
     TF, of which it has no other source.
