@@ -38,6 +38,7 @@ class Robot:
         self.client = Client("tester", namespace, [self.process])
         self.latest = {}
         self.described = self.client.subscribe_latest(String, f"{NODE}/robot_description")
+        self.client.wait(lambda: bool(self.described), "a description")
 
     def follow(self, type, topic):
         self.client._node.create_subscription(
@@ -88,7 +89,6 @@ def test_the_urdf_is_latched_and_follows_the_model_file_and_there_is_no_tf_by_it
     start, tmp_path
 ):
     robot = start()
-    robot.client.wait(lambda: bool(robot.described), "a description")
     (tmp_path / "robot.urdf").write_text(robot.described[0].data)
     reader = Urdf(tmp_path / "robot.urdf")
     assert (reader.root, set(NAMES) < set(reader.names)) == ("base", True)
