@@ -52,6 +52,8 @@ def generate_launch_description():
 
 def start(context):
     values = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    if values["rviz"] == "true":
+        FindPackageShare("rviz2").perform(context)  # if it is missing, no node is started
     config = PathJoinSubstitution([FindPackageShare("parallel_cal"), "config"])
     usual = PathJoinSubstitution([config, "nodes", "parameters.yaml"])
     file = parameters_file_of(values, usual)

@@ -59,6 +59,10 @@ def start(context):
     values = cell_values(
         {name: LaunchConfiguration(name).perform(context) for name in CELL_ARGUMENTS}
     )
+    # The nodes start after the cell, so what is wrong with them is found before it starts.
+    given_parameters(CELL_ARGUMENTS, values)
+    if values["rviz"] == "true":
+        FindPackageShare("rviz2").perform(context)
     share = FindPackageShare("parallel_cal")
     usual = PathJoinSubstitution([share, "config", "nodes", "parameters.yaml"])
     model = {"model_file": values["model_file"]}

@@ -59,8 +59,10 @@ class Told(SimpleNamespace):
         super().__init__(values=values, **named)
 
     def perform(self, context):
-        """As LaunchConfiguration does."""
-        return context[self.values[0]]
+        """As LaunchConfiguration does, and FindPackageShare of a package."""
+        if kind(self) == "FindPackageShare" and self.values[0] in context.get("missing", ()):
+            raise LookupError(f"package '{self.values[0]}' not found")
+        return context.get(self.values[0])
 
 
 def described(file):
@@ -86,7 +88,7 @@ def launched(file, **given):
     """What a launch file does with these arguments: the actions of its function."""
     actions = described(file)
     values = {name: a.default_value for name, a in arguments(actions).items()}
-    assert set(given) <= set(values)
+    assert set(given) <= {*values, "missing"}
     [function] = [a.function for a in actions if kind(a) == "OpaqueFunction"]
     return function(values | given)
 
@@ -192,6 +194,15 @@ def test_an_argument_that_is_no_number_is_refused_with_its_name():
         launched("calibration.launch.py", tf_rate="fast")
     with pytest.raises(ParallelCalError, match=r"seed '1.5': expected a whole number"):
         launched("cell.launch.py", seed="1.5")
+    with pytest.raises(ParallelCalError, match="tf_rate 'fast'"):  # before the cell has started
+        launched("cell.launch.py", tf_rate="fast")
+
+
+@pytest.mark.parametrize("file", ["calibration.launch.py", "cell.launch.py"])
+def test_nothing_starts_where_rviz_is_asked_for_and_missing(file, tmp_path):
+    given = {"rviz": "true", "model_file": str(tmp_path / "robot.yaml")}
+    with pytest.raises(LookupError, match="rviz2"):
+        launched(file, **given, missing=("rviz2",))
 
 
 def test_a_recording_of_the_topics_under_their_names_is_started_on_request():
@@ -300,18 +311,26 @@ def test_both_nodes_run_with_every_topic_under_the_name_given(tmp_path):
                 used[name] = topics_of(client._node, name, namespace)
         return {f"{namespace}/arm/{t}" for t in topics} <= frozenset().union(*used.values())
 
-    client.wait(complete, "all topics")
-    for name in names:
-        for service, (type,) in client._node.get_service_names_and_types_by_node(name, namespace):
-            ours = type.startswith(("parallel_cal_msgs/srv", "std_srvs/"))
-            assert f"`~/{service.split('/')[-1]}`" in PAGE or not ours, service
-    client.close()
-    assert names == ["kinematics_node", "calibration_node"]
+    try:
+        client.wait(complete, "all topics")
+        services = [
+            (service, type)
+            for name in names
+            for service, (type,) in client._node.get_service_names_and_types_by_node(
+                name, namespace
+            )
+        ]
+    finally:
+        client.close()
+        ends = [process.end() for process in processes]
+    assert (names, ends) == (["kinematics_node", "calibration_node"], [0, 0])
+    for service, type in services:
+        ours = type.startswith(("parallel_cal_msgs/srv", "std_srvs/"))
+        assert f"`~/{service.split('/')[-1]}`" in PAGE or not ours, service
     own = tuple(f"{namespace}/{name}/" for name in names)
     for topic in frozenset().union(*used.values()):
         assert topic.startswith((f"{namespace}/arm/", *own, *OF_ROS)), topic
         assert f"{topic.split('/')[-1]}`" in PAGE or topic in OF_ROS, topic
-    assert [process.end() for process in processes] == [0, 0]
 
 
 def topics_of(node, name, namespace):
