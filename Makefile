@@ -16,7 +16,7 @@ endif
 # Nodes under test talk to this machine only.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
-.PHONY: venv demo test wide check lint types slow bags bench faults tables gallery real docs clean
+.PHONY: venv demo test wide check lint types slow bags bench faults tables gallery real docs maintainer clean
 
 venv: $(STAMP)
 
@@ -29,7 +29,7 @@ $(BIN)/uv pip install -q -p $(BIN)/python $(1) 2>/dev/null \
 endef
 
 # Stamps of their own: a changed list of libraries must not rebuild the messages, which takes longest.
-$(STAMP): $(VENV)/.messages $(VENV)/.controller_messages setup.cfg pyproject.toml
+$(STAMP): $(VENV)/.messages $(VENV)/.controller_messages $(VENV)/.transform_messages setup.cfg pyproject.toml
 	@echo "installing the libraries"
 	@$(call install,$(LIBRARIES))
 	@touch $@
@@ -39,17 +39,20 @@ $(VENV)/.messages: $(VENV)/.created $(wildcard msg_defs/*.* msg_defs/*/*.*)
 	@$(call install,./msg_defs)
 	@touch $@
 
-# The action of robot controllers, of which there is no wheel, for the tests only. It is built as
-# msg_defs is, from the same list of tools.
-CONTROL_MSGS := build/control_msgs
-$(VENV)/.controller_messages: $(VENV)/.created $(wildcard test/control_msgs/*.* test/control_msgs/*/*.*)
-	@rm -rf $(CONTROL_MSGS) && mkdir -p $(CONTROL_MSGS)
-	@cp -R test/control_msgs/* msg_defs/pip_build $(CONTROL_MSGS)
-	@sed -e 's/parallel_cal_msgs/control_msgs/' -e 's/^version = .*/version = "0.0.0"/' \
-	  -e 's/ros-jazzy-geometry-msgs/ros-jazzy-trajectory-msgs/' \
-	  msg_defs/pyproject.toml > $(CONTROL_MSGS)/pyproject.toml
-	@$(call install,./$(CONTROL_MSGS))
+# Messages of which there are no wheels, for the tests only: the action of robot controllers, and TF.
+# They are built as msg_defs is, from the same list of tools.
+$(VENV)/.controller_messages: TRAJECTORIES := -e 's/ros-jazzy-geometry-msgs/ros-jazzy-trajectory-msgs/'
+$(VENV)/.controller_messages: PACKAGE := control_msgs
+$(VENV)/.transform_messages: PACKAGE := tf2_msgs
+$(VENV)/.controller_messages $(VENV)/.transform_messages: $(VENV)/.created
+	@rm -rf build/$(PACKAGE) && mkdir -p build/$(PACKAGE)
+	@cp -R test/$(PACKAGE)/* msg_defs/pip_build build/$(PACKAGE)
+	@sed -e 's/parallel_cal_msgs/$(PACKAGE)/' -e 's/^version = .*/version = "0.0.0"/' $(TRAJECTORIES) \
+	  msg_defs/pyproject.toml > build/$(PACKAGE)/pyproject.toml
+	@$(call install,./build/$(PACKAGE))
 	@touch $@
+$(VENV)/.controller_messages: $(wildcard test/control_msgs/*.* test/control_msgs/*/*.*)
+$(VENV)/.transform_messages: $(wildcard test/tf2_msgs/*.* test/tf2_msgs/*/*.*)
 
 $(VENV)/.created:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \
@@ -114,6 +117,17 @@ docs: $(STAMP)
 # The real machines in real/ calibrated beside independent fits (docs/real_machines.md).
 real: $(STAMP)
 	@$(BIN)/python -m bench.real_machines
+
+# Who maintains a release, in every package.xml at once (CONTRIBUTING.md, Before a release):
+#   make maintainer EMAIL=jane@lab.org URL=https://github.com/lab/parallel_cal
+maintainer:
+	@test -n "$(EMAIL)" -a -n "$(URL)" || { echo "usage: make maintainer EMAIL=... URL=..."; exit 2; }
+	@sed -i -E -e '/example.org is a placeholder/d' \
+	  -e 's|(<maintainer email=")[^"]*|\1$(EMAIL)|' \
+	  -e 's|(<url type="website">)[^<]*|\1$(URL)|' \
+	  -e 's|(<url type="repository">)[^<]*|\1$(URL).git|' \
+	  -e 's|(<url type="bugtracker">)[^<]*|\1$(URL)/issues|' \
+	  package.xml msg_defs/package.xml test/*_msgs/package.xml
 
 clean:
 	@rm -rf $(VENV) build install log dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -162,6 +162,7 @@ def test_help_names_the_commands_that_exist_and_no_other():
         "import-csv",
         "simulate",
         "replay",
+        "record-topics",
         "fit",
         "compare",
         "add",

@@ -2,6 +2,8 @@
 
 import json
 import re
+import shutil
+import subprocess
 from configparser import ConfigParser
 from itertools import pairwise
 from pathlib import Path
@@ -38,13 +40,34 @@ def test_version_and_licence_are_the_same_in_every_file():
     assert len(set(stated)) == 1, stated
 
 
-def test_the_maintainer_s_address_stands_in_both_package_xml_and_nowhere_else():
-    (address,) = {root.find("maintainer").get("email") for root in package_roots()}
+def test_the_maintainer_s_address_is_the_same_in_every_package_xml_and_nowhere_else():
+    own = [ElementTree.parse(path).getroot() for path in ROOT.glob("test/*_msgs/package.xml")]
+    assert own
+    (address,) = {root.find("maintainer").get("email") for root in package_roots() + own}
     steps = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     # As long as it is a placeholder, it must look like one, and the steps of a release name it.
     assert not address.endswith("@example.org") or f"`{address}`" in steps
     assert "maintainer_email" not in setup()
     assert "email" not in str(citation())
+
+
+@pytest.mark.skipif(not shutil.which("make"), reason="make is not installed")
+def test_one_command_sets_the_maintainer_of_a_release(tmp_path):
+    files = [*PACKAGES, *ROOT.glob("test/*_msgs/package.xml")]
+    for path in (ROOT / "Makefile", *files):
+        copy = tmp_path / path.relative_to(ROOT)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(path, copy)
+    said = ["EMAIL=jane@lab.org", "URL=https://git.lab.org/jane/parallel_cal"]
+    subprocess.run(["make", "maintainer", *said], cwd=tmp_path, check=True, timeout=60)
+    texts = [(tmp_path / path.relative_to(ROOT)).read_text(encoding="utf-8") for path in files]
+    assert not any("example.org" in text for text in texts)
+    assert all('<maintainer email="jane@lab.org">' in text for text in texts)
+    for root in map(ElementTree.fromstring, texts[:2]):
+        urls = [url.text.removeprefix("https://git.lab.org/jane/") for url in root.iter("url")]
+        assert urls == ["parallel_cal", "parallel_cal.git", "parallel_cal/issues"]
+    refused = subprocess.run(["make", "maintainer"], cwd=tmp_path, capture_output=True, timeout=60)
+    assert refused.returncode != 0
 
 
 def test_both_package_xml_state_urls_and_authors():

@@ -27,6 +27,7 @@ COMMANDS = {
     "board": "board:app",
     "simulate": "recordings",
     "replay": "recordings",
+    "record-topics": "record_topics",
     "fit": "calibration",
     "compare": "calibration",
     "add": "calibration",

@@ -81,8 +81,11 @@ class Tree:
 
 
 def tree_of(model: Model) -> Tree:
-    """Return the tree of a model's geometry; ModelError if the mechanism has no drawing, or if it
-    is a serial arm, which has no passive joints."""
+    """Return the tree of a model's geometry; without a drawing it has the base and the platform.
+
+    ModelError if the mechanism is a serial arm, which has no passive joints, or if no pose of the
+    workspace is reached.
+    """
     if isinstance(model.mechanism, Serial):
         raise ModelError(f"{model.mechanism.name} is a serial arm, so it has no passive joints")
     return _Builder(model).tree
@@ -93,8 +96,6 @@ class _Builder:
         s = model.structure
         self._s, self._model, self.tree = s, model, Tree(model)
         lines = model.mechanism.drawing(s.q, s.r, s.R, s.geometry)
-        if not lines:
-            raise ModelError(f"{model.mechanism.name} has no drawing, so there is no tree of it")
         values = ca.DM(model.values)
         self._lines = [
             (line.kind, [ca.substitute(ca.SX(p), s.v, values) for p in line.points])

@@ -14,6 +14,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from parallel_cal.base.errors import ParallelCalError
@@ -22,6 +23,7 @@ from parallel_cal.model.shelf import forbid_foreign
 from parallel_cal.nodes.computing import prepare
 from parallel_cal.nodes.file_watch import FileWatch
 from parallel_cal.nodes.folders import Folders
+from parallel_cal.nodes.link_transforms import LINK_TRANSFORMS
 from parallel_cal.nodes.managed_node import AUTOSTART, ManagedNode
 from parallel_cal.nodes.model_server import Attempt, ModelServer
 from parallel_cal.nodes.motion import TRAJECTORY_ACTION
@@ -58,6 +60,7 @@ PARAMETERS = {
     "request_time": Setting(5.0, "maximum time for a request, s", (0.01, 3600)),
     "request_memory": Setting(2048, "maximum memory for requests, MB", (64, 10**6), fixed=True),
     "direction_threshold": Setting(5e-4, "smallest motion that has a direction, rad or m", (0, 1)),
+    **LINK_TRANSFORMS,
     **TRAJECTORY_ACTION,
     **SECURITY,
     **AUTOSTART,
@@ -78,7 +81,8 @@ class KinematicsNode(ManagedNode):
         self._folders = Folders(self._parameter("allowed_folders"), usual)
         self._tally, self._failure, self._adopting = Tally(), "", False
         self._memory = Memory(self._parameter("direction_threshold"))
-        self._server = ModelServer(self._report)
+        self._urdf = self.create_publisher(String, "~/robot_description", LATCHED)
+        self._server = ModelServer(self._report, lambda urdf: self._urdf.publish(String(data=urdf)))
         first = partial(prepare, self._parameter("allow_foreign_modules"))
         self._worker = Worker(self._parameter("request_memory"), first)
         self._status = self.create_publisher(ModelStatus, "~/model_status", LATCHED)

@@ -11,9 +11,9 @@ from threading import Lock, Thread
 
 import numpy as np
 
-from parallel_cal.base.errors import ModelError, ModelFileError, ParallelCalError
+from parallel_cal.base.errors import ModelFileError, ParallelCalError
 from parallel_cal.campaign.path_guard import Guard
-from parallel_cal.exporting.tree import Tree, tree_of
+from parallel_cal.exporting.description import Description, describe
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
 from parallel_cal.model.file.modelfile import model_hash, model_text, parse_model
 from parallel_cal.model.mechanism import Mechanism
@@ -35,6 +35,7 @@ class ServedModel:
     hash: str
     path: str
     text: str = ""
+    description: Description | None = None  # of the links; None until it is made, after loading
 
     @cached_property
     def region(self) -> IdentifiedRegion | None:
@@ -45,14 +46,6 @@ class ServedModel:
     def guard(self) -> Guard:
         """The limits of a path of poses."""
         return Guard.of(replace(self.model, covariance=None))
-
-    @cached_property
-    def tree(self) -> Tree | None:
-        """The links of an exported URDF; None without a drawing or without passive joints."""
-        try:
-            return tree_of(self.model)
-        except ModelError:
-            return None
 
 
 @dataclass(frozen=True)
@@ -68,12 +61,16 @@ class Attempt:
 class ModelServer:
     """Holds the model in use and exchanges it; if loading fails, the model before stays."""
 
-    def __init__(self, report: Callable[[Attempt], None] = lambda attempt: None):
+    def __init__(
+        self,
+        report: Callable[[Attempt], None] = lambda attempt: None,
+        publish_urdf: Callable[[str], None] = lambda urdf: None,
+    ):
         self.current: ServedModel | None = None
         self.last = Attempt(False, "startup", "", "no model has been loaded")
-        self._report = report
+        self._report, self._publish_urdf = report, publish_urdf
         self._loading, self._exchange = Lock(), Lock()
-        self._compilation: Thread | None = None
+        self._completion: Thread | None = None
 
     def load(self, path: str | Path, source: str) -> Attempt:
         """Read, validate and test a file, then use its model.
@@ -109,15 +106,30 @@ class ModelServer:
             self._exchange_for(replace(before, path=served.path))
             return f"{path}: the same content as before ({served.hash[:12]})"
         self._exchange_for(served)
-        # The C compiler takes a second; CasADi's virtual machine answers until it is done.
-        self._compilation = Thread(target=self._compile, args=(served,), daemon=True)
-        self._compilation.start()
+        self._completion = Thread(target=self._complete, args=(served,), daemon=True)
+        self._completion.start()
         was = f", was {before.hash[:12]}" if before is not None else ""
         return f"{path}: {served.hash[:12]} in use{was}"
 
     def _exchange_for(self, served: ServedModel) -> None:
         with self._exchange:
             self.current = served
+
+    def _complete(self, served: ServedModel) -> None:
+        """Add what takes up to a second, while the model is already in use."""
+        self._describe(served)
+        self._compile(served)  # CasADi's virtual machine answers until it is done
+
+    def _describe(self, served: ServedModel) -> None:
+        try:
+            description = describe(served.model)
+        except Exception as error:
+            log.warning("no robot_description: %s", _reason(error))
+            return
+        with self._exchange:
+            if self.current is not None and self.current.hash == served.hash:
+                self.current = replace(self.current, description=description)
+                self._publish_urdf(description.urdf)
 
     def _compile(self, served: ServedModel) -> None:
         try:
@@ -132,8 +144,8 @@ class ModelServer:
 
     def wait_until_compiled(self, timeout: float) -> None:
         """Wait for the compiler. Only tests and benchmarks do this; requests never wait."""
-        if self._compilation is not None:
-            self._compilation.join(timeout)
+        if self._completion is not None:
+            self._completion.join(timeout)
 
 
 def _is_same_mechanism(one: Mechanism, other: Mechanism) -> bool:

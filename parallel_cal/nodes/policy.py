@@ -31,7 +31,7 @@ from parallel_cal.nodes.client import use_private_domain
 from parallel_cal.nodes.kinematics_node import KinematicsNode
 
 NODES = (KinematicsNode, CalibrationNode)
-ABSOLUTE = ("/rosout", "/clock", "/diagnostics", "/parameter_events")
+ABSOLUTE = ("/rosout", "/clock", "/diagnostics", "/parameter_events", "/tf", "/tf_static")
 # The nodes move a robot by topics, or by an action: the policy allows both.
 WITH_CAMERA = ("-p", "images:=camera/image_raw/compressed")
 WITH_ACTION = ("-p", "trajectory_action:=joint_trajectory_controller/follow_joint_trajectory")

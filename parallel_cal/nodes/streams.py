@@ -42,6 +42,7 @@ from parallel_cal.nodes.conversions import (
     trajectory_message,
 )
 from parallel_cal.nodes.health import Stream
+from parallel_cal.nodes.link_transforms import make_link_publisher
 from parallel_cal.nodes.managed_node import ManagedNode
 from parallel_cal.nodes.model_server import ModelServer, ServedModel, describe_status
 from parallel_cal.nodes.motion import Motion, TopicMotion, make_trajectory_action
@@ -81,6 +82,7 @@ class Streams:
         self._pose = self._publisher(PoseStamped, "~/pose")
         self._sure_pose = self._publisher(PoseWithCovarianceStamped, "~/pose_with_covariance")
         self._passive = self._publisher(JointState, "~/passive_joint_states")
+        self._links = make_link_publisher(node)
         self._motion: Motion
         if action := node.get_parameter("trajectory_action").value:
             self._motion = make_trajectory_action(node, action, group, publish_status=True)
@@ -221,7 +223,8 @@ class Streams:
         model, stamp = served.model, message.header.stamp
         q, velocity = match_joints(message, model.joints)
         self._memory.on_joint_state(model, q, stamp.sec + stamp.nanosec * 1e-9, velocity)
-        found = served.kinematics.direct(q, self._memory.conditions(model))
+        conditions = self._memory.conditions(model)
+        found = served.kinematics.direct(q, conditions)
         if found.status not in (Status.CONVERGED, Status.OUTSIDE_LIMITS):
             raise SolveError(describe_status(found.status))
         answer = self._answer  # reused: making a new message takes a third of the time
@@ -230,15 +233,17 @@ class Streams:
         self._pose.publish(answer)
         if model.covariance is not None and self._sure_pose.get_subscription_count():
             covariance = served.kinematics.direct_covariance(
-                found, self._memory.conditions(model), np.nan_to_num(model.joint_noise)
+                found, conditions, np.nan_to_num(model.joint_noise)
             )
             sure = PoseWithCovariance(pose=answer.pose, covariance=covariance.ravel())
             self._sure_pose.publish(PoseWithCovarianceStamped(header=answer.header, pose=sure))
-        if self._passive.get_subscription_count() and served.tree is not None:
-            values = served.tree.values(found.configuration.rows)
-            state = JointState(header=answer.header, name=served.tree.passive)
-            state.position = values.tolist()
-            self._passive.publish(state)
+        if served.description is not None:
+            tree = served.description.tree
+            if tree is not None and self._passive.get_subscription_count():
+                state = JointState(header=answer.header, name=tree.passive)
+                state.position = tree.values(found.configuration.rows).tolist()
+                self._passive.publish(state)
+            self._links.publish(served.description, found.configuration.rows, conditions, stamp)
         self._warn_outside_region(served, "joint_states", q, found.position)
         self._tally.add("joint_states", "answered")
         if found.status == Status.OUTSIDE_LIMITS:

@@ -38,14 +38,19 @@ UNLIMITED = 1e3  # the limit (SI) of joints without limits
 
 def files(model: Model, name: str = "robot") -> dict[str, str]:
     """Return `name`.urdf, with lengths in m and links as cylinders."""
+    tree = None if isinstance(model.mechanism, Serial) else tree_of(model)
+    return {f"{name}.urdf": urdf_text(model, name, tree)}
+
+
+def urdf_text(model: Model, name: str, tree: Tree | None) -> str:
+    """Return the text of a URDF: of a serial arm, or of the tree of another robot."""
     root = ElementTree.Element("robot", name=name)
     for kind, colour in COLOURS.items():
         material = ElementTree.SubElement(root, "material", name=kind)
         ElementTree.SubElement(material, "color", rgba=colour)
-    if isinstance(model.mechanism, Serial):
+    if tree is None:
         _add_arm(root, model)
     else:
-        tree = tree_of(model)
         lengths = [np.ptp(s.ends, axis=0).max() for link in tree.links.values() for s in link]
         radius = THICKNESS * max(lengths, default=0.1)
         for link, segments in tree.links.items():
@@ -56,13 +61,15 @@ def files(model: Model, name: str = "robot") -> dict[str, str]:
             _join(root, joint, tree)
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="unicode")
-    return {f"{name}.urdf": f'<?xml version="1.0"?>\n{text}\n'}
+    return f'<?xml version="1.0"?>\n{text}\n'
 
 
 def remarks(model: Model) -> list[str]:
-    """Say what the URDF of an arm cannot represent, and what its numbers mean."""
-    if not isinstance(model.mechanism, Serial):
-        return []
+    """Say what a URDF cannot represent, and what the numbers of an arm's mean."""
+    mechanism, s = model.mechanism, model.structure
+    if not isinstance(mechanism, Serial):
+        drawn = mechanism.drawing(s.q, s.r, s.R, s.geometry)
+        return [] if drawn else [f"{mechanism.name} has no drawing: the URDF has its frames only"]
     return [
         *describe_losses(model),
         "positions and limits of the joints are the readings of the robot: the zeros of its "
