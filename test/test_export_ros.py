@@ -229,6 +229,15 @@ def test_links_can_have_the_names_of_the_robot_description(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("name", "out_of_reach"), [("delta54", "true"), ("argos27", "true"), ("cable", "false")]
+)
+def test_the_self_test_asks_for_a_far_pose_only_of_robots_that_do_not_reach_it(name, out_of_reach):
+    """Spools without limits reach any point; Argos cannot move to a point at all."""
+    source = text("moveit", name, "test/self_test.cpp")
+    assert f"far_is_out_of_reach = {out_of_reach};" in source
+
+
+@pytest.mark.parametrize(
     ("options", "words"),
     [
         ("tip=a/b", "tip=a/b: expected the name of a link"),
@@ -290,6 +299,17 @@ def test_the_inverse_from_any_seed_within_the_limits_is_pythons(name):
     for (k, _), (status, _, _, joints) in zip(asked, answers(name, lines), strict=True):
         assert status == CONVERGED
         assert joints == pytest.approx(inverse.joints[k], abs=1e-9)
+
+
+@needs_compiler
+@pytest.mark.wide
+@pytest.mark.parametrize("name", ["argos27", "cable", "linear_delta", "slider_crank", "arm"])
+def test_joints_are_their_own_solution_from_their_own_seed(name):
+    q, targets = poses(name)
+    lines = [line("inverse", target, seed) for target, seed in zip(targets, q, strict=True)]
+    for seed, (status, _, _, joints) in zip(q, answers(name, lines), strict=True):
+        assert status == CONVERGED
+        assert joints == pytest.approx(seed, abs=1e-9)
 
 
 @needs_compiler

@@ -20,7 +20,7 @@ from parallel_cal.model.model import Model
 
 MAX_CONFIGURATIONS = 10_000  # of the self-test; each takes up to 2 kB of the file
 COORDINATES = ("x", "y", "z", "rx", "ry", "rz")
-FAR = np.array([10.0, 0.0, 10.0])  # a position out of reach, per length of the mechanism
+FAR = np.array([10.0, 0.0, 10.0])  # by which a pose is moved out of reach, in lengths of the robot
 LOOP_NOTE = """\
 MoveIt computes the positions of links from a tree of joints, and a parallel robot has loops. For
 MoveIt, the position of the tip therefore follows from the passive joints of the robot description,
@@ -167,10 +167,11 @@ def neutral_solutions(model: Model, poses: int) -> Solutions:
 
 def is_out_of_reach(model: Model, found: Solutions) -> bool:
     """Return whether the first solution's pose, moved far away, has no solution."""
-    if len(model.mechanism.controls) < len(COORDINATES):
+    if not {"x", "z"} <= set(model.mechanism.controls):
         return True
     position = found.position[:1] + FAR * model.mechanism.length
-    return not Kinematics(model).inverse(position, found.rotation[:1]).ok.any()
+    far = controlled_pose(model, position, found.rotation[:1])
+    return bool((Kinematics(model).inverse(*far).status != Status.CONVERGED).all())
 
 
 def jacobians(model: Model, found: Solutions) -> tuple[np.ndarray, np.ndarray]:

@@ -1,10 +1,13 @@
 // Loads the plug-in by pluginlib into a MoveIt robot model, and compares it with Python's solutions
-// of the calibrated model: self_test configurations.csv. Exit 1 if a number differs by more than
-// 1e-9 (m, rad), or if a limit, seed, timeout or tolerance is not honoured.
+// of the calibrated model: self_test configurations.csv [robot.urdf]. Exit 1 if a number differs by
+// more than 1e-9 (m, rad), if a limit, seed, timeout or tolerance is not honoured, or if the plug-in
+// refuses the robot description.
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <limits>
+#include <fstream>
+#include <iterator>
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
@@ -31,6 +34,7 @@ constexpr double timeout = 0.05;  // s
 constexpr double late = 0.5;  // s that a search may take beyond its timeout on a busy machine
 const std::string base = "@base@", tip = "@tip@", group = "robot";
 const bool slides[n_joints] = {@slides@};
+const bool far_is_out_of_reach = @out_of_reach@;  // as Python's solver says
 const bool controls[6] = {@controlled@};  // x y z rx ry rz
 
 // A robot description with these joints; its links are nowhere in particular.
@@ -66,7 +70,7 @@ struct Loaded
 
 Loaded load(
   pluginlib::ClassLoader<KinematicsBase> & loader, const std::string & urdf_text,
-  const rclcpp::NodeOptions & options = {}, const std::string & missing = "")
+  const rclcpp::NodeOptions & options = rclcpp::NodeOptions(), const std::string & missing = "")
 {
   Loaded loaded;
   const urdf::ModelInterfaceSharedPtr urdf = urdf::parseURDF(urdf_text);
@@ -153,7 +157,7 @@ void check_unreachable(const KinematicsBase & robot, const Row & row, Result & r
   far.position.x += 10 * @length@, far.position.z += 10 * @length@;
   Numbers found;
   MoveItErrorCodes code;
-  if (@out_of_reach@) {  // as Python's solver says
+  if (far_is_out_of_reach) {
     result.check(
       !robot.getPositionIK(far, q, found, code) && code.val == MoveItErrorCodes::NO_IK_SOLUTION &&
       found.empty(), "a pose out of reach has no solution");
@@ -175,6 +179,21 @@ void check_unreachable(const KinematicsBase & robot, const Row & row, Result & r
   result.check(!robot.getPositionIK(pose, Numbers(n_joints + 1), found, code), "a seed of wrong size");
   std::vector<Pose> poses;
   result.check(!robot.getPositionFK({"no_such_link"}, q, poses), "an unknown link");
+}
+
+// MoveIt finds the solver of a group, and sets the state of the tip by it.
+void check_group(
+  pluginlib::ClassLoader<KinematicsBase> & loader, const std::string & urdf, Result & result)
+{
+  const Loaded loaded = load(loader, urdf);
+  result.check(loaded.initialized, "initialize with this robot description");
+  std::map<std::string, moveit::core::SolverAllocatorFn> solvers;
+  solvers[group] = [&loaded](const moveit::core::JointModelGroup *) {return loaded.robot;};
+  loaded.model->setKinematicsAllocators(solvers);
+  const moveit::core::JointModelGroup * joints = loaded.model->getJointModelGroup(group);
+  result.check(
+    joints->canSetStateFromIK(tip) &&
+    joints->getKinematicsSolverJointBijection().size() == n_joints, "the solver of the group");
 }
 
 // Consistency with the seed, and the callback.
@@ -294,16 +313,20 @@ int main(int count, char ** words)
   if (!rows.empty()) {
     const std::string urdf = describe(@robot@::Solver());
     const Loaded loaded = load(loader, urdf);
-    result.check(loaded.initialized, "initialize");
     result.check(
       loaded.robot->getTipFrame() == tip && loaded.robot->getBaseFrame() == base, "frames");
     compare_with_python(*loaded.robot, rows, result);
     check_unreachable(*loaded.robot, rows.front(), result);
+    check_group(loader, urdf, result);
+    if (count > 2) {
+      std::ifstream file(words[2]);
+      check_group(loader, {std::istreambuf_iterator<char>(file), {}}, result);
+    }
     check_search(*loaded.robot, rows.front(), result);
     check_limits(loader, rows.front(), result);
     check_tolerance(loader, loaded, rows.front(), result);
     result.check(
-      !load(loader, urdf, {}, @robot@::c::@robot@_joint_names[0]).initialized,
+      !load(loader, urdf, rclcpp::NodeOptions(), @robot@::c::@robot@_joint_names[0]).initialized,
       "a group without a driven joint");
   }
   std::printf("failed %d\n", result.failed);
