@@ -109,7 +109,7 @@ public:
       return false;
     }
     const moveit::core::JointModelGroup * group = robot_model.getJointModelGroup(group_name);
-    std::string reason;
+    std::string reason = "the SRDF has no such group, or it is empty";
     if (!group || !supportsGroup(group, &reason)) {
       RCLCPP_ERROR(logger(), "group '%s': %s", group_name.c_str(), reason.c_str());
       return false;

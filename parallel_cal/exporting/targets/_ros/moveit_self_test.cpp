@@ -186,13 +186,13 @@ void check_group(
   pluginlib::ClassLoader<KinematicsBase> & loader, const std::string & urdf, Result & result)
 {
   const Loaded loaded = load(loader, urdf);
-  result.check(loaded.initialized, "initialize with this robot description");
+  result.check(loaded.initialized, "initialize with the robot description");
   std::map<std::string, moveit::core::SolverAllocatorFn> solvers;
   solvers[group] = [&loaded](const moveit::core::JointModelGroup *) {return loaded.robot;};
   loaded.model->setKinematicsAllocators(solvers);
   const moveit::core::JointModelGroup * joints = loaded.model->getJointModelGroup(group);
   result.check(
-    joints->canSetStateFromIK(tip) &&
+    joints && joints->canSetStateFromIK(tip) &&
     joints->getKinematicsSolverJointBijection().size() == n_joints, "the solver of the group");
 }
 
