@@ -1,31 +1,37 @@
-"""Round trip of ~/compute_fk beside a service of the same type that answers a constant.
+"""Round trips of ~/compute_fk and ~/compute_ik beside a service that answers a constant.
 
-Both services live in one server process and are called in turn by one client process.
+All services live in one server process and are called in turn by one client process, one
+configuration or one target in each request. Targets are the poses of random configurations.
 """
 
 from __future__ import annotations
 
+import random
 import subprocess
 import sys
 import time
 from pathlib import Path
-from statistics import median
+from statistics import median, quantiles
 from typing import Any
 
 import rclpy
 from parallel_cal_msgs.msg import JointConfiguration, Solution, SolutionSet
-from parallel_cal_msgs.srv import ComputeFK
-from timing import Row, show
+from parallel_cal_msgs.srv import ComputeFK, ComputeIK
+from rich.console import Console
+from rich.table import Table
+from timing import readable
 
 from parallel_cal.nodes.client import use_private_domain
 from parallel_cal.nodes.kinematics_node import KinematicsNode
 from parallel_cal.nodes.run import run
 
 PRESET = Path(__file__).parents[1] / "config" / "delta_mockup_identified.yaml"
-CALLS = 1000
+CALLS = 5000
+TARGETS = 200
+JOINT_RANGE = (0.3, 0.9)  # rad; the Delta reaches every combination
 
 
-class Both(KinematicsNode):
+class All(KinematicsNode):
     """The kinematics node with one more service, whose answer is always the same."""
 
     def __init__(self) -> None:
@@ -42,34 +48,44 @@ class Both(KinematicsNode):
         )
 
 
-def round_trip(node: Any, client: Any, request: Any) -> float:
+def call(node: Any, client: Any, request: Any) -> tuple[float, Any]:
+    """Return the duration of a call (s) and its response."""
     begin = time.perf_counter()
     future = client.call_async(request)
     while not future.done():
         rclpy.spin_once(node)
     assert future.result().results[0].solutions
-    return time.perf_counter() - begin
+    return time.perf_counter() - begin, future.result()
 
 
 def measure() -> None:
     rclpy.init()
     node = rclpy.create_node("bench")
-    names = ("compute_fk", "constant")
-    clients = [node.create_client(ComputeFK, f"kinematics_node/{name}") for name in names]
-    assert all(client.wait_for_service(30) for client in clients), "the server is not there"
-    request = ComputeFK.Request(configurations=[JointConfiguration(positions=[0.5] * 3)])
-    for client in clients:  # warm up: discovery, and the C compiler in the background
-        for _ in range(300):
-            round_trip(node, client, request)
-    times: tuple[list[float], list[float]] = ([], [])
-    for _ in range(CALLS):
-        for client, kept in zip(clients, times, strict=True):
-            kept.append(round_trip(node, client, request))
-    rows = ["constant answer of the same type", "compute_fk, one configuration"]
-    show(
-        "Service round trip, median",
-        [Row(rows[0], median(times[1])), Row(rows[1], median(times[0]))],
-    )
+    types = {"constant": ComputeFK, "compute_fk": ComputeFK, "compute_ik": ComputeIK}
+    clients = {
+        name: node.create_client(type, f"kinematics_node/{name}") for name, type in types.items()
+    }
+    assert all(client.wait_for_service(30) for client in clients.values()), "no server"
+    rng = random.Random(0)
+    joints = [[rng.uniform(*JOINT_RANGE) for _ in range(3)] for _ in range(TARGETS)]
+    configurations = [JointConfiguration(positions=positions) for positions in joints]
+    _, found = call(node, clients["compute_fk"], ComputeFK.Request(configurations=configurations))
+    solutions = [answer.solutions[0] for answer in found.results]
+    assert all(solution.status == Solution.CONVERGED for solution in solutions)
+    forward = [ComputeFK.Request(configurations=[one]) for one in configurations]
+    inverse = [ComputeIK.Request(targets=[solution.pose]) for solution in solutions]
+    requests = {"constant": forward, "compute_fk": forward, "compute_ik": inverse}
+    times: dict[str, list[float]] = {name: [] for name in types}
+    for k in range(-300, CALLS):  # warm up: discovery, and the C compiler in the background
+        for name, client in clients.items():
+            lapse, _ = call(node, client, requests[name][k % TARGETS])
+            if k >= 0:
+                times[name].append(lapse)
+    table = Table("service", "median", "99.9 %", "longest", title=f"Round trips of {CALLS} calls")
+    for name, kept in times.items():
+        late = quantiles(kept, n=1000)[-1]
+        table.add_row(name, *map(readable, (median(kept), late, max(kept))))
+    Console().print(table)
     rclpy.shutdown()
 
 
@@ -85,4 +101,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(run(Both)) if "--serve" in sys.argv else main()
+    sys.exit(run(All)) if "--serve" in sys.argv else main()

@@ -157,7 +157,8 @@ def test_the_page_on_export_converts_poses_of_the_device(tmp_path, monkeypatch):
     pc.write_model(model, tmp_path / "robot.yaml")
     monkeypatch.chdir(tmp_path)
     page = (ROOT / "docs" / "export.md").read_text(encoding="utf-8")
-    [block] = re.findall(r"^```python\n(.*?)^```$", page, flags=re.M | re.S)
+    blocks = re.findall(r"^```python\n(.*?)^```$", page, flags=re.M | re.S)
+    [block] = [block for block in blocks if "def to_base" in block]
     exec(block, names := {})
     at_device, turn = random.normal(size=3), random.normal(size=4)
     shown = np.append(at_device, quaternion_to_matrix(turn / np.linalg.norm(turn)))

@@ -21,7 +21,7 @@ from parallel_cal.exporting.targets._vectors import MIN_LIMIT, _limits
 from parallel_cal.exporting.targets.c import files
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.drive import Drive
-from parallel_cal.model.file.modelfile import model_hash, write_model
+from parallel_cal.model.file.modelfile import model_hash, read_model, write_model
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
@@ -584,6 +584,28 @@ def test_a_cpp_robot_allocates_nothing_and_keeps_its_state_after_a_failure(
     assert float(worst) < 50e-6  # backlash at the first cycles, whose direction is not known
 
 
+@pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
+def test_a_cpp_robot_that_begins_far_from_its_last_pose_is_on_the_branch_of_home(tmp_path):
+    model = read_model(Path(__file__).parents[1] / "config/delta_mockup_identified.yaml")
+    r, _ = poses_in_workspace(model.mechanism, 400, np.random.default_rng(0))
+    kinematics = Kinematics(model)
+    q = kinematics.inverse(r).joints
+    export(model, "cpp:poses=2", tmp_path)
+    (tmp_path / "begin.cpp").write_text(
+        '#include "delta54.hpp"\n#include <cstdio>\nint main() {\n'
+        "delta54::Robot robot; delta54::Joints q{};\n"
+        'while (std::scanf("%lf %lf %lf", &q[0], &q[1], &q[2]) == 3) {\n'
+        "const auto status = robot.begin(q); const auto &r = robot.pose().position;\n"
+        'std::printf("%d %.17g %.17g %.17g\\n", int(status), r[0], r[1], r[2]); } }\n'
+    )
+    run(["g++", *STRICT_CPP, "begin.cpp", "-o", "begin"], tmp_path)
+    readings = "\n".join(" ".join(map(repr, row)) for row in q.tolist())
+    done = subprocess.run([tmp_path / "begin"], input=readings, capture_output=True, text=True)
+    found = np.array([line.split() for line in done.stdout.splitlines()], float)
+    assert not found[:, 0].any()
+    np.testing.assert_allclose(found[:, 1:], kinematics.direct(q).position, atol=1e-12)
+
+
 @pytest.mark.wide
 @pytest.mark.skipif(shutil.which("clang") is None, reason="no clang")
 @pytest.mark.parametrize("name", WITH_EFFECTS)
@@ -710,7 +732,7 @@ def test_the_command_writes_the_robot_alone_with_a_makefile_that_checks_it(tmp_p
         (
             "d",
             "no target 'd': expected one of c, cpp, grblhal, klipper, linuxcnc, marlin, "
-            "marlin_equal_rods, rrf, table, urdf",
+            "marlin_equal_rods, moveit, ros2_control, rrf, table, urdf",
         ),
         ("c:size=3", "option 'size=3': expected one of name="),
         ("c:poses=many", "option 'poses=many': expected one of name="),

@@ -452,13 +452,14 @@ def test_a_signal_that_leads_to_a_pin_is_set(tmp_path):
 
 def test_what_a_target_cannot_hold_is_refused_and_targets_that_can_are_named(tmp_path):
     for name, target, can in (
-        ("stewart42", "klipper", "c, cpp, linuxcnc, table can represent it"),
+        ("stewart42", "klipper", "c, cpp, linuxcnc, moveit, ros2_control, table can represent it"),
         (
             "linear_delta",
             "grblhal",
-            "c, cpp, klipper, linuxcnc, marlin, marlin_equal_rods, rrf, table can",
+            "c, cpp, klipper, linuxcnc, marlin, marlin_equal_rods, moveit, ros2_control, rrf, "
+            "table can",
         ),
-        ("argos27", "rrf", "c, cpp, linuxcnc, table can represent it"),
+        ("argos27", "rrf", "c, cpp, linuxcnc, moveit, ros2_control, table can represent it"),
     ):
         with pytest.raises(ModelError) as error:
             export(new_model(name), target, tmp_path)

@@ -138,7 +138,7 @@ def export(
         result = ExportResult([], loss(robot, found), None, _remarks(robot, projection), heights)
     Path(folder).mkdir(parents=True, exist_ok=True)
     for file, text in made.items():
-        (Path(folder) / file).parent.mkdir(exist_ok=True)
+        (Path(folder) / file).parent.mkdir(parents=True, exist_ok=True)
         write_atomically(Path(folder) / file, text)
         result.paths.append(Path(folder) / file)
     if hasattr(module, "remarks"):

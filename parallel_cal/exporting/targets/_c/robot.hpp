@@ -52,11 +52,12 @@ public:
 
     Robot() noexcept { c::@robot@_motion_begin(&motion_, c::@robot@_home.joints); }
 
-    // Begin at a reading: its direction and travel are unknown.
+    // Begin at a reading: its direction and travel are unknown, and the pose is on the branch of home.
+    // A pose from before may be far away, and lead to a mirrored one.
     [[nodiscard]] Status begin(const Joints &reading) noexcept
     {
         const int bad = c::@robot@_motion_begin(&motion_, reading.data());
-        return bad ? Status{bad} : solve_pose(reading);
+        return bad ? Status{bad} : solve_pose(reading, nullptr);
     }
 
     // Take the reading of a cycle, `period` s after the last: updates the conditions by joint and the
@@ -66,7 +67,7 @@ public:
         const int bad = c::@robot@_motion_follow(&motion_, reading.data(), period);
         if (bad) return Status{bad};
         c::@robot@_motion_conditions(&motion_, &conditions);
-        return solve_pose(reading);
+        return solve_pose(reading, &pose_);
     }
 
     // Joints for a pose, on the branch of the last command, or on the home branch if only there they
@@ -103,11 +104,11 @@ public:
     }
 
 private:
-    [[nodiscard]] Status solve_pose(const Joints &reading) noexcept
+    [[nodiscard]] Status solve_pose(const Joints &reading, const Configuration *start) noexcept
     {
         Configuration found = pose_;
         const Status status{c::@robot@_direct_capped(
-            reading.data(), &conditions, &pose_, max_steps, &found, nullptr)};
+            reading.data(), &conditions, start, max_steps, &found, nullptr)};
         if (status == Status::converged || status == Status::outside_limits) pose_ = found;
         return status;
     }
