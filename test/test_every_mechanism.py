@@ -19,7 +19,8 @@ from parallel_cal.recordings.simulate import simulate, stated_noise
 from parallel_cal.recordings.writer import write_bag
 
 NEEDS_OPTIONS = {"serial"}  # a chain is described in its file: test_serial.py
-NEEDS_PRIOR = {"rssr"}  # one angle against another tells little: the tolerances must help
+# One angle against another, or two against two, tell little: the tolerances must help.
+NEEDS_PRIOR = {"rssr", "ankle_2rsu"}
 
 
 @pytest.mark.wide
