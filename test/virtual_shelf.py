@@ -160,7 +160,7 @@ class Quattro(Assembly):
     home_joints = (np.radians(-20),) * 4
     chains = numbered("chain", 4)
 
-    def __init__(self, parameters, half_width=0.04):
+    def __init__(self, parameters, half_width=0.3):
         super().__init__(parameters)
         z, x = (column(parameters, name, self.chains) for name in ("theta", "alpha"))
         frame = axis_rotation("z", z) @ axis_rotation("x", x)
