@@ -38,6 +38,7 @@ from parallel_cal.model.drawing import Line, axis
 from parallel_cal.model.mechanism import POSE, Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, ParameterTable
 
+PLATFORM = "the platform"  # owner of the rows that join it to the tree
 PLACES = {"position", "quaternion", "rpy"}
 EXAMPLE = "{name: hip, type: revolute, parent: base, child: leg, axis: [0, 0, 1], driven: true}"
 SHARE_OF_LIMITS = 0.3  # of the range of a joint, for the motion around home
@@ -215,7 +216,7 @@ class Chain(Mechanism):
             at, turned = multiply(frames[self.skeleton.platform], self._target(p))
             apart = [*ca.vertsplit(ca.SX(r - at)), *rotation_rows(ca.SX(turned), ca.SX(R))]
             names = zip(POSE, "m m m rad rad rad".split(), apart, strict=True)
-            rows = [Row("platform", unit, v) for name, unit, v in names if name in self.moves]
+            rows = [Row(PLATFORM, unit, v) for name, unit, v in names if name in self.moves]
         return rows + self.skeleton.rows(frames, values, p)
 
     def _values(self, q: Any, u: Any, p: Named) -> dict[str, Any]:
@@ -276,7 +277,8 @@ class Chain(Mechanism):
         survey = self._survey()
         x = survey.around(home, 12, self._spread())
         motion = Motion.of(survey, x)
-        moved = [POSE[i] for i in motion.find_moves()]
+        loops = [k for k, owner in enumerate(self._owners()) if owner != PLATFORM]
+        moved = [POSE[i] for i in motion.find_moves(loops)]
         self.moves = tuple(_coordinates("moves", moves) if moves is not None else moved)
         given = None if controls is None else _coordinates("controls", controls)
         self.controls = tuple(given or [POSE[i] for i in motion.find_controls(self.moved)])
