@@ -14,6 +14,7 @@ from parallel_cal.model.configuration import Configuration
 
 CLOSED = 1e-12  # m or rad: the norm of the rows of a closed configuration
 RELATIVE_RANK = 1e-7  # singular values of closed configurations are exact to about 1e-12
+MIN_INDEPENDENT_PART = 1e-5  # of the motion by a parameter, after what others explain
 STEPS = 60  # of Newton's method, damped
 LARGEST_STEP = 0.4  # lengths or rad: of one step
 AMPLITUDES = (0.05, 0.3, 0.8)  # rad, or shares of the length, by which the joints are moved
@@ -176,21 +177,31 @@ class Motion:
         return np.vstack(keep)
 
     def find_replaced(
-        self, rows: np.ndarray, tolerance: np.ndarray, passive: Sequence[int]
+        self,
+        rows: np.ndarray,
+        tolerance: np.ndarray,
+        preference: np.ndarray,
+        passive: Sequence[int],
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return two masks of parameters: those that earlier ones, or passive coordinates, replace
-        in the kept rows; and those of them that other rows alone contain."""
+        """Return two masks of parameters: those that others, or passive coordinates, replace in the
+        kept rows; and those of them that other rows alone contain.
+
+        Of parameters that replace each other, the one whose tolerance moves the rows most is kept;
+        `preference` multiplies this motion.
+        """
         J = self._columns(rows, tolerance, passive)
         size = np.linalg.norm(J, axis=0)
         felt = size > RELATIVE_RANK * size.max(initial=0.0)
-        basis, kept = np.zeros((len(J), 0)), np.zeros(len(size), dtype=bool)
-        for k in np.flatnonzero(felt):
-            rest = J[:, k] / size[k]
-            for _ in range(2):  # twice is enough to be exact
-                rest = rest - basis @ (basis.T @ rest)
-            if np.linalg.norm(rest) > 1e-5:
-                basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
-                kept[k] = True
+        kept, rest = np.zeros(len(size), dtype=bool), J.copy()
+        while True:
+            left = np.where(felt & ~kept, np.linalg.norm(rest, axis=0), 0.0)
+            left[left <= MIN_INDEPENDENT_PART * size] = 0.0
+            if not left.any():
+                break
+            k = int(np.argmax(left * preference))
+            kept[k] = True
+            direction = rest[:, k] / left[k]
+            rest = rest - np.outer(direction, direction @ rest)
         whole = self._columns(np.eye(self.by.shape[1]), tolerance, passive)
         in_others = np.linalg.norm(whole, axis=0) > RELATIVE_RANK * np.abs(whole).max(
             initial=1e-300

@@ -41,6 +41,7 @@ from parallel_cal.model.parameters import Named, ParameterTable
 PLATFORM = "the platform"  # owner of the rows that join it to the tree
 PLACES = {"position", "quaternion", "rpy"}
 EXAMPLE = "{name: hip, type: revolute, parent: base, child: leg, axis: [0, 0, 1], driven: true}"
+PREFERENCE = {"zero": 4.0, "length": 4.0} | dict.fromkeys(SHIFTS, 1.0) | dict.fromkeys(TURNS, 0.5)
 SHARE_OF_LIMITS = 0.3  # of the range of a joint, for the motion around home
 TRIES = 30  # random starts from which the loops are closed at home
 
@@ -387,7 +388,8 @@ class Chain(Mechanism):
         self._row_scale = survey.row_scale
         combine = motion.find_rows()
         passive = self.passive_columns
-        replaced, unseen = motion.find_replaced(combine, self.parameters.tolerance, passive)
+        tolerance, preference = self.parameters.tolerance, _preference(self.parameters)
+        replaced, unseen = motion.find_replaced(combine, tolerance, preference, passive)
         self._combine = combine
         self.fixed = tuple(
             name for name, held in zip(self.parameters.names, replaced, strict=True) if held
@@ -509,6 +511,16 @@ class Chain(Mechanism):
                 shows = tuple(f"{j.name}.*" for j in s.joints if body in (j.parent, j.child))
                 lines.append(Line(kinds.get(body, "rod"), tuple(through), shows))
         return lines
+
+
+def _preference(table: ParameterTable) -> np.ndarray:
+    """Return which of equivalent parameters an owner would measure: encoder zeros and lengths of
+    rods, then points, then places of joints, then their directions, and last the target."""
+    factors = [
+        0.25 if p.name.startswith("target.") else PREFERENCE.get(p.name.rpartition(".")[2], 2.0)
+        for p in table
+    ]
+    return np.array(factors)
 
 
 def _locked(tangent: np.ndarray, n: int) -> np.ndarray:
