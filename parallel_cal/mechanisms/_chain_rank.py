@@ -87,17 +87,21 @@ class Survey:
 @dataclass(frozen=True)
 class Motion:
     """The derivatives at closed configurations: `by` (K, m, nq + 6 + nu) and `by_parameters`
-    (K, m, n_parameters), in metres."""
+    (K, m, n_parameters), in metres. Of the pose, the coordinates `moves` may change; the
+    derivatives by the others are zero."""
 
     by: np.ndarray
     by_parameters: np.ndarray
     n_joints: int
+    moves: Sequence[int]
 
     @classmethod
-    def of(cls, survey: Survey, x: np.ndarray) -> Motion:
+    def of(cls, survey: Survey, x: np.ndarray, moves: Sequence[int]) -> Motion:
         """Evaluate the derivatives at configurations."""
-        _, by, by_parameters = zip(*map(survey.evaluate, x), strict=True)
-        return cls(np.array(by), np.array(by_parameters), survey.n_joints)
+        _, found, by_parameters = zip(*map(survey.evaluate, x), strict=True)
+        by, n = np.array(found), survey.n_joints
+        by[:, :, [n + i for i in range(6) if i not in moves]] = 0.0
+        return cls(by, np.array(by_parameters), n, moves)
 
     def find_idle(self) -> list[int]:
         """Return passive coordinates that can move while joints and platform rest, such as the turn
@@ -116,7 +120,14 @@ class Motion:
     @cached_property
     def tangents(self) -> list[np.ndarray]:
         """Motions (nq + 6 + nu, freedoms) that keep all rows, at each configuration."""
-        return [_null_space(J) for J in self.by]
+        n, size = self.n_joints, self.by.shape[2]
+        columns = [*range(n), *(n + i for i in self.moves), *range(n + 6, size)]
+        found = []
+        for J in self.by:
+            motion = _null_space(J[:, columns])
+            found.append(np.zeros((size, motion.shape[1])))
+            found[-1][columns] = motion
+        return found
 
     @property
     def freedoms(self) -> int:
