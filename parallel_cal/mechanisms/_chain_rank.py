@@ -135,17 +135,24 @@ class Motion:
         return min(tangent.shape[1] for tangent in self.tangents)
 
     def find_moves(self, loops: Sequence[int]) -> list[int]:
-        """Return the coordinates x y z rx ry rz that change at some configuration, and those that
-        rows of `loops` hold, as the rods of a Delta hold the turns of its platform: it turns if
-        their lengths are not the nominal ones."""
+        """Return the coordinates x y z rx ry rz in which the platform moves, also if its nominal
+        geometry prevents it: the rods of a Delta, or the parallelograms of a palletizer, keep their
+        platform from turning only as far as their lengths are equal.
+
+        `loops` are the rows of the loops; those of a platform in the tree are before them.
+        """
         n = self.n_joints
+        if len(loops) < self.by.shape[1]:
+            others = [c for c in range(self.by.shape[2]) if not n <= c < n + 6]
+            size = np.abs(self.by[:, :6, others]).max(axis=(0, 2))
+            return [i for i in range(6) if size[i] > RELATIVE_RANK]
         pose = [T[n : n + 6] for T in self.tangents]
         size = np.max([np.abs(part).max(axis=1) for part in pose], axis=0)
         moves = [i for i in range(6) if size[i] > RELATIVE_RANK]
 
         def rank_with(coordinates: Sequence[int]) -> int:
-            others = [n + i for i in range(6) if i not in coordinates]
-            return max(_rank(np.delete(J[loops], others, axis=1)) for J in self.by)
+            held = [n + i for i in range(6) if i not in coordinates]
+            return max(_rank(np.delete(J, held, axis=1)) for J in self.by)
 
         for i in range(6):
             if i not in moves and rank_with([*moves, i]) > rank_with(moves):
