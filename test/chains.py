@@ -58,6 +58,18 @@ def five_bar(base: float = 0.1, crank: float = 0.1, bar: float = 0.15) -> dict[s
     }
 
 
+def five_bar_with_pin(**sizes: float) -> dict[str, Any]:
+    """The five-bar whose platform is the pin between both rods."""
+    given = five_bar(**sizes)
+    bar = given["target"]
+    pin = revolute("pin", "left_rod", "pin", origin=bar)
+    axis = {"axis": [0, 0, 1]}
+    end = {"body": "right_rod", "point": bar, **axis}
+    tip = {"name": "tip", "type": "axis", "a": {"body": "pin", **axis}, "b": end}
+    changes = {"platform": "pin", "target": [0, 0, 0], "loops": [tip]}
+    return given | changes | {"joints": [*given["joints"], pin]}
+
+
 def ankle() -> dict[str, Any]:
     """A humanoid ankle: a foot on a universal joint, two motors, two rods."""
     joints: list[dict[str, Any]] = [

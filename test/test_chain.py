@@ -1,5 +1,7 @@
 """A chain of bodies, joints and loops has the numbers worked by hand, and those of the shelf."""
 
+from dataclasses import replace
+
 import arms
 import chains
 import numpy as np
@@ -243,3 +245,67 @@ def test_a_robot_of_the_shelf_as_a_chain_has_the_same_solutions(name):
     back = other.inverse(poses.position, poses.rotation)
     assert back.ok.all()
     assert back.joints == pytest.approx(joints.joints, abs=1e-10)
+
+
+# Parameters that the shelf does not have, or knows: each pair of models then has the same freedoms.
+KNOWN = {
+    "five_bar": ("target.*", "tip.a_?"),
+    "stewart42": (),
+    "delta51": ("joint?.[xyz]", "joint?.rx", "rod*.a_x"),
+    "planar_stewart": (),
+    "rssr": ("output.*", "input.[yz]", "input.r[yz]", "bar.a_[xy]", "bar.length"),
+    "serial": (),
+}
+NOISE = {"position": 1e-6, "orientation": 1e-6, "joint": {"rad": 1e-7, "m": 1e-7}}
+
+
+def pair(name):
+    """A robot of the shelf, and the same as a chain, with noise and equal freedoms."""
+    if name == "five_bar":
+        chain = make_chain(chains.five_bar_with_pin())
+    else:
+        source = "delta54" if name == "delta51" else name
+        chain = make_chain(SHELF[source](SHELF_MODELS[source]()))
+    shelf = pc.new_model("delta51") if name == "delta51" else SHELF_MODELS[name]()
+    fixed = chain.fixed
+    if name in ("delta51", "rssr"):
+        fixed = chain.table.matching(["target.*", *KNOWN[name]])
+    elif KNOWN[name]:
+        fixed = fixed | chain.table.matching(KNOWN[name])
+    noise = pc.Noise(**NOISE)
+    return replace(shelf, noise=noise), replace(chain, fixed=fixed, noise=noise)
+
+
+def session_of(shelf, name):
+    """A session of a robot that differs from its drawing."""
+    rng, table = np.random.default_rng(5), shelf.table
+    off = 0.3 * table.tolerance * rng.standard_normal(len(table))
+    true = shelf.with_values(shelf.values + np.where(shelf.fixed, 0.0, off))
+    data = pc.simulate(true, 80, seed=2).dataset()
+    if name != "rssr":
+        return data
+    # The second encoder shows nothing but the turn about its axis.
+    turn = rotation_matrix(rotation_vector(data.R) * [0, 0, 1])
+    return pc.Dataset.from_arrays(
+        data.joint_names, data.q, 0 * data.r, turn, measured=[False] * 5 + [True]
+    )
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("name", KNOWN)
+def test_a_robot_of_the_shelf_as_a_chain_has_the_same_fit(name):
+    shelf, chain = pair(name)
+    data = session_of(shelf, name)
+    one, other = (pc.fit(model, data) for model in (shelf, chain))
+    first, second = one.document(), other.document()
+    assert second["rank"] == first["rank"]
+    assert second["chi2_per_dof"] == pytest.approx(first["chi2_per_dof"], rel=1e-5)
+    rng, m = np.random.default_rng(6), shelf.mechanism
+    q = np.array(m.home.joints) + 0.1 * np.minimum(m.joint_ranges, 1) * rng.uniform(
+        -1, 1, (50, len(m.joints))
+    )
+    poses, found = (pc.Kinematics(fit.model).direct(q) for fit in (one, other))
+    ok = poses.ok & found.ok
+    assert ok.sum() > 40
+    assert found.position[ok] == pytest.approx(poses.position[ok], abs=1e-9)
+    assert found.rotation[ok] == pytest.approx(poses.rotation[ok], abs=1e-9)

@@ -83,7 +83,7 @@ CASES = [
     Case("palletizer", vf.Palletizer),
     Case("palletizer", lambda p: vf.Palletizer(p, False), (("flange", False),)),
 ]
-ELSEWHERE = {"delta54", "delta24", "delta_nominal", "serial"}  # test_delta.py; below
+ELSEWHERE = {"delta54", "delta24", "delta_nominal", "serial", "chain"}  # test_delta.py; below
 each_case = pytest.mark.parametrize("case", CASES, ids=str)
 
 

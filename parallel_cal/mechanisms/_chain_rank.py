@@ -87,17 +87,21 @@ class Survey:
 @dataclass(frozen=True)
 class Motion:
     """The derivatives at closed configurations: `by` (K, m, nq + 6 + nu) and `by_parameters`
-    (K, m, n_parameters), in metres."""
+    (K, m, n_parameters), in metres. Of the pose, the coordinates `moves` may change; the
+    derivatives by the others are zero."""
 
     by: np.ndarray
     by_parameters: np.ndarray
     n_joints: int
+    moves: Sequence[int]
 
     @classmethod
-    def of(cls, survey: Survey, x: np.ndarray) -> Motion:
+    def of(cls, survey: Survey, x: np.ndarray, moves: Sequence[int]) -> Motion:
         """Evaluate the derivatives at configurations."""
-        _, by, by_parameters = zip(*map(survey.evaluate, x), strict=True)
-        return cls(np.array(by), np.array(by_parameters), survey.n_joints)
+        _, found, by_parameters = zip(*map(survey.evaluate, x), strict=True)
+        by, n = np.array(found), survey.n_joints
+        by[:, :, [n + i for i in range(6) if i not in moves]] = 0.0
+        return cls(by, np.array(by_parameters), n, moves)
 
     def find_idle(self) -> list[int]:
         """Return passive coordinates that can move while joints and platform rest, such as the turn
@@ -116,7 +120,14 @@ class Motion:
     @cached_property
     def tangents(self) -> list[np.ndarray]:
         """Motions (nq + 6 + nu, freedoms) that keep all rows, at each configuration."""
-        return [_null_space(J) for J in self.by]
+        n, size = self.n_joints, self.by.shape[2]
+        columns = [*range(n), *(n + i for i in self.moves), *range(n + 6, size)]
+        found = []
+        for J in self.by:
+            motion = _null_space(J[:, columns])
+            found.append(np.zeros((size, motion.shape[1])))
+            found[-1][columns] = motion
+        return found
 
     @property
     def freedoms(self) -> int:
@@ -124,17 +135,24 @@ class Motion:
         return min(tangent.shape[1] for tangent in self.tangents)
 
     def find_moves(self, loops: Sequence[int]) -> list[int]:
-        """Return the coordinates x y z rx ry rz that change at some configuration, and those that
-        rows of `loops` hold, as the rods of a Delta hold the turns of its platform: it turns if
-        their lengths are not the nominal ones."""
+        """Return the coordinates x y z rx ry rz in which the platform moves, also if its nominal
+        geometry prevents it: the rods of a Delta, or the parallelograms of a palletizer, keep their
+        platform from turning only as far as their lengths are equal.
+
+        `loops` are the rows of the loops; those of a platform in the tree are before them.
+        """
         n = self.n_joints
+        if len(loops) < self.by.shape[1]:
+            others = [c for c in range(self.by.shape[2]) if not n <= c < n + 6]
+            size = np.abs(self.by[:, :6, others]).max(axis=(0, 2))
+            return [i for i in range(6) if size[i] > RELATIVE_RANK]
         pose = [T[n : n + 6] for T in self.tangents]
         size = np.max([np.abs(part).max(axis=1) for part in pose], axis=0)
         moves = [i for i in range(6) if size[i] > RELATIVE_RANK]
 
         def rank_with(coordinates: Sequence[int]) -> int:
-            others = [n + i for i in range(6) if i not in coordinates]
-            return max(_rank(np.delete(J[loops], others, axis=1)) for J in self.by)
+            held = [n + i for i in range(6) if i not in coordinates]
+            return max(_rank(np.delete(J, held, axis=1)) for J in self.by)
 
         for i in range(6):
             if i not in moves and rank_with([*moves, i]) > rank_with(moves):
