@@ -16,6 +16,7 @@ from parallel_cal.kinematics.solutions import (
     SUSPECT_PIVOT,
     Solutions,
 )
+from parallel_cal.model.configuration import NO_PASSIVE
 
 # (joints or position, rotation, conditions) -> the solution; None unless it is usual
 FastSolver = Callable[[Any, Any, Mapping[str, Any] | None], Solutions | None]
@@ -55,6 +56,7 @@ class ConvergedSolution(Solutions):
     rotation = _Part(slice(-13, -4), (3, 3))
     residual = _Part(-3)
     status = CONVERGED
+    passive = NO_PASSIVE
 
 
 def fast_solver(problem: Problem) -> FastSolver:
@@ -64,6 +66,8 @@ def fast_solver(problem: Problem) -> FastSolver:
     look-up and every operation on arrays would be some per cent of a call.
     """
     model, first = problem.model, problem.single_solver
+    if model.mechanism.passive:
+        return lambda given, rotation, at: None
     row, conditions, _ = first.arguments
     n, home = len(model.joints), model.mechanism.home.configuration
     given_part = row[n : n + 3] if problem.unknown_joints else row[:n]

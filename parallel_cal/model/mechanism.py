@@ -38,17 +38,20 @@ class Home:
         Position of {P} in {B}, m. Default: the origin.
     quaternion : tuple of 4 float
         Orientation of {P} in {B}, x y z w. Default: no rotation.
+    passive : tuple of float
+        Passive coordinates of a mechanism that declares some, each in its unit. Default: none.
     """
 
     joints: tuple[float, ...]
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    passive: tuple[float, ...] = ()
 
     @cached_property
     def configuration(self) -> np.ndarray:
-        """(q, r, R row-major) as one read-only vector."""
-        q, r = np.array(self.joints, dtype=float), np.array(self.position, dtype=float)
-        row = Configuration(q, r, quaternion_to_matrix(self.quaternion)).rows
+        """(q, r, R row-major, u) as one read-only vector."""
+        q, r, u = (np.array(v, dtype=float) for v in (self.joints, self.position, self.passive))
+        row = Configuration(q, r, quaternion_to_matrix(self.quaternion), u).rows
         row.setflags(write=False)
         return row
 
@@ -98,14 +101,23 @@ class Mechanism(ABC):
     """Base class of a robot's geometry.
 
     Subclass it in a file of its own; the file name is the mechanism's name. Implement `closure`;
-    the other methods have defaults.
+    the other methods have defaults. A mechanism that declares `passive` coordinates u implements
+    `closure(q, u, r, R, p)`.
 
     Attributes
     ----------
     joints : tuple of str
         Names of the actuated joints.
     joint_unit : str
-        Unit of all joint readings, `rad` or `m`. Default `rad`.
+        Unit of all joint readings, `rad` or `m`. Default `rad`. A mechanism with both overrides
+        `joint_units`, one unit for each joint.
+    passive : tuple of str
+        Names of the coordinates u of passive joints that the closure needs, because they cannot be
+        eliminated by hand. They are unknowns of forward and inverse kinematics, and a fit
+        eliminates them from the measurement equations. Their values at home are in `home`.
+        Default: none.
+    passive_units : tuple of str
+        Unit of each passive coordinate, `rad` or `m`. Default `rad`.
     periodic : bool
         Whether a full turn of a joint changes nothing (False for a spool). Default True.
     moves : tuple of str
@@ -153,6 +165,7 @@ class Mechanism(ABC):
 
     joints: tuple[str, ...]
     joint_unit: str = "rad"
+    passive: tuple[str, ...] = ()
     periodic: bool = True  # a full turn of a joint changes nothing (False for a spool)
     moves: tuple[str, ...] = POSE
     controls: tuple[str, ...] = POSE
@@ -186,13 +199,17 @@ class Mechanism(ABC):
         return workspace
 
     @abstractmethod
-    def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
+    def closure(self, *args: Any, **kwargs: Any) -> Any:
         """Return the closure phi(q, r, R, p): a CasADi column (m or rad), zero at a valid pose.
+
+        A mechanism with `passive` coordinates u returns phi(q, u, r, R, p).
 
         Parameters
         ----------
         q : CasADi (n_joints, 1)
             Joint readings, rad or m.
+        u : CasADi (n_passive, 1)
+            Passive coordinates, rad or m; only of a mechanism that declares some.
         r : CasADi (3, 1)
             Position of {P} in {B}, m.
         R : CasADi (3, 3)
@@ -200,6 +217,10 @@ class Mechanism(ABC):
         p : Named
             Geometric parameters by name.
         """
+
+    def close(self, q: Any, u: Any, r: Any, R: Any, p: Named) -> Any:
+        """Return the closure of a mechanism with or without passive coordinates u."""
+        return self.closure(q, u, r, R, p) if self.passive else self.closure(q, r, R, p)
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
         """Return poses [(r, R)] near the solutions of the direct problem; by default, home.
@@ -329,6 +350,11 @@ class Mechanism(ABC):
         return (self.joint_unit,) * len(self.joints)
 
     @property
+    def passive_units(self) -> tuple[str, ...]:
+        """Unit of each passive coordinate, rad or m; a mechanism with lengths overrides this."""
+        return ("rad",) * len(self.passive)
+
+    @property
     def moved(self) -> list[int]:
         """Indices of the moved coordinates in x y z rx ry rz."""
         return _places(self.moves)
@@ -339,7 +365,20 @@ class Mechanism(ABC):
         return _places(self.controls)
 
     @property
-    def passive(self) -> list[int]:
+    def passive_columns(self) -> list[int]:
+        """Columns of the passive coordinates in derivatives by (q, r, w, u)."""
+        n = len(self.joints) + len(POSE)
+        return list(range(n, n + len(self.passive)))
+
+    @property
+    def dependent_columns(self) -> list[int]:
+        """Columns of what follows from the joints, in derivatives by (q, r, w, u): the moved
+        coordinates of the pose, then the passive coordinates."""
+        n = len(self.joints)
+        return [*(n + i for i in self.moved), *self.passive_columns]
+
+    @property
+    def parasitic(self) -> list[int]:
         """Moved coordinates that are not controlled (the Delta's orientation)."""
         return [i for i in self.moved if i not in self.controlled]
 

@@ -24,7 +24,8 @@ from parallel_cal.model.shelf import load_effect
 class Structure:
     """The symbolic part of a model, without values; shared and cached.
 
-    Symbols: q joints, r position, R9 rotation (row-major), v parameter vector, a conditions.
+    Symbols: q joints, r position, R9 rotation (row-major), u passive coordinates, v parameter
+    vector, a conditions.
     """
 
     def __init__(
@@ -43,6 +44,7 @@ class Structure:
         self.conditions = tuple(dict.fromkeys(needed))
         self.q = ca.SX.sym("q", len(mechanism.joints))
         self.r, self.R9 = ca.SX.sym("r", 3), ca.SX.sym("R", 9)
+        self.u = ca.SX.sym("u", len(mechanism.passive))
         self.v = ca.SX.sym("v", len(self.table))
         self.a = ca.SX.sym("a", len(self.conditions))
 
@@ -69,8 +71,8 @@ class Structure:
 
     @property
     def configuration(self) -> Any:
-        """(q, r, R9) as one column: the coordinates of the closure."""
-        return ca.vertcat(self.q, self.r, self.R9)
+        """(q, r, R9, u) as one column: the coordinates of the closure."""
+        return ca.vertcat(self.q, self.r, self.R9, self.u)
 
     @cached_property
     def seen(self) -> Seen:
@@ -103,16 +105,22 @@ class Structure:
         """The closure of the ideal mechanism, at its inputs after the effects."""
         seen = self.seen
         if self.effects or self.sensors:  # most of the work is the same for all of them
-            return self._check_closure(self.ideal.closure_of_seen(_column(seen)))
+            return self._check_closure(self.ideal.closure_of_seen(self._column(seen)))
         try:
-            phi = self.mechanism.closure(seen.q, seen.r, seen.R, seen.p)
+            phi = self.mechanism.close(seen.q, self.u, seen.r, seen.R, seen.p)
         except Exception as error:
             raise wrap_plugin_error(self.mechanism.name, error) from error
         return self._check_closure(phi)
 
+    @property
+    def equations(self) -> int:
+        """Number of equations between joints and pose: rows of the closure, less those that
+        determine the passive coordinates."""
+        return int(self.phi.shape[0]) - len(self.mechanism.passive)
+
     @cached_property
     def closure_of_seen(self) -> ca.Function:
-        """(q, r, R9 and geometry) -> phi; for an ideal mechanism."""
+        """(q, r, R9, u and geometry) -> phi; for an ideal mechanism."""
         return ca.Function("phi", [ca.vertcat(self.configuration, self.v)], [self.phi])
 
     @cached_property
@@ -129,7 +137,8 @@ class Structure:
 
     def _check_closure(self, phi: Any) -> Any:
         """The closure as SX, after checks of type, shape, symbols and values at home."""
-        its, moved = f"{self.mechanism.name}: its closure", len(self.mechanism.moves)
+        m, its = self.mechanism, f"{self.mechanism.name}: its closure"
+        moved = len(m.moves) + len(m.passive)
         try:
             phi = ca.cse(ca.SX(phi))  # before differentiation: once, not for each derivative
         except NotImplementedError:
@@ -139,6 +148,7 @@ class Structure:
             raise ModelError(
                 f"{its} has shape {phi.shape}, expected one column with at least {moved} rows, "
                 "one for each moved coordinate"
+                + (" and each passive coordinate" if m.passive else "")
             )
         inputs = ca.vertcat(self.configuration, self.v, self.a)
         if unknown := {str(s) for s in ca.symvar(phi)} - {str(s) for s in ca.symvar(inputs)}:
@@ -160,17 +170,20 @@ class Structure:
 
     @cached_property
     def jacobian_configuration(self) -> Any:
-        """d phi / d (q, r, w), shape (rows, n_joints + 6)."""
-        return ca.horzcat(ca.jacobian(self.phi, self.q), self.jacobian_pose)
+        """d phi / d (q, r, w, u), shape (rows, n_joints + 6 + n_passive)."""
+        by_q, by_u = (ca.jacobian(self.phi, part) for part in (self.q, self.u))
+        return ca.horzcat(by_q, self.jacobian_pose, by_u)
 
     def _slopes(self, rows: Any) -> tuple[Any, Any]:
-        """d rows / d (q, r, w) and d rows / dv in one pass: they share most of their operations."""
+        """d rows / d (q, r, w, u) and d rows / dv in one pass: they share most operations."""
         J, n = ca.jacobian(rows, ca.vertcat(self.configuration, self.v)), self.q.numel() + 3
-        return ca.horzcat(J[:, :n], J[:, n : n + 9] @ left_generators(self.R)), J[:, n + 9 :]
+        end = n + 9 + self.u.numel()
+        by_turn = J[:, n : n + 9] @ left_generators(self.R)
+        return ca.horzcat(J[:, :n], by_turn, J[:, n + 9 : end]), J[:, end:]
 
     @cached_property
     def closure(self) -> ca.Function:
-        """(configuration, a, v) -> phi, d phi/d(q, r, w), d phi/dv."""
+        """(configuration, a, v) -> phi, d phi/d(q, r, w, u), d phi/dv."""
         inputs = (self.configuration, self.a, self.v)
         return dense("closure", inputs, (self.phi, *self._slopes(self.phi)))
 
@@ -182,7 +195,7 @@ class Structure:
     def jacobians(
         self, x: np.ndarray, a: np.ndarray, v: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Compute d phi/d(q, r, w) and d phi/dv of N samples: (N, rows, columns) each."""
+        """Compute d phi/d(q, r, w, u) and d phi/dv of N samples: (N, rows, columns) each."""
         _, J_x, J_v = self.closure_batch(x, a, v)  # stored column by column
         rows, n = self.phi.shape[0], len(x)
         J_x, J_v = (J.reshape(n, J.shape[1] // rows, rows) for J in (J_x, J_v))
@@ -259,7 +272,7 @@ class Structure:
 
     @cached_property
     def rows_function(self) -> ca.Function:
-        """(configuration, a, v) -> rows, d rows/d(q, r, w), d rows/dv."""
+        """(configuration, a, v) -> rows, d rows/d(q, r, w, u), d rows/dv."""
         if not self.sensors:
             return self.closure
         inputs = (self.configuration, self.a, self.v)
@@ -312,10 +325,11 @@ class Structure:
 
     @cached_property
     def seen_batch(self) -> Batch:
-        """(configuration, a, v) -> inputs of the closure after the effects, as one column: q, r, R9
-        and geometry, on arrays of samples."""
+        """(configuration, a, v) -> inputs of the closure after the effects, as one column: q, r,
+        R9, u and geometry, on arrays of samples."""
         inputs = (self.configuration, self.a, self.v)
-        return Batch(dense("seen", inputs, (self._substitute_platform_pose(_column(self.seen)),)))
+        column = self._substitute_platform_pose(self._column(self.seen))
+        return Batch(dense("seen", inputs, (column,)))
 
     @cached_property
     def ideal(self) -> Structure:
@@ -324,7 +338,7 @@ class Structure:
 
     @cached_property
     def seen_jacobian(self) -> Batch:
-        """(q, r, R9 and geometry) -> d phi/d these, column by column; for an ideal mechanism."""
+        """(q, r, R9, u and geometry) -> d phi/d these, column by column; for an ideal mechanism."""
         z = ca.vertcat(self.configuration, self.v)
         return Batch(dense("by_seen", (z,), (ca.jacobian(self.phi, z),)))
 
@@ -340,7 +354,7 @@ class Structure:
         names, at = effect.table(self.mechanism).names, effect.conditions(self.mechanism)
         e, a = ca.SX.sym("e", len(names)), ca.SX.sym("a", len(at))
         seen = self._apply_effect(effect, self.seen, Named(names, e), Named(at, a))
-        J = ca.jacobian(_column(seen), ca.vertcat(*[e[i] for i in which]))
+        J = ca.jacobian(self._column(seen), ca.vertcat(*[e[i] for i in which]))
         moved = np.unique(np.array(J.sparsity().get_triplet()[0], dtype=int))
         inputs = (ca.vertcat(self.configuration, self.v), a, e)
         return Batch(dense("seen_by", inputs, (J[moved.tolist(), :],))), moved
@@ -352,7 +366,7 @@ class Structure:
 
     @cached_property
     def closure_configuration(self) -> ca.Function:
-        """(configuration, a, v) -> phi, d phi/d(q, r, w), for the careful solver."""
+        """(configuration, a, v) -> phi, d phi/d(q, r, w, u), for the careful solver."""
         inputs = (self.configuration, self.a, self.v)
         return dense("closure_configuration", inputs, (self.phi, self.jacobian_configuration))
 
@@ -377,15 +391,18 @@ class Structure:
 
     @cached_property
     def scale(self) -> np.ndarray:
-        """Motion in metres per unit of each of (q, r, w): the mechanism's length for angles."""
+        """Motion in metres per unit of each of (q, r, w, u): the mechanism's length for angles."""
         m = self.mechanism
-        joints = [m.length if unit == "rad" else 1.0 for unit in m.joint_units]
-        return np.array(joints + [1.0] * 3 + [m.length] * 3)
+        joints, passive = (
+            [m.length if unit == "rad" else 1.0 for unit in units]
+            for units in (m.joint_units, m.passive_units)
+        )
+        return np.array(joints + [1.0] * 3 + [m.length] * 3 + passive)
 
-
-def _column(seen: Seen) -> Any:
-    """q, r, R9 (row-major) and the geometry as one column."""
-    return ca.vertcat(ca.SX(seen.q), ca.SX(seen.r), ca.vec(ca.SX(seen.R).T), seen.p.column)
+    def _column(self, seen: Seen) -> Any:
+        """q, r, R9 (row-major), u and the geometry as one column."""
+        pose = ca.SX(seen.r), ca.vec(ca.SX(seen.R).T)
+        return ca.vertcat(ca.SX(seen.q), *pose, self.u, seen.p.column)
 
 
 # A diagnosis of three effects makes five hundred. Most of them are symbols alone; those that were

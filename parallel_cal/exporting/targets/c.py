@@ -170,7 +170,7 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
         "copied": _lines(f"a[{k}] = at->{c};" for k, c in enumerate(names or ["none"])),
         "read": _lines((f"now.{c} = row[{2 + k}];" for k, c in enumerate(names)), 8),
         "given": _lines(_generate_copy("given", "", m.controlled)),
-        "passive": _lines(_generate_copy("x", "start->", m.passive), 8),
+        "passive": _lines(_generate_copy("x", "start->", m.parasitic), 8),
     }
     for problem, functions, u, g, c in zip(
         PROBLEMS, newton, unknown, given, constants, strict=True

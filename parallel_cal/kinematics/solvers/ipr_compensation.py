@@ -55,7 +55,7 @@ def inverse(
     dx = dX[:, m.controlled]  # (iii)
     dq, follows = joint_correction(model, nominal, dx, at)  # (iv)
     passive = np.zeros_like(dX)
-    passive[:, m.passive] = dX[:, m.passive] - follows
+    passive[:, m.parasitic] = dX[:, m.parasitic] - follows
     x = nominal.configuration.apply_change(np.hstack([-dq, passive]))
     return match_shape(_answer(model, x, nominal, at, "inverse"), position)  # (v)
 
@@ -75,7 +75,7 @@ def joint_correction(
     """Compute dq = J_S dx (eq. 32), and how passive coordinates follow a displacement dx."""
     J_q, J_x, _ = _blocks(model, nominal, at)
     m, n = model.mechanism, len(model.joints)
-    unknown = np.concatenate([J_q, J_x[:, :, m.passive]], axis=2)
+    unknown = np.concatenate([J_q, J_x[:, :, m.parasitic]], axis=2)
     given = (J_x[:, :, m.controlled] @ dx[..., None])[..., 0]
     change = -_solve_least_squares(unknown, given)
     return change[:, :n], change[:, n:]

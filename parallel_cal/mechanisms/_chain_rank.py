@@ -1,0 +1,216 @@
+"""What a chain's rows determine: configurations that close, freedoms, rows and parameters that
+others replace. All of it is found by rank, at home and at configurations around it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.model.configuration import Configuration
+
+CLOSED = 1e-12  # m or rad: the norm of the rows of a closed configuration
+RELATIVE_RANK = 1e-7  # singular values of closed configurations are exact to about 1e-12
+STEPS = 60  # of Newton's method, damped
+LARGEST_STEP = 0.4  # lengths or rad: of one step
+AMPLITUDES = (0.02, 0.1, 0.25)  # rad, or shares of the length, by which the joints are moved
+
+
+@dataclass(frozen=True)
+class Survey:
+    """The rows of a chain as a function of (q, r, R9, u), and its configurations around home.
+
+    `function` computes rows (m,), their derivatives (m, nq + 6 + nu) by (q, r, w, u) and
+    (m, n_parameters) by the parameters. `row_scale` and `scale` turn rows and coordinates into
+    metres; `n_joints` and `n_passive` count joints and passive coordinates.
+    """
+
+    function: ca.Function
+    nominal: np.ndarray
+    row_scale: np.ndarray
+    scale: np.ndarray
+    n_joints: int
+    n_passive: int
+    length: float
+
+    def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Compute rows and derivatives in metres, the latter by parameters in their units."""
+        phi, J, J_p = (np.array(part) for part in self.function(x, self.nominal))
+        weight = self.row_scale[:, None]
+        return phi.ravel() * self.row_scale, weight * J / self.scale, weight * J_p
+
+    def close(self, x: np.ndarray, columns: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """Change some coordinates (columns of (q, r, w, u)) as little as possible so that all rows
+        are zero; return the configuration and what is left of the rows."""
+        phi, J, _ = self.evaluate(x)
+        for _ in range(STEPS):
+            if np.linalg.norm(phi) < CLOSED * self.length:
+                break
+            step = -np.linalg.lstsq(J[:, columns], phi, rcond=RELATIVE_RANK)[0]
+            step *= min(1.0, LARGEST_STEP * self.length / max(np.abs(step).max(), 1e-300))
+            for share in (1.0, 0.5, 0.25, 0.1):
+                change = np.zeros(len(self.scale))
+                change[columns] = share * step / self.scale[columns]
+                there = Configuration.from_rows(x, self.n_passive).apply_change(change).rows
+                found = self.evaluate(there)
+                if np.linalg.norm(found[0]) < np.linalg.norm(phi):
+                    break
+            else:
+                break
+            x, (phi, J, _) = there, found
+        return x, phi
+
+    def around(self, home: np.ndarray, count: int, spread: np.ndarray) -> np.ndarray:
+        """Return closed configurations (at most `count`) near home, the same in each call;
+        `spread` (nq,) limits how far each joint is moved, in its unit."""
+        rng, found = np.random.default_rng(0), [home]
+        every = list(range(len(self.scale)))
+        for k in range(4 * count):
+            if len(found) == count:
+                break
+            amplitude = AMPLITUDES[k % len(AMPLITUDES)]
+            moved = home.copy()
+            reach = np.minimum(amplitude * self.length / self.scale[: self.n_joints], spread)
+            moved[: self.n_joints] += reach * rng.uniform(-1, 1, self.n_joints)
+            closed, left = self.close(moved, every[self.n_joints :])
+            if np.linalg.norm(left) > CLOSED * self.length:
+                closed, left = self.close(moved, every)
+            if np.linalg.norm(left) <= CLOSED * self.length:
+                found.append(closed)
+        return np.array(found)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The derivatives at closed configurations: `by` (K, m, nq + 6 + nu) and `by_parameters`
+    (K, m, n_parameters), in metres."""
+
+    by: np.ndarray
+    by_parameters: np.ndarray
+    n_joints: int
+
+    @classmethod
+    def of(cls, survey: Survey, x: np.ndarray) -> Motion:
+        """Evaluate the derivatives at configurations."""
+        _, by, by_parameters = zip(*map(survey.evaluate, x), strict=True)
+        return cls(np.array(by), np.array(by_parameters), survey.n_joints)
+
+    def find_idle(self) -> list[int]:
+        """Return passive coordinates that can move while joints and platform rest, such as the turn
+        of a rod about its own axis: as many as there are such freedoms."""
+        first = self.n_joints + 6
+        idle = list[int]()
+        while True:
+            rest = [c for c in range(first, self.by.shape[2]) if c not in idle]
+            if not rest:
+                return idle
+            singular = [_null_space(J[:, rest]) for J in self.by]
+            if any(Z.shape[1] == 0 for Z in singular):
+                return idle
+            idle.append(rest[int(np.argmax(np.linalg.norm(singular[0], axis=1)))])
+
+    @cached_property
+    def tangents(self) -> list[np.ndarray]:
+        """Motions (nq + 6 + nu, freedoms) that keep all rows, at each configuration."""
+        return [_null_space(J) for J in self.by]
+
+    @property
+    def freedoms(self) -> int:
+        """Number of independent motions: the smallest one, as a singular pose has more."""
+        return min(tangent.shape[1] for tangent in self.tangents)
+
+    def find_moves(self) -> list[int]:
+        """Return the coordinates x y z rx ry rz that change at some configuration."""
+        pose = [T[self.n_joints : self.n_joints + 6] for T in self.tangents]
+        size = np.max([np.abs(part).max(axis=1) for part in pose], axis=0)
+        return [i for i in range(6) if size[i] > RELATIVE_RANK]
+
+    def find_controls(self, moves: Sequence[int]) -> list[int]:
+        """Return the first of these coordinates that change independently at home."""
+        chosen, T = list[int](), self.tangents[0]
+        for i in moves:
+            rows = T[[self.n_joints + k for k in (*chosen, i)]]
+            if _rank(rows, 1e-3) == len(rows):
+                chosen.append(i)
+        return chosen
+
+    def find_rows(self) -> np.ndarray:
+        """Return a matrix (n_kept, m) that makes the independent rows of all rows, in metres.
+
+        Directions in which no coordinate moves any row are omitted: in a plane mechanism, all that
+        leaves the plane. A row of 0 and one 1 keeps a row as it is.
+        """
+        m = self.by.shape[1]
+        every = np.hstack(list(self.by))
+        local = max(_rank(J) for J in self.by)
+        if local == m:
+            return np.eye(m)
+        if _rank(every) > local:  # the directions turn with the bodies
+            return np.eye(m)[sorted(_pivots(self.by[0].T)[:local])]
+        unused = _null_space(every.T)
+        mixed = np.flatnonzero(np.abs(unused).max(axis=1) > RELATIVE_RANK)
+        alone = [i for i in range(m) if i not in mixed]
+        keep = [np.eye(m)[alone]]
+        zero = np.abs(every[mixed]).max(axis=1) < RELATIVE_RANK * np.abs(every).max()
+        turning = mixed[~zero]
+        if len(turning):
+            left, sizes, _ = np.linalg.svd(every[turning], full_matrices=False)
+            basis = np.zeros((int(np.sum(sizes > RELATIVE_RANK * sizes[0])), m))
+            basis[:, turning] = left[:, : len(basis)].T
+            keep.append(basis)
+        return np.vstack(keep)
+
+    def find_replaced(
+        self, rows: np.ndarray, tolerance: np.ndarray, passive: Sequence[int]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return two masks of parameters: those that earlier ones, or passive coordinates, replace
+        in the kept rows; and those of them that other rows alone contain."""
+        J = self._columns(rows, tolerance, passive)
+        size = np.linalg.norm(J, axis=0)
+        felt = size > RELATIVE_RANK * size.max(initial=0.0)
+        basis, kept = np.zeros((len(J), 0)), np.zeros(len(size), dtype=bool)
+        for k in np.flatnonzero(felt):
+            rest = J[:, k] / size[k]
+            for _ in range(2):  # twice is enough to be exact
+                rest = rest - basis @ (basis.T @ rest)
+            if np.linalg.norm(rest) > 1e-5:
+                basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
+                kept[k] = True
+        whole = self._columns(np.eye(self.by.shape[1]), tolerance, passive)
+        in_others = np.linalg.norm(whole, axis=0) > RELATIVE_RANK * np.abs(whole).max(
+            initial=1e-300
+        )
+        return ~kept, ~felt & in_others
+
+    def _columns(
+        self, rows: np.ndarray, tolerance: np.ndarray, passive: Sequence[int]
+    ) -> np.ndarray:
+        """Return d rows / d parameters, one tolerance each, without what passive coordinates
+        explain, of all configurations below each other."""
+        parts = []
+        for J, J_p in zip(self.by, self.by_parameters, strict=True):
+            U, A = rows @ J[:, list(passive)], rows @ J_p * tolerance
+            parts.append(A - U @ (np.linalg.pinv(U, rcond=RELATIVE_RANK) @ A))
+        return np.concatenate(parts)
+
+
+def _rank(J: np.ndarray, least: float = RELATIVE_RANK) -> int:
+    sizes = np.linalg.svd(J, compute_uv=False)
+    return int(np.sum(sizes > least * sizes[0])) if sizes.size and sizes[0] > 0 else 0
+
+
+def _null_space(J: np.ndarray) -> np.ndarray:
+    """Return an orthonormal basis (columns) of what a matrix maps to zero."""
+    _, sizes, right = np.linalg.svd(J)
+    rank = int(np.sum(sizes > RELATIVE_RANK * sizes[0])) if sizes.size and sizes[0] > 0 else 0
+    return right[rank:].T
+
+
+def _pivots(J: np.ndarray) -> np.ndarray:
+    """Return the columns of a matrix in the order in which they add most to those before."""
+    from scipy.linalg import qr
+
+    return np.asarray(qr(J, pivoting=True, mode="r")[1])
