@@ -72,6 +72,13 @@ def new(
             "actuators in the file]",
         ),
     ] = "",
+    locked: Annotated[
+        str,
+        typer.Option(
+            metavar="JOINT,JOINT,...",
+            help="passive joints of a closed chain that do not move, such as stiff springs",
+        ),
+    ] = "",
     option: Option = None,
     drive: Annotated[
         str,
@@ -107,7 +114,7 @@ def new(
 
     if output.exists():
         raise ParallelCalError(f"{output}: file exists already; remove it or give another name")
-    ends = (base, platform, driven)
+    ends = (base, platform, driven, locked)
     linkage = mechanism in (None, "chain") and _is_linkage(configuration or [], any(ends))
     urdf = None if linkage else _get_urdf(mechanism, configuration or [])
     if not (urdf or linkage) and (
@@ -123,8 +130,9 @@ def new(
     if linkage:
         from parallel_cal.importing.closed_chain import chain
 
-        files, names = configuration or [], [*filter(None, driven.split(","))]
-        found = chain(files, base, platform, names, **parse_options(option))
+        files = configuration or []
+        names, still = ([*filter(None, text.split(","))] for text in (driven, locked))
+        found = chain(files, base, platform, names, still, **parse_options(option))
         model, values, remarks = found.model, f"as in {files[0]}", found.remarks
     elif urdf:
         from parallel_cal.importing.urdf import arm

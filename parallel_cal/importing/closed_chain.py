@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.base.errors import DatasetError
+from parallel_cal.base.errors import DatasetError, ModelError
 from parallel_cal.base.files import read_foreign_text
 from parallel_cal.base.rotation import matrix_to_quaternion
 from parallel_cal.importing.compound_joints import simplify
@@ -24,6 +24,7 @@ from parallel_cal.importing.linkage import (
     locate,
     plain_name,
     select,
+    with_locked,
     with_plain_names,
 )
 from parallel_cal.importing.mjcf import read_mjcf
@@ -61,6 +62,7 @@ def chain(
     base: str = "",
     platform: str = "",
     driven: Sequence[str] = (),
+    locked: Sequence[str] = (),
     **options: Any,
 ) -> ConfiguredRobot:
     """Return the model of the closed chain between two bodies of a file.
@@ -76,10 +78,13 @@ def chain(
         Body, site or link that is {P}.
     driven : sequence of str
         Joints with readings, in this order. By default those with actuators.
+    locked : sequence of str
+        Passive joints that do not move, such as leaf springs, which are taken as rigid.
     **options
         Further options of the mechanism `chain`.
     """
-    linkage, path = read_linkage(paths), paths[0]
+    path = paths[0]
+    linkage = with_locked(read_linkage(paths), locked)
     base = base or linkage.roots[0]
     if not platform:
         names = ", ".join(sorted(name for name in linkage.frames if name != base))
@@ -90,7 +95,12 @@ def chain(
     used = [name for name in stated if name in known]
     _check_driven(between, driven, used)
     document = describe(between, base, place, used) | options
-    mechanism = load_mechanism("chain", **document)
+    springs = [joint.name for joint in between.joints if joint.rest is not None]
+    try:
+        mechanism = load_mechanism("chain", **document)
+    except ModelError as error:
+        hint = f"; joints with springs, which --locked takes as rigid: {', '.join(springs)}"
+        raise DatasetError(f"{path}: {error}{hint if springs else ''}") from None
     velocities = {joint.name: joint.velocity for joint in between.joints}
     mechanism.joint_rates = tuple(
         (velocities.get(name, np.inf), np.inf) for name in mechanism.joints
@@ -182,10 +192,14 @@ def describe(linkage: Linkage, base: str, place: Place, driven: Sequence[str]) -
     gravity = _drawn(linkage, base)[:3, :3].T @ linkage.gravity
     if not np.allclose(gravity, GRAVITY, atol=1e-9):
         document["gravity"] = _numbers(gravity)
+    bodies = {
+        *(end for joint in linkage.joints for end in (joint.parent, joint.child)),
+        *(end.body for loop in linkage.loops for end in (loop.a, loop.b)),
+    }
     if masses := {
         name: {"mass": mass, "centre": _numbers(centre)}
         for name, (mass, centre) in linkage.masses.items()
-        if mass > 0
+        if mass > 0 and name in bodies
     }:
         document["masses"] = masses
     if not np.array_equal(place.frame, np.eye(4)):

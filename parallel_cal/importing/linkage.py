@@ -6,7 +6,7 @@ Readers of MJCF, SDF and URDF make a `Linkage`; `closed_chain` makes the mechani
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError
+from parallel_cal.importing.chain import motion_of
 from parallel_cal.recordings.recording import Array
 
 FIXED = "fixed"
@@ -49,6 +50,7 @@ class LinkageJoint:
     velocity: float = np.inf
     zero: float = 0.0
     home: tuple[float, ...] = ()  # values; empty = 0
+    rest: float | None = None  # value at which its spring has no force; None without a spring
     where: str = ""
     refusal: str = ""
     parts: tuple[LinkageJoint, ...] = ()  # if several joints of the file act as this one
@@ -150,6 +152,32 @@ def fuse(linkage: Linkage, base: str) -> Linkage:
     }
     return replace(
         linkage, joints=tuple(joints), loops=loops, frames=frames, poses=poses, masses=masses
+    )
+
+
+def with_locked(linkage: Linkage, names: Collection[str]) -> Linkage:
+    """Return the linkage with passive joints that do not move: at rest of their spring, or home."""
+    known = {joint.name: joint for joint in linkage.joints if joint.kind in DRIVABLE}
+    if unknown := [name for name in names if name not in known]:
+        raise DatasetError(
+            f"{linkage.path}: --locked {unknown[0]} is neither a revolute nor a prismatic joint; "
+            f"expected some of {', '.join(known)}"
+        )
+    return replace(
+        linkage,
+        joints=tuple(
+            locked(joint) if joint.name in names else joint for joint in linkage.joints
+        ),
+    )
+
+
+def locked(joint: LinkageJoint) -> LinkageJoint:
+    """Return a joint that does not move: at rest of its spring, or home."""
+    value = joint.rest if joint.rest is not None else (joint.home or (0.0,))[0]
+    shift = motion_of("P", joint.anchor, 1.0)
+    moved = motion_of("R" if joint.kind == "revolute" else "P", joint.axes[0], value)
+    return replace(
+        joint, kind=FIXED, origin=joint.origin @ shift @ moved @ np.linalg.inv(shift), refusal=""
     )
 
 

@@ -10,7 +10,14 @@ import numpy as np
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.rotation import quaternion_to_matrix
 from parallel_cal.importing.chain import motion_of
-from parallel_cal.importing.linkage import FIXED, Linkage, LinkageJoint, LinkageLoop, Place
+from parallel_cal.importing.linkage import (
+    FIXED,
+    Linkage,
+    LinkageJoint,
+    LinkageLoop,
+    Place,
+    locked,
+)
 from parallel_cal.importing.located_xml import Element, to_numbers
 from parallel_cal.importing.mjcf_elements import MAIN, Body, Document, read_document
 from parallel_cal.recordings.recording import Array
@@ -80,7 +87,11 @@ def _joints(document: Document, body: Body) -> list[LinkageJoint]:
         if not np.linalg.norm(axis) > 0:
             raise DatasetError(f"{element.where}: axis is '0 0 0', expected a direction")
         unit = 1.0 if kind == "slide" else settings.angle
-        ref = unit * to_numbers(element.where, "ref", values.get("ref", "0"), 1)[0]
+        ref, spring = (
+            unit * float(to_numbers(element.where, key, values.get(key, "0"), 1)[0])
+            for key in ("ref", "springref")
+        )
+        springy = kind != "ball" and float(values.get("stiffness", "0").split()[0]) > 0
         found.append(
             LinkageJoint(
                 name,
@@ -91,7 +102,8 @@ def _joints(document: Document, body: Body) -> list[LinkageJoint]:
                 frame[:3, :3] @ pos + frame[:3, 3],
                 () if kind == "ball" else (frame[:3, :3] @ axis / np.linalg.norm(axis),),
                 _range(document, element, values, unit),
-                zero=0.0 if kind == "ball" else -float(ref),
+                zero=0.0 if kind == "ball" else -ref,
+                rest=spring - ref if springy else None,
                 where=element.where,
             )
         )
@@ -201,10 +213,7 @@ def _couple(
                 "follow others. Choose --base and --platform so that it is not between them"
             )
             return replace(joint, refusal=words, where=element.where)
-        letter = "R" if joint.kind == "revolute" else "P"
-        shift = motion_of("P", joint.anchor, 1.0)
-        held = shift @ motion_of(letter, joint.axes[0], first) @ np.linalg.inv(shift)
-        return replace(joint, kind=FIXED, origin=joint.origin @ held)
+        return locked(replace(joint, rest=first))
 
     return [change(joint) for joint in joints]
 
