@@ -138,7 +138,7 @@ def _with_struts(
             length + slide.zero,
             slide.limits,
             slide.where,
-            rod=Rod(slide.name, (p.frame[:3, 3], r.frame[:3, 3]), (balls[0].name, balls[1].name)),
+            rod=Rod(slide.name, (p.frame[:3, 3], r.frame[:3, 3]), (balls[0], balls[1]), slide),
         )
         joints = [joint for joint in joints if joint is not slide and joint not in balls]
         loops = [loop for loop in loops if loop not in balls] + [strut]
@@ -196,7 +196,7 @@ def with_rods(linkage: Linkage, ends: Collection[str]) -> Linkage:
             far2,
             float(np.linalg.norm(points[0] - points[1])),
             where=balls[0].where,
-            rod=Rod(body, points, (balls[0].name, balls[1].name)),
+            rod=Rod(body, points, (balls[0], balls[1])),
         )
         loops = [loop for loop in loops if loop not in balls] + [rod]
     return replace(linkage, joints=tuple(joints), loops=tuple(loops))

@@ -66,11 +66,13 @@ class Place:
 
 @dataclass(frozen=True, eq=False)
 class Rod:
-    """The body of a rod: both points in its frame, and the joints or loops at them."""
+    """What a distance between two bodies stands for: the body of a rod with both points in its
+    frame and the balls at them, or the slide between two balls."""
 
     body: str
     points: tuple[Array, Array]
-    through: tuple[str, str]
+    balls: tuple[LinkageJoint | LinkageLoop, LinkageJoint | LinkageLoop]
+    slide: LinkageJoint | None = None
 
 
 @dataclass(frozen=True, eq=False)
