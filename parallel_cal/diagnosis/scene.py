@@ -53,11 +53,11 @@ class Scene:
     """The residuals that candidates are scored on, in noise units.
 
     residual (n,) and basis (n, rank) of the geometry's columns, with the rows of a sample together;
-    x (N, nq+12+nu) the configurations predicted from the joints. Regressors are evaluated there, never
-    at the measured pose: a noisy measurement would explain its own error. `by_measured` (N, rows,
-    nq + 6 + nu) are the derivatives of the rows by (q, r, w, u) there. `whitener` (N, rows, rows) turns
-    rows of the closure into noise units, without unmeasured coordinates; `informative` (N,) is the
-    number of independent rows that remain for each sample.
+    x (N, nq+12+nu) the configurations predicted from the joints. Regressors are evaluated there,
+    never at the measured pose: a noisy measurement would explain its own error. `by_measured` (N,
+    rows, nq + 6 + nu) are the derivatives of the rows by (q, r, w, u) there. `whitener` (N, rows,
+    rows) turns rows of the closure into noise units, without unmeasured coordinates; `informative`
+    (N,) is the number of independent rows that remain for each sample.
     """
 
     model: Model
@@ -159,7 +159,8 @@ class Scene:
 
     @cached_property
     def measured_jacobian(self) -> np.ndarray:
-        """d rows/d(q, r, w) at the predicted configurations, in noise units: (N, rows, nq + 6 + nu)."""
+        """d rows/d(q, r, w, u) at the predicted configurations, in noise units: (N, rows, nq + 6 +
+        nu)."""
         return np.asarray(self.whitener @ self.by_measured)
 
     def project_off_geometry(self, columns: np.ndarray) -> np.ndarray:

@@ -92,7 +92,7 @@ class _Builder:
     def __init__(self, model: Model):
         s = model.structure
         self._s, self._model, self.tree = s, model, Tree(model)
-        lines = model.mechanism.drawing(s.q, s.r, s.R, s.geometry)
+        lines = s.drawing()
         if not lines:
             raise ModelError(f"{model.mechanism.name} has no drawing, so there is no tree of it")
         values = ca.DM(model.values)

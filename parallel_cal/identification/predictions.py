@@ -79,8 +79,8 @@ def _follow_measured_branch(
 
 
 def predict_configurations(model: Model, observations: Observations) -> np.ndarray:
-    """Configurations (N, nq+12+nu) with the predicted pose as the device shows it; the measured pose
-    if forward kinematics has no solution."""
+    """Configurations (N, nq+12+nu) with the predicted pose as the device shows it; the measured
+    pose if forward kinematics has no solution."""
     _, pose = predict_poses(model, observations)
     joints = observations.x[:, : len(model.joints)]
     x = Configuration(joints, pose.position, pose.rotation, pose.passive).rows

@@ -53,9 +53,9 @@ def is_jump(problem: Problem, begin: np.ndarray, end: np.ndarray, row: np.ndarra
 
 
 def is_short_step(model: Model, here: np.ndarray, there: np.ndarray) -> bool:
-    """Whether two configurations (nq + 12 + nu,) are so near that they are on the same branch, unless a
-    determinant changed its sign between them. A jump to another branch is finite, however short the
-    step; these bounds are well below it."""
+    """Whether two configurations (nq + 12 + nu,) are so near that they are on the same branch,
+    unless a determinant changed its sign between them. A jump to another branch is finite, however
+    short the step; these bounds are well below it."""
     n = len(model.joints)
     q, r, R9, u = np.split(np.abs(there - here), (n, n + 3, n + 12))
     swung = max(q.max(), u.max(initial=0.0))

@@ -27,8 +27,8 @@ class NewtonFunctions:
     lower and upper joint limits) -> configuration, last step (m), norm of phi (m), smallest pivot,
     smallest distance of a joint from its limits, negative outside. The pivot is negative on the
     other side of a singularity than home. `solve` begins at the mechanism's own start, `refine` at
-    the given configuration. `columns`: the unknown columns of (q, r, w, u). `home_sign`: sign of the
-    determinant of the closure's Jacobian in the unknowns at home; 0 if home selects no side.
+    the given configuration. `columns`: the unknown columns of (q, r, w, u). `home_sign`: sign of
+    the determinant of the closure's Jacobian in the unknowns at home; 0 if home selects no side.
     `iteration`: the parts of `solve` and `refine`.
     """
 

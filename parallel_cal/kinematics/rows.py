@@ -10,7 +10,7 @@ from parallel_cal.model.model import Model
 
 
 def joint_rows(model: Model, q: np.ndarray) -> np.ndarray:
-    """Build configurations (N, nq + 12 + nu) with joints (nq,) or (N, nq) and the platform at home."""
+    """Build configurations (N, nq + 12 + nu) with joints (nq,) or (N, nq), the platform at home."""
     require("q", q, "ArrayLike", SolveError)
     q = np.atleast_2d(np.asarray(q, dtype=float))
     n = len(model.joints)

@@ -15,8 +15,8 @@ from parallel_cal.model.model import Model
 @dataclass(frozen=True)
 class Distances:
     """Smallest scaled singular values (N,) of the closure's Jacobian in the pose (`direct`)
-    and in joints and parasitic coordinates (`inverse`), and the signs of their determinants. Passive
-    coordinates are unknowns of both.
+    and in joints and parasitic coordinates (`inverse`), and the signs of their determinants.
+    Passive coordinates are unknowns of both.
 
     They are metres of closure error per metre of motion; 0 is singular. In a direct singularity
     the platform moves with locked joints, in an inverse one the joints move with a locked platform.

@@ -1,4 +1,4 @@
-"""The bodies of a chain: how joints grow a tree from the base, and the rows that close its loops."""
+"""The bodies of a chain: how joints grow a tree from the base, and rows that close its loops."""
 
 from __future__ import annotations
 

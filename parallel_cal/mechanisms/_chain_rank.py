@@ -16,7 +16,7 @@ CLOSED = 1e-12  # m or rad: the norm of the rows of a closed configuration
 RELATIVE_RANK = 1e-7  # singular values of closed configurations are exact to about 1e-12
 STEPS = 60  # of Newton's method, damped
 LARGEST_STEP = 0.4  # lengths or rad: of one step
-AMPLITUDES = (0.02, 0.1, 0.25)  # rad, or shares of the length, by which the joints are moved
+AMPLITUDES = (0.05, 0.3, 0.8)  # rad, or shares of the length, by which the joints are moved
 
 
 @dataclass(frozen=True)
@@ -122,11 +122,23 @@ class Motion:
         """Number of independent motions: the smallest one, as a singular pose has more."""
         return min(tangent.shape[1] for tangent in self.tangents)
 
-    def find_moves(self) -> list[int]:
-        """Return the coordinates x y z rx ry rz that change at some configuration."""
-        pose = [T[self.n_joints : self.n_joints + 6] for T in self.tangents]
+    def find_moves(self, loops: Sequence[int]) -> list[int]:
+        """Return the coordinates x y z rx ry rz that change at some configuration, and those that
+        rows of `loops` hold, as the rods of a Delta hold the turns of its platform: it turns if
+        their lengths are not the nominal ones."""
+        n = self.n_joints
+        pose = [T[n : n + 6] for T in self.tangents]
         size = np.max([np.abs(part).max(axis=1) for part in pose], axis=0)
-        return [i for i in range(6) if size[i] > RELATIVE_RANK]
+        moves = [i for i in range(6) if size[i] > RELATIVE_RANK]
+
+        def rank_with(coordinates: Sequence[int]) -> int:
+            others = [n + i for i in range(6) if i not in coordinates]
+            return max(_rank(np.delete(J[loops], others, axis=1)) for J in self.by)
+
+        for i in range(6):
+            if i not in moves and rank_with([*moves, i]) > rank_with(moves):
+                moves.append(i)
+        return sorted(moves)
 
     def find_controls(self, moves: Sequence[int]) -> list[int]:
         """Return the first of these coordinates that change independently at home."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -37,6 +38,7 @@ from parallel_cal.model.drawing import Line, axis
 from parallel_cal.model.mechanism import POSE, Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, ParameterTable
 
+PLATFORM = "the platform"  # owner of the rows that join it to the tree
 PLACES = {"position", "quaternion", "rpy"}
 EXAMPLE = "{name: hip, type: revolute, parent: base, child: leg, axis: [0, 0, 1], driven: true}"
 SHARE_OF_LIMITS = 0.3  # of the range of a joint, for the motion around home
@@ -54,9 +56,9 @@ class Chain(Mechanism):
     - `joints`: list of joints. Each one has `name`, `type` (revolute, prismatic, universal,
       spherical, cylindrical, planar or fixed), `parent` and `child` (names of bodies), `origin` and
       `quaternion` (or `rpy`): frame of the child in that of the parent at value 0; `anchor`: point
-      of the joint in the frame of the child; `axis` (`axes` of a universal joint); `driven`: whether
-      a reading moves it; `home`, `limits`, and `zero`: its value where the reading is 0. A joint
-      between two bodies that are already joined closes a loop.
+      of the joint in the frame of the child; `axis` (`axes` of a universal joint); `driven`:
+      whether a reading moves it; `home`, `limits`, and `zero`: its value where the reading is 0. A
+      joint between two bodies that are already joined closes a loop.
     - `loops`: list of conditions between two bodies. Each one has `name`, `type` (point, axis, pose
       or distance), and its ends `a` and `b`: `body`, `point` and, if necessary, `axis` or
       `quaternion`. A distance is a rod with two balls: `length`, and `driven`, `home` and `limits`
@@ -104,7 +106,8 @@ class Chain(Mechanism):
         self.skeleton = self._measure_rods(guess)
         self._set_joints()
         self.gravity = _gravity(gravity)
-        self.parts, self._centres = _read_masses(masses, self.skeleton)
+        self.masses, self._centres = _read_masses(masses, self.skeleton)
+        self.parts = tuple(self.masses)
         tolerance = {"m": float(length_tolerance), "rad": float(angle_tolerance)}
         self.parameters = ParameterTable(self.skeleton.parameters(self._target_rows(), tolerance))
         self._combine: np.ndarray | None = None
@@ -213,7 +216,7 @@ class Chain(Mechanism):
             at, turned = multiply(frames[self.skeleton.platform], self._target(p))
             apart = [*ca.vertsplit(ca.SX(r - at)), *rotation_rows(ca.SX(turned), ca.SX(R))]
             names = zip(POSE, "m m m rad rad rad".split(), apart, strict=True)
-            rows = [Row("platform", unit, v) for name, unit, v in names if name in self.moves]
+            rows = [Row(PLATFORM, unit, v) for name, unit, v in names if name in self.moves]
         return rows + self.skeleton.rows(frames, values, p)
 
     def _values(self, q: Any, u: Any, p: Named) -> dict[str, Any]:
@@ -274,11 +277,12 @@ class Chain(Mechanism):
         survey = self._survey()
         x = survey.around(home, 12, self._spread())
         motion = Motion.of(survey, x)
-        moved = [POSE[i] for i in motion.find_moves()]
+        loops = [k for k, owner in enumerate(self._owners()) if owner != PLATFORM]
+        moved = [POSE[i] for i in motion.find_moves(loops)]
         self.moves = tuple(_coordinates("moves", moves) if moves is not None else moved)
         given = None if controls is None else _coordinates("controls", controls)
         self.controls = tuple(given or [POSE[i] for i in motion.find_controls(self.moved)])
-        self._require_driven(motion, home)
+        self._require_driven(motion)
         self._set_home(home, moved)
         self._set_workspace(x, workspace)
         if self.moves != POSE:
@@ -303,8 +307,8 @@ class Chain(Mechanism):
         worst = self._owners()[int(np.argmax(np.abs(rows)))]
         raise ModelError(
             f"the loops do not close at home: '{worst}' stays {1e3 * np.abs(rows).max():.3g} mm "
-            "open with the driven joints at their home; correct the home of joints and platform, or "
-            "the geometry"
+            "open with the driven joints at their home; correct the home of joints and platform, "
+            "or the geometry"
         )
 
     def _owners(self) -> list[str]:
@@ -336,14 +340,14 @@ class Chain(Mechanism):
         reach = max((float(np.linalg.norm(point)) for point in [*points, x.r]), default=0.0)
         return round(0.3 * reach, 6) or 0.1
 
-    def _require_driven(self, motion: Motion, home: np.ndarray) -> None:
+    def _require_driven(self, motion: Motion) -> None:
         """ModelError if the joints leave a motion of the platform open."""
-        n, freedoms = len(self.joints), motion.freedoms
-        locked = [T for T in (_locked(T, n) for T in motion.tangents)]
-        if open_ := min(part.shape[1] for part in locked):
+        n = len(self.joints)
+        if loose := min(_locked(T, n).shape[1] for T in motion.tangents):
             raise ModelError(
-                f"with all driven joints locked ({', '.join(self.joints)}), the chain can still move "
-                f"in {open_} of its {freedoms} freedoms; drive more joints, or join more bodies"
+                f"with all driven joints locked ({', '.join(self.joints)}), the chain can still "
+                f"move in {loose} of its {motion.freedoms} freedoms; drive more joints, or join "
+                "more bodies"
             )
 
     def _set_home(self, home: np.ndarray, moved: Sequence[str]) -> None:
@@ -428,6 +432,51 @@ class Chain(Mechanism):
             p[k.name].length for k in self.skeleton.loops if k.type == "distance" and not k.driven
         ]
 
+    def struts(self, r: Any, R: Any, p: Named) -> list[tuple[Any, Any]]:
+        """Return both ends of the actuators if they alone carry the platform."""
+        s, joints = self.skeleton, {part.name for part in self.skeleton.driven}
+        ends = {s.base, s.platform}
+        legs = [k for k in s.loops if k.driven and {k.a.body, k.b.body} == ends]
+        if not s.floats or {k.name for k in legs} != joints or s.steps:
+            return []
+        frames = self._frames(ca.DM.zeros(len(joints)), ca.SX(0, 1), r, R, p)
+        pairs = [(k, s.rod_ends(k, frames, p)) for k in legs]
+        return [pair if k.a.body == s.base else pair[::-1] for k, pair in pairs]
+
+    def centres(self, *args: Any, **kwargs: Any) -> Mapping[str, list[Any]]:
+        """Return the centres of mass of the bodies with a mass."""
+        q, *passive, r, R, p = args
+        frames = self._frames(q, passive[0] if passive else ca.SX(0, 1), r, R, p)
+        return {
+            body: [frames[body][0] + frames[body][1] @ ca.DM(centre)]
+            for body, centre in self._centres.items()
+        }
+
+    def spans(self, q: Any, p: Named) -> list[tuple[float, Any, Any]]:
+        """Return length and ends of the links of an arm without loops, from joint to joint."""
+        s = self.skeleton
+        if s.floats or self.passive or s.loops or s.cuts:
+            return []
+        points = self._joints_of_arm(q, p)
+        nominal = Named(self.parameters.names, ca.DM(self.parameters.nominal))
+        at_home = [
+            np.array(ca.DM(v)) for v in self._joints_of_arm(ca.DM(self.home.joints), nominal)
+        ]
+        lengths = [float(np.linalg.norm(b - a)) for a, b in pairwise(at_home)]
+        return [(n, *ends) for n, ends in zip(lengths, pairwise(points), strict=True)]
+
+    def _joints_of_arm(self, q: Any, p: Named) -> list[Any]:
+        """Compute the places of the joints between base and platform, and of {P}."""
+        s = self.skeleton
+        frames = self._frames(q, ca.SX(0, 1), ca.DM.zeros(3), ca.DM.eye(3), p)
+        body, path = s.platform, [multiply(frames[s.platform], self._target(p))[0]]
+        for step in reversed(s.steps):
+            if step.reached == body:
+                at, turned = frames[step.joint.child]
+                path.append(at + turned @ ca.DM(step.joint.anchor))
+                body = step.joint.parent if step.forward else step.joint.child
+        return path[::-1]
+
     def drawing(self, *args: Any, **kwargs: Any) -> list[Line]:
         """Draw every body through its joints, the rods, and the axes of the joints."""
         q, *passive, r, R, p = args
@@ -485,17 +534,20 @@ def _gravity(given: Any) -> tuple[float, float, float]:
 
 def _read_masses(
     given: Mapping[str, Any] | None, skeleton: Skeleton
-) -> tuple[tuple[str, ...], dict[str, np.ndarray]]:
-    """Return the bodies with a mass, and the centre of each in its frame."""
+) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+    """Return the mass of each body that has one, and its centre in the frame of the body."""
     entries = Entry("masses", given or {}, {*(given or {})})
     known = {skeleton.base, skeleton.platform, *(step.reached for step in skeleton.steps)}
-    centres = {}
+    found, centres = dict[str, float](), dict[str, np.ndarray]()
     for body, value in entries.given.items():
         if body not in known:
             raise ModelError(f"masses: unknown body {body!r}, expected some of {sorted(known)}")
         own = Entry(f"masses: {body}", value, {"mass", "centre"})
+        if body == "platform":  # the name of the mass at the origin of {P}
+            raise ModelError("masses: rename the body 'platform': 'mass.platform' acts at {P}")
+        found[str(body)] = own.number("mass")
         centres[str(body)] = own.vector("centre", (0.0, 0.0, 0.0))
-    return tuple(centres), centres
+    return found, centres
 
 
 def _group(names: Sequence[str]) -> str:

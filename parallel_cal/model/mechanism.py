@@ -157,6 +157,8 @@ class Mechanism(ABC):
         readings of joints are lengths: the linear scales, screws or belts that measure these.
     parts : tuple of str
         Kinds of links for which `centres` returns the centres of mass. Default none.
+    masses : dict
+        Known mass of each kind in `parts`, kg. Default: unknown (0).
     remarks : tuple of str
         What the user should check, because the options do not state it. Default none.
     options : dict
@@ -183,6 +185,7 @@ class Mechanism(ABC):
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)  # m/s^2 in {B}
     bodies: Mapping[str, Sequence[str]] = {}  # patterns of the lengths of one material
     parts: tuple[str, ...] = ()  # kinds of links whose centres of mass are known
+    masses: Mapping[str, float] = {}  # kg
     remarks: tuple[str, ...] = ()
     options: Mapping[str, Any] = {}
 
@@ -218,9 +221,10 @@ class Mechanism(ABC):
             Geometric parameters by name.
         """
 
-    def close(self, q: Any, u: Any, r: Any, R: Any, p: Named) -> Any:
-        """Return the closure of a mechanism with or without passive coordinates u."""
-        return self.closure(q, u, r, R, p) if self.passive else self.closure(q, r, R, p)
+    def arguments(self, q: Any, u: Any, r: Any, R: Any, p: Named) -> tuple[Any, ...]:
+        """Return the arguments of `closure`, `centres` and `drawing`: with the passive coordinates
+        u if the mechanism declares some."""
+        return (q, u, r, R, p) if self.passive else (q, r, R, p)
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
         """Return poses [(r, R)] near the solutions of the direct problem; by default, home.
@@ -299,8 +303,9 @@ class Mechanism(ABC):
         each joint; empty if the joints are no struts between base and platform."""
         return []
 
-    def centres(self, q: Any, r: Any, R: Any, p: Named) -> Mapping[str, list[Any]]:
-        """Return centres of mass in {B}, (3, 1) m each, of the links of each kind in `parts`."""
+    def centres(self, *args: Any, **kwargs: Any) -> Mapping[str, list[Any]]:
+        """Return centres of mass in {B}, (3, 1) m each, of the links of each kind in `parts`, at
+        (q, r, R, p), or (q, u, r, R, p) of a mechanism with passive coordinates."""
         return {}
 
     def spans(self, q: Any, p: Named) -> list[tuple[float, Any, Any]]:
@@ -308,8 +313,9 @@ class Mechanism(ABC):
         chain whose joints alone carry it, from base to platform; empty for other mechanisms."""
         return []
 
-    def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
-        """Return the lines that draw the mechanism at (q, r, R), with points as CasADi columns."""
+    def drawing(self, *args: Any, **kwargs: Any) -> list[Line]:
+        """Return the lines that draw the mechanism at (q, r, R, p), or (q, u, r, R, p) of one
+        with passive coordinates; their points are CasADi columns."""
         return []
 
     def widen(self, values: Mapping[str, float]) -> tuple[str, dict[str, float]]:

@@ -13,6 +13,7 @@ from parallel_cal.base.compiled import Batch, dense
 from parallel_cal.base.errors import ModelError, wrap_plugin_error
 from parallel_cal.base.rotation import left_generators
 from parallel_cal.model.declaration import check_parameters
+from parallel_cal.model.drawing import Line
 from parallel_cal.model.effect import CONDITIONS, Effect, Seen
 from parallel_cal.model.machine_class import scale_usual_sizes
 from parallel_cal.model.mechanism import Mechanism
@@ -77,7 +78,7 @@ class Structure:
     @cached_property
     def seen(self) -> Seen:
         """Joints, pose and geometry after the effects."""
-        seen = Seen(self.q, self.r, self.R, self.geometry)
+        seen = Seen(self.q, self.r, self.R, self.geometry, self.u)
         numbers, at = Named(self.table.names, self.v), Named(self.conditions, self.a)
         for effect in self.effects:
             seen = self._apply_effect(effect, seen, numbers, at)
@@ -105,9 +106,10 @@ class Structure:
         """The closure of the ideal mechanism, at its inputs after the effects."""
         seen = self.seen
         if self.effects or self.sensors:  # most of the work is the same for all of them
-            return self._check_closure(self.ideal.closure_of_seen(self._column(seen)))
+            return self._check_closure(self.ideal.closure_of_seen(_column(seen)))
         try:
-            phi = self.mechanism.close(seen.q, self.u, seen.r, seen.R, seen.p)
+            m = self.mechanism
+            phi = m.closure(*m.arguments(seen.q, seen.u, seen.r, seen.R, seen.p))
         except Exception as error:
             raise wrap_plugin_error(self.mechanism.name, error) from error
         return self._check_closure(phi)
@@ -158,6 +160,11 @@ class Structure:
         if bad := np.flatnonzero(~np.isfinite(rows)).tolist():
             raise ModelError(f"{its} is not finite in rows {bad} at home with nominal values")
         return phi
+
+    def drawing(self) -> list[Line]:
+        """The lines that draw the mechanism, in terms of the configuration and the parameters."""
+        m = self.mechanism
+        return m.drawing(*m.arguments(self.q, self.u, self.r, self.R, self.geometry))
 
     @cached_property
     def jacobian_pose(self) -> Any:
@@ -328,7 +335,7 @@ class Structure:
         """(configuration, a, v) -> inputs of the closure after the effects, as one column: q, r,
         R9, u and geometry, on arrays of samples."""
         inputs = (self.configuration, self.a, self.v)
-        column = self._substitute_platform_pose(self._column(self.seen))
+        column = self._substitute_platform_pose(_column(self.seen))
         return Batch(dense("seen", inputs, (column,)))
 
     @cached_property
@@ -354,7 +361,7 @@ class Structure:
         names, at = effect.table(self.mechanism).names, effect.conditions(self.mechanism)
         e, a = ca.SX.sym("e", len(names)), ca.SX.sym("a", len(at))
         seen = self._apply_effect(effect, self.seen, Named(names, e), Named(at, a))
-        J = ca.jacobian(self._column(seen), ca.vertcat(*[e[i] for i in which]))
+        J = ca.jacobian(_column(seen), ca.vertcat(*[e[i] for i in which]))
         moved = np.unique(np.array(J.sparsity().get_triplet()[0], dtype=int))
         inputs = (ca.vertcat(self.configuration, self.v), a, e)
         return Batch(dense("seen_by", inputs, (J[moved.tolist(), :],))), moved
@@ -399,10 +406,11 @@ class Structure:
         )
         return np.array(joints + [1.0] * 3 + [m.length] * 3 + passive)
 
-    def _column(self, seen: Seen) -> Any:
-        """q, r, R9 (row-major), u and the geometry as one column."""
-        pose = ca.SX(seen.r), ca.vec(ca.SX(seen.R).T)
-        return ca.vertcat(ca.SX(seen.q), *pose, self.u, seen.p.column)
+
+def _column(seen: Seen) -> Any:
+    """q, r, R9 (row-major), u and the geometry as one column."""
+    pose = ca.SX(seen.r), ca.vec(ca.SX(seen.R).T)
+    return ca.vertcat(ca.SX(seen.q), *pose, seen.u, seen.p.column)
 
 
 # A diagnosis of three effects makes five hundred. Most of them are symbols alone; those that were

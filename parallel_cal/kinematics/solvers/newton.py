@@ -135,7 +135,7 @@ class _Search:
         return firsts
 
     def _search_randomly(self, starts: int) -> np.ndarray:
-        """Distinct configurations (k, nq + 12 + nu) that plain iterations reach from random starts."""
+        """Distinct configurations (k, nq + 12 + nu) that iterations reach from random starts."""
         if self.problem.redundant:  # a local minimum is not a solution
             return self.given[:0]
         model = self.kinematics.model
