@@ -9,14 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
-from parallel_cal.base.rotation import rotation_matrix
+from parallel_cal.base.rotation import rotation_matrix, rotation_vector
 from parallel_cal.importing.chain import motion_of
 from parallel_cal.importing.closed_chain import cut_out, read_linkage
 from parallel_cal.importing.linkage import (
+    FIXED,
     Linkage,
     LinkageJoint,
     LinkageLoop,
     Place,
+    Rod,
     joined_bodies,
     plain_name,
     with_locked,
@@ -187,8 +189,12 @@ def _set_rod(found: Calibrated, old: LinkageLoop, new: LinkageLoop) -> None:
     shifts = [
         now.frame[:3, 3] - was.frame[:3, 3] for was, now in ((old.a, new.a), (old.b, new.b))
     ]
-    # The length goes to one end: to a point of its own if there is one.
+    # The length goes to a point of its own, or to where the rod is joined, or to the second ball.
     takes = 0 if isinstance(rod.balls[0], LinkageLoop) else 1
+    if not any(isinstance(ball, LinkageLoop) for ball in rod.balls) and _stretch(
+        found, rod, longer
+    ):
+        takes = -1
     for k, (ball, shift) in enumerate(zip(rod.balls, shifts, strict=True)):
         own = longer * (1 if k else -1) if k == takes else np.zeros(3)
         body = (old.a, old.b)[k].body
@@ -202,22 +208,59 @@ def _set_rod(found: Calibrated, old: LinkageLoop, new: LinkageLoop) -> None:
             _move_ball(found, ball, own, shift)
 
 
+def _stretch(found: Calibrated, rod: Rod, longer: Array) -> bool:
+    """Move apart two halves of a rod that a pose or a fixed joint of the file joins, if there are.
+
+    The half with the second ball moves by `longer`, in the frame of the rod.
+    """
+    if np.abs(longer).max() < ROUNDING_TOLERANCE:
+        return True
+    first, second = (_body_at(found, ball, rod.body) for ball in rod.balls)
+    loops = [loop for loop in found.linkage.loops if loop.kind == "pose"]
+    edges: list[tuple[LinkageJoint | LinkageLoop, str, str]] = [
+        *[(loop, loop.a.body, loop.b.body) for loop in loops],
+        *[(one, one.parent, one.child) for one in found.linkage.joints if one.kind == FIXED],
+    ]
+    edges = [edge for edge in edges if found.at[edge[1]].body == rod.body]
+    shift = motion_of("P", longer, 1.0)
+    for edge in edges:
+        one, a, b = edge
+        side, n = {first}, 0
+        while n < len(side):
+            n = len(side)
+            for other in edges:
+                if other is not edge and side & {*other[1:]}:
+                    side |= {*other[1:]}
+        if second in side or not side & {a, b}:
+            continue
+        frame = found.at[a].frame
+        if isinstance(one, LinkageLoop):
+            key, end = ("a", one.a) if a in side else ("b", one.b)
+            _set_end(found, one.name, key, shift @ found.at[end.body].frame @ end.frame)
+        else:
+            moved = shift if a in side else np.linalg.inv(shift)
+            found.origins[one.name] = np.linalg.solve(frame, moved @ frame @ one.origin)
+        return True
+    return False
+
+
+def _body_at(found: Calibrated, ball: LinkageJoint | LinkageLoop, rod: str) -> str:
+    """Return the body of the file, part of a rod, at which a ball is."""
+    if isinstance(ball, LinkageLoop):
+        loop = found.loop(ball.name)
+        return loop.a.body if ball.a.body == rod else loop.b.body
+    parts = ball.parts or (ball,)
+    if ball.child == rod:
+        return found.joint(parts[-1].name).child
+    return found.joint(parts[0].name).parent
+
+
 def _move_ball(found: Calibrated, ball: LinkageJoint, in_parent: Array, in_child: Array) -> None:
     """Move the point of a ball joint in both of its bodies."""
     if np.abs(in_child).max() < ROUNDING_TOLERANCE:
         return _set_joint(found, ball, motion_of("P", in_parent, 1.0))
     last = (ball.parts or (ball,))[-1]
     own = found.joint(last.name)
-    for loop in found.linkage.loops:  # an empty body that a pose fixes to the rod: move the pose
-        bodies = loop.a.body, loop.b.body
-        if loop.kind == "pose" and own.child in bodies:
-            side = "b" if own.child == loop.a.body else "a"
-            end = getattr(loop, side)
-            frame = found.at[end.body].frame @ end.frame
-            found.ends[loop.name, side] = np.linalg.solve(
-                found.at[end.body].frame, motion_of("P", in_child, 1.0) @ frame
-            )
-            return _set_joint(found, ball, motion_of("P", in_parent, 1.0))
     if ball.parts:
         raise ModelError(
             f"{last.where}: the joints {', '.join(part.name for part in ball.parts)} act as one "
@@ -228,3 +271,34 @@ def _move_ball(found: Calibrated, ball: LinkageJoint, in_parent: Array, in_child
     moved = motion_of("P", in_parent, 1.0) @ ball.origin @ motion_of("P", -in_child, 1.0)
     _set_joint(found, ball, moved @ np.linalg.inv(ball.origin))
     return None
+
+
+def describe_changes(found: Calibrated) -> list[str]:
+    """Say how many joints and ends of loops changed, and by how much."""
+    moved = {}
+    for name, origin in found.origins.items():
+        old = next(joint for joint in found.linkage.joints if joint.name == name).origin
+        moved[name] = np.linalg.solve(old, origin)
+    for (name, side), frame in found.ends.items():
+        end = getattr(next(loop for loop in found.linkage.loops if loop.name == name), side)
+        moved[f"{name} on {end.body}"] = np.linalg.solve(end.frame, frame)
+    if not moved:
+        return ["no joint and no loop changed"]
+    shift = {name: float(np.linalg.norm(T[:3, 3])) for name, T in moved.items()}
+    turn = {name: float(np.linalg.norm(rotation_vector(T[:3, :3]))) for name, T in moved.items()}
+    far, wide = max(shift, key=shift.__getitem__), max(turn, key=turn.__getitem__)
+    return [
+        f"joints and ends of loops changed: {len(moved)}, by up to {1e3 * shift[far]:.3g} mm "
+        f"({far}) and {np.degrees(turn[wide]):.3g} deg ({wide})"
+    ]
+
+
+def describe_target(found: Calibrated, body: str, place: str) -> str:
+    """Say where the target is if the file has no place for it."""
+    assert found.target is not None
+    x, y, z = found.target[:3, 3]
+    angle = np.degrees(np.linalg.norm(rotation_vector(found.target[:3, :3])))
+    return (
+        f"the target is at {x:.6g} {y:.6g} {z:.6g} m in the frame of {body}, turned by "
+        f"{angle:.4g} deg, which was not written: name {place} with --platform to have it written"
+    )

@@ -29,7 +29,9 @@ def simplify(linkage: Linkage, ends: Collection[str], driven: Collection[str]) -
     `ends` are bodies that stay, `driven` joints that stay. Two hinges that meet stay as they are if
     they are not the end of a rod: each may have an encoder.
     """
-    merged = with_rods(_with_struts(_merge(linkage, ends, driven), ends, driven), ends)
+    # First hinges with a common point: a hinge along a rod also meets the one at its other end.
+    merged = _merge(_merge(linkage, ends, driven, False), ends, driven, True)
+    merged = with_rods(_with_struts(merged, ends, driven), ends)
     joints = [
         part
         for joint in merged.joints
@@ -38,8 +40,11 @@ def simplify(linkage: Linkage, ends: Collection[str], driven: Collection[str]) -
     return replace(merged, joints=tuple(joints))
 
 
-def _merge(linkage: Linkage, ends: Collection[str], driven: Collection[str]) -> Linkage:
-    """Join two passive joints about one point if nothing else holds the body between them."""
+def _merge(
+    linkage: Linkage, ends: Collection[str], driven: Collection[str], on_line: bool
+) -> Linkage:
+    """Join two passive joints about one point if nothing else holds the body between them; with
+    `on_line`, also two hinges on one line."""
     joints = [*linkage.joints]
     held = {end.body for loop in linkage.loops for end in (loop.a, loop.b)} | {*ends}
     between = [b for joint in joints for b in (joint.parent, joint.child)]
@@ -50,7 +55,7 @@ def _merge(linkage: Linkage, ends: Collection[str], driven: Collection[str]) -> 
         first, second = sorted(at, key=lambda joint: joint.child != body)
         into = first if first.child == body else _reversed(first)
         out = second if second.parent == body else _reversed(second)
-        if joint := _product(into, out):
+        if joint := _product(into, out, on_line):
             joints[joints.index(first)] = joint
             joints.remove(second)
     return replace(linkage, joints=tuple(joints))
@@ -69,7 +74,7 @@ def _reversed(joint: LinkageJoint) -> LinkageJoint:
     )
 
 
-def _product(first: LinkageJoint, second: LinkageJoint) -> LinkageJoint | None:
+def _product(first: LinkageJoint, second: LinkageJoint, on_line: bool) -> LinkageJoint | None:
     """Return the joint of two in a row, if both turn about one point."""
     if not {first.kind, second.kind} <= {*TURNING} or first.parent == second.child:
         return None
@@ -79,7 +84,7 @@ def _product(first: LinkageJoint, second: LinkageJoint) -> LinkageJoint | None:
     axes = [*turned, *second.axes]
     rank = int(np.linalg.matrix_rank(np.array(axes or np.eye(3)), tol=MIN_SINE))
     apart = second.anchor - at
-    if rank == 1:  # two hinges on one line are one
+    if rank == 1 and on_line:
         apart = apart - axes[0] * (axes[0] @ apart)
     if np.linalg.norm(apart) > MAX_DISTANCE_M:
         return None

@@ -139,6 +139,7 @@ class XmlEdit:
 
     attributes: list[tuple[Element, str, str]] = field(default_factory=list)
     texts: list[tuple[Element, str]] = field(default_factory=list)
+    parts: list[tuple[Element, str]] = field(default_factory=list)
 
     def set(self, element: Element, key: str, value: str) -> None:
         """State a new value of an attribute."""
@@ -147,6 +148,10 @@ class XmlEdit:
     def set_text(self, element: Element, value: str) -> None:
         """State a new text of an element without children."""
         self.texts.append((element, value))
+
+    def insert(self, element: Element, part: str) -> None:
+        """Add a part as the first child of an element that has a start and an end tag."""
+        self.parts.append((element, part))
 
     def apply(self, content: str) -> str:
         """Return the text of the file with the new values."""
@@ -164,6 +169,9 @@ class XmlEdit:
             begin = element.begin + len(_start_tag(data, element).encode())
             stop = data.index(b"<", begin)
             changes.append((begin, stop, value))
+        for element, part in self.parts:
+            at = element.begin + len(_start_tag(data, element).encode())
+            changes.append((at, at, part))
         for begin, stop, new in sorted(changes, reverse=True):
             data = data[:begin] + new.encode() + data[stop:]
         return head + data.decode()
