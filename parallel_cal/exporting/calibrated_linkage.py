@@ -33,13 +33,14 @@ ROUNDING_TOLERANCE = 1e-13  # m or 1; a number that changes by less stays as it 
 class Calibrated:
     """New frames of a file: of joints (child in parent, by name) and of ends of loops.
 
-    `between` is the linkage between base and platform with the identified numbers, `at` has the
+    `halves` are the shifts of halves of rods, by body. `between` is the linkage between base and platform with the identified numbers, `at` has the
     joined body of every body. `target` is the frame of {P} in the body of the file that carries it.
     """
 
     linkage: Linkage
     between: Linkage
     at: dict[str, Place]
+    halves: dict[str, Array]
     base: str
     platform: Place
     origins: dict[str, Array] = field(default_factory=dict)
@@ -68,9 +69,8 @@ def calibrated_linkage(model: Model, files: Sequence[Path]) -> Calibrated:
             "mechanism chain (new --from)"
         )
     base, end = (model.frames[name] for name in ("base", "platform"))
-    linkage = read_linkage(files)
-    between, place = _as_in_model(linkage, model)
-    found = Calibrated(linkage, between, joined_bodies(linkage, base), base, place)
+    linkage, between, place = _as_in_model(read_linkage(files), model)
+    found = Calibrated(linkage, between, joined_bodies(linkage, base), {}, base, place)
     joints = [_identified_joint(model, joint) for joint in between.joints]
     loops = [_identified_loop(model, loop) for loop in between.loops]
     found.between = replace(between, joints=tuple(joints), loops=tuple(loops))
@@ -89,15 +89,16 @@ def calibrated_linkage(model: Model, files: Sequence[Path]) -> Calibrated:
     return found
 
 
-def _as_in_model(linkage: Linkage, model: Model) -> tuple[Linkage, Place]:
-    """Return the part of the file that the model describes, with the joints that it has locked."""
+def _as_in_model(linkage: Linkage, model: Model) -> tuple[Linkage, Linkage, Place]:
+    """Return the linkage of the file with the joints locked that the model has locked, the part of
+    it that the model describes, and where the platform is."""
     base, platform = (model.frames[name] for name in ("base", "platform"))
     names = {*_names(model)}
     for attempt in range(2):
         between, place = cut_out(linkage, base, platform, model.joints)
         found = {one.name for one in (*between.joints, *between.loops)}
         if found == names:
-            return between, place
+            return linkage, between, place
         more = sorted(found - names)
         if attempt == 0 and more and set(more) <= {plain_name(j.name) for j in linkage.joints}:
             linkage = with_locked(linkage, [j.name for j in linkage.joints if j.name in more])
@@ -233,7 +234,8 @@ def _stretch(found: Calibrated, rod: Rod, longer: Array) -> bool:
                     side |= {*other[1:]}
         if second in side or not side & {a, b}:
             continue
-        frame = found.at[a].frame
+        frame, bodies = found.at[a].frame, {body for other in edges for body in other[1:]}
+        found.halves |= dict.fromkeys(bodies - side, longer)
         if isinstance(one, LinkageLoop):
             key, end = ("a", one.a) if a in side else ("b", one.b)
             _set_end(found, one.name, key, shift @ found.at[end.body].frame @ end.frame)

@@ -88,6 +88,7 @@ class LinkageLoop:
     where: str = ""
     refusal: str = ""
     rod: Rod | None = None
+    drawn: bool = False  # the file has one end only: the other is where the bodies are drawn
 
 
 @dataclass(frozen=True, eq=False)

@@ -145,6 +145,10 @@ class XmlEdit:
         """State a new value of an attribute."""
         self.attributes.append((element, key, value))
 
+    def rename(self, element: Element, old: str, key: str, value: str) -> None:
+        """State a new value of an attribute under another name."""
+        self.attributes.append((element, f"{old}>{key}" if old != key else key, value))
+
     def set_text(self, element: Element, value: str) -> None:
         """State a new text of an element without children."""
         self.texts.append((element, value))
@@ -160,7 +164,10 @@ class XmlEdit:
         tags: dict[int, str] = {}
         for element, key, value in self.attributes:
             tag = tags.get(element.begin) or _start_tag(data, element)
-            tags[element.begin] = with_attribute(tag, key, value)
+            old, _, new = key.rpartition(">")
+            if old:
+                tag = re.sub(rf"(\s){re.escape(old)}(\s*=)", rf"\g<1>{new}\g<2>", tag, count=1)
+            tags[element.begin] = with_attribute(tag, new, value)
         changes = [
             (begin, begin + START_TAG.match(data[begin:]).end(), new)  # type: ignore[union-attr]
             for begin, new in tags.items()

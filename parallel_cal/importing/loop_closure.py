@@ -14,6 +14,7 @@ from parallel_cal.recordings.recording import Array
 CLOSED = 1e-13  # m or rad
 MAX_STEPS = 20
 STEP = 1e-6  # m or rad, of numerical derivatives
+MIN_SHARE = 1e-7  # of the largest singular value; smaller ones are errors of the derivatives
 
 
 def joint_motion(joint: LinkageJoint, values: Array) -> Array:
@@ -82,18 +83,28 @@ def close_loops(
         for loop in linkage.loops:
             a, b = (frames[end.body] @ end.frame[:, 3] for end in (loop.a, loop.b))
             gap = (a - b)[:3]
-            at_rest = loop.kind == "distance" and loop.length is not None
-            rows.append(np.atleast_1d(np.linalg.norm(gap) - loop.length) if at_rest else gap)
+            if loop.kind == "distance":
+                gap = np.atleast_1d(np.linalg.norm(gap) - (loop.length or 0.0))
+            rows.append(gap)
         return np.concatenate(rows)
 
     n = sum(counts) + (6 if floats else 0)
-    x = least_squares(residual, np.zeros(n), x_scale=1.0).x if n else np.zeros(0)
+    if not n:
+        return configuration(np.zeros(0))
+
+    def jacobian(x: Array) -> Array:
+        steps = STEP * np.eye(n)
+        return np.array([(residual(x + d) - residual(x - d)) / (2 * STEP) for d in steps]).T
+
+    U, size, _ = np.linalg.svd(jacobian(np.zeros(n)), full_matrices=False)
+    reachable = U[:, size > MIN_SHARE * size.max(initial=0.0)]
+    x = least_squares(residual, np.zeros(n)).x
     for _ in range(MAX_STEPS):
-        r = residual(x)
-        if np.abs(r).max(initial=0.0) < CLOSED or not n:
+        step = np.linalg.lstsq(jacobian(x), residual(x), rcond=MIN_SHARE)[0]
+        x = x - step
+        if np.abs(step).max() < CLOSED:
             break
-        J = np.array(
-            [(residual(x + d) - residual(x - d)) / (2 * STEP) for d in STEP * np.eye(n)]
-        ).T
-        x = x - np.linalg.lstsq(J, r, rcond=1e-9)[0]
-    return configuration(x) if np.abs(residual(x)).max(initial=0.0) < 1e3 * CLOSED else None
+    left = residual(x)
+    # What leaves the plane of a plane mechanism cannot be closed, and need not be.
+    closes = np.linalg.norm(reachable.T @ left) < max(0.1 * np.linalg.norm(left), 1e3 * CLOSED)
+    return configuration(x) if closes else None

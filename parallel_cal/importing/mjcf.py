@@ -60,7 +60,7 @@ def read_mjcf(path: Path) -> Linkage:
         tuple(joints),
         (*loops, *rods),
         frames,
-        {name: body_pose(document, name) for name in document.bodies},
+        _poses(document, joints),
         driven,
         _gravity(document),
         _masses(document),
@@ -171,13 +171,13 @@ def _loop(
             relative[:3, 3] = x, y, z
         anchor = to_numbers(element.where, "anchor", values.get("anchor", "0 0 0"), 3)
         shift = motion_of("P", anchor, 1.0)  # the anchor of a weld is in the frame of body2
-        return LinkageLoop(
-            name, kind, Place(one, relative @ shift), Place(other, shift), where=element.where
-        )
+        ends = Place(one, relative @ shift), Place(other, shift)
+        return LinkageLoop(name, kind, *ends, where=element.where, drawn=True)
     anchor = to_numbers(element.where, "anchor", values.get("anchor", ""), 3)
     point = motion_of("P", anchor, 1.0)  # that of a connect is in the frame of body1
     there = np.linalg.solve(relative, point)
-    return LinkageLoop(name, kind, Place(one, point), Place(other, there), where=element.where)
+    ends = Place(one, point), Place(other, there)
+    return LinkageLoop(name, kind, *ends, where=element.where, drawn=True)
 
 
 def body_pose(document: Document, name: str) -> Array:
@@ -187,6 +187,15 @@ def body_pose(document: Document, name: str) -> Array:
         body = document.bodies[name]
         pose, name = body.pose @ pose, body.parent
     return pose
+
+
+def _poses(document: Document, joints: list[LinkageJoint]) -> dict[str, Array]:
+    """Return the poses of all bodies as the file draws them, those between two joints included."""
+    poses = {name: body_pose(document, name) for name in document.bodies}
+    for joint in joints:
+        if joint.child not in poses:
+            poses[joint.child] = poses[joint.parent] @ joint.origin
+    return poses
 
 
 def _site(element: Element, name: str, frames: dict[str, Place]) -> Place:
