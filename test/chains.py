@@ -27,8 +27,10 @@ def revolute(name: str, parent: str, child: str, **more: Any) -> dict[str, Any]:
 
 def rod(name: str, a: tuple[str, Any], b: tuple[str, Any], **more: Any) -> dict[str, Any]:
     """Make a rod between two balls."""
-    ends = {key: {"body": body, "point": list(map(float, at))} for key, (body, at) in
-            (("a", a), ("b", b))}
+    ends = {
+        key: {"body": body, "point": list(map(float, at))}
+        for key, (body, at) in (("a", a), ("b", b))
+    }
     return {"name": name, "type": "distance", **ends, **more}
 
 
@@ -42,8 +44,10 @@ def five_bar(base: float = 0.1, crank: float = 0.1, bar: float = 0.15) -> dict[s
             revolute(f"{side}_elbow", f"{side}_crank", f"{side}_rod", origin=[crank, 0, 0],
                      home=sign * 1.3),
         ]  # fmt: skip
-    tip = [{"body": f"{side}_rod", "point": [bar, 0, 0], "axis": [0, 0, 1]}
-           for side in ("left", "right")]
+    tip = [
+        {"body": f"{side}_rod", "point": [bar, 0, 0], "axis": [0, 0, 1]}
+        for side in ("left", "right")
+    ]
     return {
         "base": "frame",
         "platform": "left_rod",

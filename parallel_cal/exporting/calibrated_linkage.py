@@ -94,15 +94,17 @@ def _as_in_model(linkage: Linkage, model: Model) -> tuple[Linkage, Linkage, Plac
     it that the model describes, and where the platform is."""
     base, platform = (model.frames[name] for name in ("base", "platform"))
     names = {*_names(model)}
-    for attempt in range(2):
-        between, place = cut_out(linkage, base, platform, model.joints)
-        found = {one.name for one in (*between.joints, *between.loops)}
-        if found == names:
-            return linkage, between, place
-        more = sorted(found - names)
-        if attempt == 0 and more and set(more) <= {plain_name(j.name) for j in linkage.joints}:
-            linkage = with_locked(linkage, [j.name for j in linkage.joints if j.name in more])
+    between, place = cut_out(linkage, base, platform, model.joints)
+    found = {one.name for one in (*between.joints, *between.loops)}
     more, less = sorted(found - names), sorted(names - found)
+    if not more and not less:
+        return linkage, between, place
+    held = [joint.name for joint in linkage.joints if plain_name(joint.name) in more]
+    if more and len(held) == len(more):
+        still = with_locked(linkage, held)
+        between, place = cut_out(still, base, platform, model.joints)
+        if {one.name for one in (*between.joints, *between.loops)} == names:
+            return still, between, place
     words = [f"it has {', '.join(more)}"] if more else []
     words += [f"it lacks {', '.join(less)}"] if less else []
     raise ModelError(
@@ -118,9 +120,7 @@ def _names(model: Model) -> list[str]:
 
 def _identified_joint(model: Model, joint: LinkageJoint) -> LinkageJoint:
     """Return a joint with the identified place and direction; its encoder's zero is in them."""
-    values = {
-        key: model.value(f"{joint.name}.{key}") for key in ("x", "y", "z", "rx", "ry", "rz")
-    }
+    values = {key: model.value(f"{joint.name}.{key}") for key in ("x", "y", "z", "rx", "ry", "rz")}
     shift, turn, placed = motion_of("P", joint.anchor, 1.0), np.eye(4), joint.origin.copy()
     turn[:3, :3] = rotation_matrix(np.array([values[key] for key in ("rx", "ry", "rz")]))
     placed[:3, 3] = [values[key] for key in "xyz"]
@@ -187,9 +187,7 @@ def _set_rod(found: Calibrated, old: LinkageLoop, new: LinkageLoop) -> None:
     if rod.slide:
         along = rod.slide.origin[:3, :3] @ rod.slide.axes[0] * growth
         _set_joint(found, rod.slide, motion_of("P", along, 1.0))
-    shifts = [
-        now.frame[:3, 3] - was.frame[:3, 3] for was, now in ((old.a, new.a), (old.b, new.b))
-    ]
+    shifts = [now.frame[:3, 3] - was.frame[:3, 3] for was, now in ((old.a, new.a), (old.b, new.b))]
     # The length goes to a point of its own, or to where the rod is joined, or to the second ball.
     takes = 0 if isinstance(rod.balls[0], LinkageLoop) else 1
     if not any(isinstance(ball, LinkageLoop) for ball in rod.balls) and _stretch(

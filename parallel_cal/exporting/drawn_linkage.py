@@ -13,8 +13,8 @@ import numpy as np
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.exporting.calibrated_linkage import Calibrated
-from parallel_cal.importing.linkage import LinkageLoop
-from parallel_cal.importing.loop_closure import body_frames, close_loops
+from parallel_cal.importing.linkage import LinkageJoint, LinkageLoop
+from parallel_cal.importing.loop_closure import close_loops
 from parallel_cal.model.model import Model
 
 Array = np.ndarray
@@ -40,14 +40,14 @@ def drawn_poses(model: Model, found: Calibrated) -> dict[str, Array]:
         for body, place in found.at.items()
         if place.body in frames
     }
-    for joint in linkage.joints:  # bodies between hinges that act as one joint
-        for part in joint.parts[:-1]:
+    rods = [loop for loop in linkage.loops if loop.rod is not None]
+    for loop in rods:
+        poses |= _rod_poses(found, loop, frames)
+    balls = [ball for loop in rods for ball in loop.rod.balls if isinstance(ball, LinkageJoint)]
+    for joint in (*linkage.joints, *balls):  # bodies between hinges that act as one joint
+        for part in reversed(joint.parts[1:]):
             own = found.joint(part.name)
-            origin = found.origins.get(own.name, own.origin)
-            poses[own.child] = poses[own.parent] @ origin
-    for loop in linkage.loops:
-        if loop.rod is not None:
-            poses |= _rod_poses(found, loop, frames)
+            poses[own.parent] = poses[own.child] @ np.linalg.inv(own.origin)
     order = [body for body in found.linkage.poses if body in poses]
     world = found.linkage.poses[order[0]] @ np.linalg.inv(poses[order[0]])
     return {body: world @ pose for body, pose in poses.items()}
@@ -68,9 +68,7 @@ def _at_rest(found: Calibrated, loop: LinkageLoop) -> LinkageLoop:
     return loop
 
 
-def _rod_poses(
-    found: Calibrated, loop: LinkageLoop, frames: dict[str, Array]
-) -> dict[str, Array]:
+def _rod_poses(found: Calibrated, loop: LinkageLoop, frames: dict[str, Array]) -> dict[str, Array]:
     """Return the poses of the bodies of a rod, or of both sides of a slide."""
     rod = loop.rod
     assert rod is not None

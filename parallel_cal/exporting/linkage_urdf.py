@@ -15,7 +15,6 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.exporting.arm_urdf import format_exactly, rpy_of
 from parallel_cal.exporting.calibrated_linkage import (
     ROUNDING_TOLERANCE,
-    Calibrated,
     calibrated_linkage,
     describe_changes,
     describe_target,
@@ -40,30 +39,38 @@ def edit_urdf(model: Model, files: Sequence[Path]) -> tuple[dict[Path, str], lis
             f"{elements[name].where}: the point of this joint moved in its child link, for which a "
             "URDF has no number: the frame of the child is that of the joint"
         )
-    placed, edit = dict(found.origins), XmlEdit()
+    placed, edit, remarks = dict(found.origins), XmlEdit(), describe_changes(found)
+    frames: dict[str, Array] = {}  # link -> its frame in the one that the file states
     for (name, side), frame in found.ends.items():
         if name in elements:
             tag = "parent_origin" if side == "a" else "child_origin"
             set_origin(edit, elements[name], tag, frame)
             continue
         link = getattr(next(loop for loop in found.linkage.loops if loop.name == name), side).body
-        holder = _fixed_joint(root, link)
-        if holder is None:
-            raise ModelError(
-                f"{path}: the end '{link}' of the loop {name} moved, and no fixed joint places it: "
-                "put a link for the end of the loop there, with a fixed joint"
-            )
-        joint = holder.get("name")
-        placed[joint] = placed.get(joint, read_origin(holder.find("origin"))) @ frame
-    remarks = describe_changes(found)
+        if np.abs(frames.setdefault(link, frame) - frame).max() > ROUNDING_TOLERANCE:
+            raise ModelError(f"{path}: '{link}' is the end of two loops, which have moved apart")
+    end = found.linkage.frames[model.frames["platform"]].body
+    target = np.eye(4) if found.target is None else found.target
+    if end in frames and np.abs(frames[end] - target).max() > ROUNDING_TOLERANCE:
+        apart = 1e3 * np.linalg.norm((frames[end] - target)[:3, 3])
+        raise ModelError(
+            f"{path}: '{end}' is the platform and the end of a loop, which are {apart:.3g} mm apart "
+            "now: give the platform a link of its own with a fixed joint"
+        )
     if found.target is not None:
-        link = found.linkage.frames[model.frames["platform"]].body
+        frames[end] = found.target
+    for link, frame in frames.items():
         holder = _fixed_joint(root, link)
-        if holder is None:
+        if holder is None and link == end:
             remarks.append(describe_target(found, link, "a link with a fixed joint"))
+        elif holder is None:
+            raise ModelError(
+                f"{path}: the end '{link}' of a loop moved, and no fixed joint places it: put a "
+                "link for the end of the loop there, with a fixed joint"
+            )
         else:
             joint = holder.get("name")
-            placed[joint] = placed.get(joint, read_origin(holder.find("origin"))) @ found.target
+            placed[joint] = placed.get(joint, read_origin(holder.find("origin"))) @ frame
     for name, origin in placed.items():
         element = elements[name]
         if element.tag == "constraint":  # its child's side stays: the parent's takes the change

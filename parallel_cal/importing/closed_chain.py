@@ -88,7 +88,9 @@ def chain(
     base = base or linkage.roots[0]
     if not platform:
         names = ", ".join(sorted(name for name in linkage.frames if name != base))
-        raise DatasetError(f"{path}: choose the body that carries the target with --platform: {names}")
+        raise DatasetError(
+            f"{path}: choose the body that carries the target with --platform: {names}"
+        )
     stated = [plain_name(name) for name in driven or linkage.driven]
     between, place = cut_out(linkage, base, platform, stated)
     known = {one.name: one for one in (*between.joints, *between.loops)}
@@ -181,7 +183,9 @@ def describe(linkage: Linkage, base: str, place: Place, driven: Sequence[str]) -
     def rank(one: LinkageJoint | LinkageLoop) -> int:
         return order.get(one.name, len(order))
 
-    joints = [_describe_joint(joint, joint.name in order) for joint in sorted(linkage.joints, key=rank)]
+    joints = [
+        _describe_joint(joint, joint.name in order) for joint in sorted(linkage.joints, key=rank)
+    ]
     loops = [_describe_loop(loop, loop.name in order) for loop in sorted(linkage.loops, key=rank)]
     document: dict[str, Any] = {"base": base, "platform": place.body, "joints": joints}
     if loops:

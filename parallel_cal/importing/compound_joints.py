@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from parallel_cal.importing.linkage import Linkage, LinkageJoint, LinkageLoop, Place, Rod
-from parallel_cal.recordings.recording import Array
 
 TURNING = {"revolute": 1, "universal": 2, "spherical": 3}
 MAX_DISTANCE_M = 1e-9  # of axes that meet in a point; files have their numbers to 1e-12 m or better
@@ -107,9 +106,7 @@ def _product(first: LinkageJoint, second: LinkageJoint, on_line: bool) -> Linkag
     )
 
 
-def _with_struts(
-    linkage: Linkage, ends: Collection[str], driven: Collection[str]
-) -> Linkage:
+def _with_struts(linkage: Linkage, ends: Collection[str], driven: Collection[str]) -> Linkage:
     """Replace every driven slide on the line between two balls by the distance between these."""
     joints, loops = [*linkage.joints], [*linkage.loops]
     for slide in linkage.joints:

@@ -168,9 +168,7 @@ def with_locked(linkage: Linkage, names: Collection[str]) -> Linkage:
         )
     return replace(
         linkage,
-        joints=tuple(
-            locked(joint) if joint.name in names else joint for joint in linkage.joints
-        ),
+        joints=tuple(locked(joint) if joint.name in names else joint for joint in linkage.joints),
     )
 
 

@@ -19,7 +19,7 @@ from parallel_cal.importing.linkage import (
     locked,
 )
 from parallel_cal.importing.located_xml import Element, to_numbers
-from parallel_cal.importing.mjcf_elements import MAIN, Body, Document, read_document
+from parallel_cal.importing.mjcf_elements import Body, Document, read_document
 from parallel_cal.recordings.recording import Array
 
 WORLD = "world"
@@ -303,7 +303,9 @@ def _keyframe(
             return replace(joint, home=tuple(float(angle) for angle in angles))
         return replace(joint, home=(float(at[0]) + joint.zero,))
 
-    words = f"home is the keyframe '{key.get('name')}'" if key.get("name") else "home is the keyframe"
+    words = (
+        f"home is the keyframe '{key.get('name')}'" if key.get("name") else "home is the keyframe"
+    )
     return [home(joint) for joint in joints], [words]
 
 

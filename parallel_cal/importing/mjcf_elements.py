@@ -167,9 +167,7 @@ def _add_bodies(found: Document, element: Element, name: str, pose: Array, style
     collect(element, np.eye(4), style)
     if element.tag == "body":
         body = found.bodies[name]
-        found.bodies[name] = replace(
-            body, joints=tuple(joints), sites=tuple(sites), floats=floats
-        )
+        found.bodies[name] = replace(body, joints=tuple(joints), sites=tuple(sites), floats=floats)
     else:
         found.bodies.setdefault(name, Body(name, "", np.eye(4), element))
         body = found.bodies[name]

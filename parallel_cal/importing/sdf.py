@@ -65,8 +65,7 @@ def read_sdf(path: Path) -> Linkage:
     model = read_model(path)
     world = read_pose(model.element)
     links = [one.get("name") for one in model.element.all("link")]
-    poses = {name: world @ model.pose(name) for name in links}
-    poses[WORLD] = np.eye(4)
+    poses = {WORLD: np.eye(4)} | {name: world @ model.pose(name) for name in links}
     joints = tuple(_joint(model, one, poses) for one in model.element.all("joint"))
     frames = {name: Place(name, np.eye(4)) for name in poses}
     for name, body in model.bodies.items():

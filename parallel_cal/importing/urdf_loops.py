@@ -202,7 +202,9 @@ def _with_types(
 ) -> dict[str, LinkageJoint]:
     """Return the joints with the types that the file states in place of the URDF's."""
     found = dict(joints)
-    for name, kind in zip(stated.get("joint_name") or [], stated.get("joint_type") or [], strict=True):
+    for name, kind in zip(
+        stated.get("joint_name") or [], stated.get("joint_type") or [], strict=True
+    ):
         if name not in found:
             raise DatasetError(f"{path}: joint_name '{name}' is no joint of the URDF")
         word = str(kind).upper()

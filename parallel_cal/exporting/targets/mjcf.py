@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import matrix_to_quaternion
@@ -154,16 +155,25 @@ def _set_pose(
         _edit(edits, element).set(element, "pos", format_exactly(pose[:3, 3]))
     if np.abs(pose[:3, :3] - old[:3, :3]).max() > ROUNDING_TOLERANCE:
         stated = next((key for key in ORIENTATIONS if key in element.attributes), "quat")
-        key = "xyaxes" if stated == "xyaxes" else "quat"
-        if key == "xyaxes":
-            words = format_exactly(np.concatenate([pose[:3, 0], pose[:3, 1]]))
-        else:
-            x, y, z, w = matrix_to_quaternion(pose[:3, :3])
-            words = format_exactly((w, x, y, z))
+        key = "quat" if stated == "zaxis" else stated  # a direction does not state a rotation
+        words = format_exactly(_orientation(pose[:3, :3], key, settings))
         _edit(edits, element).rename(element, stated, key, words)
+
+
+def _orientation(R: Array, key: str, settings: Settings) -> Array:
+    """Return a rotation as the numbers of an attribute."""
+    turn = Rotation.from_matrix(R)
+    if key == "xyaxes":
+        return np.concatenate([R[:, 0], R[:, 1]])
+    if key == "euler":  # upper case turns about fixed axes, for SciPy about those of the frame
+        return np.asarray(turn.as_euler(settings.sequence.swapcase()) / settings.angle)
+    if key == "axisangle":
+        vector = turn.as_rotvec()
+        angle = float(np.linalg.norm(vector))
+        return np.array([*(vector / angle if angle else np.eye(3)[2]), angle / settings.angle])
+    x, y, z, w = matrix_to_quaternion(R)
+    return np.array([w, x, y, z])
 
 
 def _edit(edits: dict[Path, XmlEdit], element: Element) -> XmlEdit:
     return edits.setdefault(element.path, XmlEdit())
-
-
