@@ -27,10 +27,8 @@ def revolute(name: str, parent: str, child: str, **more: Any) -> dict[str, Any]:
 
 def rod(name: str, a: tuple[str, Any], b: tuple[str, Any], **more: Any) -> dict[str, Any]:
     """Make a rod between two balls."""
-    ends = {
-        key: {"body": body, "point": list(map(float, at))}
-        for key, (body, at) in (("a", a), ("b", b))
-    }
+    ends = {key: {"body": body, "point": list(map(float, at))} for key, (body, at) in
+            (("a", a), ("b", b))}
     return {"name": name, "type": "distance", **ends, **more}
 
 
@@ -44,10 +42,8 @@ def five_bar(base: float = 0.1, crank: float = 0.1, bar: float = 0.15) -> dict[s
             revolute(f"{side}_elbow", f"{side}_crank", f"{side}_rod", origin=[crank, 0, 0],
                      home=sign * 1.3),
         ]  # fmt: skip
-    tip = [
-        {"body": f"{side}_rod", "point": [bar, 0, 0], "axis": [0, 0, 1]}
-        for side in ("left", "right")
-    ]
+    tip = [{"body": f"{side}_rod", "point": [bar, 0, 0], "axis": [0, 0, 1]}
+           for side in ("left", "right")]
     return {
         "base": "frame",
         "platform": "left_rod",
@@ -56,6 +52,18 @@ def five_bar(base: float = 0.1, crank: float = 0.1, bar: float = 0.15) -> dict[s
         "joints": joints,
         "loops": [{"name": "tip", "type": "axis", "a": tip[0], "b": tip[1]}],
     }
+
+
+def five_bar_with_pin(**sizes: float) -> dict[str, Any]:
+    """The five-bar whose platform is the pin between both rods."""
+    given = five_bar(**sizes)
+    bar = given["target"]
+    pin = revolute("pin", "left_rod", "pin", origin=bar)
+    axis = {"axis": [0, 0, 1]}
+    end = {"body": "right_rod", "point": bar, **axis}
+    tip = {"name": "tip", "type": "axis", "a": {"body": "pin", **axis}, "b": end}
+    changes = {"platform": "pin", "target": [0, 0, 0], "loops": [tip]}
+    return given | changes | {"joints": [*given["joints"], pin]}
 
 
 def ankle() -> dict[str, Any]:

@@ -137,7 +137,8 @@ def five_bar_sdf():
             "  </joint>\n"
         )
     return text + (
-        f'  <frame name="tip" attached_to="left_rod">\n   <pose>{ROD} 0 0 0 0 0</pose>\n  </frame>\n'
+        '  <frame name="tip" attached_to="left_rod">\n'
+        f"   <pose>{ROD} 0 0 0 0 0</pose>\n  </frame>\n"
         " </model>\n</sdf>\n"
     )
 

@@ -174,9 +174,9 @@ def test_unknown_names_are_refused_with_those_of_the_file(tmp_path):
     path = written(tmp_path, "model.xml", own.FIVE_BAR_MJCF)
     with pytest.raises(DatasetError, match="--driven wrong is no joint that can be driven"):
         chain([path], "frame", "tip", ["wrong"])
-    with pytest.raises(DatasetError, match="platform 'nose' is not there.*left_rod"):
+    with pytest.raises(DatasetError, match=r"platform 'nose' is not there.*left_rod"):
         chain([path], "frame", "nose")
-    with pytest.raises(DatasetError, match="choose the body .* with --platform"):
+    with pytest.raises(DatasetError, match=r"choose the body .* with --platform"):
         chain([path], "frame")
 
 

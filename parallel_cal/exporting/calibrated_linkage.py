@@ -33,8 +33,9 @@ ROUNDING_TOLERANCE = 1e-13  # m or 1; a number that changes by less stays as it 
 class Calibrated:
     """New frames of a file: of joints (child in parent, by name) and of ends of loops.
 
-    `halves` are the shifts of halves of rods, by body. `between` is the linkage between base and platform with the identified numbers, `at` has the
-    joined body of every body. `target` is the frame of {P} in the body of the file that carries it.
+    `between` is the linkage between base and platform with the identified numbers, `at` has the
+    joined body of every body, and `halves` the shifts of halves of rods, by body. `target` is the
+    frame of {P} in the body of the file that carries it.
     """
 
     linkage: Linkage
@@ -181,7 +182,9 @@ def _set_end(found: Calibrated, name: str, side: str, frame: Array) -> None:
 def _set_rod(found: Calibrated, old: LinkageLoop, new: LinkageLoop) -> None:
     """Move both balls of a rod, and lengthen its body or shift its slide."""
     rod = old.rod
-    assert rod is not None and old.length is not None and new.length is not None
+    assert rod is not None
+    assert old.length is not None
+    assert new.length is not None
     growth, span = new.length - old.length, rod.points[1] - rod.points[0]
     longer = np.zeros(3) if rod.slide else span / (np.linalg.norm(span) or 1.0) * growth
     if rod.slide:

@@ -54,8 +54,8 @@ def edit_urdf(model: Model, files: Sequence[Path]) -> tuple[dict[Path, str], lis
     if end in frames and np.abs(frames[end] - target).max() > ROUNDING_TOLERANCE:
         apart = 1e3 * np.linalg.norm((frames[end] - target)[:3, 3])
         raise ModelError(
-            f"{path}: '{end}' is the platform and the end of a loop, which are {apart:.3g} mm apart "
-            "now: give the platform a link of its own with a fixed joint"
+            f"{path}: '{end}' is the platform and the end of a loop, which are {apart:.3g} mm "
+            "apart now: give the platform a link of its own with a fixed joint"
         )
     if found.target is not None:
         frames[end] = found.target

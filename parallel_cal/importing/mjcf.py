@@ -1,4 +1,4 @@
-"""A linkage from an MJCF file (MuJoCo): bodies, joints, equality constraints, tendons, actuators."""
+"""A linkage from an MJCF file (MuJoCo): bodies, joints, equality constraints and tendons."""
 
 from __future__ import annotations
 

@@ -69,9 +69,13 @@ def read_urdf_loops(path: Path, loop_file: Path | None = None) -> Linkage:
     frames = {name: Place(name, np.eye(4)) for name in links}
     for joint in joints.values():  # the frame of a joint is that of its child
         frames.setdefault(joint.name, Place(joint.child, np.eye(4)))
-    loops, driven = list[LinkageLoop](), _transmissions(root)
+    loops, driven, remarks = list[LinkageLoop](), _transmissions(root), list[str]()
     if beside := loop_file or find_loops(path):
         stated = _read_loop_file(beside)
+        if unknown := [name for name in stated.get("joint_name") or [] if name not in joints]:
+            remarks.append(
+                f"{beside}: not read, as the URDF has no such joint: {', '.join(unknown)}"
+            )
         joints = _with_types(beside, stated, joints)
         loops += _listed_loops(beside, stated, frames)
         driven = tuple(stated.get("name_mot") or driven)
@@ -92,7 +96,15 @@ def read_urdf_loops(path: Path, loop_file: Path | None = None) -> Linkage:
             value = float(mass.numbers("value", 1, "")[0])
             masses[one.get("name")] = value, read_origin(inertial.find("origin"))[:3, 3]
     return Linkage(
-        path, roots, tree, tuple(loops), frames, _poses(roots, tree), driven, masses=masses
+        path,
+        roots,
+        tree,
+        tuple(loops),
+        frames,
+        _poses(roots, tree),
+        driven,
+        masses=masses,
+        remarks=tuple(remarks),
     )
 
 
@@ -202,11 +214,10 @@ def _with_types(
 ) -> dict[str, LinkageJoint]:
     """Return the joints with the types that the file states in place of the URDF's."""
     found = dict(joints)
-    for name, kind in zip(
-        stated.get("joint_name") or [], stated.get("joint_type") or [], strict=True
-    ):
+    names, kinds = (stated.get(key) or [] for key in ("joint_name", "joint_type"))
+    for name, kind in zip(names, kinds, strict=True):
         if name not in found:
-            raise DatasetError(f"{path}: joint_name '{name}' is no joint of the URDF")
+            continue
         word = str(kind).upper()
         axes = word.removeprefix("UJOINT_")
         if word in ("SPHERICAL", "FIXED"):
