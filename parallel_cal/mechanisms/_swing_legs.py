@@ -46,7 +46,7 @@ class SwingLegs(Mechanism):
     joints = ("joint1", "joint2", "joint3")
     moves = POSE
     controls = ("z", "rx", "ry")
-    parts = ("rod",)
+    parts: tuple[str, ...] = ("rod",)
     direction = 0.0
 
     def set_up(self, height: float, turn: float, rise: float, switches: Any) -> None:

@@ -24,8 +24,10 @@ HOME = (0.0, 80 * DEGREE, -20 * DEGREE, 0.0)
 LIMITS = ((-170, 170), (20, 150), (-80, 60), (-350, 350))  # degrees
 # Of each parallelogram, only the difference of opposite sides is seen; of a tool that is always
 # upright, only sums of heights and of distances from the waist.
-FIXED = ("forearm.lever", "forearm.bend", "level.arm", "level.base_z", "level.elbow_x")
-FIXED += ("level.wrist_?", "tool.z")
+FIXED = (
+    *("forearm.lever", "forearm.bend", "tool.z"),
+    *("level.arm", "level.base_z", "level.elbow_x", "level.wrist_?"),
+)
 BODIES = {
     "base": ("base.x", "base.y", "shoulder.?", "level.base_?"),
     "arms": ("upper.length", "forearm.length", "forearm.lever", "crank.length"),
@@ -154,7 +156,8 @@ class Palletizer(Mechanism):
         W = (M.T @ (at_wrist - shoulder))[[0, 2, 1]]
         E = p.upper.length * _direction(q[1] + p.upper.q0)
         G = -p.crank.length * _direction(q[2] + p.crank.q0)
-        F = E - p.forearm.lever / p.forearm.length * _turned(W[:2] - E, p.forearm.bend)
+        bend = rot_z(p.forearm.bend)[:2, :2]
+        F = E - p.forearm.lever / p.forearm.length * bend @ (W[:2] - E)
         H = ca.vertcat(arm.base_x, arm.base_z)
         # Seen from the elbow to the waist, the rod's end is on the right: never across the arm.
         U = two_circles([E, H], [arm.arm**2, arm.rod1**2])[1]
@@ -225,11 +228,6 @@ class Palletizer(Mechanism):
 
 def _direction(angle: Any) -> Any:
     return ca.vertcat(ca.cos(angle), ca.sin(angle))
-
-
-def _turned(v: Any, angle: Any) -> Any:
-    c, s = ca.cos(angle), ca.sin(angle)
-    return ca.vertcat(c * v[0] - s * v[1], s * v[0] + c * v[1])
 
 
 def _too_long(span: Any, length: Any) -> Any:

@@ -110,13 +110,12 @@ class Quattro(Mechanism):
         gearing = Parameter("platform.gear", "1", size["gear"], 1e-3 * size["gear"], label="gear")
         chains = chain_parameters({"position": POSITION}, 4).with_nominal(numbers)
         self.parameters = ParameterTable([*chains, *hinges, gearing])
-        out = size["base"] - size["platform"]
-        drop = size["rod"] ** 2 - (out + size["arm"] * np.cos(angle)) ** 2
+        elbow = abs(size["base"] - size["platform"] + size["arm"] * np.cos(angle))
+        drop = size["rod"] ** 2 - elbow**2
         if not drop > 0:
             raise ModelError(
                 f"rod is {size['rod']:g} m: too short for the elbows at home, which are "
-                f"{abs(out + size['arm'] * np.cos(angle)):.6g} m from the axis; expected a longer "
-                "rod, or another angle home"
+                f"{elbow:.6g} m from the axis; expected a longer rod, or another angle home"
             )
         z = round(float(size["arm"] * np.sin(angle) - np.sqrt(drop)), 13)
         self.home = Home(joints=(angle,) * 4, position=(0.0, 0.0, z))
