@@ -3,14 +3,17 @@
 from dataclasses import replace
 
 import arms
+import casadi as ca
 import chains
 import numpy as np
 import pytest
-from chains import make_chain, revolute, rod
+from chains import make_chain, revolute
 
 import parallel_cal as pc
-from parallel_cal.base.errors import ModelError
-from parallel_cal.base.rotation import rotation_matrix, rotation_vector
+from parallel_cal.base.errors import ModelError, ModelFileError
+from parallel_cal.kinematics.all_solutions import direct_all, inverse_all
+from parallel_cal.model.declaration import check
+from parallel_cal.base.rotation import matrix_to_quaternion, rotation_matrix, rotation_vector
 
 
 def deg(*angles):
@@ -163,7 +166,6 @@ def test_an_idle_turn_is_held_and_named():
 
 def turned(given, R):
     """Turn a robot by R: its base is in another plane."""
-    from parallel_cal.base.rotation import matrix_to_quaternion
 
     foot = {"name": "mount", "type": "fixed", "parent": "world", "child": given["base"],
             "quaternion": matrix_to_quaternion(R).tolist()}  # fmt: skip
@@ -309,3 +311,99 @@ def test_a_robot_of_the_shelf_as_a_chain_has_the_same_fit(name):
     assert ok.sum() > 40
     assert found.position[ok] == pytest.approx(poses.position[ok], abs=1e-9)
     assert found.rotation[ok] == pytest.approx(poses.rotation[ok], abs=1e-9)
+
+
+# ---------------------------------------------------------------------- passive coordinates
+
+
+class ElbowBar(pc.Mechanism):
+    """A five-bar whose elbow angles are not eliminated; the right one turns the other way."""
+
+    joints = ("left", "right")
+    passive = ("left_rod", "right_rod")
+    moves = controls = ("x", "y")
+    parameters = pc.ParameterTable(
+        pc.Parameter(f"{side}.{name}", "m", value, 2e-4)
+        for side in ("left", "right")
+        for name, value in (("crank", 0.1), ("rod", 0.15))
+    )
+    home = pc.Home((2.2, 0.9), (0.0, 0.19, 0.0), passive=(0.9, 2.2))
+    workspace = pc.Workspace((-0.03, 0.16), (0.03, 0.22))
+    joint_limits = ((1.0, 3.2), (0.0, 2.1))
+
+    def closure(self, q, u, r, R, p):
+        rows = []
+        for i, (side, x) in enumerate((("left", -0.05), ("right", 0.05))):
+            c, s = p[side], (ca.cos, ca.sin)
+            rows += [
+                r[k] - (x if k == 0 else 0) - c.crank * s[k](q[i]) - c.rod * s[k](u[i])
+                for k in range(2)
+            ]
+        return ca.vertcat(*rows)
+
+
+def test_a_mechanism_of_ones_own_with_passive_coordinates_is_solved_and_fitted():
+    model = replace(pc.new_model(ElbowBar()), noise=pc.Noise(joint=1e-6, position=1e-6))
+    at = pc.Kinematics(model).direct([[np.pi / 2, np.pi / 2]])
+    assert at.position[0] == pytest.approx([0, 0.1 + np.sqrt(0.02), 0], abs=1e-12)
+    along = np.arctan2(np.sqrt(0.02), 0.05)
+    assert at.passive[0] == pytest.approx([along, np.pi - along], abs=1e-12)
+    back = pc.Kinematics(model).inverse(at.position)
+    assert back.joints == pytest.approx(at.joints, abs=1e-12)
+    true = model.with_values(model.values + [1e-4, -2e-4, 3e-4, 1e-4])
+    found = pc.fit(model, pc.simulate(true, 30, seed=1).dataset())
+    assert found.model.values == pytest.approx(true.values, abs=3e-6)
+    assert found.document()["chi2_per_dof"] == pytest.approx(1, abs=0.4)
+
+
+def test_a_home_without_passive_coordinates_is_refused():
+    class Short(ElbowBar):
+        home = pc.Home((2.2, 0.9), (0.0, 0.19, 0.0))
+
+    with pytest.raises(ModelError, match="home.passive has 0 entries, expected 2"):
+        check(Short())
+
+
+def test_the_uncertainty_of_a_pose_is_that_of_drawn_robots():
+    chain = make_chain(chains.five_bar())
+    size = 0.05 * chain.table.tolerance * ~np.asarray(chain.fixed)
+    model = chain.with_values(chain.values, np.diag(size**2))
+    kinematics, q, rng = pc.Kinematics(model), np.array([2.1, 1.0]), np.random.default_rng(0)
+    sigma = np.sqrt(np.diag(kinematics.direct_covariance(kinematics.direct(q))))[:2]
+    places = [
+        pc.Kinematics(chain.with_values(chain.values + size * draw)).direct(q).position[:2]
+        for draw in rng.standard_normal((200, len(size)))
+    ]
+    assert np.std(places, axis=0) == pytest.approx(sigma, rel=0.15)
+
+
+def test_all_assembly_modes_are_those_of_the_closed_form():
+    shelf, chain = SHELF_MODELS["five_bar"](), make_chain(chains.five_bar())
+    modes, known = (direct_all(m, np.array([2.0, 1.0])) for m in (chain, shelf))
+    assert modes.position == pytest.approx(known.position, abs=1e-10)
+    pose = known.position[0]
+    elbows, known = (inverse_all(m, pose) for m in (chain, shelf))
+    assert elbows.joints == pytest.approx(known.joints, abs=1e-10)
+
+
+def test_a_singularity_is_where_both_rods_are_in_line():
+    """Elbows 0.3 m apart and rods of 0.15 m: the tip may leave their line on either side."""
+    chain = make_chain(chains.five_bar())
+    lean = np.arccos(0.1 / 0.1)  # cranks outwards: elbows at x = -0.15 and 0.15
+    found = pc.Kinematics(chain).direct([np.pi - lean, lean])
+    assert pc.Status(int(found.status)) == pc.Status.SINGULAR
+    assert found.position == pytest.approx([0, 0, 0], abs=1e-6)
+
+
+def test_a_model_file_of_a_chain_is_read_as_it_was_written(tmp_path):
+    model = make_chain(chains.ankle())
+    pc.write_model(model, tmp_path / "ankle.yaml")
+    text = (tmp_path / "ankle.yaml").read_text()
+    assert "passive: [0.0, 0.0]" in text
+    again = pc.read_model(tmp_path / "ankle.yaml")
+    assert again.table.names == model.table.names
+    assert (again.fixed == model.fixed).all()
+    assert again.mechanism.home == model.mechanism.home
+    (tmp_path / "ankle.yaml").write_text(text.replace("passive: [0.0, 0.0]", "passive: [0.0]"))
+    with pytest.raises(ModelFileError, match=r"passive.*one for each of ankle.1, ankle.2"):
+        pc.read_model(tmp_path / "ankle.yaml")
