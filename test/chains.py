@@ -9,8 +9,14 @@ import casadi as ca
 import numpy as np
 
 import parallel_cal as pc
-from parallel_cal.base.rotation import matrix_to_quaternion, rot_x, rot_y, rot_z
-from parallel_cal.mechanisms.delta51 import RODS, from_delta54
+from parallel_cal.base.rotation import (
+    matrix_to_quaternion,
+    rot_x,
+    rot_y,
+    rot_z,
+    rotation_matrix,
+)
+from parallel_cal.mechanisms import delta51
 from parallel_cal.mechanisms.serial import Serial
 
 
@@ -99,21 +105,17 @@ def from_stewart42(model: pc.Model) -> dict[str, Any]:
 
 def from_delta54(model: pc.Model) -> dict[str, Any]:
     """Write a Delta as three arms and six rods between their balls."""
-    from parallel_cal.mechanisms import delta51
-
     values = delta51.from_delta54(model.table.mapping(model.values))
     joints, rods = [], []
     for i in (1, 2, 3):
         beta, p = ([values[f"chain{i}.{name}_{k}"] for k in "xyz"] for name in ("beta", "p"))
-        from parallel_cal.base.rotation import rotation_matrix
-
         turn = rotation_matrix(np.array(beta)) @ np.array(ca.DM(rot_z(delta51.THETA[i - 1])))
         joints.append(revolute(f"joint{i}", "base", f"arm{i}", origin=p, driven=True,
                                quaternion=matrix_to_quaternion(turn).tolist(),
                                home=model.mechanism.home.joints[i - 1],
                                limits=list(model.mechanism.joint_limits[i - 1]))
                       | {"axis": [1, 0, 0]})  # fmt: skip
-    for name in RODS:
+    for name in delta51.RODS:
         a, b = ([values[f"rod{name}.{end}_{k}"] for k in "xyz"] for end in "ab")
         rods.append(rod(f"rod{name}", (f"arm{name[0]}", a), ("plate", b),
                         length=values[f"rod{name}.l"]))  # fmt: skip
