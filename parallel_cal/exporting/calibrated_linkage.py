@@ -96,7 +96,7 @@ def _as_in_model(linkage: Linkage, model: Model) -> tuple[Linkage, Linkage, Plac
     base, platform = (model.frames[name] for name in ("base", "platform"))
     names = {*_names(model)}
     between, place = cut_out(linkage, base, platform, model.joints)
-    found = {one.name for one in (*between.joints, *between.loops)}
+    found = {one.name for one in between.parts}
     more, less = sorted(found - names), sorted(names - found)
     if not more and not less:
         return linkage, between, place
@@ -104,7 +104,7 @@ def _as_in_model(linkage: Linkage, model: Model) -> tuple[Linkage, Linkage, Plac
     if more and len(held) == len(more):
         still = with_locked(linkage, held)
         between, place = cut_out(still, base, platform, model.joints)
-        if {one.name for one in (*between.joints, *between.loops)} == names:
+        if {one.name for one in between.parts} == names:
             return still, between, place
     words = [f"it has {', '.join(more)}"] if more else []
     words += [f"it lacks {', '.join(less)}"] if less else []

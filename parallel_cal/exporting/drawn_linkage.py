@@ -40,10 +40,11 @@ def drawn_poses(model: Model, found: Calibrated) -> dict[str, Array]:
         for body, place in found.at.items()
         if place.body in frames
     }
-    rods = [loop for loop in linkage.loops if loop.rod is not None]
-    for loop in rods:
-        poses |= _rod_poses(found, loop, frames)
-    balls = [ball for loop in rods for ball in loop.rod.balls if isinstance(ball, LinkageJoint)]
+    balls = list[LinkageJoint]()
+    for loop in linkage.loops:
+        if loop.rod is not None:
+            poses |= _rod_poses(found, loop, frames)
+            balls += [ball for ball in loop.rod.balls if isinstance(ball, LinkageJoint)]
     for joint in (*linkage.joints, *balls):  # bodies between hinges that act as one joint
         for part in reversed(joint.parts[1:]):
             own = found.joint(part.name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +29,13 @@ from parallel_cal.importing.linkage import (
     with_plain_names,
 )
 from parallel_cal.importing.mjcf import read_mjcf
+from parallel_cal.importing.mjcf_elements import NeedsMuJoCo
 from parallel_cal.importing.sdf import read_sdf
 from parallel_cal.importing.urdf_loops import has_loops, read_urdf_loops
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
-from parallel_cal.recordings.recording import Array
+
+Array = np.ndarray
 
 URDF_SUFFIXES = (".urdf", ".xacro")
 READERS: Mapping[str, Callable[[Path], Linkage]] = {
@@ -93,7 +96,7 @@ def chain(
         )
     stated = [plain_name(name) for name in driven or linkage.driven]
     between, place = cut_out(linkage, base, platform, stated)
-    known = {one.name: one for one in (*between.joints, *between.loops)}
+    known = {one.name: one for one in between.parts}
     used = [name for name in stated if name in known]
     _check_driven(between, driven, used)
     document = describe(between, base, place, used) | options
@@ -109,8 +112,8 @@ def chain(
     )
     model = replace(new_model(mechanism), frames={"base": base, "platform": platform})
     remarks = [*linkage.remarks]
-    names = [one.name for one in (*linkage.joints, *linkage.loops)]
-    if renamed := [name for name in names if plain_name(name) in known and name not in known]:
+    named = [one.name for one in linkage.parts]
+    if renamed := [name for name in named if plain_name(name) in known and name not in known]:
         remarks.append(
             f"dots, blanks and brackets in names are written _: {', '.join(map(repr, renamed))}"
         )
@@ -131,7 +134,14 @@ def read_linkage(paths: Sequence[Path]) -> Linkage:
         return read_urdf_loops(path, others[0])
     if others:
         raise DatasetError(f"{others[0]}: expected one file, or a URDF and the YAML of its loops")
-    return READERS[suffix](path)
+    try:
+        return READERS[suffix](path)
+    except NeedsMuJoCo:
+        if find_spec("mujoco") is None:
+            raise
+    from parallel_cal.importing.mjcf_compiled import read_compiled_mjcf
+
+    return read_compiled_mjcf(path)
 
 
 def cut_out(

@@ -111,10 +111,11 @@ def _with_struts(linkage: Linkage, ends: Collection[str], driven: Collection[str
     joints, loops = [*linkage.joints], [*linkage.loops]
     for slide in linkage.joints:
         bodies = slide.parent, slide.child
+        parts: list[LinkageJoint | LinkageLoop] = [*joints, *loops]
         at = [
             [
                 one
-                for one in (*joints, *loops)
+                for one in parts
                 if one is not slide and body in _bodies_of(one) and body not in ends
             ]
             for body in bodies
@@ -181,9 +182,10 @@ def _half(one: LinkageJoint | LinkageLoop, body: str) -> tuple[Place, Place]:
 def with_rods(linkage: Linkage, ends: Collection[str]) -> Linkage:
     """Replace every body that hangs on two balls alone by a rod of fixed length between them."""
     joints, loops = [*linkage.joints], [*linkage.loops]
-    bodies = [body for one in (*joints, *loops) for body in _bodies_of(one)]
+    bodies = [body for one in linkage.parts for body in _bodies_of(one)]
     for body in dict.fromkeys(bodies):
-        balls = [one for one in (*joints, *loops) if body in _bodies_of(one)]
+        parts: list[LinkageJoint | LinkageLoop] = [*joints, *loops]
+        balls = [one for one in parts if body in _bodies_of(one)]
         if body in ends or sorted(one.kind for one in balls) not in BALLS:
             continue
         (p, far), (r, far2) = (_half(one, body) for one in balls)

@@ -15,7 +15,8 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.importing.chain import motion_of
-from parallel_cal.recordings.recording import Array
+
+Array = np.ndarray
 
 FIXED = "fixed"
 COORDINATES = {
@@ -109,6 +110,11 @@ class Linkage:
     gravity: Array = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
     masses: Mapping[str, tuple[float, Array]] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
+
+    @property
+    def parts(self) -> list[LinkageJoint | LinkageLoop]:
+        """Joints, then loops."""
+        return [*self.joints, *self.loops]
 
 
 def locate(linkage: Linkage, name: str, role: str) -> Place:
@@ -236,7 +242,8 @@ def select(linkage: Linkage, base: str, platform: str) -> Linkage:
         )
     joints = tuple(joint for k, joint in enumerate(linkage.joints) if k in among)
     loops = tuple(loop for k, loop in enumerate(linkage.loops) if n + k in among)
-    for one in (*joints, *loops):
+    between = replace(linkage, joints=joints, loops=loops)
+    for one in between.parts:
         if one.refusal:
             raise DatasetError(f"{one.where or linkage.path}: {one.refusal}")
     bodies = {
@@ -244,7 +251,7 @@ def select(linkage: Linkage, base: str, platform: str) -> Linkage:
         *(end.body for loop in loops for end in (loop.a, loop.b)),
     }
     masses = {name: mass for name, mass in linkage.masses.items() if name in bodies}
-    return replace(linkage, joints=joints, loops=loops, masses=masses)
+    return replace(between, masses=masses)
 
 
 def plain_name(name: str) -> str:

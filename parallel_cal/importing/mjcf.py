@@ -20,7 +20,8 @@ from parallel_cal.importing.linkage import (
 )
 from parallel_cal.importing.located_xml import Element, to_numbers
 from parallel_cal.importing.mjcf_elements import Body, Document, read_document
-from parallel_cal.recordings.recording import Array
+
+Array = np.ndarray
 
 WORLD = "world"
 KINDS = {"hinge": "revolute", "slide": "prismatic", "ball": "spherical"}

@@ -14,11 +14,16 @@ from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.rotation import quaternion_to_matrix, rotation_matrix
 from parallel_cal.base.units import DEGREE
 from parallel_cal.importing.located_xml import Element, read_xml, to_numbers
-from parallel_cal.recordings.recording import Array
+
+Array = np.ndarray
 
 MAIN = "main"
 ORIENTATIONS = ("quat", "axisangle", "euler", "xyaxes", "zaxis")
 NEEDS_PACKAGE = ("replicate", "attach", "composite", "flexcomp")  # what only MuJoCo expands
+
+
+class NeedsMuJoCo(DatasetError):
+    """An element that only MuJoCo expands."""
 
 
 @dataclass
@@ -159,7 +164,7 @@ def _add_bodies(found: Document, element: Element, name: str, pose: Array, style
                 values = found.with_defaults(one, "site", style)
                 sites.append((one, values, at @ read_pose(one, values, found.settings)))
             elif one.tag in NEEDS_PACKAGE:
-                raise DatasetError(
+                raise NeedsMuJoCo(
                     f"{one.where}: <{one.tag}> is expanded by MuJoCo only: install it "
                     "(pip install 'parallel_cal[mjcf]')"
                 )
@@ -216,7 +221,7 @@ def _rotation_from_z(direction: Array) -> Array:
     """Return the smallest rotation that brings z to a direction."""
     z = direction / np.linalg.norm(direction)
     normal = np.array([-z[1], z[0], 0.0])
-    sine = np.linalg.norm(normal)
+    sine = float(np.linalg.norm(normal))
     if sine < 1e-10:
         normal, sine = np.array([1.0, 0.0, 0.0]), 0.0
     else:

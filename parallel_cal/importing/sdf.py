@@ -17,7 +17,8 @@ from parallel_cal.base.units import DEGREE
 from parallel_cal.importing.chain import rotation_from_rpy
 from parallel_cal.importing.linkage import Linkage, LinkageJoint, Place
 from parallel_cal.importing.located_xml import Element, read_xml, to_numbers
-from parallel_cal.recordings.recording import Array
+
+Array = np.ndarray
 
 WORLD, MODEL = "world", "__model__"
 KINDS = {

@@ -20,7 +20,8 @@ from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.importing.chain import rotation_from_rpy
 from parallel_cal.importing.linkage import Linkage, LinkageJoint, LinkageLoop, Place
 from parallel_cal.importing.located_xml import Element, read_xml
-from parallel_cal.recordings.recording import Array
+
+Array = np.ndarray
 
 KINDS = {
     "revolute": "revolute",
