@@ -28,10 +28,12 @@ from parallel_cal.importing.linkage import (
     with_locked,
     with_plain_names,
 )
+from parallel_cal.importing.loop_closure import close_loops
 from parallel_cal.importing.mjcf import read_mjcf
 from parallel_cal.importing.mjcf_elements import NeedsMuJoCo
 from parallel_cal.importing.sdf import read_sdf
 from parallel_cal.importing.urdf_loops import has_loops, read_urdf_loops
+from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
 
@@ -99,19 +101,14 @@ def chain(
     known = {one.name: one for one in between.parts}
     used = [name for name in stated if name in known]
     _check_driven(between, driven, used)
-    document = describe(between, base, place, used) | options
-    springs = [joint.name for joint in between.joints if joint.rest is not None]
-    try:
-        mechanism = load_mechanism("chain", **document)
-    except ModelError as error:
-        hint = f"; joints with springs, which --locked takes as rigid: {', '.join(springs)}"
-        raise DatasetError(f"{path}: {error}{hint if springs else ''}") from None
+    remarks = [*linkage.remarks]
+    mechanism, about_home = _make_mechanism(between, base, place, used, options)
+    remarks += about_home
     velocities = {joint.name: joint.velocity for joint in between.joints}
     mechanism.joint_rates = tuple(
         (velocities.get(name, np.inf), np.inf) for name in mechanism.joints
     )
     model = replace(new_model(mechanism), frames={"base": base, "platform": platform})
-    remarks = [*linkage.remarks]
     named = [one.name for one in linkage.parts]
     if renamed := [name for name in named if plain_name(name) in known and name not in known]:
         remarks.append(
@@ -122,6 +119,51 @@ def chain(
     if outside := [name for name in stated if name not in known]:
         remarks.append(f"not between {base} and {platform}: {', '.join(outside)}")
     return ConfiguredRobot(model, (*remarks, *mechanism.remarks))
+
+
+def _make_mechanism(
+    linkage: Linkage,
+    base: str,
+    place: Place,
+    driven: Sequence[str],
+    options: Mapping[str, Any],
+) -> tuple[Mechanism, list[str]]:
+    """Return the mechanism, and a remark if its loops do not close with driven joints at zero."""
+    try:
+        return load_mechanism("chain", **describe(linkage, base, place, driven) | options), []
+    except ModelError as error:
+        closed = close_loops(linkage, base, place.body, ())
+        if closed is None:
+            raise DatasetError(f"{linkage.path}: {error}{_hint(linkage)}") from None
+        moved, words = with_home(linkage, closed[0], driven)
+        try:
+            mechanism = load_mechanism("chain", **describe(moved, base, place, driven) | options)
+        except ModelError:
+            raise DatasetError(f"{linkage.path}: {error}{_hint(linkage)}") from None
+        return mechanism, [f"home is where the loops close next to the file's zero: {words}"]
+
+
+def _hint(linkage: Linkage) -> str:
+    """Return what may help if a chain moves although its driven joints do not."""
+    springs = [joint.name for joint in linkage.joints if joint.rest is not None]
+    words = f"; joints with springs, which --locked takes as rigid: {', '.join(springs)}"
+    return words if springs else ""
+
+
+def with_home(
+    linkage: Linkage, values: Mapping[str, Array], driven: Collection[str]
+) -> tuple[Linkage, str]:
+    """Return the linkage with values of its joints at home, and the readings there in words."""
+    joints = tuple(
+        replace(joint, home=tuple(values[joint.name].tolist())) for joint in linkage.joints
+    )
+    units = {"prismatic": "m", "revolute": "rad"}
+    said = [
+        f"{joint.name} {joint.home[0] - joint.zero:.6g} {units[joint.kind]}"
+        for joint in joints
+        if joint.name in driven
+    ]
+    return replace(linkage, joints=joints), ", ".join(said)
 
 
 def read_linkage(paths: Sequence[Path]) -> Linkage:
