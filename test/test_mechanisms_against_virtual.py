@@ -71,7 +71,7 @@ CASES = [
     Case("parallelogram_simple", vp.SimpleParallelogram),
     Case("delta51", vp.Delta51),
 ]
-ELSEWHERE = {"delta54", "delta24", "delta_nominal", "serial"}  # test_delta.py; below
+ELSEWHERE = {"delta54", "delta24", "delta_nominal", "serial", "chain"}  # test_delta.py; below
 each_case = pytest.mark.parametrize("case", CASES, ids=str)
 
 

@@ -102,7 +102,7 @@ class Skeleton:
 
     def parameters(self, target: Parameters, tolerance: Mapping[str, float]) -> list[Parameter]:
         """Return all geometric parameters: zeros and lengths first, then points, places of joints,
-        directions of joints, and the target; the first ones of dependent ones are identified."""
+        directions of joints, and the target."""
         zeros = [
             (f"{j.name}.zero", u, j.zero, "encoder zero")
             for j in self.joints

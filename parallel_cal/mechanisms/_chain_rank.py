@@ -14,6 +14,7 @@ from parallel_cal.model.configuration import Configuration
 
 CLOSED = 1e-12  # m or rad: the norm of the rows of a closed configuration
 RELATIVE_RANK = 1e-7  # singular values of closed configurations are exact to about 1e-12
+MIN_INDEPENDENT_PART = 1e-5  # of the motion by a parameter, after what others explain
 STEPS = 60  # of Newton's method, damped
 LARGEST_STEP = 0.4  # lengths or rad: of one step
 AMPLITUDES = (0.05, 0.3, 0.8)  # rad, or shares of the length, by which the joints are moved
@@ -86,17 +87,21 @@ class Survey:
 @dataclass(frozen=True)
 class Motion:
     """The derivatives at closed configurations: `by` (K, m, nq + 6 + nu) and `by_parameters`
-    (K, m, n_parameters), in metres."""
+    (K, m, n_parameters), in metres. Of the pose, the coordinates `moves` may change; the
+    derivatives by the others are zero."""
 
     by: np.ndarray
     by_parameters: np.ndarray
     n_joints: int
+    moves: Sequence[int]
 
     @classmethod
-    def of(cls, survey: Survey, x: np.ndarray) -> Motion:
+    def of(cls, survey: Survey, x: np.ndarray, moves: Sequence[int]) -> Motion:
         """Evaluate the derivatives at configurations."""
-        _, by, by_parameters = zip(*map(survey.evaluate, x), strict=True)
-        return cls(np.array(by), np.array(by_parameters), survey.n_joints)
+        _, found, by_parameters = zip(*map(survey.evaluate, x), strict=True)
+        by, n = np.array(found), survey.n_joints
+        by[:, :, [n + i for i in range(6) if i not in moves]] = 0.0
+        return cls(by, np.array(by_parameters), n, moves)
 
     def find_idle(self) -> list[int]:
         """Return passive coordinates that can move while joints and platform rest, such as the turn
@@ -115,7 +120,14 @@ class Motion:
     @cached_property
     def tangents(self) -> list[np.ndarray]:
         """Motions (nq + 6 + nu, freedoms) that keep all rows, at each configuration."""
-        return [_null_space(J) for J in self.by]
+        n, size = self.n_joints, self.by.shape[2]
+        columns = [*range(n), *(n + i for i in self.moves), *range(n + 6, size)]
+        found = []
+        for J in self.by:
+            motion = _null_space(J[:, columns])
+            found.append(np.zeros((size, motion.shape[1])))
+            found[-1][columns] = motion
+        return found
 
     @property
     def freedoms(self) -> int:
@@ -123,17 +135,24 @@ class Motion:
         return min(tangent.shape[1] for tangent in self.tangents)
 
     def find_moves(self, loops: Sequence[int]) -> list[int]:
-        """Return the coordinates x y z rx ry rz that change at some configuration, and those that
-        rows of `loops` hold, as the rods of a Delta hold the turns of its platform: it turns if
-        their lengths are not the nominal ones."""
+        """Return the coordinates x y z rx ry rz in which the platform moves, also if its nominal
+        geometry prevents it: the rods of a Delta, or the parallelograms of a palletizer, keep their
+        platform from turning only as far as their lengths are equal.
+
+        `loops` are the rows of the loops; those of a platform in the tree are before them.
+        """
         n = self.n_joints
+        if len(loops) < self.by.shape[1]:
+            others = [c for c in range(self.by.shape[2]) if not n <= c < n + 6]
+            size = np.abs(self.by[:, :6, others]).max(axis=(0, 2))
+            return [i for i in range(6) if size[i] > RELATIVE_RANK]
         pose = [T[n : n + 6] for T in self.tangents]
         size = np.max([np.abs(part).max(axis=1) for part in pose], axis=0)
         moves = [i for i in range(6) if size[i] > RELATIVE_RANK]
 
         def rank_with(coordinates: Sequence[int]) -> int:
-            others = [n + i for i in range(6) if i not in coordinates]
-            return max(_rank(np.delete(J[loops], others, axis=1)) for J in self.by)
+            held = [n + i for i in range(6) if i not in coordinates]
+            return max(_rank(np.delete(J, held, axis=1)) for J in self.by)
 
         for i in range(6):
             if i not in moves and rank_with([*moves, i]) > rank_with(moves):
@@ -176,21 +195,31 @@ class Motion:
         return np.vstack(keep)
 
     def find_replaced(
-        self, rows: np.ndarray, tolerance: np.ndarray, passive: Sequence[int]
+        self,
+        rows: np.ndarray,
+        tolerance: np.ndarray,
+        preference: np.ndarray,
+        passive: Sequence[int],
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return two masks of parameters: those that earlier ones, or passive coordinates, replace
-        in the kept rows; and those of them that other rows alone contain."""
+        """Return two masks of parameters: those that others, or passive coordinates, replace in the
+        kept rows; and those of them that other rows alone contain.
+
+        Of parameters that replace each other, the one whose tolerance moves the rows most is kept;
+        `preference` multiplies this motion.
+        """
         J = self._columns(rows, tolerance, passive)
         size = np.linalg.norm(J, axis=0)
         felt = size > RELATIVE_RANK * size.max(initial=0.0)
-        basis, kept = np.zeros((len(J), 0)), np.zeros(len(size), dtype=bool)
-        for k in np.flatnonzero(felt):
-            rest = J[:, k] / size[k]
-            for _ in range(2):  # twice is enough to be exact
-                rest = rest - basis @ (basis.T @ rest)
-            if np.linalg.norm(rest) > 1e-5:
-                basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
-                kept[k] = True
+        kept, rest = np.zeros(len(size), dtype=bool), J.copy()
+        while True:
+            left = np.where(felt & ~kept, np.linalg.norm(rest, axis=0), 0.0)
+            left[left <= MIN_INDEPENDENT_PART * size] = 0.0
+            if not left.any():
+                break
+            k = int(np.argmax(left * preference))
+            kept[k] = True
+            direction = rest[:, k] / left[k]
+            rest = rest - np.outer(direction, direction @ rest)
         whole = self._columns(np.eye(self.by.shape[1]), tolerance, passive)
         in_others = np.linalg.norm(whole, axis=0) > RELATIVE_RANK * np.abs(whole).max(
             initial=1e-300

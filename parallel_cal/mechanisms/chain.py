@@ -41,6 +41,7 @@ from parallel_cal.model.parameters import Named, ParameterTable
 PLATFORM = "the platform"  # owner of the rows that join it to the tree
 PLACES = {"position", "quaternion", "rpy"}
 EXAMPLE = "{name: hip, type: revolute, parent: base, child: leg, axis: [0, 0, 1], driven: true}"
+PREFERENCE = {"zero": 4.0, "length": 4.0} | dict.fromkeys(SHIFTS, 1.0) | dict.fromkeys(TURNS, 0.5)
 SHARE_OF_LIMITS = 0.3  # of the range of a joint, for the motion around home
 TRIES = 30  # random starts from which the loops are closed at home
 
@@ -271,23 +272,22 @@ class Chain(Mechanism):
         workspace: Mapping[str, Any] | None,
     ) -> None:
         """Close the loops at home, and find freedoms, independent rows and parameters."""
-        self.moves, self.length = POSE, self._find_length(guess)
+        stated = None if moves is None else _coordinates("moves", moves)
+        self.moves, self.length = tuple(stated or POSE), self._find_length(guess)
         home = self._close_at_home(self._survey(), guess)
         home = self._hold_idle(home)
         survey = self._survey()
         x = survey.around(home, 12, self._spread())
-        motion = Motion.of(survey, x)
-        loops = [k for k, owner in enumerate(self._owners()) if owner != PLATFORM]
-        moved = [POSE[i] for i in motion.find_moves(loops)]
-        self.moves = tuple(_coordinates("moves", moves) if moves is not None else moved)
+        motion = Motion.of(survey, x, self.moved)
+        if stated is None:
+            loops = [k for k, owner in enumerate(self._owners()) if owner != PLATFORM]
+            self.moves = tuple(POSE[i] for i in motion.find_moves(loops))
         given = None if controls is None else _coordinates("controls", controls)
         self.controls = tuple(given or [POSE[i] for i in motion.find_controls(self.moved)])
         self._require_driven(motion)
-        self._set_home(home, moved)
+        self._set_home(x, stated is not None)
         self._set_workspace(x, workspace)
-        if self.moves != POSE:
-            survey = self._survey()
-        self._choose_rows_and_parameters(survey, home)
+        self._choose_rows_and_parameters(home)
 
     def _close_at_home(self, survey: Survey, guess: np.ndarray) -> np.ndarray:
         """Close the loops with the driven joints at home; ModelError where they cannot."""
@@ -321,7 +321,7 @@ class Chain(Mechanism):
         survey = self._survey()
         x = survey.around(home, 3, self._spread())
         first, n = len(self.joints) + 6, len(self.joints) + 12
-        idle = [c - first for c in Motion.of(survey, x).find_idle()]
+        idle = [c - first for c in Motion.of(survey, x, self.moved).find_idle()]
         self.held = {self.passive[k]: float(home[n + k]) for k in idle}
         self._set_joints()
         return np.delete(home, [n + k for k in idle])
@@ -350,15 +350,19 @@ class Chain(Mechanism):
                 "more bodies"
             )
 
-    def _set_home(self, home: np.ndarray, moved: Sequence[str]) -> None:
-        """Set home; a coordinate that moves, but is not among `moves`, is zero there."""
-        x = Configuration.from_rows(home, len(self.passive))
-        turns = [c for c in moved if c in POSE[3:] and c not in self.moves]
-        R = np.eye(3) if turns and not set(self.moves) & set(POSE[3:]) else x.R
-        r = [
-            v if c in self.moves or c not in moved else 0.0 for c, v in zip(POSE, x.r, strict=False)
-        ]
-        parts = (x.q, np.array(r), matrix_to_quaternion(R), x.u)
+    def _set_home(self, x: np.ndarray, stated: bool) -> None:
+        """Set home. If the stated moves contain no turn of a platform that does turn, its
+        orientation is none there."""
+        home = Configuration.from_rows(x[0], len(self.passive))
+        r, R = home.r, home.R
+        if not self.skeleton.floats:
+            at = Configuration.from_rows(x, len(self.passive))
+            places = [self._place(q, u) for q, u in zip(at.q, at.u, strict=True)]
+            r, R = places[0]
+            turns = max(np.abs(other - R).max() for _, other in places) > 1e-6
+            if stated and turns and not set(self.moves) & set(POSE[3:]):
+                R = np.eye(3)
+        parts = (home.q, r, matrix_to_quaternion(R), home.u)
         self.home = Home(*(tuple((np.round(part, 13) + 0.0).tolist()) for part in parts))
 
     def _set_workspace(self, x: np.ndarray, given: Mapping[str, Any] | None) -> None:
@@ -377,17 +381,16 @@ class Chain(Mechanism):
         low, high = (np.round(home + sign * half, 6).tolist() for sign in (-1, 1))
         self.workspace = Workspace(tuple(low), tuple(high))
 
-    def _choose_rows_and_parameters(self, survey: Survey, home: np.ndarray) -> None:
+    def _choose_rows_and_parameters(self, home: np.ndarray) -> None:
         """Keep independent rows, hold parameters that others replace, and say so."""
-        n, count = len(self.joints), len(self.parameters)
+        survey, count = self._survey(), len(self.parameters)
         x = survey.around(home, 8 + -(-2 * count // len(survey.row_scale)), self._spread())
-        motion = Motion.of(survey, x)
-        pose = [n + i for i in range(6) if i not in self.moved]
-        motion.by[:, :, pose] = 0.0
+        motion = Motion.of(survey, x, self.moved)
         self._row_scale = survey.row_scale
         combine = motion.find_rows()
         passive = self.passive_columns
-        replaced, unseen = motion.find_replaced(combine, self.parameters.tolerance, passive)
+        tolerance, preference = self.parameters.tolerance, _preference(self.parameters)
+        replaced, unseen = motion.find_replaced(combine, tolerance, preference, passive)
         self._combine = combine
         self.fixed = tuple(
             name for name, held in zip(self.parameters.names, replaced, strict=True) if held
@@ -485,6 +488,7 @@ class Chain(Mechanism):
     def _lines(self, q: Any, u: Any, r: Any, R: Any, p: Named) -> list[Line]:
         frames, s = self._frames(q, u, r, R, p), self.skeleton
         points: dict[str, list[Any]] = {body: [] for body in frames}
+        shows: dict[str, list[str]] = {body: [] for body in frames}
         points[s.base].append(ca.DM.zeros(3))
         kinds, lines = {s.base: "base", s.platform: "platform"}, list[Line]()
         for joint in s.joints:
@@ -493,22 +497,37 @@ class Chain(Mechanism):
             points[joint.parent].append(anchor)
             points[joint.child].append(anchor)
             kinds.setdefault(joint.child, "driven" if joint.driven else "rod")
+            shows[joint.parent].append(f"{joint.name}.[xyz]")
+            shows[joint.child] += [f"{joint.name}.zero", f"{joint.name}.r?"]
             if len(joint.axes) == 1:
                 along = turned @ ca.DM(joint.axes[0])
-                lines.append(axis(anchor, along, 0.2 * getattr(self, "length", 0.0), joint.name))
+                lines.append(axis(anchor, along, 0.2 * self.length))
         for loop in s.loops:
             ends = s.rod_ends(loop, frames, p)
-            for end, at in zip((loop.a, loop.b), ends, strict=True):
+            for side, end, at in zip("ab", (loop.a, loop.b), ends, strict=True):
                 points[end.body].append(at)
+                shows[end.body].append(f"{loop.name}.{side}_?")
             if loop.type == "distance":
                 kind = "driven" if loop.driven else "rod"
-                lines.append(Line(kind, ends, (f"{loop.name}.*",)))
+                lines.append(Line(kind, ends, (f"{loop.name}.length",)))
         points[s.platform].append(r)
-        for body, through in points.items():
-            if len(through) > 1:
-                shows = tuple(f"{j.name}.*" for j in s.joints if body in (j.parent, j.child))
-                lines.append(Line(kinds.get(body, "rod"), tuple(through), shows))
+        shows[s.platform].append("target.*")
+        lines += [
+            Line(kinds.get(body, "rod"), tuple(through), tuple(shows[body]))
+            for body, through in points.items()
+            if len(through) > 1
+        ]
         return lines
+
+
+def _preference(table: ParameterTable) -> np.ndarray:
+    """Return which of equivalent parameters an owner would measure: encoder zeros and lengths of
+    rods, then points, then places of joints, then their directions, and last the target."""
+    factors = [
+        0.25 if p.name.startswith("target.") else PREFERENCE.get(p.name.rpartition(".")[2], 2.0)
+        for p in table
+    ]
+    return np.array(factors)
 
 
 def _locked(tangent: np.ndarray, n: int) -> np.ndarray:
