@@ -63,8 +63,8 @@ def test_a_five_bar_moves_as_its_circles_intersect(tmp_path, kind):
 
 
 def masked(text):
-    """Return a text without its numbers; an MJCF gets a position where it was at zero."""
-    return NUMBER.sub("#", re.sub(r' pos="[^"]*"', "", text))
+    """Return a text without its numbers; an MJCF gets a pose where it was the identity."""
+    return NUMBER.sub("#", re.sub(r'\s+(pos|quat)="[^"]*"', "", text))
 
 
 @pytest.mark.parametrize("kind", KINDS)

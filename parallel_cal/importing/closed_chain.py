@@ -100,9 +100,9 @@ def chain(
     between, place = cut_out(linkage, base, platform, stated)
     known = {one.name: one for one in between.parts}
     used = [name for name in stated if name in known]
-    _check_driven(between, driven, used)
+    check_driven(between, driven, used)
     remarks = [*linkage.remarks]
-    mechanism, about_home = _make_mechanism(between, base, place, used, options)
+    mechanism, about_home = make_mechanism(between, base, place, used, options)
     remarks += about_home
     velocities = {joint.name: joint.velocity for joint in between.joints}
     mechanism.joint_rates = tuple(
@@ -121,7 +121,7 @@ def chain(
     return ConfiguredRobot(model, (*remarks, *mechanism.remarks))
 
 
-def _make_mechanism(
+def make_mechanism(
     linkage: Linkage,
     base: str,
     place: Place,
@@ -207,7 +207,7 @@ def cut_out(
     return simplify(between, (base, place.body), driven), place
 
 
-def _check_driven(linkage: Linkage, stated: Sequence[str], used: Sequence[str]) -> None:
+def check_driven(linkage: Linkage, stated: Sequence[str], used: Sequence[str]) -> None:
     drivable = [joint.name for joint in linkage.joints if joint.kind in DRIVABLE]
     drivable += [loop.name for loop in linkage.loops if loop.kind == "distance"]
     unknown = [name for name in stated if name not in drivable]
@@ -236,9 +236,9 @@ def describe(linkage: Linkage, base: str, place: Place, driven: Sequence[str]) -
         return order.get(one.name, len(order))
 
     joints = [
-        _describe_joint(joint, joint.name in order) for joint in sorted(linkage.joints, key=rank)
+        describe_joint(joint, joint.name in order) for joint in sorted(linkage.joints, key=rank)
     ]
-    loops = [_describe_loop(loop, loop.name in order) for loop in sorted(linkage.loops, key=rank)]
+    loops = [describe_loop(loop, loop.name in order) for loop in sorted(linkage.loops, key=rank)]
     document: dict[str, Any] = {"base": base, "platform": place.body, "joints": joints}
     if loops:
         document["loops"] = loops
@@ -270,7 +270,7 @@ def _drawn(linkage: Linkage, name: str) -> Array:
     return linkage.poses[name]
 
 
-def _describe_joint(joint: LinkageJoint, driven: bool) -> dict[str, Any]:
+def describe_joint(joint: LinkageJoint, driven: bool) -> dict[str, Any]:
     found: dict[str, Any] = {
         "name": joint.name,
         "type": joint.kind,
@@ -302,7 +302,7 @@ def _describe_joint(joint: LinkageJoint, driven: bool) -> dict[str, Any]:
     return found
 
 
-def _describe_loop(loop: LinkageLoop, driven: bool) -> dict[str, Any]:
+def describe_loop(loop: LinkageLoop, driven: bool) -> dict[str, Any]:
     found: dict[str, Any] = {"name": loop.name, "type": loop.kind}
     for key, end in (("a", loop.a), ("b", loop.b)):
         found[key] = {"body": end.body, "point": _numbers(end.frame[:3, 3])}

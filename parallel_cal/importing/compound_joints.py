@@ -30,7 +30,7 @@ def simplify(linkage: Linkage, ends: Collection[str], driven: Collection[str]) -
     """
     # First hinges with a common point: a hinge along a rod also meets the one at its other end.
     merged = _merge(_merge(linkage, ends, driven, False), ends, driven, True)
-    merged = with_rods(_with_struts(merged, ends, driven), ends)
+    merged = with_rods(with_struts(merged, ends, driven), ends)
     joints = [
         part
         for joint in merged.joints
@@ -54,7 +54,7 @@ def _merge(
         first, second = sorted(at, key=lambda joint: joint.child != body)
         into = first if first.child == body else _reversed(first)
         out = second if second.parent == body else _reversed(second)
-        if joint := _product(into, out, on_line):
+        if joint := product_of_joints(into, out, on_line):
             joints[joints.index(first)] = joint
             joints.remove(second)
     return replace(linkage, joints=tuple(joints))
@@ -73,7 +73,9 @@ def _reversed(joint: LinkageJoint) -> LinkageJoint:
     )
 
 
-def _product(first: LinkageJoint, second: LinkageJoint, on_line: bool) -> LinkageJoint | None:
+def product_of_joints(
+    first: LinkageJoint, second: LinkageJoint, on_line: bool
+) -> LinkageJoint | None:
     """Return the joint of two in a row, if both turn about one point."""
     if not {first.kind, second.kind} <= {*TURNING} or first.parent == second.child:
         return None
@@ -106,7 +108,7 @@ def _product(first: LinkageJoint, second: LinkageJoint, on_line: bool) -> Linkag
     )
 
 
-def _with_struts(linkage: Linkage, ends: Collection[str], driven: Collection[str]) -> Linkage:
+def with_struts(linkage: Linkage, ends: Collection[str], driven: Collection[str]) -> Linkage:
     """Replace every driven slide on the line between two balls by the distance between these."""
     joints, loops = [*linkage.joints], [*linkage.loops]
     for slide in linkage.joints:
@@ -131,7 +133,7 @@ def _with_struts(linkage: Linkage, ends: Collection[str], driven: Collection[str
         if np.linalg.norm(span) - abs(length) > MAX_DISTANCE_M:
             continue
         if length < 0:  # its reading falls as it grows: it stays a slide, which must not spin
-            joints = [_without_spin(one, slide) if one in balls else one for one in joints]
+            joints = [without_spin(one, slide) if one in balls else one for one in joints]
             continue
         strut = LinkageLoop(
             slide.name,
@@ -148,7 +150,7 @@ def _with_struts(linkage: Linkage, ends: Collection[str], driven: Collection[str
     return replace(linkage, joints=tuple(joints), loops=tuple(loops))
 
 
-def _without_spin(ball: LinkageJoint, slide: LinkageJoint) -> LinkageJoint:
+def without_spin(ball: LinkageJoint, slide: LinkageJoint) -> LinkageJoint:
     """Return a ball joint at one end of a strut without the turn about the strut.
 
     The other end stays a ball: of both turns about the strut, only the sum does anything.

@@ -37,7 +37,7 @@ DRIVES = {
 def read_compiled_mjcf(path: Path) -> Linkage:
     """Return the linkage of a file; DatasetError with MuJoCo's words if it cannot compile it."""
     try:
-        model = _compile(path)
+        model = compile_bodies(path)
     except (ValueError, OSError) as error:
         raise DatasetError(f"{path}: MuJoCo cannot read it: {error}") from None
     names = [model.body(i).name or f"body{i}" for i in range(model.nbody)]
@@ -52,7 +52,9 @@ def read_compiled_mjcf(path: Path) -> Linkage:
         elif not n:
             joints.append(LinkageJoint(names[i], FIXED, parent, names[i], own[i]))
         for k in range(first, first + n if names[i] not in floating else first):
-            joints.append(_joint(path, model, k, (k - first + 1, n), (parent, names[i]), own[i]))
+            joints.append(
+                read_joint(path, model, k, (k - first + 1, n), (parent, names[i]), own[i])
+            )
             parent, own[i] = joints[-1].child, np.eye(4)
             poses.setdefault(parent, poses[joints[-1].parent] @ joints[-1].origin)
     frames = {name: Place(name, np.eye(4)) for name in names}
@@ -63,7 +65,7 @@ def read_compiled_mjcf(path: Path) -> Linkage:
     for i, site in enumerate(sites):
         frames.setdefault(model.site(i).name, site)
     frames.pop("", None)
-    loops = _equalities(path, model, names, sites)
+    loops = read_equalities(path, model, names, sites)
     driven = [
         getattr(model, DRIVES[int(kind)])(model.actuator_trnid[i, 0]).name
         for i, kind in enumerate(model.actuator_trntype)
@@ -82,7 +84,7 @@ def read_compiled_mjcf(path: Path) -> Linkage:
     )
 
 
-def _compile(path: Path) -> Any:
+def compile_bodies(path: Path) -> Any:
     spec = mujoco.MjSpec.from_file(str(path))
     for geom in list(spec.geoms):
         spec.delete(geom)
@@ -101,7 +103,7 @@ def _pose(position: Array, quaternion: Array) -> Array:
     return T
 
 
-def _joint(
+def read_joint(
     path: Path,
     model: Any,
     k: int,
@@ -131,7 +133,9 @@ def _joint(
     )
 
 
-def _equalities(path: Path, model: Any, names: list[str], sites: list[Place]) -> list[LinkageLoop]:
+def read_equalities(
+    path: Path, model: Any, names: list[str], sites: list[Place]
+) -> list[LinkageLoop]:
     loops = list[LinkageLoop]()
     for i in range(model.neq):
         if not model.eq_active0[i]:
