@@ -49,6 +49,7 @@ def five_bars(tmp_path):
 
 
 KINDS = ("mjcf", "sdf", "listed", "constraint")
+WRITTEN = [pytest.param(kind, marks=pytest.mark.wide if kind != "mjcf" else ()) for kind in KINDS]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -67,7 +68,7 @@ def masked(text):
     return NUMBER.sub("#", re.sub(r'\s+(pos|quat)="[^"]*"', "", text))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", WRITTEN)
 def test_identified_numbers_go_into_the_file_and_nothing_else_changes(tmp_path, kind):
     path, base, drawn = five_bars(tmp_path)[kind]
     model = chain([path], base, "tip", ["left", "right"]).model
@@ -200,6 +201,18 @@ def test_another_file_than_the_models_is_refused(tmp_path):
         export_into(model, "mjcf", [path])
     with pytest.raises(ModelError, match="give it with --into"):
         pc.export(model, "mjcf", tmp_path)
+
+
+def test_new_makes_a_chain_and_export_writes_its_numbers(tmp_path, run_cli):
+    path = written(tmp_path, "model.xml", own.FIVE_BAR_MJCF)
+    model = tmp_path / "model.yaml"
+    ends = ["--base", "frame", "--platform", "tip"]
+    out = run_cli("new", "--from", path, *ends, "--driven", "right,left", "-o", model)
+    assert f"as in {path}" in out
+    assert pc.read_model(model).joints == ("right", "left")
+    out = run_cli("export", model, "--to", "mjcf", "--into", path)
+    assert "no joint and no loop changed" in out
+    assert path.read_text() == own.FIVE_BAR_MJCF
 
 
 @pytest.mark.parametrize("text", [own.FIVE_BAR_MJCF, own.ANKLE_MJCF])
