@@ -11,6 +11,7 @@ import parallel_cal as pc
 from parallel_cal.base.errors import DatasetError, ModelError
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.exporting.export import export_into
+from parallel_cal.importing import closed_chain
 from parallel_cal.importing.closed_chain import chain
 from parallel_cal.kinematics.kinematics import Kinematics
 
@@ -48,6 +49,7 @@ def five_bars(tmp_path):
 
 
 KINDS = ("mjcf", "sdf", "listed", "constraint")
+WRITTEN = [pytest.param(kind, marks=pytest.mark.wide if kind != "mjcf" else ()) for kind in KINDS]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -62,11 +64,11 @@ def test_a_five_bar_moves_as_its_circles_intersect(tmp_path, kind):
 
 
 def masked(text):
-    """Return a text without its numbers; an MJCF gets a position where it was at zero."""
-    return NUMBER.sub("#", re.sub(r' pos="[^"]*"', "", text))
+    """Return a text without its numbers; an MJCF gets a pose where it was the identity."""
+    return NUMBER.sub("#", re.sub(r'\s+(pos|quat)="[^"]*"', "", text))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", WRITTEN)
 def test_identified_numbers_go_into_the_file_and_nothing_else_changes(tmp_path, kind):
     path, base, drawn = five_bars(tmp_path)[kind]
     model = chain([path], base, "tip", ["left", "right"]).model
@@ -161,7 +163,10 @@ def test_the_joints_of_an_arm_without_loops_can_be_a_chain(tmp_path):
         ('<site name="tip"', '<replicate count="2"/><site name="tip"', "MuJoCo"),
     ],
 )
-def test_an_element_of_an_mjcf_that_is_not_understood_is_named(tmp_path, old, new, words):
+def test_an_element_of_an_mjcf_that_is_not_understood_is_named(
+    tmp_path, monkeypatch, old, new, words
+):
+    monkeypatch.setattr(closed_chain, "find_spec", lambda name: None)
     text = own.FIVE_BAR_MJCF.replace(old, new)
     assert text != own.FIVE_BAR_MJCF
     path = written(tmp_path, "model.xml", text)
@@ -196,3 +201,38 @@ def test_another_file_than_the_models_is_refused(tmp_path):
         export_into(model, "mjcf", [path])
     with pytest.raises(ModelError, match="give it with --into"):
         pc.export(model, "mjcf", tmp_path)
+
+
+def test_new_makes_a_chain_and_export_writes_its_numbers(tmp_path, run_cli):
+    path = written(tmp_path, "model.xml", own.FIVE_BAR_MJCF)
+    model = tmp_path / "model.yaml"
+    ends = ["--base", "frame", "--platform", "tip"]
+    out = run_cli("new", "--from", path, *ends, "--driven", "right,left", "-o", model)
+    assert f"as in {path}" in out
+    assert pc.read_model(model).joints == ("right", "left")
+    out = run_cli("export", model, "--to", "mjcf", "--into", path)
+    assert "no joint and no loop changed" in out
+    assert path.read_text() == own.FIVE_BAR_MJCF
+
+
+@pytest.mark.parametrize("text", [own.FIVE_BAR_MJCF, own.ANKLE_MJCF])
+def test_mujoco_reads_the_same_linkage_from_an_mjcf(tmp_path, text):
+    pytest.importorskip("mujoco")
+    from parallel_cal.importing.mjcf import read_mjcf
+    from parallel_cal.importing.mjcf_compiled import read_compiled_mjcf
+
+    path = written(tmp_path, "model.xml", text)
+    one, other = read_mjcf(path), read_compiled_mjcf(path)
+    assert [joint.name for joint in one.joints] == [joint.name for joint in other.joints]
+    assert (one.roots, one.driven) == (other.roots, other.driven)
+    for a, b in zip(one.joints, other.joints, strict=True):
+        assert (a.kind, a.parent, a.child) == (b.kind, b.parent, b.child)
+        assert np.allclose(a.origin, b.origin, rtol=0, atol=1e-12)
+        assert np.allclose(a.anchor, b.anchor, rtol=0, atol=1e-12)
+        assert np.allclose(a.axes, b.axes, rtol=0, atol=1e-12)
+        assert a.limits == pytest.approx(b.limits)
+        assert a.zero == pytest.approx(b.zero)
+    for a, b in zip(one.loops, other.loops, strict=True):
+        assert (a.name, a.kind, a.a.body, a.b.body) == (b.name, b.kind, b.a.body, b.b.body)
+        assert np.allclose(a.a.frame[:3, 3], b.a.frame[:3, 3], rtol=0, atol=1e-9)
+        assert np.allclose(a.b.frame[:3, 3], b.b.frame[:3, 3], rtol=0, atol=1e-9)

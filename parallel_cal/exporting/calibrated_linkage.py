@@ -70,10 +70,10 @@ def calibrated_linkage(model: Model, files: Sequence[Path]) -> Calibrated:
             "mechanism chain (new --from)"
         )
     base, end = (model.frames[name] for name in ("base", "platform"))
-    linkage, between, place = _as_in_model(read_linkage(files), model)
+    linkage, between, place = match_model(read_linkage(files), model)
     found = Calibrated(linkage, between, joined_bodies(linkage, base), {}, base, place)
-    joints = [_identified_joint(model, joint) for joint in between.joints]
-    loops = [_identified_loop(model, loop) for loop in between.loops]
+    joints = [identified_joint(model, joint) for joint in between.joints]
+    loops = [identified_loop(model, loop) for loop in between.loops]
     found.between = replace(between, joints=tuple(joints), loops=tuple(loops))
     for old, new in zip(between.joints, joints, strict=True):
         _set_joint(found, old, new.origin @ np.linalg.inv(old.origin))
@@ -82,21 +82,22 @@ def calibrated_linkage(model: Model, files: Sequence[Path]) -> Calibrated:
             for side, one in (("a", loop.a), ("b", loop.b)):
                 _set_end(found, loop.name, side, one.frame)
         else:
-            _set_rod(found, was, loop)
-    target = _target(model, place.frame)
+            set_rod(found, was, loop)
+    target = identified_target(model, place.frame)
     if np.abs(target - place.frame).max() > ROUNDING_TOLERANCE:
         own = linkage.frames[end]
         found.target = np.linalg.solve(found.at[own.body].frame, target)
     return found
 
 
-def _as_in_model(linkage: Linkage, model: Model) -> tuple[Linkage, Linkage, Place]:
+def match_model(linkage: Linkage, model: Model) -> tuple[Linkage, Linkage, Place]:
     """Return the linkage of the file with the joints locked that the model has locked, the part of
     it that the model describes, and where the platform is."""
     base, platform = (model.frames[name] for name in ("base", "platform"))
-    names = {*_names(model)}
+    options = model.mechanism.options
+    names = {part["name"] for key in ("joints", "loops") for part in options.get(key, ())}
     between, place = cut_out(linkage, base, platform, model.joints)
-    found = {one.name for one in (*between.joints, *between.loops)}
+    found = {one.name for one in between.parts}
     more, less = sorted(found - names), sorted(names - found)
     if not more and not less:
         return linkage, between, place
@@ -104,7 +105,7 @@ def _as_in_model(linkage: Linkage, model: Model) -> tuple[Linkage, Linkage, Plac
     if more and len(held) == len(more):
         still = with_locked(linkage, held)
         between, place = cut_out(still, base, platform, model.joints)
-        if {one.name for one in (*between.joints, *between.loops)} == names:
+        if {one.name for one in between.parts} == names:
             return still, between, place
     words = [f"it has {', '.join(more)}"] if more else []
     words += [f"it lacks {', '.join(less)}"] if less else []
@@ -114,12 +115,7 @@ def _as_in_model(linkage: Linkage, model: Model) -> tuple[Linkage, Linkage, Plac
     )
 
 
-def _names(model: Model) -> list[str]:
-    options = model.mechanism.options
-    return [part["name"] for key in ("joints", "loops") for part in options.get(key, ())]
-
-
-def _identified_joint(model: Model, joint: LinkageJoint) -> LinkageJoint:
+def identified_joint(model: Model, joint: LinkageJoint) -> LinkageJoint:
     """Return a joint with the identified place and direction; its encoder's zero is in them."""
     values = {key: model.value(f"{joint.name}.{key}") for key in ("x", "y", "z", "rx", "ry", "rz")}
     shift, turn, placed = motion_of("P", joint.anchor, 1.0), np.eye(4), joint.origin.copy()
@@ -133,7 +129,7 @@ def _identified_joint(model: Model, joint: LinkageJoint) -> LinkageJoint:
     return replace(joint, origin=origin)
 
 
-def _identified_loop(model: Model, loop: LinkageLoop) -> LinkageLoop:
+def identified_loop(model: Model, loop: LinkageLoop) -> LinkageLoop:
     ends = []
     for side, end in (("a", loop.a), ("b", loop.b)):
         frame = end.frame.copy()
@@ -143,7 +139,7 @@ def _identified_loop(model: Model, loop: LinkageLoop) -> LinkageLoop:
     return replace(loop, a=ends[0], b=ends[1], length=length)
 
 
-def _target(model: Model, nominal: Array) -> Array:
+def identified_target(model: Model, nominal: Array) -> Array:
     """Return the identified frame of {P} in the body that carries it."""
     turn = np.eye(4)
     turn[:3, :3] = rotation_matrix(np.array([model.value(f"target.r{axis}") for axis in "xyz"]))
@@ -179,7 +175,7 @@ def _set_end(found: Calibrated, name: str, side: str, frame: Array) -> None:
         found.ends[loop.name, side] = new
 
 
-def _set_rod(found: Calibrated, old: LinkageLoop, new: LinkageLoop) -> None:
+def set_rod(found: Calibrated, old: LinkageLoop, new: LinkageLoop) -> None:
     """Move both balls of a rod, and lengthen its body or shift its slide."""
     rod = old.rod
     assert rod is not None
@@ -193,7 +189,7 @@ def _set_rod(found: Calibrated, old: LinkageLoop, new: LinkageLoop) -> None:
     shifts = [now.frame[:3, 3] - was.frame[:3, 3] for was, now in ((old.a, new.a), (old.b, new.b))]
     # The length goes to a point of its own, or to where the rod is joined, or to the second ball.
     takes = 0 if isinstance(rod.balls[0], LinkageLoop) else 1
-    if not any(isinstance(ball, LinkageLoop) for ball in rod.balls) and _stretch(
+    if not any(isinstance(ball, LinkageLoop) for ball in rod.balls) and stretch_rod(
         found, rod, longer
     ):
         takes = -1
@@ -210,14 +206,14 @@ def _set_rod(found: Calibrated, old: LinkageLoop, new: LinkageLoop) -> None:
             _move_ball(found, ball, own, shift)
 
 
-def _stretch(found: Calibrated, rod: Rod, longer: Array) -> bool:
+def stretch_rod(found: Calibrated, rod: Rod, longer: Array) -> bool:
     """Move apart two halves of a rod that a pose or a fixed joint of the file joins, if there are.
 
     The half with the second ball moves by `longer`, in the frame of the rod.
     """
     if np.abs(longer).max() < ROUNDING_TOLERANCE:
         return True
-    first, second = (_body_at(found, ball, rod.body) for ball in rod.balls)
+    first, second = (body_at(found, ball, rod.body) for ball in rod.balls)
     loops = [loop for loop in found.linkage.loops if loop.kind == "pose"]
     edges: list[tuple[LinkageJoint | LinkageLoop, str, str]] = [
         *[(loop, loop.a.body, loop.b.body) for loop in loops],
@@ -247,7 +243,7 @@ def _stretch(found: Calibrated, rod: Rod, longer: Array) -> bool:
     return False
 
 
-def _body_at(found: Calibrated, ball: LinkageJoint | LinkageLoop, rod: str) -> str:
+def body_at(found: Calibrated, ball: LinkageJoint | LinkageLoop, rod: str) -> str:
     """Return the body of the file, part of a rod, at which a ball is."""
     if isinstance(ball, LinkageLoop):
         loop = found.loop(ball.name)

@@ -26,7 +26,7 @@ def drawn_poses(model: Model, found: Calibrated) -> dict[str, Array]:
     The first of these bodies in the file stays where it is.
     """
     linkage, base, platform = found.between, found.base, found.platform.body
-    loops = [_at_rest(found, loop) for loop in linkage.loops if _is_drawn(loop)]
+    loops = [at_rest(found, loop) for loop in linkage.loops if is_drawn(loop)]
     drawn = replace(linkage, loops=tuple(loops))
     closed = close_loops(drawn, base, platform, model.joints)
     if closed is None:
@@ -40,10 +40,11 @@ def drawn_poses(model: Model, found: Calibrated) -> dict[str, Array]:
         for body, place in found.at.items()
         if place.body in frames
     }
-    rods = [loop for loop in linkage.loops if loop.rod is not None]
-    for loop in rods:
-        poses |= _rod_poses(found, loop, frames)
-    balls = [ball for loop in rods for ball in loop.rod.balls if isinstance(ball, LinkageJoint)]
+    balls = list[LinkageJoint]()
+    for loop in linkage.loops:
+        if loop.rod is not None:
+            poses |= rod_poses(found, loop, frames)
+            balls += [ball for ball in loop.rod.balls if isinstance(ball, LinkageJoint)]
     for joint in (*linkage.joints, *balls):  # bodies between hinges that act as one joint
         for part in reversed(joint.parts[1:]):
             own = found.joint(part.name)
@@ -53,7 +54,7 @@ def drawn_poses(model: Model, found: Calibrated) -> dict[str, Array]:
     return {body: world @ pose for body, pose in poses.items()}
 
 
-def _is_drawn(loop: LinkageLoop) -> bool:
+def is_drawn(loop: LinkageLoop) -> bool:
     if loop.rod is None:
         return loop.drawn
     return any(isinstance(b, LinkageLoop) and b.drawn for b in loop.rod.balls) or all(
@@ -61,14 +62,14 @@ def _is_drawn(loop: LinkageLoop) -> bool:
     )
 
 
-def _at_rest(found: Calibrated, loop: LinkageLoop) -> LinkageLoop:
+def at_rest(found: Calibrated, loop: LinkageLoop) -> LinkageLoop:
     """Return a loop with its length in the drawn configuration."""
     if loop.rod is not None and loop.rod.slide is not None:
         return replace(loop, length=(loop.length or 0.0) - loop.rod.slide.zero)
     return loop
 
 
-def _rod_poses(found: Calibrated, loop: LinkageLoop, frames: dict[str, Array]) -> dict[str, Array]:
+def rod_poses(found: Calibrated, loop: LinkageLoop, frames: dict[str, Array]) -> dict[str, Array]:
     """Return the poses of the bodies of a rod, or of both sides of a slide."""
     rod = loop.rod
     assert rod is not None
@@ -80,11 +81,11 @@ def _rod_poses(found: Calibrated, loop: LinkageLoop, frames: dict[str, Array]) -
         a, b = found.at[own.parent].frame, found.at[own.child].frame
         bodies[slide.child] = a @ found.origins.get(own.name, own.origin) @ np.linalg.inv(b)
     first, last = rod.points[0], (list(bodies.values())[-1] @ [*rod.points[1], 1.0])[:3]
-    drawn = _drawn_pose(found, next(iter(bodies)))
+    drawn = drawn_pose(found, next(iter(bodies)))
     base = np.linalg.solve(found.between.poses[found.base], drawn)
     along = base[:3, :3] @ (last - first)
     pose = np.eye(4)
-    pose[:3, :3] = _turn(along, stop - start) @ base[:3, :3]
+    pose[:3, :3] = turn_between(along, stop - start) @ base[:3, :3]
     pose[:3, 3] = start - pose[:3, :3] @ first
     poses = {}
     for body, place in found.at.items():
@@ -95,13 +96,13 @@ def _rod_poses(found: Calibrated, loop: LinkageLoop, frames: dict[str, Array]) -
     return poses
 
 
-def _drawn_pose(found: Calibrated, joined: str) -> Array:
+def drawn_pose(found: Calibrated, joined: str) -> Array:
     """Return the pose of a joined body where the file draws it."""
     body = next(name for name, place in found.at.items() if place.body == joined)
     return found.linkage.poses[body] @ np.linalg.inv(found.at[body].frame)
 
 
-def _turn(one: Array, other: Array) -> Array:
+def turn_between(one: Array, other: Array) -> Array:
     """Return the smallest rotation from one direction to another."""
     normal = np.cross(one, other)
     sine = np.linalg.norm(normal)

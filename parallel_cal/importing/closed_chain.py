@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +28,16 @@ from parallel_cal.importing.linkage import (
     with_locked,
     with_plain_names,
 )
+from parallel_cal.importing.loop_closure import close_loops
 from parallel_cal.importing.mjcf import read_mjcf
+from parallel_cal.importing.mjcf_elements import NeedsMuJoCo
 from parallel_cal.importing.sdf import read_sdf
 from parallel_cal.importing.urdf_loops import has_loops, read_urdf_loops
+from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
-from parallel_cal.recordings.recording import Array
+
+Array = np.ndarray
 
 URDF_SUFFIXES = (".urdf", ".xacro")
 READERS: Mapping[str, Callable[[Path], Linkage]] = {
@@ -93,24 +98,19 @@ def chain(
         )
     stated = [plain_name(name) for name in driven or linkage.driven]
     between, place = cut_out(linkage, base, platform, stated)
-    known = {one.name: one for one in (*between.joints, *between.loops)}
+    known = {one.name: one for one in between.parts}
     used = [name for name in stated if name in known]
-    _check_driven(between, driven, used)
-    document = describe(between, base, place, used) | options
-    springs = [joint.name for joint in between.joints if joint.rest is not None]
-    try:
-        mechanism = load_mechanism("chain", **document)
-    except ModelError as error:
-        hint = f"; joints with springs, which --locked takes as rigid: {', '.join(springs)}"
-        raise DatasetError(f"{path}: {error}{hint if springs else ''}") from None
+    check_driven(between, driven, used)
+    remarks = [*linkage.remarks]
+    mechanism, about_home = make_mechanism(between, base, place, used, options)
+    remarks += about_home
     velocities = {joint.name: joint.velocity for joint in between.joints}
     mechanism.joint_rates = tuple(
         (velocities.get(name, np.inf), np.inf) for name in mechanism.joints
     )
     model = replace(new_model(mechanism), frames={"base": base, "platform": platform})
-    remarks = [*linkage.remarks]
-    names = [one.name for one in (*linkage.joints, *linkage.loops)]
-    if renamed := [name for name in names if plain_name(name) in known and name not in known]:
+    named = [one.name for one in linkage.parts]
+    if renamed := [name for name in named if plain_name(name) in known and name not in known]:
         remarks.append(
             f"dots, blanks and brackets in names are written _: {', '.join(map(repr, renamed))}"
         )
@@ -119,6 +119,51 @@ def chain(
     if outside := [name for name in stated if name not in known]:
         remarks.append(f"not between {base} and {platform}: {', '.join(outside)}")
     return ConfiguredRobot(model, (*remarks, *mechanism.remarks))
+
+
+def make_mechanism(
+    linkage: Linkage,
+    base: str,
+    place: Place,
+    driven: Sequence[str],
+    options: Mapping[str, Any],
+) -> tuple[Mechanism, list[str]]:
+    """Return the mechanism, and a remark if its loops do not close with driven joints at zero."""
+    try:
+        return load_mechanism("chain", **describe(linkage, base, place, driven) | options), []
+    except ModelError as error:
+        closed = close_loops(linkage, base, place.body, ())
+        if closed is None:
+            raise DatasetError(f"{linkage.path}: {error}{_hint(linkage)}") from None
+        moved, words = with_home(linkage, closed[0], driven)
+        try:
+            mechanism = load_mechanism("chain", **describe(moved, base, place, driven) | options)
+        except ModelError:
+            raise DatasetError(f"{linkage.path}: {error}{_hint(linkage)}") from None
+        return mechanism, [f"home is where the loops close next to the file's zero: {words}"]
+
+
+def _hint(linkage: Linkage) -> str:
+    """Return what may help if a chain moves although its driven joints do not."""
+    springs = [joint.name for joint in linkage.joints if joint.rest is not None]
+    words = f"; joints with springs, which --locked takes as rigid: {', '.join(springs)}"
+    return words if springs else ""
+
+
+def with_home(
+    linkage: Linkage, values: Mapping[str, Array], driven: Collection[str]
+) -> tuple[Linkage, str]:
+    """Return the linkage with values of its joints at home, and the readings there in words."""
+    joints = tuple(
+        replace(joint, home=tuple(values[joint.name].tolist())) for joint in linkage.joints
+    )
+    units = {"prismatic": "m", "revolute": "rad"}
+    said = [
+        f"{joint.name} {joint.home[0] - joint.zero:.6g} {units[joint.kind]}"
+        for joint in joints
+        if joint.name in driven
+    ]
+    return replace(linkage, joints=joints), ", ".join(said)
 
 
 def read_linkage(paths: Sequence[Path]) -> Linkage:
@@ -131,7 +176,14 @@ def read_linkage(paths: Sequence[Path]) -> Linkage:
         return read_urdf_loops(path, others[0])
     if others:
         raise DatasetError(f"{others[0]}: expected one file, or a URDF and the YAML of its loops")
-    return READERS[suffix](path)
+    try:
+        return READERS[suffix](path)
+    except NeedsMuJoCo:
+        if find_spec("mujoco") is None:
+            raise
+    from parallel_cal.importing.mjcf_compiled import read_compiled_mjcf
+
+    return read_compiled_mjcf(path)
 
 
 def cut_out(
@@ -155,7 +207,7 @@ def cut_out(
     return simplify(between, (base, place.body), driven), place
 
 
-def _check_driven(linkage: Linkage, stated: Sequence[str], used: Sequence[str]) -> None:
+def check_driven(linkage: Linkage, stated: Sequence[str], used: Sequence[str]) -> None:
     drivable = [joint.name for joint in linkage.joints if joint.kind in DRIVABLE]
     drivable += [loop.name for loop in linkage.loops if loop.kind == "distance"]
     unknown = [name for name in stated if name not in drivable]
@@ -184,9 +236,9 @@ def describe(linkage: Linkage, base: str, place: Place, driven: Sequence[str]) -
         return order.get(one.name, len(order))
 
     joints = [
-        _describe_joint(joint, joint.name in order) for joint in sorted(linkage.joints, key=rank)
+        describe_joint(joint, joint.name in order) for joint in sorted(linkage.joints, key=rank)
     ]
-    loops = [_describe_loop(loop, loop.name in order) for loop in sorted(linkage.loops, key=rank)]
+    loops = [describe_loop(loop, loop.name in order) for loop in sorted(linkage.loops, key=rank)]
     document: dict[str, Any] = {"base": base, "platform": place.body, "joints": joints}
     if loops:
         document["loops"] = loops
@@ -218,7 +270,7 @@ def _drawn(linkage: Linkage, name: str) -> Array:
     return linkage.poses[name]
 
 
-def _describe_joint(joint: LinkageJoint, driven: bool) -> dict[str, Any]:
+def describe_joint(joint: LinkageJoint, driven: bool) -> dict[str, Any]:
     found: dict[str, Any] = {
         "name": joint.name,
         "type": joint.kind,
@@ -250,7 +302,7 @@ def _describe_joint(joint: LinkageJoint, driven: bool) -> dict[str, Any]:
     return found
 
 
-def _describe_loop(loop: LinkageLoop, driven: bool) -> dict[str, Any]:
+def describe_loop(loop: LinkageLoop, driven: bool) -> dict[str, Any]:
     found: dict[str, Any] = {"name": loop.name, "type": loop.kind}
     for key, end in (("a", loop.a), ("b", loop.b)):
         found[key] = {"body": end.body, "point": _numbers(end.frame[:3, 3])}

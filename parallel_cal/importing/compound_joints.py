@@ -30,7 +30,7 @@ def simplify(linkage: Linkage, ends: Collection[str], driven: Collection[str]) -
     """
     # First hinges with a common point: a hinge along a rod also meets the one at its other end.
     merged = _merge(_merge(linkage, ends, driven, False), ends, driven, True)
-    merged = with_rods(_with_struts(merged, ends, driven), ends)
+    merged = with_rods(with_struts(merged, ends, driven), ends)
     joints = [
         part
         for joint in merged.joints
@@ -54,7 +54,7 @@ def _merge(
         first, second = sorted(at, key=lambda joint: joint.child != body)
         into = first if first.child == body else _reversed(first)
         out = second if second.parent == body else _reversed(second)
-        if joint := _product(into, out, on_line):
+        if joint := product_of_joints(into, out, on_line):
             joints[joints.index(first)] = joint
             joints.remove(second)
     return replace(linkage, joints=tuple(joints))
@@ -73,7 +73,9 @@ def _reversed(joint: LinkageJoint) -> LinkageJoint:
     )
 
 
-def _product(first: LinkageJoint, second: LinkageJoint, on_line: bool) -> LinkageJoint | None:
+def product_of_joints(
+    first: LinkageJoint, second: LinkageJoint, on_line: bool
+) -> LinkageJoint | None:
     """Return the joint of two in a row, if both turn about one point."""
     if not {first.kind, second.kind} <= {*TURNING} or first.parent == second.child:
         return None
@@ -106,15 +108,16 @@ def _product(first: LinkageJoint, second: LinkageJoint, on_line: bool) -> Linkag
     )
 
 
-def _with_struts(linkage: Linkage, ends: Collection[str], driven: Collection[str]) -> Linkage:
+def with_struts(linkage: Linkage, ends: Collection[str], driven: Collection[str]) -> Linkage:
     """Replace every driven slide on the line between two balls by the distance between these."""
     joints, loops = [*linkage.joints], [*linkage.loops]
     for slide in linkage.joints:
         bodies = slide.parent, slide.child
+        parts: list[LinkageJoint | LinkageLoop] = [*joints, *loops]
         at = [
             [
                 one
-                for one in (*joints, *loops)
+                for one in parts
                 if one is not slide and body in _bodies_of(one) and body not in ends
             ]
             for body in bodies
@@ -130,7 +133,7 @@ def _with_struts(linkage: Linkage, ends: Collection[str], driven: Collection[str
         if np.linalg.norm(span) - abs(length) > MAX_DISTANCE_M:
             continue
         if length < 0:  # its reading falls as it grows: it stays a slide, which must not spin
-            joints = [_without_spin(one, slide) if one in balls else one for one in joints]
+            joints = [without_spin(one, slide) if one in balls else one for one in joints]
             continue
         strut = LinkageLoop(
             slide.name,
@@ -147,7 +150,7 @@ def _with_struts(linkage: Linkage, ends: Collection[str], driven: Collection[str
     return replace(linkage, joints=tuple(joints), loops=tuple(loops))
 
 
-def _without_spin(ball: LinkageJoint, slide: LinkageJoint) -> LinkageJoint:
+def without_spin(ball: LinkageJoint, slide: LinkageJoint) -> LinkageJoint:
     """Return a ball joint at one end of a strut without the turn about the strut.
 
     The other end stays a ball: of both turns about the strut, only the sum does anything.
@@ -181,9 +184,10 @@ def _half(one: LinkageJoint | LinkageLoop, body: str) -> tuple[Place, Place]:
 def with_rods(linkage: Linkage, ends: Collection[str]) -> Linkage:
     """Replace every body that hangs on two balls alone by a rod of fixed length between them."""
     joints, loops = [*linkage.joints], [*linkage.loops]
-    bodies = [body for one in (*joints, *loops) for body in _bodies_of(one)]
+    bodies = [body for one in linkage.parts for body in _bodies_of(one)]
     for body in dict.fromkeys(bodies):
-        balls = [one for one in (*joints, *loops) if body in _bodies_of(one)]
+        parts: list[LinkageJoint | LinkageLoop] = [*joints, *loops]
+        balls = [one for one in parts if body in _bodies_of(one)]
         if body in ends or sorted(one.kind for one in balls) not in BALLS:
             continue
         (p, far), (r, far2) = (_half(one, body) for one in balls)

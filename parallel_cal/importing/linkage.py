@@ -15,7 +15,8 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.importing.chain import motion_of
-from parallel_cal.recordings.recording import Array
+
+Array = np.ndarray
 
 FIXED = "fixed"
 COORDINATES = {
@@ -110,6 +111,11 @@ class Linkage:
     masses: Mapping[str, tuple[float, Array]] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
 
+    @property
+    def parts(self) -> list[LinkageJoint | LinkageLoop]:
+        """Joints, then loops."""
+        return [*self.joints, *self.loops]
+
 
 def locate(linkage: Linkage, name: str, role: str) -> Place:
     """Return the body or frame of a name; DatasetError lists the names."""
@@ -132,7 +138,7 @@ def fuse(linkage: Linkage, base: str) -> Linkage:
         return Place(where.body, where.frame @ place.frame)
 
     joints = [
-        replace(joint, **_moved(joint, at[joint.parent], at[joint.child]))
+        replace(joint, **moved_joint(joint, at[joint.parent], at[joint.child]))
         for joint in linkage.joints
         if joint.kind != FIXED
     ]
@@ -184,7 +190,7 @@ def locked(joint: LinkageJoint) -> LinkageJoint:
 
 def joined_bodies(linkage: Linkage, base: str) -> dict[str, Place]:
     """Return for every body the joined body that it belongs to, and its frame there."""
-    at = {name: Place(name, np.eye(4)) for name in _bodies(linkage)}
+    at = {name: Place(name, np.eye(4)) for name in list_bodies(linkage)}
     rigid = [(j.parent, j.child, j.origin) for j in linkage.joints if j.kind == FIXED]
     for loop in linkage.loops:
         if loop.kind == "pose":  # of a link and an empty frame, the link gives the name
@@ -204,7 +210,7 @@ def joined_bodies(linkage: Linkage, base: str) -> dict[str, Place]:
     return at
 
 
-def _moved(joint: LinkageJoint, a: Place, b: Place) -> dict[str, Any]:
+def moved_joint(joint: LinkageJoint, a: Place, b: Place) -> dict[str, Any]:
     """Return what changes of a joint whose bodies are joined to others."""
     turn, shift = b.frame[:3, :3], b.frame[:3, 3]
     return {
@@ -227,7 +233,7 @@ def select(linkage: Linkage, base: str, platform: str) -> Linkage:
         *[(loop.a.body, loop.b.body) for loop in linkage.loops],
         (base, platform),
     ]
-    among = next(block for block in _blocks(edges) if len(edges) - 1 in block)
+    among = next(block for block in biconnected_blocks(edges) if len(edges) - 1 in block)
     n = len(linkage.joints)
     if len(among) == 1:
         raise DatasetError(
@@ -236,7 +242,8 @@ def select(linkage: Linkage, base: str, platform: str) -> Linkage:
         )
     joints = tuple(joint for k, joint in enumerate(linkage.joints) if k in among)
     loops = tuple(loop for k, loop in enumerate(linkage.loops) if n + k in among)
-    for one in (*joints, *loops):
+    between = replace(linkage, joints=joints, loops=loops)
+    for one in between.parts:
         if one.refusal:
             raise DatasetError(f"{one.where or linkage.path}: {one.refusal}")
     bodies = {
@@ -244,7 +251,7 @@ def select(linkage: Linkage, base: str, platform: str) -> Linkage:
         *(end.body for loop in loops for end in (loop.a, loop.b)),
     }
     masses = {name: mass for name, mass in linkage.masses.items() if name in bodies}
-    return replace(linkage, joints=joints, loops=loops, masses=masses)
+    return replace(between, masses=masses)
 
 
 def plain_name(name: str) -> str:
@@ -261,7 +268,7 @@ def with_plain_names(linkage: Linkage) -> Linkage:
     )
 
 
-def _bodies(linkage: Linkage) -> list[str]:
+def list_bodies(linkage: Linkage) -> list[str]:
     ends = [
         *linkage.roots,
         *(end for joint in linkage.joints for end in (joint.parent, joint.child)),
@@ -271,7 +278,7 @@ def _bodies(linkage: Linkage) -> list[str]:
     return list(dict.fromkeys(ends))
 
 
-def _blocks(edges: Sequence[tuple[str, str]]) -> list[set[int]]:
+def biconnected_blocks(edges: Sequence[tuple[str, str]]) -> list[set[int]]:
     """Return the biconnected components of a graph as sets of edge numbers (Hopcroft, Tarjan)."""
     near: dict[str, list[tuple[int, str]]] = {}
     for k, (a, b) in enumerate(edges):

@@ -12,7 +12,8 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.files import read_text
-from parallel_cal.recordings.recording import Array
+
+Array = np.ndarray
 
 START_TAG = re.compile(rb"""<(?:[^>"']|"[^"]*"|'[^']*')*>""")  # `>` may be within quotes
 

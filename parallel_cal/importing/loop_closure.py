@@ -9,7 +9,8 @@ from scipy.optimize import least_squares
 
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
 from parallel_cal.importing.linkage import COORDINATES, Linkage, LinkageJoint
-from parallel_cal.recordings.recording import Array
+
+Array = np.ndarray
 
 CLOSED = 1e-13  # m or rad
 MAX_STEPS = 20
@@ -106,5 +107,6 @@ def close_loops(
             break
     left = residual(x)
     # What leaves the plane of a plane mechanism cannot be closed, and need not be.
-    closes = np.linalg.norm(reachable.T @ left) < max(0.1 * np.linalg.norm(left), 1e3 * CLOSED)
+    allowed = max(0.1 * float(np.linalg.norm(left)), 1e3 * CLOSED)
+    closes = np.linalg.norm(reachable.T @ left) < allowed
     return configuration(x) if closes else None

@@ -20,7 +20,8 @@ from parallel_cal.importing.linkage import (
 )
 from parallel_cal.importing.located_xml import Element, to_numbers
 from parallel_cal.importing.mjcf_elements import Body, Document, read_document
-from parallel_cal.recordings.recording import Array
+
+Array = np.ndarray
 
 WORLD = "world"
 KINDS = {"hinge": "revolute", "slide": "prismatic", "ball": "spherical"}
@@ -39,7 +40,7 @@ def read_mjcf(path: Path) -> Linkage:
         if body.floats:
             qpos.append(("", 7))
         elif body.parent:
-            own = _joints(document, body)
+            own = joints_of_body(document, body)
             joints += own
             qpos += [(joint.name, QPOS[joint.kind]) for joint in own if joint.kind != FIXED]
     names = [joint.name for joint in joints if joint.kind != FIXED]
@@ -51,8 +52,8 @@ def read_mjcf(path: Path) -> Linkage:
             frames.setdefault(element.get("name"), Place(body.name, frame))
     frames.pop("", None)
     joints, loops = _equalities(document, joints, frames)
-    driven, rods, remarks = _actuators(document, frames, {one.name for one in joints})
-    joints, home_remarks = _keyframe(document, joints, qpos)
+    driven, rods, remarks = read_actuators(document, frames, {one.name for one in joints})
+    joints, home_remarks = read_keyframe(document, joints, qpos)
     floating = tuple(body.name for body in document.bodies.values() if body.floats)
     return Linkage(
         path,
@@ -60,15 +61,15 @@ def read_mjcf(path: Path) -> Linkage:
         tuple(joints),
         (*loops, *rods),
         frames,
-        _poses(document, joints),
+        drawn_poses(document, joints),
         driven,
-        _gravity(document),
-        _masses(document),
+        read_gravity(document),
+        read_masses(document),
         (*remarks, *home_remarks),
     )
 
 
-def _joints(document: Document, body: Body) -> list[LinkageJoint]:
+def joints_of_body(document: Document, body: Body) -> list[LinkageJoint]:
     """Return the joints between a body and its parent, with a body between any two of them."""
     if not body.joints:
         where = body.element.where
@@ -134,9 +135,9 @@ def _equalities(
         if values.get("active") == "false":
             continue
         if element.tag in ("connect", "weld"):
-            loops.append(_loop(document, element, values, name, frames))
+            loops.append(read_loop(document, element, values, name, frames))
         elif element.tag == "joint":
-            joints = _couple(element, values, joints)
+            joints = couple_joints(element, values, joints)
         elif element.tag != "tendon":
             raise DatasetError(
                 f"{element.where}: expected connect, weld, joint or tendon in <equality>"
@@ -144,7 +145,7 @@ def _equalities(
     return joints, loops
 
 
-def _loop(
+def read_loop(
     document: Document,
     element: Element,
     values: dict[str, str],
@@ -189,7 +190,7 @@ def body_pose(document: Document, name: str) -> Array:
     return pose
 
 
-def _poses(document: Document, joints: list[LinkageJoint]) -> dict[str, Array]:
+def drawn_poses(document: Document, joints: list[LinkageJoint]) -> dict[str, Array]:
     """Return the poses of all bodies as the file draws them, those between two joints included."""
     poses = {name: body_pose(document, name) for name in document.bodies}
     for joint in joints:
@@ -204,7 +205,7 @@ def _site(element: Element, name: str, frames: dict[str, Place]) -> Place:
     return frames[name]
 
 
-def _couple(
+def couple_joints(
     element: Element, values: dict[str, str], joints: list[LinkageJoint]
 ) -> list[LinkageJoint]:
     """Fix a joint that an equality holds, and mark one that follows another joint."""
@@ -227,7 +228,7 @@ def _couple(
     return [change(joint) for joint in joints]
 
 
-def _actuators(
+def read_actuators(
     document: Document, frames: dict[str, Place], joints: set[str]
 ) -> tuple[tuple[str, ...], list[LinkageLoop], list[str]]:
     """Return the names of what is driven, the rods among the tendons, and remarks."""
@@ -274,7 +275,7 @@ def _actuators(
     return tuple(dict.fromkeys(name for name in driven if name in known)), rods, remarks
 
 
-def _keyframe(
+def read_keyframe(
     document: Document, joints: list[LinkageJoint], qpos: list[tuple[str, int]]
 ) -> tuple[list[LinkageJoint], list[str]]:
     """Return the joints with the values of the keyframe `home`, or of the only one."""
@@ -309,14 +310,14 @@ def _keyframe(
     return [home(joint) for joint in joints], [words]
 
 
-def _gravity(document: Document) -> Array:
+def read_gravity(document: Document) -> Array:
     for element in document.root.all("option"):
         if "gravity" in element.attributes:
             return element.numbers("gravity", 3, "")
     return np.array([0.0, 0.0, -9.81])
 
 
-def _masses(document: Document) -> dict[str, tuple[float, Array]]:
+def read_masses(document: Document) -> dict[str, tuple[float, Array]]:
     """Return mass and centre of the bodies that state them."""
     return {
         name: (float(inertial.numbers("mass", 1, "")[0]), inertial.numbers("pos", 3, "0 0 0"))

@@ -14,11 +14,16 @@ from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.rotation import quaternion_to_matrix, rotation_matrix
 from parallel_cal.base.units import DEGREE
 from parallel_cal.importing.located_xml import Element, read_xml, to_numbers
-from parallel_cal.recordings.recording import Array
+
+Array = np.ndarray
 
 MAIN = "main"
 ORIENTATIONS = ("quat", "axisangle", "euler", "xyaxes", "zaxis")
 NEEDS_PACKAGE = ("replicate", "attach", "composite", "flexcomp")  # what only MuJoCo expands
+
+
+class NeedsMuJoCo(DatasetError):
+    """An element that only MuJoCo expands."""
 
 
 @dataclass
@@ -82,33 +87,33 @@ def read_document(path: Path) -> Document:
     root = read_xml(path, "MJCF")
     if root.tag != "mujoco":
         raise DatasetError(f"{path}: not an MJCF: expected <mujoco>, found <{root.tag}>")
-    _include(root, {path.resolve()})
-    found = Document(path, root, _read_settings(root))
+    include_files(root, {path.resolve()})
+    found = Document(path, root, read_settings(root))
     for world in root.all("worldbody"):
-        _add_bodies(found, world, "world", np.eye(4), MAIN)
+        add_bodies(found, world, "world", np.eye(4), MAIN)
     return found
 
 
-def _include(element: Element, open_files: set[Path]) -> None:
+def include_files(element: Element, open_files: set[Path]) -> None:
     """Replace every `<include>` below an element by the content of its file."""
     children = list[Element]()
     for child in element.children:
         if child.tag != "include":
-            _include(child, open_files)
+            include_files(child, open_files)
             children.append(child)
             continue
         path = child.path.parent / child.required("file")
         if path.resolve() in open_files:
             raise DatasetError(f"{child.where}: {path} includes itself")
         part = read_xml(path, "MJCF")
-        _include(part, {*open_files, path.resolve()})
+        include_files(part, {*open_files, path.resolve()})
         for one in part.children:
             one.parent = element
         children += part.children
     element.children = children
 
 
-def _read_settings(root: Element) -> Settings:
+def read_settings(root: Element) -> Settings:
     settings = Settings()
     for one in root.all("compiler"):
         settings.degrees = one.get("angle", "degree" if settings.degrees else "radian") == "degree"
@@ -120,11 +125,11 @@ def _read_settings(root: Element) -> Settings:
         raise DatasetError(f"{root.path}: eulerseq is '{settings.sequence}', expected such as xyz")
     settings.classes[MAIN] = {}
     for top in root.all("default"):
-        _add_class(settings, top, top.get("class", MAIN), settings.classes[MAIN])
+        add_class(settings, top, top.get("class", MAIN), settings.classes[MAIN])
     return settings
 
 
-def _add_class(
+def add_class(
     settings: Settings, element: Element, name: str, above: dict[str, dict[str, str]]
 ) -> None:
     own = {kind: dict(values) for kind, values in above.items()}
@@ -133,10 +138,10 @@ def _add_class(
             own[one.tag] = own.get(one.tag, {}) | one.attributes
     settings.classes[name] = own
     for one in element.all("default"):
-        _add_class(settings, one, one.required("class"), own)
+        add_class(settings, one, one.required("class"), own)
 
 
-def _add_bodies(found: Document, element: Element, name: str, pose: Array, style: str) -> None:
+def add_bodies(found: Document, element: Element, name: str, pose: Array, style: str) -> None:
     """Add what a body, or a `<frame>` in it, contains."""
     parts = list[tuple[Element, Array, str]]()
     joints = list[tuple[Element, dict[str, str], Array]]()
@@ -159,7 +164,7 @@ def _add_bodies(found: Document, element: Element, name: str, pose: Array, style
                 values = found.with_defaults(one, "site", style)
                 sites.append((one, values, at @ read_pose(one, values, found.settings)))
             elif one.tag in NEEDS_PACKAGE:
-                raise DatasetError(
+                raise NeedsMuJoCo(
                     f"{one.where}: <{one.tag}> is expanded by MuJoCo only: install it "
                     "(pip install 'parallel_cal[mjcf]')"
                 )
@@ -178,7 +183,7 @@ def _add_bodies(found: Document, element: Element, name: str, pose: Array, style
             raise DatasetError(f"{one.where}: another body has this name")
         inner = at @ read_pose(one, one.attributes, found.settings)
         found.bodies[its_name] = Body(its_name, name, inner, one)
-        _add_bodies(found, one, its_name, inner, one.get("childclass") or its_style)
+        add_bodies(found, one, its_name, inner, one.get("childclass") or its_style)
 
 
 def read_pose(element: Element, values: dict[str, str], settings: Settings) -> Array:
@@ -208,15 +213,15 @@ def read_pose(element: Element, values: dict[str, str], settings: Settings) -> A
         y = y / np.linalg.norm(y)
         T[:3, :3] = np.column_stack([x, y, np.cross(x, y)])
     else:
-        T[:3, :3] = _rotation_from_z(_numbers(element, values, key, 3))
+        T[:3, :3] = rotation_from_z(_numbers(element, values, key, 3))
     return T
 
 
-def _rotation_from_z(direction: Array) -> Array:
+def rotation_from_z(direction: Array) -> Array:
     """Return the smallest rotation that brings z to a direction."""
     z = direction / np.linalg.norm(direction)
     normal = np.array([-z[1], z[0], 0.0])
-    sine = np.linalg.norm(normal)
+    sine = float(np.linalg.norm(normal))
     if sine < 1e-10:
         normal, sine = np.array([1.0, 0.0, 0.0]), 0.0
     else:

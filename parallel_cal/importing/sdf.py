@@ -17,7 +17,8 @@ from parallel_cal.base.units import DEGREE
 from parallel_cal.importing.chain import rotation_from_rpy
 from parallel_cal.importing.linkage import Linkage, LinkageJoint, Place
 from parallel_cal.importing.located_xml import Element, read_xml, to_numbers
-from parallel_cal.recordings.recording import Array
+
+Array = np.ndarray
 
 WORLD, MODEL = "world", "__model__"
 KINDS = {
@@ -66,7 +67,7 @@ def read_sdf(path: Path) -> Linkage:
     world = read_pose(model.element)
     links = [one.get("name") for one in model.element.all("link")]
     poses = {WORLD: np.eye(4)} | {name: world @ model.pose(name) for name in links}
-    joints = tuple(_joint(model, one, poses) for one in model.element.all("joint"))
+    joints = tuple(read_joint(model, one, poses) for one in model.element.all("joint"))
     frames = {name: Place(name, np.eye(4)) for name in poses}
     for name, body in model.bodies.items():
         frames.setdefault(name, Place(body, np.linalg.solve(poses[body], world @ model.pose(name))))
@@ -87,7 +88,7 @@ def read_sdf(path: Path) -> Linkage:
         (),
         frames,
         poses,
-        _driven(model.element),
+        read_driven(model.element),
         masses=masses,
     )
 
@@ -123,13 +124,13 @@ def read_model(path: Path) -> SdfModel:
     for one in element.all("link"):
         model.bodies[one.get("name")] = one.get("name")
     for one in element.all("frame", "joint"):
-        body = _carrier(model, one)
+        body = find_carrier(model, one)
         if body:
             model.bodies[one.get("name")] = body
     return model
 
 
-def _carrier(model: SdfModel, element: Element) -> str:
+def find_carrier(model: SdfModel, element: Element) -> str:
     """Return the link to which a frame or a joint is attached; empty if it is the model."""
     passed = set[str]()
     while element.tag != "link":
@@ -164,7 +165,7 @@ def _child(joint: Element) -> str:
     return part.text.strip() if part else ""
 
 
-def _joint(model: SdfModel, element: Element, poses: dict[str, Array]) -> LinkageJoint:
+def read_joint(model: SdfModel, element: Element, poses: dict[str, Array]) -> LinkageJoint:
     name, kind = element.required("name"), element.get("type")
     ends = []
     for tag in ("parent", "child"):
@@ -179,7 +180,7 @@ def _joint(model: SdfModel, element: Element, poses: dict[str, Array]) -> Linkag
     frame = np.linalg.solve(poses[child], world @ model.pose(name))  # of the joint in its child
     axes, limits, refusal = list[Array](), (-np.inf, np.inf), ""
     for part in element.all("axis", "axis2"):
-        axes.append(_axis(model, part, frame, child))
+        axes.append(read_axis(model, part, frame, child))
         if part.find("mimic"):
             refusal = (
                 f"joint '{name}' follows another joint (<mimic>); the mechanism `chain` has no "
@@ -217,7 +218,7 @@ def _joint(model: SdfModel, element: Element, poses: dict[str, Array]) -> Linkag
     )
 
 
-def _axis(model: SdfModel, part: Element, joint_frame: Array, child: str) -> Array:
+def read_axis(model: SdfModel, part: Element, joint_frame: Array, child: str) -> Array:
     """Return the direction of an axis in the frame of the child link."""
     xyz = part.find("xyz")
     values = to_numbers(part.where, "xyz", xyz.text if xyz else "0 0 1", 3)
@@ -241,7 +242,7 @@ def axis_frame(model: SdfModel, part: Element) -> str:
     return MODEL if model.version[:2] <= MODEL_AXES_UNTIL else ""
 
 
-def _driven(element: Element) -> tuple[str, ...]:
+def read_driven(element: Element) -> tuple[str, ...]:
     """Return the joints that a controller's plugin names."""
     named = [
         part.text.strip()

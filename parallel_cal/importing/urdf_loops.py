@@ -20,7 +20,8 @@ from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.importing.chain import rotation_from_rpy
 from parallel_cal.importing.linkage import Linkage, LinkageJoint, LinkageLoop, Place
 from parallel_cal.importing.located_xml import Element, read_xml
-from parallel_cal.recordings.recording import Array
+
+Array = np.ndarray
 
 KINDS = {
     "revolute": "revolute",
@@ -62,25 +63,25 @@ def read_urdf_loops(path: Path, loop_file: Path | None = None) -> Linkage:
         raise DatasetError(
             f"{path}: not a URDF: expected <robot> with <joint>s, found <{root.tag}>"
         )
-    joints = {one.required("name"): _joint(one) for one in root.all("joint")}
+    joints = {one.required("name"): read_joint(one) for one in root.all("joint")}
     links = dict.fromkeys(one.required("name") for one in root.all("link"))
     for joint in joints.values():
         links |= dict.fromkeys([joint.parent, joint.child])
     frames = {name: Place(name, np.eye(4)) for name in links}
     for joint in joints.values():  # the frame of a joint is that of its child
         frames.setdefault(joint.name, Place(joint.child, np.eye(4)))
-    loops, driven, remarks = list[LinkageLoop](), _transmissions(root), list[str]()
+    loops, driven, remarks = list[LinkageLoop](), read_transmissions(root), list[str]()
     if beside := loop_file or find_loops(path):
-        stated = _read_loop_file(beside)
+        stated = read_loop_file(beside)
         if unknown := [name for name in stated.get("joint_name") or [] if name not in joints]:
             remarks.append(
                 f"{beside}: not read, as the URDF has no such joint: {', '.join(unknown)}"
             )
-        joints = _with_types(beside, stated, joints)
-        loops += _listed_loops(beside, stated, frames)
+        joints = with_types(beside, stated, joints)
+        loops += listed_loops(beside, stated, frames)
         driven = tuple(stated.get("name_mot") or driven)
     for one in root.all("constraint"):
-        closing = _constraint(one, frames)
+        closing = read_constraint(one, frames)
         if isinstance(closing, LinkageJoint):
             joints[closing.name] = closing
         else:
@@ -101,7 +102,7 @@ def read_urdf_loops(path: Path, loop_file: Path | None = None) -> Linkage:
         tree,
         tuple(loops),
         frames,
-        _poses(roots, tree),
+        drawn_poses(roots, tree),
         driven,
         masses=masses,
         remarks=tuple(remarks),
@@ -117,7 +118,7 @@ def read_origin(element: Element | None) -> Array:
     return T
 
 
-def _poses(roots: tuple[str, ...], joints: tuple[LinkageJoint, ...]) -> dict[str, Array]:
+def drawn_poses(roots: tuple[str, ...], joints: tuple[LinkageJoint, ...]) -> dict[str, Array]:
     poses = {name: np.eye(4) for name in roots}
     n = -1
     while n < len(poses):
@@ -128,7 +129,7 @@ def _poses(roots: tuple[str, ...], joints: tuple[LinkageJoint, ...]) -> dict[str
     return poses
 
 
-def _joint(element: Element) -> LinkageJoint:
+def read_joint(element: Element) -> LinkageJoint:
     name, kind = element.required("name"), element.get("type")
     parent, child = _ends(element)
     axes = () if kind in ("fixed", "floating") else (_axis(element, element.find("axis")),)
@@ -178,7 +179,7 @@ def _axis(owner: Element, element: Element | None) -> Array:
     return axis / np.linalg.norm(axis)
 
 
-def _transmissions(root: Element) -> tuple[str, ...]:
+def read_transmissions(root: Element) -> tuple[str, ...]:
     """Return the joints of `<transmission>`, and those with a command of `<ros2_control>`."""
     named = [
         joint.get("name")
@@ -192,7 +193,7 @@ def _transmissions(root: Element) -> tuple[str, ...]:
 # ------------------------------------------------------------------ the file beside it
 
 
-def _read_loop_file(path: Path) -> dict[str, Any]:
+def read_loop_file(path: Path) -> dict[str, Any]:
     try:
         stated = yaml.safe_load(read_text(path))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
@@ -209,7 +210,7 @@ def _read_loop_file(path: Path) -> dict[str, Any]:
     return stated
 
 
-def _with_types(
+def with_types(
     path: Path, stated: Mapping[str, Any], joints: Mapping[str, LinkageJoint]
 ) -> dict[str, LinkageJoint]:
     """Return the joints with the types that the file states in place of the URDF's."""
@@ -233,7 +234,7 @@ def _with_types(
     return found
 
 
-def _listed_loops(
+def listed_loops(
     path: Path, stated: Mapping[str, Any], frames: Mapping[str, Place]
 ) -> list[LinkageLoop]:
     pairs = stated.get("closed_loop") or []
@@ -257,7 +258,7 @@ def _listed_loops(
 # ------------------------------------------------------------------ <constraint>
 
 
-def _constraint(element: Element, frames: Mapping[str, Place]) -> LinkageJoint | LinkageLoop:
+def read_constraint(element: Element, frames: Mapping[str, Place]) -> LinkageJoint | LinkageLoop:
     name = element.required("name")
     kind = element.get("type").removesuffix("_joint")
     if kind not in CONSTRAINTS:
@@ -276,7 +277,7 @@ def _constraint(element: Element, frames: Mapping[str, Place]) -> LinkageJoint |
     axes = [first]
     if kind == "universal":
         second = _axis(element, element.find("child_axis"))
-        turn[:3, :3] = _turn_to_perpendicular(first, second)
+        turn[:3, :3] = turn_to_perpendicular(first, second)
         axes = [turn[:3, :3].T @ first, second]
     return LinkageJoint(
         name,
@@ -290,7 +291,7 @@ def _constraint(element: Element, frames: Mapping[str, Place]) -> LinkageJoint |
     )
 
 
-def _turn_to_perpendicular(first: Array, second: Array) -> Array:
+def turn_to_perpendicular(first: Array, second: Array) -> Array:
     """Return the smallest rotation after which the second axis is perpendicular to the first one.
 
     The axes of a universal joint are, in every position; those of the file are in two frames.

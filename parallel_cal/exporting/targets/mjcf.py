@@ -51,7 +51,14 @@ def edit(model: Model, files: Sequence[Path]) -> tuple[dict[Path, str], list[str
         if name in moving and {name, body.parent} <= {*poses}:
             _set_body(edits, document, body, poses, found)
     remarks = describe_changes(found)
-    places = {element.get("name"): (element, at) for element, at in _sites(document)}
+    places = {  # of the sites: the frames of the `<frame>` in which they stand
+        element.get("name"): (
+            element,
+            pose @ np.linalg.inv(read_pose(element, values, document.settings)),
+        )
+        for body in document.bodies.values()
+        for element, values, pose in body.sites
+    }
     for (name, side), frame in found.ends.items():
         _set_end(edits, document, found, places, (name, side), frame)
     if found.target is not None:
@@ -79,10 +86,12 @@ def _set_body(
             read_pose(body.element, body.element.attributes, document.settings)
         )
         _set_pose(edits, body.element, document.settings, np.linalg.solve(outer, new))
-    its = [joint for joint in found.linkage.joints if joint.where in _wheres(body)]
+    wheres = [element.where for element, _, _ in body.joints]
+    its = [joint for joint in found.linkage.joints if joint.where in wheres]
+    drawn = found.linkage.poses
     for (element, _, frame), joint in zip(body.joints, its, strict=True):
         inner = np.linalg.solve(poses[body.name], poses[joint.child])
-        old = np.eye(4) if joint.child == body.name else _inner(found, body, joint.child)
+        old = np.linalg.solve(drawn[body.name], drawn[joint.child])
         anchor = found.anchors.get(joint.name, joint.anchor)
         was, now = (
             (np.linalg.inv(frame) @ place @ [*point, 1.0])[:3]
@@ -94,25 +103,6 @@ def _set_body(
             was, now = (frame[:3, :3].T @ place[:3, :3] @ axis for place in (old, inner))
             if np.abs(was - now).max() > ROUNDING_TOLERANCE:
                 _edit(edits, element).set(element, "axis", format_exactly(now))
-
-
-def _inner(found: Calibrated, body: Body, child: str) -> Array:
-    """Return where the frame behind one of several joints of a body is, as the file draws it."""
-    return np.linalg.solve(found.linkage.poses[body.name], found.linkage.poses[child])
-
-
-def _wheres(body: Body) -> list[str]:
-    return [element.where for element, _, _ in body.joints]
-
-
-def _sites(document: Document) -> list[tuple[Element, Array]]:
-    """Return every site with the frame of the `<frame>` in which it stands."""
-    found = []
-    for body in document.bodies.values():
-        for element, values, pose in body.sites:
-            own = read_pose(element, values, document.settings)
-            found.append((element, pose @ np.linalg.inv(own)))
-    return found
 
 
 def _set_end(
