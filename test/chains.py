@@ -9,8 +9,14 @@ import casadi as ca
 import numpy as np
 
 import parallel_cal as pc
-from parallel_cal.base.rotation import matrix_to_quaternion, rot_x, rot_y, rot_z
-from parallel_cal.mechanisms.delta51 import RODS, from_delta54
+from parallel_cal.base.rotation import (
+    matrix_to_quaternion,
+    rot_x,
+    rot_y,
+    rot_z,
+    rotation_matrix,
+)
+from parallel_cal.mechanisms import delta51
 from parallel_cal.mechanisms.serial import Serial
 
 
@@ -27,8 +33,10 @@ def revolute(name: str, parent: str, child: str, **more: Any) -> dict[str, Any]:
 
 def rod(name: str, a: tuple[str, Any], b: tuple[str, Any], **more: Any) -> dict[str, Any]:
     """Make a rod between two balls."""
-    ends = {key: {"body": body, "point": list(map(float, at))} for key, (body, at) in
-            (("a", a), ("b", b))}
+    ends = {
+        key: {"body": body, "point": list(map(float, at))}
+        for key, (body, at) in (("a", a), ("b", b))
+    }
     return {"name": name, "type": "distance", **ends, **more}
 
 
@@ -42,8 +50,10 @@ def five_bar(base: float = 0.1, crank: float = 0.1, bar: float = 0.15) -> dict[s
             revolute(f"{side}_elbow", f"{side}_crank", f"{side}_rod", origin=[crank, 0, 0],
                      home=sign * 1.3),
         ]  # fmt: skip
-    tip = [{"body": f"{side}_rod", "point": [bar, 0, 0], "axis": [0, 0, 1]}
-           for side in ("left", "right")]
+    tip = [
+        {"body": f"{side}_rod", "point": [bar, 0, 0], "axis": [0, 0, 1]}
+        for side in ("left", "right")
+    ]
     return {
         "base": "frame",
         "platform": "left_rod",
@@ -95,21 +105,17 @@ def from_stewart42(model: pc.Model) -> dict[str, Any]:
 
 def from_delta54(model: pc.Model) -> dict[str, Any]:
     """Write a Delta as three arms and six rods between their balls."""
-    from parallel_cal.mechanisms import delta51
-
     values = delta51.from_delta54(model.table.mapping(model.values))
     joints, rods = [], []
     for i in (1, 2, 3):
         beta, p = ([values[f"chain{i}.{name}_{k}"] for k in "xyz"] for name in ("beta", "p"))
-        from parallel_cal.base.rotation import rotation_matrix
-
         turn = rotation_matrix(np.array(beta)) @ np.array(ca.DM(rot_z(delta51.THETA[i - 1])))
         joints.append(revolute(f"joint{i}", "base", f"arm{i}", origin=p, driven=True,
                                quaternion=matrix_to_quaternion(turn).tolist(),
                                home=model.mechanism.home.joints[i - 1],
                                limits=list(model.mechanism.joint_limits[i - 1]))
                       | {"axis": [1, 0, 0]})  # fmt: skip
-    for name in RODS:
+    for name in delta51.RODS:
         a, b = ([values[f"rod{name}.{end}_{k}"] for k in "xyz"] for end in "ab")
         rods.append(rod(f"rod{name}", (f"arm{name[0]}", a), ("plate", b),
                         length=values[f"rod{name}.l"]))  # fmt: skip

@@ -3,14 +3,17 @@
 from dataclasses import replace
 
 import arms
+import casadi as ca
 import chains
 import numpy as np
 import pytest
-from chains import make_chain, revolute, rod
+from chains import make_chain, revolute
 
 import parallel_cal as pc
-from parallel_cal.base.errors import ModelError
-from parallel_cal.base.rotation import rotation_matrix, rotation_vector
+from parallel_cal.base.errors import ModelError, ModelFileError
+from parallel_cal.base.rotation import matrix_to_quaternion, rotation_matrix, rotation_vector
+from parallel_cal.kinematics.all_solutions import direct_all, inverse_all
+from parallel_cal.model.declaration import check
 
 
 def deg(*angles):
@@ -163,7 +166,6 @@ def test_an_idle_turn_is_held_and_named():
 
 def turned(given, R):
     """Turn a robot by R: its base is in another plane."""
-    from parallel_cal.base.rotation import matrix_to_quaternion
 
     foot = {"name": "mount", "type": "fixed", "parent": "world", "child": given["base"],
             "quaternion": matrix_to_quaternion(R).tolist()}  # fmt: skip
@@ -198,7 +200,7 @@ def test_a_tilted_axis_of_a_plane_robot_still_closes():
 
 
 def test_free_parameters_are_as_many_as_the_data_determine():
-    """Six of a leg of the plane platform less one, as its slide is along the leg: as on the shelf."""
+    """On the shelf they were counted by hand."""
     for name, convert in SHELF.items():
         shelf = SHELF_MODELS[name]()
         chain = make_chain(convert(shelf))
@@ -309,3 +311,173 @@ def test_a_robot_of_the_shelf_as_a_chain_has_the_same_fit(name):
     assert ok.sum() > 40
     assert found.position[ok] == pytest.approx(poses.position[ok], abs=1e-9)
     assert found.rotation[ok] == pytest.approx(poses.rotation[ok], abs=1e-9)
+
+
+# ---------------------------------------------------------------------- passive coordinates
+
+
+class ElbowBar(pc.Mechanism):
+    """A five-bar whose elbow angles are not eliminated; the right one turns the other way."""
+
+    joints = ("left", "right")
+    passive = ("left_rod", "right_rod")
+    moves = controls = ("x", "y")
+    parameters = pc.ParameterTable(
+        pc.Parameter(f"{side}.{name}", "m", value, 2e-4)
+        for side in ("left", "right")
+        for name, value in (("crank", 0.1), ("rod", 0.15))
+    )
+    home = pc.Home((2.2, 0.9), (0.0, 0.19, 0.0), passive=(0.9, 2.2))
+    workspace = pc.Workspace((-0.03, 0.16), (0.03, 0.22))
+    joint_limits = ((1.0, 3.2), (0.0, 2.1))
+
+    def closure(self, q, u, r, R, p):
+        rows = []
+        for i, (side, x) in enumerate((("left", -0.05), ("right", 0.05))):
+            c, s = p[side], (ca.cos, ca.sin)
+            rows += [
+                r[k] - (x if k == 0 else 0) - c.crank * s[k](q[i]) - c.rod * s[k](u[i])
+                for k in range(2)
+            ]
+        return ca.vertcat(*rows)
+
+
+def test_a_mechanism_of_ones_own_with_passive_coordinates_is_solved_and_fitted():
+    model = replace(pc.new_model(ElbowBar()), noise=pc.Noise(joint=1e-6, position=1e-6))
+    at = pc.Kinematics(model).direct([[np.pi / 2, np.pi / 2]])
+    assert at.position[0] == pytest.approx([0, 0.1 + np.sqrt(0.02), 0], abs=1e-12)
+    along = np.arctan2(np.sqrt(0.02), 0.05)
+    assert at.passive[0] == pytest.approx([along, np.pi - along], abs=1e-12)
+    back = pc.Kinematics(model).inverse(at.position)
+    assert back.joints == pytest.approx(at.joints, abs=1e-12)
+    true = model.with_values(model.values + [1e-4, -2e-4, 3e-4, 1e-4])
+    found = pc.fit(model, pc.simulate(true, 30, seed=1).dataset())
+    assert found.model.values == pytest.approx(true.values, abs=3e-6)
+    assert found.document()["chi2_per_dof"] == pytest.approx(1, abs=0.4)
+
+
+def test_a_home_without_passive_coordinates_is_refused():
+    class Short(ElbowBar):
+        home = pc.Home((2.2, 0.9), (0.0, 0.19, 0.0))
+
+    with pytest.raises(ModelError, match=r"home\.passive has 0 entries, expected 2"):
+        check(Short())
+
+
+def test_the_uncertainty_of_a_pose_is_that_of_drawn_robots():
+    chain = make_chain(chains.five_bar())
+    size = 0.05 * chain.table.tolerance * ~np.asarray(chain.fixed)
+    model = chain.with_values(chain.values, np.diag(size**2))
+    kinematics, q, rng = pc.Kinematics(model), np.array([2.1, 1.0]), np.random.default_rng(0)
+    sigma = np.sqrt(np.diag(kinematics.direct_covariance(kinematics.direct(q))))[:2]
+    places = [
+        pc.Kinematics(chain.with_values(chain.values + size * draw)).direct(q).position[:2]
+        for draw in rng.standard_normal((200, len(size)))
+    ]
+    assert np.std(places, axis=0) == pytest.approx(sigma, rel=0.15)
+
+
+def test_all_assembly_modes_are_those_of_the_closed_form():
+    shelf, chain = SHELF_MODELS["five_bar"](), make_chain(chains.five_bar())
+    modes, known = (direct_all(m, np.array([2.0, 1.0])) for m in (chain, shelf))
+    assert modes.position == pytest.approx(known.position, abs=1e-10)
+    pose = known.position[0]
+    elbows, known = (inverse_all(m, pose) for m in (chain, shelf))
+    assert elbows.joints == pytest.approx(known.joints, abs=1e-10)
+
+
+def test_a_singularity_is_where_both_rods_are_in_line():
+    """Elbows 0.3 m apart and rods of 0.15 m: the tip may leave their line on either side."""
+    chain = make_chain(chains.five_bar())
+    lean = np.arccos(0.1 / 0.1)  # cranks outwards: elbows at x = -0.15 and 0.15
+    found = pc.Kinematics(chain).direct([np.pi - lean, lean])
+    assert pc.Status(int(found.status)) == pc.Status.SINGULAR
+    assert found.position == pytest.approx([0, 0, 0], abs=1e-6)
+
+
+def test_a_model_file_of_a_chain_is_read_as_it_was_written(tmp_path):
+    model = make_chain(chains.ankle())
+    pc.write_model(model, tmp_path / "ankle.yaml")
+    text = (tmp_path / "ankle.yaml").read_text()
+    assert "passive: [0.0, 0.0]" in text
+    again = pc.read_model(tmp_path / "ankle.yaml")
+    assert again.table.names == model.table.names
+    assert (again.fixed == model.fixed).all()
+    assert again.mechanism.home == model.mechanism.home
+    (tmp_path / "ankle.yaml").write_text(text.replace("passive: [0.0, 0.0]", "passive: [0.0]"))
+    with pytest.raises(ModelFileError, match=r"passive.*one for each of ankle.1, ankle.2"):
+        pc.read_model(tmp_path / "ankle.yaml")
+
+
+# ---------------------------------------------------------------------- effects
+
+
+def yielding(chain, effect, size):
+    """A chain with a compliance of this size at every joint, or of every rod."""
+    model = chain.with_effect(effect)
+    names = [name for name in model.table.names if name.endswith(".compliance")]
+    return model.with_values(model.table.vector(dict.fromkeys(names, size)))
+
+
+def test_the_weight_of_a_payload_twists_a_motor_by_its_torque_times_the_compliance():
+    """A level arm of 0.5 m with 2 kg: 2 kg * 9.81 m/s^2 * 0.5 m = 9.81 Nm, down."""
+    joint = revolute("arm", "base", "link", driven=True) | {"axis": [0, -1, 0]}
+    chain = make_chain(
+        {"base": "base", "platform": "link", "target": [0.5, 0, 0], "joints": [joint]}
+    )
+    model = yielding(chain, "joint_compliance", 1e-4)
+    found = pc.Kinematics(model).direct([0.0], {"payload": 2.0})
+    drop = 1e-4 * 2 * 9.81 * 0.5
+    assert found.position == pytest.approx([0.5, 0, -0.5 * drop], abs=1e-6)
+
+
+def test_the_weight_on_an_ankle_twists_both_motors_as_virtual_work_says():
+    """The torque on a motor is the weight times the height that the foot gains per angle."""
+    given = chains.ankle() | {"target": [0.15, 0.02, -0.05]}
+    chain, q = make_chain(given), np.array([0.2, -0.1])
+    rigid = pc.Kinematics(chain)
+    step = 1e-6 * np.eye(2)
+    lift = [rigid.direct(q + s).position[2] - rigid.direct(q - s).position[2] for s in step]
+    torque = -3.0 * 9.81 * np.array(lift) / 2e-6
+    model = yielding(chain, "joint_compliance", 1e-5)
+    found = pc.Kinematics(model).direct(q, {"payload": 3.0})
+    assert found.ok
+    assert found.position == pytest.approx(rigid.direct(q + 1e-5 * torque).position, abs=2e-8)
+
+
+def test_a_mass_on_a_crank_acts_at_its_centre():
+    given = chains.ankle() | {"target": [0.15, 0, 0]}
+    masses = {"left_crank": {"mass": 4.0, "centre": [-0.1, 0, 0]}}
+    chain = make_chain(given | {"masses": masses})
+    model = yielding(chain, "joint_compliance", 1e-5)
+    assert model.value("joint_compliance.mass.left_crank") == 4.0
+    q = np.array([0.2, 0.1])
+    # The left crank alone carries it: 4 kg at 0.1 m on the side -x, which the weight turns down.
+    torque = np.array([-4.0 * 9.81 * 0.1 * np.cos(0.2), 0.0])
+    expected = pc.Kinematics(chain).direct(q + 1e-5 * torque)
+    found = pc.Kinematics(model).direct(q, {"payload": 0.0})
+    assert found.rotation == pytest.approx(expected.rotation, abs=1e-8)
+
+
+def test_a_rod_under_load_is_shorter_by_its_compliance():
+    chain = make_chain(chains.ankle() | {"target": [0.15, 0, 0]})
+    model = yielding(chain, "rod_compliance", 1e-7)
+    q, payload = [0.1, 0.1], 5.0
+    # Level parallel rods at 0.05 m behind the ankle carry 0.15 / 0.05 times the weight, in halves;
+    # they are pressed, as the load is in front and the cranks are above the foot.
+    tension = -payload * 9.81 * 0.15 / 0.05 / 2
+    names = {f"{side}_rod.length": length + 1e-7 * tension
+             for side, length in (("left", 0.25), ("right", 0.2))}  # fmt: skip
+    longer = chain.with_values(chain.table.vector(names))
+    found = pc.Kinematics(model).direct(q, {"payload": payload})
+    assert found.position == pytest.approx(pc.Kinematics(longer).direct(q).position, abs=2e-8)
+
+
+@pytest.mark.wide
+def test_a_diagnosis_names_the_backlash_of_an_ankle():
+    noise = pc.Noise(joint=2e-5, position=2e-5, orientation=1e-4)
+    model = replace(make_chain(chains.ankle()), noise=noise)
+    session = pc.simulate(model, 60, effects=["backlash:left_motor.width=0.003"], seed=1)
+    found = pc.diagnose(model, session.dataset()).document()
+    assert found["verdict"] == "explained"
+    assert found["candidates"][0]["effect"] == "backlash"

@@ -16,6 +16,7 @@ from parallel_cal.kinematics.solutions import MIN_REGULAR_SINGULAR_VALUE
 from parallel_cal.model.structure import Structure
 
 ITERATIONS = 2  # third order, from the solution of model 24; more follow only if necessary
+ITERATIONS_FROM_HOME = 3  # with passive coordinates, which no closed form starts near the solution
 INLINE_BELOW = 2000  # instructions of one step; below that, repeating them is faster than a call
 
 
@@ -60,7 +61,9 @@ def newton_functions(structure: Structure, problem: str) -> NewtonFunctions:
     step = _step_function(s, residual, J, symbols, columns, order, float(side.round()))
     prepare = dense("prepare", [s.configuration, s.a, table_symbols], [before])
     tables_function = dense("tables", [s.v], [tables])
-    iterate = Iteration(prepare, step, residual, constants.shape[0], len(s.mechanism.joints))
+    joints, from_home = len(s.mechanism.joints), bool(s.mechanism.passive)
+    iterations = ITERATIONS_FROM_HOME if from_home else ITERATIONS
+    iterate = Iteration(prepare, step, residual, constants.shape[0], joints, iterations)
     solve = iterate.function(f"{problem}_solve", from_start=True)
     refine = iterate.function(f"{problem}_refine", from_start=False)
     return NewtonFunctions(tables_function, solve, refine, columns, home_sign, iterate)
@@ -236,6 +239,7 @@ class Iteration:
     residual: ca.Function
     n_constants: int
     n_joints: int
+    iterations: int
 
     def function(self, name: str, from_start: bool) -> ca.Function:
         """Build a fixed number of iterations; a short step is inlined, a long one is called."""
@@ -248,7 +252,7 @@ class Iteration:
         prepared = self.prepare(given, a, k)
         constants = prepared[: self.n_constants]
         x = prepared[self.n_constants :] if from_start else given
-        for _ in range(ITERATIONS):
+        for _ in range(self.iterations):
             x, length, pivot = self.step(x, constants)
         residual = ca.norm_2(self.residual(x, constants))
         inside = ca.mmin(ca.vertcat(x[:n] - low, high - x[:n]))

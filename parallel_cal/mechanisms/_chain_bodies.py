@@ -73,7 +73,7 @@ class Skeleton:
             )
         used = [step.joint for step in steps]
         cuts = tuple(joint for joint in joints if joint not in used)
-        loops += tuple(_as_point(joint) for joint in cuts if joint.type == "spherical")
+        loops += tuple(as_point(joint) for joint in cuts if joint.type == "spherical")
         cuts = tuple(joint for joint in cuts if joint.type != "spherical")
         return cls(base, platform, tuple(steps), cuts, tuple(loops), floats)
 
@@ -156,10 +156,10 @@ class Skeleton:
 
     def rows(self, frames: Mapping[str, Pose], values: Mapping[str, Any], p: Named) -> list[Row]:
         """Return the rows that close all loops."""
-        found = [row for loop in self.loops for row in _loop_rows(loop, frames, values, p)]
+        found = [row for loop in self.loops for row in close_loop(loop, frames, values, p)]
         for joint in self.cuts:
             reached = multiply(frames[joint.parent], _transform(joint, values, p))
-            found += _pose_rows(joint.name, reached, frames[joint.child])
+            found += join_poses(joint.name, reached, frames[joint.child])
         return found
 
     def rod_ends(self, loop: Loop, frames: Mapping[str, Pose], p: Named) -> tuple[Any, Any]:
@@ -219,7 +219,7 @@ def _end(body: str, point: np.ndarray) -> End:
     return End(body, point, np.zeros(3), np.eye(3))
 
 
-def _as_point(joint: Joint) -> Loop:
+def as_point(joint: Joint) -> Loop:
     """Return a spherical joint that closes a loop as coinciding points: it needs no coordinates."""
     child, parent = _ball_ends(joint.child, joint)
     return Loop(joint.name, "point", parent, child)
@@ -275,12 +275,12 @@ def _transform(joint: Joint, values: Mapping[str, Any], p: Named) -> Pose:
     own = p[joint.name]
     rotation, anchor = ca.DM(joint.origin.rotation), ca.DM(joint.anchor)
     turned = rotation @ exponential(own.vector(*TURNS))
-    shift, turn = _motion(joint, [values[name] for name in joint.coordinates])
+    shift, turn = compute_motion(joint, [values[name] for name in joint.coordinates])
     at = own.vector(*SHIFTS) + rotation @ anchor
     return at + turned @ (shift - turn @ anchor), turned @ turn
 
 
-def _motion(joint: Joint, values: Sequence[Any]) -> Pose:
+def compute_motion(joint: Joint, values: Sequence[Any]) -> Pose:
     """Compute shift and turn of a joint, in the frame of its child at value 0."""
     none, same = ca.DM.zeros(3), ca.DM.eye(3)
     if joint.type == "spherical":
@@ -329,13 +329,14 @@ def _point(name: str, side: str, frames: Mapping[str, Pose], p: Named, end: End)
     return position + rotation @ p[name].vector(*(f"{side}_{axis}" for axis in SHIFTS))
 
 
-def _pose_rows(owner: str, one: Pose, other: Pose) -> list[Row]:
+def join_poses(owner: str, one: Pose, other: Pose) -> list[Row]:
+    """Return the six rows that let two frames coincide."""
     shifts = ca.vertsplit(ca.SX(other[0] - one[0]))
     turns = rotation_rows(ca.SX(one[1]), ca.SX(other[1]))
     return [*(Row(owner, "m", v) for v in shifts), *(Row(owner, "rad", v) for v in turns)]
 
 
-def _loop_rows(
+def close_loop(
     loop: Loop, frames: Mapping[str, Pose], values: Mapping[str, Any], p: Named
 ) -> list[Row]:
     """Return the rows that close one loop: 1 of a rod, 3 of a point, 5 of an axis, 6 of a pose."""
@@ -345,14 +346,14 @@ def _loop_rows(
         if loop.driven:
             return [Row(loop.name, "m", ca.norm_2(gap) - (values[loop.name] + length))]
         return [Row(loop.name, "m", (ca.dot(gap, gap) - length**2) / (2 * length))]
-    rows = [Row(loop.name, "m", v) for v in ca.vertsplit(ca.SX(b - a))]
     one, other = frames[loop.a.body][1], frames[loop.b.body][1]
+    if loop.type == "pose":
+        turned = one @ ca.DM(loop.a.rotation), other @ ca.DM(loop.b.rotation)
+        return join_poses(loop.name, (a, turned[0]), (b, turned[1]))
+    rows = [Row(loop.name, "m", v) for v in ca.vertsplit(ca.SX(b - a))]
     if loop.type == "axis":
         along = other @ ca.DM(loop.b.axis)
         rows += [
             Row(loop.name, "rad", ca.dot(one @ ca.DM(side), along)) for side in across(loop.a.axis)
         ]
-    if loop.type == "pose":
-        turns = rotation_rows(one @ ca.DM(loop.a.rotation), other @ ca.DM(loop.b.rotation))
-        rows += [Row(loop.name, "rad", v) for v in turns]
     return rows

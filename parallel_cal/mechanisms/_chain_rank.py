@@ -134,6 +134,12 @@ class Motion:
         """Number of independent motions: the smallest one, as a singular pose has more."""
         return min(tangent.shape[1] for tangent in self.tangents)
 
+    def count_loose(self) -> int:
+        """Return the number of freedoms that remain if all driven joints are locked."""
+        locked = [T[: self.n_joints] for T in self.tangents]
+        ranks = [int(np.sum(np.linalg.svd(J, compute_uv=False) > RELATIVE_RANK)) for J in locked]
+        return min(J.shape[1] - rank for J, rank in zip(locked, ranks, strict=True))
+
     def find_moves(self, loops: Sequence[int]) -> list[int]:
         """Return the coordinates x y z rx ry rz in which the platform moves, also if its nominal
         geometry prevents it: the rods of a Delta, or the parallelograms of a palletizer, keep their
@@ -180,7 +186,10 @@ class Motion:
         if local == m:
             return np.eye(m)
         if _rank(every) > local:  # the directions turn with the bodies
-            return np.eye(m)[sorted(_pivots(self.by[0].T)[:local])]
+            from scipy.linalg import qr
+
+            pivots = qr(self.by[0].T, pivoting=True, mode="r")[1]
+            return np.eye(m)[sorted(pivots[:local])]
         unused = _null_space(every.T)
         mixed = np.flatnonzero(np.abs(unused).max(axis=1) > RELATIVE_RANK)
         alone = [i for i in range(m) if i not in mixed]
@@ -248,10 +257,3 @@ def _null_space(J: np.ndarray) -> np.ndarray:
     _, sizes, right = np.linalg.svd(J)
     rank = int(np.sum(sizes > RELATIVE_RANK * sizes[0])) if sizes.size and sizes[0] > 0 else 0
     return right[rank:].T
-
-
-def _pivots(J: np.ndarray) -> np.ndarray:
-    """Return the columns of a matrix in the order in which they add most to those before."""
-    from scipy.linalg import qr
-
-    return np.asarray(qr(J, pivoting=True, mode="r")[1])

@@ -167,7 +167,7 @@ class Entry:
                 f"{self.where}: {quaternion} and {rpy} are given, expected one of both"
             )
         if rpy in self.given:
-            return _from_rpy(self.vector(rpy))
+            return rotation_from_rpy(self.vector(rpy))
         value = self.vector(quaternion, (0.0, 0.0, 0.0, 1.0), 4)
         if not np.linalg.norm(value) > 1e-9:
             raise self.error(quaternion, "a rotation x y z w")
@@ -186,7 +186,7 @@ class Entry:
 def read_joints(given: Any) -> tuple[Joint, ...]:
     """Read the option `joints`."""
     joints = tuple(
-        _joint(f"joints[{i}]", entry) for i, entry in enumerate(_entries("joints", given))
+        read_joint(f"joints[{i}]", entry) for i, entry in enumerate(_entries("joints", given))
     )
     _require_unique("joints", [joint.name for joint in joints])
     return joints
@@ -194,12 +194,15 @@ def read_joints(given: Any) -> tuple[Joint, ...]:
 
 def read_loops(given: Any) -> tuple[Loop, ...]:
     """Read the option `loops`."""
-    loops = tuple(_loop(f"loops[{i}]", entry) for i, entry in enumerate(_entries("loops", given)))
+    loops = tuple(
+        read_loop(f"loops[{i}]", entry) for i, entry in enumerate(_entries("loops", given))
+    )
     _require_unique("loops", [loop.name for loop in loops])
     return loops
 
 
-def _joint(where: str, given: Any) -> Joint:
+def read_joint(where: str, given: Any) -> Joint:
+    """Read one joint."""
     entry = Entry(where, given, JOINT_KEYS)
     kind = entry.text("type", tuple(COORDINATES))
     n = len(COORDINATES[kind])
@@ -227,7 +230,7 @@ def _joint(where: str, given: Any) -> Joint:
         child,
         Frame(entry.vector("origin", (0.0, 0.0, 0.0)), entry.rotation()),
         entry.vector("anchor", (0.0, 0.0, 0.0)),
-        _axes(entry, kind),
+        read_axes(entry, kind),
         driven,
         tuple(float(v) for v in home),
         entry.limits(),
@@ -235,7 +238,7 @@ def _joint(where: str, given: Any) -> Joint:
     )
 
 
-def _axes(entry: Entry, kind: str) -> tuple[np.ndarray, ...]:
+def read_axes(entry: Entry, kind: str) -> tuple[np.ndarray, ...]:
     """Return the axes of a joint: one, two of a universal joint, or none."""
     if kind == "universal":
         axes = entry.given.get("axes")
@@ -250,11 +253,12 @@ def _axes(entry: Entry, kind: str) -> tuple[np.ndarray, ...]:
     return (entry.direction("axis"),)
 
 
-def _loop(where: str, given: Any) -> Loop:
+def read_loop(where: str, given: Any) -> Loop:
+    """Read one loop."""
     entry = Entry(where, given, LOOP_KEYS)
     kind = entry.text("type", LOOPS)
     name = _plain(entry, "name")
-    a, b = (_end(entry, key, kind) for key in ("a", "b"))
+    a, b = (read_end(entry, key, kind) for key in ("a", "b"))
     if a.body == b.body:
         raise entry.error("b", f"another body than that of a ({a.body})")
     driven = entry.flag("driven")
@@ -267,7 +271,8 @@ def _loop(where: str, given: Any) -> Loop:
     return Loop(name, kind, a, b, length, driven, entry.number("home", 0.0), entry.limits())
 
 
-def _end(entry: Entry, key: str, kind: str) -> End:
+def read_end(entry: Entry, key: str, kind: str) -> End:
+    """Read one end of a loop."""
     own = Entry(f"{entry.where}: {key}", entry.given.get(key), END_KEYS)
     axis = own.direction("axis") if kind == "axis" else np.zeros(3)
     return End(own.text("body"), own.vector("point", (0.0, 0.0, 0.0)), axis, own.rotation())
@@ -292,7 +297,7 @@ def _require_unique(key: str, names: Sequence[str]) -> None:
         raise ModelError(f"{key}: the name '{twice[0]}' occurs twice, expected different names")
 
 
-def _from_rpy(angles: np.ndarray) -> np.ndarray:
+def rotation_from_rpy(angles: np.ndarray) -> np.ndarray:
     """Turn about the fixed axes x, y, z by roll, pitch and yaw, rad."""
     (a, b, c), (u, v, w) = ([f(angle) for angle in angles] for f in (sin, cos))
     return np.array(

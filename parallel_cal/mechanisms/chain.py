@@ -29,7 +29,6 @@ from parallel_cal.mechanisms._chain_reading import (
     Frame,
     Joint,
     Loop,
-    is_numbers,
     read_joints,
     read_loops,
 )
@@ -106,7 +105,8 @@ class Chain(Mechanism):
         guess = self._guess(home)
         self.skeleton = self._measure_rods(guess)
         self._set_joints()
-        self.gravity = _gravity(gravity)
+        x, y, z = Entry("options", {"gravity": gravity}, {"gravity"}).vector("gravity").tolist()
+        self.gravity = (x, y, z)
         self.masses, self._centres = _read_masses(masses, self.skeleton)
         self.parts = tuple(self.masses)
         tolerance = {"m": float(length_tolerance), "rad": float(angle_tolerance)}
@@ -284,7 +284,12 @@ class Chain(Mechanism):
             self.moves = tuple(POSE[i] for i in motion.find_moves(loops))
         given = None if controls is None else _coordinates("controls", controls)
         self.controls = tuple(given or [POSE[i] for i in motion.find_controls(self.moved)])
-        self._require_driven(motion)
+        if loose := motion.count_loose():
+            raise ModelError(
+                f"with all driven joints locked ({', '.join(self.joints)}), the chain can still "
+                f"move in {loose} of its {motion.freedoms} freedoms; drive more joints, or join "
+                "more bodies"
+            )
         self._set_home(x, stated is not None)
         self._set_workspace(x, workspace)
         self._choose_rows_and_parameters(home)
@@ -340,16 +345,6 @@ class Chain(Mechanism):
         reach = max((float(np.linalg.norm(point)) for point in [*points, x.r]), default=0.0)
         return round(0.3 * reach, 6) or 0.1
 
-    def _require_driven(self, motion: Motion) -> None:
-        """ModelError if the joints leave a motion of the platform open."""
-        n = len(self.joints)
-        if loose := min(_locked(T, n).shape[1] for T in motion.tangents):
-            raise ModelError(
-                f"with all driven joints locked ({', '.join(self.joints)}), the chain can still "
-                f"move in {loose} of its {motion.freedoms} freedoms; drive more joints, or join "
-                "more bodies"
-            )
-
     def _set_home(self, x: np.ndarray, stated: bool) -> None:
         """Set home. If the stated moves contain no turn of a platform that does turn, its
         orientation is none there."""
@@ -389,7 +384,10 @@ class Chain(Mechanism):
         self._row_scale = survey.row_scale
         combine = motion.find_rows()
         passive = self.passive_columns
-        tolerance, preference = self.parameters.tolerance, _preference(self.parameters)
+        tolerance = self.parameters.tolerance
+        # Of equivalent parameters, prefer those that an owner can measure.
+        own = [(p.name.startswith("target."), p.name.rpartition(".")[2]) for p in self.parameters]
+        preference = np.array([0.25 if last else PREFERENCE.get(key, 2.0) for last, key in own])
         replaced, unseen = motion.find_replaced(combine, tolerance, preference, passive)
         self._combine = combine
         self.fixed = tuple(
@@ -520,35 +518,11 @@ class Chain(Mechanism):
         return lines
 
 
-def _preference(table: ParameterTable) -> np.ndarray:
-    """Return which of equivalent parameters an owner would measure: encoder zeros and lengths of
-    rods, then points, then places of joints, then their directions, and last the target."""
-    factors = [
-        0.25 if p.name.startswith("target.") else PREFERENCE.get(p.name.rpartition(".")[2], 2.0)
-        for p in table
-    ]
-    return np.array(factors)
-
-
-def _locked(tangent: np.ndarray, n: int) -> np.ndarray:
-    """Return the motions among these in which the n joints rest."""
-    _, sizes, right = np.linalg.svd(tangent[:n])
-    rank = int(np.sum(sizes > 1e-7))
-    return tangent @ right[rank:].T
-
-
 def _coordinates(key: str, given: Any) -> list[str]:
     known = not isinstance(given, str) and isinstance(given, Sequence)
     if not known or not given or not set(given) <= set(POSE):
         raise ModelError(f"{key} is {given!r}, expected some of {', '.join(POSE)}")
     return [c for c in POSE if c in given]
-
-
-def _gravity(given: Any) -> tuple[float, float, float]:
-    if not is_numbers(given, 3):
-        raise ModelError(f"gravity is {given!r}, expected 3 numbers in m/s^2")
-    x, y, z = map(float, given)
-    return x, y, z
 
 
 def _read_masses(

@@ -141,7 +141,7 @@ def _perfect(p: Named, s: Structure) -> Named:
 
 def _check_structure(s: Structure) -> Seen:
     """Inputs of the mechanism after the effects; SolveError if cascading is impossible."""
-    rows = s.mechanism.closure(s.q, s.r, s.R, s.geometry)
+    rows = s.mechanism.closure(*s.mechanism.arguments(s.q, s.u, s.r, s.R, s.geometry))
     halves = s.mechanism.moves == POSE and rows.shape[0] == 6 and len(s.q.nz) == 3
     curvature = [ca.hessian(row, s.r)[0] for row in ca.vertsplit(rows)] if halves else []
     spheres = all(c.sparsity().is_diag() for c in curvature[:3])

@@ -25,6 +25,7 @@ from parallel_cal.model.model import Model
 
 def direct(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
     """Find the nominal pose and add the predicted error dX (eq. 30)."""
+    _require_pose_alone(model)
     nominal = _nominal(model).direct(np.atleast_2d(q), at)
     dX = pose_error(model, nominal, at)
     still = np.zeros_like(nominal.joints)
@@ -43,12 +44,13 @@ def inverse(
     SolveError for a robot with more closure rows than degrees of freedom: its joints need not agree
     on one error.
     """
-    if model.structure.phi.shape[0] > len(model.mechanism.moved):
+    if model.structure.equations > len(model.mechanism.moved):
         raise SolveError(
             "ipr_compensation corrects joints through the pose, but "
             f"{model.mechanism.name} has more closure rows than degrees of freedom: "
             "use --solver newton"
         )
+    _require_pose_alone(model)
     nominal = _nominal(model).inverse(np.atleast_2d(position), rotation, at)  # (i)
     dX = pose_error(model, nominal, at)  # (ii)
     m = model.mechanism
@@ -58,6 +60,15 @@ def inverse(
     passive[:, m.parasitic] = dX[:, m.parasitic] - follows
     x = nominal.configuration.apply_change(np.hstack([-dq, passive]))
     return match_shape(_answer(model, x, nominal, at, "inverse"), position)  # (v)
+
+
+def _require_pose_alone(model: Model) -> None:
+    """SolveError for a mechanism whose closure has passive coordinates besides the pose."""
+    if model.mechanism.passive:
+        raise SolveError(
+            f"ipr_compensation corrects the pose alone, but {model.mechanism.name} has passive "
+            "coordinates: use --solver newton"
+        )
 
 
 def pose_error(model: Model, nominal: Solutions, at: Mapping[str, Any] | None = None) -> np.ndarray:
