@@ -130,14 +130,16 @@ def make_mechanism(
 ) -> tuple[Mechanism, list[str]]:
     """Return the mechanism, and a remark if its loops do not close with driven joints at zero."""
     try:
-        return load_mechanism("chain", **describe(linkage, base, place, driven) | options), []
+        return load_mechanism("chain", **describe(linkage, base, place, driven) | {**options}), []
     except ModelError as error:
         closed = close_loops(linkage, base, place.body, ())
         if closed is None:
             raise DatasetError(f"{linkage.path}: {error}{_hint(linkage)}") from None
         moved, words = with_home(linkage, closed[0], driven)
         try:
-            mechanism = load_mechanism("chain", **describe(moved, base, place, driven) | options)
+            mechanism = load_mechanism(
+                "chain", **describe(moved, base, place, driven) | {**options}
+            )
         except ModelError:
             raise DatasetError(f"{linkage.path}: {error}{_hint(linkage)}") from None
         return mechanism, [f"home is where the loops close next to the file's zero: {words}"]
