@@ -17,8 +17,47 @@ from parallel_cal.reporting.drawings import DrawnLine, flat, lines, select_label
 
 DOCS = Path(__file__).parent
 LINKS = ({"joint": "R", "axes": "parallel", "a": 0.3}, {"joint": "R", "a": 0.2})
-OPTIONS = {"serial": {"links": LINKS}}  # an arm of two links, for the picture
-SHOWN = {"serial": " for the arm with two links in the drawing"}
+MOTORS = (("left", 0.04, 0.25), ("right", -0.04, 0.2))  # side, place across and height, m
+ANKLE = {  # a foot on a universal joint, moved by two motors with cranks and rods
+    "base": "shank",
+    "platform": "foot",
+    "joints": [
+        {
+            "name": "ankle",
+            "type": "universal",
+            "parent": "shank",
+            "child": "foot",
+            "axes": [[0, 1, 0], [1, 0, 0]],
+        },
+        *(
+            {
+                "name": side,
+                "type": "revolute",
+                "parent": "shank",
+                "child": f"{side}_crank",
+                "origin": [0, y, z],
+                "axis": [0, 1, 0],
+                "driven": True,
+            }
+            for side, y, z in MOTORS
+        ),
+    ],
+    "loops": [
+        {
+            "name": f"{side}_rod",
+            "type": "distance",
+            "a": {"body": f"{side}_crank", "point": [-0.05, 0, 0]},
+            "b": {"body": "foot", "point": [-0.05, y, 0]},
+        }
+        for side, y, _ in MOTORS
+    ],
+}
+# An arm of two links, and an ankle, for the pictures
+OPTIONS = {"serial": {"links": LINKS}, "chain": ANKLE}
+SHOWN = {
+    "serial": " for the arm with two links in the drawing",
+    "chain": " for the ankle with two rods in the drawing",
+}
 WIDTH, HEIGHT, EDGE = 460, 360, 46
 AZIMUTH, ELEVATION = np.radians([-50.0, 18.0])
 STYLE = """

@@ -174,6 +174,7 @@ TUTORIALS = {
     "argos.md": 6,
     "cable_robot.md": 16,
     "serial_arm.md": 4,
+    "ankle.md": 7,
 }
 
 
@@ -183,8 +184,14 @@ def test_a_tutorial_goes_from_raw_data_to_a_controller(page, tmp_path):
     for name in ("bags", "config", "examples", "real"):
         (tmp_path / name).symlink_to(ROOT / name)
     shutil.copy(TABLE, tmp_path)
+    for file in (ROOT / "examples").glob("ankle*"):
+        shutil.copy(file, tmp_path)
     assert in_order(page, tmp_path) == TUTORIALS[page]
     assert list(tmp_path.glob("*/*_vectors.csv"))  # what the last command exported
+
+
+def test_the_page_on_closed_chains_shows_what_its_commands_print(tmp_path):
+    assert in_order("chains.md", tmp_path) == 3
 
 
 @pytest.mark.wide

@@ -5,6 +5,7 @@ from importlib.util import module_from_spec, spec_from_file_location
 from itertools import pairwise
 from pathlib import Path
 
+import chains
 import numpy as np
 import plotly.graph_objects as go
 import pytest
@@ -21,7 +22,8 @@ NAMES = list_plugins("mechanisms")
 
 
 def model_of(name):
-    return new_model(load_mechanism(name, links=LINKS) if name == "serial" else name)
+    options = {"serial": {"links": LINKS}, "chain": chains.ankle()}.get(name)
+    return new_model(load_mechanism(name, **options) if options else name)
 
 
 def off_nominal(model, seed=0):
@@ -212,7 +214,7 @@ def test_the_page_of_mechanisms_shows_every_one_as_it_draws_itself_today():
     assert (DOCS / "mechanisms.md").read_text(encoding="utf-8") == tool.page()
     for name in NAMES:
         kept = (DOCS / "mechanisms" / f"{name}.svg").read_text(encoding="utf-8")
-        drawn = tool.picture(model_of(name))
+        drawn = tool.picture(new_model(load_mechanism(name, **tool.OPTIONS.get(name, {}))))
         assert re.findall(r">([^<]+)</text>", kept) == re.findall(r">([^<]+)</text>", drawn)
         numbers = [
             np.array(

@@ -18,8 +18,9 @@ from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.recordings.simulate import simulate, stated_noise
 from parallel_cal.recordings.writer import write_bag
 
-NEEDS_OPTIONS = {"serial"}  # a chain is described in its file: test_serial.py
-NEEDS_PRIOR = {"rssr"}  # one angle against another tells little: the tolerances must help
+NEEDS_OPTIONS = {"serial", "chain"}  # described in its file: test_serial.py, test_chain.py
+# One angle against another, or two against two, tell little: the tolerances must help.
+NEEDS_PRIOR = {"rssr", "ankle_2rsu"}
 
 
 @pytest.mark.wide
@@ -195,7 +196,7 @@ def test_a_double_root_of_the_direct_problem_is_singular_and_not_an_error():
     assert answer.position == pytest.approx([0, 0, 0.1], abs=1e-6)
 
 
-@pytest.mark.parametrize("name", [n for n in list_plugins("mechanisms") if n != "serial"])
+@pytest.mark.parametrize("name", [n for n in list_plugins("mechanisms") if n not in NEEDS_OPTIONS])
 def test_home_closes(name):
     model = new_model(name)
     home = model.mechanism.home

@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import chains
 import numpy as np
 import pytest
 from distant_poses import distant_poses
@@ -44,15 +45,17 @@ WITH_EFFECTS = ("delta54", "stewart42", "argos27")
 ROBOTS = [
     "delta54",
     "cable",
-    *(pytest.param(name, marks=pytest.mark.wide) for name in ("stewart42", "argos27")),
+    *(pytest.param(name, marks=pytest.mark.wide) for name in ("stewart42", "argos27", "chain")),
     pytest.param("linear_delta", marks=pytest.mark.wide),
 ]
 
 
 @cache
 def robot(name):
-    """A robot off its nominal, with effects that are felt."""
-    model = new_model(name, effects=EFFECTS.get(name, ()))
+    """A robot off its nominal, with effects that are felt. The chain is an ankle, whose passive
+    coordinates and a part of whose rotation are unknown."""
+    mechanism = load_mechanism("chain", **chains.ankle()) if name == "chain" else name
+    model = new_model(mechanism, effects=EFFECTS.get(name, ()))
     table, rng = model.table, np.random.default_rng(1)
     off = table.nominal + 0.5 * table.tolerance * rng.standard_normal(len(table))
     return model.with_values(np.where(model.fixed, table.nominal, off))
@@ -188,7 +191,7 @@ def test_the_vectors_hold_unreachable_and_invalid_problems_too(name):
     for problem in (0, 1):
         assert np.mean(statuses[statuses[:, 0] == problem, 1] == Status.CONVERGED) > 0.9
         assert Status.INVALID_INPUT in statuses[statuses[:, 0] == problem, 1]
-    if name not in ("argos27", "cable"):  # which reach wherever is asked
+    if name not in ("argos27", "cable", "chain"):  # which reach wherever is asked
         assert {Status.UNREACHABLE, Status.OUTSIDE_LIMITS} & set(statuses[:, 1].tolist())
 
 
@@ -242,6 +245,8 @@ def test_the_object_has_no_state_and_only_its_own_names(name):
 def structure(model):
     n, double = len(model.joints), ctypes.c_double
     members = [("joints", double * n), ("position", double * 3), ("rotation", double * 9)]
+    passive = len(model.mechanism.passive)
+    members += [("passive", double * passive)] if passive else []
     return type("configuration", (ctypes.Structure,), {"_fields_": members})
 
 
@@ -345,7 +350,7 @@ def test_jacobians_are_the_differences_of_pythons_answers(name):
     _, answer = exported.direct(q)
     step = 1e-6 * np.eye(n)
     ahead, back = (kinematics.direct(q + sign * step).configuration for sign in (1, -1))
-    expected = ahead.change_from(back)[:, n:].T / 2e-6
+    expected = ahead.change_from(back)[:, n : n + 6].T / 2e-6
     found = exported.jacobian(answer).reshape(6, n)
     np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
     controlled = model.mechanism.controlled

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import virtual_paper as vp
 import virtual_serial as vs
+import virtual_shelf as vf
 import virtual_small as vm
 
 from parallel_cal.base.rotation import quaternion_to_matrix, rotation_vector
@@ -70,8 +71,19 @@ CASES = [
     Case("parallelogram", vp.Parallelogram),
     Case("parallelogram_simple", vp.SimpleParallelogram),
     Case("delta51", vp.Delta51),
+    Case("stewart_rss", vf.StewartRss),
+    Case("hexaglide", vf.Hexaglide),
+    Case("ankle_2rsu", vf.Ankle2Rsu),
+    Case("ankle_2rsu", lambda p: vf.Ankle2Rsu(p, "roll"), (("first", "roll"),)),
+    Case("quattro", vf.Quattro),
+    Case("quattro", vf.Quattro, (("gear", 2.0),)),
+    Case("tripod_prs", vf.TripodPrs),
+    Case("tripod_prs", lambda p: vf.TripodPrs(p, 0.3), (("inclination", 0.3),)),
+    Case("plate_rrs", vf.PlateRrs),
+    Case("palletizer", vf.Palletizer),
+    Case("palletizer", lambda p: vf.Palletizer(p, False), (("flange", False),)),
 ]
-ELSEWHERE = {"delta54", "delta24", "delta_nominal", "serial"}  # test_delta.py; below
+ELSEWHERE = {"delta54", "delta24", "delta_nominal", "serial", "chain"}  # test_delta.py; below
 each_case = pytest.mark.parametrize("case", CASES, ids=str)
 
 
@@ -136,6 +148,7 @@ CLOSED = [  # where the documents give one, or geometry at once does
     *[("direct", n) for n in ("scara16", "cable", "five_bar")],
     *[("inverse", n) for n in ("slider_crank", "rssr", "argos_nominal", "argos9")],
     *[("inverse", n) for n in ("stewart42", "planar_stewart", "cable", "five_bar")],
+    *[("inverse", n) for n in ("stewart_rss", "hexaglide", "quattro")],
 ]
 
 

@@ -12,9 +12,9 @@ from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import list_plugins
 
-ALL = set(list_plugins("mechanisms")) - {"serial"}  # it needs a chain of its own
+ALL = set(list_plugins("mechanisms")) - {"serial", "chain"}  # described in a file of their own
 SPHERICAL = {"argos9", "argos_nominal"}
-SIX_RODS = {"delta54", "delta51", "linear_delta", "stewart42"}
+SIX_RODS = {"delta54", "delta51", "linear_delta", "stewart42", "stewart_rss", "hexaglide"}
 SMALL = {
     "cable",
     "five_bar",
@@ -24,10 +24,11 @@ SMALL = {
     "rssr",
     "slider_crank",
 }
+SHELF = {"stewart_rss", "hexaglide", "quattro"}
 SERVED = {  # solver: mechanisms whose direct, and whose inverse problem it solves
     "closed_form": (
         SMALL | {"argos_nominal", "parallelogram", "scara16"},
-        SMALL - {"parallelogram_simple"} | SPHERICAL | {"planar_stewart", "stewart42"},
+        SMALL - {"parallelogram_simple"} | SPHERICAL | {"planar_stewart", "stewart42"} | SHELF,
     ),
     "cascaded:half_steps=9": ({"delta54", "linear_delta"}, {"delta54"}),
     "cascaded_circles:half_steps=24": ({"argos27"}, {"argos27"}),

@@ -17,6 +17,7 @@ from parallel_cal.base.rotation import rotation_matrix, rotation_vector
 from parallel_cal.campaign.path_guard import Guard, PathError
 from parallel_cal.campaign.trajectory import DEFAULT_CROSSING_TIME_S, Trajectory, rates
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
+from parallel_cal.kinematics.solutions import stack_solutions
 
 MAX_CURVE_ANGLE = np.radians(20.0)  # a sharper turn is a corner, at which the robot stops
 MAX_CURVE_TURN = np.radians(170.0)  # of a curve: unique below half a turn
@@ -201,13 +202,7 @@ def _follow(
     for position, rotation in zip(r, R, strict=True):
         last = kinematics.inverse(position, rotation, at, start=last, keep_branch=True)
         found.append(last)
-    return Solutions(
-        np.array([one.joints for one in found]),
-        np.array([one.position for one in found]),
-        np.array([one.rotation for one in found]),
-        np.array([one.residual for one in found]),
-        np.array([one.status for one in found]),
-    )
+    return stack_solutions(found)
 
 
 # ------------------------------------------------------------------ time

@@ -166,7 +166,7 @@ class Checker:
         home = self._robot.direct(np.array([model.mechanism.home.joints]))
         pool = Pool(home, np.zeros((1, 1), int), model.condition_rows(None, 1), None)
         free = ~np.asarray(model.fixed)
-        measured = np.ones(len(model.joints) + 6, bool)
+        measured = np.ones(len(model.structure.scale), bool)
         G = prediction_blocks(model, free, measured, pool)[0] * model.table.tolerance[free]
         size = np.sqrt(np.sum(G**2, axis=1))
         return {

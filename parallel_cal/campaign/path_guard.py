@@ -199,7 +199,7 @@ class Guard:
     def _line_end_function(self) -> Batch | None:
         """Both ends of every moving line of the mechanism's drawing, as one row; None without."""
         s = self.model.structure
-        lines = self.model.mechanism.drawing(s.q, s.r, s.R, s.geometry)
+        lines = s.drawing()
         moving = [line for line in lines if line.kind not in ("base", "axis")]
         ends = [end for line in moving for pair in pairwise(line.points) for end in pair]
         if not ends:

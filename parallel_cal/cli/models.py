@@ -45,13 +45,39 @@ def new(
         typer.Option(
             "--from",
             metavar="FILE",
-            help="configuration of a controller (config.g, printer.cfg, ...), or a URDF",
+            help="configuration of a controller (config.g, printer.cfg, ...), a URDF, or an MJCF, "
+            "SDF or URDF with loops",
         ),
     ] = None,
     from_link: Annotated[str, typer.Option(help="first link of the URDF [default: its root]")] = "",
     to_link: Annotated[
         str,
         typer.Option(help="last link of the chain [default: the end link (leaf) that joints move]"),
+    ] = "",
+    base: Annotated[
+        str,
+        typer.Option(
+            help="body, link or site of a closed chain that carries {B} [default: the floating "
+            "body, or the root]"
+        ),
+    ] = "",
+    platform: Annotated[
+        str, typer.Option(help="body, link or site of a closed chain that is {P}")
+    ] = "",
+    driven: Annotated[
+        str,
+        typer.Option(
+            metavar="JOINT,JOINT,...",
+            help="joints of a closed chain with readings, in this order [default: those with "
+            "actuators in the file]",
+        ),
+    ] = "",
+    locked: Annotated[
+        str,
+        typer.Option(
+            metavar="JOINT,JOINT,...",
+            help="passive joints of a closed chain that do not move, such as stiff springs",
+        ),
     ] = "",
     option: Option = None,
     drive: Annotated[
@@ -80,25 +106,35 @@ def new(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Write a model file. Its values are nominal, or those of a controller's configuration or of a
-    URDF (--from)."""
+    """Write a model file. Its values are nominal, or those of a controller's configuration, of a
+    URDF, or of an MJCF, an SDF or a URDF with loops (--from)."""
     from parallel_cal.importing.deltas import PROBE_NOISE_UNKNOWN
     from parallel_cal.model.file.modelfile import model_hash, replace_model
     from parallel_cal.model.machine_class import DEFAULT_CLASS, check_class
 
     if output.exists():
         raise ParallelCalError(f"{output}: file exists already; remove it or give another name")
-    urdf = _get_urdf(mechanism, configuration or [])
-    if not urdf and (
+    ends = (base, platform, driven, locked)
+    linkage = mechanism in (None, "chain") and _is_linkage(configuration or [], any(ends))
+    urdf = None if linkage else _get_urdf(mechanism, configuration or [])
+    if not (urdf or linkage) and (
         (mechanism is None) == (not configuration)
         or (configuration and option)
         or (from_link or to_link)
+        or any(ends)
     ):
         raise typer.BadParameter(
-            "expected a MECHANISM (and its options), or --from FILE; only a URDF has links and "
-            "options"
+            "expected a MECHANISM (and its options), or --from FILE; only a URDF, an MJCF or an "
+            "SDF has links, driven joints and options"
         )
-    if urdf:
+    if linkage:
+        from parallel_cal.importing.closed_chain import chain
+
+        files = configuration or []
+        names, still = ([*filter(None, text.split(","))] for text in (driven, locked))
+        found = chain(files, base, platform, names, still, **parse_options(option))
+        model, values, remarks = found.model, f"as in {files[0]}", found.remarks
+    elif urdf:
         from parallel_cal.importing.urdf import arm
 
         found = arm(urdf, from_link, to_link, **parse_options(option))
@@ -136,6 +172,18 @@ def _get_urdf(mechanism: str | None, configuration: list[Path]) -> Path | None:
         return None
     by_name = mechanism == "serial" or configuration[0].suffix.lower() in (".urdf", ".xacro")
     return configuration[0] if by_name else None
+
+
+def _is_linkage(configuration: list[Path], stated: bool) -> bool:
+    """Return whether the files describe a closed chain. A URDF without loops does, too, if the ends
+    or the driven joints of a chain are stated."""
+    from parallel_cal.importing.closed_chain import URDF_SUFFIXES, describes_linkage
+
+    if not configuration:
+        return False
+    path, *others = configuration
+    is_urdf = path.suffix.lower() in URDF_SUFFIXES
+    return describes_linkage(path) or (is_urdf and (stated or len(others) == 1))
 
 
 def _make_model(

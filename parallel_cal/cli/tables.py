@@ -194,6 +194,7 @@ def _make_invalid_solutions(model: Model, good: np.ndarray) -> Solutions:
         np.full((n, 3, 3), np.nan),
         np.full(n, np.nan),
         np.full(n, Status.INVALID_INPUT, dtype=np.int8),
+        passive=np.full((n, len(model.mechanism.passive)), np.nan),
     )
 
 

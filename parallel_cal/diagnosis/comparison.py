@@ -36,7 +36,6 @@ from parallel_cal.identification.prediction_errors import ERRORS, Errors, Summar
 from parallel_cal.identification.predictions import predict_positions
 from parallel_cal.identification.registration import Registration, add_registration_warning
 from parallel_cal.identification.variance_components import estimate_noise
-from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.model.region import IdentifiedRegion, describe_untested_conditions
 from parallel_cal.recordings.configuration import explain_other_configuration
@@ -176,7 +175,9 @@ class Comparison(ShownInNotebook):
         Residuals
         """
         field, errors = self.field, self.errors
-        seen, reached = (Configuration.from_rows(x) for x in (self.observations.x, self.scene.x))
+        seen, reached = (
+            self.scene.model.configuration(x) for x in (self.observations.x, self.scene.x)
+        )
         unsolved = np.isfinite(self.position).all(axis=1) & np.isnan(errors.position).any(axis=1)
         # Without a pose there are noise units of something else.
         sigmas = field.noise_units if field.measured.any() else np.full((len(seen.q), 6), np.nan)

@@ -279,14 +279,15 @@ def log_evidence(scene: Scene, B: np.ndarray, F: np.ndarray) -> float:
 
 def _smooth_fields(scene: Scene) -> Iterator[np.ndarray]:
     """Columns (n, 3 m), off the geometry, of fields of position that change over one length each;
-    none where no position was measured.
+    none where no position was measured, or the robot moves none.
 
     Values at m of the places, the furthest from each other, and what is likeliest in between: a
     Gaussian process with exp(-d^2 / 2 l^2), d in standard deviations of place. A coefficient of
     one moves the residuals by about one sigma.
     """
     n = len(scene.model.joints)
-    if not scene.observations.measured[:, n : n + 3].any():
+    moved = [n + i for i in scene.model.mechanism.moved if i < 3]
+    if not scene.observations.measured[:, moved].any():
         return
     by_place = scene.measured_jacobian[:, :, n : n + 3]
     by_place = by_place / np.sqrt(np.sum(by_place**2) / (3 * len(by_place)))

@@ -79,7 +79,8 @@ def _differentiate_errors(scene: Scene, field: Field) -> np.ndarray:
     J = J * model.table.prior_sigma[scene.free]
     moved = list(model.mechanism.moved)
     by_pose = C[:, :, [n + i for i in moved]]
-    moves = -np.linalg.pinv(by_pose[:, :closure]) @ J[:, :closure]
+    dependent = C[:, :closure, model.mechanism.dependent_columns]
+    moves = -(np.linalg.pinv(dependent) @ J[:, :closure])[:, : len(moved)]
     if field.measured.any():
         found = np.zeros((len(J), 6, J.shape[2]))
         found[:, moved] = -moves

@@ -10,7 +10,6 @@ from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.identification.image_poses import find_shown_poses
 from parallel_cal.identification.linearisation import compute_joint_jacobians
 from parallel_cal.identification.observations import UNMEASURED
-from parallel_cal.model.configuration import Configuration
 
 
 @dataclass(frozen=True)
@@ -39,11 +38,11 @@ class Field:
         n = len(scene.model.joints)
         observations = scene.observations
         moved = np.isin(np.arange(6), scene.model.mechanism.moved)
-        shown = observations.measured[:, n:]
+        shown = observations.measured[:, n : n + 6]
         measured = shown & moved
-        seen, predicted = (Configuration.from_rows(x) for x in (observations.x, scene.x))
-        pose = seen.change_from(predicted)[:, n:]
-        variance = np.diagonal(observations.S, axis1=1, axis2=2)[:, n:]
+        seen, predicted = (scene.model.configuration(x) for x in (observations.x, scene.x))
+        pose = seen.change_from(predicted)[:, n : n + 6]
+        variance = np.diagonal(observations.S, axis1=1, axis2=2)[:, n : n + 6]
         fixed = (pose**2 / np.where(variance > 0, variance, 1.0))[shown & ~moved]
         unmeasured = observations.noise_from.get("pose") in UNMEASURED
         held = float(np.sqrt(fixed.mean())) if fixed.size and not unmeasured else 0.0
@@ -53,10 +52,12 @@ class Field:
             images: np.ndarray = poses.known[:, None] & moved
             pose = np.where(images, poses.change, pose)
             S, measured = S.copy(), measured | images
-            S[poses.known, n:, n:] = poses.covariance[poses.known]
+            S[poses.known, n : n + 6, n : n + 6] = poses.covariance[poses.known]
         if measured.any():
             by_joint = _compute_joint_jacobians(scene)[0]
-            total = S[:, n:, n:] + by_joint @ S[:, :n, :n] @ by_joint.transpose(0, 2, 1)
+            total = S[:, n : n + 6, n : n + 6] + by_joint @ S[:, :n, :n] @ by_joint.transpose(
+                0, 2, 1
+            )
             noise_units, sigma = _in_noise_units(pose, total, measured), _sigma(total)
             return cls(pose, noise_units, measured, held, pose, sigma)
         if np.isfinite(readings).any():

@@ -72,7 +72,7 @@ class Region:
         outside = (away > (0.5 + REGION_MARGIN) * (high - low)[axes]).any(axis=1)
         if outside.sum() < MIN_POSES_BEYOND_REGION:
             return None
-        G = prediction_blocks(robot, free, np.ones(n + 6, bool), pool)[:, :3]
+        G = prediction_blocks(robot, free, np.ones(len(robot.structure.scale), bool), pool)[:, :3]
         variance = np.einsum("nij,jk,nik->n", G, covariance[np.ix_(free, free)], G)
         inner, outer = (
             float(np.sqrt(np.mean(v))) if len(v) else 0.0

@@ -15,7 +15,6 @@ from parallel_cal.identification.observations import Observations, blocks, condi
 from parallel_cal.identification.predictions import predict_configurations, reading_residuals
 from parallel_cal.identification.registration import shows_pose
 from parallel_cal.identification.thresholds import MIN_SIGMAS_PER_TOLERANCE, RELATIVE_RANK
-from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 
@@ -54,11 +53,11 @@ class Scene:
     """The residuals that candidates are scored on, in noise units.
 
     residual (n,) and basis (n, rank) of the geometry's columns, with the rows of a sample together;
-    x (N, nq+12) the configurations predicted from the joints. Regressors are evaluated there, never
-    at the measured pose: a noisy measurement would explain its own error. `by_measured` (N, rows,
-    nq + 6) are the derivatives of the rows by (q, r, w) there. `whitener` (N, rows, rows) turns
-    rows of the closure into noise units, without unmeasured coordinates; `informative` (N,) is the
-    number of independent rows that remain for each sample.
+    x (N, nq+12+nu) the configurations predicted from the joints. Regressors are evaluated there,
+    never at the measured pose: a noisy measurement would explain its own error. `by_measured` (N,
+    rows, nq + 6 + nu) are the derivatives of the rows by (q, r, w, u) there. `whitener` (N, rows,
+    rows) turns rows of the closure into noise units, without unmeasured coordinates; `informative`
+    (N,) is the number of independent rows that remain for each sample.
     """
 
     model: Model
@@ -88,7 +87,7 @@ class Scene:
         of other models of the same samples may have the same `shared` derivatives."""
         x = predict_configurations(model, observations)
         linearise = Linearisation(model, observations, free, True)
-        C = np.empty((len(x), model.structure.rows.shape[0], len(model.joints) + 6))
+        C = np.empty((len(x), model.structure.rows.shape[0], len(model.structure.scale)))
         system = linearise(model.values, x, by_measured=C)
         r = system.residual.reshape(-1)
         J = system.jacobian.reshape(len(r), -1) * model.table.prior_sigma[free]
@@ -124,7 +123,8 @@ class Scene:
 
         Touches, gauges and joints that check each other do not.
         """
-        poses = self.observations.measured[:, len(self.model.joints) :]
+        n = len(self.model.joints)
+        poses = self.observations.measured[:, n : n + 6]
         return bool(poses.any()) or shows_pose(self.model)
 
     @cached_property
@@ -146,7 +146,7 @@ class Scene:
 
     @cached_property
     def seen(self) -> np.ndarray:
-        """q, r, R9 and geometry as the effects let the closure see them: (N, k)."""
+        """q, r, R9, u and geometry as the effects let the closure see them: (N, k)."""
         return self.model.structure.seen_batch(self.x, self.observations.a, self.model.values)[0]
 
     @cached_property
@@ -159,7 +159,8 @@ class Scene:
 
     @cached_property
     def measured_jacobian(self) -> np.ndarray:
-        """d rows/d(q, r, w) at the predicted configurations, in noise units: (N, rows, nq + 6)."""
+        """d rows/d(q, r, w, u) at the predicted configurations, in noise units: (N, rows, nq + 6 +
+        nu)."""
         return np.asarray(self.whitener @ self.by_measured)
 
     def project_off_geometry(self, columns: np.ndarray) -> np.ndarray:
@@ -170,8 +171,8 @@ class Scene:
     def places(self) -> np.ndarray:
         """Where the platform is (N, 3): its predicted position (m), or its turns from the mean
         orientation (rad) if only the orientation was measured."""
-        predicted, n = Configuration.from_rows(self.x), len(self.model.joints)
-        position, orientation = np.split(self.observations.measured[:, n:].any(axis=0), 2)
+        predicted, n = self.model.configuration(self.x), len(self.model.joints)
+        position, orientation = np.split(self.observations.measured[:, n : n + 6].any(axis=0), 2)
         if orientation.any() and not position.any():
             return turns_from_mean(predicted.R)
         return predicted.r

@@ -365,7 +365,7 @@ def _compute_statics(
     kinds = masses(mechanism)
     e = Named([kind.name for kind in kinds], ca.SX.zeros(len(kinds)))
     carried = ca.SX.sym("payload")
-    seen = Seen(ideal.q, ideal.r, ideal.R, ideal.geometry)
+    seen = Seen(ideal.q, ideal.r, ideal.R, ideal.geometry, ideal.u)
     found = compute(seen, e, Named([PAYLOAD], carried), mechanism)
     z = ca.vertcat(ideal.configuration, ideal.v)
     (values,) = Batch(dense(compute.__name__, (z, carried), (found,)))(scene.seen, payload[:, None])

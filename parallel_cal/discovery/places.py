@@ -92,12 +92,12 @@ def list_places(scene: Scene, stations: Stations | None = None) -> list[Place]:
             Place(f"{DEVICE}.{name}", DEVICE, unit, i, None, shown[:, :, i], stations=stations),
         ]
     found += _list_turns_of_base(scene, pose)
-    owners = _find_owners(mechanism.parameters.names, n)
+    owners, geometry = _find_owners(mechanism.parameters.names, n), n + 12 + len(mechanism.passive)
     found += [
-        Place(p.name, PARAMETER, p.unit, k, owners.get(p.name), J[:, :, n + 12 + k])
+        Place(p.name, PARAMETER, p.unit, k, owners.get(p.name), J[:, :, geometry + k])
         for k, p in enumerate(mechanism.parameters)
     ]
-    found += _list_rods(scene, J[:, :, n + 12 :])
+    found += _list_rods(scene, J[:, :, geometry:])
     # Contiguous: sums over them then do not depend on where they are computed, to the last bit.
     return [
         replace(place, columns=np.ascontiguousarray(place.columns))

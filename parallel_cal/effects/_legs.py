@@ -17,6 +17,8 @@ from parallel_cal.model.parameters import Named
 def needs_legs(mechanism: Mechanism) -> str:
     """Return why there is no inclination of legs, lines or rods; empty if there is."""
     names, _ = rods(mechanism)
+    if mechanism.passive:
+        return "bodies on passive joints carry its platform, not legs, lines or rods alone"
     if names:
         shared = len(names) < len(mechanism.joints)
         return "its rods share one length" if shared else ""

@@ -20,7 +20,10 @@ MIN_WEIGHT_FORCE = 1e-6  # Nm or N, under 1 kg; a joint below it carries no weig
 def masses(mechanism: Mechanism) -> list[Parameter]:
     """Return the known masses besides the payload (kg): the platform, and one part of each kind."""
     kinds = ("platform", *mechanism.parts)
-    return [Parameter(f"mass.{kind}", "kg", 0.0, 100.0, low=0.0, high=1000.0) for kind in kinds]
+    return [
+        Parameter(f"mass.{k}", "kg", mechanism.masses.get(k, 0.0), 100.0, low=0.0, high=1000.0)
+        for k in kinds
+    ]
 
 
 def joint_forces(seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Any:
@@ -119,7 +122,8 @@ def _estimate_loads(
     r, R = mechanism.start(q, p)
     e = Named([kind.name for kind in kinds], ca.SX.zeros(len(kinds)))
     at = Named([PAYLOAD], ca.SX(1))
-    forces = ca.DM(joint_forces(Seen(q, ca.SX(r), ca.SX(R), p), e, at, mechanism))
+    seen = Seen(q, ca.SX(r), ca.SX(R), p, ca.SX(home.passive))
+    forces = ca.DM(joint_forces(seen, e, at, mechanism))
     return tuple(float(forces[i]) for i in range(n))
 
 
@@ -144,14 +148,16 @@ def _nominal(table: ParameterTable) -> Named:
 
 
 def _forces(u: int, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Any:
-    """Return dU/du - (dphi/du)^T lambda with (dphi/dx)^T lambda = dU/dx; u: JOINTS or RODS.
+    """Return dU/du - (dphi/du)^T lambda with (dphi/dx)^T lambda = dU/dx; u: JOINTS or RODS, x: the
+    platform and passive coordinates.
 
-    U is the work of gravity on payload, platform and parts, J. The platform follows u so that phi
-    stays zero.
+    U is the work of gravity on payload, platform and parts, J. Platform and passive coordinates
+    follow u so that phi stays zero.
     """
     loads = [e["mass"][kind] for kind in ("platform", *mechanism.parts)]
     slopes = _slopes(mechanism, mechanism.gravity)
-    found = slopes(seen.q, seen.r, seen.R, seen.p.column, ca.vertcat(*loads, at[PAYLOAD]))
+    loads = ca.vertcat(*loads, at[PAYLOAD])
+    found = slopes(seen.q, seen.r, seen.R, seen.u, seen.p.column, loads)
     by_x, by_u = found[0], found[u]
     multipliers = ca.solve(by_x[:-1, :].T, by_x[-1, :].T)
     return by_u[-1, :].T - by_u[:-1, :].T @ multipliers
@@ -159,27 +165,30 @@ def _forces(u: int, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> An
 
 @lru_cache(maxsize=64)
 def _slopes(mechanism: Mechanism, gravity: tuple[float, ...]) -> ca.Function:
-    """Build the derivatives of (phi, U) by the moved part of the pose (x, w), by the joints and by
-    the parameters of the rods.
+    """Build the derivatives of (phi, U) by the moved part of the pose (x, w) and the passive
+    coordinates, by the joints and by the parameters of the rods.
 
-    They are functions of (q, r, R, geometry, masses), which all effects of a mechanism share.
+    They are functions of (q, r, R, u, geometry, masses), which all effects of a mechanism share.
     """
     names = mechanism.parameters.names
     q, r, R = ca.SX.sym("q", len(mechanism.joints)), ca.SX.sym("r", 3), ca.SX.sym("R", 3, 3)
     p, x = ca.SX.sym("p", len(names)), ca.SX.sym("x", len(POSE))
+    u = ca.SX.sym("u", len(mechanism.passive))
     platform, *parts, payload = masses = ca.vertsplit(ca.SX.sym("m", len(mechanism.parts) + 2))
-    pose = q, r + x[:3], R + ca.skew(x[3:]) @ R, Named(names, p)
+    position = r + x[:3]
+    pose = mechanism.arguments(q, u, position, R + ca.skew(x[3:]) @ R, Named(names, p))
     phi, centres = ca.vertcat(mechanism.closure(*pose)), mechanism.centres(*pose)
     mass = dict(zip(mechanism.parts, parts, strict=True))
     moments = [mass[kind] * point for kind, points in centres.items() for point in points]
     # The weights of payload and platform act at {P}.
-    moment = sum(moments, (platform + payload) * pose[1])
+    moment = sum(moments, (platform + payload) * position)
     rows = ca.vertcat(phi, ca.dot(ca.DM(gravity), moment))
     of_rods = [p[names.index(name)] for name in rods(mechanism)[0]]
-    by = ca.vertcat(x[mechanism.moved], q, *of_rods)
+    dependent = ca.vertcat(x[mechanism.moved], u)
+    by = ca.vertcat(dependent, q, *of_rods)
     slopes = ca.horzsplit(
         ca.jacobian(rows, by),
-        np.cumsum([0, len(mechanism.moved), q.numel(), len(of_rods)]).tolist(),
+        np.cumsum([0, dependent.numel(), q.numel(), len(of_rods)]).tolist(),
     )
     slopes = ca.cse(ca.substitute(slopes, [x], [ca.SX.zeros(len(POSE))]))
-    return ca.Function("slopes", [q, r, R, p, ca.vertcat(*masses)], slopes)
+    return ca.Function("slopes", [q, r, R, u, p, ca.vertcat(*masses)], slopes)

@@ -314,6 +314,8 @@ def _refusal(
     name: str, module: ModuleType, model: Model, given: Mapping[str, str] | None = None
 ) -> ModelError:
     """Return the error for a target that cannot represent a model; it names targets that can."""
+    if hasattr(module, "edit"):
+        return ModelError(f"{name} changes the numbers of a file that exists: give it with --into")
     if not hasattr(module, "HOLDS"):
         return ModelError(f"{name} is not an export target: it has no function files(model)")
     if given and _holds(module, model):

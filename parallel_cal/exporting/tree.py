@@ -95,7 +95,7 @@ class _Builder:
     def __init__(self, model: Model):
         s = model.structure
         self._s, self._model, self.tree = s, model, Tree(model)
-        lines = model.mechanism.drawing(s.q, s.r, s.R, s.geometry)
+        lines = s.drawing()
         values = ca.DM(model.values)
         self._lines = [
             (line.kind, [ca.substitute(ca.SX(p), s.v, values) for p in line.points])

@@ -158,7 +158,8 @@ def _describe_foreign_model(new: FitResult, now: Summary) -> str:
             "printer: whether rotation_distance, gears or microsteps changed after the touches)"
         )
     motion = float(np.sqrt(np.var(new.dataset.r[seen], axis=0).sum()))
-    if now.position_rms < FOREIGN_SHARE * motion:
+    only_turns = min(new.model.mechanism.moved) >= 3  # then positions scatter by noise alone
+    if only_turns or now.position_rms < FOREIGN_SHARE * motion:
         return ""
     return (
         f"; the measured positions themselves scatter by {1e3 * motion:.4g} mm (rms), so the model "

@@ -18,7 +18,6 @@ from parallel_cal.identification.prediction_errors import (
     find_judgeable_samples,
 )
 from parallel_cal.identification.predictions import predict_configurations
-from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 
@@ -133,9 +132,9 @@ def _compute_motions(model: Model, observations: Observations) -> dict[str, np.n
     """By name of geometry and each effect, how far it moves the platform (N, 6) at the samples: its
     identified parameters instead of the nominal ones. NaN where a pose was not measured."""
     n, table = len(model.joints), model.table
-    complete = Configuration.from_rows(predict_configurations(model, observations))
+    complete = model.configuration(predict_configurations(model, observations))
     judged = [
-        find_judgeable_samples(model, observations.measured[:, n:], range(6)[part])
+        find_judgeable_samples(model, observations.measured[:, n : n + 6], range(6)[part])
         for part in KINDS.values()
     ]
     known = np.repeat(np.stack(judged, axis=1), 3, axis=1)
@@ -143,7 +142,7 @@ def _compute_motions(model: Model, observations: Observations) -> dict[str, np.n
     for name, which in list_parts(model).items():
         values = np.where(which, table.nominal, model.values)
         less = predict_configurations(model.with_values(values), observations)
-        change = complete.change_from(Configuration.from_rows(less))[:, n:]
+        change = complete.change_from(model.configuration(less))[:, n : n + 6]
         found[name] = np.where(known, change, np.nan)
     return found
 

@@ -63,7 +63,7 @@ def explain_too_few_poses(
     given = observations.measured[:, moved].sum(axis=1) + np.isfinite(observations.reading).sum(
         axis=1
     )
-    equations = np.maximum(model.structure.phi.shape[0] - len(moved) + given, 0)[first]
+    equations = np.maximum(model.structure.equations - len(moved) + given, 0)[first]
     carried, most = int(equations.sum()), max(int(equations.max(initial=0)), 1)
     if carried >= (1 if prior else free.sum()):
         return ""

@@ -174,7 +174,7 @@ def doubt_columns(
     """
     n = len(model.joints)
     if there is None:  # the robot cannot be there
-        shown = observations.measured[:, n:].any(axis=1)
+        shown = observations.measured[:, n : n + 6].any(axis=1)
         far_off = bool(np.sum(shown) >= MIN_SCALE_SAMPLES)
     else:
         sizes = there.compute_median_errors(there.frames)

@@ -15,7 +15,6 @@ from parallel_cal.identification.thresholds import (
     PART_OF_TRAVEL,
 )
 from parallel_cal.kinematics.kinematics import Kinematics
-from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model, new_model
 
@@ -90,8 +89,9 @@ def compute_completeness(
 
 
 def closed_poses(model: Model, n: int, rng: np.random.Generator) -> np.ndarray:
-    """n configurations (q, r, R9) that close, with the joints around home."""
-    kinematics, found = Kinematics(model), np.empty((0, len(model.joints) + 12))
+    """n configurations (q, r, R9, u) that close, with the joints around home."""
+    kinematics = Kinematics(model)
+    found = np.empty((0, len(model.mechanism.home.configuration)))
     for _ in range(20):
         s = kinematics.direct(_joints(kinematics, n, rng))
         closed = np.nan_to_num(s.residual, nan=np.inf) < MAX_CLOSED_RESIDUAL_M
@@ -121,7 +121,7 @@ def identification_jacobian(model: Model, x: np.ndarray) -> np.ndarray:
 
 def frame_jacobian(model: Model, x: np.ndarray) -> np.ndarray:
     """d phi for small motions of {B} and of {P}, among the coordinates that move."""
-    J_x, here = _blocks(model, x)[0], Configuration.from_rows(x)
+    J_x, here = _blocks(model, x)[0], model.configuration(x)
     r, R = here.r, here.R
     lever = np.stack([np.cross(axis, r) for axis in np.eye(3)], axis=2)
     zero = np.zeros_like(R)
@@ -146,4 +146,5 @@ def rank(J: np.ndarray) -> int:
 def _blocks(model: Model, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """d phi / d(r, w) (N, rows, 6) and d phi / dp (N, rows, n_p)."""
     J_x, J_v = model.structure.jacobians(x, model.condition_rows(None, len(x)), model.values)
-    return J_x[:, :, len(model.joints) :], J_v
+    n = len(model.joints)
+    return J_x[:, :, n : n + 6], J_v

@@ -23,7 +23,6 @@ from parallel_cal.identification.thresholds import (
     MIN_IMAGE_NOISE_SHARE,
     RELATIVE_RANK,
 )
-from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 
 PART_STEPS = 2  # of Gauss-Newton
@@ -49,12 +48,12 @@ class ShownPoses:
 
 
 def find_shown_poses(model: Model, observations: Observations, x: np.ndarray) -> ShownPoses | None:
-    """Find the poses that the readings show, from the configurations x (N, nq+12) that the model
+    """Find the poses that the readings show, from the configurations x (N, nq+12+nu) that the model
     predicts; None without a sensor that shows poses."""
     if not _shows_pose(model).any():
         return None
     n = len(model.joints)
-    alone = ~observations.measured[:, n:].any(axis=1)  # no pose device measured there
+    alone = ~observations.measured[:, n : n + 6].any(axis=1)  # no pose device measured there
     solved = np.flatnonzero(np.isfinite(x).all(axis=1) & alone)
     fitted = _fit_poses(model, observations.select(solved), x[solved], model.mechanism.moved)
     change, covariance = np.full((len(x), 6), np.nan), np.full((len(x), 6, 6), np.nan)
@@ -73,7 +72,7 @@ def add_joint_noise(
     shown: ShownPoses, model: Model, observations: Observations, x: np.ndarray
 ) -> ShownPoses:
     """Add the noise of the joints, which moves the predicted poses, to the covariance of the
-    changes, at the configurations x (N, nq+12) that the model predicts."""
+    changes, at the configurations x (N, nq+12+nu) that the model predicts."""
     known = np.flatnonzero(shown.known)
     n, moved = len(model.joints), model.mechanism.moved
     none = np.zeros(len(model.values), dtype=bool)
@@ -193,10 +192,10 @@ def _fit_poses(
         inverse = 1 / np.where(told[:, None], sizes, np.inf)
         pinv = right.transpose(0, 2, 1) * inverse[:, None, :]
         residual = (phi[:, closure:] * weight)[:, :, None]
-        step = np.zeros((len(here), n + 6))
+        step = np.zeros((len(here), C.shape[2]))
         step[:, moved] = -(pinv @ (left.transpose(0, 2, 1) @ residual))[:, :, 0]
-        here = Configuration.from_rows(here).apply_change(step).rows
-    change = Configuration.from_rows(here).change_from(Configuration.from_rows(x))[:, n:]
+        here = model.configuration(here).apply_change(step).rows
+    change = model.configuration(here).change_from(model.configuration(x))[:, n : n + 6]
     spread = np.zeros((len(here), 6, 6))
     spread[np.ix_(range(len(here)), coordinates, coordinates)] = pinv @ pinv.transpose(0, 2, 1)
     rest = linearise.blocks(model.values, here)[0][:, closure:]

@@ -15,7 +15,6 @@ import numpy as np
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.predictions import apply_pose_device, axes_of_device
 from parallel_cal.kinematics.kinematics import Kinematics
-from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.transforming import MAX_ROUNDING
 
@@ -137,14 +136,14 @@ class Linearisation:
         self._variance = np.zeros((len(observations), self._rows))
         self._variance[:, closure:] = observations.get_reading_sigma(model) ** 2
         self._n = len(model.joints)
-        moved = np.zeros(self._n + 6, dtype=bool)
+        moved = np.zeros(observations.measured.shape[1], dtype=bool)
         moved[: self._n] = True
-        moved[[self._n + i for i in model.mechanism.moved]] = True
+        moved[model.mechanism.dependent_columns] = True
         self._unknown = moved & ~observations.measured
-        if self._unknown.any():
+        if self._unknown[:, self._n : self._n + 6].any():
             # The device may look across the plane in which the robot moves.
             axes = np.kron(np.eye(2), np.abs(axes_of_device(model)) > MAX_ROUNDING)
-            self._unknown[:, self._n :] &= axes[model.mechanism.moved].any(axis=0)
+            self._unknown[:, self._n : self._n + 6] &= axes[model.mechanism.moved].any(axis=0)
         self._complete = not self._unknown.any()
 
     def start(self) -> np.ndarray:
@@ -152,8 +151,8 @@ class Linearisation:
         measured part, are those of the model."""
         x, n = self._observations.x.copy(), self._n
         unplaced = self._unknown[:, n : n + 3]
-        turned = self._observations.measured[:, n + 3 :].any(axis=1)
-        unturned = self._unknown[:, n + 3 :].any(axis=1) & ~turned
+        turned = self._observations.measured[:, n + 3 : n + 6].any(axis=1)
+        unturned = self._unknown[:, n + 3 : n + 6].any(axis=1) & ~turned
         blind = np.flatnonzero(unplaced.any(axis=1) | unturned)
         if len(blind):
             at = dict(zip(self._model.conditions, self._observations.a[blind].T, strict=True))
@@ -161,17 +160,19 @@ class Linearisation:
             own, here = pose.configuration.rows, x[blind]
             solved = np.isfinite(own).all(axis=1)[:, None]
             rotated = np.repeat(unturned[blind, None], 9, axis=1)
-            taken = np.hstack([np.zeros((len(blind), n), bool), unplaced[blind], rotated])
+            joints = np.zeros((len(blind), n), bool)
+            passive = np.ones((len(blind), len(self._model.mechanism.passive)), bool)
+            taken = np.hstack([joints, unplaced[blind], rotated, passive])
             x[blind] = np.where(taken & solved, own, here)
         return x
 
     def __call__(
         self, values: np.ndarray, x: np.ndarray, by_measured: np.ndarray | None = None
     ) -> System:
-        """Residuals and Jacobian at parameters and adjusted configurations x (N, nq+12).
+        """Residuals and Jacobian at parameters and adjusted configurations x (N, nq+12+nu).
 
         The derivatives of the rows by the measured quantities (q, r, w) are written to
-        `by_measured` (N, rows, nq+6), if it is given.
+        `by_measured` (N, rows, nq+6+nu), if it is given.
         """
         residual, informative = np.empty((len(x), self._rows)), np.full(len(x), self._rows)
         if len(x) * self._rows * self._n_free * 8 > MAX_JACOBIAN_BYTES:
@@ -243,7 +244,7 @@ class Linearisation:
         phi, C, J = self.blocks(values, x, part)
         if by_measured is not None:
             by_measured[:] = C
-        away, here = self.compute_adjustments(x, part), Configuration.from_rows(x)
+        away, here = self.compute_adjustments(x, part), self._model.configuration(x)
         SC = self._covariance(part) @ C.transpose(0, 2, 1)
         K = self._whitening(C @ SC + self._reading_covariance(part))
         r[:] = (K @ (phi[:, :, None] + C @ away[:, :, None]))[:, :, 0]
@@ -349,9 +350,9 @@ class Linearisation:
         return left, explain
 
     def compute_adjustments(self, x: np.ndarray, part: slice = slice(None)) -> np.ndarray:
-        """Measured minus adjusted (q, r, w), (N, nq+6); zero where not measured."""
-        measured = Configuration.from_rows(self._observations.x[part])
-        away = measured.change_from(Configuration.from_rows(x))
+        """Measured minus adjusted (q, r, w), (N, nq+6+nu); zero where not measured."""
+        measured = self._model.configuration(self._observations.x[part])
+        away = measured.change_from(self._model.configuration(x))
         return np.where(self._observations.measured[part], away, 0.0)
 
 
@@ -366,5 +367,6 @@ def compute_joint_jacobians(model: Model, rows: np.ndarray) -> tuple[np.ndarray,
     n, closure = len(model.joints), model.structure.phi.shape[0]
     C, shown_by = rows[:, :closure], rows[:, closure:]
     moved = [n + i for i in model.mechanism.moved]
-    pose = -np.linalg.pinv(C[:, :, moved]) @ C[:, :, :n]
+    follows = -np.linalg.pinv(C[:, :, model.mechanism.dependent_columns]) @ C[:, :, :n]
+    pose = follows[:, : len(moved)]
     return pose, shown_by[:, :, :n] + shown_by[:, :, moved] @ pose

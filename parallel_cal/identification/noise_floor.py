@@ -55,23 +55,25 @@ def simulate_noise_floor(model: Model, observations: Observations, seed: int = 0
     none = np.zeros(len(model.values), dtype=bool)
     linearise = Linearisation(model, observations, none, weighted=True)
     rows = linearise.blocks(model.values, linearise.start())[1]  # where the platform is
-    measured = observations.measured[:, n:].copy()
+    measured = observations.measured[:, n : n + 6].copy()
     C, (to_pose, to_reading) = rows[:, :closure], compute_joint_jacobians(model, rows)
-    solved_for = [*range(n), *[n + i for i in m.passive]]
+    solved_for = [*range(n), *[n + i for i in m.parasitic], *m.passive_columns]
     given = [n + i for i in m.controlled]
     rng = np.random.default_rng(seed)
     draws = rng.standard_normal((64, *observations.S.shape[:2]))
     noise = np.einsum(
-        "nij,dnj->dni", np.linalg.cholesky(observations.S + 1e-30 * np.eye(n + 6)), draws
+        "nij,dnj->dni",
+        np.linalg.cholesky(observations.S + 1e-30 * np.eye(len(observations.S[0]))),
+        draws,
     )
     to_joint = -(np.linalg.pinv(C[:, :, solved_for]) @ C[:, :, given])[:, :n]
     if shown := find_shown_poses(model, observations, linearise.start()):
         # Where only an image shows the pose, its noise is that of the pose.
         factor = np.linalg.cholesky(shown.covariance[shown.known] + 1e-30 * np.eye(6))
         at_images = rng.standard_normal((64, len(factor), 6))
-        noise[:, shown.known, n:] = np.einsum("nij,dnj->dni", factor, at_images)
+        noise[:, shown.known, n : n + 6] = np.einsum("nij,dnj->dni", factor, at_images)
         measured[shown.known] = [i in m.moved for i in range(6)]
-    pose = noise[:, :, n:].copy()
+    pose = noise[:, :, n : n + 6].copy()
     pose[:, :, m.moved] -= np.einsum("nij,dnj->dni", to_pose, noise[:, :, :n])
     joint = noise[:, :, :n] - np.einsum("nij,dnj->dni", to_joint, noise[:, :, given])
     read = observations.get_reading_sigma(model) * rng.standard_normal(

@@ -12,6 +12,7 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
 from parallel_cal.identification.readings import doubt_readings
 from parallel_cal.identification.thresholds import BLOCKS, GUESSED_NOISE_SHARE
+from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model, Noise
 from parallel_cal.model.sensor import Sensor
@@ -158,29 +159,32 @@ def observe(
     order = [dataset.joint_names.index(j) for j in model.joints]
     reading = _readings(model, dataset)
     n = len(order)
-    x = Configuration(dataset.q[:, order], dataset.r, dataset.R).rows
-    measured = np.ones((len(x), n + 6), dtype=bool)
-    measured[:, n:] = dataset.measured
+    a = conditions(model, dataset)
+    passive = _find_passive(model, dataset.q[:, order], a)
+    x = Configuration(dataset.q[:, order], dataset.r, dataset.R, passive).rows
+    measured = np.zeros((len(x), n + 6 + passive.shape[1]), dtype=bool)
+    measured[:, :n], measured[:, n : n + 6] = True, dataset.measured
     # Set unmeasured coordinates to home: they are projected out, but must be finite.
     home = model.mechanism.home.configuration
     for k in range(n, n + 3):
         x[~measured[:, k], k] = home[k]
-    R, R0 = Configuration.from_rows(x).R, Configuration.from_rows(home).R
-    w = np.where(measured[:, n + 3 :], rotation_vector(R @ R0.T), 0.0)
-    turned = ~measured[:, n + 3 :].all(axis=1)
+    R, R0 = model.configuration(x).R, model.configuration(home).R
+    w = np.where(measured[:, n + 3 : n + 6], rotation_vector(R @ R0.T), 0.0)
+    turned = ~measured[:, n + 3 : n + 6].all(axis=1)
     R[turned] = rotation_matrix(w[turned]) @ R0  # in place: a view of x
     joint, joint_from, guessed_joints = _joint_sigma(model, dataset, joint_sigma, order)
     pose, pose_from, guessed_pose = _pose_covariance(model, dataset)
     S = np.zeros((len(x), measured.shape[1], measured.shape[1]))
     S[:, range(n), range(n)] = joint**2
-    S[:, n:, n:] = pose
-    a = conditions(model, dataset)
+    S[:, n : n + 6, n : n + 6] = pose
     noise_from = {"joint": joint_from, "pose": pose_from}
     silent = np.isin(model.structure.channels, model.structure.channels_without_sigma)
     guessed_channels = silent & np.isfinite(reading)
     if guessed_channels.any():
         noise_from["reading"] = UNSTATED
-    guessed = np.hstack([np.broadcast_to(guessed_joints, (len(x), n)), guessed_pose]) & measured
+    guessed = np.zeros_like(measured)
+    guessed[:, :n], guessed[:, n : n + 6] = guessed_joints, guessed_pose
+    guessed &= measured
     group = np.asarray(dataset.pose_id)
     if doubts is None:
         doubts = doubt_readings(model, x, measured, a, dataset.source)
@@ -191,6 +195,16 @@ def observe(
     return Observations(
         x, S, measured, a, group, reading, noise_from, doubts, reading_sigma, unknown
     )
+
+
+def _find_passive(model: Model, q: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """Passive coordinates (N, nu) at joints (N, nq) and conditions (N, n_conditions), from which a
+    fit starts; those of home where forward kinematics has no solution."""
+    home = np.tile(model.mechanism.home.passive, (len(q), 1))
+    if not home.size:
+        return home
+    found = Kinematics(model).direct(q, dict(zip(model.conditions, a.T, strict=True)))
+    return np.where(found.solved[:, None], found.passive, home)
 
 
 def list_noise(model: Model, observations: Observations) -> list[NoiseFigure]:
@@ -231,7 +245,7 @@ def noise_in_use(model: Model, observations: Observations) -> Noise:
         if own[:n].any():
             joints[unit] = sigma
         else:
-            device[int(own[n + 3 :].any())] = sigma
+            device[int(own[n + 3 : n + 6].any())] = sigma
     return Noise(joints or None, device[0], device[1])
 
 
@@ -250,7 +264,10 @@ def _measure_kinds(
 def _kinds(model: Model) -> list[tuple[str, str, np.ndarray]]:
     """Name, unit and columns (nq+6,) of every kind of noise of joints and device."""
     n = len(model.joints)
-    units = np.array([*model.mechanism.joint_units, *["position"] * 3, *["orientation"] * 3])
+    passive = [""] * len(model.mechanism.passive)
+    units = np.array(
+        [*model.mechanism.joint_units, *["position"] * 3, *["orientation"] * 3, *passive]
+    )
     kinds = [(UNIT_NAMES.get(u, f"joints ({u})"), u, units == u) for u in dict.fromkeys(units[:n])]
     if len(kinds) == 1:
         kinds = [("joints", kinds[0][1], kinds[0][2])]

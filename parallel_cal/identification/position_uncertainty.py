@@ -184,7 +184,7 @@ def compute_shape_covariance(
     reaches no pose. None if the model was not identified, or reaches fewer than four poses."""
     if model.covariance is None:
         return None
-    n, moved = len(model.joints), model.mechanism.moved
+    moved = model.mechanism.moved
     reached = Kinematics(model).direct(joints, at)
     solved = np.flatnonzero(reached.solved)
     if len(solved) < MIN_SHAPE_POSES:
@@ -193,7 +193,8 @@ def compute_shape_covariance(
     a = model.condition_rows(at, len(joints))[solved]
     C, J = model.structure.jacobians(rows, a, model.values)
     by = np.zeros((len(solved), 6, J.shape[2]))
-    by[:, moved] = -np.linalg.pinv(C[:, :, [n + i for i in moved]]) @ J
+    follows = -np.linalg.pinv(C[:, :, model.mechanism.dependent_columns]) @ J
+    by[:, moved] = follows[:, : len(moved)]
     G = by[:, :3].reshape(-1, J.shape[2])
     x, y, z = reached.position[solved].T
     none = np.zeros(len(solved))

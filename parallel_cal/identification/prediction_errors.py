@@ -174,7 +174,8 @@ def errors(model: Model, observations: Observations) -> Errors:
     """Compare measured and predicted values at every sample: the pose and the readings predicted
     from the joints, and the joints from the pose."""
     n, m = len(model.joints), model.mechanism
-    seen, measured = Configuration.from_rows(observations.x), observations.measured
+    seen = model.configuration(observations.x)
+    measured = observations.measured[:, : n + 6]
     reached, pose = predict_poses(model, observations)
     turn = turns_between(seen.R, pose.rotation)
     placed, orientation = (
@@ -184,9 +185,8 @@ def errors(model: Model, observations: Observations) -> Errors:
     apart = keep_moved_coordinates(model, apart, range(3))
     turn = np.where(measured[:, n + 3 :], turn, 0.0)
     turn = keep_moved_coordinates(model, turn, range(3, 6))
-    predicted = Configuration(observations.x[:, :n], pose.position, pose.rotation).rows
-    phi = model.structure.residuals(observations.x, observations.a, model.values)[0]
-    closure = phi[:, : model.structure.phi.shape[0]]  # without the rows of the sensors
+    predicted = Configuration(seen.q, pose.position, pose.rotation, pose.passive).rows
+    closure = _compute_closure(model, observations, pose)
     position = where_known(placed & pose.solved, apart)
     turned = where_known(orientation & pose.solved, turn)
     if shown := find_shown_poses(model, observations, predicted):
@@ -210,6 +210,21 @@ def errors(model: Model, observations: Observations) -> Errors:
     )
 
 
+def _compute_closure(model: Model, observations: Observations, reached: Solutions) -> np.ndarray:
+    """The rows of the closure (N, rows) at the measured joints and poses, without what passive
+    coordinates explain; these are near the predicted ones."""
+    s, n = model.structure, len(model.joints)
+    phi, passive = s.phi.shape[0], model.mechanism.passive_columns
+    if not passive:
+        return s.residuals(observations.x, observations.a, model.values)[0][:, :phi]
+    x = observations.x.copy()
+    x[:, n + 12 :] = np.where(reached.solved[:, None], reached.passive, x[:, n + 12 :])
+    rows, C, _ = s.rows_batch(x, observations.a, model.values)
+    U = C.reshape(len(x), -1, rows.shape[1]).transpose(0, 2, 1)[:, :phi, passive]
+    rows = rows[:, :phi, None]
+    return np.asarray((rows - U @ (np.linalg.pinv(U) @ rows))[:, :, 0])
+
+
 def _compute_joint_errors(
     kinematics: Kinematics, observations: Observations, reached: Solutions, pose: Solutions
 ) -> np.ndarray:
@@ -221,18 +236,18 @@ def _compute_joint_errors(
     """
     model, n = kinematics.model, len(kinematics.model.joints)
     m, apart = model.mechanism, np.full((len(observations), n), np.nan)
-    if model.structure.phi.shape[0] > len(m.moves):
+    if model.structure.equations > len(m.moves):
         pose_unknown = ~observations.measured[:, n : n + 6].any(axis=1)
         alone = np.flatnonzero(pose_unknown & (not model.sensors))
         apart[alone] = _compute_disagreement(kinematics, observations.select(alone), reached[alone])
-    known = find_known_coordinates(model, observations.measured[:, n:])
+    known = find_known_coordinates(model, observations.measured[:, n : n + 6])
     given = np.flatnonzero(known[:, m.controlled].all(axis=1))
     if not len(given):
         return apart
-    read, seen = observations.select(given), Configuration.from_rows(observations.x[given])
+    read, seen = observations.select(given), model.configuration(observations.x[given])
     # Take the predicted orientation, not the identity, if it was not measured: the position of the
     # target depends on it.
-    turned_known = np.asarray(read.measured[:, n + 3 :].all(axis=1))
+    turned_known = np.asarray(read.measured[:, n + 3 : n + 6].all(axis=1))
     kept = turned_known[:, None, None] | ~np.isfinite(pose.rotation[given])
     at_target = Configuration(seen.q, seen.r, np.where(kept, seen.R, pose.rotation[given])).rows
     position, turned = model.structure.to_base(at_target[:, n:], model.values)
@@ -260,7 +275,8 @@ def _compute_disagreement(
 
 
 def find_fully_measured_samples(model: Model, observations: Observations) -> np.ndarray:
-    known = find_known_coordinates(model, observations.measured[:, len(model.joints) :])
+    n = len(model.joints)
+    known = find_known_coordinates(model, observations.measured[:, n : n + 6])
     return np.asarray(known[:, model.mechanism.moved].all(axis=1))
 
 

@@ -19,7 +19,8 @@ MAX_BRANCH_TURN_RAD = 1.0  # a pose that is predicted further away is on another
 
 def apply_pose_device(model: Model, solutions: Solutions) -> Solutions:
     """Poses of {P} in {B} as the model's pose device shows them."""
-    pose = solutions.configuration.rows[:, len(model.joints) :]
+    n = len(model.joints)
+    pose = solutions.configuration.rows[:, n : n + 12]
     r, R9 = model.structure.to_device(pose, model.values)
     return replace(solutions, position=r, rotation=R9.reshape(-1, 3, 3))
 
@@ -39,10 +40,10 @@ def predict_poses(model: Model, observations: Observations) -> tuple[Solutions, 
     """Predict the poses at the measured joints in {B}, and as the pose device shows them, on the
     branch on which the robot was measured."""
     n, at = len(model.joints), condition_columns(model, observations)
-    kinematics, seen = Kinematics(model), Configuration.from_rows(observations.x)
+    kinematics, seen = Kinematics(model), model.configuration(observations.x)
     reached = kinematics.direct(seen.q, at)
     pose = apply_pose_device(model, reached)
-    turned = observations.measured[:, n + 3 :].all(axis=1)
+    turned = observations.measured[:, n + 3 : n + 6].all(axis=1)
     angle = np.linalg.norm(turns_between(seen.R, pose.rotation), axis=1)
     if (away := turned & (angle > MAX_BRANCH_TURN_RAD)).any():
         reached = _follow_measured_branch(kinematics, observations, reached, np.flatnonzero(away))
@@ -63,7 +64,7 @@ def _follow_measured_branch(
     the robot was there. A solution that is not nearer to it is not taken."""
     model, some = kinematics.model, observations.select(away)
     n, home = len(model.joints), np.array(model.mechanism.home.position)
-    position, turned = model.structure.to_base(some.x[:, n:], model.values)
+    position, turned = model.structure.to_base(some.x[:, n : n + 12], model.values)
     placed = np.asarray(some.measured[:, n : n + 3].all(axis=1))
     start = replace(
         reached[away],
@@ -78,11 +79,11 @@ def _follow_measured_branch(
 
 
 def predict_configurations(model: Model, observations: Observations) -> np.ndarray:
-    """Configurations (N, nq+12) with the predicted pose as the device shows it; the measured pose
-    if forward kinematics has no solution."""
+    """Configurations (N, nq+12+nu) with the predicted pose as the device shows it; the measured
+    pose if forward kinematics has no solution."""
     _, pose = predict_poses(model, observations)
     joints = observations.x[:, : len(model.joints)]
-    x = Configuration(joints, pose.position, pose.rotation).rows
+    x = Configuration(joints, pose.position, pose.rotation, pose.passive).rows
     return np.where(np.isfinite(x).all(axis=1)[:, None], x, observations.x)
 
 
@@ -97,7 +98,7 @@ def predict_positions(model: Model, observations: Observations) -> np.ndarray:
 
 
 def reading_residuals(model: Model, observations: Observations, x: np.ndarray) -> np.ndarray:
-    """Sensor readings minus predictions at x (N, nq+12): (N, n_channels) m, NaN if not read."""
+    """Sensor readings minus predictions at x (N, nq+12+nu): (N, n_channels) m, NaN if not read."""
     if not model.structure.channels:
         return np.empty((len(observations), 0))
     rows = model.structure.residuals(x, observations.a, model.values)[0]

@@ -208,7 +208,7 @@ def _readings_and_motion(
     given = np.flatnonzero(measured[:, controlled].all(axis=1))
     if not len(given):
         return np.empty((0, n)), np.empty((0, n))
-    position, turned = model.structure.to_base(x[given, n:], model.values)
+    position, turned = model.structure.to_base(x[given, n : n + 12], model.values)
     at = {name: a[given, k] for k, name in enumerate(model.conditions)}
     found = Kinematics(model, quick=quick).inverse(position, turned.reshape(-1, 3, 3), at)
     return x[given[found.solved], :n], found.joints[found.solved]

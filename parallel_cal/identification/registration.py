@@ -49,7 +49,6 @@ from parallel_cal.identification.thresholds import (
     OUTLIER_DISTANCE_RATIO,
 )
 from parallel_cal.kinematics.kinematics import Kinematics
-from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.mechanism import POSE, list_shown_displacements
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_sensor
@@ -311,13 +310,13 @@ class DevicePoses:
         """None if too little was measured, or the model moves nothing that was measured. If
         `quick`, poses that are not found at once count as not measured."""
         n, m = len(model.joints), model.mechanism
-        seen = Configuration.from_rows(observations.x)
+        seen = model.configuration(observations.x)
         reached = Kinematics(model, quick=quick).direct(
             seen.q, condition_columns(model, observations)
         )
         solved = reached.solved
         moves = [any(i in m.moved for i in part) for part in (range(3), range(3, 6))]
-        measured = solved[:, None] & observations.measured[:, n:]
+        measured = solved[:, None] & observations.measured[:, n : n + 6]
         measured[:, :3] &= moves[0]
         placed, turned = (measured[:, part].any(axis=1) for part in (slice(3), slice(3, 6)))
         if max(placed.sum(), turned.sum() * moves[1]) < 4:
@@ -326,10 +325,10 @@ class DevicePoses:
         few = np.flatnonzero(solved)[:: max(int(solved.sum()) // TOLERANCE_SAMPLE_SIZE, 1)]
         rows, a = reached.configuration.rows[few], observations.a[few]
         C, J = model.structure.jacobians(rows, a, model.values)
-        moved = [n + i for i in m.moved]
         free = ~np.asarray(model.fixed) & (model.table.tolerance > 0)
         with np.errstate(all="ignore"):
-            by = np.linalg.pinv(np.nan_to_num(C[:, :, moved])) @ np.nan_to_num(J[:, :, free])
+            by = np.linalg.pinv(np.nan_to_num(C[:, :, m.dependent_columns]))
+            by = by[:, : len(m.moved)] @ np.nan_to_num(J[:, :, free])
         spread = np.zeros((len(C), 6))
         frame = model.table.tolerance[_numbers(model)]
         turned_by = np.array([p.unit == "rad" for p in model.table])[_numbers(model)]
@@ -909,7 +908,7 @@ def _with_other_zeros(
 ) -> tuple[DevicePoses, int]:
     """The poses that the robot predicts with the zeros of its joints that fit best, and how many
     zeros the poses determine. Zeros shift by no more than the range of a joint."""
-    q = Configuration.from_rows(observations.x).q
+    q = observations.x[:, : len(model.joints)]
     solver, at = Kinematics(model), condition_columns(model, observations)
     span = np.ptp(np.array(model.mechanism.joint_limits), axis=1)
 

@@ -97,20 +97,20 @@ def estimate_noise(
         unknown=tuple(replace(kind, estimated=known) for kind, known in kinds),
     )
     return EstimatedNoise(
-        replace(scaled, noise_from=_name_sources(scaled)),
+        replace(scaled, noise_from=_name_sources(scaled, len(model.joints))),
         factors,
         error,
         tuple(tuple(names[k] for k in group) for group in groups if len(group) > 1),
     )
 
 
-def _name_sources(observations: Observations) -> dict[str, str]:
+def _name_sources(observations: Observations, n_joints: int) -> dict[str, str]:
     """Sources of the noise after its estimation."""
-    sources, n = dict(observations.noise_from), observations.S.shape[1] - 6
+    sources, n = dict(observations.noise_from), n_joints
     for kind in (kind for kind in observations.unknown if kind.estimated):
         for key, used in (
             ("joint", kind.coordinates[:, :n]),
-            ("pose", kind.coordinates[:, n:]),
+            ("pose", kind.coordinates[:, n : n + 6]),
             ("reading", kind.channels),
         ):
             if used.any():

@@ -52,5 +52,6 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
             return replace(found, model=replace(found.model, machine_class=machine_class))
     known = "; ".join(f"{' or '.join(ends)} ({name})" for name, ends in kinds.items())
     raise DatasetError(
-        f"{paths[0]}: not a configuration that can be read; expected {known}; or .urdf"
+        f"{paths[0]}: not a configuration that can be read; expected {known}; or .urdf, .xml "
+        "(MJCF) or .sdf"
     )

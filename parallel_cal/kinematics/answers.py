@@ -81,7 +81,7 @@ def explained_residuals(model: Model, found: Solutions, at: Mapping[str, Any]) -
     It is that of the uncertainty of the parameters or that of the last fit, the larger one. None if
     the robot has no more joints than freedoms; NaN for a sample that is not solved.
     """
-    if model.structure.phi.shape[0] <= len(model.mechanism.moved):
+    if model.structure.equations <= len(model.mechanism.moved):
         return None
     explained = np.full(len(found), np.nan)
     if (solved := found.solved).any():
@@ -162,6 +162,8 @@ def to_rows(
         }
         for s in solutions
     ]
+    for row, s in zip(rows, solutions, strict=True):
+        row |= {"passive": s.passive} if s.passive.size else {}
     if covariances is not None:
         for row, covariance in zip(rows, covariances, strict=True):
             row["covariance"] = covariance

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from parallel_cal.kinematics.problem import Problem
-from parallel_cal.model.configuration import Configuration
+from parallel_cal.model.model import Model
 
 MIN_STEP_FRACTION = 2.0**-12  # of a path; below it the branch has ended
 PATH_GROWTH = 1.5  # of a step that stayed on the branch
@@ -24,8 +24,9 @@ def follow_from_home(
     On the whole path the solution stays on home's side of the singularities of `judge`. `row` are
     the conditions. Returns a configuration.
     """
-    home = Configuration.from_rows(problem.model.mechanism.home.configuration)
-    change, length = Configuration.from_rows(to).change_from(home), problem.model.mechanism.length
+    model = problem.model
+    home = model.configuration(model.mechanism.home.configuration)
+    change = model.configuration(to).change_from(home)
     here = problem.settle(home.rows, row)
     t, step = 0.0, 1.0
     for _ in range(MAX_PATH_STEPS):
@@ -36,7 +37,7 @@ def follow_from_home(
         there = problem.settle(begin, row)
         if (
             there is not None
-            and is_short_step(length, here, there)
+            and is_short_step(model, here, there)
             and judge.is_on_home_side(there, row)
         ):
             here, t, step = there, target, PATH_GROWTH * step
@@ -48,14 +49,14 @@ def follow_from_home(
 def is_jump(problem: Problem, begin: np.ndarray, end: np.ndarray, row: np.ndarray) -> bool:
     """Whether iterations jumped over a singularity; a robot may pass one in short steps."""
     same = problem.is_on_home_side(begin, row) == problem.is_on_home_side(end, row)
-    return not same and not is_short_step(problem.model.mechanism.length, begin, end)
+    return not same and not is_short_step(problem.model, begin, end)
 
 
-def is_short_step(length: float, here: np.ndarray, there: np.ndarray) -> bool:
-    """Whether two configurations (nq + 12,) are so near that they are on the same branch, unless a
-    determinant changed its sign between them. A jump to another branch is finite, however short the
-    step; these bounds are well below it."""
-    swung, moved, turned = (
-        part.max() for part in np.split(np.abs(there - here), (len(here) - 12, len(here) - 9))
-    )
-    return bool(max(moved / length / 4, turned, swung / 2) < 0.25)
+def is_short_step(model: Model, here: np.ndarray, there: np.ndarray) -> bool:
+    """Whether two configurations (nq + 12 + nu,) are so near that they are on the same branch,
+    unless a determinant changed its sign between them. A jump to another branch is finite, however
+    short the step; these bounds are well below it."""
+    n = len(model.joints)
+    q, r, R9, u = np.split(np.abs(there - here), (n, n + 3, n + 12))
+    swung = max(q.max(), u.max(initial=0.0))
+    return bool(max(r.max() / model.mechanism.length / 4, R9.max(), swung / 2) < 0.25)

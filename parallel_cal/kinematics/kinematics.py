@@ -179,7 +179,9 @@ class Kinematics:
         array (6, 6) or (N, 6, 6)
             Covariance of the position (m) and the rotation (rad, about the axes of {B}).
         """
-        return self._covariance(solution, at, self.model.mechanism.moved, 0, joint_sigma)
+        return self._covariance(
+            solution, at, self.model.mechanism.dependent_columns, 0, joint_sigma
+        )
 
     def inverse_covariance(
         self, solution: Solutions, at: Mapping[str, Any] | None = None
@@ -188,7 +190,8 @@ class Kinematics:
 
         It follows from the covariance of the parameters. `at` are the conditions of `solution`.
         """
-        columns = [c - self._n for c in range(self._n)] + self.model.mechanism.passive
+        m = self.model.mechanism
+        columns = [*range(self._n), *(self._n + i for i in m.parasitic), *m.passive_columns]
         return self._covariance(solution, at, columns, self._n, 0.0)
 
     def direct_residual_sigma(
@@ -219,7 +222,7 @@ class Kinematics:
         covariance = self.model.covariance
         if covariance is None:
             covariance = np.diag(np.where(self.model.fixed, 0.0, self.model.table.tolerance) ** 2)
-        columns = self.model.mechanism.moved
+        columns = self.model.mechanism.dependent_columns
         unknown, spread = self._linearize(solution, at, columns, joint_sigma, covariance)
         projection = np.eye(unknown.shape[1]) - unknown @ np.linalg.pinv(unknown)
         sigma = np.sqrt(np.trace(projection @ spread, axis1=1, axis2=2).clip(0.0))
@@ -340,7 +343,7 @@ class Kinematics:
         low, high = np.array(self._limits, dtype=float).T
         inside = ((x[:, :n] >= low) & (x[:, :n] <= high)).all(axis=1)
         status[~inside & (status == Status.CONVERGED)] = Status.OUTSIDE_LIMITS
-        return Solutions.of(x, residual, status)
+        return Solutions.of(x, residual, status, len(self.model.mechanism.passive))
 
     def _solve_carefully(
         self, problem: Problem, x: np.ndarray, row: np.ndarray, given: np.ndarray
@@ -376,7 +379,7 @@ class Kinematics:
         if side and not self._quick:
             other = self.direct_problem if problem.unknown_joints else self.inverse_problem
             end = follow_from_home(other, problem, x, row)
-            if end is not None and is_short_step(self.model.mechanism.length, end, x):
+            if end is not None and is_short_step(self.model, end, x):
                 return x, problem.residual(x, row), Status.CONVERGED
         return x, problem.residual(x, row), Status.OTHER_BRANCH
 
@@ -414,8 +417,10 @@ class Kinematics:
         if answer_size:
             covariance = covariance[:, :answer_size, :answer_size]
         else:
-            full = np.zeros((len(unknown), 6, 6))
-            full[np.ix_(range(len(unknown)), columns, columns)] = covariance
+            full, moved = np.zeros((len(unknown), 6, 6)), self.model.mechanism.moved
+            full[np.ix_(range(len(unknown)), moved, moved)] = covariance[
+                :, : len(moved), : len(moved)
+            ]
             covariance = full
         return np.asarray(covariance[0] if solution.joints.ndim == 1 else covariance)
 
@@ -448,7 +453,7 @@ class Kinematics:
         spread = (known * np.square(joint_sigma)) @ known.swapaxes(1, 2)
         if parameters is not None:
             spread += J_v @ parameters @ J_v.swapaxes(1, 2)
-        return J_x[..., [c + n for c in columns]], spread
+        return J_x[..., columns], spread
 
     @cached_property
     def _closure(self) -> Single:

@@ -16,6 +16,7 @@ from parallel_cal.kinematics.solutions import MIN_REGULAR_SINGULAR_VALUE
 from parallel_cal.model.structure import Structure
 
 ITERATIONS = 2  # third order, from the solution of model 24; more follow only if necessary
+ITERATIONS_FROM_HOME = 3  # with passive coordinates, which no closed form starts near the solution
 INLINE_BELOW = 2000  # instructions of one step; below that, repeating them is faster than a call
 
 
@@ -27,8 +28,8 @@ class NewtonFunctions:
     lower and upper joint limits) -> configuration, last step (m), norm of phi (m), smallest pivot,
     smallest distance of a joint from its limits, negative outside. The pivot is negative on the
     other side of a singularity than home. `solve` begins at the mechanism's own start, `refine` at
-    the given configuration. `columns`: the unknown columns of (q, r, w). `home_sign`: sign of the
-    determinant of the closure's Jacobian in the unknowns at home; 0 if home selects no side.
+    the given configuration. `columns`: the unknown columns of (q, r, w, u). `home_sign`: sign of
+    the determinant of the closure's Jacobian in the unknowns at home; 0 if home selects no side.
     `iteration`: the parts of `solve` and `refine`.
     """
 
@@ -60,24 +61,28 @@ def newton_functions(structure: Structure, problem: str) -> NewtonFunctions:
     step = _step_function(s, residual, J, symbols, columns, order, float(side.round()))
     prepare = dense("prepare", [s.configuration, s.a, table_symbols], [before])
     tables_function = dense("tables", [s.v], [tables])
-    iterate = Iteration(prepare, step, residual, constants.shape[0])
+    joints, from_home = len(s.mechanism.joints), bool(s.mechanism.passive)
+    iterations = ITERATIONS_FROM_HOME if from_home else ITERATIONS
+    iterate = Iteration(prepare, step, residual, constants.shape[0], joints, iterations)
     solve = iterate.function(f"{problem}_solve", from_start=True)
     refine = iterate.function(f"{problem}_refine", from_start=False)
     return NewtonFunctions(tables_function, solve, refine, columns, home_sign, iterate)
 
 
 def split(s: Structure, problem: str) -> tuple[list[int], Any, Any]:
-    """Return the unknown columns of (q, r, w), the given symbols and the start configuration."""
+    """Return the unknown columns of (q, r, w, u), the given symbols and the start configuration."""
     m, n = s.mechanism, len(s.mechanism.joints)
+    u = ca.DM(m.home.passive)
     if problem == "direct":
-        start = ca.vertcat(s.q, *s.ideal.start_pose(s.q, s.geometry.column))
-        return [n + i for i in m.moved], s.q, start
+        start = ca.vertcat(s.q, *s.ideal.start_pose(s.q, s.geometry.column), u)
+        return m.dependent_columns, s.q, start
     q = s.ideal.start_joints(s.r, s.R9, s.geometry.column)
-    given = [s.r[i] for i in range(3) if i not in m.passive]
-    if not any(i >= 3 for i in m.passive):
+    given = [s.r[i] for i in range(3) if i not in m.parasitic]
+    if not any(i >= 3 for i in m.parasitic):
         given.append(s.R9)
-    start = ca.vertcat(q, s.r, s.R9)
-    return list(range(n)) + [n + i for i in m.passive], ca.vertcat(*given), start
+    start = ca.vertcat(q, s.r, s.R9, u)
+    columns = [*range(n), *(n + i for i in m.parasitic), *m.passive_columns]
+    return columns, ca.vertcat(*given), start
 
 
 def _extract_constant_parts(expressions: list[Any], of: Any) -> tuple[list[Any], Any, Any]:
@@ -140,10 +145,10 @@ def apply_change(s: Structure, x: Any, columns: list[int], scaled: Any) -> Any:
     change = ca.SX.zeros(len(s.scale))
     change[columns] = scaled / ca.DM(s.scale[columns])
     n = len(s.mechanism.joints)
-    R9 = x[n + 3 :]
-    if any(c >= n + 3 for c in columns):
-        R9 = ca.vec((cayley(change[n + 3 :]) @ ca.reshape(R9, 3, 3).T).T)
-    return ca.vertcat(x[: n + 3] + change[: n + 3], R9)
+    R9 = x[n + 3 : n + 12]
+    if any(n + 3 <= c < n + 6 for c in columns):
+        R9 = ca.vec((cayley(change[n + 3 : n + 6]) @ ca.reshape(R9, 3, 3).T).T)
+    return ca.vertcat(x[: n + 3] + change[: n + 3], R9, x[n + 12 :] + change[n + 6 :])
 
 
 def find_home_sign(s: Structure, J: Any) -> float:
@@ -233,19 +238,21 @@ class Iteration:
     step: ca.Function
     residual: ca.Function
     n_constants: int
+    n_joints: int
+    iterations: int
 
     def function(self, name: str, from_start: bool) -> ca.Function:
         """Build a fixed number of iterations; a short step is inlined, a long one is called."""
         symbol = ca.SX if self.step.n_instructions() < INLINE_BELOW else ca.MX
         sizes = [self.prepare.numel_in(i) for i in range(3)]
-        n = sizes[0] - 12  # joints, before r and R9
+        n = self.n_joints
         given, a = (symbol.sym(f"i{i}", size) for i, size in enumerate(sizes[:2]))
         k_and_limits = symbol.sym("i2", sizes[2] + 2 * n)
         k, low, high = ca.vertsplit(k_and_limits, [0, sizes[2], sizes[2] + n, sizes[2] + 2 * n])
         prepared = self.prepare(given, a, k)
         constants = prepared[: self.n_constants]
         x = prepared[self.n_constants :] if from_start else given
-        for _ in range(ITERATIONS):
+        for _ in range(self.iterations):
             x, length, pivot = self.step(x, constants)
         residual = ca.norm_2(self.residual(x, constants))
         inside = ca.mmin(ca.vertcat(x[:n] - low, high - x[:n]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from struct import Struct
 from typing import Any
 
@@ -16,6 +17,7 @@ from parallel_cal.kinematics.solutions import (
     SUSPECT_PIVOT,
     Solutions,
 )
+from parallel_cal.model.configuration import NO_PASSIVE
 
 # (joints or position, rotation, conditions) -> the solution; None unless it is usual
 FastSolver = Callable[[Any, Any, Mapping[str, Any] | None], Solutions | None]
@@ -55,6 +57,25 @@ class ConvergedSolution(Solutions):
     rotation = _Part(slice(-13, -4), (3, 3))
     residual = _Part(-3)
     status = CONVERGED
+    passive = NO_PASSIVE
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        x = self.joints, self.position, self.rotation, self.residual, self.status
+        return Solutions, (*x, None, None, None, self.passive)
+
+
+@lru_cache(maxsize=64)
+def _solution_class(passive: int) -> type[ConvergedSolution]:
+    """Return the class of solutions that have some passive coordinates behind the rotation."""
+    if not passive:
+        return ConvergedSolution
+    parts = {
+        "joints": _Part(slice(-16 - passive)),
+        "position": _Part(slice(-16 - passive, -13 - passive)),
+        "rotation": _Part(slice(-13 - passive, -4 - passive), (3, 3)),
+        "passive": _Part(slice(-4 - passive, -4)),
+    }
+    return type("PassiveSolution", (ConvergedSolution,), parts)
 
 
 def fast_solver(problem: Problem) -> FastSolver:
@@ -67,14 +88,15 @@ def fast_solver(problem: Problem) -> FastSolver:
     row, conditions, _ = first.arguments
     n, home = len(model.joints), model.mechanism.home.configuration
     given_part = row[n : n + 3] if problem.unknown_joints else row[:n]
-    rotation_part, home_rotation = row[n + 3 :].reshape(3, 3), home[n + 3 :].reshape(3, 3)
+    rotation_part, home_rotation = (x[n + 3 : n + 12].reshape(3, 3) for x in (row, home))
     shape, has_conditions = given_part.shape, bool(len(conditions))
     # Reads what comes behind the configuration.
     read = Struct(f"{len(row) * 8}x4d").unpack
     acquire, release = first.lock.acquire, first.lock.release
     evaluate, output, memory = first.evaluate, first.output, first.output.data
     inverse, neutral, largest = problem.unknown_joints, problem.neutral, problem.largest
-    array, new, kind = np.ndarray, object.__new__, ConvergedSolution
+    array, new = np.ndarray, object.__new__
+    kind = _solution_class(len(model.mechanism.passive))
     more: Single | None = None  # made once it is needed
     memory_of_more = memory
 

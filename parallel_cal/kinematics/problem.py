@@ -14,7 +14,6 @@ from parallel_cal.kinematics.solutions import (
     Solutions,
     Status,
 )
-from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.model.structure import Structure
 
@@ -73,22 +72,24 @@ class Problem:
 
     @cached_property
     def _is_unknown(self) -> np.ndarray:
-        """Which entries (nq + 12,) of a configuration are unknown."""
-        n, passive = self._n, self.model.mechanism.passive
-        unknown = range(6) if not self.unknown_joints else passive
-        joints, turned = [self.unknown_joints] * n, any(i >= 3 for i in unknown)
-        return np.array([*joints, *(i in unknown for i in range(3)), *[turned] * 9])
+        """Which entries (nq + 12 + nu,) of a configuration are unknown."""
+        m = self.model.mechanism
+        unknown = range(6) if not self.unknown_joints else m.parasitic
+        # A rotation of which some coordinates are given stays the given one.
+        joints, turned = [self.unknown_joints] * self._n, {3, 4, 5} <= {*unknown}
+        passive = [True] * len(m.passive)
+        return np.array([*joints, *(i in unknown for i in range(3)), *[turned] * 9, *passive])
 
     def start(self, given: np.ndarray) -> np.ndarray:
         """Copy one configuration, with the unknown coordinates where `solve_many` begins."""
         ideal, n = self.model.structure.ideal, self._n
         geometry = self.model.values[: len(ideal.table)]
-        q, r, R9 = np.split(given, (n, n + 3))
+        q, r, R9, u = np.split(given, (n, n + 3, n + 12))
         if self.unknown_joints:
             q = ideal.start_joints(r, R9, geometry)
         else:
             r, R9 = ideal.start_pose(q, geometry)
-        return np.concatenate([np.array(part).ravel() for part in (q, r, R9)])
+        return np.concatenate([np.array(part).ravel() for part in (q, r, R9, u)])
 
     def settle(self, begin: np.ndarray, row: np.ndarray) -> np.ndarray | None:
         """Iterate from one configuration; None if the iterations do not settle on home's side of
@@ -177,9 +178,9 @@ class Problem:
                 return x, size, Status.NOT_CONVERGED
             if np.linalg.norm(step) < 1e-15:
                 break
-            change = np.zeros(self._n + 6)
+            change = np.zeros(len(self.model.structure.scale))
             change[self.columns] = step / self.model.structure.scale[self.columns]
-            candidate = Configuration.from_rows(x).apply_change(change).rows
+            candidate = self.model.configuration(x).apply_change(change).rows
             new_phi, new_J = self._phi_and_jacobian(candidate, a)
             new_size = float(np.linalg.norm(new_phi))
             if new_size < size:

@@ -10,7 +10,7 @@ from parallel_cal.model.model import Model
 
 
 def joint_rows(model: Model, q: np.ndarray) -> np.ndarray:
-    """Build configurations (N, nq + 12) with joints (nq,) or (N, nq) and the platform at home."""
+    """Build configurations (N, nq + 12 + nu) with joints (nq,) or (N, nq), the platform at home."""
     require("q", q, "ArrayLike", SolveError)
     q = np.atleast_2d(np.asarray(q, dtype=float))
     n = len(model.joints)
@@ -19,22 +19,20 @@ def joint_rows(model: Model, q: np.ndarray) -> np.ndarray:
             f"{q.shape[1]} joint values given, but {model.mechanism.name} has {n} "
             f"joints: {', '.join(model.joints)}"
         )
-    rows = np.empty((len(q), n + 12))
-    rows[:] = model.mechanism.home.configuration
+    rows = np.tile(model.mechanism.home.configuration, (len(q), 1))
     rows[:, :n] = q
     return rows
 
 
 def pose_rows(model: Model, position: np.ndarray, rotation: np.ndarray | None) -> np.ndarray:
-    """Build configurations (N, nq + 12) with the given poses and the joints at home."""
+    """Build configurations (N, nq + 12 + nu) with the given poses and the joints at home."""
     require("position", position, "ArrayLike", SolveError)
     require("rotation", rotation, "ArrayLike | None", SolveError)
     r = np.atleast_2d(np.asarray(position, dtype=float))
     if r.shape[1] != 3:
         raise SolveError(f"a position has 3 coordinates (m), but {r.shape[1]} are given")
     n = len(model.joints)
-    rows = np.empty((len(r), n + 12))
-    rows[:] = model.mechanism.home.configuration
+    rows = np.tile(model.mechanism.home.configuration, (len(r), 1))
     rows[:, n : n + 3] = r
     if rotation is not None:
         R = np.asarray(rotation, dtype=float)
@@ -43,5 +41,5 @@ def pose_rows(model: Model, position: np.ndarray, rotation: np.ndarray | None) -
                 f"rotation has the shape {R.shape}; expected (3, 3) or ({len(r)}, 3, 3), as there "
                 f"are {len(r)} positions"
             )
-        rows[:, n + 3 :] = R.reshape(-1, 9)
+        rows[:, n + 3 : n + 12] = R.reshape(-1, 9)
     return rows

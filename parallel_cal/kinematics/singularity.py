@@ -15,7 +15,8 @@ from parallel_cal.model.model import Model
 @dataclass(frozen=True)
 class Distances:
     """Smallest scaled singular values (N,) of the closure's Jacobian in the pose (`direct`)
-    and in joints and passive coordinates (`inverse`), and the signs of their determinants.
+    and in joints and parasitic coordinates (`inverse`), and the signs of their determinants.
+    Passive coordinates are unknowns of both.
 
     They are metres of closure error per metre of motion; 0 is singular. In a direct singularity
     the platform moves with locked joints, in an inverse one the joints move with a locked platform.
@@ -42,11 +43,13 @@ def distances(model: Model, solutions: Solutions, at: Mapping[str, Any] | None =
 def jacobians(
     model: Model, solutions: Solutions, at: Mapping[str, Any] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute d phi/d(pose) and d phi/d(joints, passive), (N, rows, unknowns), in metres."""
+    """Compute d phi/d(unknowns) of forward and of inverse kinematics, (N, rows, unknowns) each,
+    in metres."""
     s, m, n = model.structure, model.mechanism, len(model.joints)
     x = np.atleast_2d(solutions.configuration.rows)
     C = s.jacobians(x, model.condition_rows(at, len(x)), model.values)[0] / s.scale
-    return C[:, :, [n + i for i in m.moved]], C[:, :, [*range(n), *(n + i for i in m.passive)]]
+    dependent = [*range(n), *(n + i for i in m.parasitic), *m.passive_columns]
+    return C[:, :, m.dependent_columns], C[:, :, dependent]
 
 
 def smallest_singular_values(J: np.ndarray) -> np.ndarray:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from parallel_cal.base.rotation import matrix_to_quaternion
-from parallel_cal.model.configuration import Configuration
+from parallel_cal.model.configuration import NO_PASSIVE, Configuration
 
 if TYPE_CHECKING:
     from parallel_cal.model.model import Model
@@ -74,6 +74,8 @@ class Solutions:
         A solver's remark on the whole set.
     complete : bool or None
         Whether these are known to be all solutions of one sample; None if not requested.
+    passive : array (N, nu)
+        Passive coordinates of a mechanism that declares some, rad or m.
 
     Examples
     --------
@@ -91,12 +93,17 @@ class Solutions:
     count_complex: int | None = None
     message: str | None = None
     complete: bool | None = None
+    passive: np.ndarray = field(default_factory=lambda: NO_PASSIVE)
 
     @classmethod
-    def of(cls, rows: np.ndarray, residual: np.ndarray, status: np.ndarray) -> Solutions:
-        """Solutions from configurations (N, nq + 12) or (nq + 12,)."""
-        x = Configuration.from_rows(rows)
-        return cls(x.q, x.r, x.R, residual, status)
+    def of(
+        cls, rows: np.ndarray, residual: np.ndarray, status: np.ndarray, passive: int = 0
+    ) -> Solutions:
+        """Solutions from configurations (N, nq + 12 + nu) or (nq + 12 + nu,), whose last `passive`
+        = nu entries are passive coordinates."""
+        x = Configuration.from_rows(rows, passive)
+        u = x.u if passive else NO_PASSIVE
+        return cls(x.q, x.r, x.R, residual, status, passive=u)
 
     def __len__(self) -> int:
         return len(self.joints)
@@ -110,7 +117,8 @@ class Solutions:
 
     def __getitem__(self, key: Any) -> Solutions:
         q, r, R = self.joints[key], self.position[key], self.rotation[key]
-        return Solutions(q, r, R, self.residual[key], self.status[key])
+        u = self.passive if not self.passive.size else self.passive[key]
+        return Solutions(q, r, R, self.residual[key], self.status[key], passive=u)
 
     def __iter__(self) -> Iterator[Solutions]:
         return (self[i] for i in range(len(self)))
@@ -118,7 +126,7 @@ class Solutions:
     @property
     def configuration(self) -> Configuration:
         """Joints and poses as one object."""
-        return Configuration(self.joints, self.position, self.rotation)
+        return Configuration(self.joints, self.position, self.rotation, self.passive)
 
     @property
     def quaternion(self) -> np.ndarray:
@@ -143,14 +151,15 @@ def make_unsolved(
     """Make the solution of an unreachable sample or of an input that is not finite."""
     finite = all(np.isfinite(given).all() for given in (q, r) if given is not None)
     status = np.array(Status.UNREACHABLE if finite else Status.INVALID_INPUT, dtype=np.int8)
-    x = Configuration.from_rows(np.full(len(model.joints) + 12, np.nan))
+    x = model.configuration(np.full_like(model.mechanism.home.configuration, np.nan))
     q, r = x.q if q is None else q, x.r if r is None else r
-    return Solutions(q, r, x.R, np.array(np.nan), status)
+    return Solutions(q, r, x.R, np.array(np.nan), status, passive=x.u)
 
 
 def replace_rows(found: Solutions, rows: np.ndarray, others: Solutions) -> Solutions:
     """Return a set in which these rows (mask or indices) are those of another set."""
-    parts: dict[str, Any] = {name: getattr(found, name).copy() for name in ARRAYS}
+    names = (*ARRAYS, "passive") if found.passive.size else ARRAYS
+    parts: dict[str, Any] = {name: getattr(found, name).copy() for name in names}
     for name, array in parts.items():
         array[rows] = getattr(others, name)
     return replace(found, **parts)
@@ -168,4 +177,5 @@ def concatenate_solutions(found: Sequence[Solutions]) -> Solutions:
 
 def _combine(combine: Callable[..., np.ndarray], found: Sequence[Solutions]) -> Solutions:
     q, r, R, residual, status = (combine([getattr(s, name) for s in found]) for name in ARRAYS)
-    return Solutions(q, r, R, residual, status)
+    u = combine([s.passive for s in found]) if found[0].passive.size else NO_PASSIVE
+    return Solutions(q, r, R, residual, status, passive=u)

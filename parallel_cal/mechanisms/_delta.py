@@ -101,18 +101,18 @@ class SizedDelta(Delta):
         self.joint_limits = ((low, high) if limits is None else read_limits(limits, "rad"),) * 3
 
 
-def chain_parameters(groups: dict[str, dict[str, Entry]]) -> ParameterTable:
-    """Make the table of three equal chains, 120 degrees apart (theta is the thesis' vartheta)."""
+def chain_parameters(groups: dict[str, dict[str, Entry]], n: int = 3) -> ParameterTable:
+    """Make the table of n equal chains all around z (theta is the thesis' vartheta)."""
     return ParameterTable(
         Parameter(
             f"chain{i + 1}.{name}",
             unit,
-            nominal + (i * 120 * DEGREE if name == "theta" else 0.0),
+            nominal + (i * 360 * DEGREE / n if name == "theta" else 0.0),
             tolerance,
             group,
             label=label,
         )
-        for i in range(3)
+        for i in range(n)
         for group, members in groups.items()
         for name, (unit, nominal, tolerance, label) in members.items()
     )

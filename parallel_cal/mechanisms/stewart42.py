@@ -62,7 +62,7 @@ def leg_parameters(
     )
 
 
-def _points(name: str, points: Points) -> np.ndarray:
+def read_points(name: str, points: Points) -> np.ndarray:
     """Return six or more points (n, 3) m, given as coordinates or on a circle."""
     try:
         if isinstance(points, Mapping):
@@ -133,8 +133,8 @@ class Stewart42(Mechanism):
         scale: Sequence[float] | None = None,
     ):
         drawn = base is not None or platform is not None
-        C = BASE if base is None else _points("base", base)
-        B = PLATFORM if platform is None else _points("platform", platform)
+        C = BASE if base is None else read_points("base", base)
+        B = PLATFORM if platform is None else read_points("platform", platform)
         if len(B) != len(C):
             raise ModelError(
                 f"{len(B)} points of the platform for {len(C)} points of the base, expected one of "

@@ -32,14 +32,17 @@ def check(m: Mechanism) -> None:
     for key, found, members in (
         ("joint_limits", m.joint_limits, m.joints),
         ("home.joints", m.home.joints, m.joints),
+        ("home.passive", m.home.passive, m.passive),
+        ("passive_units", m.passive_units, m.passive),
         ("workspace.low", m.workspace.low, m.controls),
         ("workspace.high", m.workspace.high, m.controls),
     ):
         if len(found) != len(members):
-            each = f"{len(members)}, one for each of {', '.join(members)}"
+            each = f"{len(members)}, one for each of {', '.join(members) or 'none'}"
             raise ModelError(f"{key} has {len(found)} entries, expected {each}")
-    if not {*m.joint_units} <= {"rad", "m"}:
-        raise ModelError(f"joint units are {', '.join(m.joint_units)}, expected rad or m")
+    for kind, units in (("joint", m.joint_units), ("passive", m.passive_units)):
+        if not {*units} <= {"rad", "m"}:
+            raise ModelError(f"{kind} units are {', '.join(units)}, expected rad or m")
     check_parameters(m.parameters)
     numbers = [*m.parameters.nominal, *m.parameters.tolerance, *m.home.configuration]
     if not np.isfinite(numbers).all():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from math import isfinite, nan
 from typing import Any, ClassVar
@@ -59,14 +59,22 @@ def list_substitutes(condition: str) -> list[str]:
     return found
 
 
+def _none() -> Any:
+    import casadi as ca
+
+    return ca.SX(0, 1)
+
+
 @dataclass(frozen=True)
 class Seen:
-    """The inputs of the closure: joints q, position r, rotation R and geometry p."""
+    """The inputs of the closure: joints q, position r, rotation R, geometry p, and the passive
+    coordinates u of a mechanism that declares some."""
 
     q: Any
     r: Any
     R: Any
     p: Named
+    u: Any = field(default_factory=_none)
 
     def with_q(self, q: Any) -> Seen:
         return replace(self, q=q)

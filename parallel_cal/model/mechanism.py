@@ -38,17 +38,20 @@ class Home:
         Position of {P} in {B}, m. Default: the origin.
     quaternion : tuple of 4 float
         Orientation of {P} in {B}, x y z w. Default: no rotation.
+    passive : tuple of float
+        Passive coordinates of a mechanism that declares some, each in its unit. Default: none.
     """
 
     joints: tuple[float, ...]
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    passive: tuple[float, ...] = ()
 
     @cached_property
     def configuration(self) -> np.ndarray:
-        """(q, r, R row-major) as one read-only vector."""
-        q, r = np.array(self.joints, dtype=float), np.array(self.position, dtype=float)
-        row = Configuration(q, r, quaternion_to_matrix(self.quaternion)).rows
+        """(q, r, R row-major, u) as one read-only vector."""
+        q, r, u = (np.array(v, dtype=float) for v in (self.joints, self.position, self.passive))
+        row = Configuration(q, r, quaternion_to_matrix(self.quaternion), u).rows
         row.setflags(write=False)
         return row
 
@@ -98,14 +101,23 @@ class Mechanism(ABC):
     """Base class of a robot's geometry.
 
     Subclass it in a file of its own; the file name is the mechanism's name. Implement `closure`;
-    the other methods have defaults.
+    the other methods have defaults. A mechanism that declares `passive` coordinates u implements
+    `closure(q, u, r, R, p)`.
 
     Attributes
     ----------
     joints : tuple of str
         Names of the actuated joints.
     joint_unit : str
-        Unit of all joint readings, `rad` or `m`. Default `rad`.
+        Unit of all joint readings, `rad` or `m`. Default `rad`. A mechanism with both overrides
+        `joint_units`, one unit for each joint.
+    passive : tuple of str
+        Names of the coordinates u of passive joints that the closure needs, because they cannot be
+        eliminated by hand. They are unknowns of forward and inverse kinematics, and a fit
+        eliminates them from the measurement equations. Their values at home are in `home`.
+        Default: none.
+    passive_units : tuple of str
+        Unit of each passive coordinate, `rad` or `m`. Default `rad`.
     periodic : bool
         Whether a full turn of a joint changes nothing (False for a spool). Default True.
     moves : tuple of str
@@ -145,6 +157,8 @@ class Mechanism(ABC):
         readings of joints are lengths: the linear scales, screws or belts that measure these.
     parts : tuple of str
         Kinds of links for which `centres` returns the centres of mass. Default none.
+    masses : dict
+        Known mass of each kind in `parts`, kg. Default: unknown (0).
     remarks : tuple of str
         What the user should check, because the options do not state it. Default none.
     options : dict
@@ -153,6 +167,7 @@ class Mechanism(ABC):
 
     joints: tuple[str, ...]
     joint_unit: str = "rad"
+    passive: tuple[str, ...] = ()
     periodic: bool = True  # a full turn of a joint changes nothing (False for a spool)
     moves: tuple[str, ...] = POSE
     controls: tuple[str, ...] = POSE
@@ -170,6 +185,7 @@ class Mechanism(ABC):
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)  # m/s^2 in {B}
     bodies: Mapping[str, Sequence[str]] = {}  # patterns of the lengths of one material
     parts: tuple[str, ...] = ()  # kinds of links whose centres of mass are known
+    masses: Mapping[str, float] = {}  # kg
     remarks: tuple[str, ...] = ()
     options: Mapping[str, Any] = {}
 
@@ -186,13 +202,17 @@ class Mechanism(ABC):
         return workspace
 
     @abstractmethod
-    def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
+    def closure(self, *args: Any, **kwargs: Any) -> Any:
         """Return the closure phi(q, r, R, p): a CasADi column (m or rad), zero at a valid pose.
+
+        A mechanism with `passive` coordinates u returns phi(q, u, r, R, p).
 
         Parameters
         ----------
         q : CasADi (n_joints, 1)
             Joint readings, rad or m.
+        u : CasADi (n_passive, 1)
+            Passive coordinates, rad or m; only of a mechanism that declares some.
         r : CasADi (3, 1)
             Position of {P} in {B}, m.
         R : CasADi (3, 3)
@@ -200,6 +220,11 @@ class Mechanism(ABC):
         p : Named
             Geometric parameters by name.
         """
+
+    def arguments(self, q: Any, u: Any, r: Any, R: Any, p: Named) -> tuple[Any, ...]:
+        """Return the arguments of `closure`, `centres` and `drawing`: with the passive coordinates
+        u if the mechanism declares some."""
+        return (q, u, r, R, p) if self.passive else (q, r, R, p)
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
         """Return poses [(r, R)] near the solutions of the direct problem; by default, home.
@@ -278,8 +303,9 @@ class Mechanism(ABC):
         each joint; empty if the joints are no struts between base and platform."""
         return []
 
-    def centres(self, q: Any, r: Any, R: Any, p: Named) -> Mapping[str, list[Any]]:
-        """Return centres of mass in {B}, (3, 1) m each, of the links of each kind in `parts`."""
+    def centres(self, *args: Any, **kwargs: Any) -> Mapping[str, list[Any]]:
+        """Return centres of mass in {B}, (3, 1) m each, of the links of each kind in `parts`, at
+        (q, r, R, p), or (q, u, r, R, p) of a mechanism with passive coordinates."""
         return {}
 
     def spans(self, q: Any, p: Named) -> list[tuple[float, Any, Any]]:
@@ -287,8 +313,9 @@ class Mechanism(ABC):
         chain whose joints alone carry it, from base to platform; empty for other mechanisms."""
         return []
 
-    def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
-        """Return the lines that draw the mechanism at (q, r, R), with points as CasADi columns."""
+    def drawing(self, *args: Any, **kwargs: Any) -> list[Line]:
+        """Return the lines that draw the mechanism at (q, r, R, p), or (q, u, r, R, p) of one
+        with passive coordinates; their points are CasADi columns."""
         return []
 
     def widen(self, values: Mapping[str, float]) -> tuple[str, dict[str, float]]:
@@ -329,6 +356,11 @@ class Mechanism(ABC):
         return (self.joint_unit,) * len(self.joints)
 
     @property
+    def passive_units(self) -> tuple[str, ...]:
+        """Unit of each passive coordinate, rad or m; a mechanism with lengths overrides this."""
+        return ("rad",) * len(self.passive)
+
+    @property
     def moved(self) -> list[int]:
         """Indices of the moved coordinates in x y z rx ry rz."""
         return _places(self.moves)
@@ -339,7 +371,20 @@ class Mechanism(ABC):
         return _places(self.controls)
 
     @property
-    def passive(self) -> list[int]:
+    def passive_columns(self) -> list[int]:
+        """Columns of the passive coordinates in derivatives by (q, r, w, u)."""
+        n = len(self.joints) + len(POSE)
+        return list(range(n, n + len(self.passive)))
+
+    @property
+    def dependent_columns(self) -> list[int]:
+        """Columns of what follows from the joints, in derivatives by (q, r, w, u): the moved
+        coordinates of the pose, then the passive coordinates."""
+        n = len(self.joints)
+        return [*(n + i for i in self.moved), *self.passive_columns]
+
+    @property
+    def parasitic(self) -> list[int]:
         """Moved coordinates that are not controlled (the Delta's orientation)."""
         return [i for i in self.moved if i not in self.controlled]
 

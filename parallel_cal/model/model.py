@@ -11,6 +11,7 @@ import numpy as np
 
 from parallel_cal.base.arguments import check_arguments, describe_argument, require
 from parallel_cal.base.errors import ModelError
+from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.effect import Effect, list_substitutes
 from parallel_cal.model.machine_class import DEFAULT_CLASS, MachineClass, check_class
 from parallel_cal.model.mechanism import Mechanism
@@ -163,6 +164,10 @@ class Model:
     def joints(self) -> tuple[str, ...]:
         """Names of the joints, in the order of joint readings (nq,)."""
         return self.mechanism.joints
+
+    def configuration(self, rows: np.ndarray) -> Configuration:
+        """Return views of rows (N, nq + 12 + nu): joints, poses and passive coordinates."""
+        return Configuration.from_rows(rows, len(self.mechanism.passive))
 
     @property
     def joint_noise(self) -> np.ndarray:

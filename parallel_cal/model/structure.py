@@ -13,6 +13,7 @@ from parallel_cal.base.compiled import Batch, dense
 from parallel_cal.base.errors import ModelError, wrap_plugin_error
 from parallel_cal.base.rotation import left_generators
 from parallel_cal.model.declaration import check_parameters
+from parallel_cal.model.drawing import Line
 from parallel_cal.model.effect import CONDITIONS, Effect, Seen
 from parallel_cal.model.machine_class import scale_usual_sizes
 from parallel_cal.model.mechanism import Mechanism
@@ -24,7 +25,8 @@ from parallel_cal.model.shelf import load_effect
 class Structure:
     """The symbolic part of a model, without values; shared and cached.
 
-    Symbols: q joints, r position, R9 rotation (row-major), v parameter vector, a conditions.
+    Symbols: q joints, r position, R9 rotation (row-major), u passive coordinates, v parameter
+    vector, a conditions.
     """
 
     def __init__(
@@ -43,6 +45,7 @@ class Structure:
         self.conditions = tuple(dict.fromkeys(needed))
         self.q = ca.SX.sym("q", len(mechanism.joints))
         self.r, self.R9 = ca.SX.sym("r", 3), ca.SX.sym("R", 9)
+        self.u = ca.SX.sym("u", len(mechanism.passive))
         self.v = ca.SX.sym("v", len(self.table))
         self.a = ca.SX.sym("a", len(self.conditions))
 
@@ -69,13 +72,13 @@ class Structure:
 
     @property
     def configuration(self) -> Any:
-        """(q, r, R9) as one column: the coordinates of the closure."""
-        return ca.vertcat(self.q, self.r, self.R9)
+        """(q, r, R9, u) as one column: the coordinates of the closure."""
+        return ca.vertcat(self.q, self.r, self.R9, self.u)
 
     @cached_property
     def seen(self) -> Seen:
         """Joints, pose and geometry after the effects."""
-        seen = Seen(self.q, self.r, self.R, self.geometry)
+        seen = Seen(self.q, self.r, self.R, self.geometry, self.u)
         numbers, at = Named(self.table.names, self.v), Named(self.conditions, self.a)
         for effect in self.effects:
             seen = self._apply_effect(effect, seen, numbers, at)
@@ -105,14 +108,21 @@ class Structure:
         if self.effects or self.sensors:  # most of the work is the same for all of them
             return self._check_closure(self.ideal.closure_of_seen(_column(seen)))
         try:
-            phi = self.mechanism.closure(seen.q, seen.r, seen.R, seen.p)
+            m = self.mechanism
+            phi = m.closure(*m.arguments(seen.q, seen.u, seen.r, seen.R, seen.p))
         except Exception as error:
             raise wrap_plugin_error(self.mechanism.name, error) from error
         return self._check_closure(phi)
 
+    @property
+    def equations(self) -> int:
+        """Number of equations between joints and pose: rows of the closure, less those that
+        determine the passive coordinates."""
+        return int(self.phi.shape[0]) - len(self.mechanism.passive)
+
     @cached_property
     def closure_of_seen(self) -> ca.Function:
-        """(q, r, R9 and geometry) -> phi; for an ideal mechanism."""
+        """(q, r, R9, u and geometry) -> phi; for an ideal mechanism."""
         return ca.Function("phi", [ca.vertcat(self.configuration, self.v)], [self.phi])
 
     @cached_property
@@ -129,7 +139,8 @@ class Structure:
 
     def _check_closure(self, phi: Any) -> Any:
         """The closure as SX, after checks of type, shape, symbols and values at home."""
-        its, moved = f"{self.mechanism.name}: its closure", len(self.mechanism.moves)
+        m, its = self.mechanism, f"{self.mechanism.name}: its closure"
+        moved = len(m.moves) + len(m.passive)
         try:
             phi = ca.cse(ca.SX(phi))  # before differentiation: once, not for each derivative
         except NotImplementedError:
@@ -139,6 +150,7 @@ class Structure:
             raise ModelError(
                 f"{its} has shape {phi.shape}, expected one column with at least {moved} rows, "
                 "one for each moved coordinate"
+                + (" and each passive coordinate" if m.passive else "")
             )
         inputs = ca.vertcat(self.configuration, self.v, self.a)
         if unknown := {str(s) for s in ca.symvar(phi)} - {str(s) for s in ca.symvar(inputs)}:
@@ -148,6 +160,11 @@ class Structure:
         if bad := np.flatnonzero(~np.isfinite(rows)).tolist():
             raise ModelError(f"{its} is not finite in rows {bad} at home with nominal values")
         return phi
+
+    def drawing(self) -> list[Line]:
+        """The lines that draw the mechanism, in terms of the configuration and the parameters."""
+        m = self.mechanism
+        return m.drawing(*m.arguments(self.q, self.u, self.r, self.R, self.geometry))
 
     @cached_property
     def jacobian_pose(self) -> Any:
@@ -160,17 +177,20 @@ class Structure:
 
     @cached_property
     def jacobian_configuration(self) -> Any:
-        """d phi / d (q, r, w), shape (rows, n_joints + 6)."""
-        return ca.horzcat(ca.jacobian(self.phi, self.q), self.jacobian_pose)
+        """d phi / d (q, r, w, u), shape (rows, n_joints + 6 + n_passive)."""
+        by_q, by_u = (ca.jacobian(self.phi, part) for part in (self.q, self.u))
+        return ca.horzcat(by_q, self.jacobian_pose, by_u)
 
     def _slopes(self, rows: Any) -> tuple[Any, Any]:
-        """d rows / d (q, r, w) and d rows / dv in one pass: they share most of their operations."""
+        """d rows / d (q, r, w, u) and d rows / dv in one pass: they share most operations."""
         J, n = ca.jacobian(rows, ca.vertcat(self.configuration, self.v)), self.q.numel() + 3
-        return ca.horzcat(J[:, :n], J[:, n : n + 9] @ left_generators(self.R)), J[:, n + 9 :]
+        end = n + 9 + self.u.numel()
+        by_turn = J[:, n : n + 9] @ left_generators(self.R)
+        return ca.horzcat(J[:, :n], by_turn, J[:, n + 9 : end]), J[:, end:]
 
     @cached_property
     def closure(self) -> ca.Function:
-        """(configuration, a, v) -> phi, d phi/d(q, r, w), d phi/dv."""
+        """(configuration, a, v) -> phi, d phi/d(q, r, w, u), d phi/dv."""
         inputs = (self.configuration, self.a, self.v)
         return dense("closure", inputs, (self.phi, *self._slopes(self.phi)))
 
@@ -182,7 +202,7 @@ class Structure:
     def jacobians(
         self, x: np.ndarray, a: np.ndarray, v: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Compute d phi/d(q, r, w) and d phi/dv of N samples: (N, rows, columns) each."""
+        """Compute d phi/d(q, r, w, u) and d phi/dv of N samples: (N, rows, columns) each."""
         _, J_x, J_v = self.closure_batch(x, a, v)  # stored column by column
         rows, n = self.phi.shape[0], len(x)
         J_x, J_v = (J.reshape(n, J.shape[1] // rows, rows) for J in (J_x, J_v))
@@ -259,7 +279,7 @@ class Structure:
 
     @cached_property
     def rows_function(self) -> ca.Function:
-        """(configuration, a, v) -> rows, d rows/d(q, r, w), d rows/dv."""
+        """(configuration, a, v) -> rows, d rows/d(q, r, w, u), d rows/dv."""
         if not self.sensors:
             return self.closure
         inputs = (self.configuration, self.a, self.v)
@@ -312,10 +332,11 @@ class Structure:
 
     @cached_property
     def seen_batch(self) -> Batch:
-        """(configuration, a, v) -> inputs of the closure after the effects, as one column: q, r, R9
-        and geometry, on arrays of samples."""
+        """(configuration, a, v) -> inputs of the closure after the effects, as one column: q, r,
+        R9, u and geometry, on arrays of samples."""
         inputs = (self.configuration, self.a, self.v)
-        return Batch(dense("seen", inputs, (self._substitute_platform_pose(_column(self.seen)),)))
+        column = self._substitute_platform_pose(_column(self.seen))
+        return Batch(dense("seen", inputs, (column,)))
 
     @cached_property
     def ideal(self) -> Structure:
@@ -324,7 +345,7 @@ class Structure:
 
     @cached_property
     def seen_jacobian(self) -> Batch:
-        """(q, r, R9 and geometry) -> d phi/d these, column by column; for an ideal mechanism."""
+        """(q, r, R9, u and geometry) -> d phi/d these, column by column; for an ideal mechanism."""
         z = ca.vertcat(self.configuration, self.v)
         return Batch(dense("by_seen", (z,), (ca.jacobian(self.phi, z),)))
 
@@ -352,7 +373,7 @@ class Structure:
 
     @cached_property
     def closure_configuration(self) -> ca.Function:
-        """(configuration, a, v) -> phi, d phi/d(q, r, w), for the careful solver."""
+        """(configuration, a, v) -> phi, d phi/d(q, r, w, u), for the careful solver."""
         inputs = (self.configuration, self.a, self.v)
         return dense("closure_configuration", inputs, (self.phi, self.jacobian_configuration))
 
@@ -377,15 +398,19 @@ class Structure:
 
     @cached_property
     def scale(self) -> np.ndarray:
-        """Motion in metres per unit of each of (q, r, w): the mechanism's length for angles."""
+        """Motion in metres per unit of each of (q, r, w, u): the mechanism's length for angles."""
         m = self.mechanism
-        joints = [m.length if unit == "rad" else 1.0 for unit in m.joint_units]
-        return np.array(joints + [1.0] * 3 + [m.length] * 3)
+        joints, passive = (
+            [m.length if unit == "rad" else 1.0 for unit in units]
+            for units in (m.joint_units, m.passive_units)
+        )
+        return np.array(joints + [1.0] * 3 + [m.length] * 3 + passive)
 
 
 def _column(seen: Seen) -> Any:
-    """q, r, R9 (row-major) and the geometry as one column."""
-    return ca.vertcat(ca.SX(seen.q), ca.SX(seen.r), ca.vec(ca.SX(seen.R).T), seen.p.column)
+    """q, r, R9 (row-major), u and the geometry as one column."""
+    pose = ca.SX(seen.r), ca.vec(ca.SX(seen.R).T)
+    return ca.vertcat(ca.SX(seen.q), *pose, seen.u, seen.p.column)
 
 
 # A diagnosis of three effects makes five hundred. Most of them are symbols alone; those that were

@@ -117,9 +117,10 @@ def prediction_blocks(
     linearise = Linearisation(model, observations, free, weighted=True)
     rows = model.structure.phi.shape[0]
     C, J = (block[:, :rows] for block in linearise.blocks(model.values, observations.x)[1:])
-    n, moved = len(model.joints), model.mechanism.moved
+    moved = model.mechanism.moved
     G = np.zeros((len(C), 6, J.shape[2]))
-    G[:, moved] = -np.linalg.pinv(C[:, :, [n + i for i in moved]]) @ J
+    follows = -np.linalg.pinv(C[:, :, model.mechanism.dependent_columns]) @ J
+    G[:, moved] = follows[:, : len(moved)]
     G[:, 3:] *= model.mechanism.length
     return G
 
@@ -131,12 +132,13 @@ def as_observations(
 
     The poses are those of {P} in {B}; the observations are of the target in the device's frame.
     """
-    n, noise, at = len(model.joints), model.noise, frames_of(model)
-    x = Configuration(poses.joints, *at.see(poses.position, poses.rotation)).rows
+    noise, at = model.noise, frames_of(model)
+    x = Configuration(poses.joints, *at.see(poses.position, poses.rotation), poses.passive).rows
     device = [noise.position or 0.0] * 3 + [noise.orientation or 0.0] * 3
-    sigma = np.append(np.nan_to_num(model.joint_noise), device)
-    S = np.broadcast_to(np.diag(np.square(sigma)), (len(x), n + 6, n + 6))
-    mask = np.broadcast_to(measured, (len(x), n + 6))
+    passive = [0.0] * len(model.mechanism.passive)
+    sigma = np.concatenate([np.nan_to_num(model.joint_noise), device, passive])
+    S = np.broadcast_to(np.diag(np.square(sigma)), (len(x), len(sigma), len(sigma)))
+    mask = np.broadcast_to(measured, (len(x), len(sigma)))
     source = {"joint": "model file", "pose": "model file"}
     return Observations(
         x, S, mask, a, np.arange(len(x)), predict_shown_readings(model, x, a), source

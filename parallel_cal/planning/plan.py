@@ -314,7 +314,7 @@ def expected_at(model: Model, q: np.ndarray) -> Expectation:
 
 
 def _measured(model: Model) -> np.ndarray:
-    """Return the mask (nq + 6,) of the joints and the coordinates whose noise the model states."""
+    """Return the mask (nq + 6 + nu,) of joints and coordinates whose noise the model states."""
     noise, channels = model.noise, model.structure.channels
     given = [noise.position is not None, noise.orientation is not None]
     planned = list_planned_sensors(model)
@@ -331,7 +331,8 @@ def _measured(model: Model) -> np.ndarray:
             f"the model states no {missing}: a plan weights measurements by their noise; state "
             "noise (1 sigma, rad or m) in the model file"
         )
-    return np.array([True] * len(model.joints) + [given[0]] * 3 + [given[1]] * 3)
+    passive = [False] * len(model.mechanism.passive)
+    return np.array([True] * len(model.joints) + [given[0]] * 3 + [given[1]] * 3 + passive)
 
 
 def _keep_seen_groups(model: Model, pool: Pool) -> Pool:
@@ -369,7 +370,7 @@ def equations_per_pose(model: Model) -> int:
     model = stand_in_pose_device(model)
     moved = [len(model.joints) + i for i in model.mechanism.moved]
     unmeasured = int((~_measured(model)[moved]).sum())
-    each = model.structure.phi.shape[0] - (0 if list_planned_sensors(model) else unmeasured)
+    each = model.structure.equations - (0 if list_planned_sensors(model) else unmeasured)
     if each <= 0:
         raise FitError(
             "the measured coordinates give no equation: state the noise of the "

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from parallel_cal.kinematics.kinematics import Solutions
-from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.model.sensor import Sensor
 
@@ -60,7 +59,7 @@ def find_seen_poses(model: Model, poses: Solutions) -> np.ndarray:
     planned = list_planned_sensors(model)
     if not planned:
         return np.ones(len(poses), dtype=bool)
-    x = Configuration(poses.joints, poses.position, poses.rotation).rows
+    x = poses.configuration.rows
     reading = predict_shown_readings(model, x, model.condition_rows(None, len(poses)))
     channels = np.array(model.structure.channels)
     shares = [

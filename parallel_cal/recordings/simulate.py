@@ -153,7 +153,7 @@ def simulate(
             np.vstack([targets, targets[rng.permutation(poses)[:replicates]]])
         )
     motion = _motion(model, targets)
-    if model.structure.phi.shape[0] > len(model.mechanism.moves):
+    if model.structure.equations > len(model.mechanism.moves):
         # With more lines than coordinates, the joints depend on each other, and an effect changes
         # how. Use the joints of the same poses under the conditions at the end of each dwell.
         last = np.searchsorted(motion.dwell, np.arange(len(targets)), side="right") - 1

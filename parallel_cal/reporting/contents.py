@@ -21,7 +21,6 @@ from parallel_cal.identification.given_model import last_fit_to, was_last_fitted
 from parallel_cal.identification.observability import directions_in_words
 from parallel_cal.identification.prediction_errors import ERRORS, Errors, Summary
 from parallel_cal.identification.registration import SENSOR, frames_of
-from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.mechanism import POSE, Mechanism
 from parallel_cal.model.model import Model
@@ -248,7 +247,7 @@ class JointResiduals:
 def places(scene: Scene, kind: str | None) -> np.ndarray:
     """Return the predicted positions (N, 3) of the target in {B}, or its z axis if only the
     orientation is measured."""
-    predicted, device = Configuration.from_rows(scene.x), frames_of(scene.model)
+    predicted, device = scene.model.configuration(scene.x), frames_of(scene.model)
     if kind == "orientation":
         return predicted.R[:, :, 2] @ device.F.T
     return device.to_base(predicted.r)

@@ -79,7 +79,7 @@ def lines(model: Model, x: np.ndarray | None = None) -> list[DrawnLine]:
     """Make the lines of a model's geometry at a configuration (nq + 12,), by default home."""
     s, names = model.structure, model.mechanism.parameters.names
     x = model.mechanism.home.configuration if x is None else x
-    parts = model.mechanism.drawing(s.q, s.r, s.R, s.geometry)
+    parts = s.drawing()
     if not parts:
         return []
     columns = [ca.horzcat(*[ca.SX(point) for point in part.points]) for part in parts]

@@ -9,7 +9,6 @@ import numpy as np
 
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.predictions import predict_configurations
-from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.parameters import Named
 from parallel_cal.sensors.camera import Camera
 
@@ -85,7 +84,7 @@ def _divide_image(camera: Camera) -> tuple[np.ndarray, list[np.ndarray]]:
 def _find_distance(result: FitResult, camera: Camera) -> float:
     """Find the median distance (m) of the board's corners from the camera."""
     model = result.model
-    pose = Configuration.from_rows(predict_configurations(model, result.observations))
+    pose = model.configuration(predict_configurations(model, result.observations))
     at = Named(model.table.names, ca.DM(model.values))[camera.name]
     middles = [
         np.array(ca.evalf(camera.points(ca.DM(r), ca.DM(R), at))).reshape(-1, 3).mean(axis=0)

@@ -246,7 +246,7 @@ def errors_table(judged: Mapping[str, Summary], noise: Summary, model: Model) ->
             for measure, get in (("mean", Summary.mean), ("rms", Summary.rms)):
                 cells = [Number(get(e, kind), factor) for e in judged.values()]
                 rows.append([f"{kind} error, {measure}", *cells, name.replace("µ", "u")])
-    if model.structure.phi.shape[0] > len(model.mechanism.moved):
+    if model.structure.equations > len(model.mechanism.moved):
         cells = [Number(e.closure_rms, 1e6) for e in judged.values()]
         rows.append(["closure, rms of its rows", *cells, "um"])
     return Table(("", *judged, "unit"), rows)

@@ -121,7 +121,7 @@ def _solve_true_poses(has: Model, robot: Model, planned: Dataset) -> tuple[np.nd
     The joints of a redundantly actuated robot (more closure equations than degrees of freedom)
     must be consistent, so they follow from the poses by inverse kinematics."""
     q, kinematics = planned.q, Kinematics(has)
-    if has.structure.phi.shape[0] > len(has.mechanism.moves):
+    if has.structure.equations > len(has.mechanism.moves):
         pose = Kinematics(robot).direct(q)
         q = kinematics.inverse(pose.position, pose.rotation, planned.conditions).joints
     return q, kinematics.direct(q, planned.conditions)

@@ -235,7 +235,7 @@ def _compute_budget(
     nominal: Model, drawn: np.ndarray, pool: Pool, kinds: Mapping[str, slice]
 ) -> tuple[dict[str, float], tuple[Share, ...]]:
     """Compute the linear rms of all parameters, and of alike ones: G sigma, G = -J_x^-1 J_v."""
-    table, everything = nominal.table, np.ones(len(nominal.joints) + 6, bool)
+    table, everything = nominal.table, np.ones(len(nominal.structure.scale), bool)
     G = prediction_blocks(nominal, drawn, everything, pool) * table.tolerance[drawn]
     G[:, 3:] /= nominal.mechanism.length
     squares = {k: np.sum(G[:, part] ** 2, axis=1).mean(axis=0) for k, part in kinds.items()}

@@ -150,7 +150,9 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
         "joint_names": ", ".join(f'"{joint}"' for joint in m.joints),
         "home_joints": _list(home[:n]),
         "home_position": _list(home[n : n + 3]),
-        "home_rotation": _list(home[n + 3 :]),
+        "home_rotation": _list(home[n + 3 : n + 12]),
+        "n_passive": len(m.passive),
+        **_passive_words(m),
         "threshold": DIRECTION_THRESHOLD,
         "all_steps": 8 * MAX_DESCENTS + 2 * MAX_PATH_STEPS,
         "descents": MAX_DESCENTS,
@@ -170,7 +172,7 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
         "copied": _lines(f"a[{k}] = at->{c};" for k, c in enumerate(names or ["none"])),
         "read": _lines((f"now.{c} = row[{2 + k}];" for k, c in enumerate(names)), 8),
         "given": _lines(_generate_copy("given", "", m.controlled)),
-        "passive": _lines(_generate_copy("x", "start->", m.passive), 8),
+        "passive": _lines(_generate_start(m), 8),
     }
     for problem, functions, u, g, c in zip(
         PROBLEMS, newton, unknown, given, constants, strict=True
@@ -180,6 +182,7 @@ def template_words(model: Model, robot: str) -> dict[str, str]:
             f"n_{problem}": len(u),
             f"given_{problem}": _list(g),
             f"g_{problem}": len(g),
+            f"turns_{problem}": int({n + 3, n + 4, n + 5} <= {*u}),
             f"constants_{problem}": c,
             f"home_sign_{problem}": int(functions.home_sign),
         }
@@ -219,6 +222,28 @@ def _generate_copy(to: str, source: str, coordinates: list[int]) -> list[str]:
     if any(i >= 3 for i in coordinates):
         lines.append(f"memcpy({to} + NQ + 3, {source}rotation, 9 * sizeof *{to});")
     return lines
+
+
+def _generate_start(m: Mechanism) -> list[str]:
+    """Generate C that copies from a start what inverse kinematics answers besides the joints; a
+    rotation of which a part is given stays the given one."""
+    turns = {3, 4, 5} <= {*m.parasitic}
+    lines = _generate_copy("x", "start->", [i for i in m.parasitic if i < 3 or turns])
+    copied = "memcpy(x + NQ + 12, start->passive, NU * sizeof *x);"
+    return [*lines, *([copied] if m.passive else [])]
+
+
+def _passive_words(m: Mechanism) -> dict[str, str]:
+    """Return what the templates say of passive coordinates; nothing of a robot without any."""
+    if not m.passive:
+        return dict.fromkeys(("home_passive", "passive_member", "from_passive", "to_passive"), "")
+    names = ", ".join(f"{name} [{u}]" for name, u in zip(m.passive, m.passive_units, strict=True))
+    return {
+        "home_passive": f", {{{_list(m.home.passive)}}}",
+        "passive_member": f"    double passive[{len(m.passive)}]; /* {names} */\n",
+        "from_passive": "    memcpy(x + NQ + 12, from->passive, NU * sizeof *x);\n",
+        "to_passive": "    memcpy(to->passive, x + NQ + 12, NU * sizeof *x);\n",
+    }
 
 
 def _lines(lines: Any, indent: int = 4) -> str:

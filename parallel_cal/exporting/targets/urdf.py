@@ -20,6 +20,7 @@ from parallel_cal.exporting.arm_urdf import (
     format_exactly,
     rpy_of,
 )
+from parallel_cal.exporting.linkage_urdf import edit_urdf
 from parallel_cal.exporting.tree import Joint, Segment, Tree, tree_of
 from parallel_cal.exporting.urdf_editing import edit_arm
 from parallel_cal.mechanisms.serial import Serial
@@ -78,13 +79,15 @@ def remarks(model: Model) -> list[str]:
 
 
 def edit(model: Model, files: Sequence[Path]) -> tuple[dict[Path, str], list[str]]:
-    """Return the text of an arm's own URDF with identified origins, and remarks.
+    """Return the text of an arm's or a chain's own URDF with identified origins, and remarks.
 
-    ModelError if the robot is no serial arm: the loops of others are not in their URDF.
+    ModelError if the robot is neither: the loops of others are not in their URDF.
     """
+    if model.mechanism.name == "chain":
+        return edit_urdf(model, files)
     if not isinstance(model.mechanism, Serial):
         raise ModelError(
-            f"{model.mechanism.name} is no serial arm, and a URDF has no loops: expected -o FOLDER "
+            f"{model.mechanism.name} is neither a serial arm nor a chain: expected -o FOLDER "
             "in place of --into, which writes a picture of the robot"
         )
     if len(files) != 1:

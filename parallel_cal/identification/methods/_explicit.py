@@ -15,7 +15,6 @@ from parallel_cal.identification.thresholds import (
     MIN_INVERSE_SINGULAR_VALUE_RATIO,
     NEWTON_STEP,
 )
-from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.mechanism import POSE
 from parallel_cal.model.model import Model
 
@@ -34,8 +33,8 @@ class Prediction:
     def __init__(self, model: Model, observations: Observations, free: np.ndarray, direct: bool):
         m, n = model.mechanism, len(model.joints)
         moving, joints = [n + i for i in m.moved], list(range(n))
-        passive = [n + i for i in m.passive]
-        self.unknown = np.array(moving if direct else joints + passive)
+        parasitic = [n + i for i in m.parasitic]
+        self.unknown = np.array((moving if direct else joints + parasitic) + m.passive_columns)
         self.given = np.array(joints if direct else [n + i for i in m.controlled])
         names = [*model.joints, *POSE]
         method = "forward" if direct else "inverse"
@@ -72,7 +71,7 @@ class Prediction:
                 break
             change = np.zeros((len(x), C.shape[2]))
             change[:, self.unknown] = np.clip(step, -0.2 / self._scale, 0.2 / self._scale)
-            x = Configuration.from_rows(x).apply_change(change).rows
+            x = self._model.configuration(x).apply_change(change).rows
         return x, C, J, size < 1e-9
 
     def __call__(self, values: np.ndarray) -> PredictedSystem | None:

@@ -113,7 +113,7 @@ def with_status(
     status = np.where(inside, Status.CONVERGED, Status.OUTSIDE_LIMITS).astype(np.int8)
     status[residual >= tolerance] = Status.NOT_CONVERGED
     status[~np.isfinite(residual)] = Status.UNREACHABLE
-    solutions = Solutions.of(x, residual, status)
+    solutions = Solutions.of(x, residual, status, len(model.mechanism.passive))
     near = (
         smallest_singular_values(jacobians(model, solutions, at)[problem == "inverse"])
         < MIN_REGULAR_SINGULAR_VALUE
@@ -173,14 +173,16 @@ def pose_candidates(model: Model, q: np.ndarray) -> Configuration:
     """Evaluate the mechanism's candidates for the poses of joints (nq,); real ones only."""
     columns = np.array(model.structure.candidates(q, model.values)).T
     poses = columns[np.isfinite(columns).all(axis=1)]
-    return Configuration(np.asarray(q), poses[:, :3], poses[:, 3:].reshape(-1, 3, 3))
+    R, u = poses[:, 3:].reshape(-1, 3, 3), np.array(model.mechanism.home.passive)
+    return Configuration(np.asarray(q), poses[:, :3], R, u)
 
 
 def joint_candidates(model: Model, r: np.ndarray, R: np.ndarray) -> Configuration:
     """Combine the joints' candidates for a pose in all ways; real ones only."""
     choices = model.structure.joint_candidates.call([r, R.ravel(), model.values])
     sets = np.array(list(product(*(np.array(c).ravel() for c in choices))))
-    return Configuration(sets[np.isfinite(sets).all(axis=1)], np.asarray(r, dtype=float), R)
+    q, u = sets[np.isfinite(sets).all(axis=1)], np.array(model.mechanism.home.passive)
+    return Configuration(q, np.asarray(r, dtype=float), R, u)
 
 
 @lru_cache(maxsize=16)

@@ -139,13 +139,23 @@ def _perfect(p: Named, s: Structure) -> Named:
     return p.replaced(errors)
 
 
+def _rotation_rank(s: Structure, rows: Any) -> int:
+    """Count the directions of rotation that change some rows of the nominal robot at home."""
+    slope = ca.jacobian(rows, s.R9) @ left_generators(s.R)
+    at_home = ca.Function("slope", [s.configuration, s.v], [slope])(
+        s.mechanism.home.configuration, s.table.nominal
+    )
+    return int(np.linalg.matrix_rank(np.array(at_home)))
+
+
 def _check_structure(s: Structure) -> Seen:
     """Inputs of the mechanism after the effects; SolveError if cascading is impossible."""
-    rows = s.mechanism.closure(s.q, s.r, s.R, s.geometry)
+    rows = s.mechanism.closure(*s.mechanism.arguments(s.q, s.u, s.r, s.R, s.geometry))
     halves = s.mechanism.moves == POSE and rows.shape[0] == 6 and len(s.q.nz) == 3
     curvature = [ca.hessian(row, s.r)[0] for row in ca.vertsplit(rows)] if halves else []
     spheres = all(c.sparsity().is_diag() for c in curvature[:3])
-    if not (halves and spheres and all(c.is_zero() for c in curvature[3:])):
+    planes = all(c.is_zero() for c in curvature[3:])
+    if not (halves and spheres and planes and _rotation_rank(s, rows[3:]) == 3):
         raise SolveError(
             "the cascaded solver needs three closure rows that are spheres and three "
             f"that determine the orientation; {s.mechanism.name} has not: use "

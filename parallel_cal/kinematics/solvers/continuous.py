@@ -68,7 +68,7 @@ def direct(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> 
     """
     q = np.atleast_2d(q)
     nowhere = np.full((len(q), 3), np.nan)
-    return _fill_lost_points(follow_joints(get_kinematics(model), q, at), q, nowhere)
+    return _fill_lost_points(model, follow_joints(get_kinematics(model), q, at), q, nowhere)
 
 
 def inverse(
@@ -80,7 +80,8 @@ def inverse(
     """Find joints along positions (N, 3) and rotations (N, 3, 3), like `direct`."""
     r = np.atleast_2d(position)
     nowhere = np.full((len(r), len(model.joints)), np.nan)
-    return _fill_lost_points(follow_poses(get_kinematics(model), r, rotation, at), nowhere, r)
+    track = follow_poses(get_kinematics(model), r, rotation, at)
+    return _fill_lost_points(model, track, nowhere, r)
 
 
 def follow_joints(
@@ -180,14 +181,17 @@ def _is_same_branch(
     if any(before != after for before, after in signs):
         return False
     ends = here.configuration.rows, there.configuration.rows
-    return is_short_step(model.mechanism.length, *ends)
+    return is_short_step(model, *ends)
 
 
-def _fill_lost_points(track: Track, joints: np.ndarray, positions: np.ndarray) -> Solutions:
+def _fill_lost_points(
+    model: Model, track: Track, joints: np.ndarray, positions: np.ndarray
+) -> Solutions:
     """The track's solutions, then the given coordinates and NaN for the points beyond its end."""
     n = len(track.solutions)
     beyond = len(joints) - n
     nan = np.full((beyond, 3, 3), np.nan)
     ended = np.full(beyond, Status.NOT_CONVERGED, dtype=np.int8)
-    rest = Solutions(joints[n:], positions[n:], nan, nan[:, 0, 0], ended)
+    passive = np.full((beyond, len(model.mechanism.passive)), np.nan)
+    rest = Solutions(joints[n:], positions[n:], nan, nan[:, 0, 0], ended, passive=passive)
     return replace(concatenate_solutions([track.solutions, rest]), message=track.message)

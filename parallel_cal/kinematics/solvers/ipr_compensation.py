@@ -25,6 +25,7 @@ from parallel_cal.model.model import Model
 
 def direct(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
     """Find the nominal pose and add the predicted error dX (eq. 30)."""
+    _require_pose_alone(model)
     nominal = _nominal(model).direct(np.atleast_2d(q), at)
     dX = pose_error(model, nominal, at)
     still = np.zeros_like(nominal.joints)
@@ -43,21 +44,31 @@ def inverse(
     SolveError for a robot with more closure rows than degrees of freedom: its joints need not agree
     on one error.
     """
-    if model.structure.phi.shape[0] > len(model.mechanism.moved):
+    if model.structure.equations > len(model.mechanism.moved):
         raise SolveError(
             "ipr_compensation corrects joints through the pose, but "
             f"{model.mechanism.name} has more closure rows than degrees of freedom: "
             "use --solver newton"
         )
+    _require_pose_alone(model)
     nominal = _nominal(model).inverse(np.atleast_2d(position), rotation, at)  # (i)
     dX = pose_error(model, nominal, at)  # (ii)
     m = model.mechanism
     dx = dX[:, m.controlled]  # (iii)
     dq, follows = joint_correction(model, nominal, dx, at)  # (iv)
     passive = np.zeros_like(dX)
-    passive[:, m.passive] = dX[:, m.passive] - follows
+    passive[:, m.parasitic] = dX[:, m.parasitic] - follows
     x = nominal.configuration.apply_change(np.hstack([-dq, passive]))
     return match_shape(_answer(model, x, nominal, at, "inverse"), position)  # (v)
+
+
+def _require_pose_alone(model: Model) -> None:
+    """SolveError for a mechanism whose closure has passive coordinates besides the pose."""
+    if model.mechanism.passive:
+        raise SolveError(
+            f"ipr_compensation corrects the pose alone, but {model.mechanism.name} has passive "
+            "coordinates: use --solver newton"
+        )
 
 
 def pose_error(model: Model, nominal: Solutions, at: Mapping[str, Any] | None = None) -> np.ndarray:
@@ -75,7 +86,7 @@ def joint_correction(
     """Compute dq = J_S dx (eq. 32), and how passive coordinates follow a displacement dx."""
     J_q, J_x, _ = _blocks(model, nominal, at)
     m, n = model.mechanism, len(model.joints)
-    unknown = np.concatenate([J_q, J_x[:, :, m.passive]], axis=2)
+    unknown = np.concatenate([J_q, J_x[:, :, m.parasitic]], axis=2)
     given = (J_x[:, :, m.controlled] @ dx[..., None])[..., 0]
     change = -_solve_least_squares(unknown, given)
     return change[:, :n], change[:, n:]

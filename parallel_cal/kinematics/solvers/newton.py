@@ -30,7 +30,6 @@ from parallel_cal.kinematics.solvers._common import (
     residuals,
 )
 from parallel_cal.model.configuration import Configuration
-from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
 
 STARTS = 256  # random starts
@@ -77,7 +76,7 @@ def inverse_all(
     SolveError for a redundant arm, which has infinitely many.
     """
     kinematics, given = get_kinematics(model), pose_rows(model, position, rotation)
-    pose, problem = Configuration.from_rows(given[0]), kinematics.inverse_problem
+    pose, problem = model.configuration(given[0]), kinematics.inverse_problem
     if len(problem.columns) > model.structure.phi.shape[0]:
         raise SolveError(
             f"{len(model.joints)} joints reach a pose in infinitely many ways; "
@@ -89,7 +88,7 @@ def inverse_all(
 
 @dataclass(frozen=True)
 class _Search:
-    """Search for all solutions of one sample, `given` (1, nq + 12)."""
+    """Search for all solutions of one sample, `given` (1, nq + 12 + nu)."""
 
     kinematics: Kinematics
     problem: Problem
@@ -115,29 +114,33 @@ class _Search:
         return replace(found if len(found) else first, complete=complete)
 
     def _solve_from(self, rows: np.ndarray) -> Solutions:
-        """Iterate from configurations (k, nq + 12)."""
-        given = np.repeat(self.given, len(rows), axis=0)
-        return self.kinematics.solve_rows(self.problem, given, self.at, _start(rows))
+        """Iterate from configurations (k, nq + 12 + nu)."""
+        given, nothing = np.repeat(self.given, len(rows), axis=0), np.full(len(rows), np.nan)
+        status = np.full(len(rows), Status.NOT_CONVERGED)
+        passive = len(self.kinematics.model.mechanism.passive)
+        start = Solutions.of(rows, nothing, status, passive)
+        return self.kinematics.solve_rows(self.problem, given, self.at, start)
 
     def _distinct(self, rows: np.ndarray) -> list[int]:
-        """Index of the first of each group of equal configurations; whole turns do not count."""
-        turns = np.append(self.kinematics.model.mechanism.joint_periods, np.zeros(6))
+        """Index of the first of each group of equal joints and poses; whole turns do not count."""
+        model, n = self.kinematics.model, len(self.kinematics.model.joints) + 6
+        turns = np.append(model.mechanism.joint_periods, np.zeros(6))
         firsts, rest = [], np.arange(len(rows))
         while len(rest):
-            here = Configuration.from_rows(rows[rest[0]])
-            change = Configuration.from_rows(rows[rest]).change_from(here)
+            here = model.configuration(rows[rest[0]])
+            change = model.configuration(rows[rest]).change_from(here)[:, :n]
             change -= turns * np.round(change / (2 * np.pi))
             firsts.append(int(rest[0]))
             rest = rest[np.abs(change).max(axis=1) > MAX_SAME_SOLUTION_DIFFERENCE]
         return firsts
 
     def _search_randomly(self, starts: int) -> np.ndarray:
-        """Distinct configurations (k, nq + 12) that plain iterations reach from random starts."""
+        """Distinct configurations (k, nq + 12 + nu) that iterations reach from random starts."""
         if self.problem.redundant:  # a local minimum is not a solution
             return self.given[:0]
         model = self.kinematics.model
         given = np.repeat(self.given, starts, axis=0)
-        x = self.problem.begin(given, _start(_sample_configurations(model.mechanism, starts).rows))
+        x = self.problem.begin_from(given, _sample_configurations(model, starts).rows)
         a = model.condition_rows(self.at, starts)
         for _ in range(ROUNDS):
             x, step, residual, _ = self.problem.refine(x, a)
@@ -145,19 +148,19 @@ class _Search:
         return x[self._distinct(x)]
 
 
-def _start(rows: np.ndarray) -> Solutions:
-    """Configurations as starts."""
-    nothing = np.full(len(rows), np.nan)
-    return Solutions.of(rows, nothing, np.full(len(rows), Status.NOT_CONVERGED))
+def passive_periods(model: Model) -> np.ndarray:
+    """Period of each passive coordinate (nu,): 2 pi of an angle, 0 of a length."""
+    return np.array([2 * np.pi * (unit == "rad") for unit in model.mechanism.passive_units])
 
 
-def _sample_configurations(m: Mechanism, n: int) -> Configuration:
+def _sample_configurations(model: Model, n: int) -> Configuration:
     """Random configurations, the same in each call.
 
     Revolute joints turn anywhere; sliding ones exceed their limits by up to half their range.
     Positions lie within a length of the workspace and its mirror image.
     """
-    rng, home = np.random.default_rng(0), Configuration.from_rows(m.home.configuration)
+    m, rng = model.mechanism, np.random.default_rng(0)
+    home = model.configuration(m.home.configuration)
     q, r, w = (rng.uniform(-1, 1, (n, size)) for size in (len(m.joints), 3, 3))
     limits, half = np.array(m.joint_limits, dtype=float), np.full(len(m.joints), np.pi)
     middle, slides = home.q.copy(), (m.joint_periods == 0) & np.isfinite(limits).all(axis=1)
@@ -168,8 +171,10 @@ def _sample_configurations(m: Mechanism, n: int) -> Configuration:
             box[:, i] = between
     reach = np.abs(box).max(axis=0) + m.length
     free = np.isin(np.arange(6), m.moved)
+    far = np.where(passive_periods(model) > 0, np.pi, m.length)
     return Configuration(
         middle + half * q,
         np.where(free[:3], reach * r, home.r),
         rotation_matrix(np.where(free[3:], np.pi * w, 0.0)) @ home.R,
+        home.u + far * rng.uniform(-1, 1, (n, len(m.passive))),
     )

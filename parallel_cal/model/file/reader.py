@@ -153,7 +153,11 @@ class Reader:
                 raise self._error(
                     ("home", "quaternion"), "found all zeros, expected a rotation x y z w"
                 )
-            mechanism.home = Home(*(tuple(v) for _, v in file.home))
+            passive = tuple(file.home.passive) or mechanism.home.passive
+            what = f"one for each of {', '.join(mechanism.passive) or 'no passive coordinates'}"
+            path = ("home", "passive")
+            checks.length(self._document, path, passive, len(mechanism.passive), what)
+            mechanism.home = replace(Home(*(tuple(v) for _, v in file.home)), passive=passive)
         if file.workspace is not None:
             for key, values in file.workspace:
                 what = f"one for each of {', '.join(controls)}"

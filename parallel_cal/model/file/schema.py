@@ -81,6 +81,7 @@ class HomePart(Part):
     joints: list[float]
     position: Vector
     quaternion: Quaternion
+    passive: list[float] = []  # of a mechanism with passive coordinates; default: its own
 
 
 class WorkspacePart(Part):

@@ -52,6 +52,8 @@ def _setup(model: Model) -> Iterator[str]:
     yield "home:"
     for key in ("joints", "position", "quaternion"):
         yield f"  {key}: {flow([float(v) for v in getattr(m.home, key)])}"
+    if m.home.passive:
+        yield f"  passive: {flow([float(v) for v in m.home.passive])}"
     yield f"workspace: {flow(_box(m.workspace))}"
     if m.keep_out:
         yield "keep_out:"

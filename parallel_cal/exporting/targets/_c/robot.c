@@ -6,8 +6,9 @@
 #include <string.h>
 
 #define NQ @n_joints@       /* joints */
-#define NX (NQ + 12)        /* a configuration: joints, position, rotation */
-#define NC (NQ + 6)         /* its changes: joints, position, small turn */
+#define NU @n_passive@       /* passive coordinates */
+#define NX (NQ + 12 + NU)   /* a configuration: joints, position, rotation, passive coordinates */
+#define NC (NQ + 6 + NU)    /* its changes: joints, position, small turn, passive coordinates */
 #define ROWS @rows@         /* of the closure */
 #define CONDITIONS @n_conditions@
 #define MOST @most@         /* rows, or unknowns */
@@ -28,7 +29,7 @@ enum { DIRECT, INVERSE };
 
 const char @robot@_model_hash[65] = "@hash@";
 const char @robot@_joint_names[NQ][@name_size@] = {@joint_names@};
-const @robot@_configuration @robot@_home = {{@home_joints@}, {@home_position@}, {@home_rotation@}};
+const @robot@_configuration @robot@_home = {{@home_joints@}, {@home_position@}, {@home_rotation@}@home_passive@};
 const double @robot@_joint_low[NQ] = {@low@};
 const double @robot@_joint_high[NQ] = {@high@};
 const double @robot@_joint_velocity[NQ] = {@velocity@};
@@ -41,6 +42,7 @@ static const int UNKNOWN[2][MOST] = {{@unknown_direct@}, {@unknown_inverse@}};
 static const int UNKNOWNS[2] = {@n_direct@, @n_inverse@};
 static const int GIVEN[2][MOST] = {{@given_direct@}, {@given_inverse@}};
 static const int GIVENS[2] = {@g_direct@, @g_inverse@};
+static const int TURNS[2] = {@turns_direct@, @turns_inverse@}; /* all of the rotation is unknown */
 static const int HOME_SIGN[2] = {@home_sign_direct@, @home_sign_inverse@}; /* 0: selects no side */
 static const double LENGTH = @length@;         /* m */
 static const int TABLE[2] = {@constants_direct@, @constants_inverse@};
@@ -132,7 +134,9 @@ static void unknowns_of(int problem, const double *from, double *x)
         int column = UNKNOWN[problem][j];
         if (column < NQ + 3)
             x[column] = from[column];
-        else
+        else if (column >= NQ + 6)
+            x[column + 6] = from[column + 6];
+        else if (TURNS[problem]) /* a rotation of which a part is given stays the given one */
             memcpy(x + NQ + 3, from + NQ + 3, 9 * sizeof *x);
     }
 }
@@ -170,6 +174,7 @@ static void changed(const double *x, const double *change, double *to)
     double h = angle > 1e-8 ? 2 * square(sin(angle / 2) / angle) : 0.5;
     double W[9] = {0, -w[2], w[1], w[2], 0, -w[0], -w[1], w[0], 0};
     for (int i = 0; i < NQ + 3; ++i) to[i] = x[i] + change[i];
+    for (int i = NQ + 6; i < NC; ++i) to[i + 6] = x[i + 6] + change[i];
     const double *R = x + NQ + 3;
     double turned[9];
     for (int i = 0; i < 3; ++i)
@@ -201,6 +206,7 @@ static void change_between(const double *x, const double *to, double *change)
 {
     double D[9], size = 0, angle;
     for (int i = 0; i < NQ + 3; ++i) change[i] = to[i] - x[i];
+    for (int i = NQ + 6; i < NC; ++i) change[i] = to[i + 6] - x[i + 6];
     for (int i = 0; i < 3; ++i)
         for (int j = 0; j < 3; ++j) {
             D[3 * i + j] = 0;
@@ -235,7 +241,7 @@ static int on_home_side(int problem, const double *x, const double *a)
 static int short_step(const double *here, const double *there)
 {
     for (int i = 0; i < NX; ++i) {
-        double unit = i < NQ ? 2 : i < NQ + 3 ? 4 * LENGTH : 1;
+        double unit = i < NQ || i >= NQ + 12 ? 2 : i < NQ + 3 ? 4 * LENGTH : 1;
         if (!(fabs(there[i] - here[i]) < 0.25 * unit)) return 0;
     }
     return 1;
@@ -495,14 +501,14 @@ static void row_of(const @robot@_configuration *from, double *x)
     memcpy(x, from->joints, NQ * sizeof *x);
     memcpy(x + NQ, from->position, 3 * sizeof *x);
     memcpy(x + NQ + 3, from->rotation, 9 * sizeof *x);
-}
+@from_passive@}
 
 static void configuration_of(const double *x, @robot@_configuration *to)
 {
     memcpy(to->joints, x, NQ * sizeof *x);
     memcpy(to->position, x + NQ, 3 * sizeof *x);
     memcpy(to->rotation, x + NQ + 3, 9 * sizeof *x);
-}
+@to_passive@}
 
 static void conditions_of(const @robot@_conditions *at, double a[CONDITIONS + 1])
 {
@@ -598,7 +604,8 @@ int @robot@_jacobian(const @robot@_configuration *answer, const @robot@_conditio
     memset(jacobian, 0, 6 * NQ * sizeof *jacobian);
     if (!slopes(DIRECT, answer, at, D)) return @ROBOT@_SINGULAR;
     for (int i = 0; i < UNKNOWNS[DIRECT]; ++i)
-        memcpy(jacobian + NQ * (UNKNOWN[DIRECT][i] - NQ), D + NQ * i, NQ * sizeof *D);
+        if (UNKNOWN[DIRECT][i] < NQ + 6)
+            memcpy(jacobian + NQ * (UNKNOWN[DIRECT][i] - NQ), D + NQ * i, NQ * sizeof *D);
     return 0;
 }
 
@@ -620,17 +627,19 @@ int @robot@_jacobian_rate(const @robot@_configuration *answer, const @robot@_con
     const double velocity[NQ], double rate[6 * NQ])
 {
     double x[NX], change[NX], a[CONDITIONS + 1], phi[ROWS], all[ROWS * NC], faster[ROWS * NC];
-    double D[MOST * MOST], J[ROWS * MOST], A[MOST * MOST], b[MOST * MOST], pose[6] = {0};
+    double D[MOST * MOST], J[ROWS * MOST], A[MOST * MOST], b[MOST * MOST], speed[NC] = {0};
+    const double *pose = speed + NQ;
     int n = UNKNOWNS[DIRECT];
     memset(rate, 0, 6 * NQ * sizeof *rate);
     if (!slopes(DIRECT, answer, at, D)) return @ROBOT@_SINGULAR;
     for (int i = 0; i < n; ++i)
         for (int j = 0; j < NQ; ++j)
-            pose[UNKNOWN[DIRECT][i] - NQ] += D[i * NQ + j] * velocity[j];
+            speed[UNKNOWN[DIRECT][i]] += D[i * NQ + j] * velocity[j];
     row_of(answer, x);
     conditions_of(at, a);
     memcpy(change, velocity, NQ * sizeof *change);
     memcpy(change + NQ, pose, 3 * sizeof *change);
+    for (int i = NQ + 6; i < NC; ++i) change[i + 6] = speed[i];
     for (int i = 0; i < 3; ++i) /* R' = w x R */
         for (int j = 0; j < 3; ++j)
             change[NQ + 3 + 3 * i + j] = pose[3 + (i + 1) % 3] * x[NQ + 3 + 3 * ((i + 2) % 3) + j]
@@ -664,7 +673,7 @@ int @robot@_jacobian_rate(const @robot@_configuration *answer, const @robot@_con
     for (int i = 0; i < n; ++i)
         for (int j = 0; j < NQ; ++j) {
             int column = UNKNOWN[DIRECT][i];
-            rate[NQ * (column - NQ) + j] = b[i * NQ + j] / SCALE[column];
+            if (column < NQ + 6) rate[NQ * (column - NQ) + j] = b[i * NQ + j] / SCALE[column];
         }
     return all_finite(6 * NQ, rate) ? 0 : (int)@ROBOT@_SINGULAR;
 }

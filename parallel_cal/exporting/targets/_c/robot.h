@@ -39,7 +39,7 @@ typedef struct {
     double joints[@ROBOT@_JOINTS]; /* @units@: see above */
     double position[3];            /* m */
     double rotation[9];
-} @robot@_configuration;
+@passive_member@} @robot@_configuration;
 
 /* The model's numbers. A joint without a stated limit has an infinite one. */
 extern const char @robot@_model_hash[65]; /* sha256 of the model file */

@@ -1,0 +1,259 @@
+"""What a chain's rows determine: configurations that close, freedoms, rows and parameters that
+others replace. All of it is found by rank, at home and at configurations around it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.model.configuration import Configuration
+
+CLOSED = 1e-12  # m or rad: the norm of the rows of a closed configuration
+RELATIVE_RANK = 1e-7  # singular values of closed configurations are exact to about 1e-12
+MIN_INDEPENDENT_PART = 1e-5  # of the motion by a parameter, after what others explain
+STEPS = 60  # of Newton's method, damped
+LARGEST_STEP = 0.4  # lengths or rad: of one step
+AMPLITUDES = (0.05, 0.3, 0.8)  # rad, or shares of the length, by which the joints are moved
+
+
+@dataclass(frozen=True)
+class Survey:
+    """The rows of a chain as a function of (q, r, R9, u), and its configurations around home.
+
+    `function` computes rows (m,), their derivatives (m, nq + 6 + nu) by (q, r, w, u) and
+    (m, n_parameters) by the parameters. `row_scale` and `scale` turn rows and coordinates into
+    metres; `n_joints` and `n_passive` count joints and passive coordinates.
+    """
+
+    function: ca.Function
+    nominal: np.ndarray
+    row_scale: np.ndarray
+    scale: np.ndarray
+    n_joints: int
+    n_passive: int
+    length: float
+
+    def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Compute rows and derivatives in metres, the latter by parameters in their units."""
+        phi, J, J_p = (np.array(part) for part in self.function(x, self.nominal))
+        weight = self.row_scale[:, None]
+        return phi.ravel() * self.row_scale, weight * J / self.scale, weight * J_p
+
+    def close(self, x: np.ndarray, columns: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """Change some coordinates (columns of (q, r, w, u)) as little as possible so that all rows
+        are zero; return the configuration and what is left of the rows."""
+        phi, J, _ = self.evaluate(x)
+        for _ in range(STEPS):
+            if np.linalg.norm(phi) < CLOSED * self.length:
+                break
+            step = -np.linalg.lstsq(J[:, columns], phi, rcond=RELATIVE_RANK)[0]
+            step *= min(1.0, LARGEST_STEP * self.length / max(np.abs(step).max(), 1e-300))
+            for share in (1.0, 0.5, 0.25, 0.1):
+                change = np.zeros(len(self.scale))
+                change[columns] = share * step / self.scale[columns]
+                there = Configuration.from_rows(x, self.n_passive).apply_change(change).rows
+                found = self.evaluate(there)
+                if np.linalg.norm(found[0]) < np.linalg.norm(phi):
+                    break
+            else:
+                break
+            x, (phi, J, _) = there, found
+        return x, phi
+
+    def around(self, home: np.ndarray, count: int, spread: np.ndarray) -> np.ndarray:
+        """Return closed configurations (at most `count`) near home, the same in each call;
+        `spread` (nq,) limits how far each joint is moved, in its unit."""
+        rng, found = np.random.default_rng(0), [home]
+        every = list(range(len(self.scale)))
+        for k in range(4 * count):
+            if len(found) == count:
+                break
+            amplitude = AMPLITUDES[k % len(AMPLITUDES)]
+            moved = home.copy()
+            reach = np.minimum(amplitude * self.length / self.scale[: self.n_joints], spread)
+            moved[: self.n_joints] += reach * rng.uniform(-1, 1, self.n_joints)
+            closed, left = self.close(moved, every[self.n_joints :])
+            if np.linalg.norm(left) > CLOSED * self.length:
+                closed, left = self.close(moved, every)
+            if np.linalg.norm(left) <= CLOSED * self.length:
+                found.append(closed)
+        return np.array(found)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The derivatives at closed configurations: `by` (K, m, nq + 6 + nu) and `by_parameters`
+    (K, m, n_parameters), in metres. Of the pose, the coordinates `moves` may change; the
+    derivatives by the others are zero."""
+
+    by: np.ndarray
+    by_parameters: np.ndarray
+    n_joints: int
+    moves: Sequence[int]
+
+    @classmethod
+    def of(cls, survey: Survey, x: np.ndarray, moves: Sequence[int]) -> Motion:
+        """Evaluate the derivatives at configurations."""
+        _, found, by_parameters = zip(*map(survey.evaluate, x), strict=True)
+        by, n = np.array(found), survey.n_joints
+        by[:, :, [n + i for i in range(6) if i not in moves]] = 0.0
+        return cls(by, np.array(by_parameters), n, moves)
+
+    def find_idle(self) -> list[int]:
+        """Return passive coordinates that can move while joints and platform rest, such as the turn
+        of a rod about its own axis: as many as there are such freedoms."""
+        first = self.n_joints + 6
+        idle = list[int]()
+        while True:
+            rest = [c for c in range(first, self.by.shape[2]) if c not in idle]
+            if not rest:
+                return idle
+            singular = [_null_space(J[:, rest]) for J in self.by]
+            if any(Z.shape[1] == 0 for Z in singular):
+                return idle
+            idle.append(rest[int(np.argmax(np.linalg.norm(singular[0], axis=1)))])
+
+    @cached_property
+    def tangents(self) -> list[np.ndarray]:
+        """Motions (nq + 6 + nu, freedoms) that keep all rows, at each configuration."""
+        n, size = self.n_joints, self.by.shape[2]
+        columns = [*range(n), *(n + i for i in self.moves), *range(n + 6, size)]
+        found = []
+        for J in self.by:
+            motion = _null_space(J[:, columns])
+            found.append(np.zeros((size, motion.shape[1])))
+            found[-1][columns] = motion
+        return found
+
+    @property
+    def freedoms(self) -> int:
+        """Number of independent motions: the smallest one, as a singular pose has more."""
+        return min(tangent.shape[1] for tangent in self.tangents)
+
+    def count_loose(self) -> int:
+        """Return the number of freedoms that remain if all driven joints are locked."""
+        locked = [T[: self.n_joints] for T in self.tangents]
+        ranks = [int(np.sum(np.linalg.svd(J, compute_uv=False) > RELATIVE_RANK)) for J in locked]
+        return min(J.shape[1] - rank for J, rank in zip(locked, ranks, strict=True))
+
+    def find_moves(self, loops: Sequence[int]) -> list[int]:
+        """Return the coordinates x y z rx ry rz in which the platform moves, also if its nominal
+        geometry prevents it: the rods of a Delta, or the parallelograms of a palletizer, keep their
+        platform from turning only as far as their lengths are equal.
+
+        `loops` are the rows of the loops; those of a platform in the tree are before them.
+        """
+        n = self.n_joints
+        if len(loops) < self.by.shape[1]:
+            others = [c for c in range(self.by.shape[2]) if not n <= c < n + 6]
+            size = np.abs(self.by[:, :6, others]).max(axis=(0, 2))
+            return [i for i in range(6) if size[i] > RELATIVE_RANK]
+        pose = [T[n : n + 6] for T in self.tangents]
+        size = np.max([np.abs(part).max(axis=1) for part in pose], axis=0)
+        moves = [i for i in range(6) if size[i] > RELATIVE_RANK]
+
+        def rank_with(coordinates: Sequence[int]) -> int:
+            held = [n + i for i in range(6) if i not in coordinates]
+            return max(_rank(np.delete(J, held, axis=1)) for J in self.by)
+
+        for i in range(6):
+            if i not in moves and rank_with([*moves, i]) > rank_with(moves):
+                moves.append(i)
+        return sorted(moves)
+
+    def find_controls(self, moves: Sequence[int]) -> list[int]:
+        """Return the first of these coordinates that change independently at home."""
+        chosen, T = list[int](), self.tangents[0]
+        for i in moves:
+            rows = T[[self.n_joints + k for k in (*chosen, i)]]
+            if _rank(rows, 1e-3) == len(rows):
+                chosen.append(i)
+        return chosen
+
+    def find_rows(self) -> np.ndarray:
+        """Return a matrix (n_kept, m) that makes the independent rows of all rows, in metres.
+
+        Directions in which no coordinate moves any row are omitted: in a plane mechanism, all that
+        leaves the plane. A row of 0 and one 1 keeps a row as it is.
+        """
+        m = self.by.shape[1]
+        every = np.hstack(list(self.by))
+        local = max(_rank(J) for J in self.by)
+        if local == m:
+            return np.eye(m)
+        if _rank(every) > local:  # the directions turn with the bodies
+            from scipy.linalg import qr
+
+            pivots = qr(self.by[0].T, pivoting=True, mode="r")[1]
+            return np.eye(m)[sorted(pivots[:local])]
+        unused = _null_space(every.T)
+        mixed = np.flatnonzero(np.abs(unused).max(axis=1) > RELATIVE_RANK)
+        alone = [i for i in range(m) if i not in mixed]
+        keep = [np.eye(m)[alone]]
+        zero = np.abs(every[mixed]).max(axis=1) < RELATIVE_RANK * np.abs(every).max()
+        turning = mixed[~zero]
+        if len(turning):
+            left, sizes, _ = np.linalg.svd(every[turning], full_matrices=False)
+            basis = np.zeros((int(np.sum(sizes > RELATIVE_RANK * sizes[0])), m))
+            basis[:, turning] = left[:, : len(basis)].T
+            keep.append(basis)
+        return np.vstack(keep)
+
+    def find_replaced(
+        self,
+        rows: np.ndarray,
+        tolerance: np.ndarray,
+        preference: np.ndarray,
+        passive: Sequence[int],
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return two masks of parameters: those that others, or passive coordinates, replace in the
+        kept rows; and those of them that other rows alone contain.
+
+        Of parameters that replace each other, the one whose tolerance moves the rows most is kept;
+        `preference` multiplies this motion.
+        """
+        J = self._columns(rows, tolerance, passive)
+        size = np.linalg.norm(J, axis=0)
+        felt = size > RELATIVE_RANK * size.max(initial=0.0)
+        kept, rest = np.zeros(len(size), dtype=bool), J.copy()
+        while True:
+            left = np.where(felt & ~kept, np.linalg.norm(rest, axis=0), 0.0)
+            left[left <= MIN_INDEPENDENT_PART * size] = 0.0
+            if not left.any():
+                break
+            k = int(np.argmax(left * preference))
+            kept[k] = True
+            direction = rest[:, k] / left[k]
+            rest = rest - np.outer(direction, direction @ rest)
+        whole = self._columns(np.eye(self.by.shape[1]), tolerance, passive)
+        in_others = np.linalg.norm(whole, axis=0) > RELATIVE_RANK * np.abs(whole).max(
+            initial=1e-300
+        )
+        return ~kept, ~felt & in_others
+
+    def _columns(
+        self, rows: np.ndarray, tolerance: np.ndarray, passive: Sequence[int]
+    ) -> np.ndarray:
+        """Return d rows / d parameters, one tolerance each, without what passive coordinates
+        explain, of all configurations below each other."""
+        parts = []
+        for J, J_p in zip(self.by, self.by_parameters, strict=True):
+            U, A = rows @ J[:, list(passive)], rows @ J_p * tolerance
+            parts.append(A - U @ (np.linalg.pinv(U, rcond=RELATIVE_RANK) @ A))
+        return np.concatenate(parts)
+
+
+def _rank(J: np.ndarray, least: float = RELATIVE_RANK) -> int:
+    sizes = np.linalg.svd(J, compute_uv=False)
+    return int(np.sum(sizes > least * sizes[0])) if sizes.size and sizes[0] > 0 else 0
+
+
+def _null_space(J: np.ndarray) -> np.ndarray:
+    """Return an orthonormal basis (columns) of what a matrix maps to zero."""
+    _, sizes, right = np.linalg.svd(J)
+    rank = int(np.sum(sizes > RELATIVE_RANK * sizes[0])) if sizes.size and sizes[0] > 0 else 0
+    return right[rank:].T

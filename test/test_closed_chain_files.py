@@ -1,0 +1,238 @@
+"""Closed chains from MJCF, SDF and URDF with loops, and their numbers written back."""
+
+import re
+
+import linkage_files as own
+import numpy as np
+import pytest
+from scipy.optimize import fsolve
+
+import parallel_cal as pc
+from parallel_cal.base.errors import DatasetError, ModelError
+from parallel_cal.base.rotation import rotation_matrix
+from parallel_cal.exporting.export import export_into
+from parallel_cal.importing import closed_chain
+from parallel_cal.importing.closed_chain import chain
+from parallel_cal.kinematics.kinematics import Kinematics
+
+ANGLES = np.random.default_rng(0).uniform(-0.4, 0.4, (30, 2))
+NUMBER = re.compile(r"-?\d+(\.\d+)?(e-?\d+)?")
+
+
+def written(tmp_path, name, text, loops=""):
+    path = tmp_path / name
+    path.write_text(text)
+    if loops:
+        (tmp_path / "robot.yaml").write_text(loops)
+    return path
+
+
+def five_bars(tmp_path):
+    """Return every file of the five-bar with its base, and the readings where it is drawn."""
+    drawn, zero = np.array([own.LEFT, own.RIGHT]), np.zeros(2)
+    for folder in ("mjcf", "sdf", "listed", "constraint"):
+        (tmp_path / folder).mkdir()
+    return {
+        "mjcf": (written(tmp_path / "mjcf", "model.xml", own.FIVE_BAR_MJCF), "frame", drawn),
+        "sdf": (written(tmp_path / "sdf", "model.sdf", own.five_bar_sdf()), "world", zero),
+        "listed": (
+            written(tmp_path / "listed", "robot.urdf", own.five_bar_urdf(""), own.LOOP_FILE),
+            "frame",
+            zero,
+        ),
+        "constraint": (
+            written(tmp_path / "constraint", "arm.urdf", own.five_bar_urdf(own.CONSTRAINT)),
+            "frame",
+            zero,
+        ),
+    }
+
+
+KINDS = ("mjcf", "sdf", "listed", "constraint")
+WRITTEN = [pytest.param(kind, marks=pytest.mark.wide if kind != "mjcf" else ()) for kind in KINDS]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_five_bar_moves_as_its_circles_intersect(tmp_path, kind):
+    path, base, drawn = five_bars(tmp_path)[kind]
+    model = chain([path], base, "tip", ["left", "right"]).model
+    found = Kinematics(model).direct(drawn + ANGLES)
+    expected = [own.five_bar_tip(own.LEFT + a, own.RIGHT + b) for a, b in ANGLES]
+    assert model.joints == ("left", "right")
+    assert np.abs(found.position[:, :2] - expected).max() < 1e-12
+    assert np.abs(found.position[:, 2]).max() < 1e-12
+
+
+def masked(text):
+    """Return a text without its numbers; an MJCF gets a pose where it was the identity."""
+    return NUMBER.sub("#", re.sub(r'\s+(pos|quat)="[^"]*"', "", text))
+
+
+@pytest.mark.parametrize("kind", WRITTEN)
+def test_identified_numbers_go_into_the_file_and_nothing_else_changes(tmp_path, kind):
+    path, base, drawn = five_bars(tmp_path)[kind]
+    model = chain([path], base, "tip", ["left", "right"]).model
+    rng = np.random.default_rng(4)
+    step = np.where(model.fixed, 0.0, rng.normal(size=len(model.values)) * model.table.tolerance)
+    better = model.with_values(model.values + step)
+    before = path.read_text()
+    done = export_into(better, {"mjcf": "mjcf", "sdf": "sdf"}.get(kind, "urdf"), [path])
+    again = chain([path], base, "tip", ["left", "right"]).model
+    one, other = (Kinematics(m).direct(drawn + ANGLES) for m in (better, again))
+    nominal = Kinematics(model).direct(drawn + ANGLES)
+    assert np.abs(one.position - other.position).max() < 1e-11
+    assert np.abs(one.position - nominal.position).max() > 1e-4
+    assert path.with_name(path.name + ".previous").read_text() == before
+    assert masked(path.read_text()) == masked(before)
+    assert "changed" in done.remarks[0]
+
+
+def foot_by_hand(left, right):
+    """Solve both rod lengths of the ankle for pitch and roll; return the toe in the shank."""
+
+    def foot(pitch, roll):
+        return rotation_matrix(np.array([0, pitch, 0])) @ rotation_matrix(np.array([roll, 0, 0]))
+
+    def gaps(x):
+        heels = np.array([[-0.05, 0.035, 0], [-0.05, -0.035, 0]])
+        cranks = [
+            np.array([0, y, z]) + rotation_matrix(np.array([0, q, 0])) @ [-0.05, 0, 0]
+            for y, z, q in ((0.035, 0.25, left), (-0.035, 0.2, right))
+        ]
+        return [
+            np.linalg.norm(foot(*x) @ heel - crank) - length
+            for heel, crank, length in zip(heels, cranks, (0.25, 0.2), strict=True)
+        ]
+
+    return foot(*fsolve(gaps, [0, 0], xtol=1e-13)) @ [0.1, 0, -0.03]
+
+
+def test_an_ankle_with_rods_of_an_mjcf_moves_as_its_rod_lengths_demand(tmp_path):
+    found = chain([written(tmp_path, "ankle.xml", own.ANKLE_MJCF)], platform="toe")
+    model = found.model
+    assert model.frames == {"base": "shank", "platform": "toe"}
+    assert model.mechanism.passive == ("pitch", "roll")
+    assert {f"{rod}.length" for rod in ("left_bar", "right_bar")} <= {*model.table.names}
+    expected = [foot_by_hand(*row) for row in ANGLES]
+    assert np.abs(Kinematics(model).direct(ANGLES).position - expected).max() < 1e-9
+
+
+def test_rod_lengths_balls_and_the_target_of_an_ankle_go_into_its_mjcf(tmp_path):
+    path = written(tmp_path, "ankle.xml", own.ANKLE_MJCF)
+    model = chain([path], platform="toe").model
+    values = dict(zip(model.table.names, model.values, strict=True))
+    for name, change in {
+        "left_bar.length": 1e-3,
+        "right_bar.length": -2e-3,
+        "left_bar.a_x": 5e-4,
+        "right_bar.b_y": 7e-4,
+        "left.zero": 0.01,
+        "right.z": 1e-3,
+        "target.x": 2e-3,
+    }.items():
+        values[name] += change
+    better = model.with_values(np.array([*values.values()]))
+    export_into(better, "mjcf", [path])
+    again = chain([path], platform="toe").model
+    one, other = (Kinematics(m).direct(ANGLES).position for m in (better, again))
+    assert np.abs(one - other).max() < 1e-11
+    assert again.value("left_bar.length") == pytest.approx(0.251, abs=1e-12)
+    assert again.value("right_bar.length") == pytest.approx(0.198, abs=1e-12)
+
+
+def test_the_joints_of_an_arm_without_loops_can_be_a_chain(tmp_path):
+    path = written(tmp_path, "arm.urdf", own.five_bar_urdf(""))
+    model = chain([path], platform="tip", driven=["left", "left_elbow"]).model
+    a, b = 0.3, -0.2
+    reached = Kinematics(model).direct(np.array([[a, b]])).position[0, :2]
+    first, second = own.LEFT + a, own.LEFT + own.BENDS[0] + a + b
+    by_hand = [
+        -own.HALF + own.CRANK * np.cos(first) + own.ROD * np.cos(second),
+        own.CRANK * np.sin(first) + own.ROD * np.sin(second),
+    ]
+    assert np.abs(reached - by_hand).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('name="left_elbow"/>', 'name="left_elbow" type="screw"/>', "type is 'screw'"),
+        ('childclass="hinge"', 'childclass="hing"', "class 'hing' is not in <default>"),
+        ('body2="right_rod"', 'body2="rod"', "there is no body 'rod'"),
+        ('anchor="0.15 0 0"', 'anchor="0.15 0"', "anchor is '0.15 0', expected 3 numbers"),
+        ('<site name="tip"', '<replicate count="2"/><site name="tip"', "MuJoCo"),
+    ],
+)
+def test_an_element_of_an_mjcf_that_is_not_understood_is_named(
+    tmp_path, monkeypatch, old, new, words
+):
+    monkeypatch.setattr(closed_chain, "find_spec", lambda name: None)
+    text = own.FIVE_BAR_MJCF.replace(old, new)
+    assert text != own.FIVE_BAR_MJCF
+    path = written(tmp_path, "model.xml", text)
+    with pytest.raises(DatasetError, match=re.escape(words)) as error:
+        chain([path], "frame", "tip")
+    assert re.search(r"model\.xml:\d+: <", str(error.value))
+
+
+def test_unknown_names_are_refused_with_those_of_the_file(tmp_path):
+    path = written(tmp_path, "model.xml", own.FIVE_BAR_MJCF)
+    with pytest.raises(DatasetError, match="--driven wrong is no joint that can be driven"):
+        chain([path], "frame", "tip", ["wrong"])
+    with pytest.raises(DatasetError, match=r"platform 'nose' is not there.*left_rod"):
+        chain([path], "frame", "nose")
+    with pytest.raises(DatasetError, match=r"choose the body .* with --platform"):
+        chain([path], "frame")
+
+
+def test_a_joint_that_follows_another_one_is_refused_only_between_the_ends(tmp_path):
+    follow = '<equality>\n    <joint joint1="right" joint2="left"/>'
+    text = own.FIVE_BAR_MJCF.replace("<equality>", follow)
+    path = written(tmp_path, "model.xml", text)
+    with pytest.raises(DatasetError, match="joint 'right' follows joint 'left'"):
+        chain([path], "frame", "tip", ["left", "right"])
+
+
+def test_another_file_than_the_models_is_refused(tmp_path):
+    path = written(tmp_path, "model.xml", own.FIVE_BAR_MJCF)
+    model = chain([path], "frame", "tip").model
+    path.write_text(own.FIVE_BAR_MJCF.replace('name="left_elbow"', 'name="knee"'))
+    with pytest.raises(ModelError, match="it has knee and it lacks left_elbow"):
+        export_into(model, "mjcf", [path])
+    with pytest.raises(ModelError, match="give it with --into"):
+        pc.export(model, "mjcf", tmp_path)
+
+
+def test_new_makes_a_chain_and_export_writes_its_numbers(tmp_path, run_cli):
+    path = written(tmp_path, "model.xml", own.FIVE_BAR_MJCF)
+    model = tmp_path / "model.yaml"
+    ends = ["--base", "frame", "--platform", "tip"]
+    out = run_cli("new", "--from", path, *ends, "--driven", "right,left", "-o", model)
+    assert f"as in {path}" in out
+    assert pc.read_model(model).joints == ("right", "left")
+    out = run_cli("export", model, "--to", "mjcf", "--into", path)
+    assert "no joint and no loop changed" in out
+    assert path.read_text() == own.FIVE_BAR_MJCF
+
+
+@pytest.mark.parametrize("text", [own.FIVE_BAR_MJCF, own.ANKLE_MJCF])
+def test_mujoco_reads_the_same_linkage_from_an_mjcf(tmp_path, text):
+    pytest.importorskip("mujoco")
+    from parallel_cal.importing.mjcf import read_mjcf
+    from parallel_cal.importing.mjcf_compiled import read_compiled_mjcf
+
+    path = written(tmp_path, "model.xml", text)
+    one, other = read_mjcf(path), read_compiled_mjcf(path)
+    assert [joint.name for joint in one.joints] == [joint.name for joint in other.joints]
+    assert (one.roots, one.driven) == (other.roots, other.driven)
+    for a, b in zip(one.joints, other.joints, strict=True):
+        assert (a.kind, a.parent, a.child) == (b.kind, b.parent, b.child)
+        assert np.allclose(a.origin, b.origin, rtol=0, atol=1e-12)
+        assert np.allclose(a.anchor, b.anchor, rtol=0, atol=1e-12)
+        assert np.allclose(a.axes, b.axes, rtol=0, atol=1e-12)
+        assert a.limits == pytest.approx(b.limits)
+        assert a.zero == pytest.approx(b.zero)
+    for a, b in zip(one.loops, other.loops, strict=True):
+        assert (a.name, a.kind, a.a.body, a.b.body) == (b.name, b.kind, b.a.body, b.b.body)
+        assert np.allclose(a.a.frame[:3, 3], b.a.frame[:3, 3], rtol=0, atol=1e-9)
+        assert np.allclose(a.b.frame[:3, 3], b.b.frame[:3, 3], rtol=0, atol=1e-9)
