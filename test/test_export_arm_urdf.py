@@ -210,9 +210,7 @@ def test_a_file_that_is_not_the_models_is_refused_and_stays(name, tmp_path):
 def test_a_robot_with_loops_has_no_file_of_its_own_to_change(tmp_path):
     path = tmp_path / "own.urdf"
     path.write_text(UR5)
-    with pytest.raises(
-        ParallelCalError, match="stewart42 is no serial arm, and a URDF has no loop"
-    ):
+    with pytest.raises(ParallelCalError, match="stewart42 is neither a serial arm nor a chain"):
         export_into(new_model("stewart42"), "urdf", [path])
 
 

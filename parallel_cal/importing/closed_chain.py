@@ -295,10 +295,10 @@ def describe_joint(joint: LinkageJoint, driven: bool) -> dict[str, Any]:
             found["limits"] = _numbers(np.array(joint.limits))
         if joint.zero:
             found["zero"] = joint.zero
-        home = [value - joint.zero for value in home]
-        if not home and np.isfinite(joint.limits).all():
-            low, high = joint.limits
-            home = [] if low <= -joint.zero <= high else [(low + high) / 2]
+        low, high = joint.limits
+        home = [value - joint.zero for value in home or [0.0]]
+        if not low <= home[0] <= high:  # the file draws it beyond its limits
+            home = [(low + high) / 2] if np.isfinite(low + high) else [float(np.clip(0, low, high))]
     if any(home):
         found["home"] = home[0] if len(home) == 1 else home
     return found

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
 from parallel_cal.importing.linkage import COORDINATES, Linkage, LinkageJoint
@@ -13,7 +12,8 @@ from parallel_cal.importing.linkage import COORDINATES, Linkage, LinkageJoint
 Array = np.ndarray
 
 CLOSED = 1e-13  # m or rad
-MAX_STEPS = 20
+MAX_STEPS = 100
+MAX_STEP = 0.1  # rad or m
 STEP = 1e-6  # m or rad, of numerical derivatives
 MIN_SHARE = 1e-7  # of the largest singular value; smaller ones are errors of the derivatives
 
@@ -99,10 +99,10 @@ def close_loops(
 
     U, size, _ = np.linalg.svd(jacobian(np.zeros(n)), full_matrices=False)
     reachable = U[:, size > MIN_SHARE * size.max(initial=0.0)]
-    x = least_squares(residual, np.zeros(n)).x
-    for _ in range(MAX_STEPS):
+    x = np.zeros(n)
+    for _ in range(MAX_STEPS):  # the shortest steps, so that it ends near the file's values
         step = np.linalg.lstsq(jacobian(x), residual(x), rcond=MIN_SHARE)[0]
-        x = x - step
+        x = x - step * min(1.0, MAX_STEP / max(np.abs(step).max(), CLOSED))
         if np.abs(step).max() < CLOSED:
             break
     left = residual(x)
