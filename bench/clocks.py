@@ -39,9 +39,7 @@ def looks(seed: int) -> Iterator[Look]:
     machine = MACHINES[robot]
     cell = Cell(robot, seed, (), 1.0, tracker, 1 / joint_rate, 0.0)
     home, limits = np.asarray(machine.make_nominal().home_joints, float), machine.limits
-    velocity, acceleration = (
-        np.full(len(home), v) for v in (limits.velocity, limits.acceleration)
-    )
+    velocity, acceleration = (np.full(len(home), v) for v in (limits.velocity, limits.acceleration))
     parts, ends, here = [cell.advance(2.0)], [], home
     for _ in range(MOVES):
         there = home + rng.uniform(-REACH[robot], REACH[robot], len(home))

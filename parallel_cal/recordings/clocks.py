@@ -49,7 +49,7 @@ NOISE_WINDOW, NOISE_READINGS = 0.5, 60  # s and readings from which noise is est
 SHARED_READINGS = 1.5
 MAX_CHANCE = 1e-9  # probability that pure noise looks like this; a live collector tests often
 N_PARTS = 10  # parts of the motion with equal information on the delay, which vote on it
-N_RIVALS = 5  # delays at which the speeds are most alike that are compared
+N_RIVALS = 8  # delays at which the speeds are most alike that are compared
 CONFIDENCE = 0.95  # of the interval of an offset
 MIN_PARTS = 5  # with fewer parts, no delay is estimated
 AGREEMENT = 0.8  # share of the parts that must rule out any other delay
@@ -241,9 +241,12 @@ class _Steps:
         return np.hstack([dq, (dq[:, :, None] * q[:, None, :]).reshape(len(dq), -1)])
 
     def squares_left(self, delay: float, used: Bools, products: bool = True) -> Array:
-        """Return the squares of each step (n,) that the joints' steps do not explain."""
+        """Return the squares (n,) that the joints' steps do not explain: all of the steps that are
+        not `used`, because both streams were recorded at the same time."""
+        left = np.sum(self.y**2, axis=1)
         X, y = self.make_columns(delay, used, products), self.y[used]
-        return np.asarray(np.sum((y - X @ _regress(X, y)) ** 2, axis=1))
+        left[used] = np.sum((y - X @ _regress(X, y)) ** 2, axis=1)
+        return left
 
     def explain(self, delay: float, products: bool = True) -> _Explained:
         """Fit the steps by the joints' steps `delay` earlier."""
@@ -254,7 +257,8 @@ class _Steps:
         squares = y.T @ y
         # If one coordinate is much noisier than the others, it is the only one that counts.
         independent = np.trace(squares) ** 2 / max(np.sum(squares**2), 1e-300)
-        left, total = float(np.sum(self.squares_left(delay, used, products))), float(np.sum(y**2))
+        left = float(np.sum(self.squares_left(delay, used, products)[used]))
+        total = float(np.sum(y**2))
         terms += products * terms**2
         return _Explained(left, total, int(used.sum()), terms, float(independent))
 
@@ -268,7 +272,11 @@ class _Steps:
         A dozen equal moves have too few shapes for the products: they explain any of the moves by
         any other. The joints' steps alone do not.
         """
-        return self.unexplained_share(delay) * self.explain(delay, products=False).unexplained
+        used = self.is_covered(delay)
+        if not self.is_enough(used):
+            return np.inf
+        both = (np.sum(self.squares_left(delay, used, products)) for products in (True, False))
+        return float(np.prod(list(both)))
 
     def best_near(self, delay: float, halvings: int = N_HALVINGS) -> float:
         """Return the delay near this one that explains most of the steps."""
@@ -331,14 +339,12 @@ class _Parts:
         covered = self.steps.is_covered(rival)
         if not self.steps.is_enough(covered):
             return True
-        both = covered & self.used
-        part = self.part[both[self.used]]
 
         def agree(products: bool) -> bool:
-            theirs = self.steps.squares_left(rival, covered, products)[both[covered]]
-            ours = self.steps.squares_left(self.delay, self.used, products)[both[self.used]]
-            votes = [np.sum((theirs - ours)[part == k]) > 0 for k in np.unique(part)]
-            return len(votes) >= MIN_PARTS and sum(votes) >= AGREEMENT * len(votes)
+            theirs = self.steps.squares_left(rival, covered, products)[self.used]
+            ours = self.steps.squares_left(self.delay, self.used, products)[self.used]
+            votes = np.bincount(self.part, theirs - ours) > 0
+            return bool(np.sum(votes) >= AGREEMENT * len(votes))
 
         return agree(products=True) or agree(products=False)
 
@@ -418,11 +424,11 @@ def _find_candidate_delays(
     theirs = _speed(pose.time, seen, dt)
     n = len(ours) + len(theirs)
     both = np.fft.irfft(np.fft.rfft(theirs, n) * np.conj(np.fft.rfft(ours, n)), n)
-    found = list[float]()
-    reach = max(1, round(MAX_DRIVER_DELAY_S / dt))
+    found, reach = list[float](), max(1, round(MAX_DRIVER_DELAY_S / dt))
+    peaks = np.where((both >= np.roll(both, 1)) & (both >= np.roll(both, -1)), both, -np.inf)
     for _ in range(N_RIVALS):
-        k = int(np.argmax(both))
-        both[np.arange(k - reach, k + reach + 1) % n] = -np.inf  # the same peak
+        k = int(np.argmax(peaks))
+        peaks[np.arange(k - reach, k + reach + 1) % n] = -np.inf
         k = k if k < len(theirs) else k - n
         found.append(k * dt + float(pose.time[0] - joints.time[0]))
     return found, n
