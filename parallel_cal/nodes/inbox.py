@@ -150,6 +150,11 @@ class Inbox:
         """Whether the samples are those of all messages."""
         return self._read == self._count_messages()
 
+    @property
+    def largest(self) -> int:
+        """The number of messages of the channel that has most."""
+        return max(len(raw.stamp) for raw in self.raws.values())
+
     def _count_messages(self) -> int:
         return sum(len(raw.stamp) for raw in self.raws.values())
 
