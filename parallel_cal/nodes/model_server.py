@@ -94,7 +94,7 @@ class ModelServer:
             raise ModelFileError("no model file: set the parameter model_file or call load_model")
         text = model_text(path)
         known = self.current
-        model = share_mechanism(parse_model(text, str(path)), known and known.model)
+        model = share_mechanism(parse_model(text, str(path)), known.model if known else None)
         kinematics = Kinematics(model.robot())
         try:
             self_test(kinematics)
