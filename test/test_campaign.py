@@ -634,6 +634,29 @@ def test_a_campaign_that_a_limit_switch_stopped_goes_on_within_the_limit_that_wa
     third.close()
 
 
+@pytest.mark.parametrize("folder", ["a", "afresh"])
+def test_a_robot_at_its_limit_switch_leaves_it_for_a_limit_that_was_stated_with_a_margin(
+    tmp_path, folder
+):
+    """It stands 0.04 rad beyond the limit, 1.4 % of the joint's range, and was refused."""
+    cell = LimitSwitch()
+    one = campaign(tmp_path / "a", cell, Goal(poses=20))
+    assert "state that limit" in one.run().message
+    one.close()
+    assert cell.joints()[0] == 0.75
+    narrow = parse_model(TEXT)
+    (low, _), *others = narrow.mechanism.joint_limits
+    narrow.mechanism.joint_limits = ((low, 0.71), *others)
+    cell.sent.clear()
+    again = Campaign(tmp_path / folder, dump_model(narrow), Goal(poses=20), cell, work=work)
+    measured = len(again.samples)
+    outcome = again.run()
+    again.close()
+    assert outcome.ended, outcome.message
+    assert len(again.samples) > measured
+    assert all(sent.positions[-1, 0] < 0.7101 for sent in cell.sent)
+
+
 @pytest.mark.wide
 @pytest.mark.parametrize("state", ["planning", "moving", "sampling", "judging", "done"])
 def test_killed_in_any_state_it_goes_on_and_measures_nothing_twice(tmp_path, state):

@@ -209,8 +209,20 @@ def test_a_robot_that_rests_a_hair_beyond_a_joint_limit_is_taken_back():
     assert there[0] < q[0]
     hair = [1e-4, 0.0, 0.0]
     assert guard.plan_path(q + hair, [there])[0] == pytest.approx(q)
-    with pytest.raises(PathError, match="present pose is outside the joint limits"):
-        guard.plan_path(q + np.array([0.1, 0, 0]), [there])
+
+
+def test_a_robot_that_stands_beyond_a_joint_limit_first_moves_straight_back_to_it():
+    """The limit was stated with a margin, and the robot stands at its switch."""
+    model = parse_model(dump_model(DELTA))
+    q, there = joints_at(0, 0, 0.2), joints_at(0.01, 0, 0.19)
+    (low, _), *others = model.mechanism.joint_limits
+    model.mechanism.joint_limits = ((low, float(q[0])), *others)
+    guard, switch = Guard.of(model), q + np.array([0.1, 0, 0])
+    np.testing.assert_allclose(guard.plan_path(switch, [there]), [switch, q, there], atol=1e-12)
+    at = Kinematics(DELTA).direct(q + np.array([0.05, 0, 0])).position
+    box = Box(tuple(at - 1e-3), tuple(at + 1e-3))
+    with pytest.raises(PathError, match="present pose is inside the keep-out box"):
+        Guard.of(model, [box]).plan_path(switch, [there])
 
 
 def test_with_too_few_reachable_poses_the_message_says_what_forbids_them():

@@ -13,8 +13,11 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from parallel_cal.base.errors import DatasetError
+from parallel_cal.nodes import clock_alignment
 from parallel_cal.nodes import collector as collector_module
+from parallel_cal.nodes.clock_alignment import ClockAlignment, JointClock
 from parallel_cal.nodes.collector import Collector
+from parallel_cal.recordings.gate import StampedMessage
 from parallel_cal.recordings.joining import join_datasets
 from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.recordings.options import SampleOptions
@@ -189,15 +192,20 @@ def test_a_burst_of_poses_in_a_gap_of_the_joint_states_is_no_clock_that_was_set(
     assert found.warnings() == []
 
 
-def test_messages_without_a_stamp_among_stamped_ones_are_dropped_and_end_no_session(messages):
-    """500 of them after 3 dwells gave all later poses the computer's time: no sample more."""
+@pytest.mark.parametrize("channel", ["joint_states", "measured_pose"])
+@pytest.mark.parametrize("stamp", [0, -1_927_302_106])
+def test_messages_without_a_stamp_among_stamped_ones_are_dropped_and_end_no_session(
+    messages, channel, stamp
+):
+    """500 of them after 3 dwells gave all later poses the computer's time, and negative stamps
+    ended the collection of joint states: no sample more."""
     part = until(messages, 20)
     first = part[0][1]
     bad = []
-    topic, log, message = next(m for m in part if "pose" in m[0] and m[1] - first > 5e9)
+    topic, log, message = next(m for m in part if m[0] == channel and m[1] - first > 5e9)
     for k in range(2000):
         unstamped = copy.deepcopy(message)
-        unstamped.header.stamp.sec = unstamped.header.stamp.nanosec = 0
+        unstamped.header.stamp.sec, unstamped.header.stamp.nanosec = stamp, 0
         bad.append((topic, log + 1 + k, unstamped))
     spoilt = sorted([*part, *bad], key=lambda m: m[1])
     simulated = [(t, log - first + 1, m) for t, log, m in spoilt]  # received at another clock
@@ -206,7 +214,7 @@ def test_messages_without_a_stamp_among_stamped_ones_are_dropped_and_end_no_sess
         found = feed(Collector(), stream)
         same(found.collection().dataset, whole.collection().dataset)
         assert [(d.reason, d.count) for d in found.dropped() if d.count >= 2000] == [
-            ("header stamp is zero", 2000)
+            ("header stamp is zero or negative", 2000)
         ]
 
 
@@ -464,7 +472,7 @@ def test_a_recording_played_twice_is_two_sessions(messages, offline):
 
 @pytest.mark.wide
 def test_a_long_session_lets_messages_go_and_keeps_samples(messages, offline, monkeypatch):
-    monkeypatch.setattr(collector_module, "MAX_JOINT_STATES", 4000)
+    monkeypatch.setattr(collector_module, "MAX_MESSAGES", 4000)
     collector = Collector()
     for k in range(0, len(messages), 200):
         feed(collector, messages[k : k + 200])
@@ -589,7 +597,7 @@ def test_missing_poses_and_constraints_are_reported(tied):
 
 
 def test_a_long_constraint_session_keeps_what_holds_the_tip(tied, tied_bag, monkeypatch):
-    monkeypatch.setattr(collector_module, "MAX_JOINT_STATES", 400)
+    monkeypatch.setattr(collector_module, "MAX_MESSAGES", 400)
     collector = Collector()
     for k in range(0, len(tied), 50):
         feed(collector, tied[k : k + 50])
@@ -608,3 +616,85 @@ def test_distances_are_collected_as_they_are_recorded(tmp_path):
     live = feed(Collector(), messages_of(bag)).collection().dataset
     same(live, load_dataset(bag))
     np.testing.assert_allclose(live.conditions["reading.probe"], [0.2, 0.21, 0.22], atol=1e-7)
+
+
+def message_at(stamp, log):
+    return StampedMessage(stamp, log, 0, None)
+
+
+def aligned_poses(joint_seconds=4):
+    """An alignment of poses that has heard joint states at 100 Hz and poses at 20 Hz, in ns."""
+    joints = JointClock()
+    alignment = ClockAlignment("measured_pose", joints)
+    for k in range(100 * joint_seconds):
+        t = 10_000_000 * (k + 100)
+        joints.add(t, t + 1000)
+        if k % 5 == 0:
+            alignment.take([message_at(t + 1_000_000, t + 2000)])
+    return alignment, joints, t
+
+
+def test_a_burst_of_poses_without_joint_states_is_judged_once_each(monkeypatch):
+    """Each of them was judged again with each that followed: 5000 took minutes."""
+    alignment, joints, last = aligned_poses()
+    asked, look = [], joints.neighbours
+    monkeypatch.setattr(joints, "neighbours", lambda log: asked.append(log) or look(log))
+    for k in range(3000):
+        alignment.take([message_at(last + 10**10 + k, last + 10**6 + k)])
+    assert len(asked) < 4 * 3000
+
+
+def test_a_clock_that_is_set_after_stray_stamps_is_believed():
+    """Some strays kept all later messages from agreeing, for ever."""
+    alignment, joints, last = aligned_poses()
+    passed = []
+    for k in range(200):
+        t = last + 10_000_000 * (k + 1)
+        joints.add(t, t + 1000)
+        if k % 5 == 0:  # strays of 50 to 450 s, then a clock that is 7 s ahead
+            off = (50 + 10 * k) * 10**9 if k < 40 else 7 * 10**9
+            passed += alignment.take([message_at(t + off, t + 2000)])
+    assert len(passed) > 25
+    assert all(abs(one.stamp - one.log) < 10**8 for one in passed)
+    assert "its clock or the joints' clock was set by +6.999 s" in alignment.trouble
+    assert alignment.strays == 8
+
+
+def test_messages_that_never_fit_are_held_in_bounded_number(monkeypatch):
+    monkeypatch.setattr(clock_alignment, "MAX_JOINT_STATES", 200)
+    alignment, joints, last = aligned_poses(1)
+    for k in range(2000):
+        t = last + 10_000_000 * (k + 1)
+        joints.add(t, t + 1000)
+        alignment.take([message_at(t + (k % 7 + 3) * 10**10, t + 2000)])
+    assert len(alignment._held) <= 201
+    assert alignment.strays + len(alignment._held) == 2000
+
+
+@pytest.mark.parametrize("channel", ["joint_states", "measured_pose"])
+def test_a_flood_of_messages_on_one_topic_is_let_go_too(messages, monkeypatch, channel):
+    """Only joint states were counted: poses at a high rate were kept for ever."""
+    monkeypatch.setattr(collector_module, "MAX_MESSAGES", 400)
+    part, collector = until(messages, 4), Collector()
+    _, log, message = next(m for m in part if m[0] == channel)
+    message = copy.deepcopy(message)
+    for k in range(3000):
+        message.header.stamp.nanosec = 100_000 * k
+        collector.receive(channel, copy.deepcopy(message), log + 100_000 * k)
+        if k % 100 == 99:
+            collector.refresh()
+    assert sum(inbox._count_messages() for inbox in collector._inboxes) < 1000
+    assert len(collector._inboxes) < 3
+
+
+def test_a_clock_that_jumps_often_leaves_no_empty_inboxes(messages):
+    collector = feed(Collector(), until(messages, 10))
+    samples, (topic, log, message) = len(collector), messages[0]
+    for k in range(300):
+        back = stamped(message, 10_000 - 30 * (k // 3))
+        back.header.stamp.nanosec = 1000 * (k % 3)
+        collector.receive(topic, back, log + 10**10 + 10**7 * k)
+        if k % 10 == 9:
+            collector.refresh()
+    assert len(collector) == samples
+    assert len(collector._inboxes) < 15

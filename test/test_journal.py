@@ -176,3 +176,11 @@ def test_samples_measured_after_a_restart_join_those_before_it(tmp_path):
     second = resumed(tmp_path)
     assert len(second) == 40
     assert next(second._numbers) == 41
+
+
+def test_a_folder_in_which_no_journal_can_be_written_is_named_before_the_first_sample(tmp_path):
+    assert Journal(tmp_path / "new" / "folder", "node").describe_obstacle() == ""
+    assert not (tmp_path / "new").exists()
+    (tmp_path / "file").write_text("")
+    obstacle = Journal(tmp_path / "file" / "j", "node").describe_obstacle()
+    assert obstacle == f"{tmp_path / 'file'} is not a folder"

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -66,15 +67,18 @@ class Guard:
     def plan_path(self, start: np.ndarray, stops: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Return the joints (nq,) of a path from `start` through all `stops`.
 
+        Joints that stand beyond their limits, as at a limit switch, move straight to them first.
         Where the straight path to a stop is forbidden, the path leads through home. Raises
         PathError if that is forbidden, too."""
         if astray := self.describe_violation(start):
             raise PathError(
                 f"the robot's present pose is {astray}; move the robot back into its workspace"
             )
-        start = self._clip_to_limits(start)
-        found, home = [start], np.array(self.model.mechanism.home.joints)
-        for a, b in pairwise([start, *stops]):
+        start, inside = self._settle_at_limits(start), self._clip_to_limits(start)
+        found, home = [inside], np.array(self.model.mechanism.home.joints)
+        if (start != inside).any():
+            found.insert(0, start)
+        for a, b in pairwise([inside, *stops]):
             if (why := self.find_violation(self.points(a, b))) is None:
                 found.append(b)
                 continue
@@ -128,17 +132,32 @@ class Guard:
         return i / max(len(q) - 1, 1), words
 
     def describe_violation(self, q: np.ndarray) -> str:
-        """Say why the robot's present joints (nq,) are forbidden; empty if they are allowed.
+        """Say why the robot may not start at its present joints (nq,); empty if it may.
 
-        A joint at its limit may be read, or rest, slightly beyond it."""
-        why = self.find_violation(self._clip_to_limits(q)[None])
+        A joint may stand beyond its limit, if the straight path back to it is allowed: the limits
+        say where the robot may be sent."""
+        start, inside = self._settle_at_limits(q), self._clip_to_limits(q)
+        guard = self if (start == inside).all() else self._extend_limits_to(start)
+        why = guard.find_violation(guard.points(start, inside))
         return why[1] if why else ""
 
     def _clip_to_limits(self, q: np.ndarray) -> np.ndarray:
-        """Move joints (nq,) that are beyond a limit by less than CHECK_STEP to that limit."""
-        m = self.model.mechanism
-        at = np.clip(q, *np.array(m.joint_limits).T)
-        return np.where(np.abs(q - at) < CHECK_STEP * np.asarray(m.joint_ranges), at, q)
+        """Move joints (nq,) that are beyond a limit to that limit."""
+        return np.clip(q, *np.array(self.model.mechanism.joint_limits).T)
+
+    def _settle_at_limits(self, q: np.ndarray) -> np.ndarray:
+        """Move joints (nq,) that are read less than CHECK_STEP beyond a limit to that limit."""
+        at, ranges = self._clip_to_limits(q), np.asarray(self.model.mechanism.joint_ranges)
+        return np.where(np.abs(q - at) < CHECK_STEP * ranges, at, q)
+
+    def _extend_limits_to(self, q: np.ndarray) -> Guard:
+        """Return a guard whose joint limits include joints (nq,)."""
+        mechanism = copy.copy(self.model.mechanism)
+        mechanism.joint_limits = tuple(
+            (min(low, at), max(high, at))
+            for (low, high), at in zip(mechanism.joint_limits, q.tolist(), strict=True)
+        )
+        return replace(self, model=replace(self.model, mechanism=mechanism))
 
     def is_allowed(self, q: np.ndarray) -> np.ndarray:
         """Return a mask (n,) of the joints (n, nq) at which the robot may be."""

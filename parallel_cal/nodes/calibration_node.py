@@ -103,6 +103,12 @@ class CalibrationNode(ManagedNode):
         create_steady_timer(settings.get("look_period"), self, self._update, WorkerThreadGroup())
         create_steady_timer(1.0, self, self._publish_diagnostics, group)
         where = f"journal in {settings.folder}" if journal else "no journal"
+        if journal and (obstacle := journal.describe_obstacle()):
+            where = "no journal"
+            report.warn(
+                f"no journal can be written in {settings.folder}: {obstacle}; samples are in "
+                "memory only. Set the parameter journal_folder to a folder that can be written"
+            )
         model = settings.get("model_file") or "none: set the parameter model_file"
         self.get_logger().info(f"collecting; model file {model}; {where}")
         report.publish()

@@ -21,7 +21,7 @@ from parallel_cal.base.worker import Worker
 from parallel_cal.diagnosis.comparison import Comparison, compare
 from parallel_cal.discovery.goal import find_laws
 from parallel_cal.identification.options import FitOptions
-from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.model.file.modelfile import dump_model, read_model
 from parallel_cal.model.model import Model
 from parallel_cal.nodes import calibration_messages as messages
 from parallel_cal.nodes.calibration_settings import CalibrationSettings
@@ -31,6 +31,7 @@ from parallel_cal.nodes.conversions import message_class
 from parallel_cal.nodes.frames import Look, to_base_frame
 from parallel_cal.nodes.jobs import Job, JobServer, Say, Work, WorkSlot, describe_error
 from parallel_cal.nodes.managed_node import ManagedNode
+from parallel_cal.nodes.model_server import share_mechanism
 from parallel_cal.nodes.parameters import LATCHED, absolute
 from parallel_cal.nodes.run import WorkerThreadGroup, run_in_spin_thread
 from parallel_cal.recordings.residuals import TOPICS, residual_messages
@@ -77,6 +78,7 @@ class Calibrator:
         }
         self.worker = Worker(first=partial(prepare, settings.get("allow_foreign_modules")))
         self._registered = ""  # the estimated frame of the samples used last, in words
+        self._model: Model | None = None  # that was read last
         self._written = ""  # the model file that was written last
         self.slot = WorkSlot(self.worker)
         jobs = (
@@ -159,11 +161,18 @@ class Calibrator:
             raise ModelFileError("no model file: set the parameter model_file or name one")
         return self._settings.folders.to_read(path)
 
+    def _read_model(self, path: str) -> Model:
+        """Read a model; an unchanged file gives the model that was read before."""
+        model = share_mechanism(read_model(path), self._model)
+        if self._model is None or dump_model(model) != dump_model(self._model):
+            self._model = model
+        return self._model
+
     # ------------------------------------------------------------------ comparing
 
     def compare(self, request: Any, response: Any) -> None:
         """Compare a model with the samples without a fit."""
-        model = read_model(self._model_file(request.model_file))
+        model = self._read_model(self._model_file(request.model_file))
         collection = self._samples(model)
         document = self._compare(model, collection).document()
         for rows in (document["rows"], document["where"]["odd_samples"]):
@@ -206,7 +215,7 @@ class Calibrator:
 
     def _identify(self, goal: Any) -> tuple[Work, Collection]:
         files = self.files(goal.model_file, goal.output_file)
-        collection = self._samples(read_model(files[0]))
+        collection = self._samples(self._read_model(files[0]))
         options = FitOptions(
             method=goal.method or "implicit",
             free=tuple(goal.free),
@@ -221,7 +230,7 @@ class Calibrator:
 
     def _diagnose(self, goal: Any) -> tuple[Work, Collection]:
         model_file = self._model_file(goal.model_file)
-        collection = self._samples(read_model(model_file))
+        collection = self._samples(self._read_model(model_file))
         options = FitOptions(hold_out=self._hold_out(goal), joint_sigma=self._settings.joint_sigma)
 
         def numbered(outcome: Outcome) -> Outcome:
@@ -238,7 +247,7 @@ class Calibrator:
 
     def _discover(self, goal: Any) -> tuple[Work, Collection]:
         model_file = self._model_file(goal.model_file)
-        collection = self._samples(read_model(model_file))
+        collection = self._samples(self._read_model(model_file))
         options = FitOptions(hold_out=self._hold_out(goal), joint_sigma=self._settings.joint_sigma)
         return Work(
             find_laws, (model_file, collection.dataset, options), lambda one: one
@@ -286,7 +295,7 @@ class Calibrator:
         )
         files = self.files("", request.output_file)
         wanted = Request(*files, options, request.force, request.effect)
-        collection = self._samples(read_model(files[0]))
+        collection = self._samples(self._read_model(files[0]))
         self.slot.begin("an effect is being added; wait")
         self._say(f"adding {request.effect}")
         return Work(

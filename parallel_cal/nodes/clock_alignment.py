@@ -88,6 +88,7 @@ class ClockAlignment:
         self._offsets: deque[int] = deque(maxlen=N_RECENT_OFFSETS)
         self._unrelated: deque[StampedMessage] = deque(maxlen=N_RECENT_OFFSETS)
         self._held: list[StampedMessage] = []
+        self._misfits = 0  # of the held messages, those that were judged: the first ones
         self._last: StampedMessage | None = None
         self._moved = self._leaps = 0
         self._in_doubt = False  # a clock may have been set since the last narrow offset
@@ -97,27 +98,43 @@ class ClockAlignment:
     def take(self, received: Sequence[StampedMessage]) -> list[StampedMessage]:
         """Take messages in; return those that can be used now, with corrected stamps."""
         self._learn_offsets()
-        waiting, self._held = [*self._held, *received], list[StampedMessage]()
-        released = list[StampedMessage]()
-        for message in waiting:
-            if not self._fits(message):
+        released, waiting = list[StampedMessage](), [*self._held[self._misfits :], *received]
+        del self._held[self._misfits :]
+        for i, message in enumerate(waiting):
+            fits = self._fits(message)
+            if fits is None:  # nor can those after it be judged
+                self._held += waiting[i:]
+                break
+            if not fits:
                 self._held.append(message)
+                self._misfits += 1
                 continue
-            held, self._held = self._held, []
+            held = self._take_held()
             steps = (b.stamp - a.stamp for a, b in pairwise([*held, message]))
             if all(abs(step) <= MAX_STAMP_JUMP_NS for step in steps):  # they were only late
                 released += map(self._release, held)
-            elif held:
-                self.strays += len(held)
-                words = (
-                    f"{self._name}: {self.strays} messages dropped: their offset to the joint "
-                    "states' stamps changed by more than a second"
-                )
-                self.trouble = KeyedWarning(words, "stamps off the joints'", self._name)
+            else:
+                self._drop(held)
             released.append(self._release(message))
-        if agreeing := self._find_agreement():
-            released += self._release_shifted(agreeing)
-        return released
+        if self._misfits > MAX_JOINT_STATES:
+            self._drop(self._held[:N_RECENT_OFFSETS])
+            del self._held[:N_RECENT_OFFSETS]
+            self._misfits -= N_RECENT_OFFSETS
+        return released + self._release_agreeing()
+
+    def _take_held(self) -> list[StampedMessage]:
+        held, self._held, self._misfits = self._held, [], 0
+        return held
+
+    def _drop(self, messages: Sequence[StampedMessage]) -> None:
+        if not messages:
+            return
+        self.strays += len(messages)
+        words = (
+            f"{self._name}: {self.strays} messages dropped: their offset to the joint states' "
+            "stamps changed by more than a second"
+        )
+        self.trouble = KeyedWarning(words, "stamps off the joints'", self._name)
 
     def _release(self, message: StampedMessage) -> StampedMessage:
         self._last = message if message.stamp else self._last
@@ -145,7 +162,8 @@ class ClockAlignment:
         """The offset while the clocks agreed: messages arrive late, but never early."""
         return max(self._offsets)
 
-    def _fits(self, message: StampedMessage) -> bool:
+    def _fits(self, message: StampedMessage) -> bool | None:
+        """Whether a message may pass; None until a joint state has followed it."""
         last = self._last
         before, after = self._joints.neighbours(message.log)
         if last is None or not self._offsets or not message.stamp or before is None:
@@ -155,33 +173,40 @@ class ClockAlignment:
             return True
         offset = _offset_range(message.stamp - self._moved, before, after)
         if offset is None or not offset.allows(self._offset_before):
-            return False
+            return None if offset is None else False
         self._in_doubt = not offset.is_narrow
         return True
 
-    def _find_agreement(self) -> list[int]:
-        """Return the offsets of the held messages, if enough agree for long enough."""
-        held = self._held
-        if len(held) < MIN_AGREEING_MESSAGES or held[-1].log - held[0].log < PUBLISHER_TIMEOUT_NS:
+    def _release_agreeing(self) -> list[StampedMessage]:
+        """Release the last misfits if enough of them agree for long enough: one of the clocks was
+        set. Correct later stamps by the change of the offset, and drop the misfits before them."""
+        found, first = list[int](), self._misfits
+        while first:
+            message = self._held[first - 1]
+            neighbours = self._joints.neighbours(message.log)
+            offset = _offset_range(message.stamp - self._moved, *neighbours)
+            if offset is not None and offset.is_narrow:
+                if found and abs(offset.middle - found[0]) > MAX_STAMP_JUMP_NS:
+                    break
+                found.append(offset.middle)
+            first -= 1
+        agreeing = self._held[first : self._misfits]
+        if (
+            len(found) < MIN_AGREEING_MESSAGES
+            or agreeing[-1].log - agreeing[0].log < PUBLISHER_TIMEOUT_NS
+        ):
             return []
-        ranges = [
-            _offset_range(m.stamp - self._moved, *self._joints.neighbours(m.log)) for m in held
-        ]
-        offsets = [r.middle for r in ranges if r is not None and r.is_narrow]
-        enough = len(offsets) >= MIN_AGREEING_MESSAGES
-        return offsets if enough and max(offsets) - min(offsets) <= MAX_STAMP_JUMP_NS else []
-
-    def _release_shifted(self, offsets: Sequence[int]) -> list[StampedMessage]:
-        """Correct later stamps by the change of the offset; release what was held."""
-        held, self._held, self._in_doubt = self._held, [], False
-        by = max(offsets) - self._offset_before
+        by = max(found) - self._offset_before
+        held = self._take_held()
+        self._drop(held[:first])
         self._moved += by
+        self._in_doubt = False
         words = (
             f"{self._name}: its clock or the joints' clock was set by {by * 1e-9:+.3f} s; its "
             f"stamps are corrected by {-self._moved * 1e-9:+.3f} s"
         )
         self.trouble = KeyedWarning(words, "clock set", self._name)
-        return [self._release(message) for message in held]
+        return [self._release(message) for message in held[first:]]
 
 
 def _offset_range(stamp: int, before: int | None, after: int | None) -> OffsetRange | None:

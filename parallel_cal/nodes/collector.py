@@ -32,9 +32,9 @@ from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.pose_messages import stamp_of
 from parallel_cal.recordings.recording import Dropped
 
-# Joint states of an inbox: a quarter of an hour at 100 Hz. A new inbox begins then, and the old one
-# keeps its samples but not its messages, which limits the memory.
-MAX_JOINT_STATES = 100_000
+# Messages of one channel in an inbox: a quarter of an hour of joint states at 100 Hz. A new inbox
+# begins then, and the old one keeps its samples but not its messages, which limits the memory.
+MAX_MESSAGES = 100_000
 SETTLING_TIME_NS = 1_000_000_000  # ns after a clock jump until all streams use the joints' inbox
 MIN_DROPS_TO_WARN = 20  # messages or dwells dropped for one reason before a warning
 
@@ -209,7 +209,7 @@ class Collector:
         for snapshot, samples in made:
             snapshot.inbox.adopt(snapshot, samples)
         live = self._at["joint_states"]
-        if len(live.raws["joint_states"].stamp) > MAX_JOINT_STATES:
+        if live.largest > MAX_MESSAGES:
             self._begin_inbox(live)
         poses = [c for c in list_channels("poses") if self.received[c]]
         measured = poses[:1] + [c for c in list_channels("readings", "images") if self.received[c]]
@@ -218,15 +218,19 @@ class Collector:
         for inbox in self._inboxes[:first]:  # no stream adds to these any more
             if inbox.is_complete:
                 inbox.close()
+            if inbox.closed and inbox.dataset is None and not inbox.misfit:
+                self._past_paired += inbox.paired
+                self._past_dropped += inbox.dropped
+                self._inboxes.remove(inbox)
         return bool(made)
 
     def _begin_inbox(self, live: Inbox) -> None:
         """Begin a new inbox during a motion, so that no dwell is cut.
 
         The new inbox starts with the last conditions and words. A robot that never moves gets a new
-        inbox after twice MAX_JOINT_STATES.
+        inbox after twice MAX_MESSAGES.
         """
-        if len(live.raws["joint_states"].stamp) < 2 * MAX_JOINT_STATES:
+        if live.largest < 2 * MAX_MESSAGES:
             with suppress(DatasetError):  # raised if the robot moves
                 live.current(self.options)
                 return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
@@ -131,7 +132,7 @@ class Inbox:
         raw, kind = self.raws[channel], CHANNELS[channel]
         if kind.kind == "condition" and raw.stamp[-1:] == [stamp]:
             return  # a latched message arrives twice, see subscriptions
-        origin = (frame_of(message) or "(empty)") + publisher
+        origin = sys.intern((frame_of(message) or "(empty)") + publisher)
         raw.append(log, stamp, kind.decode(message), origin)
 
     def inherit(self, other: Inbox, channels: Iterable[str]) -> None:
@@ -148,6 +149,11 @@ class Inbox:
     def is_complete(self) -> bool:
         """Whether the samples are those of all messages."""
         return self._read == self._count_messages()
+
+    @property
+    def largest(self) -> int:
+        """The number of messages of the channel that has most."""
+        return max(len(raw.stamp) for raw in self.raws.values())
 
     def _count_messages(self) -> int:
         return sum(len(raw.stamp) for raw in self.raws.values())

@@ -80,6 +80,13 @@ class Journal:
         self.path = self.left = ""
         self.busy: list[str] = []
 
+    def describe_obstacle(self) -> str:
+        """Say why no journal can be written; empty if one can."""
+        place = next(path for path in (self._folder, *self._folder.parents) if path.exists())
+        if not place.is_dir():
+            return f"{place} is not a folder"
+        return "" if os.access(place, os.W_OK | os.X_OK) else f"{place} is not writable"
+
     def resume(self) -> list[Part]:
         """Continue the newest journal if its node did not end in order; return its samples, [] if
         there is none.

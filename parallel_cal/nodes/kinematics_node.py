@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from functools import partial
 from pathlib import Path
@@ -114,7 +115,11 @@ class KinematicsNode(ManagedNode):
             self.get_logger().info(attempt.reason)
         else:
             self._failure = attempt.reason
-            self.get_logger().error(attempt.reason)
+            if attempt.source == "startup" and attempt.path and not os.path.lexists(attempt.path):
+                # Another node that is launched with this one may write it.
+                self.get_logger().warning(f"{attempt.path} does not exist yet; waiting for it")
+            else:
+                self.get_logger().error(attempt.reason)
         message = ModelStatus(ok=attempt.ok, source=attempt.source, reason=attempt.reason)
         message.stamp = self.get_clock().now().to_msg()
         served = self._server.current

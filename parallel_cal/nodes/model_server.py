@@ -90,11 +90,8 @@ class ModelServer:
         if not str(path):
             raise ModelFileError("no model file: set the parameter model_file or call load_model")
         text = model_text(path)
-        model, known = parse_model(text, str(path)), self.current
-        if known is not None and _is_same_mechanism(known.model.mechanism, model.mechanism):
-            # The functions of a mechanism are derived once and cached with it. A file that was
-            # written again with other values would leave half a megabyte with each load.
-            model = replace(model, mechanism=known.model.mechanism)
+        known = self.current
+        model = share_mechanism(parse_model(text, str(path)), known.model if known else None)
         kinematics = Kinematics(model.robot())
         try:
             self_test(kinematics)
@@ -146,6 +143,17 @@ class ModelServer:
         """Wait for the compiler. Only tests and benchmarks do this; requests never wait."""
         if self._completion is not None:
             self._completion.join(timeout)
+
+
+def share_mechanism(model: Model, known: Model | None) -> Model:
+    """Return the model with the mechanism of a known one, if they are the same.
+
+    The functions of a mechanism are derived once and cached with it: a file that is read again and
+    again would leave half a megabyte, or more, each time.
+    """
+    if known is None or not _is_same_mechanism(known.mechanism, model.mechanism):
+        return model
+    return replace(model, mechanism=known.mechanism)
 
 
 def _is_same_mechanism(one: Mechanism, other: Mechanism) -> bool:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from importlib import import_module
 from typing import Any, Literal
 
@@ -18,6 +19,8 @@ from parallel_cal.base.errors import BagError, wrap_plugin_error
 from parallel_cal.model.effect import parse_part
 from parallel_cal.model.shelf import require_allowed
 from parallel_cal.recordings.pose_messages import pose_row
+
+NO_EFFORT = np.zeros(0)
 
 Kind = Literal["joints", "poses", "condition", "words", "readings", "images"]
 
@@ -79,12 +82,16 @@ class Channel:
 
 
 def joint_row(message: Any) -> tuple:
-    """Return (names, positions, efforts) as numpy arrays; rclpy gives array.array."""
-    return (
-        tuple(message.name),
-        np.asarray(message.position, float),
-        np.asarray(message.effort, float),
-    )
+    """Return (names, positions, efforts) as numpy arrays of their own: those of a message keep all
+    of it in memory, and a collection holds a hundred thousand."""
+    effort = np.array(message.effort, float) if len(message.effort) else NO_EFFORT
+    return _share_names(tuple(message.name)), np.array(message.position, float), effort
+
+
+@lru_cache(maxsize=64)
+def _share_names(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the same tuple for equal names."""
+    return names
 
 
 def corner_row(message: Any) -> tuple:

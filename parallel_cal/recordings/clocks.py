@@ -9,6 +9,11 @@ clocks.
 Pure noise has a best delay as well. So only joints that move more than their noise count, the pose
 must move too, and the best delay must explain more than the same number of parameters would explain
 of noise at the best of the compared delays.
+
+The residual of a long move is mostly the curvature that the Jacobian lacks, which is no noise: its
+values at neighbouring steps are alike. So the uncertainty is that of the delays which the parts of
+the motion give (delete-a-group jackknife), and a delay that another one explains nearly as well, in
+the parts' opinion, is no offset: the start of a first move alone fits many.
 """
 
 from __future__ import annotations
@@ -36,22 +41,31 @@ MIN_STEPS = 60  # with fewer steps, no delay is estimated
 MAX_UNEXPLAINED_SHARE = 0.5
 RIDGE_REGULARISATION = 1e-9  # per unit column, because joints may move alike
 MAX_COARSE_SAMPLES = 1 << 18  # samples of the coarse search
-N_HALVINGS = 14  # halvings of the fine search
+N_HALVINGS, N_ROUGH_HALVINGS = 14, 4  # halvings of the fine search, and of that for rivals
 MIN_TRAVEL = 1.5  # noise spans; a joint or coordinate that moves less stands still
 NOISE_WINDOW, NOISE_READINGS = 0.5, 60  # s and readings from which noise is estimated, at least
 # Two steps of white noise that share a reading have the correlation -1/2, in the joints as in the
 # pose. So a regression of one on the other explains 1 + 2 / 4 times as much by chance.
 SHARED_READINGS = 1.5
 MAX_CHANCE = 1e-9  # probability that pure noise looks like this; a live collector tests often
+N_PARTS = 10  # parts of the motion with equal information on the delay, which vote on it
+N_RIVALS = 8  # delays at which the speeds are most alike that are compared
+CONFIDENCE = 0.95  # of the interval of an offset
+MIN_PARTS = 5  # with fewer parts, no delay is estimated
+AGREEMENT = 0.8  # share of the parts that must rule out any other delay
 
 
 @dataclass(frozen=True)
 class Offset:
-    """How much later (s) poses are stamped than joint states; `sigma` is its uncertainty, `jitter`
-    (s) the standard deviation of the stamps from regular ones."""
+    """How much later (s) poses are stamped than joint states.
+
+    `sigma` (s) is its standard deviation. With 95 % confidence, the true delay differs by at most
+    `margin` (s). `jitter` (s) is the standard deviation of the stamps from regular ones.
+    """
 
     delay: float
     sigma: float
+    margin: float
     jitter: float = 0.0
 
 
@@ -77,8 +91,8 @@ def describe_offset(found: Offset, poses: str, joints: str) -> KeyedWarning:
         )
     note = (
         f"{poses} was stamped {abs(found.delay):.4f} s {late} than {joints} "
-        f"(+- {found.sigma:.2g} s, estimated from motion): the two clocks differ. The poses were "
-        f"moved to the joints' clock{irregular}"
+        f"(+- {found.margin:.2g} s with 95 % confidence, estimated from motion): the two clocks "
+        f"differ. The poses were moved to the joints' clock{irregular}"
     )
     return KeyedWarning(note, "two clocks", poses)
 
@@ -95,20 +109,25 @@ def clock_offset(joints: JointStream, pose: PoseStream) -> Offset | None:
     if at_once <= min(early, late, MAX_UNEXPLAINED_SHARE):
         return None
     alike, compared = _find_candidate_delays(steps.joints, pose, steps)
-    coarse = [0.0, *alike]
-    delay = steps.best_near(min(coarse, key=steps.unexplained_share))
+    minima = [steps.best_near(d, N_ROUGH_HALVINGS) for d in (0.0, *alike)]
+    delay = steps.best_near(min(minima, key=steps.unlikeness))
     least = steps.unexplained_share(delay)
     if abs(delay) <= MAX_DRIVER_DELAY_S or least > MAX_UNEXPLAINED_SHARE * min(at_once, 1.0):
         return None
     # A periodic motion fits a period later as well. Then the driver is late, not a second clock.
-    own = steps.best_near(0.0)
+    own = minima[0]
     if abs(own) <= MAX_DRIVER_DELAY_S and least > MAX_UNEXPLAINED_SHARE * steps.unexplained_share(
         own
     ):
         return None
     if compared * steps.chance(delay) > MAX_CHANCE:
         return None
-    return Offset(delay, steps.sigma(delay), measure_jitter(pose.time))
+    parts = _Parts.of(steps, delay)
+    beside = [delay + k * MAX_DRIVER_DELAY_S for k in (-2, -1, 1, 2)]
+    rivals = [d for d in minima if abs(d - delay) > MAX_DRIVER_DELAY_S]
+    if parts is None or not all(map(parts.rule_out, [*beside, *rivals])):
+        return None
+    return Offset(delay, *parts.uncertainty(), measure_jitter(pose.time))
 
 
 def require_overlap(
@@ -200,56 +219,143 @@ class _Steps:
         joints = dataclasses.replace(joints, position=joints.position[:, moving])
         return cls(joints, pose.time[at], pose.time[at + 1], y, period)
 
-    def _explain(self, delay: float) -> _Explained:
-        """Fit the steps by the joints' steps `delay` earlier."""
+    def is_covered(self, delay: float) -> Bools:
+        """Mark the steps (n,) at which joint states `delay` earlier were recorded."""
         t = self.joints.time
-        used = (self.begin - delay >= t[0]) & (self.end - delay <= t[-1])
-        if used.sum() < max(MIN_STEPS, 0.5 * len(used)):
-            return TOO_FEW
+        return np.asarray((self.begin - delay >= t[0]) & (self.end - delay <= t[-1]))
+
+    def is_enough(self, used: Bools) -> bool:
+        return bool(used.sum() >= max(MIN_STEPS, 0.5 * len(used)))
+
+    def make_columns(self, delay: float, used: Bools, products: bool = True) -> Array:
+        """Return the joints' steps `delay` earlier, and their products with the joints (n, m)."""
+        t, readings = self.joints.time, self.joints.position
         before, after = (
-            np.stack([np.interp(w[used] - delay, t, q) for q in self.joints.position.T], axis=1)
+            np.stack([np.interp(w[used] - delay, t, q) for q in readings.T], axis=1)
             for w in (self.begin, self.end)
         )
         dq, q = after - before, (after + before) / 2
-        q = (q - q.mean(axis=0)) / np.maximum(q.std(axis=0), 1e-12)
-        X = np.hstack([dq, (dq[:, :, None] * q[:, None, :]).reshape(len(dq), -1)])
-        X = X / np.maximum(np.linalg.norm(X, axis=0), 1e-300)
-        y = self.y[used]
-        B = np.linalg.solve(X.T @ X + RIDGE_REGULARISATION * np.eye(X.shape[1]), X.T @ y)
+        if not products:
+            return dq
+        q = (q - readings.mean(axis=0)) / np.maximum(readings.std(axis=0), 1e-12)
+        return np.hstack([dq, (dq[:, :, None] * q[:, None, :]).reshape(len(dq), -1)])
+
+    def squares_left(self, delay: float, used: Bools, products: bool = True) -> Array:
+        """Return the squares (n,) that the joints' steps do not explain: all of the steps that are
+        not `used`, because both streams were recorded at the same time."""
+        left = np.sum(self.y**2, axis=1)
+        X, y = self.make_columns(delay, used, products), self.y[used]
+        left[used] = np.sum((y - X @ _regress(X, y)) ** 2, axis=1)
+        return left
+
+    def explain(self, delay: float, products: bool = True) -> _Explained:
+        """Fit the steps by the joints' steps `delay` earlier."""
+        used = self.is_covered(delay)
+        if not self.is_enough(used):
+            return TOO_FEW
+        y, terms = self.y[used], self.joints.position.shape[1]
         squares = y.T @ y
         # If one coordinate is much noisier than the others, it is the only one that counts.
         independent = np.trace(squares) ** 2 / max(np.sum(squares**2), 1e-300)
-        left, total = float(np.sum((y - X @ B) ** 2)), float(np.sum(y**2))
-        return _Explained(left, total, int(used.sum()), X.shape[1], float(independent))
+        left = float(np.sum(self.squares_left(delay, used, products)[used]))
+        total = float(np.sum(y**2))
+        terms += products * terms**2
+        return _Explained(left, total, int(used.sum()), terms, float(independent))
 
     def unexplained_share(self, delay: float) -> float:
         """Return the share of squares that the joint steps `delay` earlier do not explain."""
-        return self._explain(delay).unexplained
+        return self.explain(delay).unexplained
 
-    def best_near(self, delay: float) -> float:
+    def unlikeness(self, delay: float) -> float:
+        """Return a measure by which to choose among separate delays.
+
+        A dozen equal moves have too few shapes for the products: they explain any of the moves by
+        any other. The joints' steps alone do not.
+        """
+        used = self.is_covered(delay)
+        if not self.is_enough(used):
+            return np.inf
+        both = (np.sum(self.squares_left(delay, used, products)) for products in (True, False))
+        return float(np.prod(list(both)))
+
+    def best_near(self, delay: float, halvings: int = N_HALVINGS) -> float:
         """Return the delay near this one that explains most of the steps."""
-        width = max(self.period, MAX_DRIVER_DELAY_S)
-        for _ in range(N_HALVINGS):
-            delay = min((delay - width, delay, delay + width), key=self.unexplained_share)
+        width, share = max(self.period, MAX_DRIVER_DELAY_S), self.unexplained_share(delay)
+        for _ in range(halvings):
+            for other in (delay - width, delay + width):
+                if (left := self.unexplained_share(other)) < share:
+                    delay, share = other, left
+                    break
             width /= 2
         return delay
 
     def chance(self, delay: float) -> float:
         """Return the probability that noise is explained as well as the steps at this delay."""
-        return self._explain(delay).chance
+        return self.explain(delay).chance
 
-    def sigma(self, delay: float) -> float:
-        """Return the sigma of the delay: the squares rise by one variance above their minimum."""
-        here, h, bend = self._explain(delay), self.period / 4, 0.0
-        for _ in range(N_HALVINGS):
-            low, high = self._explain(delay - h), self._explain(delay + h)
-            bend = (low.left + high.left - 2 * here.left) / h**2
-            if bend > 0:
-                break
-            h *= 2  # at short distances, interpolated noise hides how the squares rise
-        return float(
-            np.sqrt(2 * here.left / max(here.steps * self.y.shape[1], 1) / max(bend, 1e-300))
-        )
+
+@dataclass(frozen=True)
+class _Parts:
+    """The parts of the motion that vote on a delay.
+
+    `columns` (n, m) explain the steps `y` (n, k) of `used` steps at the delay. `slope` (n, k) is
+    the derivative of what they explain by the delay, and `part` (n,) the part of each step.
+    """
+
+    steps: _Steps
+    delay: float
+    used: Bools
+    columns: Array
+    y: Array
+    slope: Array
+    part: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, steps: _Steps, delay: float) -> _Parts | None:
+        h = max(steps.period, steps.joints.period) / 2
+        used = steps.is_covered(delay - h) & steps.is_covered(delay + h)
+        X, y = steps.make_columns(delay, used), steps.y[used]
+        later, earlier = (steps.make_columns(d, used) for d in (delay + h, delay - h))
+        slope = (later - earlier) @ _regress(X, y) / (2 * h)
+        told = np.cumsum(np.sum((slope - X @ _regress(X, slope)) ** 2, axis=1))
+        share = np.minimum(N_PARTS * told / max(told[-1], 1e-300), N_PARTS - 1).astype(np.int64)
+        kept, part = np.unique(share, return_inverse=True)
+        return cls(steps, delay, used, X, y, slope, part) if len(kept) >= MIN_PARTS else None
+
+    def uncertainty(self) -> tuple[float, float]:
+        """Return the standard deviation of the delay and its margin, s."""
+        from scipy.special import stdtrit
+
+        shifts, n = list[float](), int(self.part.max()) + 1
+        for k in range(n):
+            X, y, slope = (rows[self.part != k] for rows in (self.columns, self.y, self.slope))
+            y, slope = (rows - X @ _regress(X, rows) for rows in (y, slope))
+            shifts.append(float(np.sum(y * slope) / np.sum(slope**2)))
+        sigma = float(np.sqrt((n - 1) * np.var(shifts)))
+        return sigma, float(stdtrit(n - 1, (1 + CONFIDENCE) / 2)) * sigma
+
+    def rule_out(self, rival: float) -> bool:
+        """Whether the parts agree that the delay explains the steps better than a rival does."""
+        covered = self.steps.is_covered(rival)
+        if not self.steps.is_enough(covered):
+            return True
+
+        def agree(products: bool) -> bool:
+            theirs = self.steps.squares_left(rival, covered, products)[self.used]
+            ours = self.steps.squares_left(self.delay, self.used, products)[self.used]
+            votes = np.bincount(self.part, theirs - ours) > 0
+            return bool(np.sum(votes) >= AGREEMENT * len(votes))
+
+        return agree(products=True) or agree(products=False)
+
+
+def _regress(X: Array, y: Array) -> Array:
+    """Return the coefficients (m, k) by which columns (n, m) explain y (n, k)."""
+    size = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
+    X = X / size
+    return (
+        np.linalg.solve(X.T @ X + RIDGE_REGULARISATION * np.eye(len(size)), X.T @ y) / size[:, None]
+    )
 
 
 @dataclass(frozen=True)
@@ -306,7 +412,7 @@ def _moving(time: Array, values: Array) -> Bools:
 def _find_candidate_delays(
     joints: JointStream, pose: PoseStream, steps: _Steps
 ) -> tuple[list[float], int]:
-    """Return the delays at which both streams' speeds are most alike, and how many were tried."""
+    """Return separate delays with the most similar speeds, and how many delays were tried."""
     dt = max(
         steps.period,
         joints.period,
@@ -318,8 +424,14 @@ def _find_candidate_delays(
     theirs = _speed(pose.time, seen, dt)
     n = len(ours) + len(theirs)
     both = np.fft.irfft(np.fft.rfft(theirs, n) * np.conj(np.fft.rfft(ours, n)), n)
-    best = [int(k) if k < len(theirs) else int(k) - n for k in np.argsort(-both)[:3]]
-    return [k * dt + float(pose.time[0] - joints.time[0]) for k in best], n
+    found, reach = list[float](), max(1, round(MAX_DRIVER_DELAY_S / dt))
+    peaks = np.where((both >= np.roll(both, 1)) & (both >= np.roll(both, -1)), both, -np.inf)
+    for _ in range(N_RIVALS):
+        k = int(np.argmax(peaks))
+        peaks[np.arange(k - reach, k + reach + 1) % n] = -np.inf
+        k = k if k < len(theirs) else k - n
+        found.append(k * dt + float(pose.time[0] - joints.time[0]))
+    return found, n
 
 
 def _speed(time: Array, values: Array, dt: float) -> Array:

@@ -101,11 +101,12 @@ def pose_row(message: Any) -> tuple:
 
 
 def stamp_of(message: Any) -> int:
-    """Return the time of a message's header in ns; 0 if it has no header."""
+    """Return the time of a message's header in ns; 0 if it has none, or a negative one, which is no
+    clock's."""
     if not hasattr(message, "header"):
         return 0
     stamp = message.header.stamp
-    return int(stamp.sec * 1_000_000_000 + stamp.nanosec)
+    return max(0, int(stamp.sec * 1_000_000_000 + stamp.nanosec))
 
 
 def frame_of(message: Any) -> str:

@@ -44,7 +44,8 @@ class Sieve:
                 "or read it by log time (stamps='log')."
             )
         header = np.array(raw.stamp, np.int64)
-        self.drop((header == 0) & (stamp != np.array(raw.log)), "header stamp is zero")
+        unstamped = (header <= 0) & (stamp != np.array(raw.log))
+        self.drop(unstamped, "header stamp is zero or negative")
         self.drop(stamp < before, "stamp earlier than the message before")
         self.drop(stamp == before, "stamp repeats the message before")
 
@@ -99,14 +100,17 @@ def require_messages(raw: Raw) -> None:
 
 
 def resolve_stamps(raw: Raw, stamps: str, notes: list[str]) -> NDArray[np.int64]:
-    """Return the time (n,) in ns of each message: of its header, or of the log if headers are 0."""
+    """Return the time (n,) in ns of each message: of its header, or of the log if none has one."""
     header, log = np.array(raw.stamp, np.int64), np.array(raw.log, np.int64)
     if stamps == "log":
         return log
-    empty = header == 0
-    if np.count_nonzero(header) < min(MIN_AGREEING_MESSAGES, len(header)):
-        notes.append(f"{raw.topic}: header stamps are zero; the log time is used instead")
+    empty = header <= 0
+    if np.count_nonzero(~empty) < min(MIN_AGREEING_MESSAGES, len(header)):
+        notes.append(
+            f"{raw.topic}: header stamps are zero or negative; the log time is used instead"
+        )
         return log
-    # A zero among real stamps takes the stamp before it, so that time goes on; the sieve drops it.
+    # Among real stamps, a missing one takes the stamp before it, so that time goes on; the sieve
+    # drops it.
     last = np.maximum.accumulate(np.where(empty, int(np.argmin(empty)), np.arange(len(header))))
     return header[last]
