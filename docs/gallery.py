@@ -17,7 +17,7 @@ import numpy as np
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.diagnosis.catalogue import Candidate, candidate
 from parallel_cal.diagnosis.patterns import compute_mean_profile
-from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.diagnosis.signature import (
     Panel,
     compute_explained_residual,

@@ -21,7 +21,7 @@ from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import lack_of_fit, smooth_map
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.patterns import compute_residual_profiles, odd_samples, regions
-from parallel_cal.diagnosis.scene import Scene, SharedDerivatives, columns
+from parallel_cal.posterior.scene import Scene, SharedDerivatives, columns
 from parallel_cal.diagnosis.scoring import (
     canonical_correlation,
     f_test,

@@ -25,8 +25,8 @@ from parallel_cal.base.progress import never_falling
 from parallel_cal.base.rotation import quaternion_to_matrix
 from parallel_cal.cli import main as cli
 from parallel_cal.diagnosis.catalogue import find_new_parameters
-from parallel_cal.diagnosis.scene import Scene
-from parallel_cal.diagnosis.scene import columns as compute_effect_columns
+from parallel_cal.posterior.scene import Scene
+from parallel_cal.posterior.scene import columns as compute_effect_columns
 from parallel_cal.discovery.discovery import discover
 from parallel_cal.discovery.drivers import list_drivers
 from parallel_cal.discovery.effect_file import load_text, write_effect, write_effect_file

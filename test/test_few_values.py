@@ -10,7 +10,7 @@ from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.device import _joint_fields
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.noise_shape import noise_shape
-from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.discovery.discovery import discover
 from parallel_cal.identification.fit import fit
 from parallel_cal.kinematics.kinematics import Kinematics

@@ -9,7 +9,7 @@ from datasets import measured
 
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.comparison import compare
-from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.diagnosis.signature import signature
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import new_model

@@ -10,7 +10,7 @@ from arms import nominal, seen
 
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
-from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.identification import prediction_errors
 from parallel_cal.identification.acceptance import acceptance
 from parallel_cal.identification.fit import fit

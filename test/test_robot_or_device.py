@@ -25,7 +25,7 @@ from parallel_cal.diagnosis.device import (
     log_evidence,
 )
 from parallel_cal.diagnosis.diagnose import diagnose
-from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.diagnosis.search import Chosen, Search
 from parallel_cal.diagnosis.thresholds import EFFECT_SIZES, FIELD_SIZES
 from parallel_cal.identification.fit import fit, fit_unjudged

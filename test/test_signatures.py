@@ -10,7 +10,7 @@ from tied import dataset as tied
 
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.comparison import compare
-from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.diagnosis.signature import (
     compute_joint_components,
     compute_pattern_strength,

@@ -7,7 +7,7 @@ from datasets import measured
 from findings import hiding
 
 from parallel_cal.diagnosis.catalogue import candidate
-from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import observe

@@ -15,7 +15,7 @@ from parallel_cal.diagnosis.catalogue import (
 )
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
-from parallel_cal.diagnosis.scene import Scene, columns
+from parallel_cal.posterior.scene import Scene, columns
 from parallel_cal.diagnosis.scoring import quick_log_p, score
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.fit_warnings import chi2_band

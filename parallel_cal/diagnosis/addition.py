@@ -20,7 +20,7 @@ from parallel_cal.diagnosis.patterns import (
     explain_exclusion,
     set_knocked_samples_aside,
 )
-from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.diagnosis.search import Trial, is_as_good, is_superfluous
 from parallel_cal.diagnosis.stations import exclude_device
 from parallel_cal.diagnosis.verdict import robot_or_device

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
-from parallel_cal.diagnosis.scene import Scene, columns
+from parallel_cal.posterior.scene import Scene, columns
 from parallel_cal.diagnosis.scoring import Score, quick_log_p, score
 from parallel_cal.diagnosis.thresholds import (
     EFFECT_SIGNIFICANCE_LEVEL,

@@ -26,7 +26,7 @@ from parallel_cal.diagnosis.patterns import (
     odd_samples,
     regions,
 )
-from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.identification.budget import Iso9283, iso_9283, list_sides
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.noise_floor import simulate_noise_floor

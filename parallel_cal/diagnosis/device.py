@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from parallel_cal.diagnosis.catalogue import Candidate, find_new_parameters
-from parallel_cal.diagnosis.scene import Scene, columns
+from parallel_cal.posterior.scene import Scene, columns
 from parallel_cal.diagnosis.thresholds import (
     CENTRES,
     EFFECT_SIZES,

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.diagnosis.field import Field
-from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.diagnosis.thresholds import (
     DRIFT_MEMORIES,
     DRIFT_VARIANCES,

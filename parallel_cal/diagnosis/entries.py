@@ -12,7 +12,7 @@ import numpy as np
 
 from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.noise import NoiseLevel
-from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.diagnosis.scoring import canonical_correlation, resample_log_p, score
 from parallel_cal.diagnosis.search import Chosen, Search, Trial, ratio_of
 from parallel_cal.diagnosis.statistics import holm

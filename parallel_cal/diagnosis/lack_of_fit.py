@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.diagnosis.field import Field
-from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.diagnosis.statistics import bonferroni_minimum, morans_i, runs_test
 from parallel_cal.diagnosis.thresholds import (
     EFFECT_SIGNIFICANCE_LEVEL,

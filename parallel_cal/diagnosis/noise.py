@@ -8,7 +8,7 @@ import numpy as np
 
 from parallel_cal.base.confidence import SIGNIFICANCE_LEVEL
 from parallel_cal.diagnosis.field import Field
-from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_REPLICATE_DOF, REPLICATE_CONTRADICTION_LEVEL
 from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.image_poses import IMAGE_SCATTER

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from parallel_cal.diagnosis.field import Field
-from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.diagnosis.statistics import permutation_p_values
 from parallel_cal.diagnosis.thresholds import (
     EFFECT_SIGNIFICANCE_LEVEL,

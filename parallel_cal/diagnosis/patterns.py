@@ -15,7 +15,7 @@ from parallel_cal.base.sample_names import format_sample
 from parallel_cal.base.units import MM
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import find_varying_coordinates, regressors
-from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.diagnosis.statistics import normal_below, runs_test
 from parallel_cal.diagnosis.thresholds import (
     KNOCK_SIGNIFICANCE_LEVEL,

@@ -11,7 +11,7 @@ import numpy as np
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.catalogue import Candidate, find_new_parameters
-from parallel_cal.diagnosis.scene import Scene, SharedDerivatives, columns
+from parallel_cal.posterior.scene import Scene, SharedDerivatives, columns
 from parallel_cal.diagnosis.scoring import log_p_of
 from parallel_cal.diagnosis.thresholds import (
     EFFECT_SIGNIFICANCE_LEVEL,

@@ -10,7 +10,7 @@ import numpy as np
 
 from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.lack_of_fit import regressors
-from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.model.mechanism import POSE
 
 BINS = 8  # of an abscissa, to see whether a pattern follows it

@@ -14,7 +14,7 @@ from math import comb
 import numpy as np
 
 from parallel_cal.diagnosis.catalogue import Candidate, find_new_parameters
-from parallel_cal.diagnosis.scene import Scene, columns
+from parallel_cal.posterior.scene import Scene, columns
 from parallel_cal.diagnosis.thresholds import (
     MAX_FIELD_DEGREE,
     MIN_COLUMN_REMAINDER,

@@ -18,7 +18,7 @@ from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.diagnose import find_mistrusted_samples
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.first_effect import proposing_first_effect
-from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.diagnosis.stations import DeviceField, find_stations
 from parallel_cal.diagnosis.thresholds import MAX_HELD_COORDINATE_SIGMAS
 from parallel_cal.discovery.drivers import (

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.compiled import Batch, dense
-from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_SLOW_CORRELATION
 from parallel_cal.discovery.thresholds import (
     LAGS_PER_OCTAVE,

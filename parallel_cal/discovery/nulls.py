@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.diagnosis.noise_shape import NoiseShape, noise_shape
-from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.discovery.thresholds import (
     MAX_CORRELATION_P,
     MAX_FALSE_LAW_SHARE,

@@ -12,7 +12,7 @@ from parallel_cal.base.parallel import Runner
 from parallel_cal.diagnosis.addition import with_noise_of
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import NoiseLevel
-from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.diagnosis.verdict import share_explained
 from parallel_cal.discovery.drivers import PLACES
 from parallel_cal.discovery.effect_file import (

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.parallel import Runner, run_on_cores, running
-from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
 from parallel_cal.discovery import basis
 from parallel_cal.discovery.drivers import (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -113,6 +113,11 @@ class Scene:
             dof,
             shared,
         )
+
+    def in_units_of(self, variance: float) -> Scene:
+        """The same scene in units of a noise with this variance, in units of the present one."""
+        scale = variance**-0.5
+        return replace(self, residual=scale * self.residual, whitener=scale * self.whitener)
 
     @property
     def chi2_per_dof(self) -> float:

@@ -1,0 +1,168 @@
+"""What the residuals of a robot are made of: the likeliest causes, proven on the true problem.
+
+The sum over all sets of causes is linear. A cause that the true problem refutes (a size that no
+robot has, a sign that physics forbids) leaves the sum, and where the causes move the geometry, the
+sum is made again about the geometry found with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from parallel_cal.causes.effects import list_effect_blocks, refine_setting
+from parallel_cal.causes.unknown_laws import list_unknown_blocks
+from parallel_cal.diagnosis.field import Field
+from parallel_cal.diagnosis.noise import PureError
+from parallel_cal.diagnosis.search import Chosen, Search, Trial
+from parallel_cal.diagnosis.thresholds import MIN_REPLICATE_DOF
+from parallel_cal.model.shelf import load_effect
+from parallel_cal.posterior.blocks import DRIFT, EFFECT
+from parallel_cal.posterior.evidence import STATED, UNKNOWN, Choice, Evidence
+from parallel_cal.posterior.scene import Scene
+from parallel_cal.posterior.search import Posterior, Sum
+
+MAX_LINEARISATIONS = 4
+CREDIBLE = 0.98  # probability that the cause is one of those named for it
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """The likeliest causes of the residuals of a model.
+
+    Attributes
+    ----------
+    posterior : Posterior
+        All causes with their probabilities.
+    best : Trial
+        The fit with the effects that the likeliest set contains.
+    refuted : Mapping
+        Effects that would have been likely, with the reason why no robot has them.
+    wrong_signs : tuple of str
+        The reasons of those that fit only with a sign that physics forbids.
+    """
+
+    posterior: Posterior
+    best: Trial
+    refuted: Mapping[str, str]
+    wrong_signs: tuple[str, ...]
+
+    @classmethod
+    def of(cls, search: Search, names: Sequence[str]) -> Explanation:
+        """Explain the residuals of the model that a search extends, by effects of these `names`
+        and by what no effect describes."""
+        base = search.fit()
+        refuted, wrong = dict[str, str](), list[str]()
+        scene, known = base.scene, list[frozenset[Chosen]]()
+        while True:
+            posterior = explain(scene, [name for name in names if name not in refuted])
+            chosen = tuple(
+                Chosen(one.block.name, tuple(sorted(one.block.settings[one.setting].items())))
+                for one in posterior.chosen
+                if one.block.kind == EFFECT
+            )
+            best = search.fit_as_shown(*chosen)
+            if best.result is None:
+                name = _find_refuted(search, chosen)
+                refuted[name] = best.reason
+                wrong += [best.reason] if best.wrong_sign else []
+                continue
+            if frozenset(chosen) in known or len(known) == MAX_LINEARISATIONS or not chosen:
+                return cls(posterior, best, refuted, tuple(wrong))
+            known.append(frozenset(chosen))
+            scene = _scene_about(base, best)
+
+    @property
+    def outdone(self) -> tuple[str, ...]:
+        """Say which refuted effects would explain the error better than what was found."""
+        return tuple(
+            f"{name} would explain the error better, but {reason}"
+            for name, reason in self.refuted.items()
+            if reason not in self.wrong_signs
+        )
+
+    @cached_property
+    def swaps(self) -> dict[str, list[str]]:
+        """For each effect found, the effects that may be in its place, the likeliest first: with it
+        they are the fewest that have CREDIBLE of the probability."""
+        found: dict[str, list[str]] = {}
+        for name, rivals in self.posterior.rivals.items():
+            effects = {n: p for n, p in rivals.items() if self.posterior.kinds[n] == EFFECT}
+            reached, named = self.posterior.sets[0][1], found.setdefault(name, [])
+            total = reached + sum(effects.values())
+            for other in sorted(effects, key=effects.__getitem__, reverse=True):
+                if reached >= CREDIBLE * total:
+                    break
+                named.append(other)
+                reached += effects[other]
+        return found
+
+    @property
+    def robot_or_device(self) -> tuple[str, ...]:
+        """Effects of the robot that lasting errors of the device may be instead."""
+        return tuple(
+            name
+            for name, others in self.swaps.items()
+            if self.posterior.kinds[name] == EFFECT
+            and not load_effect(name).of_device
+            and any(_is_lasting_error_of_device(other) for other in others)
+        )
+
+    @property
+    def like_drift(self) -> tuple[str, ...]:
+        """Effects that noise which drifts may be instead, or that may be in its place."""
+        found, best = set[str](), self.posterior.sets[0][1]
+        for name, rivals in self.posterior.rivals.items():
+            for other, p in rivals.items():
+                kinds = {self.posterior.kinds[name], self.posterior.kinds[other]}
+                if kinds == {EFFECT, DRIFT} and p > (1 - CREDIBLE) * best:
+                    found.add(name if self.posterior.kinds[name] == EFFECT else other)
+        return tuple(sorted(found))
+
+
+def explain(scene: Scene, names: Sequence[str]) -> Posterior:
+    """Sum over all sets of effects of these `names` and of what no effect describes."""
+
+    def refine(beside: Evidence, best: Choice) -> Choice:
+        return refine_setting(scene, beside, best)
+
+    scene, nu = _in_units_of_noise(scene)
+    blocks = [*list_effect_blocks(scene, names), *list_unknown_blocks(scene)]
+    return Sum(scene, blocks, nu, refine).search()
+
+
+def _in_units_of_noise(scene: Scene) -> tuple[Scene, float]:
+    """The scene in units of the noise that is known best, and how many degrees of freedom are known
+    of it: stated, measured by visits of one pose, or hardly known."""
+    if not scene.observations.noise_assumed:
+        return scene, STATED
+    seen = PureError.of(scene, Field.of(scene))
+    if seen.variance is None or seen.dof < MIN_REPLICATE_DOF:
+        return scene.in_units_of(max(scene.chi2_per_dof, 1e-12)), UNKNOWN
+    return scene.in_units_of(max(seen.variance, 1e-12)), float(seen.dof)
+
+
+def _is_lasting_error_of_device(name: str) -> bool:
+    effect = load_effect(name)
+    return effect.of_device and not effect.needs
+
+
+def _scene_about(base: Trial, best: Trial) -> Scene:
+    """The scene of the model without effects, with the geometry that was found with them."""
+    fitted, result = base.fitted, best.fitted
+    table, found = fitted.model.table, dict(zip(result.model.table.names, result.model.values))
+    values = np.array([found.get(name, value) for name, value in table.mapping(fitted.model.values).items()])
+    about = replace(fitted.model, values=values)
+    return Scene.of(about, fitted.dataset, fitted.observations, fitted.free, base.shared)
+
+
+def _find_refuted(search: Search, chosen: tuple[Chosen, ...]) -> str:
+    """The effect without which the others can be fitted; the last one if there is none."""
+    for one in reversed(chosen):
+        others = (c for c in chosen if c is not one)
+        if search.fit_as_shown(*others, judged=False).result is not None:
+            return one.name
+    return chosen[-1].name
