@@ -13,15 +13,14 @@ from scipy import stats
 
 from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL, SIGNIFICANCE_LEVEL
 from parallel_cal.base.errors import ModelError
+from parallel_cal.causes.effects import list_effects_to_test
 from parallel_cal.diagnosis import catalogue, statistics
-from parallel_cal.diagnosis import scene as scenes
 from parallel_cal.diagnosis import search as searching
-from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_to_test
+from parallel_cal.diagnosis.catalogue import Candidate, candidate
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import lack_of_fit, smooth_map
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.patterns import compute_residual_profiles, odd_samples, regions
-from parallel_cal.posterior.scene import Scene, SharedDerivatives, columns
 from parallel_cal.diagnosis.scoring import (
     canonical_correlation,
     f_test,
@@ -41,6 +40,8 @@ from parallel_cal.model import structure
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import list_plugins, load_effect, load_mechanism
 from parallel_cal.model.structure import structure_of
+from parallel_cal.posterior import scene as scenes
+from parallel_cal.posterior.scene import Scene, SharedDerivatives, columns
 from parallel_cal.virtual import robot as vr
 
 

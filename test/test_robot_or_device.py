@@ -25,7 +25,6 @@ from parallel_cal.diagnosis.device import (
     log_evidence,
 )
 from parallel_cal.diagnosis.diagnose import diagnose
-from parallel_cal.posterior.scene import Scene
 from parallel_cal.diagnosis.search import Chosen, Search
 from parallel_cal.diagnosis.thresholds import EFFECT_SIZES, FIELD_SIZES
 from parallel_cal.identification.fit import fit, fit_unjudged
@@ -34,6 +33,7 @@ from parallel_cal.identification.platform_shift import explain_unseparated_devic
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_effect, load_sensor
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.recordings.csv_import import import_csv
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.session.steps import UnprovenStepError, add

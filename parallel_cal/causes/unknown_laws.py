@@ -21,10 +21,11 @@ def list_unknown_blocks(scene: Scene) -> list[Block]:
     return [block for block in found if block is not None]
 
 
-def smooth(x: np.ndarray, length: float, centres: int) -> np.ndarray:
+def smooth(x: np.ndarray, length: float, centres: int, rough: bool = False) -> np.ndarray:
     """Columns (N, m) of a smooth random function of x (N, d) with variance one: a Gaussian process
     with squared exponential covariance, on centres that are far apart (Quinonero-Candela and
-    Rasmussen, JMLR 6, 2005). `length` is in standard deviations of x."""
+    Rasmussen, JMLR 6, 2005); with `rough`, exponential covariance, as noise has whose neighbours
+    are similar. `length` is in standard deviations of x."""
     x = x.reshape(len(x), -1)
     x = (x - x.mean(axis=0)) / np.maximum(x.std(axis=0), 1e-12)
     chosen = [int(np.argmin(np.sum(x**2, axis=1)))]
@@ -35,7 +36,8 @@ def smooth(x: np.ndarray, length: float, centres: int) -> np.ndarray:
     c = x[chosen]
 
     def covariance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        return np.exp(-np.sum((a[:, None] - b[None]) ** 2, axis=2) / (2 * length**2))
+        squares = np.sum((a[:, None] - b[None]) ** 2, axis=2)
+        return np.exp(-np.sqrt(squares) / length if rough else -squares / (2 * length**2))
 
     factor = np.linalg.cholesky(covariance(c, c) + 1e-6 * np.eye(len(c)))
     return np.asarray(np.linalg.solve(factor, covariance(c, x)).T)
@@ -99,7 +101,7 @@ def _drifts(scene: Scene) -> Iterator[Block | None]:
     n = len(scene.model.joints)
     order = np.argsort(np.argsort(scene.dataset.time)).astype(float)
     columns = [
-        _flat(scene, scene.measured_jacobian[:, :, n:], smooth(order, length, centres))
-        for length, centres in ((0.6, 8), (0.25, 16), (0.1, 36), (0.04, 80))
+        _flat(scene, scene.measured_jacobian[:, :, n:], smooth(order, length, centres, rough=True))
+        for length, centres in ((1.2, 16), (0.4, 32), (0.12, 64), (0.05, 96))
     ]
     yield Block.of(scene, "drifting noise", DRIFT, LOG_PRIOR, columns)

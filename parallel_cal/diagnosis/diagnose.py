@@ -6,8 +6,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from parallel_cal.base.arguments import check_arguments
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import FitError
@@ -15,24 +13,21 @@ from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.base.threads import single_threaded
+from parallel_cal.causes.effects import list_effects_to_test
 from parallel_cal.diagnosis.addition import Addition, find_addition
 from parallel_cal.diagnosis.ambiguity import (
     Ambiguity,
     describe_ambiguities,
     find_ambiguous_effects,
 )
-from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_to_test
+from parallel_cal.diagnosis.catalogue import Candidate, candidate
 from parallel_cal.diagnosis.confirmation import Confirmed, FindAddition, format_additions
-from parallel_cal.diagnosis.device import find_doubtful_effects, find_effects_of_load
-from parallel_cal.diagnosis.drift import compute_drift_p_value
 from parallel_cal.diagnosis.entries import (
     Entry,
     NegativeControl,
     chi2_before,
     entries,
-    is_clearly_better,
     negative_control,
-    rivals_of,
 )
 from parallel_cal.diagnosis.explanation import Explanation
 from parallel_cal.diagnosis.field import Field
@@ -56,19 +51,10 @@ from parallel_cal.diagnosis.search import (
     Chosen,
     Search,
     Trial,
-    improvement_log_p,
-    is_more_informative,
-    is_preferable,
 )
 from parallel_cal.diagnosis.separate import NextMeasurement
-from parallel_cal.diagnosis.statistics import holm
 from parallel_cal.diagnosis.thresholds import (
-    DRIFT_SIGNIFICANCE_LEVEL,
     MAX_MISTRUSTED_SHARE,
-    MAX_REFITTED_CANDIDATES,
-    MAX_USUAL_SIZE,
-    NAMING_SIGNIFICANCE_LEVEL,
-    WHITE_DRIFT_SIGNIFICANCE_LEVEL,
 )
 from parallel_cal.diagnosis.unusual import UnusualEffect, find_unusual_effects
 from parallel_cal.diagnosis.verdict import UNEXPLAINED_VERDICTS, Findings, Verdict, judge
@@ -138,6 +124,8 @@ class Diagnosis(ShownInNotebook):
     knocked : tuple of OddSample
         Single samples far from all others, as if somebody knocked the device. They are excluded
         from `base` and `best`.
+    explanation : Explanation
+        The causes of the residuals of `base`, with their probabilities.
     unseparated : tuple of str
         Effects of the device that the samples do not separate from errors of the robot.
     addition : Addition or None
@@ -168,12 +156,12 @@ class Diagnosis(ShownInNotebook):
     suspected: tuple[str, ...]
     registration: Registration | None
     measure_next: NextMeasurement
+    explanation: Explanation
     ambiguous: tuple[Ambiguity, ...] = ()
     knocked: tuple[OddSample, ...] = ()
     unseparated: tuple[str, ...] = ()
     addition: Addition | None = None
     doubted: Addition | None = None
-    explanation: Explanation | None = None
 
     @property
     def leaves_an_error(self) -> bool:
@@ -236,6 +224,19 @@ class Diagnosis(ShownInNotebook):
         return tuple(c.name for c in self.best.chosen)
 
     @property
+    def missing(self) -> list[dict[str, Any]]:
+        """For each cause found: the effects that it may be, and how probable they are, together
+        (`probability`) and each (`each`)."""
+        return self.explanation.missing(self.effects)
+
+    @property
+    def left(self) -> str:
+        """Whether an error is left that no effect found describes: `no`, `yes` or `unknown`."""
+        if self.explanation.laws or self.verdict.word in ("partly_explained", "unexplained"):
+            return "yes" if self.noise.variance is not None or self.explanation.laws else "unknown"
+        return "unknown" if self.verdict.word == "cannot_know" else "no"
+
+    @property
     def additions(self) -> tuple[str, ...]:
         """The effects found, as arguments of `add`, such as `gear_transmission_error:ratio=80`.
 
@@ -252,6 +253,8 @@ class Diagnosis(ShownInNotebook):
         """The JSON document of `parallel-cal diagnose`; SI, None for unknown values."""
         base, best = self.base.fitted, self.best.fitted
         document = {
+            "missing": self.missing,
+            "left": self.left,
             "verdict": self.verdict.word,
             "summary": self.verdict.summary,
             "effects": self.effects,
@@ -567,6 +570,10 @@ def _diagnose_trusted(
         like_drift=found.like_drift,
         sides_from_order=dataset.sides_from_order,
         has_sides=any(name.startswith("direction.") for name in dataset.conditions),
+        probability={
+            name: one["probability"]
+            for name, one in zip(best.names, found.missing(best.names), strict=True)
+        },
     )
     return Diagnosis(
         model=model,
@@ -623,11 +630,3 @@ class _Catalogue:
                 scored.append(candidate(trial.scene, name, scored))
             self._ranked[key] = sorted(scored, key=lambda c: (not c.testable, c.log_p))
         return self._ranked[key]
-
-    def select_significant(self, trial: Trial) -> list[Candidate]:
-        """Select the best significant candidates, corrected for the number of tests."""
-        tested = [c for c in self.rank(trial) if c.testable and c.name not in self.imitated]
-        adjusted = holm(np.array([c.p_value for c in tested]))
-        return [c for c, p in zip(tested, adjusted, strict=True) if p < NAMING_SIGNIFICANCE_LEVEL][
-            :MAX_REFITTED_CANDIDATES
-        ]

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.diagnosis.field import Field
-from parallel_cal.posterior.scene import Scene
 from parallel_cal.diagnosis.thresholds import (
     DRIFT_MEMORIES,
     DRIFT_VARIANCES,
@@ -24,6 +23,7 @@ from parallel_cal.diagnosis.thresholds import (
 )
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.thresholds import LSTSQ_RANK_TOLERANCE
+from parallel_cal.posterior.scene import Scene
 
 
 def compute_drift_p_value(without: Scene, with_effect: Scene, parameters: int) -> float:

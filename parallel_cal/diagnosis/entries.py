@@ -12,7 +12,6 @@ import numpy as np
 
 from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.noise import NoiseLevel
-from parallel_cal.posterior.scene import Scene
 from parallel_cal.diagnosis.scoring import canonical_correlation, resample_log_p, score
 from parallel_cal.diagnosis.search import Chosen, Search, Trial, ratio_of
 from parallel_cal.diagnosis.statistics import holm
@@ -26,6 +25,7 @@ from parallel_cal.diagnosis.thresholds import (
 from parallel_cal.diagnosis.verdict import share_explained
 from parallel_cal.identification.fit import ParameterEstimate
 from parallel_cal.identification.prediction_errors import Summary
+from parallel_cal.posterior.scene import Scene
 
 
 @dataclass(frozen=True)

@@ -10,17 +10,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from parallel_cal.causes.effects import list_effect_blocks, refine_setting
+from parallel_cal.causes.effects import list_effect_blocks, refine_setting, widen
 from parallel_cal.causes.unknown_laws import list_unknown_blocks
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import PureError
 from parallel_cal.diagnosis.search import Chosen, Search, Trial
 from parallel_cal.diagnosis.thresholds import MIN_REPLICATE_DOF
 from parallel_cal.model.shelf import load_effect
-from parallel_cal.posterior.blocks import DRIFT, EFFECT
+from parallel_cal.posterior.blocks import DRIFT, EFFECT, FIELD, LAW
 from parallel_cal.posterior.evidence import STATED, UNKNOWN, Choice, Evidence
 from parallel_cal.posterior.scene import Scene
 from parallel_cal.posterior.search import Posterior, Sum
@@ -64,6 +65,8 @@ class Explanation:
                 for one in posterior.chosen
                 if one.block.kind == EFFECT
             )
+            # What a larger mechanism has must be there before effects act on it.
+            chosen = tuple(sorted(chosen, key=lambda one: not load_effect(one.name).widens))
             best = search.fit_as_shown(*chosen)
             if best.result is None:
                 name = _find_refuted(search, chosen)
@@ -122,6 +125,28 @@ class Explanation:
                     found.add(name if self.posterior.kinds[name] == EFFECT else other)
         return tuple(sorted(found))
 
+    @property
+    def laws(self) -> dict[str, float]:
+        """What no effect describes and the likeliest set contains, with its probability: laws of
+        the robot, and fields of errors of the device."""
+        names = [one.block.name for one in self.posterior.chosen if one.block.kind in (LAW, FIELD)]
+        return {name: self.posterior.probability[name] for name in names}
+
+    def missing(self, names: Sequence[str]) -> list[dict[str, Any]]:
+        """For each of these effects, what it may be, and how probable it is that the robot has one
+        of them, and each of them."""
+        found = []
+        for name in names:
+            effects = [name, *self.swaps.get(name, [])]
+            found.append(
+                {
+                    "effects": effects,
+                    "probability": self.posterior.of_any(effects),
+                    "each": {one: self.posterior.probability.get(one, 0.0) for one in effects},
+                }
+            )
+        return found
+
 
 def explain(scene: Scene, names: Sequence[str]) -> Posterior:
     """Sum over all sets of effects of these `names` and of what no effect describes."""
@@ -130,19 +155,25 @@ def explain(scene: Scene, names: Sequence[str]) -> Posterior:
         return refine_setting(scene, beside, best)
 
     scene, nu = _in_units_of_noise(scene)
-    blocks = [*list_effect_blocks(scene, names), *list_unknown_blocks(scene)]
+    scene, larger = widen(scene, names)
+    blocks = [*larger, *list_effect_blocks(scene, names), *list_unknown_blocks(scene)]
     return Sum(scene, blocks, nu, refine).search()
 
 
 def _in_units_of_noise(scene: Scene) -> tuple[Scene, float]:
     """The scene in units of the noise that is known best, and how many degrees of freedom are known
-    of it: stated, measured by visits of one pose, or hardly known."""
-    if not scene.observations.noise_assumed:
+    of it: stated, measured by visits of one pose, or hardly known.
+
+    Visits may differ by more than the stated noise because the robot moves; they cannot differ by
+    less.
+    """
+    seen, stated = PureError.of(scene, Field.of(scene)), not scene.observations.noise_assumed
+    measured = seen.variance is not None and seen.dof >= MIN_REPLICATE_DOF
+    if measured and (not stated or (seen.contradicts_stated_noise and seen.variance < 1)):
+        return scene.in_units_of(max(seen.variance, 1e-12)), float(seen.dof)
+    if stated:
         return scene, STATED
-    seen = PureError.of(scene, Field.of(scene))
-    if seen.variance is None or seen.dof < MIN_REPLICATE_DOF:
-        return scene.in_units_of(max(scene.chi2_per_dof, 1e-12)), UNKNOWN
-    return scene.in_units_of(max(seen.variance, 1e-12)), float(seen.dof)
+    return scene.in_units_of(max(scene.chi2_per_dof, 1e-12)), UNKNOWN
 
 
 def _is_lasting_error_of_device(name: str) -> bool:
@@ -152,9 +183,10 @@ def _is_lasting_error_of_device(name: str) -> bool:
 
 def _scene_about(base: Trial, best: Trial) -> Scene:
     """The scene of the model without effects, with the geometry that was found with them."""
-    fitted, result = base.fitted, best.fitted
-    table, found = fitted.model.table, dict(zip(result.model.table.names, result.model.values))
-    values = np.array([found.get(name, value) for name, value in table.mapping(fitted.model.values).items()])
+    fitted, result = base.fitted, best.fitted.model
+    found = result.table.mapping(result.values)
+    before = fitted.model.table.mapping(fitted.model.values)
+    values = np.array([found.get(name, value) for name, value in before.items()])
     about = replace(fitted.model, values=values)
     return Scene.of(about, fitted.dataset, fitted.observations, fitted.free, base.shared)
 

@@ -55,7 +55,6 @@ MAX_HELD_COORDINATE_SIGMAS = (
 
 MAX_USUAL_SIZE = 3.0  # tolerances: an effect with a larger parameter may be exchanged
 
-MAX_SHARED_BYTES = 2**27  # of derivatives of effects that the scenes of one diagnosis share
 
 # Which effects are tested and added
 MAX_EFFECTS = 4  # added in one diagnosis

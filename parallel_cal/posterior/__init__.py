@@ -1,1 +1,1 @@
-"""The posterior of every set of causes: blocks of columns, their evidence, and a search over sets."""
+"""What a fit leaves, its possible causes as blocks of columns, and how probable each cause is."""

@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 
 from parallel_cal.base.rotation import turns_from_mean
-from parallel_cal.diagnosis.thresholds import MAX_SHARED_BYTES
 from parallel_cal.identification.linearisation import Linearisation, rms_by_sample
 from parallel_cal.identification.observations import Observations, blocks, conditions
 from parallel_cal.identification.predictions import predict_configurations, reading_residuals
@@ -18,6 +17,8 @@ from parallel_cal.identification.thresholds import MIN_SIGMAS_PER_TOLERANCE, REL
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
+
+MAX_SHARED_BYTES = 2**27  # of derivatives of effects that the scenes of one diagnosis share
 
 
 class SharedDerivatives:

@@ -41,6 +41,10 @@ class Posterior:
     kinds: Mapping[str, str]
     misstated: float = 0.0
 
+    def of_any(self, names: Collection[str]) -> float:
+        """Probability that the robot has at least one of these causes."""
+        return float(sum(p for members, p in self.sets if not set(names).isdisjoint(members)))
+
     @cached_property
     def rivals(self) -> dict[str, dict[str, float]]:
         """For each chosen cause, what may be in its place, with the probability of this set."""
@@ -91,7 +95,7 @@ class Sum:
         return sorted(found, key=lambda one: -one.log_p)
 
     def search(self) -> Posterior:
-        """Add, exchange and remove causes until nothing is likelier; then sum over the sets nearby."""
+        """Add, exchange and remove causes until nothing is likelier; sum over the sets nearby."""
         nu = self.nu
         chosen: tuple[Choice, ...] = ()
         while len(chosen) < MAX_CAUSES:
