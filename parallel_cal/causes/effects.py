@@ -79,12 +79,12 @@ def refine_setting(scene: Scene, beside: Evidence, best: Choice) -> Choice:
     a, setting = conditions(plain, scene.dataset), dict(block.settings[best.setting])
 
     def refined(values: Mapping[str, float]) -> Block:
-        own = compute_effect_columns(scene, plain, values, a)
-        return block.with_setting(scene, own, values)
+        own = [compute_effect_columns(scene, plain, values, a)]
+        more = Block.of(scene, block.name, EFFECT, block.log_prior, own, [values], block.tried)
+        return block if more is None else more
 
     def cost(values: Mapping[str, float]) -> float:
-        one = refined(values)
-        return -float(beside.at_setting(one, len(one.settings) - 1).max())
+        return -float(beside.beside(refined(values)).max())
 
     for key in setting:
         others = setting.items() - {(key, setting[key])}
@@ -104,8 +104,7 @@ def refine_setting(scene: Scene, beside: Evidence, best: Choice) -> Choice:
     if setting == block.settings[best.setting]:
         return best
     more = refined(setting)
-    last = len(more.settings) - 1
-    return Choice(more, last, int(np.argmax(beside.at_setting(more, last))))
+    return Choice(more, 0, int(np.argmax(beside.beside(more)[0])))
 
 
 def list_effects_to_test(

@@ -581,7 +581,7 @@ def _diagnose_trusted(
         base=base,
         best=best,
         ranked=tuple(ranked),
-        entries=entries(ranked, base, search, noise, against, best),
+        entries=entries(ranked, base, search, noise, against, best, found.probable),
         negative_control=negative_control(base.scene, ranked),
         noise=noise,
         noise_shape=shape,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -119,10 +119,12 @@ def entries(
     noise: NoiseLevel,
     against: Mapping[str, str],
     best: Trial,
+    probable: Collection[str],
 ) -> tuple[Entry, ...]:
     """Make one entry for each candidate: evidence if it is testable, else a reason.
 
-    The effects that `best` chose are fitted as large as the data show, even if that is unusual.
+    Significant ones that are `probable` are fitted, each alone; those that `best` chose as large as
+    the data show, even if that is unusual.
     """
     named = {chosen.name for chosen in best.chosen}
     tested = [c for c in ranked if c.testable]
@@ -139,6 +141,7 @@ def entries(
         if (
             one.testable
             and rank <= MAX_REFITTED_CANDIDATES
+            and one.name in probable
             and one.p_value < EFFECT_SIGNIFICANCE_LEVEL
         ):
             fit = search.fit_as_shown if one.name in named else search.fit

@@ -7,9 +7,9 @@ sum is made again about the geometry found with them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -21,12 +21,12 @@ from parallel_cal.diagnosis.noise import PureError
 from parallel_cal.diagnosis.search import Chosen, Search, Trial
 from parallel_cal.diagnosis.thresholds import MIN_REPLICATE_DOF
 from parallel_cal.model.shelf import load_effect
-from parallel_cal.posterior.blocks import DRIFT, EFFECT, FIELD, LAW
-from parallel_cal.posterior.evidence import STATED, UNKNOWN, Choice, Evidence
+from parallel_cal.posterior.blocks import DRIFT, EFFECT, FIELD, LAW, Block
+from parallel_cal.posterior.evidence import STATED, UNKNOWN
 from parallel_cal.posterior.scene import Scene
 from parallel_cal.posterior.search import Posterior, Sum
 
-MAX_LINEARISATIONS = 4
+MAX_LINEARISATIONS = 2
 CREDIBLE = 0.98  # probability that the cause is one of those named for it
 
 
@@ -38,8 +38,10 @@ class Explanation:
     ----------
     posterior : Posterior
         All causes with their probabilities.
+    described : Posterior
+        The same without unknown laws of the robot: what known effects describe best.
     best : Trial
-        The fit with the effects that the likeliest set contains.
+        The fit with these effects.
     refuted : Mapping
         Effects that would have been likely, with the reason why no robot has them.
     wrong_signs : tuple of str
@@ -47,6 +49,7 @@ class Explanation:
     """
 
     posterior: Posterior
+    described: Posterior
     best: Trial
     refuted: Mapping[str, str]
     wrong_signs: tuple[str, ...]
@@ -57,26 +60,20 @@ class Explanation:
         and by what no effect describes."""
         base = search.fit()
         refuted, wrong = dict[str, str](), list[str]()
-        scene, known = base.scene, list[frozenset[Chosen]]()
+        causes, known = _Causes.of(base.scene, names), list[frozenset[Chosen]]()
         while True:
-            posterior = explain(scene, [name for name in names if name not in refuted])
-            chosen = tuple(
-                Chosen(one.block.name, tuple(sorted(one.block.settings[one.setting].items())))
-                for one in posterior.chosen
-                if one.block.kind == EFFECT
-            )
-            # What a larger mechanism has must be there before effects act on it.
-            chosen = tuple(sorted(chosen, key=lambda one: not load_effect(one.name).widens))
-            best = search.fit_as_shown(*chosen)
-            if best.result is None:
+            posterior, described, chosen = causes.explain(refuted)
+            tried = search.fit_as_shown(*chosen, judged=False)
+            if tried.result is None:
                 name = _find_refuted(search, chosen)
-                refuted[name] = best.reason
-                wrong += [best.reason] if best.wrong_sign else []
+                refuted[name] = tried.reason
+                wrong += [tried.reason] if tried.wrong_sign else []
                 continue
             if frozenset(chosen) in known or len(known) == MAX_LINEARISATIONS or not chosen:
-                return cls(posterior, best, refuted, tuple(wrong))
+                best = search.fit_as_shown(*chosen)
+                return cls(posterior, described, best, refuted, tuple(wrong))
             known.append(frozenset(chosen))
-            scene = _scene_about(base, best)
+            causes = _Causes.of(_scene_about(base, tried), names)
 
     @property
     def outdone(self) -> tuple[str, ...]:
@@ -92,9 +89,11 @@ class Explanation:
         """For each effect found, the effects that may be in its place, the likeliest first: with it
         they are the fewest that have CREDIBLE of the probability."""
         found: dict[str, list[str]] = {}
-        for name, rivals in self.posterior.rivals.items():
-            effects = {n: p for n, p in rivals.items() if self.posterior.kinds[n] == EFFECT}
-            reached, named = self.posterior.sets[0][1], found.setdefault(name, [])
+        for name, rivals in self.described.rivals.items():
+            if self.described.kinds[name] != EFFECT:
+                continue
+            effects = {n: p for n, p in rivals.items() if self.described.kinds[n] == EFFECT}
+            reached, named = self.described.sets[0][1], found.setdefault(name, [])
             total = reached + sum(effects.values())
             for other in sorted(effects, key=effects.__getitem__, reverse=True):
                 if reached >= CREDIBLE * total:
@@ -109,7 +108,7 @@ class Explanation:
         return tuple(
             name
             for name, others in self.swaps.items()
-            if self.posterior.kinds[name] == EFFECT
+            if self.described.kinds[name] == EFFECT
             and not load_effect(name).of_device
             and any(_is_lasting_error_of_device(other) for other in others)
         )
@@ -117,13 +116,19 @@ class Explanation:
     @property
     def like_drift(self) -> tuple[str, ...]:
         """Effects that noise which drifts may be instead, or that may be in its place."""
-        found, best = set[str](), self.posterior.sets[0][1]
-        for name, rivals in self.posterior.rivals.items():
+        found, best = set[str](), self.described.sets[0][1]
+        for name, rivals in self.described.rivals.items():
             for other, p in rivals.items():
-                kinds = {self.posterior.kinds[name], self.posterior.kinds[other]}
+                kinds = {self.described.kinds[name], self.described.kinds[other]}
                 if kinds == {EFFECT, DRIFT} and p > (1 - CREDIBLE) * best:
-                    found.add(name if self.posterior.kinds[name] == EFFECT else other)
+                    found.add(name if self.described.kinds[name] == EFFECT else other)
         return tuple(sorted(found))
+
+    @cached_property
+    def probable(self) -> set[str]:
+        """Names of the effects that are worth a fit of their own."""
+        sums = (self.posterior, self.described)
+        return {n for each in sums for n, p in each.probability.items() if p > 1 - CREDIBLE}
 
     @property
     def laws(self) -> dict[str, float]:
@@ -148,16 +153,48 @@ class Explanation:
         return found
 
 
-def explain(scene: Scene, names: Sequence[str]) -> Posterior:
-    """Sum over all sets of effects of these `names` and of what no effect describes."""
+@dataclass(frozen=True)
+class _Causes:
+    """All that may cause what one scene shows; `nu` is as in `Sum`."""
 
-    def refine(beside: Evidence, best: Choice) -> Choice:
-        return refine_setting(scene, beside, best)
+    scene: Scene
+    blocks: Sequence[Block]
+    nu: float
 
-    scene, nu = _in_units_of_noise(scene)
-    scene, larger = widen(scene, names)
-    blocks = [*larger, *list_effect_blocks(scene, names), *list_unknown_blocks(scene)]
-    return Sum(scene, blocks, nu, refine).search()
+    @classmethod
+    def of(cls, scene: Scene, names: Sequence[str]) -> _Causes:
+        scene, nu = _in_units_of_noise(scene)
+        scene, larger = widen(scene, names)
+        effects = list_effect_blocks(scene, names)
+        return cls(scene, [*larger, *effects, *list_unknown_blocks(scene)], nu)
+
+    def explain(self, refuted: Collection[str]) -> tuple[Posterior, Posterior, tuple[Chosen, ...]]:
+        """Sum over all sets of causes, and over those without unknown laws of the robot; return
+        the effects that describe the residual best, too.
+
+        Where an unknown law of the robot is likely, known effects imitate it at best. They are
+        chosen as if there were no such law, since the error may fall with them; their probability
+        tells what they are. One whose settings were scanned follows anything, and must be likely
+        beside the law.
+        """
+
+        def search(blocks: Sequence[Block]) -> Posterior:
+            refine = partial(refine_setting, self.scene)
+            return Sum(self.scene, blocks, self.nu, refine).search()
+
+        blocks = [one for one in self.blocks if one.name not in refuted]
+        posterior = described = search(blocks)
+        likely = {one.block.name for one in posterior.chosen}
+        if any(posterior.kinds[name] == LAW for name in likely):
+            described = search([one for one in blocks if one.kind != LAW])
+        chosen = [
+            Chosen(one.block.name, tuple(sorted(one.block.settings[one.setting].items())))
+            for one in described.chosen
+            if one.block.kind == EFFECT and (one.block.tried == 1 or one.block.name in likely)
+        ]
+        # What a larger mechanism has must be there before effects act on it.
+        chosen.sort(key=lambda one: not load_effect(one.name).widens)
+        return posterior, described, tuple(chosen)
 
 
 def _in_units_of_noise(scene: Scene) -> tuple[Scene, float]:

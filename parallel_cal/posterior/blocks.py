@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from parallel_cal.posterior.scene import Scene
 EFFECT, LAW, FIELD, DRIFT = "effect", "law", "field", "drift"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Block:
     """One possible cause of an error: columns B_1 ... B_m, one set for each of its settings.
 
@@ -32,12 +33,15 @@ class Block:
         Logarithm of the probability that a robot has this cause, before anything is measured.
     settings : tuple of Mapping
         The numbers that each set of columns is for; empty for what has none.
+    tried : int
+        The number of settings that were scanned, which the evidence for one of them must pay for.
     """
 
     name: str
     kind: str
     log_prior: float
     settings: tuple[Mapping[str, float], ...]
+    tried: int
     columns: np.ndarray = field(repr=False)
     gram: np.ndarray = field(repr=False)
     onto: np.ndarray = field(repr=False)
@@ -51,6 +55,7 @@ class Block:
         log_prior: float,
         columns: Sequence[np.ndarray],
         settings: Sequence[Mapping[str, float]] = (),
+        tried: int | None = None,
     ) -> Block | None:
         """Make a block of columns (n, k) for each setting; None if the geometry imitates it.
 
@@ -63,17 +68,17 @@ class Block:
         if not gram.size or np.sqrt(gram.max(initial=0.0)) < 1e-9:
             return None
         given = tuple(settings) or ({},) * len(B)
-        return cls(name, kind, log_prior, given, B, gram, scene.residual @ B)
+        onto = scene.residual @ B
+        return cls(name, kind, log_prior, given, tried or len(B), B, gram, onto)
 
-    def with_setting(
-        self, scene: Scene, columns: np.ndarray, setting: Mapping[str, float]
-    ) -> Block:
-        """The block with one more setting, which costs as much as if it had been scanned."""
-        more = Block.of(scene, self.name, self.kind, self.log_prior, [columns], [setting])
-        if more is None:
-            return self
-        parts = (np.concatenate([getattr(self, p), getattr(more, p)]) for p in PARTS)
-        return Block(self.name, self.kind, self.log_prior, (*self.settings, setting), *parts)
+    @cached_property
+    def _products(self) -> dict[tuple[int, int], tuple[Block, np.ndarray]]:
+        return {}
 
-
-PARTS = ("columns", "gram", "onto")
+    def times(self, setting: int, other: Block) -> np.ndarray:
+        """The products (m, k, k') of the columns of one setting with all those of another block,
+        computed once."""
+        key = setting, id(other)
+        if key not in self._products:  # with the other block, so that its id stays its own
+            self._products[key] = other, self.columns[setting].T @ other.columns
+        return self._products[key][1]

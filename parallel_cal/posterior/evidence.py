@@ -36,46 +36,50 @@ class Choice:
     size: int
 
     @property
-    def columns(self) -> np.ndarray:
-        """What it does to the residual (n, k), for coefficients of N(0, 1)."""
-        return np.asarray(SIZES[self.size] * self.block.columns[self.setting])
-
-    @property
     def log_prior(self) -> float:
         """Of this cause, this setting and this size."""
-        return float(
-            self.block.log_prior + LOG_WEIGHTS[self.size] - np.log(len(self.block.settings))
-        )
+        return float(self.block.log_prior + LOG_WEIGHTS[self.size] - np.log(self.block.tried))
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """The evidence of chosen causes about a residual, and that of one more beside them."""
+    """The evidence of chosen causes about a residual, and that of one more beside them.
 
-    residual: np.ndarray
+    `squares` is the sum of squares of the residual, `nu` the degrees of freedom of its noise.
+    """
+
+    squares: float
     dof: int
     nu: float
     chosen: tuple[Choice, ...] = ()
 
-    @cached_property
-    def _columns(self) -> np.ndarray:
-        parts = [one.columns for one in self.chosen]
-        return np.hstack(parts) if parts else np.zeros((len(self.residual), 0))
+    def _times(self, block: Block, at: slice) -> np.ndarray:
+        """Products (m, c, k) of all chosen columns with those of a block."""
+        k = block.columns.shape[2]
+        parts = [
+            SIZES[one.size] * one.block.times(one.setting, block)[at] for one in self.chosen
+        ] or [np.zeros((len(block.columns[at]), 0, k))]
+        return np.concatenate(parts, axis=1)
 
     @cached_property
     def _factor(self) -> np.ndarray:
-        """Cholesky factor of 1 + C'C."""
-        C = self._columns
-        return np.linalg.cholesky(np.eye(C.shape[1]) + C.T @ C)
+        """Cholesky factor of 1 + C'C, of the chosen columns C."""
+        parts = [
+            SIZES[one.size] * self._times(one.block, slice(one.setting, one.setting + 1))[0]
+            for one in self.chosen
+        ] or [np.zeros((0, 0))]
+        gram = np.hstack(parts)
+        return np.linalg.cholesky(np.eye(len(gram)) + gram)
 
     @cached_property
     def _onto(self) -> np.ndarray:
-        return np.asarray(np.linalg.solve(self._factor, self._columns.T @ self.residual))
+        parts = [SIZES[one.size] * one.block.onto[one.setting] for one in self.chosen]
+        return np.asarray(np.linalg.solve(self._factor, np.concatenate([[], *parts])))
 
     @cached_property
     def _squares(self) -> float:
         """r' S^-1 r."""
-        return float(self.residual @ self.residual - self._onto @ self._onto)
+        return self.squares - float(self._onto @ self._onto)
 
     @cached_property
     def _log_det(self) -> float:
@@ -92,23 +96,16 @@ class Evidence:
 
     def beside(self, block: Block) -> np.ndarray:
         """The same (m, sizes) with one more cause, for each of its settings and sizes."""
-        return self._beside(block, slice(None))
-
-    def at_setting(self, block: Block, setting: int) -> np.ndarray:
-        """The same (sizes,) with one more cause, for one of its settings."""
-        return np.asarray(self._beside(block, slice(setting, setting + 1))[0])
-
-    def _beside(self, block: Block, at: slice) -> np.ndarray:
-        Z = np.linalg.solve(self._factor, self._columns.T @ block.columns[at])
-        S = block.gram[at] - Z.transpose(0, 2, 1) @ Z
-        b = block.onto[at] - Z.transpose(0, 2, 1) @ self._onto
+        Z = np.linalg.solve(self._factor, self._times(block, slice(None)))
+        S = block.gram - Z.transpose(0, 2, 1) @ Z
+        b = block.onto - Z.transpose(0, 2, 1) @ self._onto
         squares, directions = np.linalg.eigh(S)
         along = np.einsum("mij,mi->mj", directions, b) ** 2
         w = np.maximum(squares, 0.0)[:, None] * SIZES[:, None] ** 2
         explained = np.sum(SIZES[:, None] ** 2 * along[:, None] / (1 + w), axis=2)
         log_det = self._log_det + np.sum(np.log1p(w), axis=2)
         log_p = self._log_t(self._squares - explained, log_det)
-        prior = self.log_prior + block.log_prior - np.log(len(block.settings)) + LOG_WEIGHTS
+        prior = self.log_prior + block.log_prior - np.log(block.tried) + LOG_WEIGHTS
         return np.asarray(log_p + prior)
 
     def _log_t(self, squares: float | np.ndarray, log_det: float | np.ndarray) -> np.ndarray:

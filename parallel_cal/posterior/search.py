@@ -68,7 +68,8 @@ class Sum:
     refine: Refine | None = field(default=None, repr=False)
 
     def evidence(self, chosen: Sequence[Choice], nu: float) -> Evidence:
-        return Evidence(self.scene.residual, self.scene.dof, nu, tuple(chosen))
+        squares = float(self.scene.residual @ self.scene.residual)
+        return Evidence(squares, self.scene.dof, nu, tuple(chosen))
 
     @property
     def stated(self) -> bool:
@@ -157,8 +158,10 @@ class Sum:
 
     def _marginal(self, rest: Sequence[Choice], one: Choice, nu: float) -> float:
         """Log posterior of one cause beside the rest, over all its settings and sizes."""
-        log_p = self.evidence(rest, nu).beside(one.block)
-        return float(np.logaddexp.reduce(log_p, axis=None))
+        scanned = next(block for block in self.blocks if block.name == one.block.name)
+        beside = self.evidence(rest, nu)
+        own = [beside.beside(block) for block in {id(b): b for b in (scanned, one.block)}.values()]
+        return max(float(np.logaddexp.reduce(log_p, axis=None)) for log_p in own)
 
     def _sum_nearby(self, chosen: tuple[Choice, ...], nu: float) -> Posterior:
         """Sum over the chosen set, and all sets with one cause less, more, or exchanged."""
