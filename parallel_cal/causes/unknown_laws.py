@@ -16,7 +16,7 @@ CENTRES = 30
 
 def list_unknown_blocks(scene: Scene) -> list[Block]:
     """A block for each kind of law that is in no catalogue."""
-    makers = (_joint_laws, _laws_of_conditions, _fields, _drifts)
+    makers = (_joint_laws, _laws_of_conditions, _deflections, _fields, _drifts)
     found = (block for make in makers for block in make(scene))
     return [block for block in found if block is not None]
 
@@ -60,9 +60,9 @@ def _joint_laws(scene: Scene) -> Iterator[Block | None]:
         np.hstack([_flat(scene, J[:, :, [i]], smooth(q[:, i], length, 12)) for i in range(n)])
         for length in (0.3, 0.7, 1.5)
     ]
-    yield Block.of(scene, "law of the joints' own readings", LAW, LOG_PRIOR, own)
+    yield Block.of(scene, "law of each joint's own reading", LAW, LOG_PRIOR, own)
     whole = [_flat(scene, J, smooth(q, length, CENTRES)) for length in (0.7, 1.2, 2.5)]
-    yield Block.of(scene, "law of the joints' readings", LAW, LOG_PRIOR, whole)
+    yield Block.of(scene, "law of all joint readings", LAW, LOG_PRIOR, whole)
 
 
 def _laws_of_conditions(scene: Scene) -> Iterator[Block | None]:
@@ -82,6 +82,20 @@ def _laws_of_conditions(scene: Scene) -> Iterator[Block | None]:
         functions = np.stack([centred(values) * centred(q) ** power for power in range(3)], axis=2)
         columns = (_unit(J)[:, :, :, None] * functions[:, None]).reshape(len(scene.residual), -1)
         yield Block.of(scene, f"law of {name}", LAW, LOG_PRIOR, [columns])
+
+
+def _deflections(scene: Scene) -> Iterator[Block | None]:
+    """The platform yields under the payload, which no device knows."""
+    payload = scene.dataset.conditions.get("payload")
+    if payload is None or not np.ptp(payload) > 0:
+        return
+    share = payload / np.sqrt(np.mean(payload**2))
+    J = scene.measured_jacobian[:, :, len(scene.model.joints) :]
+    columns = [
+        _flat(scene, J, share[:, None] * smooth(scene.places, length, CENTRES))
+        for length in (0.7, 1.5, 3.0)
+    ]
+    yield Block.of(scene, "deflection under the payload", LAW, LOG_PRIOR, columns)
 
 
 def _fields(scene: Scene) -> Iterator[Block | None]:

@@ -83,7 +83,6 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 LIKE_DRIFT = "indistinguishable from drift: neighbours in time explain each other as well"
-OF_LOAD = "its error goes with the payload, which no device knows: the robot deflects"
 
 
 STATE_THE_SIDES = (
@@ -522,7 +521,7 @@ def _diagnose_trusted(
     catalogue = _Catalogue(names, report)
     ranked = catalogue.rank(base)
     found = Explanation.of(search, names)
-    against = {**found.refuted}
+    against = {**dict.fromkeys(found.like_drift, LIKE_DRIFT), **found.refuted}
     report("judging the effects as add does", 0.7)
     confirmed = Confirmed.of(search, found.best, found.robot_or_device, find)
     best, robot_or_device = confirmed.best, confirmed.robot_or_device

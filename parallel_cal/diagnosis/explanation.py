@@ -22,7 +22,7 @@ from parallel_cal.diagnosis.search import Chosen, Search, Trial
 from parallel_cal.diagnosis.thresholds import MIN_REPLICATE_DOF
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.posterior.blocks import DRIFT, EFFECT, FIELD, LAW, Block
-from parallel_cal.posterior.evidence import STATED, UNKNOWN
+from parallel_cal.posterior.evidence import STATED, UNKNOWN, Choice
 from parallel_cal.posterior.scene import Scene
 from parallel_cal.posterior.search import Posterior, Sum
 
@@ -92,7 +92,12 @@ class Explanation:
         for name, rivals in self.described.rivals.items():
             if self.described.kinds[name] != EFFECT:
                 continue
-            effects = {n: p for n, p in rivals.items() if self.described.kinds[n] == EFFECT}
+            effects = {
+                other: p
+                for other, p in rivals.items()
+                if self.described.kinds[other] == EFFECT
+                and name not in load_effect(other).generalizes
+            }
             reached, named = self.described.sets[0][1], found.setdefault(name, [])
             total = reached + sum(effects.values())
             for other in sorted(effects, key=effects.__getitem__, reverse=True):
@@ -113,15 +118,22 @@ class Explanation:
             and any(_is_lasting_error_of_device(other) for other in others)
         )
 
-    @property
+    @cached_property
     def like_drift(self) -> tuple[str, ...]:
-        """Effects that noise which drifts may be instead, or that may be in its place."""
-        found, best = set[str](), self.described.sets[0][1]
-        for name, rivals in self.described.rivals.items():
-            for other, p in rivals.items():
-                kinds = {self.described.kinds[name], self.described.kinds[other]}
-                if kinds == {EFFECT, DRIFT} and p > (1 - CREDIBLE) * best:
-                    found.add(name if self.described.kinds[name] == EFFECT else other)
+        """Effects that would describe the residual in the place of noise that drifts, which
+        describes it better."""
+        sets = {frozenset(members): p for members, p in self.described.sets}
+        chosen = frozenset(one.block.name for one in self.described.chosen)
+        found = {name for name in chosen if _is_effect_of_time(self.described, name)}
+        if not any(self.described.kinds[name] == DRIFT for name in chosen):
+            return ()
+        for drift in (name for name in chosen if self.described.kinds[name] == DRIFT):
+            rest = chosen - {drift}
+            found |= {
+                name
+                for name, kind in self.described.kinds.items()
+                if kind == EFFECT and sets.get(rest | {name}, 0.0) > sets.get(rest, 0.0)
+            }
         return tuple(sorted(found))
 
     @cached_property
@@ -174,8 +186,9 @@ class _Causes:
 
         Where an unknown law of the robot is likely, known effects imitate it at best. They are
         chosen as if there were no such law, since the error may fall with them; their probability
-        tells what they are. One whose settings were scanned follows anything, and must be likely
-        beside the law.
+        tells what they are. One whose settings were scanned follows anything, and one of the device
+        takes an error of the robot away from it: they must be likely beside the law. Beside noise
+        that drifts, an effect of time is not told from it.
         """
 
         def search(blocks: Sequence[Block]) -> Posterior:
@@ -187,10 +200,18 @@ class _Causes:
         likely = {one.block.name for one in posterior.chosen}
         if any(posterior.kinds[name] == LAW for name in likely):
             described = search([one for one in blocks if one.kind != LAW])
+        drifts = any(one.block.kind == DRIFT for one in described.chosen)
+
+        def is_named(one: Choice) -> bool:
+            block, effect = one.block, load_effect(one.block.name)
+            if drifts and "time" in effect.needs:
+                return False
+            return block.name in likely or (block.tried == 1 and not effect.of_device)
+
         chosen = [
             Chosen(one.block.name, tuple(sorted(one.block.settings[one.setting].items())))
             for one in described.chosen
-            if one.block.kind == EFFECT and (one.block.tried == 1 or one.block.name in likely)
+            if one.block.kind == EFFECT and is_named(one)
         ]
         # What a larger mechanism has must be there before effects act on it.
         chosen.sort(key=lambda one: not load_effect(one.name).widens)
@@ -216,6 +237,10 @@ def _in_units_of_noise(scene: Scene) -> tuple[Scene, float]:
 def _is_lasting_error_of_device(name: str) -> bool:
     effect = load_effect(name)
     return effect.of_device and not effect.needs
+
+
+def _is_effect_of_time(posterior: Posterior, name: str) -> bool:
+    return posterior.kinds[name] == EFFECT and "time" in load_effect(name).needs
 
 
 def _scene_about(base: Trial, best: Trial) -> Scene:

@@ -30,7 +30,7 @@ class Block:
         EFFECT; LAW of the robot outside the catalogue; FIELD of errors of the measuring device;
         DRIFT of the noise.
     log_prior : float
-        Logarithm of the probability that a robot has this cause, before anything is measured.
+        Logarithm of the odds that a robot has this cause, before anything is measured.
     settings : tuple of Mapping
         The numbers that each set of columns is for; empty for what has none.
     tried : int

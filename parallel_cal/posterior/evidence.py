@@ -21,8 +21,8 @@ import numpy as np
 from parallel_cal.posterior.blocks import Block
 
 # How large a cause is, in usual sizes, and how probable that is: a prior with a heavy tail.
-SIZES = np.array([0.3, 1.0, 3.0, 10.0])
-LOG_WEIGHTS = np.log([0.25, 0.4, 0.25, 0.1])
+SIZES = np.array([0.3, 1.0, 3.0, 10.0, 30.0])
+LOG_WEIGHTS = np.log([0.25, 0.4, 0.22, 0.1, 0.03])
 # Degrees of freedom of what is known of the noise: stated, or hardly believed.
 STATED, UNKNOWN = 200.0, 2.0
 
