@@ -226,9 +226,9 @@ def _in_units_of_noise(scene: Scene) -> tuple[Scene, float]:
     less.
     """
     seen, stated = PureError.of(scene, Field.of(scene)), not scene.observations.noise_assumed
-    measured = seen.variance is not None and seen.dof >= MIN_REPLICATE_DOF
-    if measured and (not stated or (seen.contradicts_stated_noise and seen.variance < 1)):
-        return scene.in_units_of(max(seen.variance, 1e-12)), float(seen.dof)
+    v, measured = seen.variance, seen.dof >= MIN_REPLICATE_DOF
+    if v is not None and measured and (not stated or (seen.contradicts_stated_noise and v < 1)):
+        return scene.in_units_of(max(v, 1e-12)), float(seen.dof)
     if stated:
         return scene, STATED
     return scene.in_units_of(max(scene.chi2_per_dof, 1e-12)), UNKNOWN

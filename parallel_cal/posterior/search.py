@@ -179,8 +179,8 @@ class Sum:
             sets[frozenset(members)] = max(log_p, sets.get(frozenset(members), -np.inf))
 
         note(names, now.log_p + total)
-        for one in self.rank(now, names):
-            note((*names, one.best.block.name), one.log_p + total)
+        for more in self.rank(now, names):
+            note((*names, more.best.block.name), more.log_p + total)
         for k, one in enumerate(chosen):
             rest = chosen[:k] + chosen[k + 1 :]
             others = [name for name in names if name != one.block.name]
