@@ -27,7 +27,7 @@ from parallel_cal.posterior.scene import Scene
 from parallel_cal.posterior.search import Posterior, Sum
 
 MAX_LINEARISATIONS = 2
-CREDIBLE = 0.98  # probability that the cause is one of those named for it
+CREDIBLE = 0.95  # probability that the cause is one of those named for it
 
 
 @dataclass(frozen=True)
