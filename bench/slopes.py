@@ -14,7 +14,7 @@ from timing import processor_each
 sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
 from datasets import measured
 
-from parallel_cal.diagnosis.catalogue import list_effects_to_test
+from parallel_cal.causes.effects import list_effects_to_test
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import new_model

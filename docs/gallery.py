@@ -17,7 +17,6 @@ import numpy as np
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.diagnosis.catalogue import Candidate, candidate
 from parallel_cal.diagnosis.patterns import compute_mean_profile
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.signature import (
     Panel,
     compute_explained_residual,
@@ -33,6 +32,7 @@ from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.mechanism import Workspace, poses_in_workspace
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.model.shelf import list_plugins, load_effect, load_sensor
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.simulate import stated_noise, with_effects
 from parallel_cal.reporting.contents import unit_along

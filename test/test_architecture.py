@@ -15,8 +15,8 @@ MAY_USE_ROSBAGS = {"bag.py", "writer.py", "replay_node.py", "recorder.py"}
 # The rooms, each importing only from those before it; CONTRIBUTING draws them.
 ROOMS = (
     "base imaging virtual model mechanisms effects sensors kinematics recordings importing "
-    "exporting identification planning diagnosis short_cut session discovery campaign fleet study "
-    "reporting workbench nodes cli"
+    "exporting identification planning posterior causes diagnosis short_cut session discovery "
+    "campaign fleet study reporting workbench nodes cli"
 ).split()
 # Between rooms; a new one needs a reason, and this number says so. The last one, from exporting to
 # mechanisms: the URDF of an arm consists of its links.

@@ -13,15 +13,13 @@ from scipy import stats
 
 from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL, SIGNIFICANCE_LEVEL
 from parallel_cal.base.errors import ModelError
+from parallel_cal.causes.effects import list_effects_to_test
 from parallel_cal.diagnosis import catalogue, statistics
-from parallel_cal.diagnosis import scene as scenes
-from parallel_cal.diagnosis import search as searching
-from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_to_test
+from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import lack_of_fit, smooth_map
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.patterns import compute_residual_profiles, odd_samples, regions
-from parallel_cal.diagnosis.scene import Scene, SharedDerivatives, columns
 from parallel_cal.diagnosis.scoring import (
     canonical_correlation,
     f_test,
@@ -29,7 +27,7 @@ from parallel_cal.diagnosis.scoring import (
     resample_log_p,
     score,
 )
-from parallel_cal.diagnosis.search import Chosen, Search, Trial
+from parallel_cal.diagnosis.search import Chosen, Search
 from parallel_cal.diagnosis.statistics import holm, morans_i, runs_test
 from parallel_cal.identification.estimate import NoSolutionError
 from parallel_cal.identification.fit import UnjudgedFit, fit, fit_unjudged
@@ -41,6 +39,8 @@ from parallel_cal.model import structure
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import list_plugins, load_effect, load_mechanism
 from parallel_cal.model.structure import structure_of
+from parallel_cal.posterior import scene as scenes
+from parallel_cal.posterior.scene import Scene, SharedDerivatives, columns
 from parallel_cal.virtual import robot as vr
 
 
@@ -334,33 +334,6 @@ def test_a_noise_that_nobody_states_is_taken_from_replicates():
 # ------------------------------------------------------------------------------------- refits
 
 
-def test_an_effect_is_removed_by_refits_without_validation_errors(monkeypatch):
-    play = vr.Backlash((3e-4, 2.5e-4, 2e-4))
-    data, refitted, judged = measured(1, effects=[play]), [], []
-
-    def refit(model, insist):
-        refitted.append([effect.name for effect in model.effects])
-        return fit_unjudged(model, data, FitOptions(insist=insist))
-
-    def judge(unjudged, progress=None):
-        judged.append([effect.name for effect in unjudged.result.model.effects])
-        return validate(unjudged, progress)
-
-    validate = UnjudgedFit.judge
-    monkeypatch.setattr(UnjudgedFit, "judge", judge)
-    search = Search(new_model("delta54"), refit, lambda *_: None)
-    both = search.fit(Chosen("backlash"), Chosen("encoder_eccentricity"))
-    left = search.backward(both)  # the robot has no eccentricity
-    assert left.names == ("backlash",)
-    assert left.fitted.held_out.judged.any()
-    pair = ["backlash", "encoder_eccentricity"]
-    assert refitted == [pair, ["encoder_eccentricity"], ["backlash"]]  # each once
-    assert judged == [pair, ["backlash"]]
-    alone = fit(new_model("delta54").with_effect("backlash"), data)
-    assert left.fitted.estimate.chi2 == pytest.approx(alone.estimate.chi2)
-    assert left.fitted.held_out.summary == alone.held_out.summary
-
-
 def test_shared_derivatives_are_computed_once_and_returned_whole(monkeypatch):
     computed = []
 
@@ -451,43 +424,6 @@ def test_a_fit_whose_validation_fails_is_no_trial(monkeypatch):
     monkeypatch.setattr(UnjudgedFit, "judge", fail)
     failed = search.fit()
     assert (failed.result, failed.reason, failed.unsolved) == (None, "a fold has no solution", True)
-
-
-@pytest.mark.parametrize(("ratio", "is_extended"), [(2.66, True), (33.0, False)])
-def test_an_alternative_ends_where_it_leads_back_to_the_best(monkeypatch, ratio, is_extended):
-    """A gear ratio that was found before another effect was known is another explanation."""
-    gear = Candidate("gear_transmission_error", None, {"ratio": 33.0})
-    asked = []
-    monkeypatch.setattr(Search, "_find_next", lambda search, before, *_: asked.append(before))
-    start = Trial((Chosen("encoder_eccentricity"),), None)
-    known = Trial((Chosen("gear_transmission_error", (("ratio", ratio),), unusual=True),), None)
-    search = Search(None, None, None)
-    found, _ = search.forward(start, lambda _: [gear], lambda _: [gear], known)
-    assert found is start
-    assert bool(asked) is is_extended
-
-
-def test_effects_that_need_each_other_are_ordered_last_and_together(monkeypatch):
-    """Play and a wind-up, each with a sign that physics forbids without the other."""
-
-    asked = set()
-
-    class Refits(Search):
-        def fit_as_shown(self, *chosen, judged=True):
-            names = {one.name for one in chosen}
-            asked.add(frozenset(names))
-            refused = len(names & {"backlash", "hysteresis"}) == 1
-            return Trial(chosen, None if refused else here, "wrong sign" if refused else "")
-
-        fit = fit_as_shown
-
-    here = object()
-    monkeypatch.setattr(searching, "_describe_objection_to_step", lambda _, after: after.reason)
-    names = ["hysteresis", "a", "backlash", "b", "c"]
-    search = Refits(None, None, None)
-    ordered = search.order_for_adding(Trial(tuple(map(Chosen, names)), here))
-    assert ordered.names == ("a", "b", "c", "hysteresis", "backlash")
-    assert len(asked) < 13  # of the 31 sets of effects
 
 
 # ---------------------------------------------------------------------------------- structure

@@ -23,10 +23,8 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.base.parallel import run_on_cores
 from parallel_cal.base.progress import never_falling
 from parallel_cal.base.rotation import quaternion_to_matrix
+from parallel_cal.causes.effects import find_new_parameters
 from parallel_cal.cli import main as cli
-from parallel_cal.diagnosis.catalogue import find_new_parameters
-from parallel_cal.diagnosis.scene import Scene
-from parallel_cal.diagnosis.scene import columns as compute_effect_columns
 from parallel_cal.discovery.discovery import discover
 from parallel_cal.discovery.drivers import list_drivers
 from parallel_cal.discovery.effect_file import load_text, write_effect, write_effect_file
@@ -57,6 +55,8 @@ from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.parameters import Named
 from parallel_cal.model.shelf import list_plugins, load_effect
+from parallel_cal.posterior.scene import Scene
+from parallel_cal.posterior.scene import columns as compute_effect_columns
 from parallel_cal.reporting.pictures import figure
 from parallel_cal.reporting.text import show
 from parallel_cal.session.steps import add

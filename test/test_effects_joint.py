@@ -12,7 +12,7 @@ import virtual_day as vd
 import virtual_effects_more as more
 from twins import hexapod, joints_near_home
 
-from parallel_cal.diagnosis.catalogue import collect_recorded_values
+from parallel_cal.causes.effects import collect_recorded_values
 from parallel_cal.effects.encoder_crosstalk import SIZE
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.fit_warnings import chi2_band

@@ -10,7 +10,6 @@ from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.device import _joint_fields
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.noise_shape import noise_shape
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.discovery.discovery import discover
 from parallel_cal.identification.fit import fit
 from parallel_cal.kinematics.kinematics import Kinematics
@@ -18,6 +17,7 @@ from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
 from parallel_cal.planning.plan import plan
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting import text
 from parallel_cal.reporting.report import report

@@ -9,10 +9,10 @@ from datasets import measured
 
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.comparison import compare
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.signature import signature
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import new_model
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.reporting import joint_panels
 from parallel_cal.reporting.contents import JointResiduals
 from parallel_cal.virtual import joint_effects as vj

@@ -10,7 +10,6 @@ from arms import nominal, seen
 
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.identification import prediction_errors
 from parallel_cal.identification.acceptance import acceptance
 from parallel_cal.identification.fit import fit
@@ -20,6 +19,7 @@ from parallel_cal.identification.registration import register_device
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.model import Model, new_model
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting.contents import HeldOutErrors
 from parallel_cal.reporting.text import show

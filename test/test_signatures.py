@@ -10,7 +10,6 @@ from tied import dataset as tied
 
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.comparison import compare
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.signature import (
     compute_joint_components,
     compute_pattern_strength,
@@ -19,6 +18,7 @@ from parallel_cal.diagnosis.signature import (
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.reporting import signatures
 from parallel_cal.virtual import joint_effects as vj
 from parallel_cal.virtual import robot as vr

@@ -14,11 +14,11 @@ from parallel_cal.base.errors import DatasetError, ModelError
 from parallel_cal.cli import main as cli
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.diagnose import diagnose
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.fleet.jobs import FleetError
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.file.modelfile import dump_model, write_model
 from parallel_cal.model.model import Noise, new_model
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.simulate import simulate, with_noise
 from parallel_cal.reporting.studies import format_power, power_page, power_remarks

@@ -15,9 +15,9 @@ from parallel_cal.diagnosis.region import (
     TOUCH_A_BLOCK,
     is_touched_at_one_height,
 )
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.importing.controller_files import configured, samples
 from parallel_cal.model.shelf import list_plugins, load_effect, load_sensor
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.reporting.contents import HeldOutErrors
 from parallel_cal.session import steps
 

@@ -7,11 +7,11 @@ from datasets import measured
 from findings import hiding
 
 from parallel_cal.diagnosis.catalogue import candidate
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import observe
 from parallel_cal.model.model import new_model
+from parallel_cal.posterior.scene import Scene
 
 POSE = "x y z rx ry rz"
 SOME = ["x y z", "rx ry rz", "z", "x y", "x ry", "x y z rz", "y z rx ry rz"]

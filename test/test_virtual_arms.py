@@ -8,20 +8,20 @@ import virtual_arm as va
 from arms import nominal, seen
 
 from parallel_cal.base.rotation import quaternion_to_matrix, rotation_vector
-from parallel_cal.diagnosis.catalogue import (
+from parallel_cal.causes.effects import (
     collect_recorded_values,
     find_missing_conditions,
     find_new_parameters,
 )
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
-from parallel_cal.diagnosis.scene import Scene, columns
 from parallel_cal.diagnosis.scoring import quick_log_p, score
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.observations import conditions
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.shelf import load_sensor
+from parallel_cal.posterior.scene import Scene, columns
 
 HERE = va.Tracker()  # in {B} itself, its target in {P}
 

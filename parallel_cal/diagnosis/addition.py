@@ -12,7 +12,8 @@ from functools import cached_property, partial
 
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.base.progress import Progress
-from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_to_test
+from parallel_cal.causes.effects import list_effects_to_test
+from parallel_cal.diagnosis.catalogue import Candidate, candidate
 from parallel_cal.diagnosis.device import find_doubtful_effects, is_needed
 from parallel_cal.diagnosis.entries import are_confused, is_clearly_better
 from parallel_cal.diagnosis.patterns import (
@@ -20,7 +21,6 @@ from parallel_cal.diagnosis.patterns import (
     explain_exclusion,
     set_knocked_samples_aside,
 )
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.search import Trial, is_as_good, is_superfluous
 from parallel_cal.diagnosis.stations import exclude_device
 from parallel_cal.diagnosis.verdict import robot_or_device
@@ -40,6 +40,7 @@ from parallel_cal.model.effect import parse_effects
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.model.words import join_words
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.lagged import add_lagged_conditions
 

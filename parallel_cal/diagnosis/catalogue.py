@@ -9,7 +9,12 @@ from functools import cached_property
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
-from parallel_cal.diagnosis.scene import Scene, columns
+from parallel_cal.causes.effects import (
+    collect_recorded_values,
+    compute_effect_columns,
+    find_missing_conditions,
+    find_new_parameters,
+)
 from parallel_cal.diagnosis.scoring import Score, quick_log_p, score
 from parallel_cal.diagnosis.thresholds import (
     EFFECT_SIGNIFICANCE_LEVEL,
@@ -23,10 +28,10 @@ from parallel_cal.diagnosis.thresholds import (
     STRETCHES,
 )
 from parallel_cal.identification.observations import conditions
-from parallel_cal.model.effect import Effect, parse_part
+from parallel_cal.model.effect import Effect
 from parallel_cal.model.model import Model
-from parallel_cal.model.shelf import list_plugins, load_effect
-from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.model.shelf import load_effect
+from parallel_cal.posterior.scene import Scene, columns
 
 
 @dataclass(frozen=True)
@@ -122,21 +127,6 @@ class Candidate:
         return as_good / (SHUFFLES + 1)
 
 
-def list_effects_to_test(
-    model: Model, also: Iterable[str] = (), only: Iterable[str] = ()
-) -> list[str]:
-    """Effects to test: the shelf's, or `only` these, and a user's own by Python path (`also`).
-
-    ModelError for one of the user's own whose file is wrong: asked for, it is not left out.
-    """
-    own, has = list(also), {effect.name for effect in model.effects}
-    for name in own:
-        if name not in has and not load_effect(name).applies(model.mechanism):
-            model.with_effect(name)
-    wanted = dict.fromkeys([*(list(only) or list_plugins("effects")), *own])
-    return [name for name in wanted if name not in has]
-
-
 def candidate(scene: Scene, name: str, scored: Iterable[Candidate] = ()) -> Candidate:
     """The score of one effect, the best of its settings where it has any to scan.
 
@@ -191,15 +181,6 @@ def candidate(scene: Scene, name: str, scored: Iterable[Candidate] = ()) -> Cand
             reason = f"explains no more than {one.name}, a special case of it"
             return Candidate(name, effect, reason=reason)
     return found
-
-
-def compute_effect_columns(
-    scene: Scene, plain: Model, settings: Mapping[str, float], a: np.ndarray, share: bool = False
-) -> np.ndarray:
-    """Columns of a model's last effect with these settings, under the recorded conditions a (N,
-    n_conditions); see `columns` for `share`."""
-    extended = plain.with_settings(plain.effects[-1].name, settings)
-    return columns(extended, scene, find_new_parameters(scene.model, extended), a, share)
 
 
 def _refine(
@@ -278,23 +259,6 @@ def _explain_invisible(score: Score, tried: int) -> str:
     if score.size < MIN_VISIBLE_SIGMAS and not shown:
         return f"cannot be seen: at its typical size it makes {score.size:.1g} sigmas"
     return ""
-
-
-def find_new_parameters(before: Model, after: Model) -> np.ndarray:
-    """Mask of the free parameters that `after` has and `before` has not, or holds fixed."""
-    old = {n for n, fixed in zip(before.table.names, before.fixed, strict=True) if not fixed}
-    return np.array([n not in old for n in after.table.names]) & ~np.asarray(after.fixed)
-
-
-def find_missing_conditions(model: Model, dataset: Dataset) -> tuple[str, ...]:
-    """Conditions, without their joints, that a model needs and the data lack."""
-    lacking = (c for c in model.conditions if c not in dataset.conditions)
-    return tuple(dict.fromkeys(c if parse_part(c) else c.split(".")[0] for c in lacking))
-
-
-def collect_recorded_values(dataset: Dataset) -> dict[str, np.ndarray]:
-    """Conditions and joint readings by name, (N,) each."""
-    return {**dataset.conditions, **dict(zip(dataset.joint_names, dataset.q.T, strict=True))}
 
 
 def _score_larger_model(scene: Scene, name: str, effect: Effect, wide: Model) -> Candidate:

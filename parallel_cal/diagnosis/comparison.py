@@ -26,7 +26,6 @@ from parallel_cal.diagnosis.patterns import (
     odd_samples,
     regions,
 )
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.identification.budget import Iso9283, iso_9283, list_sides
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.noise_floor import simulate_noise_floor
@@ -38,6 +37,7 @@ from parallel_cal.identification.registration import Registration, add_registrat
 from parallel_cal.identification.variance_components import estimate_noise
 from parallel_cal.model.model import Model
 from parallel_cal.model.region import IdentifiedRegion, describe_untested_conditions
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.recordings.configuration import explain_other_configuration
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import fingerprint

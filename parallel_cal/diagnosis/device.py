@@ -15,8 +15,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from parallel_cal.diagnosis.catalogue import Candidate, find_new_parameters
-from parallel_cal.diagnosis.scene import Scene, columns
+from parallel_cal.causes.effects import find_new_parameters
+from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.thresholds import (
     CENTRES,
     EFFECT_SIZES,
@@ -28,6 +28,7 @@ from parallel_cal.diagnosis.thresholds import (
 )
 from parallel_cal.identification.thresholds import LSTSQ_RANK_TOLERANCE
 from parallel_cal.model.model import Model
+from parallel_cal.posterior.scene import Scene, columns
 
 
 def find_doubtful_effects(

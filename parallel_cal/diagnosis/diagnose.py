@@ -6,8 +6,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from parallel_cal.base.arguments import check_arguments
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import FitError
@@ -15,25 +13,23 @@ from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.base.threads import single_threaded
+from parallel_cal.causes.effects import list_effects_to_test
 from parallel_cal.diagnosis.addition import Addition, find_addition
 from parallel_cal.diagnosis.ambiguity import (
     Ambiguity,
     describe_ambiguities,
     find_ambiguous_effects,
 )
-from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_to_test
+from parallel_cal.diagnosis.catalogue import Candidate, candidate
 from parallel_cal.diagnosis.confirmation import Confirmed, FindAddition, format_additions
-from parallel_cal.diagnosis.device import find_doubtful_effects, find_effects_of_load
-from parallel_cal.diagnosis.drift import compute_drift_p_value
 from parallel_cal.diagnosis.entries import (
     Entry,
     NegativeControl,
     chi2_before,
     entries,
-    is_clearly_better,
     negative_control,
-    rivals_of,
 )
+from parallel_cal.diagnosis.explanation import Explanation
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.first_effect import proposing_first_effect
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
@@ -55,19 +51,10 @@ from parallel_cal.diagnosis.search import (
     Chosen,
     Search,
     Trial,
-    improvement_log_p,
-    is_more_informative,
-    is_preferable,
 )
 from parallel_cal.diagnosis.separate import NextMeasurement
-from parallel_cal.diagnosis.statistics import holm
 from parallel_cal.diagnosis.thresholds import (
-    DRIFT_SIGNIFICANCE_LEVEL,
     MAX_MISTRUSTED_SHARE,
-    MAX_REFITTED_CANDIDATES,
-    MAX_USUAL_SIZE,
-    NAMING_SIGNIFICANCE_LEVEL,
-    WHITE_DRIFT_SIGNIFICANCE_LEVEL,
 )
 from parallel_cal.diagnosis.unusual import UnusualEffect, find_unusual_effects
 from parallel_cal.diagnosis.verdict import UNEXPLAINED_VERDICTS, Findings, Verdict, judge
@@ -96,7 +83,6 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 LIKE_DRIFT = "indistinguishable from drift: neighbours in time explain each other as well"
-OF_LOAD = "its error goes with the payload, which no device knows: the robot deflects"
 
 
 STATE_THE_SIDES = (
@@ -137,6 +123,8 @@ class Diagnosis(ShownInNotebook):
     knocked : tuple of OddSample
         Single samples far from all others, as if somebody knocked the device. They are excluded
         from `base` and `best`.
+    explanation : Explanation
+        The causes of the residuals of `base`, with their probabilities.
     unseparated : tuple of str
         Effects of the device that the samples do not separate from errors of the robot.
     addition : Addition or None
@@ -167,6 +155,7 @@ class Diagnosis(ShownInNotebook):
     suspected: tuple[str, ...]
     registration: Registration | None
     measure_next: NextMeasurement
+    explanation: Explanation
     ambiguous: tuple[Ambiguity, ...] = ()
     knocked: tuple[OddSample, ...] = ()
     unseparated: tuple[str, ...] = ()
@@ -234,6 +223,19 @@ class Diagnosis(ShownInNotebook):
         return tuple(c.name for c in self.best.chosen)
 
     @property
+    def missing(self) -> list[dict[str, Any]]:
+        """For each cause found: the effects that it may be, and how probable they are, together
+        (`probability`) and each (`each`)."""
+        return self.explanation.missing(self.effects)
+
+    @property
+    def left(self) -> str:
+        """Whether an error is left that no effect found describes: `no`, `yes` or `unknown`."""
+        if self.explanation.laws or self.verdict.word in ("partly_explained", "unexplained"):
+            return "yes" if self.noise.variance is not None or self.explanation.laws else "unknown"
+        return "unknown" if self.verdict.word == "cannot_know" else "no"
+
+    @property
     def additions(self) -> tuple[str, ...]:
         """The effects found, as arguments of `add`, such as `gear_transmission_error:ratio=80`.
 
@@ -250,6 +252,8 @@ class Diagnosis(ShownInNotebook):
         """The JSON document of `parallel-cal diagnose`; SI, None for unknown values."""
         base, best = self.base.fitted, self.best.fitted
         document = {
+            "missing": self.missing,
+            "left": self.left,
             "verdict": self.verdict.word,
             "summary": self.verdict.summary,
             "effects": self.effects,
@@ -516,23 +520,18 @@ def _diagnose_trusted(
     base = search.fit()
     catalogue = _Catalogue(names, report)
     ranked = catalogue.rank(base)
-    best, against = _search_effects(search, catalogue)
-    if _is_outdone_by_wrong_sign(search, best, ranked):
-        best = base  # what was found only imitates it
-    best = search.order_for_adding(best)
-    best, swaps, robot_or_device = _choose_side(search, best, catalogue, ranked)
+    found = Explanation.of(search, names)
+    against = {**dict.fromkeys(found.like_drift, LIKE_DRIFT), **found.refuted}
     report("judging the effects as add does", 0.7)
-    confirmed = Confirmed.of(search, best, robot_or_device, find)
+    confirmed = Confirmed.of(search, found.best, found.robot_or_device, find)
     best, robot_or_device = confirmed.best, confirmed.robot_or_device
     against |= confirmed.against
-    swaps = {name: rivals for name, rivals in swaps.items() if name in best.names}
+    swaps = {name: rivals for name, rivals in found.swaps.items() if name in best.names}
     residual_field = Field.of(best.scene)
     structure = lack_of_fit(best.scene, residual_field)
     shape = NoiseShape.of(best.scene, residual_field)
     noise = NoiseLevel.of(best.scene, residual_field, structure.has_structure, shape.correlated)
     remaining = find_remaining_condition(best.scene, shape)
-    significant = catalogue.select_significant(best)
-    tried = [search.fit(*best.chosen, Chosen.of(c)) for c in significant]
     ambiguous = find_ambiguous_effects(
         model,
         best,
@@ -560,19 +559,20 @@ def _diagnose_trusted(
         remaining=remaining,
         held=residual_field.held,
         swaps=swaps,
-        refused=(
-            *confirmed.against.values(),
-            *(trial.reason for trial in tried if trial.reason),
-        ),
-        wrong_signs=tuple(trial.reason for trial in tried if trial.wrong_sign),
+        refused=(*confirmed.against.values(), *found.refuted.values()),
+        wrong_signs=found.wrong_signs,
         robot_or_device=robot_or_device,
-        outdone=find_better_lookalikes(best, search, catalogue),
+        outdone=found.outdone,
         unusual=find_unusual_effects(search, best),
         ambiguous=describe_ambiguities(ambiguous, measure_next.plan) if ambiguous else (),
         unseparated=explain_unseparated_device(base.fitted, best.fitted) if best.chosen else "",
-        like_drift=tuple(sorted(catalogue.like_drift)),
+        like_drift=found.like_drift,
         sides_from_order=dataset.sides_from_order,
         has_sides=any(name.startswith("direction.") for name in dataset.conditions),
+        probability={
+            name: one["probability"]
+            for name, one in zip(best.names, found.missing(best.names), strict=True)
+        },
     )
     return Diagnosis(
         model=model,
@@ -580,7 +580,7 @@ def _diagnose_trusted(
         base=base,
         best=best,
         ranked=tuple(ranked),
-        entries=entries(ranked, base, search, noise, against, best),
+        entries=entries(ranked, base, search, noise, against, best, found.probable),
         negative_control=negative_control(base.scene, ranked),
         noise=noise,
         noise_shape=shape,
@@ -592,7 +592,7 @@ def _diagnose_trusted(
         swaps=swaps,
         robot_or_device=robot_or_device,
         unusual=findings.unusual,
-        suspected=tuple(c.name for c in significant if search.is_suspected(best, c)),
+        suspected=tuple(confirmed.against),
         registration=registration,
         measure_next=measure_next,
         ambiguous=ambiguous,
@@ -601,196 +601,8 @@ def _diagnose_trusted(
         else (),
         addition=confirmed.addition,
         doubted=confirmed.doubted,
+        explanation=found,
     )
-
-
-def _choose_side(
-    search: Search, best: Trial, catalogue: _Catalogue, ranked: list[Candidate]
-) -> tuple[Trial, Mapping[str, list[str]], tuple[str, ...]]:
-    """Exchange effects that the other side, robot or device, explains as well, for lookalikes of
-    the same side that it does not explain. Return the trial, its lookalikes and its effects of
-    doubtful side.
-
-    Lookalikes fit equally well, but not at the same size: where an effect would have to be far
-    larger than its tolerances, so that a usual error of the device is as plausible, another may be
-    of usual size. An effect of usual size is not exchanged.
-    """
-    rivals = rivals_of(best, ranked)
-    swaps = search.swaps(best, rivals)
-    doubtful = _find_robot_or_device(search, best, catalogue, swaps)
-    if not doubtful or compute_largest_size(best) <= MAX_USUAL_SIZE:
-        return best, swaps, doubtful
-    least = best, swaps, doubtful
-    sides = {c.name: c.effect.of_device for c in ranked}
-    same_side = {
-        name: [c for c in rivals.get(name, []) if c.effect.of_device is sides[name]]
-        for name in doubtful
-    }
-    for other in search.list_equals(best, same_side):
-        if compute_largest_size(other) > MAX_USUAL_SIZE:
-            continue
-        other_swaps = search.swaps(other, rivals_of(other, ranked))
-        still = _find_robot_or_device(search, other, catalogue, other_swaps)
-        if len(still) < len(least[2]):
-            least = other, other_swaps, still
-    return least
-
-
-def compute_largest_size(trial: Trial) -> float:
-    """Largest parameter of the chosen effects, in its tolerances."""
-    model = trial.fitted.model
-    # An effect that frees parameters of the mechanism has none of its own.
-    own = np.array([name.partition(".")[0] in trial.names for name in model.table.names])
-    own &= trial.fitted.free
-    moved = np.abs(model.values - model.table.nominal) / model.table.tolerance
-    return float(np.max(moved[own], initial=0.0))
-
-
-def _find_robot_or_device(
-    search: Search, best: Trial, catalogue: _Catalogue, swaps: Mapping[str, list[str]]
-) -> tuple[str, ...]:
-    """List chosen effects that an error of the other side, robot or device, explains as well:
-    beside all of them, as `add` asks if it adds them in one step, and beside those before them, as
-    it asks if it adds one after the other."""
-    base = search.fit()
-    ranked = catalogue.rank(base)
-    lasting = {c.name for c in ranked if c.effect.of_device and not c.effect.needs}
-
-    def list_swapped(swaps: Mapping[str, list[str]]) -> set[str]:
-        return {name for name, rivals in swaps.items() if lasting & set(rivals)} - lasting
-
-    found = list_swapped(swaps) | set(_find_doubtful(base, best.chosen, best, ranked))
-    for k, one in enumerate(best.chosen if len(best.chosen) > 1 else ()):
-        before = search.fit_as_shown(*best.chosen[:k])
-        after = search.fit_as_shown(*best.chosen[: k + 1])
-        if before.result is None or after.result is None:
-            continue
-        ranked = catalogue.rank(before)
-        alike = rivals_of(replace(after, chosen=after.chosen[-1:]), ranked)
-        device = {one.name: [c for c in alike.get(one.name, []) if c.name in lasting]}
-        found |= list_swapped(search.swaps(after, device))
-        found |= set(_find_doubtful(before, (one,), after, ranked))
-    return tuple(name for name in best.names if name in found)
-
-
-def _find_doubtful(
-    before: Trial, chosen: tuple[Chosen, ...], after: Trial, ranked: list[Candidate]
-) -> list[str]:
-    added = _list_added(chosen, ranked)
-    return find_doubtful_effects(before.scene, added, ranked, after.fitted.model)
-
-
-def _list_added(chosen: tuple[Chosen, ...], ranked: list[Candidate]) -> list[Candidate]:
-    """The candidates of the chosen effects, with the settings that were chosen."""
-    settings = {one.name: one.settings for one in chosen}
-    return [replace(c, settings=settings[c.name]) for c in ranked if c.name in settings]
-
-
-def find_better_lookalikes(best: Trial, search: Search, catalogue: _Catalogue) -> list[str]:
-    """Explain which refused lookalikes would fit clearly better than a chosen effect, and why they
-    were refused: then the name or a plausible range is wrong."""
-    found: dict[str, str] = {}
-    for name in best.names:
-        others = search.fit(*(c for c in best.chosen if c.name != name), judged=False)
-        if others.result is None:
-            continue
-        ranked = catalogue.rank(others)
-        one = next(c for c in ranked if c.name == name)
-        for other in (c for c in ranked if is_clearly_better(c, one)):
-            if reason := search.fit(*others.chosen, Chosen.of(other)).reason:
-                found[other.name] = f"{other.name} would explain the error better, but {reason}"
-    return list(found.values())
-
-
-def _is_outdone_by_wrong_sign(search: Search, best: Trial, ranked: list[Candidate]) -> bool:
-    """Whether an effect that fits only with an impossible sign explains more than all that was
-    found. Most often a direction in the model file is wrong, and others only imitate the effect."""
-    found = improvement_log_p(search.fit().fitted.estimate, best.fitted.estimate)
-    return any(
-        one.log_p < found and search.fit(Chosen.of(one)).wrong_sign
-        for one in ranked[:MAX_REFITTED_CANDIDATES]
-        if best.chosen and one.testable
-    )
-
-
-def _search_effects(search: Search, catalogue: _Catalogue) -> tuple[Trial, dict[str, str]]:
-    """Find the effects that explain most, and the objections to the others.
-
-    If neighbours in time are similar, the noise drifts, and it may imitate effects of time or
-    temperature. The search then names them only if they explain more than drift can. Effects of the
-    device that go with the payload are none of the device.
-    """
-    base = search.fit()
-
-    def grown(start: Trial, known: Trial | None = None) -> tuple[Trial, dict[str, str]]:
-        more, against = search.forward(start, catalogue.select_significant, catalogue.rank, known)
-        return search.rescan_settings(search.backward(more), catalogue.rank), against
-
-    def found() -> tuple[Trial, dict[str, str]]:
-        best, against = grown(base)
-        better = search.exchange_rivals(best, rivals_of(best, catalogue.rank(base)))
-        if better is not best:
-            best, more = grown(better)  # by what a wrong name hid
-            against |= more
-        # The first pick is greedy: a lookalike in its place may lead to a better explanation.
-        for start in search.alternatives(best, rivals_of(best, catalogue.rank(base))):
-            other, more = grown(start, best)
-            # More effects than the best has were objected to when it was extended.
-            if {*best.chosen} < {*other.chosen} or not is_more_informative(best, other):
-                continue
-            other = search.fit(*other.chosen)
-            if is_preferable(best, other):
-                best, against = other, against | more
-        return best, against
-
-    best, against = found()
-    while True:
-        like_drift = _find_imitated_by_drift(search, best, catalogue)
-        catalogue.like_drift |= like_drift & set(best.names)
-        imitated = {
-            **dict.fromkeys(sorted(like_drift), LIKE_DRIFT),
-            **dict.fromkeys(_find_effects_of_load(search, best, catalogue), OF_LOAD),
-        }
-        if imitated.keys() <= catalogue.imitated.keys():
-            break
-        catalogue.imitated |= imitated
-        best, more = found()
-        against = more | catalogue.imitated
-    return best, against
-
-
-def _find_effects_of_load(search: Search, best: Trial, catalogue: _Catalogue) -> list[str]:
-    """Find the chosen effects of the device that go with the payload, so that the robot causes
-    them."""
-    base = search.fit()
-    chosen = _list_added(best.chosen, catalogue.rank(base)) if best.chosen else []
-    return find_effects_of_load(base.scene, chosen, best.fitted.model)
-
-
-def _find_imitated_by_drift(search: Search, best: Trial, catalogue: _Catalogue) -> set[str]:
-    """Find the slow effects that noise which drifts explains as well: those chosen, with all that
-    the data show less clearly; none if every chosen one explains more."""
-    dataset = best.scene.dataset
-    if dataset.mode == "continuous" or "time" not in dataset.conditions:
-        return set()
-    slow = {c.name: c for c in catalogue.rank(search.fit()) if c.varies_slowly and c.testable}
-    if not slow.keys() & set(best.names):
-        return set()
-    correlated = NoiseShape.of(best.scene, Field.of(best.scene)).correlated
-    level = DRIFT_SIGNIFICANCE_LEVEL if correlated else WHITE_DRIFT_SIGNIFICANCE_LEVEL
-    imitated = set[str]()
-    for one in best.chosen:
-        if one.name not in slow:
-            continue
-        without = search.fit(*(c for c in best.chosen if c is not one))
-        if without.result is None:
-            continue
-        freedoms = without.result.estimate.dof - best.fitted.estimate.dof
-        p = compute_drift_p_value(without.scene, best.scene, freedoms)
-        if p * slow[one.name].tried > level:
-            imitated.add(one.name)
-    exceeding = set(best.names) - imitated
-    return (imitated | (slow.keys() - exceeding)) if imitated else set()
 
 
 class _Catalogue:
@@ -817,11 +629,3 @@ class _Catalogue:
                 scored.append(candidate(trial.scene, name, scored))
             self._ranked[key] = sorted(scored, key=lambda c: (not c.testable, c.log_p))
         return self._ranked[key]
-
-    def select_significant(self, trial: Trial) -> list[Candidate]:
-        """Select the best significant candidates, corrected for the number of tests."""
-        tested = [c for c in self.rank(trial) if c.testable and c.name not in self.imitated]
-        adjusted = holm(np.array([c.p_value for c in tested]))
-        return [c for c, p in zip(tested, adjusted, strict=True) if p < NAMING_SIGNIFICANCE_LEVEL][
-            :MAX_REFITTED_CANDIDATES
-        ]

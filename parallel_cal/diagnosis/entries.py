@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -12,7 +12,6 @@ import numpy as np
 
 from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.noise import NoiseLevel
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.scoring import canonical_correlation, resample_log_p, score
 from parallel_cal.diagnosis.search import Chosen, Search, Trial, ratio_of
 from parallel_cal.diagnosis.statistics import holm
@@ -26,6 +25,7 @@ from parallel_cal.diagnosis.thresholds import (
 from parallel_cal.diagnosis.verdict import share_explained
 from parallel_cal.identification.fit import ParameterEstimate
 from parallel_cal.identification.prediction_errors import Summary
+from parallel_cal.posterior.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -119,10 +119,12 @@ def entries(
     noise: NoiseLevel,
     against: Mapping[str, str],
     best: Trial,
+    probable: Collection[str],
 ) -> tuple[Entry, ...]:
     """Make one entry for each candidate: evidence if it is testable, else a reason.
 
-    The effects that `best` chose are fitted as large as the data show, even if that is unusual.
+    Significant ones that are `probable` are fitted, each alone; those that `best` chose as large as
+    the data show, even if that is unusual.
     """
     named = {chosen.name for chosen in best.chosen}
     tested = [c for c in ranked if c.testable]
@@ -139,6 +141,7 @@ def entries(
         if (
             one.testable
             and rank <= MAX_REFITTED_CANDIDATES
+            and one.name in probable
             and one.p_value < EFFECT_SIGNIFICANCE_LEVEL
         ):
             fit = search.fit_as_shown if one.name in named else search.fit

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.identification.image_poses import find_shown_poses
 from parallel_cal.identification.linearisation import compute_joint_jacobians
 from parallel_cal.identification.observations import UNMEASURED
+from parallel_cal.posterior.scene import Scene
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.base.progress import Progress, ignore_progress
-from parallel_cal.diagnosis.catalogue import (
+from parallel_cal.causes.effects import (
     collect_recorded_values,
     find_missing_conditions,
     list_effects_to_test,

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.diagnosis.field import Field
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.statistics import bonferroni_minimum, morans_i, runs_test
 from parallel_cal.diagnosis.thresholds import (
     EFFECT_SIGNIFICANCE_LEVEL,
@@ -20,6 +19,7 @@ from parallel_cal.diagnosis.thresholds import (
     MIN_VARIATION_RATIO,
     ROUGHNESS,
 )
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.recordings.dataset import DESCRIPTIVE
 from parallel_cal.recordings.replicates import average_groups
 

@@ -8,11 +8,11 @@ import numpy as np
 
 from parallel_cal.base.confidence import SIGNIFICANCE_LEVEL
 from parallel_cal.diagnosis.field import Field
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_REPLICATE_DOF, REPLICATE_CONTRADICTION_LEVEL
 from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.image_poses import IMAGE_SCATTER
 from parallel_cal.identification.observations import SCATTER
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.recordings.replicates import average_groups
 
 # The noise of images was measured without the robot's model, so it counts as stated.

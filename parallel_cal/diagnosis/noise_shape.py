@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from parallel_cal.diagnosis.field import Field
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.statistics import permutation_p_values
 from parallel_cal.diagnosis.thresholds import (
     EFFECT_SIGNIFICANCE_LEVEL,
     MIN_INFLATION,
     PERMUTATIONS,
 )
+from parallel_cal.posterior.scene import Scene
 
 EQUAL_DISTANCE = 1e-9  # relative: below it, distances differ by rounding
 

@@ -15,7 +15,6 @@ from parallel_cal.base.sample_names import format_sample
 from parallel_cal.base.units import MM
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import find_varying_coordinates, regressors
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.statistics import normal_below, runs_test
 from parallel_cal.diagnosis.thresholds import (
     KNOCK_SIGNIFICANCE_LEVEL,
@@ -35,6 +34,7 @@ from parallel_cal.identification.outliers import are_separated, find_outliers
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.model.words import join_words
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.recordings.dataset import Dataset
 
 Fitted = TypeVar("Fitted")

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.diagnosis.noise_shape import NoiseShape
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.scoring import deflate, score
 from parallel_cal.diagnosis.thresholds import CONDITION_SIGNIFICANCE_LEVEL
 from parallel_cal.model.effect import parse_part
+from parallel_cal.posterior.scene import Scene
 
 CONDITIONS = ("payload", "temperature", "direction", "travel", "time")
 SLOW_CONDITIONS = ("temperature", "time")

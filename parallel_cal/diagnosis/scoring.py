@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER, RESAMPLES
+from parallel_cal.posterior.scene import Scene
 
 POSES_AT_A_TIME = 64  # whose products are in memory: some 100 kB each
 

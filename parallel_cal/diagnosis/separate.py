@@ -12,7 +12,8 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.base.threads import single_threaded
-from parallel_cal.diagnosis.catalogue import Candidate, collect_recorded_values
+from parallel_cal.causes.effects import collect_recorded_values
+from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.region import TOUCH_A_BLOCK, is_touched_at_one_height
 from parallel_cal.diagnosis.search import Chosen, Trial, fits_as_well
 from parallel_cal.diagnosis.thresholds import (

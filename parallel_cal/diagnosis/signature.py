@@ -10,8 +10,8 @@ import numpy as np
 
 from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.lack_of_fit import regressors
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.model.mechanism import POSE
+from parallel_cal.posterior.scene import Scene
 
 BINS = 8  # of an abscissa, to see whether a pattern follows it
 MAX_PANELS = 3  # panels of an effect that touches no joint by itself

@@ -13,8 +13,8 @@ from math import comb
 
 import numpy as np
 
-from parallel_cal.diagnosis.catalogue import Candidate, find_new_parameters
-from parallel_cal.diagnosis.scene import Scene, columns
+from parallel_cal.causes.effects import find_new_parameters
+from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.thresholds import (
     MAX_FIELD_DEGREE,
     MIN_COLUMN_REMAINDER,
@@ -24,6 +24,7 @@ from parallel_cal.diagnosis.thresholds import (
 )
 from parallel_cal.identification.stations import has_stations
 from parallel_cal.model.model import Model
+from parallel_cal.posterior.scene import Scene, columns
 from parallel_cal.recordings.dataset import Dataset
 
 

@@ -8,21 +8,9 @@ from parallel_cal.base.confidence import SIGNIFICANCE_LEVEL
 EFFECT_SIGNIFICANCE_LEVEL = (
     SIGNIFICANCE_LEVEL  # p-value: of an effect that is worth a refit, of structure
 )
-# p-value, over the whole catalogue (Holm), of an effect that is named. True effects are far below;
-# of 1000 sessions without an effect, one then names some.
-NAMING_SIGNIFICANCE_LEVEL = 1e-3
 REPLICATE_CONTRADICTION_LEVEL = 1e-4  # p-value below which replicates replace the stated noise
 # p-value below which residuals depend on a recorded condition: it contradicts "this is noise"
 CONDITION_SIGNIFICANCE_LEVEL = 1e-6
-# p-value, by the ratio of likelihoods, below which an effect is no drifting noise: where the
-# residuals next to it are still correlated in time, and where they are white
-DRIFT_SIGNIFICANCE_LEVEL = 1e-6
-WHITE_DRIFT_SIGNIFICANCE_LEVEL = 1e-4
-DRIFT_MEMORIES = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 1e3, 1e4)  # of drifting noise, in usual steps
-DRIFT_VARIANCES = tuple(10 ** (k / 2) for k in range(-4, 13))  # of it, of white noise 1
-MAX_DRIFT_SAMPLES = 1000  # of which the likelihood is computed: more are averaged
-MAX_DRIFT_STEPS = 20  # of noise and parameters in turns ...
-MIN_DRIFT_GAIN = 0.01  # ... while the log likelihood rises by as much
 # of the variance of a slow mean, by correlated noise: less hardly changes a sigma
 MIN_INFLATION = 1.5
 CERTAINTY_LEVEL = (
@@ -53,12 +41,8 @@ MAX_HELD_COORDINATE_SIGMAS = (
     2.0  # sigmas rms of coordinates that a model holds: above, it lacks freedoms
 )
 
-MAX_USUAL_SIZE = 3.0  # tolerances: an effect with a larger parameter may be exchanged
-
-MAX_SHARED_BYTES = 2**27  # of derivatives of effects that the scenes of one diagnosis share
 
 # Which effects are tested and added
-MAX_EFFECTS = 4  # added in one diagnosis
 MAX_REFITTED_CANDIDATES = (
     5  # best significant candidates that are refitted and judged at held-out poses
 )
@@ -69,17 +53,10 @@ SHUFFLES = 39  # copies with the condition shuffled between samples ...
 EQUAL_SHUFFLES_TO_STOP = (
     5  # ... until so many score as well: more copies would not change the result ...
 )
-MAX_EQUAL_SHUFFLES = 1  # ... of which so many may score as well, by chance
 STRETCHES = 12  # of the session, shuffled as a whole: noise may drift from sample to sample
 MIN_SLOW_CORRELATION = (
     0.5  # correlation of neighbours in time: noise may imitate such a slow condition
 )
-# of the validation error: an effect larger than usual must lower it by a tenth, because large
-# enough numbers of a flexible effect follow anything a little
-MAX_UNUSUAL_ERROR_RATIO = 0.9
-MAX_UNUSUAL_START_RATIO = 1.2  # of the validation error: a search that begins there may end better
-# of the usual range: a pair of effects that a linear step takes further beyond it is not refitted
-MAX_LINEAR_OVERSIZE = 0.5
 # of chi2: an effect that its prior holds, and that lowers chi2 by less, explains nothing
 MIN_CHI2_FALL = 1e-3
 MIN_EXPLAINED_SHARE = 0.7  # of the variance above the noise floor

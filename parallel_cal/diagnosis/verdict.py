@@ -6,7 +6,7 @@ The numbers come from held-out poses and stated or measured noise, not from the 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from parallel_cal.base.units import ERROR_UNITS, MM
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit
@@ -32,6 +32,7 @@ from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.model.shelf import load_effect
 
+CERTAIN = 0.95  # probability above which an effect is named whatever is known of the noise
 # Verdicts that leave an error which no effect of the catalogue describes.
 UNEXPLAINED_VERDICTS = ("unexplained", "partly_explained", "cannot_know")
 # Verdicts that find the model incomplete.
@@ -71,7 +72,8 @@ class Findings:
     would replace without loss. `unseparated` says that effects of the device move the robot further
     than the errors show. `like_drift` lists effects of time that explain no more than noise that
     drifts. `sides_from_order` is that of the dataset, and `has_sides` whether it contains the sides
-    from which the joints came.
+    from which the joints came. `probability` is, for each effect found, that the robot has it, or
+    one that may be in its place.
     """
 
     base: Trial
@@ -93,6 +95,7 @@ class Findings:
     like_drift: tuple[str, ...] = ()
     sides_from_order: bool = False
     has_sides: bool = True
+    probability: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def final_estimate(self) -> Estimate:
@@ -198,8 +201,9 @@ def _judge(found: Findings) -> Verdict:
         verb = "help" if len(found.best.chosen) > 1 else "helps"
         helps = f"{names} {verb}" if names else "no effect of the catalogue helps"
         rest = " and the residuals still have structure" if found.structure.has_structure else ""
+        known = bool(found.best.chosen) and min(found.probability.values()) > CERTAIN
         return Verdict(
-            "cannot_know",
+            "partly_explained" if known else "cannot_know",
             f"{helps} ({errors}){rest}; without a noise figure it is not known whether the "
             "explanation is complete: visit poses again, or state the noise if it was measured",
             share,

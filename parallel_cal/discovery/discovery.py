@@ -18,7 +18,6 @@ from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.diagnose import find_mistrusted_samples
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.first_effect import proposing_first_effect
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.stations import DeviceField, find_stations
 from parallel_cal.diagnosis.thresholds import MAX_HELD_COORDINATE_SIGMAS
 from parallel_cal.discovery.drivers import (
@@ -44,6 +43,7 @@ from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
 from parallel_cal.model.words import join_words
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.lagged import add_lagged_conditions
 

@@ -11,7 +11,6 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.compiled import Batch, dense
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_SLOW_CORRELATION
 from parallel_cal.discovery.thresholds import (
     LAGS_PER_OCTAVE,
@@ -32,6 +31,7 @@ from parallel_cal.effects._statics import (
 )
 from parallel_cal.model.effect import CONDITIONS, Seen, parse_lag, parse_part
 from parallel_cal.model.parameters import Named
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.recordings.dataset import Dataset
 
 READING, LOAD, TENSION, TIME = "reading", "load", "tension", "time"

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.diagnosis.noise_shape import NoiseShape, noise_shape
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.discovery.thresholds import (
     MAX_CORRELATION_P,
     MAX_FALSE_LAW_SHARE,
     MAX_OUTLIER_P,
 )
+from parallel_cal.posterior.scene import Scene
 
 MEMORIES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)  # of noise, in steps between samples
 TRIALS = 12  # sessions drawn to compare the memory of noise

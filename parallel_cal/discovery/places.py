@@ -10,10 +10,10 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.rotation import left_generators
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.stations import Stations
 from parallel_cal.effects._statics import needs_rods, rods
 from parallel_cal.model.mechanism import POSE
+from parallel_cal.posterior.scene import Scene
 
 JOINT, PARAMETER, ROD, PLATFORM, BASE, DEVICE = (
     "joint",

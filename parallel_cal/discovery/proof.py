@@ -12,7 +12,6 @@ from parallel_cal.base.parallel import Runner
 from parallel_cal.diagnosis.addition import with_noise_of
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import NoiseLevel
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.verdict import share_explained
 from parallel_cal.discovery.drivers import PLACES
 from parallel_cal.discovery.effect_file import (
@@ -37,6 +36,7 @@ from parallel_cal.discovery.shape import find_shape
 from parallel_cal.identification.checks import ImplausibleGeometryError
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.model import Model
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.session.steps import Step, add
 

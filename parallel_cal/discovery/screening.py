@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.parallel import Runner, run_on_cores, running
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
 from parallel_cal.discovery import basis
 from parallel_cal.discovery.drivers import (
@@ -34,6 +33,7 @@ from parallel_cal.discovery.thresholds import (
     MIN_SAMPLES_PER_FINE_SPLINE,
     SPLINES,
 )
+from parallel_cal.posterior.scene import Scene
 
 # One driver for every member of a site: `load` of its own joint, or `payload` for all.
 DriverSet = tuple[Driver, ...]

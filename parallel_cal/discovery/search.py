@@ -10,7 +10,6 @@ import numpy as np
 
 from parallel_cal.base.parallel import Runner, run_on_cores, running
 from parallel_cal.base.progress import Progress
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.stations import DeviceField
 from parallel_cal.discovery.drivers import (
     LAGGED,
@@ -34,6 +33,7 @@ from parallel_cal.discovery.thresholds import (
     MIN_TERM_EVIDENCE,
     NULL_SESSIONS,
 )
+from parallel_cal.posterior.scene import Scene
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
 from parallel_cal.discovery import basis
 from parallel_cal.discovery.formula import Formula
 from parallel_cal.discovery.thresholds import MIN_SAMPLES_PER_FINE_SPLINE, SPLINES
+from parallel_cal.posterior.scene import Scene
 
 # Of the law: what its best splines miss of it. A picture does not show less than the first share;
 # a step, which no splines follow, misses more; waves shorter than any splines miss nearly all.

@@ -14,7 +14,6 @@ from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import SmoothMap, regressors
 from parallel_cal.diagnosis.patterns import ResidualProfile
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.signature import compute_joint_components
 from parallel_cal.identification.fit import FitResult, ParameterEstimate
 from parallel_cal.identification.given_model import last_fit_to, was_last_fitted_to
@@ -25,6 +24,7 @@ from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.mechanism import POSE, Mechanism
 from parallel_cal.model.model import Model
 from parallel_cal.model.words import describe
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.reporting.error_steps import BEFORE
 
 MAX_REST_SPEED = 1e-3  # rad/s or m/s: below it the robot stands still

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
 
 # Limits on what one screen shows.
 MAX_CANDIDATES = 8
+HIGHEST_PERCENT = 99  # a probability is not stated more closely than its model is right
 MAX_SAMPLES = 10
 MAX_PATTERNS = 5
 MAX_ESTIMATES = 4  # parameters of an effect that are shown; gears have a dozen
@@ -368,6 +369,7 @@ def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
         "held-out, with it": diagnosis.best.fitted.held_out.summary,
     }
     yield f"{diagnosis.verdict.word}: {diagnosis.verdict.summary}"
+    yield from describe_causes(diagnosis)
     yield errors_table(judged, diagnosis.best.fitted.noise_floor, diagnosis.model)
     tested = [e for e in diagnosis.entries if e.p_adjusted is not None][:MAX_CANDIDATES]
     yield candidate_table(diagnosis, tested)
@@ -393,6 +395,27 @@ def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
             f"{' from '.join(plan.separates)} "
             f"by {plan.sigmas.then:.1f} sigmas; the present samples do by {plan.sigmas.now:.1f}"
         )
+
+
+def describe_causes(diagnosis: Diagnosis) -> Iterator[str]:
+    """Answer two questions: what is missing, with probabilities, and whether anything is left."""
+    for cause in diagnosis.missing:
+        each = [f"{name} {format_percent(p)}" for name, p in cause["each"].items()]
+        yield f"missing: {', or '.join(each)}"
+    if not diagnosis.missing:
+        yield "missing: no effect of the catalogue"
+    laws = [f"{name} ({format_percent(p)})" for name, p in diagnosis.explanation.laws.items()]
+    what = f", described best by an unknown {' and an unknown '.join(laws)}" if laws else ""
+    yield f"left: {diagnosis.left}{what}"
+
+
+def format_percent(probability: float) -> str:
+    """`84 %`; near certainty as `> 99 %`, near impossibility as `< 1 %`."""
+    if probability > HIGHEST_PERCENT / 100:
+        return f"> {HIGHEST_PERCENT} %"
+    if probability < 1 - HIGHEST_PERCENT / 100:
+        return f"< {100 - HIGHEST_PERCENT} %"
+    return f"{100 * probability:.0f} %"
 
 
 def _describe_settings(diagnosis: Diagnosis, tested: Sequence[Candidate]) -> Iterator[str]:

@@ -16,8 +16,8 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import append_lines, json_lines, open_locked
 from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.base.threads import single_threaded
-from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_to_test
-from parallel_cal.diagnosis.scene import Scene, columns
+from parallel_cal.causes.effects import list_effects_to_test
+from parallel_cal.diagnosis.catalogue import Candidate, candidate
 from parallel_cal.diagnosis.thresholds import EFFECT_SIGNIFICANCE_LEVEL
 from parallel_cal.fleet.cluster import (
     KILLED_WORKER_REASON,
@@ -27,6 +27,7 @@ from parallel_cal.fleet.cluster import (
 )
 from parallel_cal.fleet.jobs import FleetError
 from parallel_cal.identification.fit import fit
+from parallel_cal.posterior.scene import Scene, columns
 from parallel_cal.study.session import (
     PlantedEffect,
     Question,

@@ -13,7 +13,7 @@ from parallel_cal import __version__
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
 from parallel_cal.base.threads import single_threaded
-from parallel_cal.diagnosis.catalogue import collect_recorded_values, find_new_parameters
+from parallel_cal.causes.effects import collect_recorded_values, find_new_parameters
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.fleet.jobs import CASADI_LOCK, check_version, reason
 from parallel_cal.identification.options import FitOptions

@@ -12,7 +12,6 @@ from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.comparison import Comparison, compare
 from parallel_cal.diagnosis.entries import Entry
 from parallel_cal.diagnosis.patterns import ResidualProfile
-from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.signature import Signature, signature
 from parallel_cal.diagnosis.thresholds import LEVELS
 from parallel_cal.diagnosis.verdict import AMBER_VERDICTS
@@ -24,6 +23,7 @@ from parallel_cal.identification.given_model import fits_of
 from parallel_cal.identification.observations import blocks
 from parallel_cal.identification.prediction_errors import Summary, compute_rms_sigmas
 from parallel_cal.model.model import Model
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.reporting import (
     contents,
     drawings,

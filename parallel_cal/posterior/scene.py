@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from parallel_cal.base.rotation import turns_from_mean
-from parallel_cal.diagnosis.thresholds import MAX_SHARED_BYTES
 from parallel_cal.identification.linearisation import Linearisation, rms_by_sample
 from parallel_cal.identification.observations import Observations, blocks, conditions
 from parallel_cal.identification.predictions import predict_configurations, reading_residuals
@@ -17,6 +16,8 @@ from parallel_cal.identification.registration import shows_pose
 from parallel_cal.identification.thresholds import MIN_SIGMAS_PER_TOLERANCE, RELATIVE_RANK
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
+
+MAX_SHARED_BYTES = 2**27  # of derivatives of effects that the scenes of one diagnosis share
 
 
 class SharedDerivatives:
@@ -112,6 +113,11 @@ class Scene:
             dof,
             shared,
         )
+
+    def in_units_of(self, variance: float) -> Scene:
+        """The same scene in units of a noise with this variance, in units of the present one."""
+        scale = variance**-0.5
+        return replace(self, residual=scale * self.residual, whitener=scale * self.whitener)
 
     @property
     def chi2_per_dof(self) -> float:

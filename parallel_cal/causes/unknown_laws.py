@@ -1,0 +1,121 @@
+"""What no effect describes: smooth unknown laws of joints, conditions and places, and drift."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from parallel_cal.posterior.blocks import DRIFT, FIELD, LAW, Block
+from parallel_cal.posterior.scene import Scene
+
+# Likelier by less than five nats, an unknown law is no reason against a known effect.
+LOG_PRIOR = np.log(1 / 30) - 5.0
+CENTRES = 30
+
+
+def list_unknown_blocks(scene: Scene) -> list[Block]:
+    """A block for each kind of law that is in no catalogue."""
+    makers = (_joint_laws, _laws_of_conditions, _deflections, _fields, _drifts)
+    found = (block for make in makers for block in make(scene))
+    return [block for block in found if block is not None]
+
+
+def smooth(x: np.ndarray, length: float, centres: int, rough: bool = False) -> np.ndarray:
+    """Columns (N, m) of a smooth random function of x (N, d) with variance one: a Gaussian process
+    with squared exponential covariance, on centres that are far apart (Quinonero-Candela and
+    Rasmussen, JMLR 6, 2005); with `rough`, exponential covariance, as noise has whose neighbours
+    are similar. `length` is in standard deviations of x."""
+    x = x.reshape(len(x), -1)
+    x = (x - x.mean(axis=0)) / np.maximum(x.std(axis=0), 1e-12)
+    chosen = [int(np.argmin(np.sum(x**2, axis=1)))]
+    away = np.sum((x - x[chosen[0]]) ** 2, axis=1)
+    while len(chosen) < centres and away.max() > 1e-9:
+        chosen.append(int(np.argmax(away)))
+        away = np.minimum(away, np.sum((x - x[chosen[-1]]) ** 2, axis=1))
+    c = x[chosen]
+
+    def covariance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        squares = np.sum((a[:, None] - b[None]) ** 2, axis=2)
+        return np.exp(-np.sqrt(squares) / length if rough else -squares / (2 * length**2))
+
+    factor = np.linalg.cholesky(covariance(c, c) + 1e-6 * np.eye(len(c)))
+    return np.asarray(np.linalg.solve(factor, covariance(c, x)).T)
+
+
+def _unit(J: np.ndarray) -> np.ndarray:
+    """Columns (N, rows, k) in units of their own root mean square per sample."""
+    return np.asarray(J / np.sqrt(max(np.sum(J**2) / (J.shape[2] * len(J)), 1e-300)))
+
+
+def _flat(scene: Scene, J: np.ndarray, functions: np.ndarray) -> np.ndarray:
+    """Columns (n, k m): each of the derivatives J (N, rows, k) times each function (N, m)."""
+    return np.einsum("nrk,nm->nrkm", _unit(J), functions).reshape(len(scene.residual), -1)
+
+
+def _joint_laws(scene: Scene) -> Iterator[Block | None]:
+    n = len(scene.model.joints)
+    J, q = scene.measured_jacobian[:, :, :n], scene.x[:, :n]
+    own = [
+        np.hstack([_flat(scene, J[:, :, [i]], smooth(q[:, i], length, 12)) for i in range(n)])
+        for length in (0.3, 0.7, 1.5)
+    ]
+    yield Block.of(scene, "law of each joint's own reading", LAW, LOG_PRIOR, own)
+    whole = [_flat(scene, J, smooth(q, length, CENTRES)) for length in (0.7, 1.2, 2.5)]
+    yield Block.of(scene, "law of all joint readings", LAW, LOG_PRIOR, whole)
+
+
+def _laws_of_conditions(scene: Scene) -> Iterator[Block | None]:
+    n, data = len(scene.model.joints), scene.dataset
+    J, q = scene.measured_jacobian[:, :, :n], scene.x[:, :n]
+
+    def centred(v: np.ndarray) -> np.ndarray:
+        return np.asarray((v - v.mean(axis=0)) / np.maximum(v.std(axis=0), 1e-12))
+
+    for name in ("payload", "temperature", "time", "direction", "travel"):
+        names = [name] * n if name in data.conditions else [f"{name}.{j}" for j in data.joint_names]
+        if not all(one in data.conditions for one in names):
+            continue
+        values = np.column_stack([data.conditions[one] for one in names])
+        if not (np.isfinite(values).all() and np.ptp(values, axis=0).any()):
+            continue
+        functions = np.stack([centred(values) * centred(q) ** power for power in range(3)], axis=2)
+        columns = (_unit(J)[:, :, :, None] * functions[:, None]).reshape(len(scene.residual), -1)
+        yield Block.of(scene, f"law of {name}", LAW, LOG_PRIOR, [columns])
+
+
+def _deflections(scene: Scene) -> Iterator[Block | None]:
+    """The platform yields under the payload, which no device knows."""
+    payload = scene.dataset.conditions.get("payload")
+    if payload is None or not np.ptp(payload) > 0:
+        return
+    share = payload / np.sqrt(np.mean(payload**2))
+    J = scene.measured_jacobian[:, :, len(scene.model.joints) :]
+    columns = [
+        _flat(scene, J, share[:, None] * smooth(scene.places, length, CENTRES))
+        for length in (0.7, 1.5, 3.0)
+    ]
+    yield Block.of(scene, "deflection under the payload", LAW, LOG_PRIOR, columns)
+
+
+def _fields(scene: Scene) -> Iterator[Block | None]:
+    n = len(scene.model.joints)
+    J = scene.measured_jacobian[:, :, n : n + 3]
+    if not (scene.shows_pose and J.any()):
+        return
+    columns = [
+        _flat(scene, J, smooth(scene.places, length, CENTRES)) for length in (0.4, 0.7, 1.2, 2.5)
+    ]
+    yield Block.of(scene, "field of the device", FIELD, LOG_PRIOR, columns)
+
+
+def _drifts(scene: Scene) -> Iterator[Block | None]:
+    if "time" not in scene.dataset.conditions:
+        return
+    n = len(scene.model.joints)
+    order = np.argsort(np.argsort(scene.dataset.time)).astype(float)
+    columns = [
+        _flat(scene, scene.measured_jacobian[:, :, n:], smooth(order, length, centres, rough=True))
+        for length, centres in ((1.2, 16), (0.4, 32), (0.12, 64), (0.05, 96))
+    ]
+    yield Block.of(scene, "drifting noise", DRIFT, LOG_PRIOR, columns)

@@ -1,0 +1,262 @@
+"""What the residuals of a robot are made of: the likeliest causes, proven on the true problem.
+
+The sum over all sets of causes is linear. A cause that the true problem refutes (a size that no
+robot has, a sign that physics forbids) leaves the sum, and where the causes move the geometry, the
+sum is made again about the geometry found with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.causes.effects import list_effect_blocks, refine_setting, widen
+from parallel_cal.causes.unknown_laws import list_unknown_blocks
+from parallel_cal.diagnosis.field import Field
+from parallel_cal.diagnosis.noise import PureError
+from parallel_cal.diagnosis.search import Chosen, Search, Trial
+from parallel_cal.diagnosis.thresholds import MIN_REPLICATE_DOF
+from parallel_cal.model.shelf import load_effect
+from parallel_cal.posterior.blocks import DRIFT, EFFECT, FIELD, LAW, Block
+from parallel_cal.posterior.evidence import STATED, UNKNOWN, Choice
+from parallel_cal.posterior.scene import Scene
+from parallel_cal.posterior.search import Posterior, Sum
+
+MAX_LINEARISATIONS = 2
+CREDIBLE = 0.95  # probability that the cause is one of those named for it
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """The likeliest causes of the residuals of a model.
+
+    Attributes
+    ----------
+    posterior : Posterior
+        All causes with their probabilities.
+    described : Posterior
+        The same without unknown laws of the robot: what known effects describe best.
+    best : Trial
+        The fit with these effects.
+    refuted : Mapping
+        Effects that would have been likely, with the reason why no robot has them.
+    wrong_signs : tuple of str
+        The reasons of those that fit only with a sign that physics forbids.
+    """
+
+    posterior: Posterior
+    described: Posterior
+    best: Trial
+    refuted: Mapping[str, str]
+    wrong_signs: tuple[str, ...]
+
+    @classmethod
+    def of(cls, search: Search, names: Sequence[str]) -> Explanation:
+        """Explain the residuals of the model that a search extends, by effects of these `names`
+        and by what no effect describes."""
+        base = search.fit()
+        refuted, wrong = dict[str, str](), list[str]()
+        causes, known = _Causes.of(base.scene, names), list[frozenset[Chosen]]()
+        while True:
+            posterior, described, chosen = causes.explain(refuted)
+            tried = search.fit_as_shown(*chosen, judged=False)
+            if tried.result is None:
+                name = _find_refuted(search, chosen)
+                refuted[name] = tried.reason
+                wrong += [tried.reason] if tried.wrong_sign else []
+                continue
+            if frozenset(chosen) in known or len(known) == MAX_LINEARISATIONS or not chosen:
+                best = search.fit_as_shown(*chosen)
+                return cls(posterior, described, best, refuted, tuple(wrong))
+            known.append(frozenset(chosen))
+            causes = _Causes.of(_scene_about(base, tried), names)
+
+    @property
+    def outdone(self) -> tuple[str, ...]:
+        """Say which refuted effects would explain the error better than what was found."""
+        return tuple(
+            f"{name} would explain the error better, but {reason}"
+            for name, reason in self.refuted.items()
+            if reason not in self.wrong_signs
+        )
+
+    @cached_property
+    def swaps(self) -> dict[str, list[str]]:
+        """For each effect found, the effects that may be in its place, the likeliest first: with it
+        they are the fewest that have CREDIBLE of the probability."""
+        found: dict[str, list[str]] = {}
+        for name, rivals in self.described.rivals.items():
+            if self.described.kinds[name] != EFFECT:
+                continue
+            effects = {
+                other: p
+                for other, p in rivals.items()
+                if self.described.kinds[other] == EFFECT
+                and name not in load_effect(other).generalizes
+            }
+            reached, named = self.described.sets[0][1], found.setdefault(name, [])
+            total = reached + sum(effects.values())
+            for other in sorted(effects, key=effects.__getitem__, reverse=True):
+                if reached >= CREDIBLE * total:
+                    break
+                named.append(other)
+                reached += effects[other]
+        return found
+
+    @property
+    def robot_or_device(self) -> tuple[str, ...]:
+        """Effects of the robot that lasting errors of the device may be instead."""
+        return tuple(
+            name
+            for name, others in self.swaps.items()
+            if self.described.kinds[name] == EFFECT
+            and not load_effect(name).of_device
+            and any(_is_lasting_error_of_device(other) for other in others)
+        )
+
+    @cached_property
+    def like_drift(self) -> tuple[str, ...]:
+        """Effects that would describe the residual in the place of noise that drifts, which
+        describes it better."""
+        sets = {frozenset(members): p for members, p in self.described.sets}
+        chosen = frozenset(one.block.name for one in self.described.chosen)
+        found = {name for name in chosen if _is_effect_of_time(self.described, name)}
+        if not any(self.described.kinds[name] == DRIFT for name in chosen):
+            return ()
+        for drift in (name for name in chosen if self.described.kinds[name] == DRIFT):
+            rest = chosen - {drift}
+            found |= {
+                name
+                for name, kind in self.described.kinds.items()
+                if kind == EFFECT and sets.get(rest | {name}, 0.0) > sets.get(rest, 0.0)
+            }
+        return tuple(sorted(found))
+
+    @cached_property
+    def probable(self) -> set[str]:
+        """Names of the effects that are worth a fit of their own."""
+        sums = (self.posterior, self.described)
+        return {n for each in sums for n, p in each.probability.items() if p > 1 - CREDIBLE}
+
+    @property
+    def laws(self) -> dict[str, float]:
+        """What no effect describes and the likeliest set contains, with its probability: laws of
+        the robot, and fields of errors of the device."""
+        names = [one.block.name for one in self.posterior.chosen if one.block.kind in (LAW, FIELD)]
+        return {name: self.posterior.probability[name] for name in names}
+
+    def missing(self, names: Sequence[str]) -> list[dict[str, Any]]:
+        """For each of these effects, what it may be, and how probable it is that the robot has one
+        of them, and each of them."""
+        found = []
+        for name in names:
+            effects = [name, *self.swaps.get(name, [])]
+            found.append(
+                {
+                    "effects": effects,
+                    "probability": self.posterior.of_any(effects),
+                    "each": {one: self.posterior.probability.get(one, 0.0) for one in effects},
+                }
+            )
+        return found
+
+
+@dataclass(frozen=True)
+class _Causes:
+    """All that may cause what one scene shows; `nu` is as in `Sum`."""
+
+    scene: Scene
+    blocks: Sequence[Block]
+    nu: float
+
+    @classmethod
+    def of(cls, scene: Scene, names: Sequence[str]) -> _Causes:
+        scene, nu = _in_units_of_noise(scene)
+        scene, larger = widen(scene, names)
+        effects = list_effect_blocks(scene, names)
+        return cls(scene, [*larger, *effects, *list_unknown_blocks(scene)], nu)
+
+    def explain(self, refuted: Collection[str]) -> tuple[Posterior, Posterior, tuple[Chosen, ...]]:
+        """Sum over all sets of causes, and over those without unknown laws of the robot; return
+        the effects that describe the residual best, too.
+
+        Where an unknown law of the robot is likely, known effects imitate it at best. They are
+        chosen as if there were no such law, since the error may fall with them; their probability
+        tells what they are. One whose settings were scanned follows anything, and one of the device
+        takes an error of the robot away from it: they must be likely beside the law. Beside noise
+        that drifts, an effect of time is not told from it.
+        """
+
+        def search(blocks: Sequence[Block]) -> Posterior:
+            refine = partial(refine_setting, self.scene)
+            return Sum(self.scene, blocks, self.nu, refine).search()
+
+        blocks = [one for one in self.blocks if one.name not in refuted]
+        posterior = described = search(blocks)
+        likely = {one.block.name for one in posterior.chosen}
+        if any(posterior.kinds[name] == LAW for name in likely):
+            described = search([one for one in blocks if one.kind != LAW])
+        drifts = any(one.block.kind == DRIFT for one in described.chosen)
+
+        def is_named(one: Choice) -> bool:
+            block, effect = one.block, load_effect(one.block.name)
+            if drifts and "time" in effect.needs:
+                return False
+            return block.name in likely or (block.tried == 1 and not effect.of_device)
+
+        chosen = [
+            Chosen(one.block.name, tuple(sorted(one.block.settings[one.setting].items())))
+            for one in described.chosen
+            if one.block.kind == EFFECT and is_named(one)
+        ]
+        # What a larger mechanism has must be there before effects act on it.
+        chosen.sort(key=lambda one: not load_effect(one.name).widens)
+        return posterior, described, tuple(chosen)
+
+
+def _in_units_of_noise(scene: Scene) -> tuple[Scene, float]:
+    """The scene in units of the noise that is known best, and how many degrees of freedom are known
+    of it: stated, measured by visits of one pose, or hardly known.
+
+    Visits may differ by more than the stated noise because the robot moves; they cannot differ by
+    less.
+    """
+    seen, stated = PureError.of(scene, Field.of(scene)), not scene.observations.noise_assumed
+    v, measured = seen.variance, seen.dof >= MIN_REPLICATE_DOF
+    if v is not None and measured and (not stated or (seen.contradicts_stated_noise and v < 1)):
+        return scene.in_units_of(max(v, 1e-12)), float(seen.dof)
+    if stated:
+        return scene, STATED
+    return scene.in_units_of(max(scene.chi2_per_dof, 1e-12)), UNKNOWN
+
+
+def _is_lasting_error_of_device(name: str) -> bool:
+    effect = load_effect(name)
+    return effect.of_device and not effect.needs
+
+
+def _is_effect_of_time(posterior: Posterior, name: str) -> bool:
+    return posterior.kinds[name] == EFFECT and "time" in load_effect(name).needs
+
+
+def _scene_about(base: Trial, best: Trial) -> Scene:
+    """The scene of the model without effects, with the geometry that was found with them."""
+    fitted, result = base.fitted, best.fitted.model
+    found = result.table.mapping(result.values)
+    before = fitted.model.table.mapping(fitted.model.values)
+    values = np.array([found.get(name, value) for name, value in before.items()])
+    about = replace(fitted.model, values=values)
+    return Scene.of(about, fitted.dataset, fitted.observations, fitted.free, base.shared)
+
+
+def _find_refuted(search: Search, chosen: tuple[Chosen, ...]) -> str:
+    """The effect without which the others can be fitted; the last one if there is none."""
+    for one in reversed(chosen):
+        others = (c for c in chosen if c is not one)
+        if search.fit_as_shown(*others, judged=False).result is not None:
+            return one.name
+    return chosen[-1].name

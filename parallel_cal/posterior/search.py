@@ -1,0 +1,205 @@
+"""Search the likeliest sets of causes, and state how probable each cause is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from parallel_cal.posterior.blocks import Block
+from parallel_cal.posterior.evidence import STATED, UNKNOWN, Choice, Evidence
+from parallel_cal.posterior.scene import Scene
+
+MAX_CAUSES = 6
+MAX_ROUNDS = 4
+LOG_PRIOR_MISSTATED = np.log(1 / 30)
+
+Refine = Callable[[Evidence, Choice], Choice]
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A cause beside others: log posterior over all settings and sizes, and its best choice."""
+
+    log_p: float
+    best: Choice
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """The likeliest set of causes, and what else is possible.
+
+    `probability` of each cause by name, `sets` the likeliest sets with theirs.
+    """
+
+    chosen: tuple[Choice, ...]
+    nu: float
+    sets: tuple[tuple[tuple[str, ...], float], ...]
+    probability: Mapping[str, float]
+    kinds: Mapping[str, str]
+    misstated: float = 0.0
+
+    def of_any(self, names: Collection[str]) -> float:
+        """Probability that the robot has at least one of these causes."""
+        return float(sum(p for members, p in self.sets if not set(names).isdisjoint(members)))
+
+    @cached_property
+    def rivals(self) -> dict[str, dict[str, float]]:
+        """For each chosen cause, what may be in its place, with the probability of this set."""
+        names = [one.block.name for one in self.chosen]
+        found: dict[str, dict[str, float]] = {name: {} for name in names}
+        for members, p in self.sets:
+            gone, new = set(names) - set(members), set(members) - set(names)
+            if len(gone) == 1 and len(new) == 1:
+                found[gone.pop()][new.pop()] = p
+        return found
+
+
+@dataclass(frozen=True)
+class Sum:
+    """All sets of causes about one residual. `nu` are the degrees of freedom of what is known of
+    the noise; where it is stated, the sum doubts it, too."""
+
+    scene: Scene
+    blocks: Sequence[Block]
+    nu: float
+    refine: Refine | None = field(default=None, repr=False)
+
+    def evidence(self, chosen: Sequence[Choice], nu: float) -> Evidence:
+        squares = float(self.scene.residual @ self.scene.residual)
+        return Evidence(squares, self.scene.dof, nu, tuple(chosen))
+
+    @property
+    def stated(self) -> bool:
+        return self.nu == STATED
+
+    def _doubt(self, nu: float) -> float:
+        """Log prior of noise that is not as stated."""
+        return float(LOG_PRIOR_MISSTATED) if self.stated and nu == UNKNOWN else 0.0
+
+    def rank(self, evidence: Evidence, taken: Collection[str] = ()) -> list[Ranked]:
+        """Every other cause beside the chosen ones, the likeliest first."""
+        found = []
+        for block in self.blocks:
+            if block.name in taken:
+                continue
+            log_p = evidence.beside(block)
+            setting, size = np.unravel_index(int(np.argmax(log_p)), log_p.shape)
+            found.append(
+                Ranked(
+                    float(np.logaddexp.reduce(log_p, axis=None)),
+                    Choice(block, int(setting), int(size)),
+                )
+            )
+        return sorted(found, key=lambda one: -one.log_p)
+
+    def search(self) -> Posterior:
+        """Add, exchange and remove causes until nothing is likelier; sum over the sets nearby."""
+        nu = self.nu
+        chosen: tuple[Choice, ...] = ()
+        while len(chosen) < MAX_CAUSES:
+            now = self.evidence(chosen, nu)
+            if self.stated:
+                nu = max((STATED, UNKNOWN), key=lambda v: self.total(chosen, v))
+                now = self.evidence(chosen, nu)
+            ranked = self.rank(now, {one.block.name for one in chosen})
+            if not ranked or ranked[0].log_p <= now.log_p:
+                break
+            more = self._polish((*chosen, self._refined(now, ranked[0].best)), nu)
+            more = self._prune(more, nu)
+            if {c.block.name for c in more} == {c.block.name for c in chosen}:
+                break
+            if self.evidence(more, nu).log_p < now.log_p:
+                break
+            chosen = more
+        if self.stated:
+            nu = max((STATED, UNKNOWN), key=lambda v: self.total(chosen, v))
+        return self._sum_nearby(chosen, nu)
+
+    def total(self, chosen: Sequence[Choice], nu: float) -> float:
+        return self.evidence(chosen, nu).log_p + self._doubt(nu)
+
+    def _refined(self, beside: Evidence, best: Choice) -> Choice:
+        return self.refine(beside, best) if self.refine else best
+
+    def _polish(self, chosen: tuple[Choice, ...], nu: float) -> tuple[Choice, ...]:
+        """Choose each cause again beside all others, until they stay."""
+        for _ in range(MAX_ROUNDS):
+            before = [one.block.name for one in chosen]
+            for k in range(len(chosen)):
+                rest = chosen[:k] + chosen[k + 1 :]
+                beside = self.evidence(rest, nu)
+                best = self.rank(beside, {one.block.name for one in rest})[0].best
+                if best.block.name == chosen[k].block.name:
+                    # its refined settings stay unless a scanned one is better
+                    own = self.evidence((*rest, chosen[k]), nu).log_p
+                    again = self.evidence((*rest, best), nu).log_p
+                    best = chosen[k] if own >= again else best
+                chosen = (*chosen[:k], self._refined(beside, best), *chosen[k + 1 :])
+            if before == [one.block.name for one in chosen]:
+                break
+        return chosen
+
+    def _prune(self, chosen: tuple[Choice, ...], nu: float) -> tuple[Choice, ...]:
+        """Remove causes without which the rest is likelier."""
+        while chosen:
+            parts = [chosen[:k] + chosen[k + 1 :] for k in range(len(chosen))]
+            gains = [
+                self._marginal(rest, one, nu) - self.evidence(rest, nu).log_p
+                for rest, one in zip(parts, chosen, strict=True)
+            ]
+            least = int(np.argmin(gains))
+            if gains[least] > 0:
+                break
+            chosen = parts[least]
+        return chosen
+
+    def _marginal(self, rest: Sequence[Choice], one: Choice, nu: float) -> float:
+        """Log posterior of one cause beside the rest, over all its settings and sizes."""
+        scanned = next(block for block in self.blocks if block.name == one.block.name)
+        beside = self.evidence(rest, nu)
+        own = [beside.beside(block) for block in {id(b): b for b in (scanned, one.block)}.values()]
+        return max(float(np.logaddexp.reduce(log_p, axis=None)) for log_p in own)
+
+    def _sum_nearby(self, chosen: tuple[Choice, ...], nu: float) -> Posterior:
+        """Sum over the chosen set, and all sets with one cause less, more, or exchanged."""
+        names = tuple(one.block.name for one in chosen)
+        now = self.evidence(chosen, nu)
+        sets: dict[frozenset[str], float] = {}
+        # What each cause gains by its other settings and sizes.
+        gains = []
+        for k, one in enumerate(chosen):
+            rest = chosen[:k] + chosen[k + 1 :]
+            gains.append(self._marginal(rest, one, nu) - now.log_p)
+        total = sum(gains)
+
+        def note(members: Sequence[str], log_p: float) -> None:
+            sets[frozenset(members)] = max(log_p, sets.get(frozenset(members), -np.inf))
+
+        note(names, now.log_p + total)
+        for more in self.rank(now, names):
+            note((*names, more.best.block.name), more.log_p + total)
+        for k, one in enumerate(chosen):
+            rest = chosen[:k] + chosen[k + 1 :]
+            others = [name for name in names if name != one.block.name]
+            beside, left = self.evidence(rest, nu), total - gains[k]
+            note(others, beside.log_p + left)
+            for other in self.rank(beside, names):
+                note((*others, other.best.block.name), other.log_p + left)
+        logs = np.array(list(sets.values()))
+        p = np.exp(logs - np.logaddexp.reduce(logs))
+        order = np.argsort(-p)
+        keys = list(sets)
+        likeliest = tuple((tuple(sorted(keys[i])), float(p[i])) for i in order)
+        probability = {
+            block.name: float(sum(p[i] for i, key in enumerate(keys) if block.name in key))
+            for block in self.blocks
+        }
+        misstated = 0.0
+        if self.stated:
+            by_nu = [self.total(chosen, v) for v in (STATED, UNKNOWN)]
+            misstated = float(1 / (1 + np.exp(min(by_nu[0] - by_nu[1], 700.0))))
+        kinds = {block.name: block.kind for block in self.blocks}
+        return Posterior(chosen, nu, likeliest, probability, kinds, misstated)

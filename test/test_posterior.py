@@ -1,0 +1,148 @@
+"""The sum over all sets of causes: its evidence against dense covariances, its probabilities
+against counting, and what it says of sessions of another hand."""
+
+from dataclasses import dataclass
+from itertools import combinations, product
+
+import numpy as np
+import pytest
+import virtual_findings as vf
+from findings import hiding
+from scipy.stats import multivariate_t
+
+from parallel_cal.causes.unknown_laws import smooth
+from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.model.model import new_model
+from parallel_cal.posterior.blocks import EFFECT, Block
+from parallel_cal.posterior.evidence import LOG_WEIGHTS, SIZES, STATED, Choice, Evidence
+from parallel_cal.posterior.search import Sum
+
+MODEL = new_model("delta54")
+
+
+@dataclass
+class Residual:
+    """A scene without geometry: a residual, and nothing that could imitate a cause."""
+
+    residual: np.ndarray
+
+    @property
+    def dof(self):
+        return len(self.residual)
+
+    def project_off_geometry(self, columns):
+        return columns
+
+
+def drawn(seed, n=40, causes=4, of=()):
+    """A residual of white noise and the causes `of`, and blocks of one or two settings each."""
+    rng = np.random.default_rng(seed)
+    columns = [[rng.standard_normal((n, 2)) for _ in range(1 + k % 2)] for k in range(causes)]
+    residual = rng.standard_normal(n)
+    for k in of:
+        residual += columns[k][0] @ rng.standard_normal(2)
+    scene = Residual(residual)
+    names = [f"cause {k}" for k in range(causes)]
+    blocks = [
+        Block.of(
+            scene, name, EFFECT, np.log(0.1), own, [{"setting": float(i)} for i in range(len(own))]
+        )
+        for name, own in zip(names, columns, strict=True)
+    ]
+    return scene, blocks
+
+
+def test_the_evidence_is_the_density_of_a_multivariate_t_distribution():
+    """scipy's density, of the dense matrix 1 + sum s^2 B B'."""
+    scene, blocks = drawn(0, of=(1,))
+    squares = float(scene.residual @ scene.residual)
+    chosen = (Choice(blocks[1], 0, 2), Choice(blocks[3], 1, 0))
+    S = np.eye(scene.dof)
+    for one in chosen:
+        B = SIZES[one.size] * one.block.columns[one.setting]
+        S += B @ B.T
+    for nu in (2.0, 200.0):
+        found = Evidence(squares, scene.dof, nu, chosen)
+        expected = multivariate_t(np.zeros(scene.dof), S, df=nu).logpdf(scene.residual)
+        assert found.log_p - found.log_prior == pytest.approx(expected, rel=1e-10)
+        beside = Evidence(squares, scene.dof, nu, chosen[:1]).beside(blocks[3])
+        assert beside[1, 0] == pytest.approx(found.log_p, rel=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_probabilities_are_those_of_counting_all_sets(seed):
+    """Every set of up to four causes, with every setting and size."""
+    hidden = {0: (), 1: (0,), 2: (0, 2), 3: (3,)}[seed]
+    scene, blocks = drawn(seed, of=hidden)
+    squares = float(scene.residual @ scene.residual)
+    logs = dict[frozenset[str], float]()
+    for count in range(3):
+        for members in combinations(blocks, count):
+            choices = [
+                [Choice(b, i, s) for i in range(b.tried) for s in range(len(SIZES))]
+                for b in members
+            ]
+            each = [Evidence(squares, scene.dof, STATED, one).log_p for one in product(*choices)]
+            logs[frozenset(b.name for b in members)] = float(np.logaddexp.reduce(each))
+    total = np.logaddexp.reduce(list(logs.values()))
+    found = Sum(scene, blocks, STATED).search()
+    for block in blocks:
+        within = [v for members, v in logs.items() if block.name in members]
+        expected = float(np.exp(np.logaddexp.reduce(within) - total))
+        assert found.probability[block.name] == pytest.approx(expected, abs=0.05)
+
+
+def test_a_probability_is_the_share_of_true_statements():
+    """500 residuals drawn from the priors of the sum itself, by three bins of probability."""
+    stated, true = list[float](), list[bool]()
+    for seed in range(500):
+        rng = np.random.default_rng([seed, 7])
+        scene, blocks = drawn(rng.integers(1 << 30), n=25, causes=3)
+        for block in blocks:
+            if there := rng.random() < 0.1:
+                size = SIZES[rng.choice(len(SIZES), p=np.exp(LOG_WEIGHTS))]
+                setting = rng.integers(block.tried)
+                scene.residual += size * block.columns[setting] @ rng.standard_normal(2)
+            true.append(there)
+        again = [
+            Block.of(scene, b.name, b.kind, np.log(0.1 / 0.9), list(b.columns), b.settings)
+            for b in blocks
+        ]
+        found = Sum(scene, again, STATED).search()
+        stated += [found.probability[block.name] for block in blocks]
+    p, is_true = np.array(stated), np.array(true)
+    for low, high in ((0.0, 0.05), (0.2, 0.8), (0.95, 1.01)):
+        inside = (p >= low) & (p < high)
+        expected, share = p[inside].mean(), is_true[inside].mean()
+        chance = np.sqrt(expected * (1 - expected) / inside.sum())
+        assert abs(share - expected) < 3 * chance + 0.01
+
+
+def test_a_smooth_function_has_variance_one_and_the_stated_correlation():
+    x = np.linspace(-2, 2, 41)
+    B = smooth(x, 0.8, 30)
+    covariance = B @ B.T
+    z = (x - x.mean()) / x.std()
+    np.testing.assert_allclose(np.diag(covariance), 1, atol=1e-3)
+    np.testing.assert_allclose(
+        covariance, np.exp(-((z[:, None] - z) ** 2) / (2 * 0.8**2)), atol=5e-3
+    )
+
+
+def test_two_answers_say_what_is_missing_and_whether_anything_is_left():
+    found = diagnose(MODEL, hiding([vf.KINDS["joint compliance"]], 1.0, seed=1)[0])
+    [cause] = found.missing
+    assert cause["effects"][0] == "joint_compliance"
+    assert cause["probability"] > 0.95
+    assert found.left == "no"
+    document = found.document()
+    assert document["missing"] == [cause]
+    assert document["left"] == "no"
+
+
+def test_a_law_outside_the_catalogue_is_left_and_no_effect_is_certain():
+    kind = vf.Kind((), vf.OUTSIDE["products of joints"], 0.5e-3)
+    found = diagnose(MODEL, hiding([kind], 1.5, seed=3)[0])
+    assert found.left == "yes"
+    assert max(found.explanation.laws.values()) > 0.99
+    assert all(cause["probability"] < 0.5 for cause in found.missing)
