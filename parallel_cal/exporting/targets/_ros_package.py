@@ -68,6 +68,11 @@ def package(
 
     `own` are further words of its templates.
     """
+    if passive := model.mechanism.passive:
+        raise ModelError(
+            f"{model.mechanism.name} has passive coordinates ({', '.join(passive)}), which the "
+            f"package of {plugin.base_package} does not solve: export it with --to c"
+        )
     if not 1 <= poses <= MAX_CONFIGURATIONS:
         raise ModelError(f"poses={poses}: expected 1 to {MAX_CONFIGURATIONS}")
     given = zip(
@@ -180,7 +185,7 @@ def jacobians(model: Model, found: Solutions) -> tuple[np.ndarray, np.ndarray]:
     x = np.atleast_2d(found.configuration.rows)
     C = s.jacobians(x, model.condition_rows(None, len(x)), model.values)[0] / s.scale
     moved, given = [n + i for i in m.moved], [n + i for i in m.controlled]
-    unknown = [*range(n), *(n + i for i in m.passive)]
+    unknown = [*range(n), *(n + i for i in m.parasitic)]
     forward, inverse = np.zeros((len(x), 6, n)), np.zeros((len(x), n, 6))
     scale = np.asarray(s.scale, dtype=float).ravel()
     slopes = -np.linalg.pinv(C[:, :, moved]) @ C[:, :, :n]

@@ -56,7 +56,7 @@ def files(
         "orientation_tolerance": repr(ORIENTATION_TOLERANCE),
         "slides": ", ".join(str(unit == "m").lower() for unit in m.joint_units),
         "controlled": ", ".join(str(axis in m.controls).lower() for axis in COORDINATES),
-        "unique": str(model.structure.phi.shape[0] >= len(model.joints) + len(m.passive)).lower(),
+        "unique": str(model.structure.phi.shape[0] >= len(model.joints) + len(m.parasitic)).lower(),
         "out_of_reach": str(is_out_of_reach(model, neutral_solutions(model, 1))).lower(),
     }
     return package(model, PLUGIN, name, poses, (base, tip), **words)
