@@ -365,7 +365,7 @@ def test_the_commands_write_samples_and_a_model_that_can_be_read(files, tmp_path
         (
             ("new", "--from", "c.g", "--to-link", "b", "-o", "a.yaml"),
             2,
-            "only a URDF has links",
+            "only a URDF, an MJCF or an SDF has links",
         ),
         (("import", "rrrf", "c.g", "-o", "a.json"), 1, "no importer 'rrrf': expected one of"),
         (("import", "rrf", "c.g", "-o", "a.json"), 1, "expected height maps (.csv)"),

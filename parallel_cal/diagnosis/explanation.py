@@ -8,7 +8,7 @@ sum is made again about the geometry found with them.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -48,9 +48,9 @@ class Explanation:
         The reasons of those that fit only with a sign that physics forbids.
     """
 
-    posterior: Posterior
-    described: Posterior
-    best: Trial
+    posterior: Posterior = field(repr=False)
+    described: Posterior = field(repr=False)
+    best: Trial = field(repr=False)
     refuted: Mapping[str, str]
     wrong_signs: tuple[str, ...]
 

@@ -117,7 +117,7 @@ class Solutions:
 
     def __getitem__(self, key: Any) -> Solutions:
         q, r, R = self.joints[key], self.position[key], self.rotation[key]
-        u = self.passive if not self.passive.size else self.passive[key]
+        u = self.passive[key] if self.passive.size else NO_PASSIVE
         return Solutions(q, r, R, self.residual[key], self.status[key], passive=u)
 
     def __iter__(self) -> Iterator[Solutions]:

@@ -52,7 +52,8 @@ N_PARTS = 10  # parts of the motion with equal information on the delay, which v
 N_RIVALS = 8  # delays at which the speeds are most alike that are compared
 CONFIDENCE = 0.95  # of the interval of an offset
 MIN_PARTS = 5  # with fewer parts, no delay is estimated
-AGREEMENT = 0.8  # share of the parts that must rule out any other delay
+AGREEMENT = 0.8  # share of the parts that must rule out any other delay ...
+CLEAR_RATIO = 100.0  # ... unless it leaves so many times more: few moves cannot agree on all parts
 
 
 @dataclass(frozen=True)
@@ -344,7 +345,8 @@ class _Parts:
             theirs = self.steps.squares_left(rival, covered, products)[self.used]
             ours = self.steps.squares_left(self.delay, self.used, products)[self.used]
             votes = np.bincount(self.part, theirs - ours) > 0
-            return bool(np.sum(votes) >= AGREEMENT * len(votes))
+            agreed = np.sum(votes) >= AGREEMENT * len(votes)
+            return bool(agreed or theirs.sum() > CLEAR_RATIO * ours.sum())
 
         return agree(products=True) or agree(products=False)
 

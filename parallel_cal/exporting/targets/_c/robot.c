@@ -134,7 +134,7 @@ static void unknowns_of(int problem, const double *from, double *x)
         int column = UNKNOWN[problem][j];
         if (column < NQ + 3)
             x[column] = from[column];
-        else if (column >= NQ + 6)
+        else if (NU && column >= NQ + 6)
             x[column + 6] = from[column + 6];
         else if (TURNS[problem]) /* a rotation of which a part is given stays the given one */
             memcpy(x + NQ + 3, from + NQ + 3, 9 * sizeof *x);
