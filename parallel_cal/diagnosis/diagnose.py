@@ -610,10 +610,6 @@ class _Catalogue:
 
     def __init__(self, names: list[str], report: Progress):
         self._names, self._report = names, report
-        # Effects that something else imitates, with the reason: the search leaves them out.
-        self.imitated = dict[str, str]()
-        # Those that explained most until it was seen that noise which drifts explains as much.
-        self.like_drift = set[str]()
         self._ranked: dict[frozenset[Chosen], list[Candidate]] = {}
 
     def rank(self, trial: Trial) -> list[Candidate]:
