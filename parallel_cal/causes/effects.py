@@ -19,6 +19,7 @@ from parallel_cal.recordings.dataset import Dataset
 
 LOG_PRIOR = np.log(1 / 30)
 MIN_SCANNED = 3  # values of a setting, to refine it between them
+EQUAL_EVIDENCE = 4.5  # of the logarithm, three sigmas: two settings fit as well
 
 
 def list_effect_blocks(scene: Scene, names: Sequence[str]) -> list[Block]:
@@ -73,7 +74,8 @@ def refine_setting(scene: Scene, beside: Evidence, best: Choice) -> Choice:
     block = best.block
     if block.kind != EFFECT or not block.settings[best.setting]:
         return best
-    if not load_effect(block.name).refines:
+    effect = load_effect(block.name)
+    if not effect.refines:
         return best
     plain = scene.model.with_effect(block.name)
     a, setting = conditions(plain, scene.dataset), dict(block.settings[best.setting])
@@ -86,21 +88,29 @@ def refine_setting(scene: Scene, beside: Evidence, best: Choice) -> Choice:
     def cost(values: Mapping[str, float]) -> float:
         return -float(beside.beside(refined(values)).max())
 
+    def find_best(key: str, start: Mapping[str, float]) -> dict[str, float]:
+        """The best value of one number between the neighbours of its start in the scan."""
+        at = int(np.argmin(np.abs(np.array(scanned) - start[key])))
+        low, high = scanned[max(at - 1, 0)], scanned[min(at + 1, len(scanned) - 1)]
+        optimum = minimize_scalar(
+            lambda value: cost({**start, key: value}),
+            bounds=(low, high),
+            method="bounded",
+            options={"xatol": 1e-3 * (high - low)},
+        )
+        found = {**start, key: float(optimum.x)}
+        return found if optimum.fun < cost(start) else dict(start)
+
     for key in setting:
         others = setting.items() - {(key, setting[key])}
         scanned = sorted({one[key] for one in block.settings if others <= one.items()})
         if len(scanned) < MIN_SCANNED:
             continue
-        at = int(np.argmin(np.abs(np.array(scanned) - setting[key])))
-        low, high = scanned[max(at - 1, 0)], scanned[min(at + 1, len(scanned) - 1)]
-        optimum = minimize_scalar(
-            lambda value, key=key: cost({**setting, key: value}),
-            bounds=(low, high),
-            method="bounded",
-            options={"xatol": 1e-3 * (high - low)},
-        )
-        if optimum.fun < cost(setting):
-            setting[key] = float(optimum.x)
+        starts = (setting, *({**setting, **one} for one in effect.multiples(setting)))
+        peaks = [(cost(peak), peak) for peak in (find_best(key, start) for start in starts)]
+        least = min(peaks, key=lambda one: one[0])[0]
+        # The last of those that fit as well as the best.
+        setting = [peak for value, peak in peaks if value < least + EQUAL_EVIDENCE][-1]
     if setting == block.settings[best.setting]:
         return best
     more = refined(setting)
