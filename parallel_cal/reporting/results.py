@@ -426,7 +426,7 @@ def _describe_settings(diagnosis: Diagnosis, tested: Sequence[Candidate]) -> Ite
         settings = found.pop(one.name, one.settings)
         for key, sigma in one.sigma.items():
             value, alone = (f"{numbers[key]:.4g}" for numbers in (settings, one.settings))
-            if value == alone:
+            if value == alone or len(diagnosis.best.chosen) == 1:
                 yield f"{one.name}: {key} {value} +- {sigma:.2g} fits best"
             else:
                 yield (
