@@ -116,6 +116,6 @@ def _drifts(scene: Scene) -> Iterator[Block | None]:
     order = np.argsort(np.argsort(scene.dataset.time)).astype(float)
     columns = [
         _flat(scene, scene.measured_jacobian[:, :, n:], smooth(order, length, centres, rough=True))
-        for length, centres in ((1.2, 16), (0.4, 32), (0.12, 64), (0.05, 96))
+        for length, centres in ((1.2, 16), (0.4, 32), (0.12, 48))
     ]
     yield Block.of(scene, "drifting noise", DRIFT, LOG_PRIOR, columns)

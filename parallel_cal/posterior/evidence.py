@@ -25,6 +25,7 @@ SIZES = np.array([0.3, 1.0, 3.0, 10.0, 30.0])
 LOG_WEIGHTS = np.log([0.25, 0.4, 0.22, 0.1, 0.03])
 # Degrees of freedom of what is known of the noise: stated, or hardly believed.
 STATED, UNKNOWN = 200.0, 2.0
+MAX_SOLVED_AT_ONCE = 48  # columns: for more, an LU decomposition costs more than a loop
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ class Evidence:
     @cached_property
     def _onto(self) -> np.ndarray:
         parts = [SIZES[one.size] * one.block.onto[one.setting] for one in self.chosen]
-        return np.asarray(np.linalg.solve(self._factor, np.concatenate([[], *parts])))
+        return _solve(self._factor, np.concatenate([[], *parts])[None, :, None])[0, :, 0]
 
     @cached_property
     def _squares(self) -> float:
@@ -96,15 +97,16 @@ class Evidence:
 
     def beside(self, block: Block) -> np.ndarray:
         """The same (m, sizes) with one more cause, for each of its settings and sizes."""
-        Z = np.linalg.solve(self._factor, self._times(block, slice(None)))
+        Z = _solve(self._factor, self._times(block, slice(None)))
         S = block.gram - Z.transpose(0, 2, 1) @ Z
         b = block.onto - Z.transpose(0, 2, 1) @ self._onto
-        squares, directions = np.linalg.eigh(S)
-        along = np.einsum("mij,mi->mj", directions, b) ** 2
-        w = np.maximum(squares, 0.0)[:, None] * SIZES[:, None] ** 2
-        explained = np.sum(SIZES[:, None] ** 2 * along[:, None] / (1 + w), axis=2)
-        log_det = self._log_det + np.sum(np.log1p(w), axis=2)
-        log_p = self._log_t(self._squares - explained, log_det)
+        explained, log_det = np.empty((2, len(S), len(SIZES)))
+        for k, size in enumerate(SIZES):
+            L = np.linalg.cholesky(np.eye(S.shape[1]) + size**2 * S)
+            log_det[:, k] = 2 * np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
+            along = _solve_each(L, b)
+            explained[:, k] = size**2 * np.sum(along**2, axis=1)
+        log_p = self._log_t(self._squares - explained, self._log_det + log_det)
         prior = self.log_prior + block.log_prior - np.log(block.tried) + LOG_WEIGHTS
         return np.asarray(log_p + prior)
 
@@ -115,3 +117,21 @@ class Evidence:
         known = gammaln((nu + d) / 2) - gammaln(nu / 2) - d / 2 * np.log(nu * np.pi)
         rest = np.log1p(np.maximum(squares, 1e-300) / nu)
         return np.asarray(known - log_det / 2 - (nu + d) / 2 * rest)
+
+
+def _solve(L: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """L^-1 B (m, c, k) of a lower triangular L (c, c) and each B of (m, c, k)."""
+    from scipy.linalg import solve_triangular
+
+    m, c, k = right.shape
+    flat = right.transpose(1, 0, 2).reshape(c, m * k)
+    solved = solve_triangular(L, flat, lower=True, check_finite=False) if c else flat
+    return np.asarray(solved.reshape(c, m, k).transpose(1, 0, 2))
+
+
+def _solve_each(L: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """L_i^-1 b_i (m, k): small ones at once, large ones one by one, which saves most of the work."""
+    if L.shape[1] <= MAX_SOLVED_AT_ONCE:
+        return np.asarray(np.linalg.solve(L, b[:, :, None])[:, :, 0])
+    rows = zip(L, b, strict=True)
+    return np.array([_solve(own, one[None, :, None])[0, :, 0] for own, one in rows])
