@@ -130,7 +130,7 @@ def _solve(L: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def _solve_each(L: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """L_i^-1 b_i (m, k): small ones at once, large ones one by one, which saves most of the work."""
+    """L_i^-1 b_i (m, k): small ones at once, large ones one by one, which saves most work."""
     if L.shape[1] <= MAX_SOLVED_AT_ONCE:
         return np.asarray(np.linalg.solve(L, b[:, :, None])[:, :, 0])
     rows = zip(L, b, strict=True)
