@@ -120,19 +120,20 @@ class Explanation:
 
     @cached_property
     def like_drift(self) -> tuple[str, ...]:
-        """Effects that would describe the residual in the place of noise that drifts, which
-        describes it better."""
+        """Effects of time or temperature that would describe the residual in the place of noise
+        that drifts, which describes it better."""
         sets = {frozenset(members): p for members, p in self.described.sets}
         chosen = frozenset(one.block.name for one in self.described.chosen)
-        found = {name for name in chosen if _is_effect_of_time(self.described, name)}
+        found = {name for name in chosen if _depends_on(self.described, name, {"time"})}
         if not any(self.described.kinds[name] == DRIFT for name in chosen):
             return ()
         for drift in (name for name in chosen if self.described.kinds[name] == DRIFT):
             rest = chosen - {drift}
             found |= {
                 name
-                for name, kind in self.described.kinds.items()
-                if kind == EFFECT and sets.get(rest | {name}, 0.0) > sets.get(rest, 0.0)
+                for name in self.described.kinds
+                if _depends_on(self.described, name, {"time", "temperature"})
+                and sets.get(rest | {name}, 0.0) > sets.get(rest, 0.0)
             }
         return tuple(sorted(found))
 
@@ -239,8 +240,8 @@ def _is_lasting_error_of_device(name: str) -> bool:
     return effect.of_device and not effect.needs
 
 
-def _is_effect_of_time(posterior: Posterior, name: str) -> bool:
-    return posterior.kinds[name] == EFFECT and "time" in load_effect(name).needs
+def _depends_on(posterior: Posterior, name: str, conditions: set[str]) -> bool:
+    return posterior.kinds[name] == EFFECT and not conditions.isdisjoint(load_effect(name).needs)
 
 
 def _scene_about(base: Trial, best: Trial) -> Scene:

@@ -380,10 +380,10 @@ def _nothing_found(found: Findings, errors: str) -> Verdict:
             advice += ". But neighbouring residuals are similar: look at the map"
         return Verdict("at_noise", f"{words}: {advice}{noise or '.'}")
     nothing = "no effect of the catalogue explains it"
-    if found.like_drift:
-        nothing = "; ".join(_describe_like_drift(found))
-    elif found.refused:
+    if found.refused:
         nothing = f"no effect explains it well ({found.refused[0]})"
+    elif found.like_drift:
+        nothing = "; ".join(_describe_like_drift(found))
     return Verdict(
         "unexplained",
         f"chi2/dof {' is above '.join(format_distinctly([chi2, high]))}, but {nothing}"
