@@ -203,6 +203,25 @@ def test_another_file_than_the_models_is_refused(tmp_path):
         pc.export(model, "mjcf", tmp_path)
 
 
+@pytest.mark.parametrize("rest", [0, 5])
+def test_a_joint_locked_where_its_spring_rests_is_written_only_if_the_file_is_drawn_there(
+    tmp_path, rest
+):
+    leaf = f'<joint name="leaf" pos="0.02 0 0" stiffness="100" springref="{rest}"/>'
+    text = own.FIVE_BAR_MJCF.replace(
+        '<joint name="left_elbow"/>',
+        f"""<joint name="left_elbow"/>
+            {leaf}""",
+    )
+    path = written(tmp_path, "model.xml", text)
+    model = chain([path], "frame", "tip", ["left", "right"], locked=["leaf"]).model
+    if not rest:
+        export_into(model, "mjcf", [path])
+        return
+    with pytest.raises(ModelError, match=r"joint leaf is locked at 0\.0872665 rad, but the file"):
+        export_into(model, "mjcf", [path])
+
+
 def test_new_makes_a_chain_and_export_writes_its_numbers(tmp_path, run_cli):
     path = written(tmp_path, "model.xml", own.FIVE_BAR_MJCF)
     model = tmp_path / "model.yaml"

@@ -2,6 +2,7 @@
 device. The true robots are points and distances between them."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,8 @@ from parallel_cal.cli.main import main
 from parallel_cal.exporting.targets import linuxcnc
 from parallel_cal.identification.fit import fit
 from parallel_cal.kinematics.all_solutions import direct_all
-from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.kinematics.answers import describe_disagreement
+from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.kinematics.solvers import homotopy
 from parallel_cal.model.file.modelfile import write_model
 from parallel_cal.model.model import new_model
@@ -221,3 +223,19 @@ def test_direct_warns_of_leg_lengths_that_disagree(tmp_path, capsys):
     out, err = run("--input", str(tmp_path / "legs.csv"))
     assert out.splitlines()[0].endswith("explained_residual,residual,status")
     assert "the readings of 1 row agree on no pose: the residual in row 2 is " in err
+
+
+def test_readings_that_close_are_no_disagreement_where_nothing_explains_a_residual():
+    """Exact readings of an exact robot: what remains is rounding, and no error divides it."""
+    found = Solutions(
+        np.zeros((2, 4)),
+        np.zeros((2, 3)),
+        np.tile(np.eye(3), (2, 1, 1)),
+        np.array([1e-18, 0.0]),
+        np.zeros(2, dtype=np.int8),
+    )
+    with np.errstate(all="raise"):
+        assert describe_disagreement(found, np.zeros(2)) == ""
+        apart = replace(found, residual=np.array([1e-18, 2e-3]))
+        words = describe_disagreement(apart, np.zeros(2))
+    assert "the residual in row 2 is 2 mm" in words

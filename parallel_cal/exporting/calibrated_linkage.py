@@ -20,6 +20,7 @@ from parallel_cal.importing.linkage import (
     Place,
     Rod,
     joined_bodies,
+    locked_value,
     plain_name,
     with_locked,
 )
@@ -103,6 +104,15 @@ def match_model(linkage: Linkage, model: Model) -> tuple[Linkage, Linkage, Place
         return linkage, between, place
     held = [joint.name for joint in linkage.joints if plain_name(joint.name) in more]
     if more and len(held) == len(more):
+        for joint in linkage.joints:
+            if joint.name in held and abs(value := locked_value(joint)) > ROUNDING_TOLERANCE:
+                raise ModelError(
+                    f"{linkage.path}: joint {joint.name} is locked at {value:.6g} "
+                    f"{'rad' if joint.kind == 'revolute' else 'm'}, but the file is drawn with it "
+                    "at 0, so the places of its loops cannot be written; set its spring reference "
+                    "(or home) in the file to 0 and turn its child body instead, and make the "
+                    "model anew"
+                )
         still = with_locked(linkage, held)
         between, place = cut_out(still, base, platform, model.joints)
         if {one.name for one in between.parts} == names:

@@ -366,7 +366,7 @@ def compute_joint_jacobians(model: Model, rows: np.ndarray) -> tuple[np.ndarray,
     the derivatives of the rows by (q, r, w) from `blocks`."""
     n, closure = len(model.joints), model.structure.phi.shape[0]
     C, shown_by = rows[:, :closure], rows[:, closure:]
-    moved = [n + i for i in model.mechanism.moved]
-    follows = -np.linalg.pinv(C[:, :, model.mechanism.dependent_columns]) @ C[:, :, :n]
-    pose = follows[:, : len(moved)]
-    return pose, shown_by[:, :, :n] + shown_by[:, :, moved] @ pose
+    dependent = model.mechanism.dependent_columns
+    follows = -np.linalg.pinv(C[:, :, dependent]) @ C[:, :, :n]
+    pose = follows[:, : len(model.mechanism.moved)]
+    return pose, shown_by[:, :, :n] + shown_by[:, :, dependent] @ follows

@@ -89,7 +89,7 @@ def simulate_noise_floor(model: Model, observations: Observations, seed: int = 0
         where_known(placed, keep_moved_coordinates(model, pose[:, :, :3], range(3))),
         where_known(turned, keep_moved_coordinates(model, pose[:, :, 3:], range(3, 6))),
         where_known(np.all(observations.measured[:, given], axis=1), joint),
-        np.where(in_pixels, np.nan, read),
+        read * model.structure.reading_lengths,
         where_known(
             find_fully_measured_samples(model, observations), np.einsum("nij,dnj->dni", C, noise)
         ),

@@ -68,6 +68,7 @@ class Errors:
     position (N, 3) m and orientation (N, 3) rad about base axes from forward kinematics; joint (N,
     nq) from inverse kinematics; reading (N, n_channels) m and pixel (N, n_channels) px of the other
     sensors from forward kinematics; closure (N, n_rows) m at the measured values; NaN if not known.
+    The reading of an angle is the arc at the characteristic length.
     Where no pose was measured but pixels show one, position and orientation are those of the
     `image_poses`.
     """
@@ -204,7 +205,7 @@ def errors(model: Model, observations: Observations) -> Errors:
         position,
         turned,
         _compute_joint_errors(Kinematics(model), observations, reached, pose),
-        np.where(in_pixels, np.nan, residuals),
+        residuals * model.structure.reading_lengths,
         where_known(find_fully_measured_samples(model, observations), closure),
         np.where(in_pixels, residuals, np.nan),
     )

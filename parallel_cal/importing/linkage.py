@@ -178,9 +178,14 @@ def with_locked(linkage: Linkage, names: Collection[str]) -> Linkage:
     )
 
 
+def locked_value(joint: LinkageJoint) -> float:
+    """Return the value (rad or m) that a joint keeps if it does not move."""
+    return joint.rest if joint.rest is not None else (joint.home or (0.0,))[0]
+
+
 def locked(joint: LinkageJoint) -> LinkageJoint:
     """Return a joint that does not move: at rest of its spring, or home."""
-    value = joint.rest if joint.rest is not None else (joint.home or (0.0,))[0]
+    value = locked_value(joint)
     shift = motion_of("P", joint.anchor, 1.0)
     moved = motion_of("R" if joint.kind == "revolute" else "P", joint.axes[0], value)
     return replace(

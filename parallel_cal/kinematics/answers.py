@@ -10,6 +10,7 @@ import numpy as np
 from parallel_cal.base.errors import ModelError, SolveError
 from parallel_cal.base.rotation import quaternion_to_matrix
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
+from parallel_cal.kinematics.solutions import MAX_CLOSED_RESIDUAL_M
 from parallel_cal.model.effect import CONDITIONS, parse_lag, parse_part
 from parallel_cal.model.model import Model
 
@@ -105,11 +106,13 @@ def describe_disagreement(found: Solutions, explained: np.ndarray | None) -> str
     """Describe readings that disagree by more than is explained; empty if there are none."""
     if explained is None:
         return ""
+    # Nothing may be explained, as with exact readings; then a closed sample is left with rounding.
+    allowed = np.maximum(MAX_RESIDUAL_RATIO * explained, MAX_CLOSED_RESIDUAL_M)
     with np.errstate(invalid="ignore"):
-        beyond = np.flatnonzero(found.residual > MAX_RESIDUAL_RATIO * explained)
+        beyond = np.flatnonzero(found.residual > allowed)
     if not len(beyond):
         return ""
-    worst = beyond[np.argmax(found.residual[beyond] / explained[beyond])]
+    worst = beyond[np.argmax(found.residual[beyond] / allowed[beyond])]
     which, row = "the joint readings", ""
     if len(found) > 1:
         which = f"the readings of {len(beyond)} row{'s' * (len(beyond) > 1)}"

@@ -63,7 +63,8 @@ def newton_functions(structure: Structure, problem: str) -> NewtonFunctions:
     tables_function = dense("tables", [s.v], [tables])
     joints, from_home = len(s.mechanism.joints), bool(s.mechanism.passive)
     iterations = ITERATIONS_FROM_HOME if from_home else ITERATIONS
-    iterate = Iteration(prepare, step, residual, constants.shape[0], joints, iterations)
+    turns = [2 * np.pi * (unit == "rad") for unit in s.mechanism.passive_units]
+    iterate = Iteration(prepare, step, residual, constants.shape[0], joints, iterations, turns)
     solve = iterate.function(f"{problem}_solve", from_start=True)
     refine = iterate.function(f"{problem}_refine", from_start=False)
     return NewtonFunctions(tables_function, solve, refine, columns, home_sign, iterate)
@@ -232,6 +233,7 @@ class Iteration:
     `prepare`: (configuration, a, k) -> constants, start.
     `step`: (configuration, constants) -> configuration, last step (m), smallest pivot.
     `residual`: (configuration, constants) -> phi.
+    `turns`: a whole turn of each passive angle, 0 of a passive length.
     """
 
     prepare: ca.Function
@@ -240,6 +242,7 @@ class Iteration:
     n_constants: int
     n_joints: int
     iterations: int
+    turns: list[float]
 
     def function(self, name: str, from_start: bool) -> ca.Function:
         """Build a fixed number of iterations; a short step is inlined, a long one is called."""
@@ -252,8 +255,18 @@ class Iteration:
         prepared = self.prepare(given, a, k)
         constants = prepared[: self.n_constants]
         x = prepared[self.n_constants :] if from_start else given
+        begin = x[n + 12 :]
         for _ in range(self.iterations):
             x, length, pivot = self.step(x, constants)
+        x = ca.vertcat(x[: n + 12], self._unwind(x[n + 12 :], begin))
         residual = ca.norm_2(self.residual(x, constants))
         inside = ca.mmin(ca.vertcat(x[:n] - low, high - x[:n]))
         return ca.Function(name, [given, a, k_and_limits], [x, length, residual, pivot, inside])
+
+    def _unwind(self, u: Any, begin: Any) -> Any:
+        """Move passive angles by whole turns to within half a turn of where iterations began: a
+        long step may turn a joint several times."""
+        for k, turn in enumerate(self.turns):
+            if turn:
+                u[k] -= turn * ca.floor((u[k] - begin[k]) / turn + 0.5)
+        return u

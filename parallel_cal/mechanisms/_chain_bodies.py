@@ -78,6 +78,11 @@ class Skeleton:
         return cls(base, platform, tuple(steps), cuts, tuple(loops), floats)
 
     @property
+    def bodies(self) -> set[str]:
+        """Names of all bodies."""
+        return {self.base, self.platform, *(step.reached for step in self.steps)}
+
+    @property
     def joints(self) -> list[Joint]:
         """Joints of the tree, then those that close a loop."""
         return [*(step.joint for step in self.steps), *self.cuts]

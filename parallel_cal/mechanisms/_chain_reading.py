@@ -12,6 +12,7 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError, format_suggestion
 from parallel_cal.base.rotation import quaternion_to_matrix
+from parallel_cal.model.mechanism import POSE
 
 # Unit of each coordinate of a joint, in order.
 COORDINATES: Mapping[str, tuple[str, ...]] = {
@@ -321,3 +322,28 @@ def is_numbers(value: Any, n: int) -> bool:
 
 def _list(keys: Collection[str]) -> str:
     return ", ".join(sorted(keys))
+
+
+def read_coordinates(key: str, given: Any) -> list[str]:
+    """Return coordinates of the platform, in their usual order."""
+    known = not isinstance(given, str) and isinstance(given, Sequence)
+    if not known or not given or not set(given) <= set(POSE):
+        raise ModelError(f"{key} is {given!r}, expected some of {', '.join(POSE)}")
+    return [c for c in POSE if c in given]
+
+
+def read_masses(
+    given: Mapping[str, Any] | None, bodies: Collection[str]
+) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+    """Return the mass of each body that has one, and its centre in the frame of the body."""
+    entries = Entry("masses", given or {}, {*(given or {})})
+    found, centres = dict[str, float](), dict[str, np.ndarray]()
+    for body, value in entries.given.items():
+        if body not in bodies:
+            raise ModelError(f"masses: unknown body {body!r}, expected some of {sorted(bodies)}")
+        own = Entry(f"masses: {body}", value, {"mass", "centre"})
+        if body == "platform":  # the name of the mass at the origin of {P}
+            raise ModelError("masses: rename the body 'platform': 'mass.platform' acts at {P}")
+        found[str(body)] = own.number("mass")
+        centres[str(body)] = own.vector("centre", (0.0, 0.0, 0.0))
+    return found, centres

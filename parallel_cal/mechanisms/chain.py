@@ -23,17 +23,20 @@ from parallel_cal.mechanisms._chain_bodies import (
     rotation_rows,
     with_lengths,
 )
+from parallel_cal.mechanisms._chain_drawing import draw
 from parallel_cal.mechanisms._chain_rank import CLOSED, Motion, Survey
 from parallel_cal.mechanisms._chain_reading import (
     Entry,
     Frame,
     Joint,
     Loop,
+    read_coordinates,
     read_joints,
     read_loops,
+    read_masses,
 )
 from parallel_cal.model.configuration import Configuration
-from parallel_cal.model.drawing import Line, axis
+from parallel_cal.model.drawing import Line
 from parallel_cal.model.mechanism import POSE, Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, ParameterTable
 
@@ -107,7 +110,7 @@ class Chain(Mechanism):
         self._set_joints()
         x, y, z = Entry("options", {"gravity": gravity}, {"gravity"}).vector("gravity").tolist()
         self.gravity = (x, y, z)
-        self.masses, self._centres = _read_masses(masses, self.skeleton)
+        self.masses, self._centres = read_masses(masses, self.skeleton.bodies)
         self.parts = tuple(self.masses)
         tolerance = {"m": float(length_tolerance), "rad": float(angle_tolerance)}
         self.parameters = ParameterTable(self.skeleton.parameters(self._target_rows(), tolerance))
@@ -272,7 +275,7 @@ class Chain(Mechanism):
         workspace: Mapping[str, Any] | None,
     ) -> None:
         """Close the loops at home, and find freedoms, independent rows and parameters."""
-        stated = None if moves is None else _coordinates("moves", moves)
+        stated = None if moves is None else read_coordinates("moves", moves)
         self.moves, self.length = tuple(stated or POSE), self._find_length(guess)
         home = self._close_at_home(self._survey(), guess)
         home = self._hold_idle(home)
@@ -282,7 +285,7 @@ class Chain(Mechanism):
         if stated is None:
             loops = [k for k, owner in enumerate(self._owners()) if owner != PLATFORM]
             self.moves = tuple(POSE[i] for i in motion.find_moves(loops))
-        given = None if controls is None else _coordinates("controls", controls)
+        given = None if controls is None else read_coordinates("controls", controls)
         self.controls = tuple(given or [POSE[i] for i in motion.find_controls(self.moved)])
         if loose := motion.count_loose():
             raise ModelError(
@@ -484,63 +487,7 @@ class Chain(Mechanism):
         return self._lines(q, passive[0] if passive else ca.SX(0, 1), r, R, p)
 
     def _lines(self, q: Any, u: Any, r: Any, R: Any, p: Named) -> list[Line]:
-        frames, s = self._frames(q, u, r, R, p), self.skeleton
-        points: dict[str, list[Any]] = {body: [] for body in frames}
-        shows: dict[str, list[str]] = {body: [] for body in frames}
-        points[s.base].append(ca.DM.zeros(3))
-        kinds, lines = {s.base: "base", s.platform: "platform"}, list[Line]()
-        for joint in s.joints:
-            at, turned = frames[joint.child]
-            anchor = at + turned @ ca.DM(joint.anchor)
-            points[joint.parent].append(anchor)
-            points[joint.child].append(anchor)
-            kinds.setdefault(joint.child, "driven" if joint.driven else "rod")
-            shows[joint.parent].append(f"{joint.name}.[xyz]")
-            shows[joint.child] += [f"{joint.name}.zero", f"{joint.name}.r?"]
-            if len(joint.axes) == 1:
-                along = turned @ ca.DM(joint.axes[0])
-                lines.append(axis(anchor, along, 0.2 * self.length))
-        for loop in s.loops:
-            ends = s.rod_ends(loop, frames, p)
-            for side, end, at in zip("ab", (loop.a, loop.b), ends, strict=True):
-                points[end.body].append(at)
-                shows[end.body].append(f"{loop.name}.{side}_?")
-            if loop.type == "distance":
-                kind = "driven" if loop.driven else "rod"
-                lines.append(Line(kind, ends, (f"{loop.name}.length",)))
-        points[s.platform].append(r)
-        shows[s.platform].append("target.*")
-        lines += [
-            Line(kinds.get(body, "rod"), tuple(through), tuple(shows[body]))
-            for body, through in points.items()
-            if len(through) > 1
-        ]
-        return lines
-
-
-def _coordinates(key: str, given: Any) -> list[str]:
-    known = not isinstance(given, str) and isinstance(given, Sequence)
-    if not known or not given or not set(given) <= set(POSE):
-        raise ModelError(f"{key} is {given!r}, expected some of {', '.join(POSE)}")
-    return [c for c in POSE if c in given]
-
-
-def _read_masses(
-    given: Mapping[str, Any] | None, skeleton: Skeleton
-) -> tuple[dict[str, float], dict[str, np.ndarray]]:
-    """Return the mass of each body that has one, and its centre in the frame of the body."""
-    entries = Entry("masses", given or {}, {*(given or {})})
-    known = {skeleton.base, skeleton.platform, *(step.reached for step in skeleton.steps)}
-    found, centres = dict[str, float](), dict[str, np.ndarray]()
-    for body, value in entries.given.items():
-        if body not in known:
-            raise ModelError(f"masses: unknown body {body!r}, expected some of {sorted(known)}")
-        own = Entry(f"masses: {body}", value, {"mass", "centre"})
-        if body == "platform":  # the name of the mass at the origin of {P}
-            raise ModelError("masses: rename the body 'platform': 'mass.platform' acts at {P}")
-        found[str(body)] = own.number("mass")
-        centres[str(body)] = own.vector("centre", (0.0, 0.0, 0.0))
-    return found, centres
+        return draw(self.skeleton, self._frames(q, u, r, R, p), r, 0.2 * self.length, p)
 
 
 def _group(names: Sequence[str]) -> str:

@@ -59,12 +59,15 @@ class Sensor(ABC):
         value depends on where a part was placed. Errors are then those without their mean over the
         judged samples. Default False.
     unit : str
-        Unit of the readings, `m` or `px`. Default `m`.
+        Unit of the readings, `m`, `rad` or `px`. Default `m`.
     shows_pose : bool
         Whether the readings of one sample determine the pose of the platform, as the corners in
         one image do. If True: (1) a recording may lack some of the channels altogether;
         (2) `views` supplies the start values that the options do not state; (3) pose errors are
         estimated from the readings. Default False.
+    reads_always : bool
+        Whether it reads wherever the robot moves, without a contact or a part to place. A simulated
+        session then contains its readings. Default False.
     stated_length : str
         Name of the option (m) from which all lengths follow that the readings show; empty (default)
         if the readings themselves are lengths.
@@ -83,6 +86,7 @@ class Sensor(ABC):
     relative: ClassVar[bool] = False
     unit: ClassVar[str] = "m"
     shows_pose: ClassVar[bool] = False
+    reads_always: ClassVar[bool] = False
     stated_length: ClassVar[str] = ""
     scale_parameters: ClassVar[tuple[str, ...]] = ()
 
@@ -98,6 +102,11 @@ class Sensor(ABC):
     def readings(self, r: Any, R: Any, s: Named) -> Any:
         """Return the reading of each channel at the pose (r, R) of {P} in {B}, a column."""
         return ca.SX(0, 1)
+
+    def readings_with_passive(self, r: Any, R: Any, u: Mapping[str, Any], s: Named) -> Any:
+        """Return the readings of a sensor that reads passive coordinates: `u` are the values of all
+        of the mechanism's, by name. By default they do not matter."""
+        return self.readings(r, R, s)
 
     def points(self, r: Any, R: Any, s: Named) -> Any:
         """Return a column of intermediate coordinates, from which `show` computes the readings.

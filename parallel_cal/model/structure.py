@@ -252,6 +252,13 @@ class Structure:
         return np.array([s.unit for s in self.sensors for _ in s.channels], dtype=str)
 
     @property
+    def reading_lengths(self) -> np.ndarray:
+        """Factor of each channel that makes lengths of its readings: an angle is the arc at the
+        characteristic length. NaN for pixels."""
+        factors = {"m": 1.0, "rad": self.mechanism.length}
+        return np.array([factors.get(unit, np.nan) for unit in self.channel_units], dtype=float)
+
+    @property
     def channels_without_sigma(self) -> tuple[str, ...]:
         """Channels without a stated standard deviation."""
         return tuple(c for s in self.sensors if s.sigma is None for c in s.channels)
@@ -268,13 +275,15 @@ class Structure:
     def _readings(self, sensor: Sensor, r: Any, R: Any, numbers: Named) -> Any:
         """Readings of a sensor's channels at a pose, after the effects on them."""
         s = numbers[sensor.name]
-        rows = ca.vertsplit(sensor.readings(r, R, s)) if sensor.channels else []
+        passive = {name: self.u[k] for k, name in enumerate(self.mechanism.passive)}
+        shown = sensor.readings_with_passive(r, R, passive, s)
+        rows = ca.vertsplit(shown) if sensor.channels else []
         for k, channel in enumerate(sensor.channels):
             if acting := [effect for effect in self.effects if effect.acts_on(channel)]:
                 pose = r, R
                 for effect in acting:
                     pose = effect.at_sensor(*pose, s, numbers[effect.name])
-                rows[k] = sensor.readings(*pose, s)[k]
+                rows[k] = sensor.readings_with_passive(*pose, passive, s)[k]
         return ca.vertcat(ca.SX(0, 1), *rows)
 
     @cached_property

@@ -134,7 +134,7 @@ class ReadingColumn(Part):
     """A sensor's readings; the key is the model file's channel. An empty cell is no reading."""
 
     column: str
-    unit: Literal[Length, "px"] | None = None
+    unit: Literal[Angle, Length, "px"] | None = None
 
 
 class PositionColumns(Part):

@@ -13,6 +13,7 @@ from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import matrix_to_quaternion, rotation_matrix
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.base.units import ARCSEC
+from parallel_cal.kinematics.answers import select_rows
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.effect import parse_effect
 from parallel_cal.model.mechanism import poses_in_workspace
@@ -176,7 +177,39 @@ def simulate(
         "temperature": ScalarStream("temperature", slow, _temperature(slow)),
         "payload": ScalarStream("payload", motion.time[changes], payload[changes]),
     }
-    return Simulation(model, Recording("simulated", 0, joints, measured, conditions))
+    read = _read_sensors(model, motion, rng, quiet)
+    return Simulation(
+        model, Recording("simulated", 0, joints, measured, conditions, distances=read)
+    )
+
+
+def _read_sensors(
+    model: Model, motion: _Motion, rng: np.random.Generator, quiet: bool
+) -> dict[str, ScalarStream]:
+    """Return the readings of the sensors that read wherever the robot moves, with their noise: one
+    draw per dwell."""
+    read = [c for s in model.sensors if s.reads_always for c in s.channels]
+    if not read:
+        return {}
+    seen = slice(None, None, POSES_EVERY)
+    at = {key: column[seen] for key, column in motion.at.items()}
+    answer = Kinematics(model).direct(motion.joints[seen], at)
+    solved, structure = answer.solved, model.structure
+    rows = structure.residuals(
+        answer[solved].configuration.rows,
+        model.condition_rows(select_rows(at, solved), int(solved.sum())),
+        model.values,
+    )[0]
+    values = rows[:, structure.phi.shape[0] :]
+    if not quiet:
+        errors = rng.standard_normal((motion.dwell[-1] + 1, values.shape[1]))
+        values = values + structure.standard_uncertainty * errors[motion.dwell[seen][solved]]
+    time = motion.time[seen][solved]
+    return {
+        channel: ScalarStream("distance", time, values[:, k])
+        for k, channel in enumerate(structure.channels)
+        if channel in read
+    }
 
 
 def _measure_poses(

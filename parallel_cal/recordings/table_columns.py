@@ -95,7 +95,7 @@ class Columns:
         return np.column_stack([self._column(name, unit, gaps) for name in names])
 
     def reading(self, wanted: ReadingColumn) -> Array:
-        """Return readings (N,) in m or px; an empty cell is NaN."""
+        """Return readings (N,) in m, rad or px; an empty cell is NaN."""
         return self._column(wanted.column, wanted.unit, gaps=True, pixels=True)
 
     def joint(self, wanted: JointColumn, gaps: bool = False) -> Array:

@@ -54,7 +54,8 @@ def write_bag(session: Simulation, path: str | Path, storage: str = "mcap") -> N
     if storage not in STORAGES:
         raise BagError(f"storage '{storage}' unknown; expected {' or '.join(STORAGES)}")
     messages = _Session()
-    kinds = {name: CHANNELS[name].types[0] for name in WRITTEN_CHANNELS}
+    written = [*WRITTEN_CHANNELS, *(["distance"] if session.recording.distances else [])]
+    kinds = {name: CHANNELS[name].types[0] for name in written}
     # A long session has millions of messages: make each when it is written.
     stream = merge(*messages.streams(session), key=lambda m: m[0])
     data = ((n, t, messages.store.serialize_cdr(m, kinds[n])) for t, n, m in stream)
@@ -180,6 +181,7 @@ class _Session(Messages):
             self._temperatures(temperature),
             self._joint_states(recording.joints),
             self._poses(recording.pose),
+            *(self._readings(name, stream) for name, stream in recording.distances.items()),
         ]
 
     def _payloads(self, payload: ScalarStream, frame: str) -> Iterator[tuple[int, str, Any]]:
@@ -193,6 +195,12 @@ class _Session(Messages):
         air = self.kind("sensor_msgs/Temperature")
         for time, warmth in zip(_stamps(temperature.time), temperature.value, strict=True):
             yield time, "temperature", air(self.header(time), float(warmth), 0.01)
+
+    def _readings(self, channel: str, stream: ScalarStream) -> Iterator[tuple[int, str, Any]]:
+        kind = self.kind("sensor_msgs/Range")
+        for time, value in zip(_stamps(stream.time), stream.value, strict=True):
+            header = self.header(time, channel)
+            yield time, "distance", kind(header, 0, 0.0, -np.inf, np.inf, float(value), 0.0)
 
     def _joint_states(self, joints: JointStream) -> Iterator[tuple[int, str, Any]]:
         for time, q in zip(_stamps(joints.time), joints.position, strict=True):

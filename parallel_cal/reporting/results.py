@@ -356,8 +356,9 @@ def _worst_samples(comparison: Comparison) -> Table:
     if np.isfinite(norms["pixel"]).any():
         shown["corners [px]"] = [Number(e, 1.0, 2) for e in norms["pixel"][worst]]
     structure = comparison.model.structure
-    for k in np.flatnonzero(structure.channel_units == "m"):
+    for k in np.flatnonzero(structure.channel_units != "px"):
         channel, read = structure.channels[k], errors.reading[:, k]
+        # The reading of an angle is an arc.
         shown[f"{channel} [um]"] = [Number(e, 1e6, 0) for e in read[worst]]
     return Table(tuple(shown), list(zip(*shown.values(), strict=True)))
 

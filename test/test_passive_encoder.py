@@ -1,0 +1,108 @@
+"""An encoder on a passive joint of a closed chain is one more measured channel."""
+
+from dataclasses import replace
+
+import chains
+import numpy as np
+import pytest
+
+import parallel_cal as pc
+from parallel_cal.base.errors import ModelError
+from parallel_cal.identification.observations import observe
+from parallel_cal.identification.prediction_errors import errors
+from parallel_cal.model.shelf import load_sensor
+
+ZERO = "passive_encoder.left_elbow.zero"
+NOISE = pc.Noise(joint=1e-6, position=1e-5)
+
+
+def with_encoder(joints=("left_elbow",), **options):
+    """The five-bar with an encoder on an elbow."""
+    sensor = load_sensor("passive_encoder", joints=joints, **options)
+    chain = pc.mechanisms.load("chain", **chains.five_bar(base=0.1, crank=0.1, bar=0.15))
+    return replace(pc.new_model(chain, sensors=[sensor]), noise=NOISE)
+
+
+def off_the_drawing(model, seed=0):
+    """The model with errors of half a tolerance."""
+    size = 0.5 * model.table.tolerance * ~np.asarray(model.fixed)
+    return model.with_values(model.values + size * np.random.default_rng(seed).standard_normal(
+        len(size)))  # fmt: skip
+
+
+def test_an_elbow_reads_its_angle_minus_the_zero_of_the_encoder():
+    """Both cranks upright: elbows at (-0.05, 0.1) and (0.05, 0.1); the rods of 0.15 m meet at
+    (0, 0.1 + sqrt(0.02)). The left one is turned against its crank, which points along y."""
+    model = with_encoder()
+    model = model.with_values(model.table.vector({ZERO: 0.01}))
+    upright = np.radians([[90.0, 90.0]] * 4)
+    read = pc.simulate(model, 4, quiet=True, targets=upright + [[0], [0.1], [0], [0.1]]).dataset()
+    at_rest = np.arctan2(np.sqrt(0.02), 0.05) - np.pi / 2
+    assert read.conditions["reading.left_elbow"][[0, 2]] == pytest.approx(at_rest - 0.01, abs=1e-9)
+
+
+def test_an_angle_of_a_passive_joint_is_within_half_a_turn_of_home():
+    """Long first steps turned an elbow by a whole turn near a stretched arm."""
+    model = off_the_drawing(with_encoder())
+    rng = np.random.default_rng(1)
+    q = np.array(model.mechanism.home.joints) + rng.uniform(-0.6, 0.6, (400, 2))
+    found = pc.Kinematics(model).direct(q)
+    away = found.passive[found.solved] - model.mechanism.home.passive
+    assert np.abs(away).max() < np.pi
+
+
+def test_a_fit_uses_the_encoder_and_ends_at_the_noise():
+    true = off_the_drawing(with_encoder(sigma=1e-5))
+    found = pc.fit(with_encoder(sigma=1e-5), pc.simulate(true, 40, seed=1).dataset())
+    assert found.document()["chi2_per_dof"] == pytest.approx(1, abs=0.4)
+    assert found.model.value(ZERO) == pytest.approx(true.value(ZERO), abs=3e-4)
+    unseen = pc.simulate(true, 30, seed=2).dataset()
+    before, after = (
+        errors(m, observe(m, unseen)).summary for m in (with_encoder(sigma=1e-5), found.model)
+    )
+    assert before.reading_rms > 0.2e-3  # m: an arc at the characteristic length
+    assert after.reading_rms < 3e-5 * true.mechanism.length
+
+
+def test_motors_and_two_elbows_calibrate_a_five_bar_without_a_device():
+    """Angles do not show the size: with one rod known, the poses follow."""
+    both = ("left_elbow", "right_elbow")
+    model, true = with_encoder(both, sigma=1e-6), off_the_drawing(with_encoder(both, sigma=1e-6))
+    session = pc.simulate(true, 60, seed=1).dataset()
+    blind = replace(session, measured=np.zeros_like(session.measured))
+    found = pc.fit(model, blind)
+    unseen = pc.simulate(true, 30, seed=2, quiet=True).dataset()
+    before, after = (errors(m, observe(m, unseen)).summary for m in (model, found.model))
+    assert after.reading_rms < 0.01 * before.reading_rms
+
+
+def test_a_recording_holds_what_the_encoder_reads(tmp_path):
+    model = with_encoder()
+    session = pc.simulate(model, 6, seed=1)
+    pc.write_bag(session, tmp_path / "bag")
+    again = pc.load_dataset(tmp_path / "bag", joints=model.joints)
+    read, known = (d.conditions["reading.left_elbow"] for d in (again, session.dataset()))
+    assert read == pytest.approx(known, abs=2e-7)  # single precision
+    pc.write_model(model, tmp_path / "robot.yaml")
+    assert pc.read_model(tmp_path / "robot.yaml").structure.channels == ("left_elbow",)
+
+
+@pytest.mark.wide
+def test_a_diagnosis_with_the_encoder_names_a_backlash():
+    model = with_encoder(sigma=2e-5)
+    session = pc.simulate(model, 60, effects=["backlash:left.width=0.0006"], seed=1)
+    found = pc.diagnose(model, session.dataset())
+    assert "backlash" in found.verdict.summary
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"joints": ("left",)}, "'left' is no passive coordinate of chain, expected some of left_"),
+        ({"unit": "m"}, "joint 'left_elbow' has the unit rad, not m"),
+        ({"unit": "deg"}, "unit is 'deg', expected rad or m"),
+    ],
+)
+def test_an_encoder_that_does_not_fit_the_robot_is_refused(options, message):
+    with pytest.raises(ModelError, match=message):
+        with_encoder(**options)
