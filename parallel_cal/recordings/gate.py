@@ -67,6 +67,8 @@ class Gate:
         last, held = self._last, self._held
         if last is None:
             return self._take_first(new)
+        if last.stamp and not stamp:  # the reader drops and counts it; it tells of no clock
+            return [new]
         if _near(new, last):
             # The stream continues: the messages held back in between do not belong to it.
             if held and held[0].source is not last.source:
