@@ -5,8 +5,9 @@
 
 The cell has nothing from parallel_cal. Its cranks, rods and motors are not as drawn, the left drive
 has backlash, and the tracker has a frame of its own and stamps its poses late. Each run prints one
-line: the effects named, the widths found (mrad), and the rms position error (um) before and after at
-joint positions that nobody measured. The exit status is 1 if another effect than backlash is named.
+line: the effects named, the widths found (mrad), and the rms position error (um) before and after
+at joint positions that nobody measured. The exit status is 1 if another effect than backlash is
+named.
 """
 
 import argparse

@@ -185,7 +185,8 @@ def _delay_by_reception(
         return None
     delays = times[1][among][close] - early[close] - (late[close] - early[close]) // 2
     delay = float(np.median(delays))
-    waited = abs(delay) * np.ptp(logs[0]) / max(np.ptp(times[0]), 1)  # on the receiver's clock
+    received, stamped = (max(float(np.ptp(ns)), 1.0) for ns in (logs[0], times[0]))
+    waited = abs(delay) * received / stamped  # on the receiver's clock
     spread = float(np.median(np.abs(delays - delay)))
     if overlap and not (waited > MAX_STAMP_JUMP_NS > spread):
         return None
