@@ -589,8 +589,9 @@ def test_a_cpp_robot_allocates_nothing_and_keeps_its_state_after_a_failure(
     assert float(worst) < 50e-6  # backlash at the first cycles, whose direction is not known
 
 
+@pytest.mark.parametrize("call", ["begin(q)", "update(q, 1e-3)"])
 @pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
-def test_a_cpp_robot_that_begins_far_from_its_last_pose_is_on_the_branch_of_home(tmp_path):
+def test_a_cpp_robot_whose_readings_jump_is_on_the_branch_of_home(call, tmp_path):
     model = read_model(Path(__file__).parents[1] / "config/delta_mockup_identified.yaml")
     r, _ = poses_in_workspace(model.mechanism, 400, np.random.default_rng(0))
     kinematics = Kinematics(model)
@@ -600,7 +601,7 @@ def test_a_cpp_robot_that_begins_far_from_its_last_pose_is_on_the_branch_of_home
         '#include "delta54.hpp"\n#include <cstdio>\nint main() {\n'
         "delta54::Robot robot; delta54::Joints q{};\n"
         'while (std::scanf("%lf %lf %lf", &q[0], &q[1], &q[2]) == 3) {\n'
-        "const auto status = robot.begin(q); const auto &r = robot.pose().position;\n"
+        f"const auto status = robot.{call}; const auto &r = robot.pose().position;\n"
         'std::printf("%d %.17g %.17g %.17g\\n", int(status), r[0], r[1], r[2]); } }\n'
     )
     run(["g++", *STRICT_CPP, "begin.cpp", "-o", "begin"], tmp_path)

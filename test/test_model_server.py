@@ -16,6 +16,7 @@ from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.file.modelfile import model_hash, read_model, write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import list_plugins
+from parallel_cal.model.structure import _cached_structure
 from parallel_cal.nodes.file_watch import DEBOUNCE, FileWatch
 from parallel_cal.nodes.model_server import ModelServer, ServedModel, self_test
 from parallel_cal.nodes.stream_memory import DirectionTracker, Memory, joints_for
@@ -347,3 +348,19 @@ def test_only_a_driver_that_sends_velocities_makes_accelerations_known():
     assert memory.conditions(model) == expected
     memory.on_joint_state(model, np.ones(3), 1.0, None)
     assert memory.unheard(model) == unknown
+
+
+def test_files_that_differ_in_their_values_leave_no_further_equations_behind(tmp_path):
+    made, model, served = _cached_structure.cache_info, read_model(IDENTIFIED), ModelServer()
+
+    def serve(value):
+        write_model(model.with_values(np.append(value, model.values[1:])), tmp_path / "robot.yaml")
+        assert served.load(tmp_path / "robot.yaml", "watch").ok
+        served.wait_until_compiled(60)
+
+    serve(model.values[0])
+    before = made().misses
+    for k in range(1, 4):
+        serve(model.values[0] + 1e-6 * k)
+    assert served.current.model.values[0] == pytest.approx(model.values[0] + 3e-6, abs=1e-12)
+    assert made().misses == before

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,12 +16,14 @@ from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.field import Field
+from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.region import Region
 from parallel_cal.diagnosis.search import Trial
-from parallel_cal.diagnosis.verdict import format_effect_names
+from parallel_cal.diagnosis.verdict import _describe_noise_floor, format_effect_names
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.fit_warnings import format_distinctly
+from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
@@ -163,6 +166,32 @@ def test_the_order_of_samples_is_no_time():
     field = Field.of(scene)
     wandering = replace(field, noise_units=np.cumsum(field.noise_units, axis=0))
     assert not NoiseShape.of(scene, wandering).correlated
+
+
+# --------------------------------------------------------------------------- the noise floor
+
+
+@pytest.mark.parametrize(
+    ("chi2", "words"),
+    [
+        (1.0, "; noise floor 7 um"),
+        (
+            0.06,
+            "; noise floor 7 um by the stated noise: that of the samples is smaller, as where a "
+            "pose is the mean of many messages",
+        ),
+    ],
+)
+def test_a_noise_floor_that_the_residuals_contradict_is_said_to_be_that_of_the_stated_noise(
+    chi2, words
+):
+    """A verdict said 1.7 um of error beside a noise floor of 7.1 um."""
+    found = SimpleNamespace(
+        noise=NoiseLevel(1.0, None, "stated (model file)", None),
+        final_estimate=SimpleNamespace(chi2_per_dof=chi2, dof=200),
+        best=SimpleNamespace(fitted=SimpleNamespace(noise_floor=Summary(position_rms=7e-6))),
+    )
+    assert _describe_noise_floor(found) == words
 
 
 # --------------------------------------------------------------------------- gears

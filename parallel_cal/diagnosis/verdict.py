@@ -462,7 +462,14 @@ def _describe_noise_floor(found: Findings) -> str:
     floor = found.best.fitted.noise_floor
     if found.noise.misstated is not None or not floor.is_known:
         return ""
-    return f"; noise floor {format_errors(floor)}"
+    after = found.final_estimate
+    words = f"; noise floor {format_errors(floor)}"
+    if after.chi2_per_dof < found.noise.band(after.dof)[0]:
+        words += (
+            " by the stated noise: that of the samples is smaller, as where a pose is the mean of "
+            "many messages"
+        )
+    return words
 
 
 def _size(structure: LackOfFit, before: str = ",") -> str:

@@ -21,7 +21,7 @@ from parallel_cal.base.worker import Worker
 from parallel_cal.diagnosis.comparison import Comparison, compare
 from parallel_cal.discovery.goal import find_laws
 from parallel_cal.identification.options import FitOptions
-from parallel_cal.model.file.modelfile import dump_model, read_model
+from parallel_cal.model.file.modelfile import dump_model, model_text, parse_model
 from parallel_cal.model.model import Model
 from parallel_cal.nodes import calibration_messages as messages
 from parallel_cal.nodes.calibration_settings import CalibrationSettings
@@ -31,7 +31,6 @@ from parallel_cal.nodes.conversions import message_class
 from parallel_cal.nodes.frames import Look, to_base_frame
 from parallel_cal.nodes.jobs import Job, JobServer, Say, Work, WorkSlot, describe_error
 from parallel_cal.nodes.managed_node import ManagedNode
-from parallel_cal.nodes.model_server import share_mechanism
 from parallel_cal.nodes.parameters import LATCHED, absolute
 from parallel_cal.nodes.run import WorkerThreadGroup, run_in_spin_thread
 from parallel_cal.recordings.residuals import TOPICS, residual_messages
@@ -163,7 +162,7 @@ class Calibrator:
 
     def _read_model(self, path: str) -> Model:
         """Read a model; an unchanged file gives the model that was read before."""
-        model = share_mechanism(read_model(path), self._model)
+        model = parse_model(model_text(path), path, self._model)
         if self._model is None or dump_model(model) != dump_model(self._model):
             self._model = model
         return self._model

@@ -96,12 +96,13 @@ class LiveSamples:
         call(self._adopt, work.result())
 
     def _take_snapshots(self) -> list[Snapshot]:
+        now = time.time_ns()  # what arrives while messages are processed is no silence
         self._process_messages()
         settings = self._settings
         self.collector.configure(
             settings.joints(), settings.sample_options(), settings.get("auto_collect")
         )
-        return self.collector.take_snapshots(time.time_ns())
+        return self.collector.take_snapshots(now)
 
     def _adopt(self, made: Sequence[tuple[Snapshot, Made]]) -> None:
         """Use the samples made, keep them, and publish the change."""

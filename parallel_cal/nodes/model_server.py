@@ -91,7 +91,7 @@ class ModelServer:
             raise ModelFileError("no model file: set the parameter model_file or call load_model")
         text = model_text(path)
         known = self.current
-        model = share_mechanism(parse_model(text, str(path)), known.model if known else None)
+        model = parse_model(text, str(path), known.model if known else None)
         kinematics = Kinematics(model.robot())
         try:
             self_test(kinematics)
@@ -143,35 +143,6 @@ class ModelServer:
         """Wait for the compiler. Only tests and benchmarks do this; requests never wait."""
         if self._completion is not None:
             self._completion.join(timeout)
-
-
-def share_mechanism(model: Model, known: Model | None) -> Model:
-    """Return the model with the mechanism of a known one, if they are the same.
-
-    The functions of a mechanism are derived once and cached with it: a file that is read again and
-    again would leave half a megabyte, or more, each time.
-    """
-    if known is None or not _is_same_mechanism(known.mechanism, model.mechanism):
-        return model
-    return replace(model, mechanism=known.mechanism)
-
-
-def _is_same_mechanism(one: Mechanism, other: Mechanism) -> bool:
-    """Return whether two mechanisms are of one type and equal in all that their files state."""
-    if type(one) is not type(other):
-        return False
-    names = {
-        name
-        for name in {**vars(one), **vars(other)}
-        if not isinstance(getattr(type(one), name, None), cached_property)
-    }
-    stated = ({n: getattr(m, n, None) for n in names - {"parameters"}} for m in (one, other))
-    try:
-        return tuple(one.parameters) == tuple(other.parameters) and bool(
-            next(stated) == next(stated)
-        )
-    except ValueError:  # of arrays in a user's own mechanism, which have no truth value
-        return False
 
 
 def self_test(kinematics: Kinematics) -> None:

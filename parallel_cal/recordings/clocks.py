@@ -142,17 +142,14 @@ def require_overlap(
     """Return poses that overlap the joint states; BagError if they were never recorded together.
 
     Poses on another clock are moved to the joints' by the order of reception; the motion tells the
-    offset more accurately later.
+    offset more accurately later. A clock that is ten seconds off also overlaps, after ten seconds:
+    no message is delivered so late.
     """
-    if joints.time[0] <= pose.time[-1] and pose.time[0] <= joints.time[-1]:
+    overlap = joints.time[0] <= pose.time[-1] and pose.time[0] <= joints.time[-1]
+    delay = _delay_by_reception(streams, times, overlap)
+    if overlap and delay is None:
         return pose
-    logs = [np.array(raw.log, np.int64) for raw in streams]
-    order = np.argsort(logs[0], kind="stable")
-    after = np.searchsorted(logs[0][order], logs[1])
-    among = (after > 0) & (after < len(order))
-    early, late = (times[0][order[after[among] - k]] for k in (1, 0))
-    close = np.abs(late - early) <= MAX_STAMP_JUMP_NS
-    if close.sum() < MIN_AGREEING_MESSAGES:
+    if delay is None:
         spans = [
             f"{s.topic} from {s.time[0] + start * 1e-9:.3f} to {s.time[-1] + start * 1e-9:.3f} s"
             for s in (joints, pose)
@@ -162,8 +159,6 @@ def require_overlap(
             "or one device was off. Record both together, or read by log time "
             "(stamps='log')."
         )
-    middle = early[close] + (late[close] - early[close]) // 2
-    delay = float(1e-9 * np.median(times[1][among][close] - middle))
     words = (
         f"{pose.topic} was stamped {abs(delay):.1f} s {'later' if delay > 0 else 'earlier'} than "
         f"{joints.topic} (by the order of reception): the two clocks differ. The poses were moved "
@@ -171,6 +166,32 @@ def require_overlap(
     )
     said.append(KeyedWarning(words, "two clocks by reception", pose.topic))
     return dataclasses.replace(pose, time=pose.time - delay)
+
+
+def _delay_by_reception(
+    streams: Sequence[Raw], times: Sequence[NDArray[np.int64]], overlap: bool
+) -> float | None:
+    """Return how much later (s) poses are stamped than the joint states received before and after
+    them; None if too few poses were received between two joint states.
+
+    If the streams overlap, also None unless most poses agree on a delay that is longer than the
+    delivery of a message takes."""
+    logs = [np.array(raw.log, np.int64) for raw in streams]
+    order = np.argsort(logs[0], kind="stable")
+    after = np.searchsorted(logs[0][order], logs[1])
+    among = (after > 0) & (after < len(order))
+    early, late = (times[0][order[after[among] - k]] for k in (1, 0))
+    close = np.abs(late - early) <= MAX_STAMP_JUMP_NS
+    if close.sum() < MIN_AGREEING_MESSAGES:
+        return None
+    delays = times[1][among][close] - early[close] - (late[close] - early[close]) // 2
+    delay = float(np.median(delays))
+    received, stamped = (max(float(np.ptp(ns)), 1.0) for ns in (logs[0], times[0]))
+    waited = abs(delay) * received / stamped  # on the receiver's clock
+    spread = float(np.median(np.abs(delays - delay)))
+    if overlap and not (waited > MAX_STAMP_JUMP_NS > spread):
+        return None
+    return 1e-9 * delay
 
 
 def measure_jitter(time: Array) -> float:

@@ -53,6 +53,7 @@ class Gate:
         self._held: list[StampedMessage] = []
         self._sources = Sources()
         self._mixed: int | None = None  # when two publishers were last seen to be active
+        self._is_slow = False  # whether the last messages are further apart than neighbours are
         self.strays = 0
         self.trouble = ""
 
@@ -66,6 +67,8 @@ class Gate:
         last, held = self._last, self._held
         if last is None:
             return self._take_first(new)
+        if last.stamp and not stamp:  # the reader drops and counts it; it tells of no clock
+            return [new]
         if _near(new, last):
             # The stream continues: the messages held back in between do not belong to it.
             if held and held[0].source is not last.source:
@@ -79,7 +82,7 @@ class Gate:
             self._held = [new]
             return ()
         previous = held[-1]
-        if new.source is previous.source and new.stamp >= previous.stamp - MAX_STAMP_JUMP_NS:
+        if new.source is previous.source and self._may_follow(new, previous):
             held.append(new)
             return self._release(held) if self._has_agreement(last) else ()
         if new.source is previous.source:
@@ -119,6 +122,12 @@ class Gate:
         self._held = [*held, new]
         return self._release(self._held) if len(self._held) >= MIN_AGREEING_MESSAGES else ()
 
+    def _may_follow(self, new: StampedMessage, held: StampedMessage) -> bool:
+        """Whether a message may be the next one of a held message's clock: a neighbour, or a later
+        one of a device that is slow or was silent."""
+        later = self._is_slow or new.log - held.log > PUBLISHER_TIMEOUT_NS
+        return _near(new, held) or (later and new.stamp > held.stamp)
+
     def _has_agreement(self, last: StampedMessage) -> bool:
         """Whether the held messages may replace the stream that ended with `last`."""
         held = self._held
@@ -128,6 +137,8 @@ class Gate:
         return enough or held[0].stamp > last.stamp
 
     def _release(self, trusted: list[StampedMessage]) -> Sequence[StampedMessage]:
+        before = trusted[-2] if len(trusted) > 1 else self._last
+        self._is_slow = before is not None and not _near(trusted[-1], before)
         self._last, self._held = trusted[-1], []
         if self._mixed is not None and trusted[-1].log - self._mixed < MIXED_PUBLISHERS_HOLD_NS:
             self._drop(trusted, TWO_PUBLISHERS)

@@ -64,11 +64,15 @@ def model_text(path: str | Path) -> str:
         raise ModelFileError(f"{path}:1: not YAML: the file is not text (UTF-8)") from None
 
 
-def parse_model(text: str, name: str = "model") -> Model:
-    """Parse the text of a model file; errors (ModelFileError) call the file `name`."""
+def parse_model(text: str, name: str = "model", known: Model | None = None) -> Model:
+    """Parse the text of a model file; errors (ModelFileError) call the file `name`.
+
+    The functions of a mechanism are derived once and cached with it. A file that is read again and
+    again would leave them each time: the model gets the mechanism of a `known` one that is equal.
+    """
     from parallel_cal.model.file.reader import Reader  # pydantic costs 50 ms
 
-    return Reader(parse_yaml(text, name)).model()
+    return Reader(parse_yaml(text, name), known).model()
 
 
 @check_arguments(ModelFileError)
@@ -125,7 +129,7 @@ def readable_text(model: Model, name: str | Path) -> str:
     return a text that the reader refuses.
     """
     text = dump_model(model)
-    parse_model(text, f"{name} (not written)")
+    parse_model(text, f"{name} (not written)", model)
     return text
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -30,8 +31,8 @@ VERSION = 1
 class Reader:
     """Build a model from one document; any step may raise ModelFileError."""
 
-    def __init__(self, document: Document):
-        self._document = document
+    def __init__(self, document: Document, known: Model | None = None):
+        self._document, self._known = document, known
         self._error = document.error
 
     def model(self) -> Model:
@@ -42,6 +43,8 @@ class Reader:
         hint = checks.Hint(self._document, _full_table(mechanism, effects, sensors))
         file = validate(self._document, hint)
         self._configure(mechanism, file)
+        if self._known is not None and _is_same_mechanism(self._known.mechanism, mechanism):
+            mechanism = self._known.mechanism
         tolerances = self._own_tolerances(mechanism, file)
         # The noise of joints may be stated by joint or by unit.
         known = [*mechanism.joints, *sorted(set(mechanism.joint_units))]
@@ -307,3 +310,21 @@ def _full_table(
     parts: list[Effect | Sensor] = [*effects, *sensors]
     tables = [part.table(mechanism) for part in parts]
     return ParameterTable([*mechanism.parameters, *(p for table in tables for p in table)])
+
+
+def _is_same_mechanism(one: Mechanism, other: Mechanism) -> bool:
+    """Return whether two mechanisms are of one type and equal in all that their files state."""
+    if type(one) is not type(other):
+        return False
+    names = {
+        name
+        for name in {**vars(one), **vars(other)}
+        if not isinstance(getattr(type(one), name, None), cached_property)
+    }
+    stated = ({n: getattr(m, n, None) for n in names - {"parameters"}} for m in (one, other))
+    try:
+        return tuple(one.parameters) == tuple(other.parameters) and bool(
+            next(stated) == next(stated)
+        )
+    except ValueError:  # of arrays in a user's own mechanism, which have no truth value
+        return False

@@ -61,7 +61,8 @@ public:
     }
 
     // Take the reading of a cycle, `period` s after the last: updates the conditions by joint and the
-    // pose. After any status but converged and outside_limits, the pose before stays.
+    // pose. After any status but converged and outside_limits, the pose before stays. Where readings
+    // jump so far that the pose may be on another branch than the last, it is on that of home.
     [[nodiscard]] Status update(const Joints &reading, double period) noexcept
     {
         const int bad = c::@robot@_motion_follow(&motion_, reading.data(), period);
@@ -109,8 +110,20 @@ private:
         Configuration found = pose_;
         const Status status{c::@robot@_direct_capped(
             reading.data(), &conditions, start, max_steps, &found, nullptr)};
-        if (status == Status::converged || status == Status::outside_limits) pose_ = found;
+        if (status != Status::converged && status != Status::outside_limits) return status;
+        if (start && !is_short_step(*start, found)) return solve_pose(reading, nullptr);
+        pose_ = found;
         return status;
+    }
+
+    [[nodiscard]] static bool is_short_step(const Configuration &here,
+        const Configuration &there) noexcept
+    {
+        double from[c::NX], to[c::NX];
+        c::row_of(&here, from);
+        c::row_of(&there, to);
+        memcpy(from, to, sizeof there.joints); // the joints are given
+        return c::short_step(from, to) != 0;
     }
 
     Configuration pose_ = c::@robot@_home, command_ = c::@robot@_home;
