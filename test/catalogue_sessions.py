@@ -27,7 +27,7 @@ from virtual_lines import Creep, LinedRobot, Pulleys, Tension
 from virtual_small import Cable
 from virtual_struts import UniversalJoints
 
-from parallel_cal.diagnosis import catalogue
+from parallel_cal.causes import effects as catalogue
 from parallel_cal.identification.fit import fit
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model, new_model
