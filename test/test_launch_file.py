@@ -115,7 +115,11 @@ def started(actions, folder):
     for node in actions:
         assert (node.package, node.name) == ("parallel_cal", node.executable)
         file, given = parameters_of(node)
-        rules = [word for topic, to in node.remappings for word in ("-r", f"{topic}:={to}")]
+        rules = [
+            word
+            for topic, to in getattr(node, "remappings", ())
+            for word in ("-r", f"{topic}:={to}")
+        ]
         ros = ["--params-file", file, *rules, *node.ros_arguments]
         yield NodeProcess(node.executable, folder, node.namespace, ros=ros, **given)
 

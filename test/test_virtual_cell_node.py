@@ -20,7 +20,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from ros_helpers import NodeProcess
 from sensor_msgs.msg import JointState
-from test_launch_file import arguments, described
+from test_launch_file import launched, started
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from parallel_cal.model.file.modelfile import read_model
@@ -191,25 +191,19 @@ def test_the_page_about_the_nodes_names_every_parameter():
 
 @pytest.mark.wide
 def test_the_launch_file_starts_the_cell_and_both_nodes_on_the_model_that_it_writes(tmp_path):
-    actions = described("cell.launch.py")
-    declared = arguments(actions)
-    assert all(a.description for a in declared.values())
+    file = tmp_path / "robot.yaml"
     with mock.patch.dict(os.environ):
         namespace = f"{use_private_domain()}/launched"
-        values = {n: getattr(a, "default_value", None) for n, a in declared.items()}
-        values |= {"model_file": str(tmp_path / "robot.yaml"), "namespace": namespace}
-        types = {"seed": int, "rate": float}
-        processes = []
-        for node in (a for a in actions if type(a).__name__ == "Node"):
-            assert (node.package, node.name) == ("parallel_cal", node.executable)
-            given = {
-                n: types.get(n, str)(values[p.values[0].values[0]])
-                for n, p in node.parameters[0].items()
-            }
-            processes.append(NodeProcess(node.executable, tmp_path, namespace, **given))
+        given = {"model_file": str(file), "namespace": namespace}
+        cell, wait = launched("cell.launch.py", **given)
+        processes = [*started([cell], tmp_path)]
         client = Client("tester", namespace, processes)
-        status = client.subscribe_latest(ModelStatus, "kinematics_node/model_status")
         try:
+            client.wait(file.exists, "the model file")
+            [nodes] = wait.actions[0].function(None)
+            of_nodes = launched("calibration.launch.py", **dict(nodes.launch_arguments))
+            processes += started(of_nodes, tmp_path)
+            status = client.subscribe_latest(ModelStatus, "kinematics_node/model_status")
             client.wait(lambda: status and status[-1].mechanism == "delta54", "the model")
             client.wait(lambda: client.count_subscribers(["joint_states"]) == 2, "both listeners")
         finally:
