@@ -447,4 +447,3 @@ def test_an_effect_that_only_the_larger_model_can_have_fails_without_it_and_says
     alone = search.fit(Chosen("target_offset"))
     assert alone.result is None
     assert "the platform does not rotate" in alone.reason
-    assert "parallelogram_errors" in search.backward(both).names

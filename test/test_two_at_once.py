@@ -6,12 +6,8 @@ from campaign_cells import SimulatedCell, model_of
 from workbench_page import until
 
 from parallel_cal.campaign.trajectory import plan_trajectory
-from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.diagnose import diagnose
-from parallel_cal.diagnosis.search import Chosen, Search
 from parallel_cal.diagnosis.separate import rank_rival_pairs
-from parallel_cal.identification.fit import fit_unjudged
-from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.effect import parse_effects
 from parallel_cal.planning.posepool import make_pool
 from parallel_cal.recordings.joining import join_datasets
@@ -102,18 +98,12 @@ def test_a_rival_that_would_turn_a_joint_back_is_no_doubt():
 
 
 @pytest.mark.wide
-def test_a_setting_that_was_found_without_the_other_effect_is_found_again_beside_it():
+def test_a_lead_is_found_beside_the_other_effect():
     model, data = visited(400, ["screw_wobble", "backlash"], 30)
-    options = FitOptions()
-    search = Search(model, lambda one, insist: fit_unjudged(one, data, options), lambda *_: None)
-    astray = Chosen("screw_pitch_error", (("lead", 4.99e-3),))
-    trial = search.rescan_settings(
-        search.fit(Chosen("backlash"), astray),
-        lambda without: [candidate(without.scene, name) for name in ("screw_pitch_error",)],
-    )
-    assert trial.names == ("backlash", "screw_pitch_error")
-    assert trial.chosen[1].settings["lead"] == pytest.approx(5e-3, abs=4e-6)
-    assert trial.fitted.estimate.chi2 < search.fit(Chosen("backlash"), astray).fitted.estimate.chi2
+    found = diagnose(model, data, effects=["backlash", "screw_pitch_error"])
+    [screw] = [one for one in found.best.chosen if one.name == "screw_pitch_error"]
+    assert screw.settings["lead"] == pytest.approx(5e-3, abs=4e-6)
+    assert "backlash" in found.effects
 
 
 def test_several_effects_are_named_in_one_word():

@@ -228,7 +228,9 @@ def test_a_guess_that_is_100_times_wrong_changes_no_verdict():
         diagnose(replace(model, noise=noise), silent)
         for noise in (Noise(), *list(scaled_guesses())[:3])
     ]
-    assert {(one.verdict.word, one.effects) for one in found} == {("cannot_know", ("backlash",))}
+    assert {(one.verdict.word, one.left, one.effects) for one in found} == {
+        ("partly_explained", "unknown", ("backlash",))
+    }
 
 
 def test_compare_shows_errors_without_any_stated_noise(session):
