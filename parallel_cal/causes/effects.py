@@ -12,12 +12,11 @@ from parallel_cal.identification.observations import conditions
 from parallel_cal.model.effect import parse_part
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import list_plugins, load_effect
-from parallel_cal.posterior.blocks import EFFECT, Block
+from parallel_cal.posterior.blocks import EFFECT, LOG_ODDS, Block
 from parallel_cal.posterior.evidence import Choice, Evidence
 from parallel_cal.posterior.scene import Scene, columns
 from parallel_cal.recordings.dataset import Dataset
 
-LOG_PRIOR = np.log(1 / 30)
 MIN_SCANNED = 3  # values of a setting, to refine it between them
 EQUAL_EVIDENCE = 4.5  # of the logarithm, three sigmas: two settings fit as well
 
@@ -42,7 +41,7 @@ def list_effect_blocks(scene: Scene, names: Sequence[str]) -> list[Block]:
             continue
         a = conditions(plain, scene.dataset)
         each = [compute_effect_columns(scene, plain, one, a, True) for one in settings]
-        block = Block.of(scene, name, EFFECT, LOG_PRIOR, each, settings)
+        block = Block.of(scene, name, EFFECT, LOG_ODDS, each, settings)
         if block is not None:
             found.append(block)
     return found
@@ -55,15 +54,20 @@ def widen(scene: Scene, names: Iterable[str]) -> tuple[Scene, list[Block]]:
         effect = load_effect(name)
         if not effect.widens or effect.applies(scene.model.mechanism):
             continue
-        wide = scene.model.with_effect(name)
-        new = find_new_parameters(scene.model, wide)
-        observations = replace(scene.observations, a=conditions(wide, scene.dataset))
-        wider = Scene.of(
-            wide, scene.dataset, observations, ~np.asarray(wide.fixed) & ~new, scene.shared
-        )
-        block = Block.of(wider, name, EFFECT, LOG_PRIOR, [columns(wide, wider, new)])
+        wider, further = widen_scene(scene, scene.model.with_effect(name))
+        block = Block.of(wider, name, EFFECT, LOG_ODDS, [further])
         return wider, [] if block is None else [block]
     return scene, []
+
+
+def widen_scene(scene: Scene, wide: Model) -> tuple[Scene, np.ndarray]:
+    """The scene of a larger mechanism, on the rows of its own closure, with the columns (n, k) of
+    its further parameters."""
+    new = find_new_parameters(scene.model, wide)
+    observations = replace(scene.observations, a=conditions(wide, scene.dataset))
+    free = ~np.asarray(wide.fixed) & ~new
+    wider = Scene.of(wide, scene.dataset, observations, free, scene.shared)
+    return wider, columns(wide, wider, new)
 
 
 def refine_setting(scene: Scene, beside: Evidence, best: Choice) -> Choice:

@@ -6,11 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from parallel_cal.posterior.blocks import DRIFT, FIELD, LAW, Block
+from parallel_cal.posterior.blocks import DRIFT, FIELD, LAW, LOG_ODDS, Block
 from parallel_cal.posterior.scene import Scene
+from parallel_cal.posterior.smooth_functions import smooth_functions
 
 # Likelier by less than five nats, an unknown law is no reason against a known effect.
-LOG_PRIOR = np.log(1 / 30) - 5.0
+LOG_PRIOR = LOG_ODDS - 5.0
 CENTRES = 30
 
 
@@ -22,25 +23,11 @@ def list_unknown_blocks(scene: Scene) -> list[Block]:
 
 
 def smooth(x: np.ndarray, length: float, centres: int, rough: bool = False) -> np.ndarray:
-    """Columns (N, m) of a smooth random function of x (N, d) with variance one: a Gaussian process
-    with squared exponential covariance, on centres that are far apart (Quinonero-Candela and
-    Rasmussen, JMLR 6, 2005); with `rough`, exponential covariance, as noise has whose neighbours
-    are similar. `length` is in standard deviations of x."""
+    """Columns (N, m) of a smooth random function of x (N, d) with variance one, by
+    `smooth_functions`; `length` is in standard deviations of x."""
     x = x.reshape(len(x), -1)
     x = (x - x.mean(axis=0)) / np.maximum(x.std(axis=0), 1e-12)
-    chosen = [int(np.argmin(np.sum(x**2, axis=1)))]
-    away = np.sum((x - x[chosen[0]]) ** 2, axis=1)
-    while len(chosen) < centres and away.max() > 1e-9:
-        chosen.append(int(np.argmax(away)))
-        away = np.minimum(away, np.sum((x - x[chosen[-1]]) ** 2, axis=1))
-    c = x[chosen]
-
-    def covariance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        squares = np.sum((a[:, None] - b[None]) ** 2, axis=2)
-        return np.exp(-np.sqrt(squares) / length if rough else -squares / (2 * length**2))
-
-    factor = np.linalg.cholesky(covariance(c, c) + 1e-6 * np.eye(len(c)))
-    return np.asarray(np.linalg.solve(factor, covariance(c, x)).T)
+    return smooth_functions(x, length, centres, rough)
 
 
 def _unit(J: np.ndarray) -> np.ndarray:

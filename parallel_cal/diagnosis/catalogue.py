@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +14,7 @@ from parallel_cal.causes.effects import (
     compute_effect_columns,
     find_missing_conditions,
     find_new_parameters,
+    widen_scene,
 )
 from parallel_cal.diagnosis.scoring import Score, quick_log_p, score
 from parallel_cal.diagnosis.thresholds import (
@@ -263,7 +264,5 @@ def _explain_invisible(score: Score, tried: int) -> str:
 
 def _score_larger_model(scene: Scene, name: str, effect: Effect, wide: Model) -> Candidate:
     """A larger model's further parameters, in a scene of its own: its rows differ."""
-    new = find_new_parameters(scene.model, wide)
-    observations = replace(scene.observations, a=conditions(wide, scene.dataset))
-    wider = Scene.of(wide, scene.dataset, observations, ~np.asarray(wide.fixed) & ~new)
-    return Candidate(name, effect, score=score(wider, columns(wide, wider, new)), scene=wider)
+    wider, further = widen_scene(scene, wide)
+    return Candidate(name, effect, score=score(wider, further), scene=wider)

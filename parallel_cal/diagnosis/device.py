@@ -29,6 +29,7 @@ from parallel_cal.diagnosis.thresholds import (
 from parallel_cal.identification.thresholds import LSTSQ_RANK_TOLERANCE
 from parallel_cal.model.model import Model
 from parallel_cal.posterior.scene import Scene, columns
+from parallel_cal.posterior.smooth_functions import smooth_functions
 
 
 def find_doubtful_effects(
@@ -295,23 +296,9 @@ def _smooth_fields(scene: Scene) -> Iterator[np.ndarray]:
     places = scene.x[:, n : n + 3]
     places = places / np.maximum(places.std(axis=0), 1e-12)
     for length in FIELD_LENGTHS:
-        smooth = _smooth_functions(places, length)
+        smooth = smooth_functions(places, length, CENTRES)
         F = np.einsum("nri,nm->nrim", by_place, smooth)
         yield scene.project_off_geometry(F.reshape(len(scene.residual), -1))
-
-
-def _smooth_functions(places: np.ndarray, length: float) -> np.ndarray:
-    """Functions (n, m) of the places (n, k), in standard deviations, that change over a length: a
-    Gaussian process by its values at m of the places, the furthest from each other."""
-    # Begin with the place nearest to the mean; each further one is the furthest from those chosen.
-    chosen = [int(np.argmin(np.sum((places - places.mean(axis=0)) ** 2, axis=1)))]
-    away = np.sum((places - places[chosen[0]]) ** 2, axis=1)
-    while len(chosen) < CENTRES and away.max() > 0:
-        chosen.append(int(np.argmax(away)))
-        away = np.minimum(away, np.sum((places - places[chosen[-1]]) ** 2, axis=1))
-    centres = places[chosen]
-    L = np.linalg.cholesky(_gaussian_kernel(centres, centres, length) + 1e-6 * np.eye(len(centres)))
-    return np.asarray(np.linalg.solve(L, _gaussian_kernel(centres, places, length)).T)
 
 
 def _joint_fields(scene: Scene) -> Iterator[np.ndarray]:
@@ -329,18 +316,14 @@ def _joint_fields(scene: Scene) -> Iterator[np.ndarray]:
     by_joint = scene.measured_jacobian[:, :, :n]
     by_joint = by_joint / np.sqrt(np.mean(np.sum(by_joint**2, axis=1), axis=0))
     for length in JOINT_FIELD_LENGTHS:
-        smooth = _smooth_functions(places, wider * length)
+        smooth = smooth_functions(places, wider * length, CENTRES)
         F = np.einsum("nrj,nm->nrjm", by_joint, smooth)
         F = scene.project_off_geometry(F.reshape(len(scene.residual), -1)).reshape(
             len(scene.residual), n, -1
         )
         yield F.reshape(len(F), -1)
         yield from (F[:, joint] for joint in range(n))
-        own = [_smooth_functions(q[:, [j]] / max(q[:, j].std(), 1e-12), length) for j in range(n)]
+        readings = q / np.maximum(q.std(axis=0), 1e-12)
+        own = [smooth_functions(readings[:, [j]], length, CENTRES) for j in range(n)]
         F = np.dstack([by_joint[:, :, [j]] * own[j][:, None] for j in range(n)])
         yield scene.project_off_geometry(F.reshape(len(scene.residual), -1))
-
-
-def _gaussian_kernel(a: np.ndarray, b: np.ndarray, length: float) -> np.ndarray:
-    apart = np.sum((a[:, None] - b[None]) ** 2, axis=2)
-    return np.asarray(np.exp(-apart / (2 * length**2)))

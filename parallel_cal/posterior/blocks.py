@@ -11,6 +11,7 @@ import numpy as np
 from parallel_cal.posterior.scene import Scene
 
 EFFECT, LAW, FIELD, DRIFT = "effect", "law", "field", "drift"
+LOG_ODDS = np.log(1 / 30)  # that a robot has a known cause, before anything is measured
 
 
 @dataclass(frozen=True, eq=False)

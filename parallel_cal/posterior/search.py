@@ -8,13 +8,12 @@ from functools import cached_property
 
 import numpy as np
 
-from parallel_cal.posterior.blocks import Block
+from parallel_cal.posterior.blocks import LOG_ODDS, Block
 from parallel_cal.posterior.evidence import STATED, UNKNOWN, Choice, Evidence
 from parallel_cal.posterior.scene import Scene
 
 MAX_CAUSES = 6
 MAX_ROUNDS = 4
-LOG_PRIOR_MISSTATED = np.log(1 / 30)
 
 Refine = Callable[[Evidence, Choice], Choice]
 
@@ -39,7 +38,6 @@ class Posterior:
     sets: tuple[tuple[tuple[str, ...], float], ...]
     probability: Mapping[str, float]
     kinds: Mapping[str, str]
-    misstated: float = 0.0
 
     def of_any(self, names: Collection[str]) -> float:
         """Probability that the robot has at least one of these causes."""
@@ -67,9 +65,12 @@ class Sum:
     nu: float
     refine: Refine | None = field(default=None, repr=False)
 
+    @cached_property
+    def _squares(self) -> float:
+        return float(self.scene.residual @ self.scene.residual)
+
     def evidence(self, chosen: Sequence[Choice], nu: float) -> Evidence:
-        squares = float(self.scene.residual @ self.scene.residual)
-        return Evidence(squares, self.scene.dof, nu, tuple(chosen))
+        return Evidence(self._squares, self.scene.dof, nu, tuple(chosen))
 
     @property
     def stated(self) -> bool:
@@ -77,7 +78,7 @@ class Sum:
 
     def _doubt(self, nu: float) -> float:
         """Log prior of noise that is not as stated."""
-        return float(LOG_PRIOR_MISSTATED) if self.stated and nu == UNKNOWN else 0.0
+        return float(LOG_ODDS) if self.stated and nu == UNKNOWN else 0.0
 
     def rank(self, evidence: Evidence, taken: Collection[str] = ()) -> list[Ranked]:
         """Every other cause beside the chosen ones, the likeliest first."""
@@ -146,9 +147,10 @@ class Sum:
         """Remove causes without which the rest is likelier."""
         while chosen:
             parts = [chosen[:k] + chosen[k + 1 :] for k in range(len(chosen))]
+            without = [self.evidence(rest, nu) for rest in parts]
             gains = [
-                self._marginal(rest, one, nu) - self.evidence(rest, nu).log_p
-                for rest, one in zip(parts, chosen, strict=True)
+                self._marginal(rest, one) - rest.log_p
+                for rest, one in zip(without, chosen, strict=True)
             ]
             least = int(np.argmin(gains))
             if gains[least] > 0:
@@ -156,11 +158,10 @@ class Sum:
             chosen = parts[least]
         return chosen
 
-    def _marginal(self, rest: Sequence[Choice], one: Choice, nu: float) -> float:
+    def _marginal(self, rest: Evidence, one: Choice) -> float:
         """Log posterior of one cause beside the rest, over all its settings and sizes."""
         scanned = next(block for block in self.blocks if block.name == one.block.name)
-        beside = self.evidence(rest, nu)
-        own = [beside.beside(block) for block in {id(b): b for b in (scanned, one.block)}.values()]
+        own = [rest.beside(block) for block in {id(b): b for b in (scanned, one.block)}.values()]
         return max(float(np.logaddexp.reduce(log_p, axis=None)) for log_p in own)
 
     def _sum_nearby(self, chosen: tuple[Choice, ...], nu: float) -> Posterior:
@@ -169,10 +170,10 @@ class Sum:
         now = self.evidence(chosen, nu)
         sets: dict[frozenset[str], float] = {}
         # What each cause gains by its other settings and sizes.
-        gains = []
-        for k, one in enumerate(chosen):
-            rest = chosen[:k] + chosen[k + 1 :]
-            gains.append(self._marginal(rest, one, nu) - now.log_p)
+        without = [self.evidence(chosen[:k] + chosen[k + 1 :], nu) for k in range(len(chosen))]
+        gains = [
+            self._marginal(rest, one) - now.log_p for rest, one in zip(without, chosen, strict=True)
+        ]
         total = sum(gains)
 
         def note(members: Sequence[str], log_p: float) -> None:
@@ -181,10 +182,9 @@ class Sum:
         note(names, now.log_p + total)
         for more in self.rank(now, names):
             note((*names, more.best.block.name), more.log_p + total)
-        for k, one in enumerate(chosen):
-            rest = chosen[:k] + chosen[k + 1 :]
-            others = [name for name in names if name != one.block.name]
-            beside, left = self.evidence(rest, nu), total - gains[k]
+        for name, beside, gain in zip(names, without, gains, strict=True):
+            others = [other for other in names if other != name]
+            left = total - gain
             note(others, beside.log_p + left)
             for other in self.rank(beside, names):
                 note((*others, other.best.block.name), other.log_p + left)
@@ -197,9 +197,5 @@ class Sum:
             block.name: float(sum(p[i] for i, key in enumerate(keys) if block.name in key))
             for block in self.blocks
         }
-        misstated = 0.0
-        if self.stated:
-            by_nu = [self.total(chosen, v) for v in (STATED, UNKNOWN)]
-            misstated = float(1 / (1 + np.exp(min(by_nu[0] - by_nu[1], 700.0))))
         kinds = {block.name: block.kind for block in self.blocks}
-        return Posterior(chosen, nu, likeliest, probability, kinds, misstated)
+        return Posterior(chosen, nu, likeliest, probability, kinds)
