@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -36,6 +36,12 @@ def servo_leg(
     return [Parameter(f"{leg}.{n}", u, float(v), sizes[u], label=label) for n, u, v, label in rows]
 
 
+def rod_length_errors(rods: Sequence[Any], C: Sequence[Any], B: Sequence[Any]) -> Any:
+    """Compute (|B - C|^2 - rod^2) / (2 rod) of each rod between points C and B, in metres."""
+    ends = zip(rods, C, B, strict=True)
+    return ca.vertcat(*((ca.sumsqr(b - c) - rod**2) / (2 * rod) for rod, c, b in ends))
+
+
 class ServoLegs(Mechanism):
     """Mechanisms whose legs are servo cranks with rods; the joints have the names of the legs."""
 
@@ -44,11 +50,7 @@ class ServoLegs(Mechanism):
 
     def rod_errors(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """Compute the length error (|r + R B - C|^2 - rod^2) / (2 rod) of each leg, in metres."""
-        errors = [
-            (ca.sumsqr(B - C) - p[leg].rod ** 2) / (2 * p[leg].rod)
-            for leg, C, B in zip(self.joints, *self.rod_ends(q, r, R, p), strict=True)
-        ]
-        return ca.vertcat(*errors)
+        return rod_length_errors([p[leg].rod for leg in self.joints], *self.rod_ends(q, r, R, p))
 
     def rod_ends(self, q: Any, r: Any, R: Any, p: Named) -> tuple[list[Any], list[Any]]:
         """Return the ends of the rods in {B}, (3, 1) each: C on the cranks, B on the platform."""

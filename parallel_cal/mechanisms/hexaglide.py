@@ -12,8 +12,9 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import rot_x, rot_y
 from parallel_cal.base.units import DEGREE
 from parallel_cal.mechanisms._controller import read_one_per_joint, read_scale
+from parallel_cal.mechanisms._servo_legs import rod_length_errors
 from parallel_cal.mechanisms._size import read_limits, read_numbers
-from parallel_cal.mechanisms.stewart42 import Points, read_points, ring
+from parallel_cal.mechanisms.stewart42 import Points, read_ends, ring
 from parallel_cal.model.drawing import Line
 from parallel_cal.model.drawing import ring as closed
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
@@ -68,13 +69,7 @@ class Hexaglide(Mechanism):
         switches: Sequence[float] | None = None,
         scale: Sequence[float] | None = None,
     ):
-        C = BASE if base is None else read_points("base", base)
-        B = PLATFORM if platform is None else read_points("platform", platform)
-        if len(B) != len(C):
-            raise ModelError(
-                f"{len(B)} points of the platform for {len(C)} points of the base, expected one of "
-                "each for every leg"
-            )
+        C, B = read_ends(base, platform, (BASE, PLATFORM))
         n = len(C)
         self.joints = tuple(f"leg{i + 1}" for i in range(n))
         self.frames = read_rails(rails, n)
@@ -112,11 +107,7 @@ class Hexaglide(Mechanism):
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """Compute the length error (|r + R B - C - q u|^2 - rod^2) / (2 rod) of each leg, in m."""
-        errors = [
-            (ca.sumsqr(B - C) - p[leg].rod ** 2) / (2 * p[leg].rod)
-            for leg, C, B in zip(self.joints, *self.rod_ends(q, r, R, p), strict=True)
-        ]
-        return ca.vertcat(*errors)
+        return rod_length_errors([p[leg].rod for leg in self.joints], *self.rod_ends(q, r, R, p))
 
     def rod_ends(self, q: Any, r: Any, R: Any, p: Named) -> tuple[list[Any], list[Any]]:
         """Return the ends of the rods in {B}, (3, 1) each: on the carriages, on the platform."""

@@ -79,6 +79,21 @@ def read_points(name: str, points: Points) -> np.ndarray:
     return found
 
 
+def read_ends(
+    base: Points | None, platform: Points | None, usual: tuple[np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points (n, 3) m of the legs on the base and on the platform, one of each for every
+    leg; the `usual` ones where none are given."""
+    C = usual[0] if base is None else read_points("base", base)
+    B = usual[1] if platform is None else read_points("platform", platform)
+    if len(B) != len(C):
+        raise ModelError(
+            f"{len(B)} points of the platform for {len(C)} points of the base, expected one of "
+            "each for every leg"
+        )
+    return C, B
+
+
 Points = Sequence[Sequence[float]] | np.ndarray | Mapping[str, Any]
 SIX_POINTS = (
     "expected six points [x, y, z] in m, or {radius: m, angles: [six angles in degrees]}, or one "
@@ -133,13 +148,7 @@ class Stewart42(Mechanism):
         scale: Sequence[float] | None = None,
     ):
         drawn = base is not None or platform is not None
-        C = BASE if base is None else read_points("base", base)
-        B = PLATFORM if platform is None else read_points("platform", platform)
-        if len(B) != len(C):
-            raise ModelError(
-                f"{len(B)} points of the platform for {len(C)} points of the base, expected one of "
-                "each for every leg"
-            )
+        C, B = read_ends(base, platform, (BASE, PLATFORM))
         n = len(C)
         self.joints = tuple(f"leg{i + 1}" for i in range(n))
         try:

@@ -13,7 +13,7 @@ from parallel_cal.base.units import DEGREE
 from parallel_cal.mechanisms._controller import read_one_per_joint
 from parallel_cal.mechanisms._servo_legs import ServoLegs, servo_leg
 from parallel_cal.mechanisms._size import read_limits, read_numbers
-from parallel_cal.mechanisms.stewart42 import Points, read_points, ring
+from parallel_cal.mechanisms.stewart42 import Points, read_ends, ring
 from parallel_cal.model.drawing import Line
 from parallel_cal.model.drawing import ring as closed
 from parallel_cal.model.mechanism import Home, Workspace
@@ -65,13 +65,7 @@ class StewartRss(ServoLegs):
         tolerance: float = 0.5e-3,
         switches: Sequence[float] | None = None,
     ):
-        D = BASE if base is None else read_points("base", base)
-        B = PLATFORM if platform is None else read_points("platform", platform)
-        if len(B) != len(D):
-            raise ModelError(
-                f"{len(B)} points of the platform for {len(D)} points of the base, expected one of "
-                "each for every leg"
-            )
+        D, B = read_ends(base, platform, (BASE, PLATFORM))
         n = len(D)
         self.joints = tuple(f"leg{i + 1}" for i in range(n))
         size = read_numbers({"crank": crank, "tolerance": tolerance})
