@@ -20,7 +20,7 @@ REFUSED = {
     **{
         (method, robot): "cannot be separated: CasADi.* use the implicit method"
         for method in ("cascaded", "semiparametric")
-        for robot in ("quattro", "quattro with gear")
+        for robot in ("quattro", "quattro with gear", "palletizer", "palletizer with flange")
     },
 }
 # Robots of which a combination of parameters hardly moves the platform: rounding errors of the

@@ -417,7 +417,9 @@ def test_the_shared_session_of_positions_alone_names_its_backlash():
     table, columns = (VERDICTS / f"positions_model24.{end}" for end in ("csv", "columns.yaml"))
     model = read_model(VERDICTS / "positions_model24.model.yaml")
     found = diagnose(model, import_csv(table, columns))
-    assert set(found.effects) == {"backlash", "parallelogram_errors"}
+    causes = [set(one["effects"]) for one in found.missing]
+    assert {"parallelogram_errors"} in causes
+    assert {"backlash", "hysteresis"} in causes  # the visits of this session do not tell them apart
     assert found.verdict.word == "explained"
 
 

@@ -105,7 +105,7 @@ class Explanation:
                     break
                 named.append(other)
                 reached += effects[other]
-        return found
+        return {name: others for name, others in found.items() if others}
 
     @property
     def robot_or_device(self) -> tuple[str, ...]:

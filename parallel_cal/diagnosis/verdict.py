@@ -242,7 +242,7 @@ def _judge(found: Findings) -> Verdict:
         words = f"{names} {part}: {errors}{_noise(found)}"
         return Verdict("explained", words, share)
     verb = "explain" if several else "explains"
-    words = f"{names} {verb} part of the error ({errors}), but {'; '.join(against)}"
+    words = f"{names} {verb} part of the error ({errors}), but {'; '.join(against)}{_noise(found)}"
     return Verdict("partly_explained", words, share, against)
 
 

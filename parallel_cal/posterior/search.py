@@ -41,7 +41,8 @@ class Posterior:
 
     def of_any(self, names: Collection[str]) -> float:
         """Probability that the robot has at least one of these causes."""
-        return float(sum(p for members, p in self.sets if not set(names).isdisjoint(members)))
+        found = sum(p for members, p in self.sets if not set(names).isdisjoint(members))
+        return min(1.0, float(found))  # a sum of rounded numbers may exceed 1
 
     @cached_property
     def rivals(self) -> dict[str, dict[str, float]]:
@@ -194,7 +195,7 @@ class Sum:
         keys = list(sets)
         likeliest = tuple((tuple(sorted(keys[i])), float(p[i])) for i in order)
         probability = {
-            block.name: float(sum(p[i] for i, key in enumerate(keys) if block.name in key))
+            block.name: min(1.0, float(sum(p[[block.name in key for key in keys]])))
             for block in self.blocks
         }
         kinds = {block.name: block.kind for block in self.blocks}

@@ -29,6 +29,19 @@ PLAIN = {
     ca.OP_LOG: ca.log,
     ca.OP_FABS: ca.fabs,
 }
+# Operations whose last argument may depend on coordinates.
+EXPANDED = {
+    ca.OP_ASSIGN,
+    ca.OP_ADD,
+    ca.OP_SUB,
+    ca.OP_NEG,
+    ca.OP_TWICE,
+    ca.OP_MUL,
+    ca.OP_SQ,
+    ca.OP_SQRT,
+    ca.OP_SIN,
+    ca.OP_COS,
+}
 
 
 class Separation:
@@ -48,6 +61,7 @@ class Separation:
         self._inputs = [coordinates, structure.v]
         names = (structure.configuration, structure.v)
         self._function = ca.Function("rows", list(names), [structure.phi])
+        self._refuse_what_never_separates()
         self.rows = [self._without_roots(row) for row in self._run()]
 
     def monomial(self, m: Monomial) -> Any:
@@ -56,6 +70,19 @@ class Separation:
         for atom in m:
             product *= self.value[atom]
         return product
+
+    def _refuse_what_never_separates(self) -> None:
+        """Refuse a function of coordinates that no polynomial is, before anything is expanded:
+        long rows take minutes."""
+        f, varies = self._function, dict[int, bool]()
+        for k in range(f.n_instructions()):
+            op, into, of = f.instruction_id(k), f.instruction_output(k), f.instruction_input(k)
+            if op in (ca.OP_INPUT, ca.OP_CONST):
+                varies[into[0]] = op == ca.OP_INPUT and of[0] == 0
+            elif op != ca.OP_OUTPUT:
+                if varies[of[-1]] and op not in EXPANDED:
+                    raise _mixes(op)
+                varies[into[0]] = any(varies[i] for i in of)
 
     def _run(self) -> list[Polynomial]:
         f = self._function
@@ -95,7 +122,7 @@ class Separation:
             return self._expand_sin_or_cos(op, a)
         if op in PLAIN and set(a) <= {()}:
             return {(): PLAIN[op](a.get((), 0))}
-        raise _inseparable(f"CasADi's operation {op} mixes parameters and coordinates for good")
+        raise _mixes(op)
 
     def _expand_sin_or_cos(self, op: int, a: Polynomial) -> Polynomial:
         """sin or cos of +-q_i + (parameters), by the addition theorem."""
@@ -113,8 +140,9 @@ class Separation:
         total: Polynomial = {}
         for m, k in a.items():
             for n, l in b.items():
-                total = _sum(total, self._reduced(tuple(sorted(m + n)), k * l))
-        return total
+                for one, c in self._reduced(tuple(sorted(m + n)), k * l).items():
+                    total[one] = total[one] + c if one in total else c
+        return _tidy(total)
 
     def _reduced(self, m: Monomial, k: Any) -> Polynomial:
         """Replace a root times itself by the expression under the root."""
@@ -135,6 +163,10 @@ class Separation:
             squared = self._product(self._product(with_root, with_root), inside)
             row = _sum(squared, _times(self._product(rest, rest), -1))
         return row
+
+
+def _mixes(op: int) -> FitError:
+    return _inseparable(f"CasADi's operation {op} mixes parameters and coordinates for good")
 
 
 def _inseparable(why: str) -> FitError:
