@@ -54,8 +54,10 @@ def explain(model: Model, data: Dataset) -> Explanation:
     options = FitOptions(hold_out=0.0)
     given = GivenModel.of(model, data, options.joint_sigma, True)
 
-    def refit(extended: Model, insist: bool) -> Any:
-        return fit_unjudged(extended, given.dataset, options, given=given)
+    def refit(extended: Model, insist: bool, compared_only: bool) -> Any:
+        return fit_unjudged(
+            extended, given.dataset, options, given=given, compared_only=compared_only
+        )
 
     search = Search(given.start, refit, lambda stage, share: None)
     return Explanation.of(search, list_effects_to_test(given.start))

@@ -61,19 +61,24 @@ def with_a_wrong_pitch():
 
 
 @pytest.mark.wide
-def test_a_fit_and_a_diagnosis_that_find_no_plausible_geometry_name_the_effect_to_begin_with(
-    with_a_wrong_pitch,
-):
-    model, tested = new_model("stewart42"), ["backlash", "encoder_gain", "encoder_crosstalk"]
+def test_a_fit_that_finds_no_plausible_geometry_names_the_effect_to_begin_with(with_a_wrong_pitch):
+    model = new_model("stewart42")
     words = r"is plausible: parallel-cal fit MODEL RECORDING --effect encoder_gain"
-    for work in (
-        lambda: fitted(model, with_a_wrong_pitch),
-        lambda: diagnose(model, with_a_wrong_pitch, effects=tested),
-    ):
-        with pytest.raises(ImplausibleGeometryError, match=words) as error:
-            work()
-        assert "With encoder_gain (chi2/dof 1." in str(error.value)
+    with pytest.raises(ImplausibleGeometryError, match=words) as error:
+        fitted(model, with_a_wrong_pitch)
+    assert "With encoder_gain (chi2/dof 1." in str(error.value)
     step = fitted(model, with_a_wrong_pitch, effects=["encoder_gain"])
+    assert step.model.value("encoder_gain.leg1.gain") == pytest.approx(0.06, rel=0.05)
+
+
+@pytest.mark.wide
+def test_what_an_implausible_geometry_imitates_is_diagnosed_and_added_at_once(with_a_wrong_pitch):
+    model, tested = new_model("stewart42"), ["backlash", "encoder_gain", "encoder_crosstalk"]
+    found = diagnose(model, with_a_wrong_pitch, effects=tested)
+    assert found.effects == ("encoder_gain",)
+    assert found.missing[0]["probability"] == 1.0
+    assert found.addition is not None
+    step = add(model, found.addition.text, with_a_wrong_pitch)
     assert step.model.value("encoder_gain.leg1.gain") == pytest.approx(0.06, rel=0.05)
 
 

@@ -13,6 +13,10 @@ from parallel_cal.posterior.smooth_functions import smooth_functions
 # Likelier by less than five nats, an unknown law is no reason against a known effect.
 LOG_PRIOR = LOG_ODDS - 5.0
 CENTRES = 30
+# Lengths of a law of one joint (in standard deviations of its readings), and their centres. The
+# finest follows scratches and chirping gears; without it waves of a known effect would describe
+# them best.
+OWN_LENGTHS = ((0.1, 30), (0.3, 12), (0.7, 12), (1.5, 12))
 
 
 def list_unknown_blocks(scene: Scene) -> list[Block]:
@@ -44,8 +48,8 @@ def _joint_laws(scene: Scene) -> Iterator[Block | None]:
     n = len(scene.model.joints)
     J, q = scene.measured_jacobian[:, :, :n], scene.x[:, :n]
     own = [
-        np.hstack([_flat(scene, J[:, :, [i]], smooth(q[:, i], length, 12)) for i in range(n)])
-        for length in (0.3, 0.7, 1.5)
+        np.hstack([_flat(scene, J[:, :, [i]], smooth(q[:, i], length, m)) for i in range(n)])
+        for length, m in OWN_LENGTHS
     ]
     yield Block.of(scene, "law of each joint's own reading", LAW, LOG_PRIOR, own)
     whole = [_flat(scene, J, smooth(q, length, CENTRES)) for length in (0.7, 1.2, 2.5)]

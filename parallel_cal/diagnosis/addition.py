@@ -268,7 +268,14 @@ def find_addition(
         return Addition(keep(aside), base, result, scene, tuple(added), effect, tuple(aside))
 
     def fit_both(aside: Sequence[int]) -> Addition:
-        return extend(fit(model, keep(aside), limited, progress), aside)
+        try:
+            base = fit(model, keep(aside), limited, progress)
+        except ImplausibleGeometryError as error:
+            # The geometry may imitate these effects, unless a few samples contradict all others.
+            if error.outliers:
+                raise
+            base = fit(model, keep(aside), limited, progress, compared_only=True)
+        return extend(base, aside)
 
     def fit_without_more(before: Sequence[int], more: list[int]) -> Addition:
         return fit_both(sorted({*before, *more}))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from parallel_cal.base.arguments import check_arguments
@@ -31,7 +32,11 @@ from parallel_cal.diagnosis.entries import (
 )
 from parallel_cal.diagnosis.explanation import Explanation
 from parallel_cal.diagnosis.field import Field
-from parallel_cal.diagnosis.first_effect import proposing_first_effect
+from parallel_cal.diagnosis.first_effect import (
+    check_columns,
+    check_motion,
+    proposing_first_effect,
+)
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.noise_shape import NoiseShape
@@ -49,6 +54,7 @@ from parallel_cal.diagnosis.patterns import (
 from parallel_cal.diagnosis.remaining import RemainingCondition, find_remaining_condition
 from parallel_cal.diagnosis.search import (
     Chosen,
+    Refit,
     Search,
     Trial,
 )
@@ -366,6 +372,8 @@ def diagnose(
     dataset = add_registration_warning(dataset, registration)
     names = list_effects_to_test(model, also, effects)
 
+    from_any_geometry = False
+
     def without(aside: list[int], why: str = f"by --loss {options.loss}") -> Diagnosis:
         kept = dataset.excluding(aside, why)
         least_squares = replace(options, loss="linear")
@@ -376,22 +384,31 @@ def diagnose(
             samples = recorded.excluding(aside, why)
             return find_addition(asked, text, samples, as_add, known=(base, result))
 
+        search = partial(Search, usual_only=usual_only, from_any_geometry=from_any_geometry)
         return _diagnose_trusted(
-            model, judged, names, least_squares, registration, report, usual_only, find
+            model, judged, names, least_squares, registration, report, search, find
         )
 
     def suspects(judged: Model) -> list[int]:
         return find_mistrusted_samples(fit(judged, dataset, options, hold_out=0))
 
     def without_outliers() -> Diagnosis:
-        """Exclude samples that contradict all others, if no plausible geometry describes all."""
+        """If no plausible geometry describes all samples, exclude those that contradict all others;
+        if there are none, look for what the implausible geometry imitates."""
+        nonlocal from_any_geometry
         try:
             return without([])
         except ImplausibleGeometryError as error:
             observations = given.observe(model, dataset, options.joint_sigma, options.insist)
             outliers = search_outliers(model, dataset, observations, options)
             if outliers is None:
-                raise
+                check_columns(model, dataset, options, error)
+                check_motion(model, dataset, options, error)
+                from_any_geometry = True
+                found = without([])
+                if not found.effects:
+                    raise
+                return found
             if not are_few(outliers.numbers, dataset):
                 raise outliers.put_before(error) from None
         others = without([*outliers.numbers], f"because it is {KNOCKED}")
@@ -498,24 +515,24 @@ def _diagnose_trusted(
     least_squares: FitOptions,
     registration: Registration | None,
     report: Progress,
-    usual_only: bool,
+    make_search: Callable[[Model, Refit, Progress], Search],
     find: FindAddition,
 ) -> Diagnosis:
     """Diagnose samples without excluding any; `find` returns what `add` makes of effects."""
     dataset = given.dataset
     noise_of_base: Observations | None = None
 
-    def refit(extended: Model, insist: bool) -> UnjudgedFit:
+    def refit(extended: Model, insist: bool, compared_only: bool) -> UnjudgedFit:
         nonlocal noise_of_base
         asked = replace(least_squares, insist=insist or least_squares.insist)
         asked = limit_patterns(asked, extended, model)
-        unjudged = fit_unjudged(extended, dataset, asked, given=given, noise=noise_of_base)
+        unjudged = fit_unjudged(extended, dataset, asked, None, given, noise_of_base, compared_only)
         # Only with equal weights can the residuals of two models be compared.
         if noise_of_base is None:
             noise_of_base = unjudged.result.observations
         return unjudged
 
-    search = Search(model, refit, report, usual_only)
+    search = make_search(model, refit, report)
     report("identifying the geometry", 0.0)
     base = search.fit()
     catalogue = _Catalogue(names, report)
@@ -535,7 +552,7 @@ def _diagnose_trusted(
     ambiguous = find_ambiguous_effects(
         model,
         best,
-        lambda smaller: Search(smaller, refit, report, usual_only),
+        lambda smaller: make_search(smaller, refit, report),
         lambda effect: _Catalogue([effect, *names], report).rank,
     )
     report("computing the weights of the observations", 0.8)

@@ -46,6 +46,9 @@ class Explanation:
         Effects that would have been likely, with the reason why no robot has them.
     wrong_signs : tuple of str
         The reasons of those that fit only with a sign that physics forbids.
+    first : str
+        The effect without which only a geometry that no robot has describes the samples; the sums
+        are about the model with it. Empty if there is none.
     """
 
     posterior: Posterior = field(repr=False)
@@ -53,25 +56,30 @@ class Explanation:
     best: Trial = field(repr=False)
     refuted: Mapping[str, str]
     wrong_signs: tuple[str, ...]
+    first: str = ""
 
     @classmethod
     def of(cls, search: Search, names: Sequence[str]) -> Explanation:
         """Explain the residuals of the model that a search extends, by effects of these `names`
         and by what no effect describes."""
         base = search.fit()
+        if search.from_any_geometry:
+            base = _find_first(search, base, names)
+        first, names = base.chosen, [name for name in names if name not in base.names]
         refuted, wrong = dict[str, str](), list[str]()
         causes, known = _Causes.of(base.scene, names), list[frozenset[Chosen]]()
         while True:
-            posterior, described, chosen = causes.explain(refuted)
+            posterior, described, more = causes.explain(refuted)
+            chosen = (*first, *more)
             tried = search.fit_as_shown(*chosen, judged=False)
-            if tried.result is None:
-                name = _find_refuted(search, chosen)
+            if tried.result is None and more:
+                name = _find_refuted(search, first, more)
                 refuted[name] = tried.reason
                 wrong += [tried.reason] if tried.wrong_sign else []
                 continue
             if frozenset(chosen) in known or len(known) == MAX_LINEARISATIONS or not chosen:
                 best = search.fit_as_shown(*chosen)
-                return cls(posterior, described, best, refuted, tuple(wrong))
+                return cls(posterior, described, best, refuted, tuple(wrong), *base.names)
             known.append(frozenset(chosen))
             causes = _Causes.of(_scene_about(base, tried), names)
 
@@ -156,13 +164,11 @@ class Explanation:
         found = []
         for name in names:
             effects = [name, *self.swaps.get(name, [])]
-            found.append(
-                {
-                    "effects": effects,
-                    "probability": self.posterior.of_any(effects),
-                    "each": {one: self.posterior.probability.get(one, 0.0) for one in effects},
-                }
-            )
+            each = {one: self.posterior.probability.get(one, 0.0) for one in effects}
+            together = self.posterior.of_any(effects)
+            if name == self.first:
+                together = each[name] = 1.0
+            found.append({"effects": effects, "probability": together, "each": each})
         return found
 
 
@@ -254,10 +260,19 @@ def _scene_about(base: Trial, best: Trial) -> Scene:
     return Scene.of(about, fitted.dataset, fitted.observations, fitted.free, base.shared)
 
 
-def _find_refuted(search: Search, chosen: tuple[Chosen, ...]) -> str:
+def _find_first(search: Search, base: Trial, names: Sequence[str]) -> Trial:
+    """The fit with that cause of what `base` shows with which a plausible geometry describes the
+    samples best; `base` if there is none."""
+    _, _, chosen = _Causes.of(base.scene, names).explain(())
+    trials = [search.fit_as_shown(one) for one in chosen]
+    fitted = [one for one in trials if one.result is not None]
+    return min(fitted, key=lambda one: one.fitted.estimate.chi2, default=base)
+
+
+def _find_refuted(search: Search, first: tuple[Chosen, ...], more: tuple[Chosen, ...]) -> str:
     """The effect without which the others can be fitted; the last one if there is none."""
-    for one in reversed(chosen):
-        others = (c for c in chosen if c is not one)
-        if search.fit_as_shown(*others, judged=False).result is not None:
+    for one in reversed(more):
+        others = (c for c in more if c is not one)
+        if search.fit_as_shown(*first, *others, judged=False).result is not None:
             return one.name
-    return chosen[-1].name
+    return more[-1].name

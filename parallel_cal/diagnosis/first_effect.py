@@ -127,30 +127,42 @@ def proposing_first_effect(
     try:
         yield
     except (ImplausibleGeometryError, NoSolutionError, UnexplainedMotionError) as error:
-        observations = observe(model, dataset, options.joint_sigma, options.insist)
-        there = DevicePoses.of(model, observations)
-        if words := doubt_columns(model, observations, there, dataset.source, suspected=True):
-            # Joints that contradict each other by a few per cent look like exchanged ones.
-            most = np.inf
-            with suppress(FitError, ModelError):
-                gained = fit(model.with_effect(GAIN), dataset, options, hold_out=0)
-                if (seen := DevicePoses.of(gained.model, gained.observations)) is not None:
-                    most = seen.compute_median_error(seen.now)
-            words = doubt_columns(model, observations, there, dataset.source, True, most)
-        if words:
-            raise FitError(f"{words}. As they are, {error}") from None
+        check_columns(model, dataset, options, error)
         if effects is None or not isinstance(error, ImplausibleGeometryError) or error.outliers:
             raise
-        if there is not None and (share := there.find_unexplained_share()) > FOREIGN_SHARE:
-            raise FitError(
-                f"{error}. Wherever the device stands, {100 * share:.0f} % of the measured motion "
-                "is not explained, so no effect was tried. Check the mechanism, and the units, "
-                "columns, signs and zeros of the joints and poses: two of them may be wrong, or "
-                "the rows of joints and poses do not belong together"
-            ) from None
+        check_motion(model, dataset, options, error)
         ranked = rank_first_effects(model, dataset, effects, options, progress)
         words = _describe_proposal(ranked, error.chi2_per_dof)
         raise ImplausibleGeometryError(f"{error}. {words}", error.chi2_per_dof) from None
+
+
+def check_columns(model: Model, dataset: Dataset, options: FitOptions, error: FitError) -> None:
+    """Raise FitError if other columns or conventions fit the samples."""
+    observations = observe(model, dataset, options.joint_sigma, options.insist)
+    there = DevicePoses.of(model, observations)
+    if words := doubt_columns(model, observations, there, dataset.source, suspected=True):
+        # Joints that contradict each other by a few per cent look like exchanged ones.
+        most = np.inf
+        with suppress(FitError, ModelError):
+            gained = fit(model.with_effect(GAIN), dataset, options, hold_out=0)
+            if (seen := DevicePoses.of(gained.model, gained.observations)) is not None:
+                most = seen.compute_median_error(seen.now)
+        words = doubt_columns(model, observations, there, dataset.source, True, most)
+    if words:
+        raise FitError(f"{words}. As they are, {error}") from None
+
+
+def check_motion(model: Model, dataset: Dataset, options: FitOptions, error: FitError) -> None:
+    """Raise FitError if most of the measured motion is not explained wherever the device stands: no
+    effect is the cause."""
+    there = DevicePoses.of(model, observe(model, dataset, options.joint_sigma, options.insist))
+    if there is not None and (share := there.find_unexplained_share()) > FOREIGN_SHARE:
+        raise FitError(
+            f"{error}. Wherever the device stands, {100 * share:.0f} % of the measured motion "
+            "is not explained, so no effect was tried. Check the mechanism, and the units, "
+            "columns, signs and zeros of the joints and poses: two of them may be wrong, or "
+            "the rows of joints and poses do not belong together"
+        ) from None
 
 
 def _describe_proposal(ranked: Sequence[FirstEffect], chi2_per_dof: float) -> str:

@@ -30,7 +30,8 @@ from parallel_cal.identification.unusual import describe_by_effect
 from parallel_cal.model.model import Model
 from parallel_cal.posterior.scene import Scene, SharedDerivatives
 
-Refit = Callable[[Model, bool], UnjudgedFit]  # of a model; whether contradictions are accepted
+# Of a model; whether contradictions are accepted, and whether the fit is only compared with others.
+Refit = Callable[[Model, bool, bool], UnjudgedFit]
 
 
 @dataclass(frozen=True)
@@ -129,7 +130,8 @@ Rivals = Mapping[str, list[Candidate]]  # of each effect, what the data confuse 
 
 class Search:
     """The refits of one diagnosis, each made once. Validation errors cost several fits: they are
-    computed for those refits only that must be judged."""
+    computed for those refits only that must be judged. With `from_any_geometry`, the fit without
+    further effects may have a geometry that no robot has, as where it imitates what is missing."""
 
     def __init__(
         self,
@@ -137,8 +139,10 @@ class Search:
         refit: Refit,
         progress: Progress,
         usual_only: bool = False,
+        from_any_geometry: bool = False,
     ):
         self._model, self._progress, self._refit = model, progress, refit
+        self.from_any_geometry = from_any_geometry
         self._usual_only = usual_only
         self._shared = SharedDerivatives()
         self._known: dict[tuple[Collection[Chosen], bool], Trial] = {}
@@ -185,7 +189,7 @@ class Search:
         try:
             for one in chosen:
                 model = model.with_effect(one.name, one.settings)
-            unjudged = self._refit(model, insist)
+            unjudged = self._refit(model, insist, self.from_any_geometry and not chosen)
             trial = Trial(chosen, unjudged.result, shared=self._shared, unjudged=unjudged)
         except ModelError as error:  # an effect of the larger model, before it: the order matters
             key, trial = (ordered, insist), Trial(chosen, None, str(error))

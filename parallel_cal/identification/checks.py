@@ -106,6 +106,7 @@ def check_plausible(
     insist: bool = False,
     usual_only: bool = False,
     leaves_noise: bool = False,
+    compared_only: bool = False,
 ) -> tuple[Model, dict[str, UnusualSize], list[str]]:
     """Judge the size of every identified parameter.
 
@@ -117,7 +118,9 @@ def check_plausible(
     Usual sizes are knowledge about other machines: a parameter of an effect or a sensor outside its
     range is accepted, and its tolerance is raised to allow it, unless the owner wants `usual_only`.
     A dimension or zero of the geometry is accepted like this only if the fit `leaves_noise` alone:
-    then the drawing is wrong, and the model is not. A factor that all lengths share is refused.
+    then the drawing is wrong, and the model is not. It is accepted, too, in a fit to which others
+    are `compared_only`: there it imitates what the model lacks. A factor that all lengths share is
+    refused.
 
     Returns
     -------
@@ -148,7 +151,7 @@ def check_plausible(
     outside = free & ~((low <= model.values) & (model.values <= high))
     is_geometry = np.array([p.group not in ("effect", "sensor") for p in model.table])
     scale = find_scale_of_lengths(model, free & is_geometry)
-    may_be_drawing = leaves_noise and not usual_only and scale is None
+    may_stay = (leaves_noise or compared_only) and not usual_only and scale is None
     for i in np.flatnonzero(outside):
         p, value = model.table[i], float(model.values[i])
         least, most = p.plausible_range()
@@ -159,20 +162,23 @@ def check_plausible(
                 f"{(value - p.nominal) / p.tolerance:+.1f} tolerances from its nominal "
                 f"{p.nominal:.6g}"
             )
-            if may_be_drawing and p.low <= value <= p.high:
+            if may_stay and p.low <= value <= p.high:
                 tolerances[p.name] = 1.2 * abs(value - p.nominal) / MAX_TOLERANCES
                 usual_tolerances.setdefault(p.name, p.tolerance)
-                accepted.append(
-                    f"{found}. It was accepted, with a larger tolerance, because the fit leaves "
-                    f"only noise (chi2/dof {chi2:.3g}): check this dimension or zero in the drawing"
+                why = (
+                    f"It was accepted, with a larger tolerance, because the fit leaves only noise "
+                    f"(chi2/dof {chi2:.3g}): check this dimension or zero in the drawing"
+                    if leaves_noise
+                    else f"It imitates what the model lacks (chi2/dof {chi2:.3g})"
                 )
+                accepted.append(f"{found}. {why}")
                 continue
             scaled = "" if scale is None else f"{describe_scale_of_lengths(scale)}; "
             raise ImplausibleGeometryError(
                 f"{found} (plausible {least:.6g} to {most:.6g}; chi2/dof {chi2:.3g}): {scaled}"
                 "check units and mechanism, fix the parameter, use priors (fit --prior), correct "
-                "nominal and tolerance in the model file, or let the fit identify the effect that "
-                "the geometry imitates, too (fit --effect NAME)",
+                "nominal and tolerance in the model file, or find the effect that the geometry "
+                "imitates (diagnose) and identify it, too (add, or fit --effect NAME)",
                 chi2,
             )
         bound = least if value < low[i] else most

@@ -482,13 +482,15 @@ def fit(
     progress: Progress | None = None,
     *,
     effects: Sequence[str] = (),
+    compared_only: bool = False,
     **changes: Unpack[FitKeywords],
 ) -> FitResult:
     """Identify the free parameters of a model from measurements, and take the result as it is.
 
     Arguments, result and errors are those of `parallel_cal.diagnosis.fitting.fit`, which also
     refuses a result that does not describe the samples, and names the likeliest cause of a
-    refusal. Callers that compare many fits need neither.
+    refusal. Callers that compare many fits need neither; a fit that is `compared_only` is never
+    written, and may have a geometry that no robot has.
     """
     options = with_changes(options, FitOptions, changes, FitError)
     if not dataset.sha256:  # so that another fit of these samples knows that the first used them
@@ -500,7 +502,10 @@ def fit(
     start, registration = prepared_for_fit(start, given.registration, dataset, options)
     dataset = add_registration_warning(dataset, registration)
     try:
-        result = fit_unjudged(start, dataset, options, progress, given).judge(progress)
+        unjudged = fit_unjudged(
+            start, dataset, options, progress, given, compared_only=compared_only
+        )
+        result = unjudged.judge(progress)
     except ImplausibleGeometryError as error:
         observations = given.observe(start, dataset, options.joint_sigma, options.insist)
         outliers = search_outliers(start, dataset, observations, options)
@@ -540,11 +545,13 @@ def fit_unjudged(
     progress: Progress | None = None,
     given: GivenModel | None = None,
     noise: Observations | None = None,
+    compared_only: bool = False,
 ) -> UnjudgedFit:
     """Fit a model that describes where its device stands; leave the validation errors for later.
 
     `given` is the model to compare with, by default the model itself. `noise` are the same samples
-    with noise that another fit estimated, if this fit must use the same weights.
+    with noise that another fit estimated, if this fit must use the same weights. A fit that is
+    `compared_only` may have a geometry that no robot has.
     """
     given = given or GivenModel(model, model, dataset, options.joint_sigma, options.insist)
     report = progress or ignore_progress
@@ -607,6 +614,7 @@ def fit_unjudged(
             options.usual_only,
             # A scale that all lengths share, such as mm for m, leaves only noise, too.
             leaves_noise=scaled is None and leaves_only_noise(usual, estimate, observations),
+            compared_only=compared_only and scaled is None,
         )
     except ImplausibleGeometryError as error:
         if scaled is None:
