@@ -1,12 +1,14 @@
 """The sum over all sets of causes: its evidence against dense covariances, its probabilities
 against counting, and what it says of sessions of another hand."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, product
 
 import numpy as np
 import pytest
+import virtual_day as vd
 import virtual_findings as vf
+from datasets import as_dataset
 from findings import hiding
 from scipy.stats import multivariate_t
 
@@ -16,6 +18,7 @@ from parallel_cal.model.model import new_model
 from parallel_cal.posterior.blocks import EFFECT, Block
 from parallel_cal.posterior.evidence import LOG_WEIGHTS, SIZES, STATED, Choice, Evidence
 from parallel_cal.posterior.search import Sum
+from parallel_cal.virtual import robot as vr
 
 MODEL = new_model("delta54")
 
@@ -146,3 +149,22 @@ def test_a_law_outside_the_catalogue_is_left_and_no_effect_is_certain():
     assert found.left == "yes"
     assert max(found.explanation.laws.values()) > 0.99
     assert all(cause["probability"] < 0.5 for cause in found.missing)
+
+
+@pytest.mark.parametrize("saturates", [False, True])
+def test_friction_that_saturates_with_the_velocity_is_not_latency(saturates):
+    """Every joint lags by 2 ms times its velocity, or by as much at most as friction lets it."""
+    samples = vd.dwell_samples(vr.MOCK_UP, seed=4, noise=vr.THESIS_NOISE, effects=())
+    v = np.random.default_rng(4).uniform(-0.4, 0.4, samples["q"].shape)
+    samples["q"] += 8e-4 * np.tanh(v / 0.05) if saturates else 2e-3 * v
+    data = as_dataset(samples)
+    speeds = {f"velocity.{name}": v[:, i] for i, name in enumerate(data.joint_names)}
+    found = diagnose(MODEL, replace(data, conditions={**data.conditions, **speeds}))
+    assert found.left == ("yes" if saturates else "no")
+    assert ("law of velocity" in found.explanation.laws) == saturates
+    if saturates:
+        assert found.verdict.word == "partly_explained"
+        assert "discover" in found.next_steps[0]
+    else:
+        assert {"latency", "servo_lag"} & {*found.missing[0]["effects"]}
+        assert found.verdict.word == "explained"

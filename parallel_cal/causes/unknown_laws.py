@@ -21,7 +21,7 @@ OWN_LENGTHS = ((0.1, 30), (0.3, 12), (0.7, 12), (1.5, 12))
 
 def list_unknown_blocks(scene: Scene) -> list[Block]:
     """A block for each kind of law that is in no catalogue."""
-    makers = (_joint_laws, _laws_of_conditions, _deflections, _fields, _drifts)
+    makers = (_joint_laws, _laws_of_conditions, _laws_of_motion, _deflections, _fields, _drifts)
     found = (block for make in makers for block in make(scene))
     return [block for block in found if block is not None]
 
@@ -73,6 +73,26 @@ def _laws_of_conditions(scene: Scene) -> Iterator[Block | None]:
         functions = np.stack([centred(values) * centred(q) ** power for power in range(3)], axis=2)
         columns = (_unit(J)[:, :, :, None] * functions[:, None]).reshape(len(scene.residual), -1)
         yield Block.of(scene, f"law of {name}", LAW, LOG_PRIOR, [columns])
+
+
+def _laws_of_motion(scene: Scene) -> Iterator[Block | None]:
+    """Each joint lags by any function of its own velocity, or acceleration: friction saturates."""
+    n, conditions = len(scene.model.joints), scene.dataset.conditions
+    J = scene.measured_jacobian[:, :, :n]
+    for name in ("velocity", "acceleration"):
+        names = [f"{name}.{joint}" for joint in scene.dataset.joint_names]
+        if not all(one in conditions and np.ptp(conditions[one]) > 0 for one in names):
+            continue
+        columns = [
+            np.hstack(
+                [
+                    _flat(scene, J[:, :, [i]], smooth(conditions[one], length, 12))
+                    for i, one in enumerate(names)
+                ]
+            )
+            for length in (0.3, 0.7, 1.5)
+        ]
+        yield Block.of(scene, f"law of {name}", LAW, LOG_PRIOR, columns)
 
 
 def _deflections(scene: Scene) -> Iterator[Block | None]:

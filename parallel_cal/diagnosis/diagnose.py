@@ -590,6 +590,7 @@ def _diagnose_trusted(
             name: one["probability"]
             for name, one in zip(best.names, found.missing(best.names), strict=True)
         },
+        laws=found.laws,
     )
     return Diagnosis(
         model=model,

@@ -73,7 +73,7 @@ class Findings:
     than the errors show. `like_drift` lists effects of time that explain no more than noise that
     drifts. `sides_from_order` is that of the dataset, and `has_sides` whether it contains the sides
     from which the joints came. `probability` is, for each effect found, that the robot has it, or
-    one that may be in its place.
+    one that may be in its place, and `laws` are those that no effect describes, with theirs.
     """
 
     base: Trial
@@ -96,6 +96,7 @@ class Findings:
     sides_from_order: bool = False
     has_sides: bool = True
     probability: Mapping[str, float] = field(default_factory=dict)
+    laws: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def final_estimate(self) -> Estimate:
@@ -131,6 +132,11 @@ class Findings:
             or self.remaining is not None
         )
         return names if leaves or any(self.swaps.get(name) for name in names) else []
+
+    @property
+    def imitating(self) -> list[str]:
+        """Effects found that are less likely than not, where a law outside the catalogue is."""
+        return [name for name, p in self.probability.items() if p < 0.5] if self.laws else []
 
     @property
     def was_inside_band(self) -> bool:
@@ -174,7 +180,7 @@ def judge(found: Findings) -> Verdict:
     """
     verdict = replace(
         _judge(found),
-        suspected_of_law=tuple(found.suspected_of_law),
+        suspected_of_law=tuple(dict.fromkeys([*found.suspected_of_law, *found.imitating])),
         like_drift=found.like_drift,
     )
     doubts = [words for words in _describe_doubts(found) if words not in verdict.against]
@@ -282,6 +288,7 @@ def _list_objections(found: Findings) -> list[str]:
             f"{_name_noise(found.noise)} gives at most {shown[1]} (99 % limit)"
         )
         against += _describe_like_drift(found)
+    against += _describe_imitated_law(found)
     against += _describe_doubts(found)
     against += found.outdone
     against += found.wrong_signs
@@ -318,6 +325,17 @@ def _describe_like_drift(found: Findings) -> list[str]:
         f"{name} would explain the error no better than noise of the device or the robot that "
         f"drifts; to tell them, measure {load_effect(name).separated_by}"
         for name in found.like_drift
+    ]
+
+
+def _describe_imitated_law(found: Findings) -> list[str]:
+    """Say which law is likelier than the effects found, which may only imitate it."""
+    if not found.imitating:
+        return []
+    law, p = max(found.laws.items(), key=lambda one: one[1])
+    return [
+        f"a {law} that is in no catalogue is likelier ({100 * p:.0f} %), and "
+        f"{' and '.join(found.imitating)} may only imitate it: search for it (discover)"
     ]
 
 
