@@ -6,8 +6,8 @@ import pytest
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.rotation import rotation_matrix
+from parallel_cal.causes.unknown_laws import list_unknown_blocks
 from parallel_cal.diagnosis.comparison import compare
-from parallel_cal.diagnosis.device import _joint_fields
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.noise_shape import noise_shape
 from parallel_cal.discovery.discovery import discover
@@ -179,8 +179,8 @@ def test_a_smooth_error_of_each_joint_with_its_own_reading_lies_in_the_fields_of
     scene = Scene.of(base.model, base.dataset, base.observations, nothing)
     by_joint = scene.measured_jacobian[:, :, :3]
     error = np.einsum("nrj,nj->nr", by_joint, 1e-3 * data.q**2).ravel()
-    fields = list(_joint_fields(scene))
-    own = fields[4]  # after all joints with the configuration, and each of the three
+    laws = {block.name: block for block in list_unknown_blocks(scene)}
+    own = laws["law of each joint's own reading"].columns[-1]  # of the smoothest
     left = error - own @ np.linalg.lstsq(own, error)[0]
     assert np.linalg.norm(left) < 1e-3 * np.linalg.norm(error)
 

@@ -21,8 +21,11 @@ MIN_SCANNED = 3  # values of a setting, to refine it between them
 EQUAL_EVIDENCE = 4.5  # of the logarithm, three sigmas: two settings fit as well
 
 
-def list_effect_blocks(scene: Scene, names: Sequence[str]) -> list[Block]:
-    """One block for each effect that the samples can show, with the settings that it scans."""
+def list_effect_blocks(
+    scene: Scene, names: Sequence[str], known: Mapping[str, Mapping[str, float]]
+) -> list[Block]:
+    """One block for each effect that the samples can show, with the settings that it scans, or
+    those that are known."""
     found = []
     for name in names:
         effect, mechanism = load_effect(name), scene.model.mechanism
@@ -39,9 +42,11 @@ def list_effect_blocks(scene: Scene, names: Sequence[str]) -> list[Block]:
         settings = list(effect.scan(mechanism, collect_recorded_values(scene.dataset)))
         if not settings:
             continue
+        tried = len(settings)
+        settings = [known[name]] if known.get(name) else settings
         a = conditions(plain, scene.dataset)
         each = [compute_effect_columns(scene, plain, one, a, True) for one in settings]
-        block = Block.of(scene, name, EFFECT, LOG_ODDS, each, settings)
+        block = Block.of(scene, name, EFFECT, LOG_ODDS, each, settings, tried)
         if block is not None:
             found.append(block)
     return found

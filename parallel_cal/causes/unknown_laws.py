@@ -52,8 +52,11 @@ def _joint_laws(scene: Scene) -> Iterator[Block | None]:
         for length, m in OWN_LENGTHS
     ]
     yield Block.of(scene, "law of each joint's own reading", LAW, LOG_PRIOR, own)
-    whole = [_flat(scene, J, smooth(q, length, CENTRES)) for length in (0.7, 1.2, 2.5)]
+    functions = [smooth(q, length, CENTRES) for length in (0.7, 1.2, 2.5)]
+    whole = [_flat(scene, J, one) for one in functions]
     yield Block.of(scene, "law of all joint readings", LAW, LOG_PRIOR, whole)
+    single = [_flat(scene, J[:, :, [i]], one) for i in range(n) for one in functions]
+    yield Block.of(scene, "law of one joint", LAW, LOG_PRIOR, single)
 
 
 def _laws_of_conditions(scene: Scene) -> Iterator[Block | None]:

@@ -10,18 +10,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
-from parallel_cal.base.errors import FitError, ModelError
+from parallel_cal.base.errors import FitError
 from parallel_cal.base.progress import Progress
-from parallel_cal.causes.effects import list_effects_to_test
 from parallel_cal.diagnosis.catalogue import Candidate, candidate
-from parallel_cal.diagnosis.device import find_doubtful_effects, is_needed
-from parallel_cal.diagnosis.entries import are_confused, is_clearly_better
+from parallel_cal.diagnosis.device import find_doubtful_effects
 from parallel_cal.diagnosis.patterns import (
     are_few,
     explain_exclusion,
     set_knocked_samples_aside,
 )
-from parallel_cal.diagnosis.search import Trial, is_as_good, is_superfluous
+from parallel_cal.diagnosis.search import is_superfluous
 from parallel_cal.diagnosis.stations import exclude_device
 from parallel_cal.diagnosis.verdict import robot_or_device
 from parallel_cal.identification.acceptance import Acceptance, acceptance
@@ -38,8 +36,6 @@ from parallel_cal.identification.platform_shift import (
 )
 from parallel_cal.model.effect import parse_effects
 from parallel_cal.model.model import Model
-from parallel_cal.model.shelf import load_effect
-from parallel_cal.model.words import join_words
 from parallel_cal.posterior.scene import Scene
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.lagged import add_lagged_conditions
@@ -113,91 +109,10 @@ class Addition:
         return found, ()
 
     def _find_doubt(self) -> tuple[tuple[str, ...], str]:
-        """Find an effect that lowers the error and may be wrong, and explain why; no effect and no
-        text if nothing suggests it.
-
-        The device may cause it, or an effect of the device explains the error clearly better, or as
-        well in its place.
-        """
-        scene, fitted = self.scene, self.result.model
-        device = _list_device_candidates(scene)
-        if doubtful := find_doubtful_effects(scene, self.effects, device, fitted):
-            return tuple(doubtful), robot_or_device(doubtful[0])
-        large = find_large_device_effects(fitted)
-        for one in self.effects:
-            # An error of the device of usual size is none that the robot would learn.
-            if one.effect.of_device and one.name not in large:
-                continue
-            if better := self._find_better_of_device(one, device):
-                outdone_by = join_words(c.name for c in better)
-                verb = "explains" if len(better) == 1 else "explain"
-                return (
-                    (one.name,),
-                    f"{outdone_by} {verb} the error clearly better than '{one.name}' "
-                    "(see diagnose)",
-                )
-        for one in self.effects:
-            alike = [c for c in device if not c.effect.needs and are_confused(one, c)]
-            if not one.effect.of_device and any(self._fits_as_well(one, c) for c in alike):
-                return (one.name,), robot_or_device(one.name)
-        return (), ""
-
-    def _find_better_of_device(
-        self, one: Candidate, device: Sequence[Candidate]
-    ) -> list[Candidate]:
-        """The effects of the device that explain clearly more than one of the added effects, and
-        leave nothing for it; each next to the others that are added."""
-        better = [c for c in device if c.scene is one.scene and is_clearly_better(c, one)]
-        others = [c for c in self.effects if c is not one]
-        if not better or is_needed([one], [*others, *better], self.scene, self.result.model):
-            return []
-        if not others:
-            return better
-        # What the others explain makes neither of them better.
-        extended = self.base.start
-        for other in others:
-            extended = extended.with_effect(other.name, other.settings)
-        limited = limit_patterns(self.result.options, extended, self.result.start)
-        limited = replace(limited, hold_out=0.0)
-        try:
-            fitted = fit_unjudged(extended, self.base.dataset, limited, given=self.base.given)
-        except FitError:  # the others need it
-            return []
-        beside = see(fitted.result)
-        again = replace(candidate(beside, one.name), settings=one.settings)
-        names = {c.name for c in better}
-        return [
-            c
-            for c in _list_device_candidates(beside)
-            if c.name in names and is_clearly_better(c, again)
-        ]
-
-    def _fits_as_well(self, one: Candidate, rival: Candidate) -> bool:
-        """Whether a rival fits as well in place of one of the added effects. It may be larger than
-        usual if this effect is."""
-        swapped, result = self.base.start, self.result
-        try:
-            for each in self.effects:
-                chosen = rival if each is one else each
-                swapped = swapped.with_effect(chosen.name, chosen.settings)
-            other = fit_unjudged(
-                swapped,
-                self.base.dataset,
-                result.options,
-                given=self.base.given,
-                noise=result.observations,
-            ).judge()
-        except (FitError, ModelError):
-            return False
-        own, its = ({size.effect for size in r.unusual.values()} for r in (result, other))
-        if rival.name in its and one.name not in own:
-            return False
-        return is_as_good(Trial((), result), Trial((), other))
-
-
-def _list_device_candidates(scene: Scene) -> list[Candidate]:
-    names = [n for n in list_effects_to_test(scene.model) if load_effect(n).of_device]
-    return [candidate(scene, name) for name in names]
+        """Find the effects that the other side, robot or device, may cause, and explain why; no
+        effect and no text if nothing suggests it."""
+        doubtful = find_doubtful_effects(self.scene, self.effects)
+        return tuple(doubtful), robot_or_device(doubtful[0]) if doubtful else ""
 
 
 def find_addition(

@@ -19,7 +19,6 @@ from parallel_cal.diagnosis.thresholds import (
     EFFECT_SIGNIFICANCE_LEVEL,
     MAX_REFITTED_CANDIDATES,
     MIN_CONFUSED_CORRELATION,
-    MIN_SEPARATION_SIGMAS,
     RESAMPLES,
 )
 from parallel_cal.diagnosis.verdict import share_explained
@@ -191,11 +190,6 @@ def are_confused(one: Candidate, other: Candidate) -> bool:
     if one.scene is not other.scene:  # a larger model's rows are others
         return False
     return canonical_correlation(one.score.U, other.score.U) > MIN_CONFUSED_CORRELATION
-
-
-def is_clearly_better(other: Candidate, one: Candidate) -> bool:
-    """Whether `other` explains the error clearly better than `one`."""
-    return other.log_p < one.log_p - MIN_SEPARATION_SIGMAS**2 / 2 and are_confused(one, other)
 
 
 def rivals_of(best: Trial, ranked: Sequence[Candidate]) -> dict[str, list[Candidate]]:

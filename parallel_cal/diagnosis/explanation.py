@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -67,7 +68,7 @@ class Explanation:
             base = _find_first(search, base, names)
         first, names = base.chosen, [name for name in names if name not in base.names]
         refuted, wrong = dict[str, str](), list[str]()
-        causes, known = _Causes.of(base.scene, names), list[frozenset[Chosen]]()
+        causes, known = Causes.of(base.scene, names), list[frozenset[Chosen]]()
         while True:
             posterior, described, more = causes.explain(refuted)
             chosen = (*first, *more)
@@ -81,7 +82,7 @@ class Explanation:
                 best = search.fit_as_shown(*chosen)
                 return cls(posterior, described, best, refuted, tuple(wrong), *base.names)
             known.append(frozenset(chosen))
-            causes = _Causes.of(_scene_about(base, tried), names)
+            causes = Causes.of(_scene_about(base, tried), names)
 
     @property
     def outdone(self) -> tuple[str, ...]:
@@ -173,7 +174,7 @@ class Explanation:
 
 
 @dataclass(frozen=True)
-class _Causes:
+class Causes:
     """All that may cause what one scene shows; `nu` is as in `Sum`."""
 
     scene: Scene
@@ -181,11 +182,22 @@ class _Causes:
     nu: float
 
     @classmethod
-    def of(cls, scene: Scene, names: Sequence[str]) -> _Causes:
+    def of(
+        cls,
+        scene: Scene,
+        names: Sequence[str],
+        settings: Mapping[str, Mapping[str, float]] = MappingProxyType({}),
+    ) -> Causes:
+        """All causes, of which the effects are these `names`; `settings` holds those of an effect
+        that are known."""
         scene, nu = _in_units_of_noise(scene)
         scene, larger = widen(scene, names)
-        effects = list_effect_blocks(scene, names)
+        effects = list_effect_blocks(scene, names, settings)
         return cls(scene, [*larger, *effects, *list_unknown_blocks(scene)], nu)
+
+    @property
+    def sum(self) -> Sum:
+        return Sum(self.scene, self.blocks, self.nu)
 
     def explain(self, refuted: Collection[str]) -> tuple[Posterior, Posterior, tuple[Chosen, ...]]:
         """Sum over all sets of causes, and over those without unknown laws of the robot; return
@@ -263,7 +275,7 @@ def _scene_about(base: Trial, best: Trial) -> Scene:
 def _find_first(search: Search, base: Trial, names: Sequence[str]) -> Trial:
     """The fit with that cause of what `base` shows with which a plausible geometry describes the
     samples best; `base` if there is none."""
-    _, _, chosen = _Causes.of(base.scene, names).explain(())
+    _, _, chosen = Causes.of(base.scene, names).explain(())
     trials = [search.fit_as_shown(one) for one in chosen]
     fitted = [one for one in trials if one.result is not None]
     return min(fitted, key=lambda one: one.fitted.estimate.chi2, default=base)

@@ -70,16 +70,6 @@ MAX_SWAP_ERROR_RATIO = 1.05  # of the validation error: an exchange within it fi
 MIN_FAMILY_MEMBERS = 3  # members of one family in an "A or B or C": above, the family is named
 MIN_SEPARATION_SIGMAS = 5.0  # ... unless the data separate the two by as many sigmas
 
-# Smooth error field of the device, to compare with effects of the robot
-CENTRES = 40  # places at which the field has values
-FIELD_LENGTHS = (0.25, 0.4, 0.7, 1.2, 2.5)  # over which it changes, in standard deviations of place
-JOINT_FIELD_LENGTHS = FIELD_LENGTHS[2:]  # over which an error of a joint changes
-FIELD_SIZES = (0.3, 1.0, 3.0, 10.0, 30.0)  # of it, in sigmas of a sample
-MIN_LOG_EVIDENCE_GAIN = (
-    5.0  # log of how much likelier one of two explanations is (Kass & Raftery 1995: 2 ln B > 10)
-)
-EFFECT_SIZES = (0.3, 1.0, 3.0)  # of the effects next to the field, in tolerances
-
 # Tests and plots of residuals
 NEIGHBOURS = 7  # of a sample, in Moran's I
 PERMUTATIONS = 999  # of the samples, for a p-value ...

@@ -14,6 +14,7 @@ from parallel_cal.posterior.scene import Scene
 
 MAX_CAUSES = 6
 MAX_ROUNDS = 4
+MAX_FIRST = 4  # causes that are tried as one of two in the place of one
 
 Refine = Callable[[Evidence, Choice], Choice]
 
@@ -98,7 +99,8 @@ class Sum:
         return sorted(found, key=lambda one: -one.log_p)
 
     def search(self) -> Posterior:
-        """Add, exchange and remove causes until nothing is likelier; sum over the sets nearby."""
+        """Add, exchange, split and remove causes until nothing is likelier; sum over the sets
+        nearby."""
         nu = self.nu
         chosen: tuple[Choice, ...] = ()
         while len(chosen) < MAX_CAUSES:
@@ -106,19 +108,45 @@ class Sum:
             if self.stated:
                 nu = max((STATED, UNKNOWN), key=lambda v: self.total(chosen, v))
                 now = self.evidence(chosen, nu)
-            ranked = self.rank(now, {one.block.name for one in chosen})
-            if not ranked or ranked[0].log_p <= now.log_p:
-                break
-            more = self._polish((*chosen, self._refined(now, ranked[0].best)), nu)
-            more = self._prune(more, nu)
-            if {c.block.name for c in more} == {c.block.name for c in chosen}:
-                break
-            if self.evidence(more, nu).log_p < now.log_p:
+            more = self._grow(now, nu) or self._split(now, nu)
+            if more is None:
                 break
             chosen = more
         if self.stated:
             nu = max((STATED, UNKNOWN), key=lambda v: self.total(chosen, v))
         return self._sum_nearby(chosen, nu)
+
+    def _grow(self, now: Evidence, nu: float) -> tuple[Choice, ...] | None:
+        """A likelier set with one cause more, each chosen again beside the others; None if there
+        is none."""
+        ranked = self.rank(now, {one.block.name for one in now.chosen})
+        if not ranked or ranked[0].log_p <= now.log_p:
+            return None
+        more = self._polish((*now.chosen, self._refined(now, ranked[0].best)), nu)
+        return self._if_likelier(self._prune(more, nu), now, nu)
+
+    def _split(self, now: Evidence, nu: float) -> tuple[Choice, ...] | None:
+        """A likelier set with two causes in the place of one, which may imitate them together; None
+        if there is none."""
+        names = {one.block.name for one in now.chosen}
+        for k in range(len(now.chosen)):
+            rest = now.chosen[:k] + now.chosen[k + 1 :]
+            for first in self.rank(self.evidence(rest, nu), names)[:MAX_FIRST]:
+                beside = self.evidence((*rest, first.best), nu)
+                seconds = self.rank(beside, {*names, first.best.block.name})
+                if seconds and seconds[0].log_p > now.log_p:
+                    more = self._polish((*rest, first.best, seconds[0].best), nu)
+                    if likelier := self._if_likelier(self._prune(more, nu), now, nu):
+                        return likelier
+        return None
+
+    def _if_likelier(
+        self, more: tuple[Choice, ...], now: Evidence, nu: float
+    ) -> tuple[Choice, ...] | None:
+        """Other causes, if their evidence is not less than that of those chosen now."""
+        if {one.block.name for one in more} == {one.block.name for one in now.chosen}:
+            return None
+        return more if self.evidence(more, nu).log_p >= now.log_p else None
 
     def total(self, chosen: Sequence[Choice], nu: float) -> float:
         return self.evidence(chosen, nu).log_p + self._doubt(nu)
