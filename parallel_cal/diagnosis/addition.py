@@ -161,7 +161,18 @@ def find_addition(
     def keep(aside: Sequence[int]) -> Dataset:
         return dataset.excluding(aside, f"because it is {explain_exclusion(dataset, aside)}")
 
-    def extend(base: FitResult, aside: Sequence[int], result: FitResult | None = None) -> Addition:
+    def fit_with(extended: Model, base: FitResult, is_plausible: bool) -> FitResult:
+        if is_plausible:
+            return fit(extended, base.dataset, options, progress)
+        # The effects would have to be there before the frame of the device can be placed again.
+        return fit_unjudged(extended, base.dataset, options, progress, base.given).judge(progress)
+
+    def extend(
+        base: FitResult,
+        aside: Sequence[int],
+        result: FitResult | None = None,
+        is_plausible: bool = True,
+    ) -> Addition:
         scene, added = see(base), list[Candidate]()
         # Start where the base started, so that the device's frame is the one registered there.
         extended = base.start
@@ -170,7 +181,7 @@ def find_addition(
             added.append(replace(one, settings=settings or one.settings))
             extended = extended.with_effect(name, added[-1].settings)
         try:
-            result = result or fit(extended, base.dataset, options, progress)
+            result = result or fit_with(extended, base, is_plausible)
         except FitError:
             # One knocked sample may be what no plausible size of the effects describes.
             seen = observe(extended, base.dataset, options.joint_sigma, options.insist)
@@ -190,6 +201,7 @@ def find_addition(
             if error.outliers:
                 raise
             base = fit(model, keep(aside), limited, progress, compared_only=True)
+            return extend(base, aside, is_plausible=False)
         return extend(base, aside)
 
     def fit_without_more(before: Sequence[int], more: list[int]) -> Addition:
