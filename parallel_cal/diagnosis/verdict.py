@@ -207,7 +207,7 @@ def _judge(found: Findings) -> Verdict:
         verb = "help" if len(found.best.chosen) > 1 else "helps"
         helps = f"{names} {verb}" if names else "no effect of the catalogue helps"
         rest = " and the residuals still have structure" if found.structure.has_structure else ""
-        known = bool(found.best.chosen) and min(found.probability.values()) > CERTAIN
+        known = max(found.probability.values(), default=0.0) > CERTAIN
         return Verdict(
             "partly_explained" if known else "cannot_know",
             f"{helps} ({errors}){rest}; without a noise figure it is not known whether the "
