@@ -237,9 +237,16 @@ class Diagnosis(ShownInNotebook):
     @property
     def left(self) -> str:
         """Whether an error is left that no effect found describes: `no`, `yes` or `unknown`."""
-        if self.explanation.laws or self.verdict.word in ("partly_explained", "unexplained"):
-            return "yes" if self.noise.variance is not None or self.explanation.laws else "unknown"
-        return "unknown" if self.verdict.word == "cannot_know" else "no"
+        if self.explanation.laws:
+            return "yes"
+        if self.noise.variance is None or self.verdict.word == "cannot_know":
+            return "unknown"
+        if self.verdict.word in ("at_noise", "explained"):
+            return "no"
+        after = self.best.fitted.estimate
+        shows = after.chi2_per_dof > self.noise.band(after.dof)[1]
+        shows |= self.structure.has_structure or self.remaining is not None
+        return "yes" if shows or not self.effects else "no"
 
     @property
     def additions(self) -> tuple[str, ...]:

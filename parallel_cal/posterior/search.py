@@ -8,13 +8,13 @@ from functools import cached_property
 
 import numpy as np
 
-from parallel_cal.posterior.blocks import LOG_ODDS, Block
+from parallel_cal.posterior.blocks import EFFECT, LOG_ODDS, Block
 from parallel_cal.posterior.evidence import STATED, UNKNOWN, Choice, Evidence
 from parallel_cal.posterior.scene import Scene
 
 MAX_CAUSES = 6
 MAX_ROUNDS = 4
-MAX_FIRST = 4  # causes that are tried as one of two in the place of one
+MAX_FIRST = 4  # effects that are tried as one of two in the place of one
 
 Refine = Callable[[Evidence, Choice], Choice]
 
@@ -126,12 +126,14 @@ class Sum:
         return self._if_likelier(self._prune(more, nu), now, nu)
 
     def _split(self, now: Evidence, nu: float) -> tuple[Choice, ...] | None:
-        """A likelier set with two causes in the place of one, which may imitate them together; None
-        if there is none."""
+        """A likelier set with an effect and another cause in the place of one that may imitate them
+        together; None if there is none."""
         names = {one.block.name for one in now.chosen}
         for k in range(len(now.chosen)):
             rest = now.chosen[:k] + now.chosen[k + 1 :]
-            for first in self.rank(self.evidence(rest, nu), names)[:MAX_FIRST]:
+            ranked = self.rank(self.evidence(rest, nu), names)
+            effects = [other for other in ranked if other.best.block.kind == EFFECT]
+            for first in effects[:MAX_FIRST]:
                 beside = self.evidence((*rest, first.best), nu)
                 seconds = self.rank(beside, {*names, first.best.block.name})
                 if seconds and seconds[0].log_p > now.log_p:
