@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +18,6 @@ from parallel_cal.campaign.laws import LawSearch, search_laws
 from parallel_cal.campaign.path_guard import Guard
 from parallel_cal.campaign.targets import Target, next_targets, repeat_first_poses
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
-from parallel_cal.diagnosis.first_effect import find_first_effect
-from parallel_cal.diagnosis.search import Chosen
 from parallel_cal.diagnosis.separate import explain_separation
 from parallel_cal.discovery.in_session import write_effects
 from parallel_cal.identification.image_poses import estimate_robot_error, find_shown_poses
@@ -144,7 +141,9 @@ def judge_samples(
     model = parse_model(question.model)
     fitted = dataset.select(~unseen)
     try:
-        found, first = _diagnose_with_first_effect(model, fitted, question, tell)
+        found = diagnose(
+            model, fitted, effects=question.effects, options=question.options, progress=tell
+        )
         best = found.best.fitted.model
         text = readable_text(best, f"the model of the judgement of {len(dataset)} samples")
     except (FitError, ModelFileError) as error:
@@ -160,8 +159,8 @@ def judge_samples(
         )
     missing = describe_missing_evidence(found)
     verdict, summary, suspected = found.verdict.word, found.verdict.summary, found.suspected
-    if first:
-        summary = f"no geometry fits the samples without {first.name}; with it: {summary}"
+    if first := found.explanation.first:
+        summary = f"no geometry fits the samples without {first}; with it: {summary}"
     laws = LawSearch("")
     if _needs_law(found, question, targets):
         laws = search_laws(
@@ -184,8 +183,8 @@ def judge_samples(
         len(dataset),
         verdict,
         summary,
-        (*([first.name] if first else ()), *found.effects),
-        (*([first.text] if first else ()), *found.additions),
+        found.effects,
+        found.additions,
         doubt,
         untold,
         suspected,
@@ -210,21 +209,6 @@ def _needs_law(found: Diagnosis, question: JudgementRequest, targets: Sequence[T
         and not question.effects
         and not any(target.conditions for target in targets)
     )
-
-
-def _diagnose_with_first_effect(
-    model: Model, fitted: Dataset, question: JudgementRequest, tell: Tell | None
-) -> tuple[Diagnosis, Chosen | None]:
-    """Diagnose; if the geometry alone cannot be identified, do so with the effect that is clearly
-    needed before the first fit, and return it, too."""
-    diagnosed = partial(diagnose, effects=question.effects, options=question.options, progress=tell)
-    try:
-        return diagnosed(model, fitted), None
-    except FitError:
-        first = find_first_effect(model, fitted, question.effects, question.options)
-        if first is None:
-            raise
-        return diagnosed(model.with_effect(first.name, first.settings), fitted), first
 
 
 def _make_judgement_without_model(

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
+from parallel_cal.causes.unknown_laws import LOG_PRIOR
 from parallel_cal.identification.observations import conditions
 from parallel_cal.model.effect import parse_part
 from parallel_cal.model.model import Model
@@ -18,6 +19,8 @@ from parallel_cal.posterior.scene import Scene, columns
 from parallel_cal.recordings.dataset import Dataset
 
 MIN_SCANNED = 3  # values of a setting, to refine it between them
+# Places, drivers and forms among which `discover` finds a law: what was found must pay for them.
+FORMS = 24_000
 EQUAL_EVIDENCE = 4.5  # of the logarithm, three sigmas: two settings fit as well
 
 
@@ -46,7 +49,8 @@ def list_effect_blocks(
         settings = [known[name]] if known.get(name) else settings
         a = conditions(plain, scene.dataset)
         each = [compute_effect_columns(scene, plain, one, a, True) for one in settings]
-        block = Block.of(scene, name, EFFECT, LOG_ODDS, each, settings, tried)
+        prior = LOG_PRIOR - np.log(FORMS) if effect.found_in_data else LOG_ODDS
+        block = Block.of(scene, name, EFFECT, prior, each, settings, tried)
         if block is not None:
             found.append(block)
     return found

@@ -103,15 +103,6 @@ def select_equally_good(ranked: Sequence[FirstEffect]) -> list[FirstEffect]:
     return [one for one in ranked if one.chi2 < limit or one is first]
 
 
-def find_first_effect(
-    model: Model, dataset: Dataset, effects: Iterable[str], options: FitOptions
-) -> Chosen | None:
-    """Return the effect with which alone the samples can be fitted, if it is clear which: every
-    other one explains clearly less or permits no fit at all; else None."""
-    best = select_equally_good(rank_first_effects(model, dataset, effects, options))
-    return best[0].chosen if len(best) == 1 else None
-
-
 @contextmanager
 def proposing_first_effect(
     model: Model,
