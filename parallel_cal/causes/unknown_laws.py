@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from parallel_cal.posterior.blocks import DRIFT, FIELD, LAW, LOG_ODDS, Block
 from parallel_cal.posterior.scene import Scene
-from parallel_cal.posterior.smooth_functions import smooth_functions
 
 # Likelier by less than five nats, an unknown law is no reason against a known effect.
 LOG_PRIOR = LOG_ODDS - 5.0
@@ -27,11 +26,29 @@ def list_unknown_blocks(scene: Scene) -> list[Block]:
 
 
 def smooth(x: np.ndarray, length: float, centres: int, rough: bool = False) -> np.ndarray:
-    """Columns (N, m) of a smooth random function of x (N, d) with variance one, by
-    `smooth_functions`; `length` is in standard deviations of x."""
+    """Columns (N, m) of a random function of x (N, d) with variance one, that changes over a length
+    in standard deviations of x: a Gaussian process with squared exponential covariance, by its
+    values at `centres` of the x, the furthest from each other (Quinonero-Candela and Rasmussen,
+    JMLR 6, 2005).
+
+    With `rough`, the covariance is exponential, as that of noise whose neighbours are similar.
+    """
     x = x.reshape(len(x), -1)
     x = (x - x.mean(axis=0)) / np.maximum(x.std(axis=0), 1e-12)
-    return smooth_functions(x, length, centres, rough)
+    # Begin with the x nearest to the mean; each further one is the furthest from those chosen.
+    chosen = [int(np.argmin(np.sum((x - x.mean(axis=0)) ** 2, axis=1)))]
+    away = np.sum((x - x[chosen[0]]) ** 2, axis=1)
+    while len(chosen) < centres and away.max() > 0:
+        chosen.append(int(np.argmax(away)))
+        away = np.minimum(away, np.sum((x - x[chosen[-1]]) ** 2, axis=1))
+    c = x[chosen]
+
+    def covariance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        squares = np.sum((a[:, None] - b[None]) ** 2, axis=2)
+        return np.exp(-np.sqrt(squares) / length if rough else -squares / (2 * length**2))
+
+    factor = np.linalg.cholesky(covariance(c, c) + 1e-6 * np.eye(len(c)))
+    return np.asarray(np.linalg.solve(factor, covariance(c, x)).T)
 
 
 def _unit(J: np.ndarray) -> np.ndarray:
@@ -44,13 +61,23 @@ def _flat(scene: Scene, J: np.ndarray, functions: np.ndarray) -> np.ndarray:
     return np.einsum("nrk,nm->nrkm", _unit(J), functions).reshape(len(scene.residual), -1)
 
 
+def _of_each_own(
+    scene: Scene, J: np.ndarray, own: np.ndarray, lengths: Sequence[tuple[float, int]]
+) -> list[np.ndarray]:
+    """For each length and number of centres, columns of an error of every joint that is any
+    function of its own value (N, n_joints)."""
+    return [
+        np.hstack(
+            [_flat(scene, J[:, :, [i]], smooth(own[:, i], *one)) for i in range(own.shape[1])]
+        )
+        for one in lengths
+    ]
+
+
 def _joint_laws(scene: Scene) -> Iterator[Block | None]:
     n = len(scene.model.joints)
     J, q = scene.measured_jacobian[:, :, :n], scene.x[:, :n]
-    own = [
-        np.hstack([_flat(scene, J[:, :, [i]], smooth(q[:, i], length, m)) for i in range(n)])
-        for length, m in OWN_LENGTHS
-    ]
+    own = _of_each_own(scene, J, q, OWN_LENGTHS)
     yield Block.of(scene, "law of each joint's own reading", LAW, LOG_PRIOR, own)
     functions = [smooth(q, length, CENTRES) for length in (0.7, 1.2, 2.5)]
     whole = [_flat(scene, J, one) for one in functions]
@@ -86,15 +113,8 @@ def _laws_of_motion(scene: Scene) -> Iterator[Block | None]:
         names = [f"{name}.{joint}" for joint in scene.dataset.joint_names]
         if not all(one in conditions and np.ptp(conditions[one]) > 0 for one in names):
             continue
-        columns = [
-            np.hstack(
-                [
-                    _flat(scene, J[:, :, [i]], smooth(conditions[one], length, 12))
-                    for i, one in enumerate(names)
-                ]
-            )
-            for length in (0.3, 0.7, 1.5)
-        ]
+        own = np.column_stack([conditions[one] for one in names])
+        columns = _of_each_own(scene, J, own, OWN_LENGTHS[1:])
         yield Block.of(scene, f"law of {name}", LAW, LOG_PRIOR, columns)
 
 

@@ -23,8 +23,6 @@ from parallel_cal.posterior.evidence import Choice, Evidence
 from parallel_cal.posterior.scene import Scene
 from parallel_cal.posterior.search import Sum
 
-MAX_ROUNDS = 4
-
 
 def find_doubtful_effects(scene: Scene, chosen: Sequence[Candidate]) -> list[str]:
     """Names of the effects among `chosen` that the other side may cause: beside the others, it is
@@ -39,7 +37,7 @@ def find_doubtful_effects(scene: Scene, chosen: Sequence[Candidate]) -> list[str
     )
     known = {block.name: block for block in causes.blocks}
     made = causes.sum
-    best = _choose(made, [known[name] for name in names if name in known])
+    best = made.choose([known[name] for name in names if name in known])
     doubtful = []
     for k, one in enumerate(best):
         rest = made.evidence(best[:k] + best[k + 1 :], made.nu)
@@ -53,20 +51,6 @@ def find_doubtful_effects(scene: Scene, chosen: Sequence[Candidate]) -> list[str
     return [name for name in doubtful if among_all.get(name, 0.0) < CREDIBLE]
 
 
-def _choose(made: Sum, blocks: Sequence[Block]) -> list[Choice]:
-    """The likeliest setting and size of each of these causes beside all others."""
-    chosen = [Choice(block, 0, 1) for block in blocks]
-    for _ in range(MAX_ROUNDS):
-        before = list(chosen)
-        for k, one in enumerate(chosen):
-            log_p = made.evidence(chosen[:k] + chosen[k + 1 :], made.nu).beside(one.block)
-            setting, size = np.unravel_index(int(np.argmax(log_p)), log_p.shape)
-            chosen[k] = Choice(one.block, int(setting), int(size))
-        if chosen == before:
-            break
-    return chosen
-
-
 def _compute_probability(made: Sum, rest: Evidence, one: Choice, other: Sequence[Block]) -> float:
     """Probability that beside the rest there is an error of the other side in the place of a cause.
 
@@ -76,17 +60,13 @@ def _compute_probability(made: Sum, rest: Evidence, one: Choice, other: Sequence
     from scipy.special import expit
 
     both = made.evidence((*rest.chosen, one), made.nu)
-    blamed = np.logaddexp.reduce([_sum(rest, block) for block in other])
+    blamed = np.logaddexp.reduce([rest.rank(block).log_p for block in other])
     if blamed < rest.log_p:  # the other side explains nothing
         return 0.0
     cleared = [rest.log_p, both.log_p]
     if not load_effect(one.block.name).of_device:
-        cleared += [_sum(both, block) for block in other]
+        cleared += [both.rank(block).log_p for block in other]
     return float(expit(blamed - np.logaddexp.reduce(cleared)))
-
-
-def _sum(beside: Evidence, block: Block) -> float:
-    return float(np.logaddexp.reduce(beside.beside(block), axis=None))
 
 
 def _is_other_side(one: Block, other: Block) -> bool:

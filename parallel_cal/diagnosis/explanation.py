@@ -212,7 +212,7 @@ class Causes:
 
         def search(blocks: Sequence[Block]) -> Posterior:
             refine = partial(refine_setting, self.scene)
-            return Sum(self.scene, blocks, self.nu, refine).search()
+            return replace(self.sum, blocks=blocks, refine=refine).search()
 
         blocks = [one for one in self.blocks if one.name not in refuted]
         posterior = described = search(blocks)

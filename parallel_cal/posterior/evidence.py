@@ -43,6 +43,14 @@ class Choice:
 
 
 @dataclass(frozen=True)
+class Ranked:
+    """A cause beside others: log posterior over all settings and sizes, and its best choice."""
+
+    log_p: float
+    best: Choice
+
+
+@dataclass(frozen=True)
 class Evidence:
     """The evidence of chosen causes about a residual, and that of one more beside them.
 
@@ -109,6 +117,13 @@ class Evidence:
         log_p = self._log_t(self._squares - explained, self._log_det + log_det)
         prior = self.log_prior + block.log_prior - np.log(block.tried) + LOG_WEIGHTS
         return np.asarray(log_p + prior)
+
+    def rank(self, block: Block) -> Ranked:
+        """One more cause beside the chosen ones."""
+        log_p = self.beside(block)
+        setting, size = np.unravel_index(int(np.argmax(log_p)), log_p.shape)
+        total = float(np.logaddexp.reduce(log_p, axis=None))
+        return Ranked(total, Choice(block, int(setting), int(size)))
 
     def _log_t(self, squares: float | np.ndarray, log_det: float | np.ndarray) -> np.ndarray:
         from scipy.special import gammaln

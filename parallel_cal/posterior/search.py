@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from parallel_cal.posterior.blocks import EFFECT, LOG_ODDS, Block
-from parallel_cal.posterior.evidence import STATED, UNKNOWN, Choice, Evidence
+from parallel_cal.posterior.evidence import STATED, UNKNOWN, Choice, Evidence, Ranked
 from parallel_cal.posterior.scene import Scene
 
 MAX_CAUSES = 6
@@ -17,14 +17,6 @@ MAX_ROUNDS = 4
 MAX_FIRST = 4  # effects that are tried as one of two in the place of one
 
 Refine = Callable[[Evidence, Choice], Choice]
-
-
-@dataclass(frozen=True)
-class Ranked:
-    """A cause beside others: log posterior over all settings and sizes, and its best choice."""
-
-    log_p: float
-    best: Choice
 
 
 @dataclass(frozen=True)
@@ -84,18 +76,7 @@ class Sum:
 
     def rank(self, evidence: Evidence, taken: Collection[str] = ()) -> list[Ranked]:
         """Every other cause beside the chosen ones, the likeliest first."""
-        found = []
-        for block in self.blocks:
-            if block.name in taken:
-                continue
-            log_p = evidence.beside(block)
-            setting, size = np.unravel_index(int(np.argmax(log_p)), log_p.shape)
-            found.append(
-                Ranked(
-                    float(np.logaddexp.reduce(log_p, axis=None)),
-                    Choice(block, int(setting), int(size)),
-                )
-            )
+        found = (evidence.rank(block) for block in self.blocks if block.name not in taken)
         return sorted(found, key=lambda one: -one.log_p)
 
     def search(self) -> Posterior:
@@ -150,6 +131,18 @@ class Sum:
             return None
         return more if self.evidence(more, nu).log_p >= now.log_p else None
 
+    def choose(self, blocks: Sequence[Block]) -> tuple[Choice, ...]:
+        """The likeliest setting and size of each of these causes beside all others."""
+        chosen = tuple(Choice(block, 0, 1) for block in blocks)
+        for _ in range(MAX_ROUNDS):
+            before = chosen
+            for k, one in enumerate(chosen):
+                rest = self.evidence(chosen[:k] + chosen[k + 1 :], self.nu)
+                chosen = (*chosen[:k], rest.rank(one.block).best, *chosen[k + 1 :])
+            if chosen == before:
+                break
+        return chosen
+
     def total(self, chosen: Sequence[Choice], nu: float) -> float:
         return self.evidence(chosen, nu).log_p + self._doubt(nu)
 
@@ -192,8 +185,9 @@ class Sum:
     def _marginal(self, rest: Evidence, one: Choice) -> float:
         """Log posterior of one cause beside the rest, over all its settings and sizes."""
         scanned = next(block for block in self.blocks if block.name == one.block.name)
-        own = [rest.beside(block) for block in {id(b): b for b in (scanned, one.block)}.values()]
-        return max(float(np.logaddexp.reduce(log_p, axis=None)) for log_p in own)
+        return max(
+            rest.rank(block).log_p for block in {id(b): b for b in (scanned, one.block)}.values()
+        )
 
     def _sum_nearby(self, chosen: tuple[Choice, ...], nu: float) -> Posterior:
         """Sum over the chosen set, and all sets with one cause less, more, or exchanged."""
