@@ -7,6 +7,8 @@ import json
 import os
 import shutil
 import signal
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from unittest import mock
@@ -880,3 +882,31 @@ def test_a_node_with_a_model_file_that_is_none_does_not_collect(tmp_path):
     assert node.ended() == 1
     assert f"error: {path}" in node.said
     assert "collecting" not in node.said
+
+
+# The end of a node whose making was interrupted, and the threads that the interpreter leaves.
+INTERRUPTED = """
+import atexit, sys, threading
+from unittest import mock
+import rclpy
+from parallel_cal.nodes import calibration_node
+def interrupt(node):
+    rclpy.shutdown()
+    raise RuntimeError("the context is gone")
+def tell():
+    print([t.name for t in threading.enumerate() if t.name == "joint_states"])
+atexit.register(tell)
+with mock.patch.object(calibration_node.CalibrationNode, "start", interrupt):
+    sys.exit(calibration_node.main())
+"""
+
+
+@mock.patch.dict(os.environ)
+def test_a_node_that_is_interrupted_while_it_starts_ends_its_threads(tmp_path):
+    """A thread that waits in the middleware aborts the process when the interpreter ends."""
+    use_private_domain()
+    arguments = ["--ros-args", "-p", f"journal_folder:={tmp_path}"]
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED, *arguments], capture_output=True, text=True
+    )
+    assert (done.returncode, done.stdout) == (0, "[]\n"), done.stderr

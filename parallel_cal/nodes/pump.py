@@ -56,7 +56,9 @@ class Pump:
             type, topic, lambda message: None, qos, callback_group=UnexecutedGroup(), **options
         )
         self._max_messages = qos.depth
-        self._thread = Thread(target=self._run, name=topic, daemon=True)
+        # No daemon: the interpreter waits for it, also where the making of the node was interrupted.
+        # A thread that the end of the interpreter finds in the middleware aborts the process.
+        self._thread = Thread(target=self._run, name=topic)
         self._thread.start()
 
     def end(self) -> None:
