@@ -187,7 +187,7 @@ def test_pause_holds_the_robot_resume_goes_on_and_cancel_stops_it(desk):
     answer = desk.client.await_result(result, "the result")
     assert answer.status == CANCELED
     assert "aborted on request" in answer.result.message
-    assert desk.status[0].state == "stopped"
+    desk.client.wait(lambda: desk.status[0].state == "stopped", "the state after the goal")
 
 
 @pytest.mark.wide

@@ -18,7 +18,7 @@ from parallel_cal.causes.effects import list_effects_to_test
 from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.explanation import CREDIBLE, Causes
 from parallel_cal.model.shelf import load_effect
-from parallel_cal.posterior.blocks import EFFECT, FIELD, LAW, Block
+from parallel_cal.posterior.blocks import EFFECT, FIELD, LAW, Block, Stack
 from parallel_cal.posterior.evidence import Choice, Evidence
 from parallel_cal.posterior.scene import Scene
 from parallel_cal.posterior.search import Sum
@@ -59,13 +59,17 @@ def _compute_probability(made: Sum, rest: Evidence, one: Choice, other: Sequence
     """
     from scipy.special import expit
 
-    both = made.evidence((*rest.chosen, one), made.nu)
-    blamed = np.logaddexp.reduce([rest.rank(block).log_p for block in other])
+    both, stacks = made.evidence((*rest.chosen, one), made.nu), Stack.by_width(other)
+
+    def rank(beside: Evidence) -> list[float]:
+        return [ranked.log_p for stack in stacks for ranked in beside.rank(stack)]
+
+    blamed = np.logaddexp.reduce(rank(rest))
     if blamed < rest.log_p:  # the other side explains nothing
         return 0.0
     cleared = [rest.log_p, both.log_p]
     if not load_effect(one.block.name).of_device:
-        cleared += [both.rank(block).log_p for block in other]
+        cleared += rank(both)
     return float(expit(blamed - np.logaddexp.reduce(cleared)))
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from parallel_cal.posterior.scene import Scene
 
 EFFECT, LAW, FIELD, DRIFT = "effect", "law", "field", "drift"
+NO_COLUMN = 1e-9  # root of the sum of squares of a column that the geometry imitates
 LOG_ODDS = np.log(1 / 30)  # that a robot has a known cause, before anything is measured
 
 
@@ -20,8 +21,9 @@ class Block:
 
     The residual that it makes is s B_i u with u ~ N(0, 1): a column is what one coefficient of its
     usual size does to the residual, in units of the noise, and s is the size of the cause in usual
-    sizes. Only what the geometry cannot imitate counts: `gram` (m, k, k) are the products of the
-    columns, and `onto` (m, k) those with the residual, without that part.
+    sizes. Only what the geometry cannot imitate counts. The coefficients u are turned so that the
+    columns of a setting are orthogonal: `squares` (m, k) are their sums of squares, and `onto`
+    (m, k) their products with the residual.
 
     Attributes
     ----------
@@ -44,7 +46,7 @@ class Block:
     settings: tuple[Mapping[str, float], ...]
     tried: int
     columns: np.ndarray = field(repr=False)
-    gram: np.ndarray = field(repr=False)
+    squares: np.ndarray = field(repr=False)
     onto: np.ndarray = field(repr=False)
 
     @classmethod
@@ -65,21 +67,62 @@ class Block:
         widest = max(one.shape[1] for one in columns)
         padded = [np.pad(one, ((0, 0), (0, widest - one.shape[1]))) for one in columns]
         B = np.array([scene.project_off_geometry(one) for one in padded])
-        gram = B.transpose(0, 2, 1) @ B
-        if not gram.size or np.sqrt(gram.max(initial=0.0)) < 1e-9:
+        squares, turn = np.linalg.eigh(B.transpose(0, 2, 1) @ B)
+        if np.sqrt(squares.max(initial=0.0)) < NO_COLUMN:
             return None
+        kept = squares.max(axis=0) > NO_COLUMN**2
+        B, squares = (B @ turn)[:, :, kept], np.maximum(squares[:, kept], 0.0)
         given = tuple(settings) or ({},) * len(B)
-        onto = scene.residual @ B
-        return cls(name, kind, log_prior, given, tried or len(B), B, gram, onto)
+        return cls(name, kind, log_prior, given, tried or len(B), B, squares, scene.residual @ B)
+
+    @cached_property
+    def alone(self) -> Stack:
+        return Stack((self,))
+
+
+@dataclass(frozen=True, eq=False)
+class Stack:
+    """Blocks with equally many columns: what concerns each of their settings is computed at once.
+
+    `first` (blocks,) is the row of the first setting of each block.
+    """
+
+    blocks: tuple[Block, ...]
+
+    @classmethod
+    def by_width(cls, blocks: Sequence[Block]) -> list[Stack]:
+        """Stack the blocks that have equally many columns."""
+        widths = sorted({block.columns.shape[2] for block in blocks})
+        return [cls(tuple(b for b in blocks if b.columns.shape[2] == k)) for k in widths]
+
+    @cached_property
+    def first(self) -> np.ndarray:
+        return np.cumsum([0, *(len(block.columns) for block in self.blocks[:-1])])
+
+    @cached_property
+    def squares(self) -> np.ndarray:
+        return np.concatenate([block.squares for block in self.blocks])
+
+    @cached_property
+    def onto(self) -> np.ndarray:
+        return np.concatenate([block.onto for block in self.blocks])
+
+    @cached_property
+    def log_prior(self) -> np.ndarray:
+        """Of each setting."""
+        priors = [block.log_prior - np.log(block.tried) for block in self.blocks]
+        return np.repeat(priors, [len(block.columns) for block in self.blocks])
 
     @cached_property
     def _products(self) -> dict[tuple[int, int], tuple[Block, np.ndarray]]:
         return {}
 
-    def times(self, setting: int, other: Block) -> np.ndarray:
-        """The products (m, k, k') of the columns of one setting with all those of another block,
-        computed once."""
+    def times(self, other: Block, setting: int) -> np.ndarray:
+        """The products (m, c, k) of the columns of one setting of another block with those of all
+        settings, computed once."""
         key = setting, id(other)
         if key not in self._products:  # with the other block, so that its id stays its own
-            self._products[key] = other, self.columns[setting].T @ other.columns
+            left = other.columns[setting].T
+            found = np.concatenate([left @ block.columns for block in self.blocks])
+            self._products[key] = other, found
         return self._products[key][1]

@@ -18,14 +18,13 @@ from functools import cached_property
 
 import numpy as np
 
-from parallel_cal.posterior.blocks import Block
+from parallel_cal.posterior.blocks import Block, Stack
 
 # How large a cause is, in usual sizes, and how probable that is: a prior with a heavy tail.
 SIZES = np.array([0.3, 1.0, 3.0, 10.0, 30.0])
 LOG_WEIGHTS = np.log([0.25, 0.4, 0.22, 0.1, 0.03])
 # Degrees of freedom of what is known of the noise: stated, or hardly believed.
 STATED, UNKNOWN = 200.0, 2.0
-MAX_SOLVED_AT_ONCE = 48  # columns: for more, an LU decomposition costs more than a loop
 
 
 @dataclass(frozen=True)
@@ -62,28 +61,35 @@ class Evidence:
     nu: float
     chosen: tuple[Choice, ...] = ()
 
-    def _times(self, block: Block, at: slice) -> np.ndarray:
-        """Products (m, c, k) of all chosen columns with those of a block."""
-        k = block.columns.shape[2]
-        parts = [
-            SIZES[one.size] * one.block.times(one.setting, block)[at] for one in self.chosen
-        ] or [np.zeros((len(block.columns[at]), 0, k))]
-        return np.concatenate(parts, axis=1)
+    def _times(self, stack: Stack) -> np.ndarray:
+        """Products (m, c, k) of all chosen columns with those of other blocks."""
+        m, k = stack.onto.shape
+        parts = [SIZES[one.size] * stack.times(one.block, one.setting) for one in self.chosen]
+        return np.concatenate([np.zeros((m, 0, k)), *parts], axis=1)
 
     @cached_property
     def _factor(self) -> np.ndarray:
         """Cholesky factor of 1 + C'C, of the chosen columns C."""
         parts = [
-            SIZES[one.size] * self._times(one.block, slice(one.setting, one.setting + 1))[0]
-            for one in self.chosen
+            SIZES[one.size] * self._times(one.block.alone)[one.setting] for one in self.chosen
         ] or [np.zeros((0, 0))]
         gram = np.hstack(parts)
         return np.linalg.cholesky(np.eye(len(gram)) + gram)
 
     @cached_property
+    def _turn(self) -> np.ndarray:
+        """Inverse of the factor: its use for many causes is faster than solutions."""
+        from scipy.linalg import solve_triangular
+
+        c = len(self._factor)
+        if not c:
+            return np.zeros((0, 0))
+        return np.asarray(solve_triangular(self._factor, np.eye(c), lower=True))
+
+    @cached_property
     def _onto(self) -> np.ndarray:
         parts = [SIZES[one.size] * one.block.onto[one.setting] for one in self.chosen]
-        return _solve(self._factor, np.concatenate([[], *parts])[None, :, None])[0, :, 0]
+        return np.asarray(self._turn @ np.concatenate([[], *parts]))
 
     @cached_property
     def _squares(self) -> float:
@@ -103,27 +109,44 @@ class Evidence:
         """Logarithm of the evidence and the prior of the chosen causes, at their sizes."""
         return float(self._log_t(self._squares, self._log_det)) + self.log_prior
 
-    def beside(self, block: Block) -> np.ndarray:
-        """The same (m, sizes) with one more cause, for each of its settings and sizes."""
-        Z = _solve(self._factor, self._times(block, slice(None)))
-        S = block.gram - Z.transpose(0, 2, 1) @ Z
-        b = block.onto - Z.transpose(0, 2, 1) @ self._onto
-        explained, log_det = np.empty((2, len(S), len(SIZES)))
-        for k, size in enumerate(SIZES):
-            L = np.linalg.cholesky(np.eye(S.shape[1]) + size**2 * S)
-            log_det[:, k] = 2 * np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
-            along = _solve_each(L, b)
-            explained[:, k] = size**2 * np.sum(along**2, axis=1)
-        log_p = self._log_t(self._squares - explained, self._log_det + log_det)
-        prior = self.log_prior + block.log_prior - np.log(block.tried) + LOG_WEIGHTS
-        return np.asarray(log_p + prior)
+    def beside(self, stack: Stack) -> np.ndarray:
+        """The same (m, sizes) with one more cause, for each of its settings and sizes.
 
-    def rank(self, block: Block) -> Ranked:
-        """One more cause beside the chosen ones."""
-        log_p = self.beside(block)
-        setting, size = np.unravel_index(int(np.argmax(log_p)), log_p.shape)
-        total = float(np.logaddexp.reduce(log_p, axis=None))
-        return Ranked(total, Choice(block, int(setting), int(size)))
+        With orthogonal columns B of the cause, and Z the part of the chosen ones in their
+        directions, its matrix is 1 + s^2 (B'B - Z'Z). The smaller one of this and of 1 - s^2 Z
+        (1 + s^2 B'B)^-1 Z' is factorised (Woodbury).
+        """
+        Z = self._turn @ self._times(stack)
+        b = stack.onto - (self._onto @ Z)
+        _, c, k = Z.shape
+        s = SIZES[:, None]
+        if c < k:
+            D = 1 + s**2 * stack.squares[:, None]  # (m, sizes, k)
+            explained, log_det = _factorise(
+                np.eye(c)
+                - (s[:, None] ** 2 * Z[:, None] / D[:, :, None]) @ Z.transpose(0, 2, 1)[:, None],
+                s**2 * ((b[:, None] / D) @ Z.transpose(0, 2, 1)),
+                self._squares,
+            )
+            explained += np.sum((s * b[:, None]) ** 2 / D, axis=2)
+            log_det += np.sum(np.log(D), axis=2)
+        else:
+            S = stack.squares[:, :, None] * np.eye(k) - Z.transpose(0, 2, 1) @ Z
+            explained, log_det = _factorise(
+                np.eye(k) + s[:, None] ** 2 * S[:, None], s * b[:, None], self._squares
+            )
+        log_p = self._log_t(self._squares - explained, self._log_det + log_det)
+        return np.asarray(log_p + self.log_prior + stack.log_prior[:, None] + LOG_WEIGHTS)
+
+    def rank(self, stack: Stack) -> list[Ranked]:
+        """One more cause beside the chosen ones, for each block of a stack."""
+        log_p = self.beside(stack)
+        found = []
+        for block, own in zip(stack.blocks, np.split(log_p, stack.first[1:]), strict=True):
+            setting, size = np.unravel_index(int(np.argmax(own)), own.shape)
+            total = float(np.logaddexp.reduce(own, axis=None))
+            found.append(Ranked(total, Choice(block, int(setting), int(size))))
+        return found
 
     def _log_t(self, squares: float | np.ndarray, log_det: float | np.ndarray) -> np.ndarray:
         from scipy.special import gammaln
@@ -134,19 +157,15 @@ class Evidence:
         return np.asarray(known - log_det / 2 - (nu + d) / 2 * rest)
 
 
-def _solve(L: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """L^-1 B (m, c, k) of a lower triangular L (c, c) and each B of (m, c, k)."""
-    from scipy.linalg import solve_triangular
+def _factorise(K: np.ndarray, w: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray]:
+    """w' K^-1 w, which is at most `most`, and log|K| of matrices (..., k, k) and vectors (..., k).
 
-    m, c, k = right.shape
-    flat = right.transpose(1, 0, 2).reshape(c, m * k)
-    solved = solve_triangular(L, flat, lower=True, check_finite=False) if c else flat
-    return np.asarray(solved.reshape(c, m, k).transpose(1, 0, 2))
-
-
-def _solve_each(L: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """L_i^-1 b_i (m, k): small ones at once, large ones one by one, which saves most work."""
-    if L.shape[1] <= MAX_SOLVED_AT_ONCE:
-        return np.asarray(np.linalg.solve(L, b[:, :, None])[:, :, 0])
-    rows = zip(L, b, strict=True)
-    return np.array([_solve(own, one[None, :, None])[0, :, 0] for own, one in rows])
+    The last row of the Cholesky factor of [[K, w], [w', .]] is the solution of the factor of K.
+    """
+    k = w.shape[-1]
+    both = np.empty((*w.shape[:-1], k + 1, k + 1))
+    both[..., :k, :k], both[..., k, :k], both[..., :k, k] = K, w, w
+    both[..., k, k] = 1 + 2 * most
+    L = np.linalg.cholesky(both)
+    diagonal = np.diagonal(L, axis1=-2, axis2=-1)[..., :k]
+    return np.sum(L[..., k, :k] ** 2, axis=-1), 2 * np.log(diagonal).sum(axis=-1)

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from parallel_cal.posterior.blocks import EFFECT, LOG_ODDS, Block
+from parallel_cal.posterior.blocks import EFFECT, LOG_ODDS, Block, Stack
 from parallel_cal.posterior.evidence import STATED, UNKNOWN, Choice, Evidence, Ranked
 from parallel_cal.posterior.scene import Scene
 
@@ -63,6 +63,10 @@ class Sum:
     def _squares(self) -> float:
         return float(self.scene.residual @ self.scene.residual)
 
+    @cached_property
+    def _stacks(self) -> list[Stack]:
+        return Stack.by_width(self.blocks)
+
     def evidence(self, chosen: Sequence[Choice], nu: float) -> Evidence:
         return Evidence(self._squares, self.scene.dof, nu, tuple(chosen))
 
@@ -76,8 +80,9 @@ class Sum:
 
     def rank(self, evidence: Evidence, taken: Collection[str] = ()) -> list[Ranked]:
         """Every other cause beside the chosen ones, the likeliest first."""
-        found = (evidence.rank(block) for block in self.blocks if block.name not in taken)
-        return sorted(found, key=lambda one: -one.log_p)
+        ranked = (one for stack in self._stacks for one in evidence.rank(stack))
+        left = (one for one in ranked if one.best.block.name not in taken)
+        return sorted(left, key=lambda one: -one.log_p)
 
     def search(self) -> Posterior:
         """Add, exchange, split and remove causes until nothing is likelier; sum over the sets
@@ -138,7 +143,7 @@ class Sum:
             before = chosen
             for k, one in enumerate(chosen):
                 rest = self.evidence(chosen[:k] + chosen[k + 1 :], self.nu)
-                chosen = (*chosen[:k], rest.rank(one.block).best, *chosen[k + 1 :])
+                chosen = (*chosen[:k], rest.rank(one.block.alone)[0].best, *chosen[k + 1 :])
             if chosen == before:
                 break
         return chosen
@@ -185,9 +190,7 @@ class Sum:
     def _marginal(self, rest: Evidence, one: Choice) -> float:
         """Log posterior of one cause beside the rest, over all its settings and sizes."""
         scanned = next(block for block in self.blocks if block.name == one.block.name)
-        return max(
-            rest.rank(block).log_p for block in {id(b): b for b in (scanned, one.block)}.values()
-        )
+        return max(rest.rank(block.alone)[0].log_p for block in {scanned, one.block})
 
     def _sum_nearby(self, chosen: tuple[Choice, ...], nu: float) -> Posterior:
         """Sum over the chosen set, and all sets with one cause less, more, or exchanged."""
