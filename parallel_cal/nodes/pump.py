@@ -56,8 +56,8 @@ class Pump:
             type, topic, lambda message: None, qos, callback_group=UnexecutedGroup(), **options
         )
         self._max_messages = qos.depth
-        # No daemon: the interpreter waits for it, also where the making of the node was interrupted.
-        # A thread that the end of the interpreter finds in the middleware aborts the process.
+        # No daemon: the interpreter waits for it, also where the making of the node was
+        # interrupted. A thread that its end finds in the middleware would abort the process.
         self._thread = Thread(target=self._run, name=topic)
         self._thread.start()
 

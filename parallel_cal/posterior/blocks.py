@@ -76,6 +76,18 @@ class Block:
         return cls(name, kind, log_prior, given, tried or len(B), B, squares, scene.residual @ B)
 
     @cached_property
+    def _products(self) -> dict[tuple[int, int], tuple[Block, np.ndarray]]:
+        return {}
+
+    def times(self, setting: int, other: Block) -> np.ndarray:
+        """The products (m, k, k') of the columns of one setting with all those of another block,
+        computed once."""
+        key = setting, id(other)
+        if key not in self._products:  # with the other block, so that its id stays its own
+            self._products[key] = other, self.columns[setting].T @ other.columns
+        return self._products[key][1]
+
+    @cached_property
     def alone(self) -> Stack:
         return Stack((self,))
 
@@ -113,16 +125,7 @@ class Stack:
         priors = [block.log_prior - np.log(block.tried) for block in self.blocks]
         return np.repeat(priors, [len(block.columns) for block in self.blocks])
 
-    @cached_property
-    def _products(self) -> dict[tuple[int, int], tuple[Block, np.ndarray]]:
-        return {}
-
     def times(self, other: Block, setting: int) -> np.ndarray:
         """The products (m, c, k) of the columns of one setting of another block with those of all
-        settings, computed once."""
-        key = setting, id(other)
-        if key not in self._products:  # with the other block, so that its id stays its own
-            left = other.columns[setting].T
-            found = np.concatenate([left @ block.columns for block in self.blocks])
-            self._products[key] = other, found
-        return self._products[key][1]
+        settings."""
+        return np.concatenate([other.times(setting, block) for block in self.blocks])
