@@ -24,6 +24,8 @@ from parallel_cal.identification.thresholds import (
 )
 from parallel_cal.model.model import Model
 
+MAX_DAMPING_GROWTH = 24.0  # by one step: it falls slower again
+
 # Arguments: the parameters, the previous system (None at the start), and the step (n_free,) from
 # the parameters of that system. Returns the system at the parameters; None without a solution.
 Reach = Callable[[np.ndarray, System | None, np.ndarray], System | None]
@@ -91,8 +93,8 @@ def minimise(
     if first is None:
         raise FitError("the starting model has no solution at some samples: start nearer")
     known, choices = sought.make_knowledge(first), 1
-    here, damping, costs = held(np.array(sought.model.values), first), 1e-6, [np.inf]
-    promised = np.inf
+    here, costs = held(np.array(sought.model.values), first), [np.inf]
+    damping, growth, promised, settled = 1e-6, 3.0, np.inf, False
     for k in range(iterations):
         last = near and k > 0 and here.normal.will_converge(promised)
         # The last steps gained almost nothing: the minimum is reached, even if it is flat.
@@ -108,19 +110,27 @@ def minimise(
                 values[free] += here.normal.step(0.0)[0] if last else 0.0
                 found = make_estimate(sought, values, here.system, k, seen)
                 return replace(found, system=here.system)
-            known, choices, damping, costs = better, choices + 1, 1e-6, [np.inf]
+            known, choices, costs = better, choices + 1, [np.inf]
+            damping, growth = 1e-6, 3.0
             here = held(here.values, here.system)
         tried, promised = ahead(here, damping)
         if tried is not None and here.fall_to(tried) < 0:
             # A step along a curved valley ends on its slope; a second one leads to its floor.
             tried, _ = ahead(tried, damping)
         fall = -np.inf if tried is None else here.fall_to(tried)
-        # A fall below half of the predicted one shows curvature: longer steps would oscillate.
-        damping = max(damping / 5, 1e-12) if fall > promised / 2 else max(damping * 3, 1e-6)
-        if tried is not None and fall >= -1e-9 * (here.system.chi2 + here.known):
-            here = tried
-        else:  # linearise at adjusted quantities: only costs at such points can be compared
-            here = at(here.values, here.system, stay) or here
+        # A fall below half of the predicted one shows curvature: longer steps would oscillate. The
+        # damping grows the faster, the more such steps follow one another (Nielsen, 1999).
+        if fall > promised / 2:
+            damping, growth = max(damping / 5, 1e-12), 3.0
+        else:
+            damping, growth = max(damping * growth, 1e-6), min(2 * growth, MAX_DAMPING_GROWTH)
+        nothing = 1e-9 * (here.system.chi2 + here.known)
+        if tried is not None and fall >= -nothing:
+            here, settled = tried, False
+        elif not settled:
+            # Linearise at adjusted quantities: only costs at such points can be compared.
+            before, here = here, at(here.values, here.system, stay) or here
+            settled = abs(before.system.chi2 - here.system.chi2) <= nothing
         costs.append(here.system.chi2 + here.known)
         if damping > 1e12:
             break
