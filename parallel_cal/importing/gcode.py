@@ -20,6 +20,10 @@ GLUED = re.compile(r"(?:[A-Za-z][-+]?\d[\d.:]*)+")  # such as L250R125: words wi
 PARTED = re.compile(r"(?<=[A-Za-z])\s+(?=[-+]?\.?\d)")  # such as L 250
 CHECKSUM = re.compile(r"\*\d+\s*$")  # of a line that a host sent
 LOAD, OVERRIDE = "M501", "config-override.g"  # which M500 writes
+MACRO = "M98"  # runs the file that P names
+# A command of RepRapFirmware ends where the next G or M begins outside quotes and expressions.
+COMMANDS = re.compile(r"""[GM](?:\{[^}]*\}|"[^"]*"|[^GM{"])*""", re.IGNORECASE)
+FREE_TEXT = {"M23", "M28", "M30", "M32", "M36", "M38", "M117"}  # the rest of the line is text
 COMMAND = re.compile(r"\s*(?:N\d+\s*)?([GM]\d+)(?![\d.])(.*)", re.IGNORECASE)
 
 
@@ -28,14 +32,15 @@ def settings(
 ) -> Settings:
     """Read the words of some commands in G-code files, by fields such as `M665 L`.
 
-    RepRapFirmware reads config-override.g where another file has M501, and never without it
-    (GCodes2.cpp, 3.5.3). A word such as `R{global.radius}` has the value and the line of the global
-    variable. `texts` replace those of files.
+    RepRapFirmware reads config-override.g where another file has M501, and never without it, and
+    the file that M98 names at its place (GCodes2.cpp, 3.5.3). A word such as `R{global.radius}` has
+    the value and the line of the global variable. `texts` replace those of files.
     """
     reader = _Reader(codes, {path.resolve(): path for path in paths}, texts or {})
     overrides = [path for path in paths if path.name.lower() == OVERRIDE]
     for path in paths if len(overrides) == len(paths) else (p for p in paths if p not in overrides):
-        reader.read(path)
+        if path not in reader.paths:
+            reader.read(path)
     unused = [path for path in overrides if path not in reader.paths]
     remarks = [f"{path} is not used, because no M501 loads it" for path in unused]
     return Settings(reader.resolve_variables(), reader.paths, tuple(reader.unread), tuple(remarks))
@@ -47,23 +52,36 @@ class _Reader:
     def __init__(self, codes: Sequence[str], given: Mapping[Path, Path], texts: Mapping[Path, str]):
         self.codes, self.given, self.texts = codes, given, texts
         self.paths, self.unread = list[Path](), list[str]()
+        self.running = list[Path]()  # the file that is read, below those that run it
         self.words: dict[str, tuple[str, SourceLine]] = {}
         self.variables: dict[str, tuple[str, SourceLine]] = {}
 
     def read(self, path: Path) -> None:
         if path not in self.paths:
             self.paths.append(path)
+        self.running.append(path)
         for place, line in read_lines(path, self.texts.get(path)):
-            code = parse_settings_line(self.words, place, line, (*self.codes, LOAD))
-            if code == LOAD and path.name.lower() != OVERRIDE:
-                beside = path.with_name(OVERRIDE)
-                found = [self.given.get(beside.resolve(), beside)] if beside.is_file() else []
-                found += [given for given in self.given.values() if given.name.lower() == OVERRIDE]
-                for override in found[:1]:
-                    self.read(override)
-                self.unread = self.unread if found else [OVERRIDE]
+            for command in split_commands(line):
+                code = parse_settings_line(self.words, place, command, (*self.codes, LOAD))
+                if code == LOAD and path.name.lower() != OVERRIDE:
+                    self._run(path, OVERRIDE)
+                elif macro := re.match(rf"{MACRO}\s*P\s*\"([^\"]+)\"", command, re.IGNORECASE):
+                    self._run(path, macro[1])
             if variable := GLOBAL.match(line):  # an indented line may never be reached
                 self.variables[variable[1]] = (variable[2], place)
+        self.running.pop()
+
+    def _run(self, path: Path, name: str) -> None:
+        """Read a file that another one runs: the one beside it, else a given one of this name."""
+        short = Path(name).name
+        beside = path.with_name(short)
+        found = [self.given.get(beside.resolve(), beside)] if beside.is_file() else []
+        found += [given for given in self.given.values() if given.name.lower() == short.lower()]
+        self.unread = [other for other in self.unread if other != short]
+        if not found:
+            self.unread.append(short)
+        elif found[0] not in self.running:  # files that run each other would never end
+            self.read(found[0])
 
     def resolve_variables(self) -> dict[str, tuple[str, SourceLine]]:
         """Return the words, with the values of the variables that they name."""
@@ -72,6 +90,19 @@ class _Reader:
             if (used := USE.fullmatch(text)) and used[1] in self.variables:
                 found[field] = self.variables[used[1]]
         return found
+
+
+def split_commands(line: str) -> list[str]:
+    """Return the commands of a line of RepRapFirmware (StringParser.cpp, 3.5.3), without comments.
+
+    >>> split_commands('N3 M665 L250 R125 M666 X{global.mm} ; G1')
+    ['M665 L250 R125 ', 'M666 X{global.mm} ']
+    """
+    plain = re.sub(r"\([^)]*\)|;.*", "", line)
+    found = COMMAND.match(plain)
+    if not found or found[1].upper() in FREE_TEXT:
+        return []
+    return COMMANDS.findall(plain[found.start(1) :])
 
 
 def read_scale(stated: Settings) -> Array | None:

@@ -81,7 +81,7 @@ def samples(
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     """Return the machine that the pins of LinuxCNC's own kinematics describe."""
     stated = settings(paths)
-    remarks = []
+    remarks = stated.describe_unused()
     if UNIT not in stated:
         remarks.append("no LINEAR_UNITS (the .ini file): lengths are assumed to be in mm")
     machine = kinematics(stated)
@@ -206,7 +206,8 @@ def settings(paths: Sequence[Path]) -> Settings:
     such as `[MACHINE]RADIUS` is that of the .ini file. Versions before 2.8 call a joint an axis.
     """
     setups = [path for path in paths if path.suffix == ".ini"]
-    stated = sections.settings(setups).texts
+    setup = sections.settings(setups)
+    stated = setup.texts
     texts = {re.sub(r"^\[AXIS_(?=\d)", "[JOINT_", field): value for field, value in stated.items()}
     texts |= stated
     signals: dict[str, tuple[str, SourceLine]] = {}
@@ -221,4 +222,5 @@ def settings(paths: Sequence[Path]) -> Settings:
             elif found := re.match(r"\s*net\s+([\w.-]+)([^#]*)", line):
                 nets |= dict.fromkeys(found[2].split(), found[1])
     connected = {pin: signals[name] for pin, name in nets.items() if name in signals}
-    return Settings(connected | texts, paths)
+    included = [path for path in setup.paths if path not in paths]
+    return Settings(connected | texts, [*paths, *included], setup.unread)
