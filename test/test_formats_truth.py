@@ -118,6 +118,18 @@ def test_files_of_linuxcnc_that_include_each_other_are_refused(machine):
         radius(paths)
 
 
+def test_a_hal_file_that_another_one_runs_is_read_at_its_place(machine):
+    paths = machine(INI, size="setp lineardeltakins.R 140\n")
+    hal = paths[0]
+    hal.write_text(HAL + "source size.inc  # of this machine\n")
+    assert radius(paths) == pytest.approx(140)
+    hal.write_text("source size.inc\n" + HAL)
+    assert radius(paths) == pytest.approx(150)
+    hal.write_text(HAL + "source elsewhere.hal\n")
+    remarks = configured(paths).remarks
+    assert any("elsewhere.hal was not found and not read" in text for text in remarks)
+
+
 # ------------------------------------------------------------------------------- RepRapFirmware
 
 CONFIG = "M92 X100 Y100 Z200\nM665 L250 R150 H240 B80 X0 Y0 Z0\nM666 X0 Y0 Z0\n"
