@@ -2,10 +2,10 @@
 # Versions: ezc3d 1.7.2, c3d 0.6.0
 # Question: A marker is hidden in one frame of a C3D file. What do the two readers return for this frame?
 # Guess: "NaN, or a flag, in both: the format marks a hidden point by a residual of -1."
-# True: ezc3d returns NaN. c3d returns x = y = z = 0 with -1 in the fourth of its five columns, and a marker that really
-#   is at the origin with 0 there.
-# Matters: Whoever takes the first three columns gets a pose at the origin of the cameras for each hidden frame. Averaged over a
-#   standstill with 2 % hidden frames, a marker at 2 m is 40 mm off.
+# True: ezc3d returns NaN. c3d returns x = y = z = 0 with -1 in the fourth of its five columns, and a marker
+#   that really is at the origin with 0 there.
+# Matters: Whoever takes the first three columns gets a pose at the origin of the cameras for each hidden
+#   frame. Averaged over a standstill with 2 % hidden frames, a marker at 2 m is 40 mm off.
 cd "$(dirname "$0")" && ./with_packages ezc3d==1.7.2 c3d==0.6.0 numpy==2.4.6 <<'END'
 import warnings
 

@@ -2,7 +2,8 @@
 # Versions: ezc3d 1.7.2, c3d 0.6.0
 # Question: ezc3d writes a C3D file of 70,000 frames (11.7 minutes at 100 Hz). How many frames are read?
 # Guess: "70,000: the header has 16 bits, but the parameters of TRIAL or POINT hold the true number."
-# True: ezc3d reads 65,535 of its own 70,000 frames without a word. c3d reads none, with a warning of an overflow.
+# True: ezc3d reads 65,535 of its own 70,000 frames without a word. c3d reads none, with a warning of an
+#   overflow.
 # Matters: A long capture loses its end, and the poses of the last minutes have no measurements.
 cd "$(dirname "$0")" && ./with_packages ezc3d==1.7.2 c3d==0.6.0 numpy==2.4.6 <<'END'
 import os

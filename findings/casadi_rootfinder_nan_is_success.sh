@@ -1,12 +1,12 @@
 #!/bin/sh
 # Versions: casadi 3.8.2
-# Question: casadi.rootfinder solves a forward kinematics from its default start 0, where the Jacobian is singular.
-#   What does it return?
+# Question: casadi.rootfinder solves a forward kinematics from its default start 0, where the Jacobian is
+#   singular. What does it return?
 # Guess: "An exception (error_on_fail is on), or success = False."
-# True: NaN with success = True and return_status 'converged_abstol_step' (fast_newton) or 'success' (newton). A step
-#   that is NaN passes the tests of convergence.
-# Matters: A symmetrical home pose is singular for many parallel robots, and 0 is the default start. Check the
-#   numbers; success does not say that they are any.
+# True: NaN with success = True and return_status 'converged_abstol_step' (fast_newton) or 'success'
+#   (newton). A step that is NaN passes the tests of convergence.
+# Matters: A symmetrical home pose is singular for many parallel robots, and 0 is the default start. Check
+#   the numbers; success does not say that they are any.
 cd "$(dirname "$0")" && ./with_packages casadi==3.8.2 numpy==2.4.6 <<'END' 2> /dev/null
 import casadi
 

@@ -1,13 +1,13 @@
 #!/bin/sh
 # Versions: scipy 1.17.1
-# Question: curve_fit(..., sigma=1, absolute_sigma=True, loss="soft_l1") fits a line to Gaussian noise of exactly this
-#   sigma. Is the standard deviation that it returns that of the estimate?
+# Question: curve_fit(..., sigma=1, absolute_sigma=True, loss="soft_l1") fits a line to Gaussian noise of
+#   exactly this sigma. Is the standard deviation that it returns that of the estimate?
 # Guess: "Yes, within a few percent: pcov is the covariance, and a robust loss costs a little efficiency."
-# True: It is 1.30 times too large (cauchy: 1.34 times). pcov inverts the Hessian of the robust cost, and this is not
-#   the covariance of the estimate. Intervals of 95 % contain the truth in 99 % of the fits.
+# True: It is 1.30 times too large (cauchy: 1.34 times). pcov inverts the Hessian of the robust cost, and
+#   this is not the covariance of the estimate. Intervals of 95 % contain the truth in 99 % of the fits.
 #   least_squares has the same: its `jac` is scaled by the loss.
-# Matters: A parameter looks 30 % less certain than it is, and an error of the robot that is significant is called noise. Fit
-#   robustly to find outliers, exclude them, and take the covariance from a linear loss.
+# Matters: A parameter looks 30 % less certain than it is, and an error of the robot that is significant is
+#   called noise. Fit robustly to find outliers, exclude them, and take the covariance from a linear loss.
 cd "$(dirname "$0")" && ./with_packages scipy==1.17.1 numpy==2.4.6 <<'END'
 import numpy as np
 from scipy.optimize import curve_fit

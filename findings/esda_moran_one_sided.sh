@@ -2,9 +2,10 @@
 # Versions: esda 2.9.0, libpysal 4.14.1, Python 3.11
 # Question: esda.Moran(y, w, two_tailed=True).p_sim of white noise: how often is it below 5 %?
 # Guess: "In 5 % of the cases; two_tailed is the default."
-# True: In about 9 %. p_sim is the smaller tail, never above 0.5, and two_tailed changes only p_norm and p_rand.
-# Matters: Residuals over the workspace are tested for patterns that a model misses. One in eleven good calibrations
-#   is then said to miss something. Double p_sim.
+# True: In about 9 %. p_sim is the smaller tail, never above 0.5, and two_tailed changes only p_norm and
+#   p_rand.
+# Matters: Residuals over the workspace are tested for patterns that a model misses. One in eleven good
+#   calibrations is then said to miss something. Double p_sim.
 cd "$(dirname "$0")" && ./with_packages esda==2.9.0 libpysal==4.14.1 numpy==2.4.6 <<'END'
 import warnings
 

@@ -1,11 +1,11 @@
 #!/bin/sh
 # Versions: mujoco 4.0.0
-# Question: A four-bar of 1 to 2 kg is closed by <connect> and rests under gravity. How far apart are the two points of the
-#   loop?
+# Question: A four-bar of 3 kg is closed by <connect> and rests under gravity. How far apart are the two points
+#   of the loop?
 # Guess: "A few micrometres: the constraint is soft, but nothing moves any more."
 # True: 394 um with the default solref and solimp. With solref="0.002 1" it is 5 um.
-# Matters: Poses of such a model are no ground truth for a calibration: the gap is as large as the errors that are looked
-#   for, and it depends on load and pose as a compliance does. Tighten solref, or solve the closure.
+# Matters: Poses of such a model are no ground truth for a calibration: the gap is as large as the errors that
+#   are looked for. Tighten solref, or solve the closure.
 cd "$(dirname "$0")" && ./with_packages mujoco==4.0.0 numpy==2.4.6 <<'END'
 import mujoco
 import numpy as np

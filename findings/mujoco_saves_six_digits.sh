@@ -2,9 +2,10 @@
 # Versions: mujoco 4.0.0
 # Question: With how many digits does MuJoCo save a model (mj_saveLastXML, MjSpec.to_xml)?
 # Guess: "With enough to read the same model again: 15 to 17."
-# True: With six. A body at 1.23456789 m is saved at 1.23457 m. The file loads without a warning, 2.1 um off.
-# Matters: Calibrated numbers do not survive a round trip through MuJoCo. At 1 to 10 m the loss is up to 5 um, of an
-#   angle up to 5 urad. Edit the text of the file instead.
+# True: With six. A body at 1.23456789 m is saved at 1.23457 m. The file loads without a warning, 2.1 um
+#   off.
+# Matters: Calibrated numbers do not survive a round trip through MuJoCo. At 1 to 10 m the loss is up to 5
+#   um, of an angle up to 5 urad. Edit the text of the file instead.
 cd "$(dirname "$0")" && ./with_packages mujoco==4.0.0 <<'END'
 import mujoco
 

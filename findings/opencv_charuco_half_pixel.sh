@@ -3,9 +3,9 @@
 # Question: Where does CharucoDetector find the corners of a board that generateImage drew?
 # Guess: "Where they were drawn, to 0.05 px, in every version."
 # True: 0.49 px too far in x and in y in 4.13, exactly there in 5.0.
-# Matters: A calibration of the camera hides the shift in the principal point. It shows as soon as corners of both
-#   versions are compared, or corners of a ChArUco board with those of markers or a plain chessboard: 0.7 px at 1 m
-#   with a focal length of 1400 px are 0.5 mm.
+# Matters: A calibration of the camera hides the shift in the principal point. It shows as soon as corners
+#   of both versions are compared, or corners of a ChArUco board with those of markers or a plain
+#   chessboard: 0.7 px at 1 m with a focal length of 1400 px are 0.5 mm.
 cd "$(dirname "$0")"
 script=$(cat <<'END'
 import cv2

@@ -1,12 +1,12 @@
 #!/bin/sh
 # Versions: opencv-python-headless 5.0.0.93 (4.13.0.92 does the same)
-# Question: findChessboardCorners and findChessboardCornersSB see one image of a board with 8 x 5 corners. Is the first
-#   corner the same?
+# Question: findChessboardCorners and findChessboardCornersSB see one image of a board with 8 x 5 corners.
+#   Is the first corner the same?
 # Guess: "Yes: both number row by row from the top left; SB is a more accurate replacement."
-# True: They begin at opposite ends of the board, in whatever way it is turned in the image. An 8 x 5 board looks different after
-#   half a turn, so both are consistent, each with itself.
-# Matters: Replacing one by the other turns the board by half a turn about its centre. The camera calibrates as
-#   well as before; the pose of the board on the robot, and every hand-eye result, is another one.
+# True: They begin at opposite ends of the board, in whatever way it is turned in the image. An 8 x 5 board
+#   looks different after half a turn, so both are consistent, each with itself.
+# Matters: Replacing one by the other turns the board by half a turn about its centre. The camera calibrates
+#   as well as before; the pose of the board on the robot, and every hand-eye result, is another one.
 cd "$(dirname "$0")" && ./with_packages opencv-python-headless==5.0.0.93 numpy==2.4.6 <<'END'
 import cv2
 import numpy as np

@@ -1,10 +1,11 @@
 #!/bin/sh
 # Versions: opencv-python-headless 4.13.0.92
-# Question: calibrateHandEye gets eight exact poses whose orientations are quarter and half turns. How large is the
-#   error of its five methods?
+# Question: calibrateHandEye gets eight exact poses whose orientations are quarter and half turns. How large
+#   is the error of its five methods?
 # Guess: "Rounding (1e-12 m) for all five: the data are exact and turn about three axes."
 # True: DANIILIDIS is 32 mm off. The other four are exact to 1e-12 m.
-# Matters: Quarter turns are what a person jogs to. The result has no residual that would warn: compare two methods.
+# Matters: Quarter turns are what a person jogs to. The result has no residual that would warn: compare two
+#   methods.
 cd "$(dirname "$0")" && ./with_packages opencv-python-headless==4.13.0.92 numpy==2.4.6 scipy==1.17.1 <<'END'
 import cv2
 import numpy as np

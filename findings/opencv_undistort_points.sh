@@ -2,10 +2,10 @@
 # Versions: opencv-python-headless 5.0.0.93 (4.13.0.92 does the same)
 # Question: How exactly does undistortPoints invert projectPoints for a wide lens (k1 = -0.3, k2 = 0.1)?
 # Guess: "To 1e-6 px or better: it iterates until it converges."
-# True: It stops after five iterations. 0.14 px are left in the corner of the image, 0.0001 px near the centre.
-#   With up to 100 iterations (argument `criteria`) it is exact.
-# Matters: Corners are measured to 0.02 px. The error is a smooth function of the place in the image, and a fit
-#   takes it for an error of the robot: 0.14 px at 1 m with a focal length of 1000 px are 0.14 mm.
+# True: It stops after five iterations. 0.14 px are left in the corner of the image, 0.0001 px near the
+#   centre. With up to 100 iterations (argument `criteria`) it is exact.
+# Matters: Corners are measured to 0.02 px. The error is a smooth function of the place in the image, and a
+#   fit takes it for an error of the robot: 0.14 px at 1 m with a focal length of 1000 px are 0.14 mm.
 cd "$(dirname "$0")" && ./with_packages opencv-python-headless==5.0.0.93 numpy==2.4.6 <<'END'
 import cv2
 import numpy as np

@@ -2,10 +2,11 @@
 # Versions: pandas 3.1.1
 # Question: What does pd.to_datetime(texts).astype("int64") return?
 # Guess: "Nanoseconds since 1970, as it always did."
-# True: It depends on the digits of the text. "10:00:00.500000" gives microseconds, "10:00:00.500000000" nanoseconds.
-#   Timestamp.value is in nanoseconds for both.
-# Matters: The log of the robot has six digits, that of the tracker nine. `astype("int64") / 1e9` puts one of them into
-#   January 1970, and a join by the nearest time finds no partner, or wrong ones if both are cut to seconds of the run.
+# True: It depends on the digits of the text. "10:00:00.500000" gives microseconds, "10:00:00.500000000"
+#   nanoseconds. Timestamp.value is in nanoseconds for both.
+# Matters: The log of the robot has six digits, that of the tracker nine. `astype("int64") / 1e9` puts one
+#   of them into January 1970, and a join by the nearest time finds no partner, or wrong ones if both are
+#   cut to seconds of the run.
 cd "$(dirname "$0")" && ./with_packages pandas==3.1.1 numpy==2.4.6 <<'END'
 import pandas as pd
 

@@ -1,10 +1,11 @@
 #!/bin/sh
 # Versions: pin 4.1.0, mujoco 4.0.0, yourdfpy 0.0.60
-# Question: A URDF states the joints of three legs in the order leg1, leg2, leg10. In which order are they in q?
+# Question: A URDF states the joints of three legs in the order leg1, leg2, leg10. In which order are they
+#   in q?
 # Guess: "In the order of the file, in all three libraries."
 # True: MuJoCo and yourdfpy keep it. pinocchio sorts siblings by their name: leg1, leg10, leg2.
-# Matters: Legs of a parallel robot are siblings. Recorded joints that are given as one array reach other legs, and with equal
-#   legs the poses still look plausible. Address joints by their names.
+# Matters: Legs of a parallel robot are siblings. Recorded joints that are given as one array reach other
+#   legs, and with equal legs the poses still look plausible. Address joints by their names.
 cd "$(dirname "$0")" && ./with_packages pin==4.1.0 mujoco==4.0.0 yourdfpy==0.0.60 numpy==2.4.6 <<'END'
 import mujoco
 import pinocchio as pin

@@ -2,10 +2,10 @@
 # Versions: roboticstoolbox-python 1.5.0
 # Question: How far is a solution of ik_LM, ik_NR, ik_GN or ikine_LM with success = True from its target?
 # Guess: "1e-6 m: the documented tolerance is 1e-6."
-# True: Up to 1.1 mm in 100 draws. The tolerance is compared with half the square of the error (m and rad together): 1e-6 means 1.4 mm
-#   or 1.4 mrad. tol=1e-12 gives 1.4 um.
-# Matters: As a reference for forward and inverse kinematics, or for poses to measure, its answers are as wrong
-#   as an uncalibrated robot, with random directions.
+# True: Up to 1.1 mm in 100 draws. The tolerance is compared with half the square of the error (m and rad
+#   together): 1e-6 means 1.4 mm or 1.4 mrad. tol=1e-12 gives 1.4 um.
+# Matters: As a reference for forward and inverse kinematics, or for poses to measure, its answers are as
+#   wrong as an uncalibrated robot, with random directions.
 cd "$(dirname "$0")" && ./with_packages roboticstoolbox-python==1.5.0 numpy==2.4.6 <<'END'
 import warnings
 

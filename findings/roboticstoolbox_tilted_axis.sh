@@ -1,9 +1,11 @@
 #!/bin/sh
 # Versions: roboticstoolbox-python 1.5.0
-# Question: A calibrated URDF has a joint with the axis `0 0.001 1` (tilted by 1 mrad). Where is the arm at zero?
+# Question: A calibrated URDF has a joint with the axis `0 0.001 1` (tilted by 1 mrad). Where is the arm at
+#   zero?
 # Guess: "Where the origins say; the tilt changes the motion by 1 mrad per radian."
-# True: The whole arm is turned by 1 rad (57 degrees) at zero. The origin of the frame on the inclined axis is
-#   wrong, and the error does not shrink with the tilt. With the axis `0 0 1` and the tilt in rpy it is right.
+# True: The whole arm is turned by 1 rad (57 degrees) at zero. The origin of the frame on the inclined axis
+#   is wrong, and the error does not shrink with the tilt. With the axis `0 0 1` and the tilt in rpy it is
+#   right.
 # Matters: A calibration writes small tilts. Write them as rpy of the origin and a plain axis.
 cd "$(dirname "$0")" && ./with_packages roboticstoolbox-python==1.5.0 numpy==2.4.6 <<'END'
 import warnings

@@ -1,10 +1,12 @@
 #!/bin/sh
 # Versions: rosbags 0.11.9, mcap 1.6.0
-# Question: An intact MCAP file has a channel of ROS 2 and one of JSON (or an empty profile). What does rosbags read?
+# Question: An intact MCAP file has a channel of ROS 2 and one of JSON (or an empty profile). What does
+#   rosbags read?
 # Guess: "The ROS 2 channel. It skips what it cannot decode; the profile is only a hint."
-# True: Nothing. AnyReader raises KeyError 'jsonschema', or "Profile is not ros2". mcap's own reader reads both files.
-# Matters: Tools that log a tracker beside ROS write such files. The error reads like a damaged recording, and the
-#   measurements are taken again for nothing.
+# True: Nothing. AnyReader raises KeyError 'jsonschema', or "Profile is not ros2". mcap's own reader reads
+#   both files.
+# Matters: Tools that log a tracker beside ROS write such files. The error reads like a damaged recording,
+#   and the measurements are taken again for nothing.
 cd "$(dirname "$0")" && ./with_packages rosbags==0.11.9 mcap==1.6.0 numpy==2.4.6 <<'END'
 from pathlib import Path
 

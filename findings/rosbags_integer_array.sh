@@ -2,9 +2,9 @@
 # Versions: rosbags 0.11.9, numpy 2.4.6
 # Question: rosbags writes a JointState whose position is np.array([0, 1, 2]). What is in the bag?
 # Guess: "0.0, 1.0, 2.0, or an error about the dtype: the field is float64[]."
-# True: 0, 5e-324, 1e-323. The serializer copies the bytes of the array and does not look at its dtype.
-#   An array of float32 is refused, because its size differs. An int64 has 8 bytes, as a float64 has.
-#   A scalar integer in a float64 field is refused ("required argument is not a float").
+# True: 0, 5e-324, 1e-323. The serializer copies the bytes of the array and does not look at its dtype. An
+#   array of float32 is refused, because its size differs. An int64 has 8 bytes, as a float64 has. A scalar
+#   integer in a float64 field is refused ("required argument is not a float").
 # Matters: Encoder counts, or angles in whole degrees, are integers. A script that converts a controller's
 #   log to a bag writes joints that stand at zero, and no reader can tell it from a robot that rests.
 cd "$(dirname "$0")" && ./with_packages rosbags==0.11.9 numpy==2.4.6 <<'END'

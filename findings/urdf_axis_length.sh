@@ -2,8 +2,8 @@
 # Versions: yourdfpy 0.0.60, ikpy 4.2.1, pin 4.1.0, mujoco 4.0.0
 # Question: A URDF has a joint with <axis xyz="0 0 2"/>. Where is the tip for a joint value of 0.5?
 # Guess: "Every loader normalizes the axis: 0.5 m along z, or 0.5 rad about z."
-# True: pinocchio and MuJoCo do. A slider moves 1.0 m in yourdfpy and in ikpy. A hinge of ikpy is no rotation
-#   at all: the tip leaves its circle (0.8776, 0.9589). yourdfpy normalizes the axis of a hinge.
+# True: pinocchio and MuJoCo do. A slider moves 1.0 m in yourdfpy and in ikpy. A hinge of ikpy is no
+#   rotation at all: the tip leaves its circle (0.8776, 0.9589). yourdfpy normalizes the axis of a hinge.
 # Matters: Axes that a CAD exporter or a fit wrote are seldom of length 1. An error of 1 % in the length of
 #   an axis is 1 % of the travel in two of four loaders, which looks like a wrong pitch of the screw.
 cd "$(dirname "$0")" && ./with_packages yourdfpy==0.0.60 ikpy==4.2.1 pin==4.1.0 mujoco==4.0.0 numpy==2.4.6 <<'END'

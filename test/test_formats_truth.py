@@ -25,7 +25,9 @@ from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.csv_import import import_csv
 
-PAGE = Path(__file__).parents[1] / "docs" / "formats.md"
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "formats.md"
+HEAD = ("Versions: ", "Question: ", 'Guess: "', "True: ", "Matters: ")
 ROW = re.compile(r"^\| (?!case |--)(.*) \|$", re.MULTILINE)
 
 
@@ -41,6 +43,24 @@ def test_every_row_names_a_test_that_exists():
         assert len(row) == 4, row
         assert re.fullmatch(r"`(test_\w+)`", row[-1]), row
         assert row[-1].strip("`") in known, row
+
+
+def test_findings_have_the_form_that_the_contributors_page_states():
+    listed = re.findall(r"^\| `([^`]*)` \|", (ROOT / "findings/README.md").read_text(), re.MULTILINE)
+    scripts = sorted((ROOT / "findings").glob("*.sh"))
+    assert sorted(listed) == [path.name for path in scripts]
+    assert len(scripts) >= 12
+    for path in scripts:
+        text = path.read_text()
+        head = text.split("\ncd ")[0]
+        keys = re.findall(r"^# (\w+: \"?)", head, re.MULTILINE)
+        assert len(keys) == len(HEAD), path
+        for key, expected in zip(keys, HEAD, strict=True):
+            assert key.startswith(expected), path
+        assert re.search(r"\./with_packages .*==", text), path
+        assert "\n# Seen:\n#   " in text, path
+        assert "assert" in text, path  # it fails if the behaviour changes
+        assert "parallel_cal" not in text, path
 
 
 # ------------------------------------------------------------------------------------- LinuxCNC
