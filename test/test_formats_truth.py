@@ -46,7 +46,9 @@ def test_every_row_names_a_test_that_exists():
 
 
 def test_findings_have_the_form_that_the_contributors_page_states():
-    listed = re.findall(r"^\| `([^`]*)` \|", (ROOT / "findings/README.md").read_text(), re.MULTILINE)
+    listed = re.findall(
+        r"^\| `([^`]*)` \|", (ROOT / "findings/README.md").read_text(), re.MULTILINE
+    )
     scripts = sorted((ROOT / "findings").glob("*.sh"))
     assert sorted(listed) == [path.name for path in scripts]
     assert len(scripts) >= 12
@@ -162,6 +164,23 @@ def delta(folder, text, **beside):
     (folder / "config.g").write_text(text)
     found = configured([folder / "config.g"])
     return 1e3 * found.model.value("chain2.D_x"), found
+
+
+def test_a_number_is_written_into_its_own_command(tmp_path):
+    text = CONFIG.replace("\nM666", " M666").replace("R150", "R150 R140")
+    path = tmp_path / "config.g"
+    path.write_text(text)
+    wider = delta(tmp_path, CONFIG.replace("R150", "R151").replace("M666 X0", "M666 X1.5"))[1].model
+    path.write_text(text)
+    export_into(wider, "rrf", [path])
+    line = path.read_text().splitlines()[1]
+    read = configured([path]).model
+    assert re.search(r"R151[.0]* R140 ", line)
+    assert "M666" in line
+    assert 1e3 * read.value("chain2.D_x") == pytest.approx(151, abs=1e-3)
+    np.testing.assert_allclose(
+        read.mechanism.joint_limits, wider.mechanism.joint_limits, rtol=0, atol=2e-6
+    )
 
 
 @pytest.mark.parametrize("gap", [" ", "", "  "])

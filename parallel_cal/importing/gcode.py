@@ -1,4 +1,4 @@
-"""Settings in G-code; the last value of each word counts."""
+"""Settings in G-code: words of commands, of which later commands replace those of earlier ones."""
 
 from __future__ import annotations
 
@@ -62,7 +62,8 @@ class _Reader:
         self.running.append(path)
         for place, line in read_lines(path, self.texts.get(path)):
             for command in split_commands(line):
-                code = parse_settings_line(self.words, place, command, (*self.codes, LOAD))
+                codes = (*self.codes, LOAD)
+                code = parse_settings_line(self.words, place, command, codes, first_counts=True)
                 if code == LOAD and path.name.lower() != OVERRIDE:
                     self._run(path, OVERRIDE)
                 elif macro := re.match(rf"{MACRO}\s*P\s*\"([^\"]+)\"", command, re.IGNORECASE):
@@ -113,16 +114,29 @@ def read_scale(stated: Settings) -> Array | None:
 
 
 def parse_settings_line(
-    texts: dict[str, tuple[str, SourceLine]], place: SourceLine, line: str, codes: Sequence[str]
+    texts: dict[str, tuple[str, SourceLine]],
+    place: SourceLine,
+    line: str,
+    codes: Sequence[str],
+    first_counts: bool = False,
 ) -> str | None:
-    """Add a line's words to `texts`; return the command if it is one of `codes`."""
+    """Add a line's words to `texts`; return the command if it is one of `codes`.
+
+    Of two words with one letter, Marlin takes the last one and RepRapFirmware the first one.
+    """
     found = COMMAND.match(re.sub(r"\([^)]*\)|;.*", "", line))
     code = found[1].upper() if found else ""
     if code == "G20":
         raise place.error("unit", "G20", "millimetres (G21)")
     if code not in codes or not found:
         return None
+    words = list[str]()
     for word in PARTED.sub("", CHECKSUM.sub("", found[2])).split():
-        whole = re.findall(r"[A-Za-z][^A-Za-z]*", word) if GLUED.fullmatch(word) else [word]
-        texts |= {f"{code} {each[0].upper()}": (each[1:], place) for each in whole}
+        words += re.findall(r"[A-Za-z][^A-Za-z]*", word) if GLUED.fullmatch(word) else [word]
+    own = dict[str, tuple[str, SourceLine]]()
+    for word in words:
+        field = f"{code} {word[0].upper()}"
+        if not (first_counts and field in own):
+            own[field] = word[1:], place
+    texts |= own
     return code
