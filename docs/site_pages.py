@@ -27,6 +27,7 @@ REPOSITORY_PAGES = {
     "SECURITY.md": f"{FOLDER}/security_policy",
     "bags/README.md": f"{FOLDER}/bags",
     "examples/README.md": f"{FOLDER}/examples",
+    "findings/README.md": f"{FOLDER}/findings",
     "real/README.md": f"{FOLDER}/real",
 }
 # A folder of the repository and the page that describes its content.

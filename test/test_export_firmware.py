@@ -406,14 +406,14 @@ def test_the_frame_of_the_previous_numbers_is_no_error_of_the_robot(tmp_path):
     assert done.loss["without_frame"]["position_mean"] <= done.loss["position_mean"]
 
 
-def test_of_a_word_that_stands_twice_the_last_one_counts_and_comments_do_not(tmp_path):
+def test_of_a_word_that_stands_twice_the_first_one_counts_and_comments_do_not(tmp_path):
     file = tmp_path / "config.g"
-    file.write_text(CONFIG.replace("L250.000 R100", "L260 R100 L250 (not L250)"))
+    file.write_text(CONFIG.replace("L250.000 R100", "L250 R100 L260 (not L250)"))
     model = moved(configured([file]).model)
     done = export_into(model, "rrf", [file])
     line = file.read_text().splitlines()[2]
     number = r"[-\d.:]+"
-    words = "M665 L260 R# L# X# Y# Z# \\(not L250\\) B65 H# ; rods".replace("#", number)
+    words = "M665 L# R# L260 X# Y# Z# \\(not L250\\) B65 H# ; rods".replace("#", number)
     assert re.fullmatch(words, line)
     assert done.loss["position_mean"] < 0.1 * done.before["position_mean"]
 

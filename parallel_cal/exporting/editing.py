@@ -9,6 +9,7 @@ from pathlib import Path
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import read_text
+from parallel_cal.importing.gcode import COMMANDS
 from parallel_cal.importing.klipper_config import SAVE_CONFIG_PREFIX
 from parallel_cal.importing.settings import Settings
 
@@ -119,7 +120,7 @@ def are_same_numbers(old: str, new: str) -> bool:
 
 
 def _replace_value(line: str, field: str, old: str, new: str) -> str:
-    """Replace a field's value at its last place in a line outside comments."""
+    """Replace a field's value at each place in a line outside comments."""
     begins = "" if field[0] == "$" else r"(?<![\w.])"
     stated = VARIABLE.match(line)
     if stated and stated[2]:
@@ -137,10 +138,16 @@ def _replace_value(line: str, field: str, old: str, new: str) -> str:
     if field.startswith(DEFINITIONS):
         comment = r"//.*"
     code = re.sub(comment, lambda found: " " * len(found[0]), line)
-    places = [*re.finditer(pattern, code)]
-    if not places:
+    parts = [(0, len(code))]
+    if field[0] in "GM" and not stated:  # a line may hold several commands
+        own = re.compile(rf"{_head(field)}(?!\d)", re.IGNORECASE)
+        parts = [part.span() for part in COMMANDS.finditer(code) if own.match(part[0])]
+    ends = [found.end() for part in parts for found in re.compile(pattern).finditer(code, *part)]
+    if not ends:
         raise ModelError(f"'{line.strip()}': {field} is not in this line")
-    return line[: places[-1].end() - len(old)] + new + line[places[-1].end() :]
+    for end in reversed(ends):
+        line = line[: end - len(old)] + new + line[end:]
+    return line
 
 
 def _insert_setting(line: str, field: str, value: str, begin: str) -> str:

@@ -105,6 +105,16 @@ def arm(path: Path, start: str = "", end: str = "", **options: Any) -> Configure
         for joint in moving
         if joint.kind == "P" and abs(joint.axis_length - 1) > MAX_AXIS_LENGTH_ERROR
     ]
+    hinges = ", ".join(
+        joint.name
+        for joint in moving
+        if joint.kind != "P" and abs(joint.axis_length - 1) > MAX_AXIS_LENGTH_ERROR
+    )
+    if hinges:
+        remarks.append(
+            f"the axes of {hinges} are not of length 1. They were read as directions; some "
+            "programs (ikpy) do not rotate about such an axis: write axes of length 1"
+        )
     frames = {"base": joints[0].parent, "platform": joints[-1].child}
     model = replace(new_model(mechanism), frames=frames)
     return ConfiguredRobot(model, (*remarks, *about_home))

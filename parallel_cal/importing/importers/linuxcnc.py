@@ -14,7 +14,7 @@ pages lineardeltakins(9) and kins(9).
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -81,7 +81,7 @@ def samples(
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     """Return the machine that the pins of LinuxCNC's own kinematics describe."""
     stated = settings(paths)
-    remarks = []
+    remarks = stated.describe_unused()
     if UNIT not in stated:
         remarks.append("no LINEAR_UNITS (the .ini file): lengths are assumed to be in mm")
     machine = kinematics(stated)
@@ -204,15 +204,18 @@ def settings(paths: Sequence[Path]) -> Settings:
 
     A pin's value comes from `setp`, or from `sets` of the signal that `net` connects to it. A value
     such as `[MACHINE]RADIUS` is that of the .ini file. Versions before 2.8 call a joint an axis.
+    `source FILE` is read at its place, relative to the file with it.
     """
     setups = [path for path in paths if path.suffix == ".ini"]
-    stated = sections.settings(setups).texts
+    setup = sections.settings(setups)
+    stated = setup.texts
     texts = {re.sub(r"^\[AXIS_(?=\d)", "[JOINT_", field): value for field, value in stated.items()}
     texts |= stated
     signals: dict[str, tuple[str, SourceLine]] = {}
     nets: dict[str, str] = {}
+    read, unread = list[Path](), [*setup.unread]
     for path in paths:
-        for place, line in () if path in setups else read_lines(path):
+        for place, line in () if path in (*setups, *read) else _hal_lines(path, read, unread):
             if found := re.match(r"\s*(setp|sets)\s+([\w.-]+)\s*=?\s*([^\s#]*)", line):
                 named = INI_VALUE.fullmatch(found[3])
                 value = stated.get(f"[{named[1]}] {named[2]}") if named else None
@@ -221,4 +224,19 @@ def settings(paths: Sequence[Path]) -> Settings:
             elif found := re.match(r"\s*net\s+([\w.-]+)([^#]*)", line):
                 nets |= dict.fromkeys(found[2].split(), found[1])
     connected = {pin: signals[name] for pin, name in nets.items() if name in signals}
-    return Settings(connected | texts, paths)
+    included = [path for path in (*setup.paths, *read) if path not in paths]
+    return Settings(connected | texts, [*paths, *included], tuple(unread))
+
+
+def _hal_lines(path: Path, read: list[Path], unread: list[str]) -> Iterator[tuple[SourceLine, str]]:
+    """Yield the lines of a .hal file, and at its place those of each file that it runs."""
+    read.append(path)
+    for place, line in read_lines(path):
+        found = re.match(r"\s*source\s+([^\s#]+)", line)
+        file = path.parent / Path(found[1]).expanduser() if found else None
+        if not found or not file:
+            yield place, line
+        elif not file.is_file():
+            unread.append(found[1])
+        elif file not in read:
+            yield from _hal_lines(file, read, unread)
