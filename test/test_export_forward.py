@@ -28,8 +28,8 @@ MAX_DOUBLE_ERROR = 1e-8  # mm, of formulas in double precision
 MAX_FLOAT_ERROR = 5e-4  # mm, of formulas in single precision over a workspace of 0.3 m
 MAX_HOMED_ERROR = 1.0  # mm, outside the workspace, where the firmware has fewer numbers
 EXACT_HOMED_ERROR = 2e-3  # mm, of a robot whose numbers the firmware has: the digits of an angle
-ROTARY = ("rrf", "klipper", "grblhal", "linuxcnc")
-LINEAR = ("rrf", "klipper", "linuxcnc", "marlin", "marlin_equal_rods")
+ROTARY = ("rrf", "klipper", "grblhal", "linuxcnc", "smoothieware")
+LINEAR = ("rrf", "klipper", "linuxcnc", "marlin", "marlin_equal_rods", "smoothieware")
 NOMINAL = ("delta_nominal", "linear_delta", "delta24")
 
 

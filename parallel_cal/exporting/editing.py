@@ -20,7 +20,8 @@ DEFINITIONS = ("DELTA_", "DEFAULT_")  # beginnings of names in Configuration.h
 
 
 def format_settings(settings: Mapping[str, str]) -> str:
-    """Format a file of settings; fields are `M665 L`, `[section] key`, `$641` or `pin.name`."""
+    """Format a file of settings; fields are `M665 L`, `[section] key`, `$641`, `pin.name` or, of a
+    file of `key value`, `key`."""
     found = []
     for head, group in groupby(settings, _head):
         fields = list(group)
@@ -87,9 +88,10 @@ def read_verbatim(path: Path) -> str:
 
 
 def _head(field: str) -> str:
-    """Return the group of a field: `M665`, `[section]`, `$`, `DELTA_` (C), or the component."""
+    """Return the group of a field: `M665`, `[section]`, `$`, `DELTA_` (C), the component of a pin,
+    or nothing for all keys of a file of `key value`."""
     defined = "|".join(DEFINITIONS)
-    return re.match(rf"\[[^\]]*\]|[GM]\d+(?= )|\$|{defined}|[^.]*", field)[0]  # type: ignore[index]
+    return re.match(rf"\[[^\]]*\]|[GM]\d+(?= )|\$|{defined}|[^.]*(?=\.)|", field)[0]  # type: ignore[index]
 
 
 def _key(field: str) -> str:
@@ -104,7 +106,9 @@ def _line(field: str, value: str) -> str:
         return f"{_key(field)} = {value}"
     if field.startswith(DEFINITIONS):
         return f"#define {field} {value}"
-    return f"{field}={value}" if field[0] == "$" else f"setp {field} {value}"
+    if field[0] == "$":
+        return f"{field}={value}"
+    return f"setp {field} {value}" if "." in field else f"{field} {value}"
 
 
 def are_same_numbers(old: str, new: str) -> bool:
