@@ -30,6 +30,8 @@ from parallel_cal.virtual import stewart
 from parallel_cal.virtual.linear_delta import LinearDelta
 
 MM, DEGREE = 1e-3, np.pi / 180
+# Firmwares with a radius for each tower of a linear Delta.
+TOWERS_APART = ("smoothieware", "mk4duo", "richcattell")
 UPSIDE_DOWN = np.diag([1.0, -1.0, -1.0])
 
 
@@ -48,7 +50,7 @@ def simulated(target, folder):
     if target == "linuxcnc":
         return vf.LinuxCnc(text["machine.hal"], text["machine.ini"])
     kinds = {"klipper": vf.Klipper, "rrf": vf.Duet, "grblhal": vf.GrblHal}
-    kinds |= {"smoothieware": vf.Smoothie}
+    kinds |= {"smoothieware": vf.Smoothie, "mk4duo": vf.mk4duo, "richcattell": vf.richcattell}
     return kinds.get(target, vf.Marlin)(next(iter(text.values())))
 
 
@@ -100,7 +102,8 @@ def test_the_loss_of_a_rotary_delta_is_what_rods_and_points_show(target, tmp_pat
 
 
 @pytest.mark.parametrize(
-    "target", first("klipper", "rrf", "linuxcnc", "marlin", "marlin_equal_rods", "smoothieware")
+    "target",
+    first("klipper", "rrf", "linuxcnc", "marlin", "marlin_equal_rods", *TOWERS_APART),
 )
 def test_the_loss_of_a_linear_delta_is_what_rods_and_points_show(target, tmp_path):
     model = off("linear_delta", 0.1)

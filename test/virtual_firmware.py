@@ -503,6 +503,29 @@ class Marlin:
         return self.forward((self.homed() - self.retracts())[None], number)[0]
 
 
+class MarlinFork(Marlin):
+    """Marlin's relatives, whose M666 has all words: letters of angles, radii and rods differ."""
+
+    def __init__(self, text: str, angles: str, radii: str, rods: str) -> None:
+        super().__init__(text)
+        self.angles, self.radii, self.rods = angles, radii, rods
+        self.w["M665 H"] = self.w["M666 H"] + self.w.get("M206 Z", 0.0)
+
+    def towers(self) -> tuple[Array, Array, Array]:
+        around = np.radians([210, 330, 90] + self.three("M666", self.angles))
+        out = (self.w["M666 R"] + self.three("M666", self.radii))[:, None]
+        rods = self.w["M666 D"] + (self.three("M666", self.rods) if self.rods else np.zeros(3))
+        return out * np.column_stack([np.cos(around), np.sin(around)]), rods, np.zeros(2)
+
+
+def mk4duo(text: str) -> MarlinFork:
+    return MarlinFork(text, "IJK", "UVW", "ABC")
+
+
+def richcattell(text: str) -> MarlinFork:
+    return MarlinFork(text, "ABC", "IJK" if "M666 I" in words(text) else "EFG", "")
+
+
 class Smoothie:
     """Smoothieware's Deltas: `key value` and, before them, commands of config-override.
 
