@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import virtual_firmware as vf
-from test_export_firmware import MM, TOWERS_APART, off, simulated, told_frame
+from test_export_firmware import MM, ROTARY, TOWERS_APART, off, simulated, told_frame
 from test_export_marlin import HEADER
 
 from bench import firmwares
@@ -28,7 +28,6 @@ MAX_DOUBLE_ERROR = 1e-8  # mm, of formulas in double precision
 MAX_FLOAT_ERROR = 5e-4  # mm, of formulas in single precision over a workspace of 0.3 m
 MAX_HOMED_ERROR = 1.0  # mm, outside the workspace, where the firmware has fewer numbers
 EXACT_HOMED_ERROR = 2e-3  # mm, of a robot whose numbers the firmware has: the digits of an angle
-ROTARY = ("rrf", "klipper", "grblhal", "linuxcnc", "smoothieware")
 LINEAR = ("rrf", "klipper", "linuxcnc", "marlin", "marlin_equal_rods", *TOWERS_APART)
 RETRACTING = ("marlin", "marlin_equal_rods", "mk4duo", "richcattell")
 NOMINAL = ("delta_nominal", "linear_delta", "delta24")

@@ -604,3 +604,38 @@ class Smoothie:
 
     def home_position(self, number: type = np.float64) -> Array:
         return self.forward(self.homed()[None], number)[0]
+
+
+class FluidNcDelta(GrblHal):
+    """FluidNC's ParallelDelta: the same formulas, and an origin that homing moves.
+
+    When homed, all arms are at up_degrees, and the position is that of mpos_mm.
+    """
+
+    def __init__(self, text: str) -> None:
+        pairs = re.findall(r"^\s*(\w+):\s*([-\d.]+)", text, re.MULTILINE)
+        self.k = {key: float(value) for key, value in pairs}
+        names = ("linkage_mm", "crank_mm", "base_triangle_mm", "end_effector_triangle_mm")
+        self.s = dict(zip((641, 642, 643, 644), (self.k[name] for name in names), strict=True))
+        self.s[646] = self.k.get("up_degrees", -30.0)
+        top = super().forward(self.homed()[None])[0]
+        self.shift = np.array([0, 0, self.k.get("mpos_mm", 0.0)]) - top
+
+    def motors(self, r: Array) -> Array:
+        return super().motors(r - self.shift)
+
+    def computed_motors(self, r: Array) -> Array:
+        return super().computed_motors(r - self.shift)
+
+    def forward(self, motors: Array, number: type = np.float64) -> Array:
+        return super().forward(motors, number) + self.shift.astype(number)
+
+
+def crossed_circles(centres: Array, radii: Array) -> Array:
+    """Where (N, 2) two circles (N, 2) about centres (2, 2) cross, right of the way between them."""
+    (x0, y0), (x1, y1) = centres
+    far = np.hypot(x1 - x0, y1 - y0)
+    along = (radii[:, 0] ** 2 - radii[:, 1] ** 2 + far**2) / (2 * far)
+    across = -np.sqrt(radii[:, 0] ** 2 - along**2)
+    ux, uy = (x1 - x0) / far, (y1 - y0) / far
+    return np.column_stack([x0 + along * ux - across * uy, y0 + along * uy + across * ux])
