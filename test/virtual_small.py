@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -131,3 +133,37 @@ class FiveBar(Assembly):
         rods = [self.parameters[f"{side}.rod"] for side in ("left", "right")]
         away = [np.linalg.norm(r - end, axis=-1) for end in self.ends(q)]
         return np.stack(away, axis=-1) - np.array(rods)
+
+
+class FiveBarWithTool(FiveBar):
+    """A five-bar whose end point is fixed to one rod, away from the hinge of both rods.
+
+    The rod turns with an angle of its own: the hidden coordinate. It carries hinge and point.
+    """
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        carrier: int,
+        home: Sequence[float],
+        joints: Sequence[float],
+        angle: float,
+    ) -> None:
+        super().__init__(parameters)
+        self.carrier, self.home, self.home_joints = carrier, tuple(home), tuple(joints)
+        self.angle = angle
+
+    def hidden(self, q: Array, r: Array, R: Array) -> Array:
+        """The angle of the carrying rod near home."""
+        return np.full((*q.shape[:-1], 1), self.angle)
+
+    def gaps(self, q: Array, r: Array, R: Array, hidden: Array) -> Array:
+        """How far the point is from where its rod holds it (2), and how long the other rod is."""
+        p, ends = self.parameters, self.ends(q)
+        sides = ("left", "right")
+        own, other = sides[self.carrier], sides[1 - self.carrier]
+        turned = axis_rotation("z", hidden[..., 0])
+        hinge = ends[self.carrier] + apply(turned, np.array([p[f"{own}.rod"], 0.0, 0.0]))
+        point = hinge + apply(turned, np.array([p["tool.x"], p["tool.y"], 0.0]))
+        away = np.linalg.norm(hinge - ends[1 - self.carrier], axis=-1, keepdims=True)
+        return np.concatenate([(r - point)[..., :2], away - p[f"{other}.rod"]], axis=-1)
