@@ -73,6 +73,7 @@ CASES = [
     Case("five_bar", vm.FiveBar),
     Case("five_bar", lambda p: vm.FiveBarWithTool(p, 0, *BEYOND), (("tool", [0.05, 0.02]),)),
     Case("five_bar", lambda p: vm.FiveBarWithTool(p, 1, *MORGAN[0]), MORGAN[1]),
+    Case("deltesian", vm.Deltesian),
     Case("cable", vm.Cable),
     Case(
         "cable",

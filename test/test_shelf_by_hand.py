@@ -473,3 +473,35 @@ def test_a_tool_beyond_the_rods_is_not_written_for_a_firmware_that_has_none(tmp_
     model = new_model(load_mechanism("five_bar", tool=[0.05, 0.0]))
     with pytest.raises(ModelError, match="beyond the point where the rods meet"):
         export(model, "rrf", tmp_path)
+
+
+# ------------------------------------------------------------------ deltesian
+
+
+def test_the_nozzle_of_a_deltesian_hangs_where_right_triangles_put_it():
+    """Rails at -0.3 and 0.3 m and rods of 0.5 m: level carriages hold it 0.4 m below them.
+
+    With the left carriage 0.1 m higher, each rod is the hypotenuse over half of sqrt(0.37) m.
+    """
+    model = new_model(load_mechanism("deltesian", width=0.3, rod=0.5))
+    q = np.array([[0.6, 0.6, 0.07], [0.7, 0.6, -0.02]])
+    middle, half = np.array([0.0, 0.65]), np.sqrt(0.37) / 2
+    down = np.sqrt(0.25 - half**2) * np.array([-0.1, -0.6]) / np.sqrt(0.37)
+    expected = [[0, 0.07, 0.2], [middle[0] + down[0], -0.02, middle[1] + down[1]]]
+    found = Kinematics(model).direct(q)
+    np.testing.assert_allclose(found.position, expected, atol=1e-12)
+    back = Kinematics(model).inverse(found.position, found.rotation)
+    np.testing.assert_allclose(back.joints, q, atol=1e-12)
+
+
+def test_a_bed_whose_way_rises_lifts_the_plate_and_with_it_the_point():
+    """A way that rises by 30 degrees: 0.1 m along it are 0.0866 m in y and 0.05 m in z."""
+    model = new_model("deltesian", {"bed.lean": np.pi / 6, "bed.q0": 0.02})
+    level = Kinematics(model).direct(np.array([0.25, 0.25, -0.02])).position
+    moved = Kinematics(model).direct(np.array([0.25, 0.25, 0.08])).position
+    np.testing.assert_allclose(moved - level, [0, 0.1 * np.sqrt(0.75), 0.05], atol=1e-12)
+
+
+def test_rods_too_short_for_a_deltesian_are_refused():
+    with pytest.raises(ModelError, match=r"rod is 0.1 m: too short for rails 0.15 m away"):
+        load_mechanism("deltesian", rod=0.1)

@@ -167,3 +167,25 @@ class FiveBarWithTool(FiveBar):
         point = hinge + apply(turned, np.array([p["tool.x"], p["tool.y"], 0.0]))
         away = np.linalg.norm(hinge - ends[1 - self.carrier], axis=-1, keepdims=True)
         return np.concatenate([(r - point)[..., :2], away - p[f"{other}.rod"]], axis=-1)
+
+
+class Deltesian(Assembly):
+    """Two carriages on rails hold the nozzle over a bed that slides; {B} slides with the bed."""
+
+    moves = controls = "x y z"
+    home = (0.0, 0.0, 0.05)
+    home_joints = (0.2109, 0.2109, 0.0)
+
+    def gaps(self, q: Array, r: Array, R: Array, hidden: Array) -> Array:
+        """How far each rod is too short, and how far the nozzle is from the rails' plane."""
+        p = self.parameters
+        turned = axis_rotation("z", p["bed.turn"]) @ axis_rotation("x", p["bed.lean"])
+        slide = turned @ np.array([0.0, 1.0, 0.0])
+        nozzle = r - (q[..., 2:] + p["bed.q0"]) * slide
+        found = []
+        for k, side in enumerate(("left", "right")):
+            foot = np.array([p[f"{side}.x"], 0.0, p[f"{side}.z"]])
+            rail = axis_rotation("y", p[f"{side}.lean"]) @ np.array([0.0, 0.0, 1.0])
+            away = (nozzle - foot - q[..., k : k + 1] * rail)[..., [0, 2]]
+            found.append(np.linalg.norm(away, axis=-1) - p[f"{side}.rod"])
+        return np.stack([*found, nozzle[..., 1]], axis=-1)
