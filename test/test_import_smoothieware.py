@@ -11,6 +11,7 @@ from parallel_cal.importing.controller_files import configured
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import load_mechanism
 
 MM, DEGREE = 1e-3, np.pi / 180
 LINEAR = """\
@@ -62,6 +63,21 @@ gamma_homing_direction home_to_max
 alpha_max -20
 beta_max -20.5
 gamma_max -21
+"""
+
+MORGAN = """\
+arm_solution            morgan      # selects
+arm1_length             150.0
+arm2_length             148.0       # hinge to hinge
+morgan_offset_x         190.0
+morgan_offset_y         -65.0
+morgan_undefined_max    0.9
+real_scara              false
+scara_homing            true
+alpha_min               10
+beta_min                0
+gamma_min               0
+alpha_trim_mm           1.5
 """
 
 
@@ -194,3 +210,101 @@ def test_settings_that_cannot_be_are_named(old, new, message, tmp_path):
         return
     with pytest.raises(ParallelCalError, match=message):
         configured([path])
+
+
+# ------------------------------------------------------------------ Morgan's SCARA
+
+
+def arms_reach(k, angles):
+    """Where (N, 2) mm two arms at theta and psi (N, 2) rad end: the sum of two directions."""
+    (a, b), place = (
+        (k["arm1_length"], k["arm2_length"]),
+        [k["morgan_offset_x"], k["morgan_offset_y"]],
+    )
+    sums = [a * f(angles[:, 0]) + b * f(angles[:, 1]) for f in (np.cos, np.sin)]
+    return np.column_stack(sums) + place
+
+
+def arms_homed(k):
+    """theta and psi (2,) rad when homed, by the law of cosines, less the trims in degrees."""
+    a, b = k["arm1_length"], k["arm2_length"]
+    x = k.get("alpha_min", k.get("alpha_max")) - k["morgan_offset_x"]
+    y = k.get("beta_min", k.get("beta_max")) - k["morgan_offset_y"]
+    away = np.hypot(x, y)
+    inner = np.arccos((a**2 + away**2 - b**2) / (2 * a * away))
+    outer = np.arccos((a**2 + b**2 - away**2) / (2 * a * b))
+    theta = np.arctan2(y, x) - inner
+    trims = [k.get("alpha_trim_mm", 0.0), k.get("beta_trim_mm", 0.0)]
+    return np.array([theta, theta + np.pi - outer]) - np.radians(trims)
+
+
+def read(text):
+    lines = [line.split("#")[0].split() for line in text.splitlines()]
+    return {line[0]: float(line[1]) for line in lines if line and line[1][-1].isdigit()}
+
+
+def test_morgans_arms_move_as_the_firmware_computes(tmp_path):
+    found = configured([written(tmp_path, MORGAN)])
+    model = found.model
+    r, _ = poses_in_workspace(model.mechanism, 200, np.random.default_rng(0))
+    q = Kinematics(model).inverse(r).joints  # psi and theta
+    np.testing.assert_allclose(arms_reach(read(MORGAN), q[:, ::-1]) * MM, r[:, :2], atol=1e-9)
+    assert ((q[:, 0] - q[:, 1] > 0) & (q[:, 0] - q[:, 1] < np.pi)).all()
+    np.testing.assert_allclose(Kinematics(model).direct(q).position, r, atol=1e-9)
+    np.testing.assert_allclose(model.mechanism.switches[::-1], arms_homed(read(MORGAN)), atol=1e-9)
+    assert any("a fifth of arm1_length" in remark for remark in found.remarks)
+
+
+def test_morgans_numbers_are_written_and_move_as_the_model(tmp_path):
+    path = written(tmp_path, MORGAN)
+    model = configured([path]).model
+    assert export_into(model, "smoothieware", [path]).before["position_max"] < 1e-8
+    values = model.values.copy()
+    changes = {"right.crank": 0.4 * MM, "tool.x": -0.3 * MM, "left.q0": 2e-3, "right.q0": -1e-3}
+    for name, by in (changes | {"right.x": 0.2 * MM, "left.x": 0.2 * MM}).items():
+        values[model.table.index_of(name)] += by
+    worn = model.with_values(values)
+    done = export_into(worn, "smoothieware", [path])
+    assert done.loss["position_mean"] < 0.1 * done.before["position_mean"]
+    now = read(path.read_text())
+    kept = ("alpha_min", "beta_min", "morgan_undefined_max", "gamma_min")
+    assert [now[key] for key in kept] == [read(MORGAN)[key] for key in kept]
+    assert now["arm2_length"] == pytest.approx(148.3, abs=0.2)
+    assert "# hinge to hinge" in path.read_text()
+    # The motors count from the end-stops: psi and theta of the firmware for the model's readings.
+    r, _ = poses_in_workspace(model.mechanism, 100, np.random.default_rng(1))
+    q = Kinematics(worn).inverse(r).joints
+    angles = (q - model.mechanism.switches)[:, ::-1] + arms_homed(now)
+    error = np.linalg.norm(arms_reach(now, angles) * MM - r[:, :2], axis=1)
+    assert error.max() < 1.5 * done.loss["position_max"] + 1e-6
+
+
+def test_what_was_exported_of_a_five_bar_with_a_tool_is_read_again(tmp_path):
+    sizes = {"base": 0, "crank": [0.03, 0.15], "rod": [0.15, 0.03], "tool": [-0.17, 0.0]}
+    arms = {**sizes, "carrier": "right", "home": [1.5 * np.pi, 0.0], "below": True}
+    model = new_model(load_mechanism("five_bar", **arms))
+    done = export(model, "smoothieware", tmp_path)
+    assert done.loss["position_max"] < 0.2e-6
+    again = configured(done.paths).model
+    assert again.value("right.crank") == pytest.approx(0.15, abs=1e-8)
+    assert again.value("tool.x") + again.value("right.rod") == pytest.approx(-0.14, abs=1e-8)
+    with pytest.raises(ParallelCalError, match="the rods meet at the end point, expected two arms"):
+        export(new_model("five_bar"), "smoothieware", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "real_scara              false",
+            "real_scara true",
+            ":7: real_scara is 'true', expec",
+        ),
+        ("arm1_length             150.0", "arm1_length 20", ":2: arm1_length is '20', expected mm"),
+        ("alpha_trim", "morgan_scaling_y 1.01\nx", ":12: morgan_scaling_y is '1.01', expected 1"),
+        ("scara_homing            true", "scara_homing n", "scara_homing is 'n', expected true"),
+    ],
+)
+def test_morgans_settings_that_cannot_be_are_named(old, new, message, tmp_path):
+    with pytest.raises(ParallelCalError, match=message):
+        configured([written(tmp_path, MORGAN.replace(old, new))])

@@ -1,4 +1,5 @@
-"""Smoothieware: the keys of its linear and rotary Deltas in `config`, and the same commands.
+"""Smoothieware: the keys of its linear and rotary Deltas and of Morgan's SCARA in `config`, and the
+same commands.
 
 Where `config-override` states a value, this one counts, and both are written. Of a rotary Delta,
 only the difference of the sides delta_f and delta_e counts, and the motors' height above z = 0:
@@ -10,33 +11,46 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.errors import ModelError
 from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.exporting import deltas
 from parallel_cal.exporting.deltas import TOWERS, complete_towers, express_gain, fit_equal_shoulders
-from parallel_cal.exporting.projection import Firmware, Projection, Refinement
+from parallel_cal.exporting.projection import (
+    Firmware,
+    Frame,
+    Machine,
+    Projection,
+    Refinement,
+    fit_numbers,
+)
 from parallel_cal.importing.deltas import HANGING_ANGLES, SIDE
 from parallel_cal.importing.importers import smoothieware
 from parallel_cal.importing.importers.smoothieware import (
     ANGLES,
+    ARMS,
     AXES,
     DEPTHS,
     HOME_OFFSETS,
     HOMING,
     LINEAR,
+    MORGAN,
     OFFSETS,
+    PLACE,
     ROTARY,
     SIDES,
     SOLUTION,
     STEPS,
     TRIMS,
 )
+from parallel_cal.importing.morgan import MorganArms
 from parallel_cal.importing.settings import Settings
 from parallel_cal.model.model import Model
 
-HOLDS = (*deltas.LINEAR, *deltas.ROTARY)
+HOLDS = (*deltas.LINEAR, *deltas.ROTARY, "five_bar")
 FILE = "config"
 DECIMALS = 5  # of mm, degrees and steps per mm
 CLEARED = HOME_OFFSETS  # they are added to the homing positions
@@ -52,7 +66,7 @@ def settings(paths: Sequence[Path]) -> Settings:
 
 
 def firmware(stated: Settings) -> Firmware:
-    return smoothieware.delta(stated)
+    return smoothieware.kinematics(stated)
 
 
 def complete(read: Firmware, model: Model) -> Firmware:
@@ -64,6 +78,8 @@ def project(
 ) -> Projection:
     if model.mechanism.name in deltas.LINEAR:
         return _linear(model, present, stated)
+    if model.mechanism.name == "five_bar":
+        return _morgan(model, stated)
     return _rotary(model, present, stated)
 
 
@@ -102,6 +118,41 @@ def _rotary(model: Model, present: Refinement | None, stated: Settings | None) -
     numbers |= dict(zip(DEPTHS, np.array([delta.heights[0], 0.0, 0.0]) / MM, strict=True))
     numbers |= {f"{axis}_max": -top / DEGREE for axis, top in zip(AXES, delta.homed, strict=True)}
     return Projection({FILE: _write(ROTARY, numbers)}, found.frame, found.stops, (STORED,))
+
+
+def _morgan(model: Model, stated: Settings | None) -> Projection:
+    """Fit the arms, the place of their axis and the angles at which they are homed."""
+    bars: Any = model.mechanism
+    if not bars.has_tool:
+        raise ModelError(
+            "smoothieware: the rods meet at the end point, expected two arms on one axis whose "
+            "forearm has a tool beyond its rods (Morgan's SCARA); the target rrf has a five-bar"
+        )
+    upper = bars.carrier
+    other = "left" if upper == "right" else "right"
+    order = (0, 1) if upper == "left" else (1, 0)
+    frame, stops = Frame(order, np.ones(2)), np.array(bars.switches)
+    q0 = np.array([model.value(f"{side}.q0") for side in (upper, other)])
+    homed = frame.motors(stops) + q0 - [0.0, np.pi]
+
+    def arms(v: np.ndarray) -> MorganArms:
+        return MorganArms(v[:2], v[2:4], v[4:], (1.0, -1.0))
+
+    def machine(v: np.ndarray) -> Machine:
+        return Machine(arms(v), frame, stops)
+
+    reach = np.hypot(model.value(f"{upper}.rod") + model.value("tool.x"), model.value("tool.y"))
+    place = [model.value(f"{upper}.{axis}") for axis in "xy"]
+    start = np.array([model.value(f"{upper}.crank"), reach, *place, *homed])
+    found = arms(fit_numbers(model, start, machine))
+    at = [coordinate / MM for coordinate in model.mechanism.home.position[:2]]
+    if stated is not None:
+        at = [stated.number(smoothieware.stop_field(stated, axis), "mm") for axis in (0, 1)]
+    trims = smoothieware.home_angles(found, at) - found.homed
+    numbers = dict(zip((*ARMS, *PLACE), [*found.arms / MM, *found.origin / MM], strict=True))
+    numbers |= dict(zip(TRIMS[:2], trims / DEGREE, strict=True))
+    numbers |= {f"{axis}_max": mm for axis, mm in zip(AXES, at, strict=False)}
+    return Projection({FILE: _write(MORGAN, numbers)}, frame, stops, (STORED,))
 
 
 def _write(kind: tuple[str, ...], numbers: Mapping[str, float]) -> dict[str, str]:

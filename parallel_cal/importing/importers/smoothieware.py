@@ -1,4 +1,4 @@
-"""Smoothieware: `config` and `config-override` of linear and rotary Deltas.
+"""Smoothieware: `config` and `config-override` of linear and rotary Deltas, and Morgan's SCARA.
 
 A line of `config` is `key value`. The commands in `config-override`, which M500 writes, count
 before the keys that state the same.
@@ -8,6 +8,8 @@ before the keys that state the same.
 - Rotary: triangles' sides delta_e and delta_f, as in grblHAL; angles count down from the
   horizontal; the motors' plane is delta_z_offset - delta_ee_offs - delta_tool_offset above z = 0.
   The homing positions are angles if rdelta_homing is true.
+- Morgan: when homed, each arm is at its angle for the homing position, less its trim in degrees
+  (importing/morgan.py).
 
 Source: Smoothieware/Smoothieware bb41e992, src/modules/robot/Robot.cpp, arm_solutions/
 LinearDeltaSolution.cpp and RotaryDeltaSolution.cpp, tools/endstops/Endstops.cpp, and
@@ -28,6 +30,7 @@ from parallel_cal.importing import deltas
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.deltas import HANGING_ANGLES, SIDE, Delta, Shoulders, Towers
 from parallel_cal.importing.gcode import COMMAND, parse_settings_line
+from parallel_cal.importing.morgan import MorganArms
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines
 from parallel_cal.model.machine_class import MachineClass
 from parallel_cal.model.model import new_model
@@ -39,7 +42,8 @@ CODES = ("M92", "M206", "M665", "M666")
 AXES = ("alpha", "beta", "gamma")
 SOLUTION = "arm_solution"
 LINEAR, ROTARY = ("linear_delta", "rostock", "kossel", "delta"), ("rotary_delta",)
-KINDS = f"{', '.join(LINEAR)} or {ROTARY[0]}"
+MORGAN = ("morgan",)
+KINDS = f"{', '.join(LINEAR)}, {ROTARY[0]} or {MORGAN[0]}"
 TRIMS = tuple(f"{axis}_trim_mm" for axis in AXES)
 STEPS = tuple(f"{axis}_steps_per_mm" for axis in AXES)
 OFFSETS = tuple(f"delta_tower{i}_offset" for i in (1, 2, 3))
@@ -47,23 +51,41 @@ ANGLES = tuple(f"delta_tower{i}_angle" for i in (1, 2, 3))
 SIDES = ("delta_e", "delta_f", "delta_re", "delta_rf")
 DEPTHS = ("delta_z_offset", "delta_ee_offs", "delta_tool_offset")
 MIRROR = "delta_mirror_xy"
-HOMING = {LINEAR: "delta_homing", ROTARY: "rdelta_homing"}
+ARMS = ("arm1_length", "arm2_length")
+PLACE = ("morgan_offset_x", "morgan_offset_y")
+SCALING = ("morgan_scaling_x", "morgan_scaling_y")
+RATIOS = ("morgan_undefined_max", "morgan_undefined_min")
+REAL_SCARA = "real_scara"
+HOMING = {LINEAR: "delta_homing", ROTARY: "rdelta_homing", MORGAN: "scara_homing"}
 # Commands that set the same as a key, by the kind of machine.
-SAME = dict(
-    zip((*TRIMS, *STEPS), [f"{c} {a}" for c in ("M666", "M92") for a in "XYZ"], strict=True)
-)
+WORDS = [f"{code} {axis}" for code in ("M666", "M92") for axis in "XYZ"]
+SAME = dict(zip((*TRIMS, *STEPS), WORDS, strict=True))
 COMMANDS = {
     LINEAR: SAME
     | dict(zip(("arm_length", "arm_radius"), ("M665 L", "M665 R"), strict=True))
     | dict(zip((*OFFSETS, *ANGLES), [f"M665 {w}" for w in "ABCDEH"], strict=True)),
     ROTARY: dict(zip((*SIDES, *DEPTHS), [f"M665 {w}" for w in "ABCDEIH"], strict=True)),
+    MORGAN: dict(
+        zip((*ARMS, *PLACE, *SCALING, *RATIOS), [f"M665 {w}" for w in "TPXYABED"], strict=True)
+    )
+    | dict(zip(TRIMS[:2], WORDS[:2], strict=True)),
 }
 HEIGHT = "M665 Z"  # the same as the homing position of axis z of a linear Delta
 HOME_OFFSETS = tuple(f"M206 {axis}" for axis in "XYZ")
 LINE = re.compile(r"\s*([^\s#]+)[ \t]+([^\s#]+)")
 ENDSTOP = re.compile(r"endstop\.(\w+)\.(axis|homing_direction|homing_position)")
-KEYS = {SOLUTION, MIRROR, *HOMING.values(), *(key for keys in COMMANDS.values() for key in keys)}
+KEYS = {
+    SOLUTION,
+    MIRROR,
+    REAL_SCARA,
+    *HOMING.values(),
+    *(key for keys in COMMANDS.values() for key in keys),
+}
 KEYS |= {f"{axis}_{key}" for axis in AXES for key in ("min", "max", "homing_direction")}
+LEVER_ASSUMED = (
+    "the readings left and right are psi and theta, Smoothieware's beta and alpha. The crank that "
+    "is parallel to the forearm has no length in the firmware: a fifth of arm1_length is assumed"
+)
 REVERSED = deltas.ANGLES_UP.format("Smoothieware")
 
 
@@ -75,7 +97,10 @@ def recognizes(path: Path) -> bool:
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     """Return the machine as configured."""
     stated = settings(paths)
-    machine, remarks = delta(stated), stated.describe_unused()
+    machine, remarks = kinematics(stated), stated.describe_unused()
+    if isinstance(machine, MorganArms):
+        model = new_model(machine.mechanism())
+        return ConfiguredRobot(model, (LEVER_ASSUMED, *remarks))
     if isinstance(machine, Towers):
         return deltas.make_configured_robot(machine, np.zeros(3), remarks=remarks)
     model = new_model(machine.mechanism())
@@ -101,17 +126,19 @@ def settings(paths: Sequence[Path]) -> Settings:
 def kind(stated: Settings) -> tuple[str, ...]:
     """Return the names of the arm solution: LINEAR or ROTARY."""
     text, place = stated.text(SOLUTION, KINDS)
-    for names in (LINEAR, ROTARY):
+    for names in (LINEAR, ROTARY, MORGAN):
         if text in names:
             return names
     raise place.error(SOLUTION, text, KINDS)
 
 
-def delta(stated: Settings) -> Delta:
+def kinematics(stated: Settings) -> Delta | MorganArms:
     names = kind(stated)
     text, place = stated.text(HOMING[names], "true")
     if not _is_true(text):
         raise place.error(HOMING[names], text, "true: otherwise the joints are not homed as arms")
+    if names is MORGAN:
+        return _arms(stated)
     return _towers(stated) if names is LINEAR else _shoulders(stated)
 
 
@@ -211,3 +238,26 @@ def _shoulders(stated: Settings) -> Shoulders:
         where(stated, "delta_re"), "mm, long enough for the middle of the workspace"
     )
     return deltas.place_below(replace(turned, limits=limits), -homed - deltas.BELOW_HOMED, short)
+
+
+def _arms(stated: Settings) -> MorganArms:
+    if REAL_SCARA in stated and _is_true(stated.texts[REAL_SCARA][0]):
+        raise stated.error(REAL_SCARA, "false: two arms on one axis; a serial SCARA is `serial`")
+    arms = np.array([_number(stated, key, "a length in mm", low=1.0) for key in ARMS]) * MM
+    place = np.array([_number(stated, key, "mm") for key in PLACE]) * MM
+    for key in SCALING:
+        if _number(stated, key, "1", 1.0) != 1:
+            raise stated.error(where(stated, key), "1: a calibration gives the arms their lengths")
+    high, low = (_number(stated, key, "a cosine from 0 to 1", 0.95, 0.0) for key in RATIOS)
+    machine = MorganArms(arms, place, np.zeros(2), (high, -low))
+    at = [_homed(stated, axis, "x or y of the nozzle in mm when homed") for axis in (0, 1)]
+    ideal = home_angles(machine, at)
+    if np.isnan(ideal).any():
+        raise stated.error(where(stated, ARMS[0]), "mm: arms that reach the homing position")
+    trims = np.array([_number(stated, key, "degrees", 0.0) for key in TRIMS[:2]]) * DEGREE
+    return replace(machine, homed=ideal - trims)
+
+
+def home_angles(machine: MorganArms, at: Sequence[float]) -> Array:
+    """Return theta and psi (2,) rad with the nozzle at a homing position (2,) in mm."""
+    return machine.joints(np.array([[at[0], at[1], 0.0]]) * MM)[0]
