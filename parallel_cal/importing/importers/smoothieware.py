@@ -57,6 +57,7 @@ SCALING = ("morgan_scaling_x", "morgan_scaling_y")
 RATIOS = ("morgan_undefined_max", "morgan_undefined_min")
 REAL_SCARA = "real_scara"
 HOMING = {LINEAR: "delta_homing", ROTARY: "rdelta_homing", MORGAN: "scara_homing"}
+HOMED_BY_JOINTS = "true: otherwise the firmware does not home this kind of machine by its joints"
 # Commands that set the same as a key, by the kind of machine.
 WORDS = [f"{code} {axis}" for code in ("M666", "M92") for axis in "XYZ"]
 SAME = dict(zip((*TRIMS, *STEPS), WORDS, strict=True))
@@ -134,9 +135,9 @@ def kind(stated: Settings) -> tuple[str, ...]:
 
 def kinematics(stated: Settings) -> Delta | MorganArms:
     names = kind(stated)
-    text, place = stated.text(HOMING[names], "true")
+    text, place = stated.text(HOMING[names], HOMED_BY_JOINTS)
     if not _is_true(text):
-        raise place.error(HOMING[names], text, "true: otherwise the joints are not homed as arms")
+        raise place.error(HOMING[names], text, HOMED_BY_JOINTS)
     if names is MORGAN:
         return _arms(stated)
     return _towers(stated) if names is LINEAR else _shoulders(stated)
