@@ -23,6 +23,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "test"))
 
 from test_export_firmware import MM, off, simulated, told_frame  # noqa: E402
+from virtual_firmware import Marlin  # noqa: E402
 
 from parallel_cal.base.errors import ParallelCalError  # noqa: E402
 from parallel_cal.base.files import write_atomically  # noqa: E402
@@ -37,8 +38,10 @@ from parallel_cal.virtual import robot as vr  # noqa: E402
 PAGE = ROOT / "docs" / "export.md"
 BEGIN, END = "<!-- from bench/firmwares.py -->", "<!-- until here -->"
 N_POSES = 2000
-ROTARY = ("klipper", "rrf", "grblhal", "linuxcnc")
+ROTARY = ("klipper", "rrf", "grblhal", "fluidnc", "linuxcnc", "smoothieware")
 LINEAR = ("klipper", "rrf", "marlin", "marlin_equal_rods", "linuxcnc")
+LINEAR += ("smoothieware", "mk4duo", "richcattell")
+UPWARDS = ("klipper", "rrf")  # count the angles of arms upwards
 HEAD = (
     "| robot | target | stated error, mean / max | by the firmware's inverse | "
     "forward minus inverse | homed pose |"
@@ -85,8 +88,8 @@ def measure(model: Model, target: str) -> Row:
     if m.name == "five_bar":
         stops = np.array(m.switches)
     unit = MM if m.joint_units[0] == "m" else np.pi / 180
-    up = -1.0 if axes[2, 2] < 0 else 1.0  # arms of grblHAL and LinuxCNC count downwards
-    if m.joint_units[0] == "rad" and target in ("grblhal", "linuxcnc"):
+    up = -1.0 if axes[2, 2] < 0 else 1.0
+    if m.joint_units[0] == "rad" and m.name != "five_bar" and target not in UPWARDS:
         up = -up
     q = np.tile(stops, (len(r), 1))
     q[:, order] += up * unit * (motors - firmware.homed())
@@ -103,7 +106,7 @@ def measure(model: Model, target: str) -> Row:
         back = firmware.forward(motors)
     else:
         back = firmware.forward(firmware.computed_motors(points), firmware.number)
-        if target.startswith("marlin"):
+        if isinstance(firmware, Marlin):
             stops = stops.copy()
             stops[order] -= firmware.retracts() * MM
         at = (kinematics.direct(stops[None]).position[0] - origin) @ axes

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import virtual_firmware as vf
-from test_export_firmware import MM, off, simulated, told_frame
+from test_export_firmware import MM, ROTARY, TOWERS_APART, off, simulated, told_frame
 from test_export_marlin import HEADER
 
 from bench import firmwares
@@ -28,8 +28,8 @@ MAX_DOUBLE_ERROR = 1e-8  # mm, of formulas in double precision
 MAX_FLOAT_ERROR = 5e-4  # mm, of formulas in single precision over a workspace of 0.3 m
 MAX_HOMED_ERROR = 1.0  # mm, outside the workspace, where the firmware has fewer numbers
 EXACT_HOMED_ERROR = 2e-3  # mm, of a robot whose numbers the firmware has: the digits of an angle
-ROTARY = ("rrf", "klipper", "grblhal", "linuxcnc")
-LINEAR = ("rrf", "klipper", "linuxcnc", "marlin", "marlin_equal_rods")
+LINEAR = ("rrf", "klipper", "linuxcnc", "marlin", "marlin_equal_rods", *TOWERS_APART)
+RETRACTING = ("marlin", "marlin_equal_rods", "mk4duo", "richcattell")
 NOMINAL = ("delta_nominal", "linear_delta", "delta24")
 
 
@@ -78,7 +78,10 @@ def test_a_firmware_homes_where_the_model_is(name, target, tmp_path):
     origin, axes, order = told_frame(done.remarks)
     ends = np.array(model.mechanism.joint_limits)
     stops = ends[:, 0] if axes[2, 2] < 0 else ends[:, 1]
-    if target.startswith("marlin"):  # which leaves its end-stops when it has found them
+    if target.startswith("marlin") or target in (
+        "mk4duo",
+        "richcattell",
+    ):  # which leaves its end-stops when it has found them
         down = np.empty(3)
         down[order] = simulated(target, tmp_path).retracts() * MM
         stops = stops - down

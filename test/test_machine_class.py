@@ -6,6 +6,9 @@ from dataclasses import replace
 
 import pytest
 import test_export_heights
+import test_import_fluidnc
+import test_import_smoothieware
+import test_import_tower_words
 import virtual_printer as vp
 from datasets import measured
 
@@ -159,13 +162,30 @@ def test_a_printers_configuration_makes_a_hobby_machine_unless_a_class_is_stated
     assert ("--class states another one" in said) is (not more)
 
 
-@pytest.mark.parametrize("kind", ["klipper", "rrf", "marlin", "grblhal", "linuxcnc"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "klipper",
+        "rrf",
+        "marlin",
+        "grblhal",
+        "linuxcnc",
+        "smoothieware",
+        "mk4duo",
+        "richcattell",
+        "fluidnc",
+    ],
+)
 def test_the_firmware_of_printers_has_the_class_of_printers(kind, tmp_path):
     texts = {
         "klipper": ("printer.cfg", test_export_heights.KLIPPER),
         "rrf": ("config.g", vp.CONFIG),
         "marlin": ("printer.gcode", test_export_heights.MARLIN),
         "grblhal": ("settings.txt", "$641=250\n$642=100\n$643=200\n$644=20\n$646=0\n"),
+        "fluidnc": ("config.yaml", test_import_fluidnc.DELTA),
+        "mk4duo": ("printer.log", test_import_tower_words.MK4DUO),
+        "richcattell": ("printer.log", test_import_tower_words.RICHCATTELL),
+        "smoothieware": ("config", test_import_smoothieware.LINEAR),
         "linuxcnc": ("machine.hal", "setp lineardeltakins.R 100\nsetp lineardeltakins.L 250\n"),
     }
     name, text = texts[kind]

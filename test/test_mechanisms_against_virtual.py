@@ -50,6 +50,17 @@ class Case:
         return self.name + (f" with {', '.join(dict(self.options))}" if self.options else "")
 
 
+# Home of a five-bar whose tool is beyond the rods' hinge: pose, readings and angle of its rod.
+BEYOND = ((0.0184, 0.249, 0.0), (2 * np.pi / 3, np.pi / 3), 0.841)
+# Two arms on one axis: the forearm of 0.14 m leads back over its elbow. Its tail is the left crank.
+MORGAN = (
+    ((-0.2022, 0.1282, 0.0), (3.2 + np.pi, 2.0), 3.2 + np.pi),
+    (
+        *(("base", 0.0), ("crank", [0.03, 0.15]), ("rod", [0.15, 0.03])),
+        *(("tool", [-0.17, 0.0]), ("carrier", "right"), ("home", [3.2 + np.pi, 2.0])),
+        ("below", True),
+    ),
+)
 CASES = [
     Case("argos27", va.Argos),
     Case("argos9", lambda p: va.Argos(va.spherical(p))),
@@ -60,6 +71,9 @@ CASES = [
     Case("slider_crank", vm.SliderCrank),
     Case("rssr", vm.Rssr),
     Case("five_bar", vm.FiveBar),
+    Case("five_bar", lambda p: vm.FiveBarWithTool(p, 0, *BEYOND), (("tool", [0.05, 0.02]),)),
+    Case("five_bar", lambda p: vm.FiveBarWithTool(p, 1, *MORGAN[0]), MORGAN[1]),
+    Case("deltesian", vm.Deltesian),
     Case("cable", vm.Cable),
     Case(
         "cable",

@@ -20,7 +20,9 @@ REFUSED = {
     **{
         (method, robot): "cannot be separated: CasADi.* use the implicit method"
         for method in ("cascaded", "semiparametric")
-        for robot in ("quattro", "quattro with gear", "palletizer", "palletizer with flange")
+        for robot in ROBOTS
+        if robot.split()[0] in ("quattro", "palletizer")
+        or (robot.startswith("five_bar with") and "tool" in robot)
     },
 }
 # Robots of which a combination of parameters hardly moves the platform: rounding errors of the

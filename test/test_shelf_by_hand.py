@@ -5,6 +5,7 @@ import pytest
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import quaternion_to_matrix, rotation_matrix
+from parallel_cal.exporting.export import export
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
@@ -413,3 +414,94 @@ def test_a_size_that_cannot_be_is_refused_with_the_value_and_what_was_expected(
 ):
     with pytest.raises(ModelError, match=words):
         load_mechanism(name, **options)
+
+
+# ------------------------------------------------------------------ a five-bar with a tool
+
+
+def test_two_arms_on_one_axis_reach_where_their_directions_add():
+    """Morgan's SCARA: arms of 150 and 140 mm, each at the angle of its own motor.
+
+    The left crank is parallel to the forearm, but points backwards: its angle is 180 degrees more.
+    With both arms along x and along y, the end is at (150, 140) mm.
+    """
+    sizes = {"base": 0, "crank": [0.03, 0.15], "rod": [0.15, 0.03], "carrier": "right"}
+    arms = load_mechanism(
+        "five_bar", **sizes, tool=[-0.17, 0.0], home=[1.5 * np.pi, 0.0], below=True
+    )
+    assert arms.fixed == ("left.crank",)
+    kinematics = Kinematics(new_model(arms))
+    angles = np.array([[1.5 * np.pi, 0.0], [1.5 * np.pi + 0.3, 0.2]])
+    expected = 0.15 * np.column_stack([np.cos(angles[:, 1]), np.sin(angles[:, 1])])
+    forearm = angles[:, 0] - np.pi
+    expected += 0.14 * np.column_stack([np.cos(forearm), np.sin(forearm)])
+    assert expected[0] == pytest.approx([0.15, 0.14])
+    found = kinematics.direct(angles)
+    np.testing.assert_allclose(found.position[:, :2], expected, atol=1e-12)
+    back = kinematics.inverse(found.position, found.rotation)
+    np.testing.assert_allclose(back.joints, angles, atol=1e-12)
+
+
+@pytest.mark.parametrize("carrier", ["left", "right"])
+def test_a_tool_is_beyond_the_hinge_along_its_rod_and_to_its_left(carrier):
+    """Cranks and rods of 3-4-5 triangles: hinge at (0, 0.8), the left rod leads up and right."""
+    sizes = {"base": 1.2, "crank": 0.4, "rod": np.hypot(0.6, 0.4), "home": [np.pi / 2, np.pi / 2]}
+    bars = load_mechanism("five_bar", **sizes, tool=[np.hypot(0.6, 0.4), 0.0], carrier=carrier)
+    side = 1 if carrier == "left" else -1
+    np.testing.assert_allclose(bars.home.position, [side * 0.6, 1.2, 0], atol=1e-12)
+    turned = load_mechanism("five_bar", **sizes, tool=[0.0, np.hypot(0.6, 0.4)], carrier=carrier)
+    aside = [-0.4, 1.4, 0] if carrier == "left" else [-0.4, 0.2, 0]
+    np.testing.assert_allclose(turned.home.position, aside, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"tool": [0.1]}, r"tool is \[0.1\]: expected 2 numbers"),
+        ({"tool": [0.1, 0], "carrier": "middle"}, "carrier is 'middle': expected left or right"),
+        ({"crank": [0.1, 0.1, 0.1]}, r"crank is .*: expected one number, or two: \[left, right\]"),
+        ({"crank": [0.1, -0.1]}, "crank is -0.1: expected one number, above 0"),
+        ({"rod": [0.01, 0.02]}, "rod is 0.01 and 0.02 m: the rods do not meet at home"),
+    ],
+)
+def test_sizes_of_a_five_bar_that_cannot_be_are_named(options, message):
+    with pytest.raises(ModelError, match=message):
+        load_mechanism("five_bar", **options)
+
+
+def test_a_tool_beyond_the_rods_is_not_written_for_a_firmware_that_has_none(tmp_path):
+    model = new_model(load_mechanism("five_bar", tool=[0.05, 0.0]))
+    with pytest.raises(ModelError, match="beyond the point where the rods meet"):
+        export(model, "rrf", tmp_path)
+
+
+# ------------------------------------------------------------------ deltesian
+
+
+def test_the_nozzle_of_a_deltesian_hangs_where_right_triangles_put_it():
+    """Rails at -0.3 and 0.3 m and rods of 0.5 m: level carriages hold it 0.4 m below them.
+
+    With the left carriage 0.1 m higher, each rod is the hypotenuse over half of sqrt(0.37) m.
+    """
+    model = new_model(load_mechanism("deltesian", width=0.3, rod=0.5))
+    q = np.array([[0.6, 0.6, 0.07], [0.7, 0.6, -0.02]])
+    middle, half = np.array([0.0, 0.65]), np.sqrt(0.37) / 2
+    down = np.sqrt(0.25 - half**2) * np.array([-0.1, -0.6]) / np.sqrt(0.37)
+    expected = [[0, 0.07, 0.2], [middle[0] + down[0], -0.02, middle[1] + down[1]]]
+    found = Kinematics(model).direct(q)
+    np.testing.assert_allclose(found.position, expected, atol=1e-12)
+    back = Kinematics(model).inverse(found.position, found.rotation)
+    np.testing.assert_allclose(back.joints, q, atol=1e-12)
+
+
+def test_a_bed_whose_way_rises_lifts_the_plate_and_with_it_the_point():
+    """A way that rises by 30 degrees: 0.1 m along it are 0.0866 m in y and 0.05 m in z."""
+    model = new_model("deltesian", {"bed.lean": np.pi / 6, "bed.q0": 0.02})
+    level = Kinematics(model).direct(np.array([0.25, 0.25, -0.02])).position
+    moved = Kinematics(model).direct(np.array([0.25, 0.25, 0.08])).position
+    np.testing.assert_allclose(moved - level, [0, 0.1 * np.sqrt(0.75), 0.05], atol=1e-12)
+
+
+def test_rods_too_short_for_a_deltesian_are_refused():
+    with pytest.raises(ModelError, match=r"rod is 0.1 m: too short for rails 0.15 m away"):
+        load_mechanism("deltesian", rod=0.1)

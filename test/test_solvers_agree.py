@@ -17,6 +17,7 @@ SPHERICAL = {"argos9", "argos_nominal"}
 SIX_RODS = {"delta54", "delta51", "linear_delta", "stewart42", "stewart_rss", "hexaglide"}
 SMALL = {
     "cable",
+    "deltesian",
     "five_bar",
     "delta24",
     "delta_nominal",

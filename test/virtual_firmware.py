@@ -501,3 +501,141 @@ class Marlin:
     def home_position(self, number: type = np.float64) -> Array:
         """Where (3,) the nozzle is after homing, by its forward problem."""
         return self.forward((self.homed() - self.retracts())[None], number)[0]
+
+
+class MarlinFork(Marlin):
+    """Marlin's relatives, whose M666 has all words: letters of angles, radii and rods differ."""
+
+    def __init__(self, text: str, angles: str, radii: str, rods: str) -> None:
+        super().__init__(text)
+        self.angles, self.radii, self.rods = angles, radii, rods
+        self.w["M665 H"] = self.w["M666 H"] + self.w.get("M206 Z", 0.0)
+
+    def towers(self) -> tuple[Array, Array, Array]:
+        around = np.radians([210, 330, 90] + self.three("M666", self.angles))
+        out = (self.w["M666 R"] + self.three("M666", self.radii))[:, None]
+        rods = self.w["M666 D"] + (self.three("M666", self.rods) if self.rods else np.zeros(3))
+        return out * np.column_stack([np.cos(around), np.sin(around)]), rods, np.zeros(2)
+
+
+def mk4duo(text: str) -> MarlinFork:
+    return MarlinFork(text, "IJK", "UVW", "ABC")
+
+
+def richcattell(text: str) -> MarlinFork:
+    return MarlinFork(text, "ABC", "IJK" if "M666 I" in words(text) else "EFG", "")
+
+
+class Smoothie:
+    """Smoothieware's Deltas: `key value` and, before them, commands of config-override.
+
+    A carriage that touches its end-stop is where the homed height without its trim puts it. A
+    rotary Delta states sides of triangles and counts its angles down; its motors stand above z = 0
+    by what is left of delta_z_offset below the effector and the tool.
+    """
+
+    number = np.float32
+
+    def __init__(self, text: str, override: str = "") -> None:
+        lines = [line.split("#")[0].split() for line in text.splitlines()]
+        self.k = {line[0]: line[1] for line in lines if len(line) > 1}
+        self.w = {field: float(value[0]) for field, value in words(override).items()}
+
+    def get(self, key: str, word: str = "") -> float:
+        return self.w.get(word, float(self.k.get(key, 0.0)))
+
+    @property
+    def linear(self) -> bool:
+        return self.k["arm_solution"] != "rotary_delta"
+
+    def towers(self) -> tuple[Array, Array, Array]:
+        more = [
+            self.get(f"delta_tower{i}_offset", f"M665 {w}")
+            for i, w in zip("123", "ABC", strict=True)
+        ]
+        turn = [
+            self.get(f"delta_tower{i}_angle", f"M665 {w}")
+            for i, w in zip("123", "DEH", strict=True)
+        ]
+        out = self.get("arm_radius", "M665 R") + np.array(more)
+        around = np.radians(np.array([210, 330, 90]) + turn)
+        places = out[:, None] * np.column_stack([np.cos(around), np.sin(around)])
+        return places, np.full(3, self.get("arm_length", "M665 L")), np.zeros(2)
+
+    def shoulders(self) -> tuple[Array, ...]:
+        e, f, rod, arm = (
+            self.get(f"delta_{part}", f"M665 {w}")
+            for part, w in zip(("e", "f", "re", "rf"), "ABCD", strict=True)
+        )
+        up = self.get("delta_z_offset", "M665 E")
+        up -= self.get("delta_ee_offs", "M665 I") + self.get("delta_tool_offset", "M665 H")
+        turn = 180 if self.k.get("delta_mirror_xy") == "true" else 0
+        around = np.radians(np.array([-90, 30, 150]) + turn)
+        same = np.ones(3)
+        return (f - e) / 12**0.5 * same, up * same, arm * same, rod * same, around
+
+    def motors(self, r: Array) -> Array:
+        return carriages(r, *self.towers()) if self.linear else -arms(r, *self.shoulders())
+
+    def computed_motors(self, r: Array) -> Array:
+        if self.linear:
+            return carriages_by_root(*(part.astype(self.number) for part in (r, *self.towers())))
+        return -arms_by_root(*(part.astype(self.number) for part in (r, *self.shoulders())))
+
+    def forward(self, motors: Array, number: type = np.float64) -> Array:
+        if self.linear:
+            places, rods, _ = self.towers()
+            joints = np.stack(np.broadcast_arrays(*places.T[:, None], motors), axis=2)
+            return nozzle_between(joints.astype(number), rods.astype(number))
+        out, up, arm, rod, around = self.shoulders()
+        return lowest_point(elbows(-motors.astype(number), out, up, arm, around), rod, number)
+
+    def homed(self) -> Array:
+        stops = np.array([self.get(f"{axis}_max") for axis in ("alpha", "beta", "gamma")])
+        stops[2] = self.w.get("M665 Z", stops[2])
+        stops = stops + [self.w.get(f"M206 {axis}", 0.0) for axis in "XYZ"]
+        if not self.linear:
+            return stops
+        trims = [
+            self.get(f"{axis}_trim_mm", f"M666 {word}")
+            for axis, word in zip(("alpha", "beta", "gamma"), "XYZ", strict=True)
+        ]
+        return self.motors(stops[None])[0] - trims
+
+    def home_position(self, number: type = np.float64) -> Array:
+        return self.forward(self.homed()[None], number)[0]
+
+
+class FluidNcDelta(GrblHal):
+    """FluidNC's ParallelDelta: the same formulas, and an origin that homing moves.
+
+    When homed, all arms are at up_degrees, and the position is that of mpos_mm.
+    """
+
+    def __init__(self, text: str) -> None:
+        pairs = re.findall(r"^\s*(\w+):\s*([-\d.]+)", text, re.MULTILINE)
+        self.k = {key: float(value) for key, value in pairs}
+        names = ("linkage_mm", "crank_mm", "base_triangle_mm", "end_effector_triangle_mm")
+        self.s = dict(zip((641, 642, 643, 644), (self.k[name] for name in names), strict=True))
+        self.s[646] = self.k.get("up_degrees", -30.0)
+        top = super().forward(self.homed()[None])[0]
+        self.shift = np.array([0, 0, self.k.get("mpos_mm", 0.0)]) - top
+
+    def motors(self, r: Array) -> Array:
+        return super().motors(r - self.shift)
+
+    def computed_motors(self, r: Array) -> Array:
+        return super().computed_motors(r - self.shift)
+
+    def forward(self, motors: Array, number: type = np.float64) -> Array:
+        return super().forward(motors, number) + self.shift.astype(number)
+
+
+def crossed_circles(centres: Array, radii: Array) -> Array:
+    """Where (N, 2) two circles (N, 2) about centres (2, 2) cross, right of the way between them."""
+    (x0, y0), (x1, y1) = centres
+    far = np.hypot(x1 - x0, y1 - y0)
+    along = (radii[:, 0] ** 2 - radii[:, 1] ** 2 + far**2) / (2 * far)
+    across = -np.sqrt(radii[:, 0] ** 2 - along**2)
+    ux, uy = (x1 - x0) / far, (y1 - y0) / far
+    return np.column_stack([x0 + along * ux - across * uy, y0 + along * uy + across * ux])

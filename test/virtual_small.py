@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -131,3 +133,59 @@ class FiveBar(Assembly):
         rods = [self.parameters[f"{side}.rod"] for side in ("left", "right")]
         away = [np.linalg.norm(r - end, axis=-1) for end in self.ends(q)]
         return np.stack(away, axis=-1) - np.array(rods)
+
+
+class FiveBarWithTool(FiveBar):
+    """A five-bar whose end point is fixed to one rod, away from the hinge of both rods.
+
+    The rod turns with an angle of its own: the hidden coordinate. It carries hinge and point.
+    """
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        carrier: int,
+        home: Sequence[float],
+        joints: Sequence[float],
+        angle: float,
+    ) -> None:
+        super().__init__(parameters)
+        self.carrier, self.home, self.home_joints = carrier, tuple(home), tuple(joints)
+        self.angle = angle
+
+    def hidden(self, q: Array, r: Array, R: Array) -> Array:
+        """The angle of the carrying rod near home."""
+        return np.full((*q.shape[:-1], 1), self.angle)
+
+    def gaps(self, q: Array, r: Array, R: Array, hidden: Array) -> Array:
+        """How far the point is from where its rod holds it (2), and how long the other rod is."""
+        p, ends = self.parameters, self.ends(q)
+        sides = ("left", "right")
+        own, other = sides[self.carrier], sides[1 - self.carrier]
+        turned = axis_rotation("z", hidden[..., 0])
+        hinge = ends[self.carrier] + apply(turned, np.array([p[f"{own}.rod"], 0.0, 0.0]))
+        point = hinge + apply(turned, np.array([p["tool.x"], p["tool.y"], 0.0]))
+        away = np.linalg.norm(hinge - ends[1 - self.carrier], axis=-1, keepdims=True)
+        return np.concatenate([(r - point)[..., :2], away - p[f"{other}.rod"]], axis=-1)
+
+
+class Deltesian(Assembly):
+    """Two carriages on rails hold the nozzle over a bed that slides; {B} slides with the bed."""
+
+    moves = controls = "x y z"
+    home = (0.0, 0.0, 0.05)
+    home_joints = (0.2109, 0.2109, 0.0)
+
+    def gaps(self, q: Array, r: Array, R: Array, hidden: Array) -> Array:
+        """How far each rod is too short, and how far the nozzle is from the rails' plane."""
+        p = self.parameters
+        turned = axis_rotation("z", p["bed.turn"]) @ axis_rotation("x", p["bed.lean"])
+        slide = turned @ np.array([0.0, 1.0, 0.0])
+        nozzle = r - (q[..., 2:] + p["bed.q0"]) * slide
+        found = []
+        for k, side in enumerate(("left", "right")):
+            foot = np.array([p[f"{side}.x"], 0.0, p[f"{side}.z"]])
+            rail = axis_rotation("y", p[f"{side}.lean"]) @ np.array([0.0, 0.0, 1.0])
+            away = (nozzle - foot - q[..., k : k + 1] * rail)[..., [0, 2]]
+            found.append(np.linalg.norm(away, axis=-1) - p[f"{side}.rod"])
+        return np.stack([*found, nozzle[..., 1]], axis=-1)

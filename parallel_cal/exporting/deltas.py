@@ -114,8 +114,11 @@ def towers(
     present: Refinement | None = None,
     equal_rods: bool = False,
     has_scale: bool = False,
+    equal_radii: bool = True,
 ) -> tuple[Towers, Chains]:
-    """Fit one radius, rods, angles and end-stops, and, if `tilted`, the plate's slopes.
+    """Fit radii, rods, angles and end-stops, and, if `tilted`, the plate's slopes.
+
+    All towers have one radius if `equal_radii`, and all rods one length if `equal_rods`.
 
     If the firmware `has_scale`, its scale is that of the model's recording, corrected by the
     model's encoder_gain. It is not fitted: it would imitate towers that lean, which touches and
@@ -125,16 +128,19 @@ def towers(
     rods = [c.rods.mean()] if equal_rods else [*c.rods]
     recorded = recorded_scale(model, c) if has_scale else None
     scale = None if recorded is None else recorded / (1 + read_gains(model)[list(c.frame.order)])
-    n = 7 + len(rods)
+    radii, same = [c.radius.mean()] if equal_radii else [*c.radius], np.ones(3)
+    slopes = c.tilt if tilted else ()
+    parts = [np.array(part) for part in (c.angles, c.homed, radii, rods, slopes)]
+    ends = np.cumsum([len(part) for part in parts])[:-1]
 
     def made(v: Array) -> Towers:
-        tilt = (v[n], v[n + 1]) if tilted else (0.0, 0.0)
-        trim = _wrap_angles(v[1:4] - TOWERS)
-        delta = Towers(np.full(3, v[0]), v[7:n] * np.ones(3), trim, v[4:7], tilt=tilt)
+        angles, homed, out, long, tilt = np.split(v, ends)
+        trim = _wrap_angles(angles - TOWERS)
+        tilts = (tilt[0], tilt[1]) if tilted else (0.0, 0.0)
+        delta = Towers(out * same, long * same, trim, homed, tilt=tilts)
         return replace(delta, scale=scale, recorded=recorded)
 
-    slopes = c.tilt if tilted else ()
-    start = np.array([c.radius.mean(), *c.angles, *c.homed, *rods, *slopes])
+    start = np.concatenate(parts)
     return made(fit_numbers(model, start, lambda v: c.machine(made(v)), c.bed, present)), c
 
 
@@ -245,20 +251,27 @@ def fit_equal_towers(
 
 
 def fit_equal_shoulders(
-    model: Model, places: Array, one_stop: bool, present: Refinement | None = None
+    model: Model,
+    places: Array,
+    one_stop: bool,
+    present: Refinement | None = None,
+    above_bed: bool = False,
 ) -> tuple[Shoulders, Machine]:
     """Fit equal chains at `places` about an origin in the plane of their motors.
 
-    With `one_stop`, all end-stops are at one angle.
+    With `one_stop`, all end-stops are at one angle. With `above_bed`, the origin is at height 0 of
+    the frame instead, and the motors' height above it is a number of the firmware.
     """
     c = chains_of(model, places)
 
     def machine(v: Array) -> Machine:
         tops = v[6:] * np.ones(3)
         limits = tuple((-np.pi / 2, float(top)) for top in tops)
-        same = np.ones(3)
-        delta = Shoulders(v[0], 0 * same, v[1] * same, v[2] * same, places, limits)
-        return c.machine(delta, c.frame.axes @ v[3:6])
+        same, shift = np.ones(3), np.array(v[3:6])
+        up = shift[2] if above_bed else 0.0
+        shift[2] -= up
+        delta = Shoulders(v[0], up * same, v[1] * same, v[2] * same, places, limits)
+        return c.machine(delta, c.frame.axes @ shift)
 
     tops = [c.homed.mean()] if one_stop else c.homed
     lengths = [c.radius.mean(), c.arms.mean(), c.rods.mean()]

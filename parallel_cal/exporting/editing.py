@@ -21,12 +21,17 @@ DEFINITIONS = ("DELTA_", "DEFAULT_")  # beginnings of names in Configuration.h
 
 
 def format_settings(settings: Mapping[str, str]) -> str:
-    """Format a file of settings; fields are `M665 L`, `[section] key`, `$641` or `pin.name`."""
+    """Format a file of settings; fields are `M665 L`, `[section] key`, `$641`, `pin.name`,
+    `section/section/key` or `/key` (YAML) or, of a file of `key value`, `key`."""
     found = []
     for head, group in groupby(settings, _head):
         fields = list(group)
         if re.fullmatch(r"[GM]\d+", head):
             found.append(" ".join([head, *(_line(f, settings[f]) for f in fields)]))
+        elif "/" in head:
+            names = head.split("/")
+            found += ["  " * k + f"{name}:" for k, name in enumerate(names)]
+            found += ["  " * len(names) + _line(f, settings[f]) for f in fields]
         else:
             section = [head] if head.startswith("[") else []
             found += [*section, *(_line(f, settings[f]) for f in fields)]
@@ -74,7 +79,7 @@ def edit_files(
 
 def _begin(lines: Sequence[str], field: str) -> str:
     """Return what stands before the key of a setting, whose value is on the last of the lines."""
-    if field[0] != "[":
+    if field[0] != "[" and "/" not in field:
         return ""
     key = re.compile(rf"(?im)^((?:#\*# )?[ \t]*){re.escape(_key(field))}\s*[:=]")
     return next((found[1] for line in reversed(lines) if (found := key.search(line))), "")
@@ -88,12 +93,17 @@ def read_verbatim(path: Path) -> str:
 
 
 def _head(field: str) -> str:
-    """Return the group of a field: `M665`, `[section]`, `$`, `DELTA_` (C), or the component."""
+    """Return the group of a field: `M665`, `[section]`, `$`, `DELTA_` (C), the component of a pin,
+    the sections of YAML, or nothing for all keys of a file of `key value`."""
+    if "/" in field and field[0] != "[":
+        return field.rpartition("/")[0]
     defined = "|".join(DEFINITIONS)
-    return re.match(rf"\[[^\]]*\]|[GM]\d+(?= )|\$|{defined}|[^.]*", field)[0]  # type: ignore[index]
+    return re.match(rf"\[[^\]]*\]|[GM]\d+(?= )|\$|{defined}|[^.]*(?=\.)|", field)[0]  # type: ignore[index]
 
 
 def _key(field: str) -> str:
+    if "/" in field and field[0] != "[":
+        return field.rpartition("/")[2]
     return field.removeprefix(_head(field)).strip() if field[0] in "[GM" else field
 
 
@@ -105,7 +115,11 @@ def _line(field: str, value: str) -> str:
         return f"{_key(field)} = {value}"
     if field.startswith(DEFINITIONS):
         return f"#define {field} {value}"
-    return f"{field}={value}" if field[0] == "$" else f"setp {field} {value}"
+    if "/" in field:
+        return f"{_key(field)}: {value}"
+    if field[0] == "$":
+        return f"{field}={value}"
+    return f"setp {field} {value}" if "." in field else f"{field} {value}"
 
 
 def are_same_numbers(old: str, new: str) -> bool:

@@ -39,18 +39,20 @@ def samples(kind: str, paths: Sequence[Path], **options: Any) -> Dataset:
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     """Return the model of a configured machine.
 
-    The file's suffix identifies the controller, and `recognizes` of an importer that has it. The
-    model has the `MACHINE_CLASS` of the importer.
+    The file's suffix identifies the controller. An importer that has `recognizes` asks the file's
+    text, too, and comes before those that have not. The model has the `MACHINE_CLASS` of the
+    importer.
     """
     modules = {name: load_module(SHELF, name) for name in list_plugins(SHELF)}
     kinds = {n: m.CONFIGURATION for n, m in modules.items() if hasattr(m, "CONFIGURATION")}
-    for name, ends in kinds.items():
+    for name in sorted(kinds, key=lambda name: not hasattr(modules[name], "recognizes")):
         recognizes = getattr(modules[name], "recognizes", lambda path: True)
-        if paths[0].suffix in ends and recognizes(paths[0]):
+        if paths[0].suffix in kinds[name] and recognizes(paths[0]):
             found: ConfiguredRobot = modules[name].configured(paths)
             machine_class = getattr(modules[name], "MACHINE_CLASS", DEFAULT_CLASS)
             return replace(found, model=replace(found.model, machine_class=machine_class))
-    known = "; ".join(f"{' or '.join(ends)} ({name})" for name, ends in kinds.items())
+    endings = {n: " or ".join(end or "no suffix" for end in ends) for n, ends in kinds.items()}
+    known = "; ".join(f"{ending} ({name})" for name, ending in endings.items())
     raise DatasetError(
         f"{paths[0]}: not a configuration that can be read; expected {known}; or .urdf, .xml "
         "(MJCF) or .sdf"

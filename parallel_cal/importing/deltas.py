@@ -37,6 +37,7 @@ HOME_HEIGHT_M = 0.05  # m above the bed; the middle of the used height
 USED_HEIGHT_M = 2 * HOME_HEIGHT_M  # above the bed
 BELOW_HOMED = 30 * DEGREE  # of a hanging rotary Delta's arms in the middle of its workspace
 HANGING_ANGLES = np.radians([270.0, 30.0, 150.0])  # of the motors of LinuxCNC and grblHAL
+SIDE = float(np.tan(30 * DEGREE)) / 2  # distance of a triangle's side from its centre, per side
 MAX_STEPS = 50  # of Newton's method; three are usual
 STEPS_PER_SLOPES = 5  # the slopes hardly change over a step
 CLOSE = 1e-10  # m; a smaller step has converged

@@ -19,6 +19,15 @@ USE = re.compile(r"\{\s*global\.(\w+)\s*\}")
 GLUED = re.compile(r"(?:[A-Za-z][-+]?\d[\d.:]*)+")  # such as L250R125: words without spaces
 PARTED = re.compile(r"(?<=[A-Za-z])\s+(?=[-+]?\.?\d)")  # such as L 250
 CHECKSUM = re.compile(r"\*\d+\s*$")  # of a line that a host sent
+# What hosts write before a line: OctoPrint `Recv: `, Pronterface `>>> `, Simplify3D `READ: `,
+# Repetier-Host `08:55:33.358 : `, Arduino `08:55:33.358 -> `, MatterControl `->`; Marlin `echo:`,
+# MK4duo `Config:`.
+TIME = r"[\[(]?(?:\d{4}-\d\d-\d\d[ T])?\d{1,2}:\d\d:\d\d(?:[.,]\d+)?[\])]?"
+DIRECTION = r"\b(?:Recv|Send|Sent|Read|Received|Sending)\s*:"
+HOST_PREFIX = re.compile(
+    rf"^(?:[^;]*?{DIRECTION})?(?:\s*(?:{TIME}|<+|-?>+|<-)\s*[-|:]*)*\s*(?:(?:echo|Config)\s*:)?",
+    re.IGNORECASE,
+)
 LOAD, OVERRIDE = "M501", "config-override.g"  # which M500 writes
 MACRO = "M98"  # runs the file that P names
 # A command of RepRapFirmware ends where the next G or M begins outside quotes and expressions.

@@ -12,7 +12,7 @@ from pathlib import Path
 from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.exporting.deltas import ROTARY, fit_equal_shoulders
 from parallel_cal.exporting.projection import Firmware, Projection, Refinement
-from parallel_cal.importing.deltas import HANGING_ANGLES
+from parallel_cal.importing.deltas import HANGING_ANGLES, SIDE
 from parallel_cal.importing.importers import grblhal
 from parallel_cal.importing.settings import Settings
 from parallel_cal.model.model import Model
@@ -31,7 +31,7 @@ def firmware(stated: Settings) -> Firmware:
 
 def project(model: Model, present: Refinement | None = None) -> Projection:
     delta, found = fit_equal_shoulders(model, HANGING_ANGLES, one_stop=True, present=present)
-    numbers = (delta.rods[0] / MM, delta.arms[0] / MM, delta.radius / MM / grblhal.SIDE, 0.0)
+    numbers = (delta.rods[0] / MM, delta.arms[0] / MM, delta.radius / MM / SIDE, 0.0)
     written = {f"${641 + k}": f"{number:.3f}" for k, number in enumerate(numbers)}
     written["$646"] = f"{-delta.homed[0] / DEGREE:.3f}"
     return Projection({FILE: written}, found.frame, found.stops)

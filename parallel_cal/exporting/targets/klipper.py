@@ -1,4 +1,4 @@
-"""Klipper: the numbers of `kinematics: delta` and `rotary_delta` in printer.cfg.
+"""Klipper: the numbers of `kinematics: delta`, `rotary_delta` and `deltesian` in printer.cfg.
 
 The steppers may be at any angle, but must be counter-clockwise seen from above. Only then does
 Klipper's forward kinematics find the lower of the two points where the rods meet
@@ -24,14 +24,22 @@ from parallel_cal.exporting.deltas import (
     shoulders,
     towers,
 )
-from parallel_cal.exporting.projection import Firmware, Projection, Refinement
+from parallel_cal.exporting.projection import (
+    Firmware,
+    Frame,
+    Machine,
+    Projection,
+    Refinement,
+    fit_numbers,
+)
 from parallel_cal.importing.deltas import Shoulders
+from parallel_cal.importing.deltesian import DeltesianArms
 from parallel_cal.importing.importers import klipper
 from parallel_cal.importing.importers.klipper import STEPPERS
 from parallel_cal.importing.settings import Settings
 from parallel_cal.model.model import Model
 
-HOLDS = (*LINEAR, *ROTARY)
+HOLDS = (*LINEAR, *ROTARY, klipper.DELTESIAN)
 FILE = "printer.cfg"
 DECIMALS = 6  # of mm and degrees, as SAVE_CONFIG writes them
 
@@ -41,7 +49,7 @@ def settings(paths: Sequence[Path], texts: Mapping[Path, str] | None = None) -> 
 
 
 def firmware(stated: Settings) -> Firmware:
-    return klipper.delta(stated)
+    return klipper.kinematics(stated)
 
 
 def complete(read: Firmware, model: Model) -> Firmware:
@@ -51,6 +59,8 @@ def complete(read: Firmware, model: Model) -> Firmware:
 def project(
     model: Model, present: Refinement | None = None, stated: Settings | None = None
 ) -> Projection:
+    if model.mechanism.name == klipper.DELTESIAN:
+        return _deltesian(model)
     remarks, scale = list[str](), None
     if model.mechanism.name in LINEAR:
         has_scale = stated is not None and klipper.scale(stated) is not None
@@ -96,3 +106,37 @@ def end_stop_heights(delta: Shoulders) -> np.ndarray:
     return np.asarray(
         delta.heights + delta.arms * np.sin(delta.homed) - np.sqrt(delta.rods**2 - out**2)
     )
+
+
+def _deltesian(model: Model) -> Projection:
+    """Fit widths, rods and end-stops of left and right, and the end-stop of the bed."""
+    sides = ("left", "right")
+    tops = [high for _, high in model.mechanism.joint_limits]
+    stops = np.array(getattr(model.mechanism, "switches", None) or tops)
+    x, z, rods = (np.array([model.value(f"{s}.{n}") for s in sides]) for n in ("x", "z", "rod"))
+    homed = stops + [*z, model.value("bed.q0")]
+    frame = Frame((0, 1, 2), np.ones(3))
+
+    def machine(v: np.ndarray) -> Machine:
+        return Machine(DeltesianArms(v[:2], v[2:4], v[4:], (0.0, 0.0)), frame, stops)
+
+    start = np.array([-x[0], x[1], *rods, *homed])
+    arms = machine(fit_numbers(model, start, machine)).firmware
+    assert isinstance(arms, DeltesianArms)
+    keys = ("arm_x_length", "arm_length", "position_endstop")
+    found = {"[printer] kinematics": klipper.DELTESIAN}
+    for k, side in enumerate(klipper.SIDES):
+        numbers = (arms.widths[k], arms.rods[k], arms.heights[k])
+        for key, number in zip(keys, numbers, strict=True):
+            found[f"{side} {key}"] = f"{number / MM:.{DECIMALS}f}"
+    found[f"{klipper.BED} position_endstop"] = f"{arms.homed[2] / MM:.{DECIMALS}f}"
+    ends = np.array(model.mechanism.joint_limits)[2] + arms.homed[2] - stops[2]
+    for key, end in zip(("position_min", "position_max"), ends, strict=True):
+        found[f"{klipper.BED} {key}"] = f"{end / MM:.{DECIMALS}f}"
+    return Projection({FILE: found}, frame, stops)
+
+
+def adapt(stated: Settings, numbers: Mapping[str, str]) -> dict[str, str]:
+    """Leave the range of a deltesian's bed as it is in the file."""
+    ranges = (f"{klipper.BED} position_min", f"{klipper.BED} position_max")
+    return {field: text for field, text in numbers.items() if field not in ranges}

@@ -2,8 +2,8 @@
 
 Marlin computes no rotary Delta. Its rods are L, plus a trim for each tower (A, B, C). A carriage
 that touched its end-stop goes down by the distance of M666, and the nozzle is then H above the
-bed. It does not go down by less than a few motor steps, so that no distance may be between 0 and
-MIN_RETRACT_M. Source: Marlin documentation, "M665", "M666", and Marlin/src/module/motion.cpp.
+bed. It does not go down by less than a few motor steps. Source: Marlin documentation, "M665",
+"M666", and Marlin/src/module/motion.cpp.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from parallel_cal.exporting.deltas import (
     towers,
 )
 from parallel_cal.exporting.projection import Firmware, Projection, Refinement
+from parallel_cal.exporting.tower_words import split_heights
 from parallel_cal.importing.importers import marlin
 from parallel_cal.importing.settings import Settings
 from parallel_cal.model.model import Model
@@ -30,7 +31,6 @@ HOLDS = LINEAR
 FILE = "marlin.gcode"
 DECIMALS = 4  # of mm and degrees
 STEPS_DECIMALS = 5  # of steps per mm
-MIN_RETRACT_M = 0.1e-3  # m; six steps, which Marlin ignores, are up to 0.1 mm
 STORE = (
     "send M500 after these commands, or they are lost when the printer is switched off. After a "
     "change of Configuration.h, build and flash the firmware, then send M502 and M500"
@@ -67,10 +67,7 @@ def make_projection(
     delta, c = towers(
         model, TOWERS, tilted=False, present=present, equal_rods=equal_rods, has_scale=has_scale
     )
-    rod, homed = delta.rods.mean(), delta.heights.min()
-    retract = delta.heights - homed
-    if ((retract > 0) & (retract < MIN_RETRACT_M)).any():
-        retract, homed = retract + MIN_RETRACT_M, homed - MIN_RETRACT_M
+    rod, (homed, retract) = delta.rods.mean(), split_heights(delta)
     found = {"M665 L": rod / MM, "M665 R": delta.radius[0] / MM, "M665 H": homed / MM}
     found |= {f"M665 {t}": a for t, a in zip("XYZ", delta.trim / DEGREE, strict=True)}
     if not equal_rods:

@@ -110,13 +110,18 @@ def _rotary(model: Model, present: Refinement | None) -> Projection:
 
 
 def _five_bar(model: Model) -> Projection:
+    bars_of: Any = model.mechanism
+    if bars_of.has_tool:
+        raise ModelError(
+            "rrf: the end point is beyond the point where the rods meet, expected a five-bar whose "
+            "rods meet at the end point; the targets c and table can represent it"
+        )
     sides = ("left", "right")
     x, y, cranks, rods, q0 = (
         np.array([model.value(f"{side}.{name}") for side in sides])
         for name in ("x", "y", "crank", "rod", "q0")
     )
     home = model.mechanism.home
-    bars_of: Any = model.mechanism
     angles, stops = np.array(home.joints) + q0, np.array(bars_of.switches)
     reach = np.array(home.position[:2]) - np.column_stack([x, y])
     left = np.sign(np.cos(angles) * reach[:, 1] - np.sin(angles) * reach[:, 0])

@@ -26,7 +26,6 @@ MACHINE_CLASS: MachineClass = "hobby"  # belts, printed parts, open loop
 SETTING = re.compile(r"\s*(\$\d+)\s*=\s*([^\s;(]*)")
 ROD = "$641"
 REVERSED = deltas.ANGLES_UP.format("grblHAL")
-SIDE = np.tan(np.radians(30)) / 2  # distance of an axis from the centre, per side of its triangle
 
 
 def recognizes(path: Path) -> bool:
@@ -55,5 +54,5 @@ def shoulders(stated: Settings) -> Shoulders:
     sides = [stated.number(f, "a triangle's side in mm", low=0.0) for f in ("$643", "$644")]
     top = stated.number("$646", "the homing angle in degrees", low=-90.0, high=90.0)
     short = stated.error(ROD, "a length in mm that reaches the middle of the workspace")
-    radius, homed = SIDE * (sides[0] - sides[1]) * MM, np.full(3, -top * DEGREE)
+    radius, homed = deltas.SIDE * (sides[0] - sides[1]) * MM, np.full(3, -top * DEGREE)
     return deltas.hang_shoulders(radius, arm, rod, homed, short)

@@ -1,4 +1,5 @@
-"""Klipper: `printer.cfg` of linear and rotary Deltas, with the results of DELTA_CALIBRATE.
+"""Klipper: `printer.cfg` of linear and rotary Deltas, with the results of DELTA_CALIBRATE, and of
+deltesian printers.
 
 A stored position counts a motor's steps from its end-stop, so it stays valid if the configuration
 changes. A stored height is the nozzle's height above the bed at this position. Sources: Klipper
@@ -17,6 +18,7 @@ from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.importing import deltas
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.deltas import Delta, Shoulders, Towers, are_counter_clockwise
+from parallel_cal.importing.deltesian import DeltesianArms
 from parallel_cal.importing.klipper_config import settings
 from parallel_cal.importing.klipper_mesh import DEFAULT, choose_mesh, read_mesh
 from parallel_cal.importing.settings import Settings
@@ -27,6 +29,7 @@ from parallel_cal.importing.touch_samples import (
     make_printed_ends,
 )
 from parallel_cal.model.machine_class import MachineClass
+from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array
@@ -41,6 +44,13 @@ STEP_DISTANCE = "step_distance"
 # The bed is near 0; a block on it may be of any height that a printer reaches.
 MAX_HEIGHTS_MM = {"height": 50.0, "manual_height": 500.0}
 KINDS = "delta or rotary_delta"
+KINEMATICS, DELTESIAN = "[printer] kinematics", "deltesian"
+SIDES = [f"[stepper_{side}]" for side in ("left", "right")]
+BED = "[stepper_y]"
+LEANS_NOT_STATED = (
+    "the leans of the rails and the direction of the bed have no number in the firmware: they have "
+    "the mechanism's nominal values"
+)
 TOWERS, SHOULDERS = (210.0, 330.0, 90.0), (30.0, 150.0, 270.0)  # degrees, the defaults
 
 
@@ -158,7 +168,11 @@ def _read_parts(stated: Settings, warnings: list[str]) -> _Parts | None:
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     """Return the printer as configured."""
     stated = settings(paths)
-    printer = delta(stated)
+    printer = kinematics(stated)
+    if isinstance(printer, DeltesianArms):
+        return ConfiguredRobot(
+            new_model(printer.mechanism()), (LEANS_NOT_STATED, *stated.describe_unused())
+        )
     if isinstance(printer, Shoulders):
         deltas.check_reach(printer, stated, "[printer] shoulder_height")
     found = deltas.make_configured_robot(printer, _probe(stated), remarks=stated.describe_unused())
@@ -248,10 +262,33 @@ def _gear(stated: Settings, field: str) -> float:
 
 
 def _kind(stated: Settings) -> str:
-    text, place = stated.text("[printer] kinematics", KINDS)
+    text, place = stated.text(KINEMATICS, KINDS)
     if text not in ("delta", "rotary_delta"):
-        raise place.error("[printer] kinematics", text, KINDS)
+        raise place.error(KINEMATICS, text, KINDS)
     return text
+
+
+def kinematics(stated: Settings) -> Delta | DeltesianArms:
+    """Return the printer that a configuration describes."""
+    if stated.text(KINEMATICS, f"{KINDS}, or {DELTESIAN}")[0] != DELTESIAN:
+        return delta(stated)
+    widths = _read_pair(stated, "arm_x_length", "mm", 1e-3)
+    rods = _read_pair(stated, "arm_length", "mm, longer than arm_x_length", 1e-3)
+    for side in (side for side, ok in zip(SIDES, rods > widths, strict=True) if not ok):
+        given = side if f"{side} arm_length" in stated else SIDES[0]
+        raise stated.error(f"{given} arm_length", "mm, longer than arm_x_length")
+    heights = _read_pair(stated, "position_endstop", "the nozzle's height in mm")
+    low = stated.number(f"{BED} position_min", "mm", 0.0) * MM
+    high = stated.number(f"{BED} position_max", "mm, more than position_min", low=low / MM) * MM
+    at = stated.number(f"{BED} position_endstop", "mm") * MM
+    tops = heights * MM + np.sqrt(rods**2 - widths**2) * MM
+    return DeltesianArms(widths * MM, rods * MM, np.append(tops, at), (low, high))
+
+
+def _read_pair(stated: Settings, key: str, expected: str, low: float = -1e4) -> Array:
+    """Read a key of the left and the right stepper (2,); the right one has the left one's value."""
+    left = stated.number(f"{SIDES[0]} {key}", expected, None, low)
+    return np.array([left, stated.number(f"{SIDES[1]} {key}", expected, left, low)])
 
 
 def delta(stated: Settings) -> Delta:

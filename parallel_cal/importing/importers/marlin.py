@@ -25,7 +25,12 @@ from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.importing import deltas
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.deltas import Towers
-from parallel_cal.importing.gcode import STEPS_FIELDS, parse_settings_line, read_scale
+from parallel_cal.importing.gcode import (
+    HOST_PREFIX,
+    STEPS_FIELDS,
+    parse_settings_line,
+    read_scale,
+)
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines
 from parallel_cal.importing.touch_samples import make_joint_samples, make_printed_ends
 from parallel_cal.model.machine_class import MachineClass
@@ -35,14 +40,6 @@ from parallel_cal.recordings.recording import Array
 CONFIGURATION = (".log", ".txt", ".gcode", ".h")
 MACHINE_CLASS: MachineClass = "hobby"  # belts, printed parts, open loop
 CODES = ("M92", "M665", "M666", "M851")
-# What hosts write before a line: OctoPrint `Recv: `, Pronterface `>>> `, Simplify3D `READ: `,
-# Repetier-Host `08:55:33.358 : `, Arduino `08:55:33.358 -> `, MatterControl `->`; Marlin `echo:`.
-TIME = r"[\[(]?(?:\d{4}-\d\d-\d\d[ T])?\d{1,2}:\d\d:\d\d(?:[.,]\d+)?[\])]?"
-DIRECTION = r"\b(?:Recv|Send|Sent|Read|Received|Sending)\s*:"
-HOST_PREFIX = re.compile(
-    rf"^(?:[^;]*?{DIRECTION})?(?:\s*(?:{TIME}|<+|-?>+|<-)\s*[-|:]*)*\s*(?:echo\s*:)?",
-    re.IGNORECASE,
-)
 BED = re.compile(r"Bed X:\s*(\S+)\s+Y:\s*(\S+)\s+Z:\s*(\S+)")
 REPORT = re.compile(r"(?<!\w)(c|x|y|z|yz|zx|xy):\s*([-+.\w]+)")
 SETTING = re.compile(r"(Height|E[xyz]|Radius|T[xyz]):\s*([-+.\w]+)")

@@ -1,0 +1,123 @@
+"""FluidNC: the configuration (`config.yaml`) of a ParallelDelta or a WallPlotter, and Maslow's.
+
+A ParallelDelta has equal chains and counts its angles down from the horizontal. Its sizes are sides
+of triangles, as in grblHAL. When homed, all arms are at up_degrees, and the position is then
+mpos_mm. Source: bdring/FluidNC e952f33f, FluidNC/src/Kinematics/ParallelDelta.cpp
+(motors_to_cartesian, set_homed_mpos) and .h (defaults); importing/wall_lines.py for the others.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from parallel_cal.base.units import DEGREE, MM
+from parallel_cal.importing import deltas
+from parallel_cal.importing.controller_files import ConfiguredRobot
+from parallel_cal.importing.deltas import HANGING_ANGLES, SIDE, Shoulders
+from parallel_cal.importing.settings import Settings, SourceLine, read_lines
+from parallel_cal.importing.wall_lines import MaslowBelts, PlotterLines
+from parallel_cal.model.machine_class import MachineClass
+from parallel_cal.model.model import new_model
+
+CONFIGURATION = (".yaml", ".yml")
+MACHINE_CLASS: MachineClass = "hobby"  # belts, printed parts, open loop
+LINE = re.compile(r"(\s*)([\w/-]+)\s*:\s*([^#]*)")
+DELTA, PLOTTER = "kinematics/paralleldelta", "kinematics/wallplotter"
+EFFECTOR_MM = 86.603  # the firmware's default
+SIZES = ("crank_mm", "linkage_mm", "base_triangle_mm", "end_effector_triangle_mm")
+UP, UP_DEGREES = f"{DELTA}/up_degrees", -30.0
+HOMED_AT = tuple(f"axes/{axis}/homing/mpos_mm" for axis in "xyz")
+ANCHORS = ("left_anchor_x", "left_anchor_y", "right_anchor_x", "right_anchor_y")
+CORNERS = tuple(f"/maslow_{corner}{axis}" for corner in ("tl", "tr", "bl", "br") for axis in "xy")
+# From the end of a belt to its arm, and from there to the middle of the sled.
+EXTENSION, ARM = "/maslow_beltendextension", "/maslow_armlength"
+EXTENSION_MM, ARM_MM = 30.0, 123.4
+KINDS = "ParallelDelta, WallPlotter, or the anchors Maslow_tlX ... Maslow_brY"
+REVERSED = deltas.ANGLES_UP.format("FluidNC")
+LEFT_IS_REVERSED = (
+    "the model's readings are the lengths of the left and the right line that are let out from the "
+    "origin; FluidNC's motor of the left line counts the other way (factor: -1 in a column map)"
+)
+IN_THE_PLANE = (
+    "the model's readings are lengths of belt in the plane: sqrt(belt^2 - height^2), with the "
+    "height Maslow_tlZ ... + z of each belt. They are those of the belts {}, in this order"
+)
+BELTS = "tl, tr, bl, br"
+
+
+def recognizes(path: Path) -> bool:
+    """Whether a file has the kinematics of FluidNC; other YAML files have the same ending."""
+    stated = settings([path])
+    return any(field.startswith(("kinematics/", "/maslow_tl")) for field in stated.texts)
+
+
+def configured(paths: Sequence[Path]) -> ConfiguredRobot:
+    """Return the machine as configured."""
+    stated = settings(paths)
+    machine = kinematics(stated)
+    if isinstance(machine, PlotterLines):
+        return ConfiguredRobot(machine.model(), (LEFT_IS_REVERSED,))
+    if isinstance(machine, MaslowBelts):
+        return ConfiguredRobot(machine.model(), (IN_THE_PLANE.format(BELTS),))
+    remarks = [deltas.NOT_STATED, REVERSED]
+    if any(stated.number(field, "mm", 0.0) for field in HOMED_AT[:2]):
+        remarks.append(f"x and y of the model count from the motors' axis, without {HOMED_AT[0]}")
+    return ConfiguredRobot(new_model(machine.mechanism()), tuple(remarks))
+
+
+def settings(paths: Sequence[Path]) -> Settings:
+    """Read `key: value` by the sections and the key in lower case, such as `axes/x/steps_per_mm`
+    or, without a section, `/board`. The last of two equal ones counts."""
+    texts: dict[str, tuple[str, SourceLine]] = {}
+    for path in paths:
+        sections: list[tuple[int, str]] = []
+        for place, line in read_lines(path):
+            if not (found := LINE.match(line)):
+                continue
+            indent, key, text = len(found[1]), found[2].lower(), found[3].strip()
+            sections = [each for each in sections if each[0] < indent]
+            if text:
+                field = "/".join(name for _, name in sections) + f"/{key}"
+                texts[field] = (text, place)
+            else:
+                sections.append((indent, key))
+    return Settings(texts, paths)
+
+
+def kinematics(stated: Settings) -> Shoulders | PlotterLines | MaslowBelts:
+    """Return the machine that a configuration describes."""
+    if any(field.startswith(f"{DELTA}/") for field in stated.texts):
+        return _shoulders(stated)
+    if any(field.startswith(f"{PLOTTER}/") for field in stated.texts):
+        places = [stated.number(f"{PLOTTER}/{key}", "mm") for key in ANCHORS]
+        anchors = np.array(places).reshape(2, 2) * MM
+        if anchors[0, 0] >= anchors[1, 0]:
+            raise stated.error(f"{PLOTTER}/left_anchor_x", "mm, left of the right anchor")
+        return PlotterLines(anchors)
+    stated.text(CORNERS[0], KINDS)
+    corners = np.array([stated.number(key, "mm") for key in CORNERS]).reshape(4, 2) * MM
+    offset = stated.number(EXTENSION, "mm", EXTENSION_MM) + stated.number(ARM, "mm", ARM_MM)
+    return MaslowBelts(corners, offset * MM)
+
+
+def _shoulders(stated: Settings) -> Shoulders:
+    arm, rod, base, effector = (
+        stated.number(f"{DELTA}/{key}", "a length in mm", low=0.0) * MM for key in SIZES
+    )
+    up = stated.number(UP, "degrees from -90 to 0", UP_DEGREES, -90.0, 0.0)
+    same, homed = np.ones(3), np.full(3, -up * DEGREE)
+    limits = ((-np.pi / 2, float(homed[0])),) * 3
+    hung = Shoulders(SIDE * (base - effector), 0 * same, arm * same, rod * same, HANGING_ANGLES)
+    hung = replace(hung, limits=limits)
+    at = stated.number(HOMED_AT[2], "mm", 0.0) * MM
+    above = deltas.heights_on_axis(hung, homed)[0]
+    short = stated.error(f"{DELTA}/linkage_mm", "mm that reach the axis of the motors")
+    if np.isnan(above):
+        raise short
+    hung = replace(hung, heights=hung.heights + at - above)
+    return deltas.place_below(hung, homed - deltas.BELOW_HOMED, short)
