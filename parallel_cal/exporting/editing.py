@@ -152,11 +152,16 @@ def _replace_value(line: str, field: str, old: str, new: str) -> str:
     if field.startswith(DEFINITIONS):
         comment = r"//.*"
     code = re.sub(comment, lambda found: " " * len(found[0]), line)
-    parts = [(0, len(code))]
+
+    def find_ends(*parts: tuple[int, int]) -> list[int]:
+        return [one.end() for part in parts for one in re.compile(pattern).finditer(code, *part)]
+
+    ends: list[int] = []
     if field[0] in "GM" and not stated:  # a line may hold several commands
         own = re.compile(rf"{_head(field)}(?!\d)", re.IGNORECASE)
-        parts = [part.span() for part in COMMANDS.finditer(code) if own.match(part[0])]
-    ends = [found.end() for part in parts for found in re.compile(pattern).finditer(code, *part)]
+        ends = find_ends(*(part.span() for part in COMMANDS.finditer(code) if own.match(part[0])))
+    # Some firmwares have a word G: to them, a line is one command.
+    ends = ends or find_ends((0, len(code)))
     if not ends:
         raise ModelError(f"'{line.strip()}': {field} is not in this line")
     for end in reversed(ends):
