@@ -54,10 +54,10 @@ def diagnose(
 
     console.show(describe(found), list_options(details))
     # The proposed commands exclude samples themselves.
-    options = [f"--data={item}" for item in data or [] if not item.startswith("exclude=")]
+    reading = [f"--data={item}" for item in data or [] if not item.startswith("exclude=")]
     names = {
         "MODEL": shlex.quote(str(model)),
-        "RECORDING": shlex.join([*map(str, bags), *options]),
+        "RECORDING": shlex.join([*map(str, bags), *reading]),
         "BETTER.yaml": "better.yaml",
     }
     lines = [name_files(line, names) for line in summarize(found)]

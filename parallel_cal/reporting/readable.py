@@ -205,11 +205,13 @@ def columns(
         ):
             widths[k] -= 1  # the lines of a broken heading are about equally long
     if width is not None:
-        floors = [
-            size if numbers else max(_longest_word(line[k]) for line in lines)
-            for k, (size, numbers) in enumerate(zip(widths, right, strict=True))
+        words = [max(_longest_word(line[k]) for line in lines) for k in range(len(header))]
+        texts = [
+            size if numbers else word
+            for size, word, numbers in zip(widths, words, right, strict=True)
         ]
-        widths = _narrow(widths, floors, width)
+        widths = _narrow(widths, texts, width)
+        widths = _narrow(widths, words, width)  # at last, vectors between their numbers
     shown = []
     for line, of_line in zip(lines, [heads, *(marks or blank)], strict=True):
         if not any(line):  # a table without headings
@@ -219,15 +221,15 @@ def columns(
         for part in parts:  # a heading stands directly above its column
             more = [""] * (height - len(part))
             part[:] = more + part if line is lines[0] else part + more
-        for texts in zip(*parts, strict=True):
-            last = max(k for k, text in enumerate(texts) if text)
+        for pieces in zip(*parts, strict=True):
+            last = max(k for k, text in enumerate(pieces) if text)
             shown.append(
                 "  ".join(
                     paint(
                         text.rjust(size) if numbers else text.ljust(size if k < last else 0), mark
                     )
                     for k, (text, size, numbers, mark) in enumerate(
-                        zip(texts[: last + 1], widths, right, of_line, strict=False)
+                        zip(pieces[: last + 1], widths, right, of_line, strict=False)
                     )
                 )
             )
