@@ -155,7 +155,11 @@ def test_a_law_outside_the_catalogue_is_searched_before_an_unusual_effect_that_l
     assert "parallel-cal add MODEL joint_compliance RECORDING" in second
     assert found.document()["next_steps"] == list(found.next_steps)
     shown = text.show(found)
-    assert shown.index(f"next: {first}") < shown.index(f"next: {second}")
+    *_, following, run_first, then, run_second = shown.splitlines()
+    assert following.split(maxsplit=1)[0] == "next:"
+    assert then.split(maxsplit=1)[0] == "then:"
+    for step, reason, command in ((first, following, run_first), (second, then, run_second)):
+        assert step == f"{reason.split(maxsplit=1)[1]}: {command.strip()}"
 
 
 @pytest.mark.wide

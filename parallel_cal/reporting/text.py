@@ -10,14 +10,16 @@ from parallel_cal.reporting.results import describe
 from parallel_cal.reporting.summary import summarize, summary_table
 
 
-def show(result: Any, html: bool = False) -> str:
-    """Format a result as the command line prints it, or as a notebook shows it with all details.
+def show(result: Any, html: bool = False, details: bool = False) -> str:
+    """Format a result as the command line prints it, or as a notebook shows it.
 
     Parameters
     ----------
     result : FitResult, Step, Comparison, Diagnosis or Discovery
     html : bool, optional
-        Make HTML with tables instead of text.
+        Make HTML with tables, and with all details, instead of text.
+    details : bool, optional
+        Add to a text what the options --parameters and --details of the commands add.
 
     Returns
     -------
@@ -39,4 +41,5 @@ def show(result: Any, html: bool = False) -> str:
     blocks, lines = describe(result), summarize(result)
     if html:
         return as_html([*blocks, *(f"{line.label} {line.text}" for line in lines)])
-    return as_text([*blocks, *([summary_table(lines)] if lines else [])])
+    summary = [summary_table(lines)] if lines else []
+    return as_text([*blocks, *summary], ("details", "parameters") if details else ())
