@@ -1,8 +1,9 @@
 """Make the screenshots of the documentation: `python docs/screenshots.py [NAME ...] [--to FOLDER]`.
 
 NAME is one or more of workbench, law, live, tolerance and power; all but power by default, because
-its 212 sessions take half an hour on two cores. `workbench` makes four pictures, and `live` needs
-ROS 2. The pictures go to docs/, or to FOLDER. Chromium and the packages of `make venv` must be installed.
+its 212 sessions take half an hour on two cores. `workbench` makes four pictures; `live` needs
+ROS 2. The pictures go to docs/, or to FOLDER. Chromium and the packages of `make venv` must be
+installed.
 """
 
 from __future__ import annotations

@@ -750,11 +750,12 @@ def test_parameters_and_figures_for_experts_are_shown_on_request(run, clean):
 @pytest.mark.wide
 def test_the_command_that_a_diagnosis_proposes_runs_as_it_is_shown(run, tmp_path):
     robot, better = tmp_path / "my robot.yaml", tmp_path / "better.yaml"
-    run("fit", NOMINAL, BAG, "-o", robot)
-    _, out, _ = run("diagnose", robot, BAG, "--data", "max_samples=10000")
+    bag = ROOT / "bags" / "delta_backlash"
+    run("fit", NOMINAL, bag, "-o", robot)
+    _, out, _ = run("diagnose", robot, bag, "--data", "max_samples=10000")
     last = shlex.split(out.splitlines()[-1])
     assert last[:4] == ["parallel-cal", "add", str(robot), "backlash"]
-    assert last[4:] == [str(BAG), "--data=max_samples=10000", "-o", "better.yaml"]
+    assert last[4:] == [str(bag), "--data=max_samples=10000", "-o", "better.yaml"]
     assert run(*last[1:-1], better)[0] == 0
     assert read_model(better).effects[0].name == "backlash"
 
