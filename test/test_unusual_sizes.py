@@ -155,11 +155,8 @@ def test_a_law_outside_the_catalogue_is_searched_before_an_unusual_effect_that_l
     assert "parallel-cal add MODEL joint_compliance RECORDING" in second
     assert found.document()["next_steps"] == list(found.next_steps)
     shown = text.show(found)
-    *_, following, run_first, then, run_second = shown.splitlines()
-    assert following.split(maxsplit=1)[0] == "next:"
-    assert then.split(maxsplit=1)[0] == "then:"
-    for step, reason, command in ((first, following, run_first), (second, then, run_second)):
-        assert step == f"{reason.split(maxsplit=1)[1]}: {command.strip()}"
+    last = " ".join(shown[shown.index("next:") :].replace("then:", "").split())
+    assert last == " ".join(["next:", *found.next_steps]).replace(": parallel-cal", " parallel-cal")
 
 
 @pytest.mark.wide

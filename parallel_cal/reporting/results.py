@@ -404,11 +404,20 @@ def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
         if entry.candidate.missing
         or (entry.reason and (entry in tested or entry.candidate.score is not None))
     ]
-    if others or reasons:
-        yield (
-            f"{len(others)} effects are not significant, and {len(reasons)} have a remark, such as "
-            "what is missing to test them: --details lists them"
-        )
+    for entry in tested:
+        if entry.confused_with:
+            words = f"{entry.name} is confused with {', '.join(entry.confused_with)}"
+            yield words if entry.name in diagnosis.effects else Detail(words)
+    hidden = [
+        *([f"{len(others)} effects that are not significant"] if others else []),
+        *(
+            [f"{len(reasons)} remarks, such as what is missing to test an effect"]
+            if reasons
+            else []
+        ),
+    ]
+    if hidden:
+        yield f"--details lists {' and '.join(hidden)}"
     yield from map(Detail, reasons)
     for one in diagnosis.odd_samples[:MAX_CANDIDATES]:
         when = "" if math.isnan(one.time) else f"{one.time:.1f} s, "
@@ -498,7 +507,7 @@ def candidate_table(diagnosis: Diagnosis, entries: Sequence[Entry]) -> Table:
         "explains",
         "first pick",
         "not geometry",
-        "confused with",
+        Column("confused with", on_terminal=False),
     )
     rows = []
     for entry in entries:
