@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from parallel_cal.reporting.blocks import as_text
+from parallel_cal.reporting.blocks import Block, as_text
 from parallel_cal.reporting.markup import as_html
 from parallel_cal.reporting.results import describe
 from parallel_cal.reporting.summary import summarize, summary_table
@@ -38,8 +38,13 @@ def show(result: Any, html: bool = False, details: bool = False) -> str:
     >>> print(pc.show(pc.compare(model, data)).splitlines()[0])
     94 samples: error 606 um, 25 arcmin; noise floor 30 um, 0.433 arcmin
     """
-    blocks, lines = describe(result), summarize(result)
     if html:
-        return as_html([*blocks, *(f"{line.label} {line.text}" for line in lines)])
-    summary = [summary_table(lines)] if lines else []
-    return as_text([*blocks, *summary], ("details", "parameters") if details else ())
+        lines = summarize(result)
+        return as_html([*describe(result), *(f"{line.label} {line.text}" for line in lines)])
+    return as_text(list_blocks(result), ("details", "parameters") if details else ())
+
+
+def list_blocks(result: Any) -> list[Block]:
+    """List the blocks of a result, and at last the table of its last lines."""
+    lines = summarize(result)
+    return [*describe(result), *([summary_table(lines)] if lines else [])]
