@@ -1,8 +1,9 @@
 """Make the screenshots of the documentation: `python docs/screenshots.py [NAME ...] [--to FOLDER]`.
 
 NAME is one or more of workbench, law, live, tolerance and power; all but power by default, because
-its 212 sessions take half an hour on two cores. `workbench` makes two pictures, `live` needs ROS 2.
-The pictures go to docs/, or to FOLDER. Chromium and the packages of `make venv` must be installed.
+its 212 sessions take half an hour on two cores. `workbench` makes four pictures; `live` needs
+ROS 2. The pictures go to docs/, or to FOLDER. Chromium and the packages of `make venv` must be
+installed.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from workbench_page import Served, opened
 MODEL = REPOSITORY / "config" / "delta_mockup_nominal.yaml"
 BAG = REPOSITORY / "bags" / "delta_backlash"
 LAW_BAG = REPOSITORY / "bags" / "delta_crosstalk"
+FIRST_SCREEN = {"width": 1280, "height": 620}
 TIMEOUT_MS = 240_000  # for a step on a busy computer
 # Live is pictured once 40 or more of the 94 samples are collected; a busy page may skip a number.
 ENOUGH_SAMPLES = re.compile(r"^[4-9]\d samples")
@@ -48,7 +50,8 @@ def wait_until_drawn(page: Any) -> None:
 
 
 def show_workbench(browser: Any, work: Path, folder: Path) -> None:
-    """Take workbench.png and workbench_pattern.png after a fit of a recording with backlash."""
+    """Take pictures after a fit of a recording with backlash: first_screen.png and
+    first_screen_dark.png (of the README), workbench.png and workbench_pattern.png."""
     served = Served(MODEL, BAG, "--session", work / "session")
     try:
         page = open_page(browser, served.url, 1000)
@@ -56,6 +59,12 @@ def show_workbench(browser: Any, work: Path, folder: Path) -> None:
         page.locator("#verdict").get_by_text("backlash").wait_for()
         wait_until_drawn(page)
         page.screenshot(path=folder / "workbench.png")
+        page.set_viewport_size(FIRST_SCREEN)
+        for scheme, name in (("dark", "first_screen_dark"), ("light", "first_screen")):
+            page.emulate_media(color_scheme=scheme)
+            wait_until_drawn(page)
+            page.screenshot(path=folder / f"{name}.png")
+        page.set_viewport_size({"width": 1280, "height": 1000})
         candidates = page.get_by_role("region", name="What is missing")
         candidates.get_by_text("pattern", exact=False).first.click()
         wait_until_drawn(page)

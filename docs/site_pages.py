@@ -32,6 +32,8 @@ REPOSITORY_PAGES = {
 }
 # A folder of the repository and the page that describes its content.
 FOLDER_PAGES = {"docs": "index.rst", "msg_defs": f"{FOLDER}/ros_interfaces.md"}
+# A picture in two colour schemes, which only HTML can state. The site shows the light one.
+PICTURE = re.compile(r'<picture>.*?<img src="(.*?)" alt="(.*?)">\s*</picture>', re.S)
 LINK = re.compile(r"(\]\()([^)#:\s]+)((?:#[^)]*)?\))")
 
 
@@ -67,7 +69,7 @@ def write_pages(folder: Path, root: Path) -> None:
         f"{FOLDER}/python_names.rst": python_names(root),
     }
     for name, page in REPOSITORY_PAGES.items():
-        text = (root / name).read_text(encoding="utf-8")
+        text = PICTURE.sub(r"![\2](\1)", (root / name).read_text(encoding="utf-8"))
         if name == "examples/README.md":
             text += "".join(_scripts(root / "examples"))
         pages[page + Path(name).suffix] = text

@@ -157,7 +157,7 @@ def test_figures_after_iso_9283_are_of_held_out_poses_with_their_counts(result):
 @pytest.mark.wide
 def test_the_command_prints_both(run_cli, tmp_path):
     asked = ("fit", "config/delta_mockup_nominal.yaml", "bags/delta_clean")
-    shown = run_cli(*asked, "--hold-out", "0")
+    shown = run_cli(*asked, "--hold-out", "0", "--details")
     assert "position error of " in shown
     assert "moves the platform by" in shown
     assert "after ISO 9283, position: accuracy AP" in shown

@@ -5,7 +5,6 @@ import bag_writing as bw
 import numpy as np
 import pytest
 import tied_session as ts
-from rich.console import Console
 
 from parallel_cal.base.errors import BagError, DatasetError
 from parallel_cal.cli.recordings import data_options
@@ -14,7 +13,8 @@ from parallel_cal.recordings.channels import CHANNELS, Channel
 from parallel_cal.recordings.info import info
 from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.recordings.options import ReadOptions
-from parallel_cal.reporting.recorded import print_info
+from parallel_cal.reporting.blocks import as_text
+from parallel_cal.reporting.recorded import describe_info
 
 HUMID = "sensor_msgs/msg/RelativeHumidity"
 STOPS = [[0.1, 0.2, 0.3], [0.4, 0.1, 0.2], [0.2, 0.5, 0.1]]
@@ -58,9 +58,7 @@ def test_the_document_of_a_recording_and_its_screen_tell_of_it(samples):
     document = info(samples)
     assert document["channels"]["humidity"] == "humidity"
     assert 0.4 < document["conditions"]["humidity"]["min"] < 0.42
-    with (console := Console(width=200)).capture() as shown:
-        print_info(document, console)
-    assert "humidity: 0.4" in shown.get()
+    assert "humidity: 0.4" in as_text(describe_info(document))
 
 
 def test_a_topic_is_found_by_its_type_or_named_and_a_wrong_unit_causes_a_warning(tmp_path):

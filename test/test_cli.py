@@ -5,6 +5,7 @@ import csv
 import json
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -722,8 +723,41 @@ def test_compare_prints_errors_and_rows_worst_first(document, run, clean):
 def test_people_see_the_fit_as_a_table_with_units(run, tmp_path, clean):
     code, out, _ = run("fit", NOMINAL, clean, "-o", tmp_path / "out.yaml")
     assert code == 0
-    for word in ("position error, mean", "um", "arcmin", "mm", "deg", "held-out", "written:"):
+    for word in ("position error, mean", "um", "arcmin", "held-out", "written:"):
         assert word in out
+    assert max(map(len, out.splitlines()[1:15])) <= 80
+    last = [line.split(":")[0] for line in out.splitlines()[-5:]]
+    assert last == ["before", "after", "noise", "missing", "next"]
+    assert out.splitlines()[-1].split() == [
+        *("next:", "parallel-cal", "diagnose"),
+        *(str(tmp_path / "out.yaml"), str(clean)),
+    ]
+
+
+@pytest.mark.wide
+def test_parameters_and_figures_for_experts_are_shown_on_request(run, clean):
+    short = run("fit", NOMINAL, clean)[1].splitlines()
+    parameters = run("fit", NOMINAL, clean, "--parameters")[1].splitlines()
+    details = run("fit", NOMINAL, clean, "--details")[1].splitlines()
+    assert {*short} < {*parameters}
+    assert sum(" mm" in line or " deg" in line for line in parameters) >= 42
+    assert [line[:14] for line in details if line not in short] == [
+        "94 samples of ",
+        "after ISO 9283",
+    ]
+
+
+@pytest.mark.wide
+def test_the_command_that_a_diagnosis_proposes_runs_as_it_is_shown(run, tmp_path):
+    robot, better = tmp_path / "my robot.yaml", tmp_path / "better.yaml"
+    bag = ROOT / "bags" / "delta_backlash"
+    run("fit", NOMINAL, bag, "-o", robot)
+    _, out, _ = run("diagnose", robot, bag, "--data", "max_samples=10000")
+    last = shlex.split(out.splitlines()[-1])
+    assert last[:4] == ["parallel-cal", "add", str(robot), "backlash"]
+    assert last[4:] == [str(bag), "--data=max_samples=10000", "-o", "better.yaml"]
+    assert run(*last[1:-1], better)[0] == 0
+    assert read_model(better).effects[0].name == "backlash"
 
 
 # ------------------------------------------------------------------- recordings and the rest

@@ -275,10 +275,25 @@ def test_every_verdict_has_an_example():
 
 def test_links_of_the_documents_lead_somewhere():
     for page in (*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), ROOT / "bags" / "README.md"):
-        for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
+        text = page.read_text(encoding="utf-8")
+        links = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text)
+        for link in (*links, *re.findall(r'<(?:img|source)[^>]* src(?:set)?="(.*?)"', text)):
             if link.startswith("made/"):  # by `make docs`; test_site.py follows these links
                 continue
             assert os.path.exists(page.parent / link), f"{page.name}: {link}"
+
+
+def test_the_readme_quotes_what_its_first_fit_prints(tmp_path):
+    """The five lines are the last ones of the command that the page shows."""
+    page = (ROOT / "README.md").read_text(encoding="utf-8")
+    [command] = re.findall(r"^    (parallel-cal fit .* -o robot.yaml)$", page, flags=re.M)
+    quoted = re.findall(r"^    ((?:before|after|noise|missing|next):.*)$", page, flags=re.M)
+    for name in ("bags", "config"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    code, printed = execute(shlex.split(command), tmp_path)
+    assert code == 0
+    assert len(quoted) == 5
+    assert all(map(like, quoted, printed[-5:])), printed[-5:]
 
 
 def test_the_picture_of_the_front_page_has_colours_for_the_dark_mode_and_no_ground():

@@ -81,7 +81,9 @@ def test_comparing_samples_beyond_the_region_gives_one_warning_that_says_how_far
 
 
 def test_add_says_for_which_region_its_gain_was_shown(step):
-    assert "these errors are of samples in x -59..59, y -59..59, z 143..259 mm" in text.show(step)
+    assert "these errors are of samples in x -59..59, y -59..59, z 143..259 mm" in text.show(
+        step, details=True
+    )
     reaching = replace(step.model.mechanism.workspace, low=(-0.1, -0.1, 0.1), high=(0.1, 0.1, 0.3))
     model = parse_model(dump_model(step.model))
     model.mechanism.workspace = reaching

@@ -1,6 +1,7 @@
 """Plans judged by the errors they lead to; indices by hand-worked numbers."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -391,8 +392,12 @@ def test_plan_shows_people_units_and_both_columns(capsys, tmp_path):
     whole = tmp_path / "plan.yaml"
     code, out, _ = command(capsys, "plan", NOMINAL, "--poses", 9, "--pool", 100, "-o", whole)
     assert code == 0
-    for word in ("x [m]", "joint1 [rad]", "planned", "random", "um", "least certain parameters"):
+    for word in ("planned", "random", "um", "sigma [tolerances]", f"{whole}: 9 poses"):
         assert word in out
+    assert "position [mm]" not in out  # the file has the poses
+    shown = command(capsys, "plan", NOMINAL, "--poses", 9, "--pool", 100)[1]
+    assert re.search(r"^pose +position \[mm\] +joints \[deg\]$", shown, flags=re.M)
+    assert not re.search(r"\de[-+]\d", shown)
     from parallel_cal.model.file.yamltext import parse_yaml
 
     assert len(parse_yaml(whole.read_text(), "plan.yaml").data["poses"]) == 9

@@ -49,7 +49,7 @@ def test_compare_fit_and_report_show_the_same_registered_only_error(arm_in_its_b
     assert result.held_out_before.summary == shown.held_out.summary
     found = diagnose(model, arm_in_its_base, effects=("backlash",))
     assert HeldOutErrors.of(found).before == shown.held_out.summary
-    for text in (show(shown), show(result)):
+    for text in (show(shown, html=True), show(result, html=True)):
         assert "held-out, registered only" in text
     as_given = shown.given.errors_as_given.summary.position_rms
     assert shown.errors.summary.position_rms < 0.5 * as_given

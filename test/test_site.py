@@ -59,6 +59,17 @@ def test_links_of_the_repository_lead_to_the_pages_of_the_site():
     assert adapt("[w](https://a.b/c.md)", "export", ROOT) == "[w](https://a.b/c.md)"
 
 
+def test_the_page_of_the_readme_has_its_picture_as_one_that_sphinx_copies(tmp_path):
+    pages = site_pages()
+    pages.write_pages(tmp_path, ROOT)
+    page = (tmp_path / "made" / "readme.md").read_text(encoding="utf-8")
+    assert "<picture>" in (ROOT / "README.md").read_text(encoding="utf-8")
+    assert "<picture>" not in page
+    assert "](docs/first_screen.png)" in page
+    shown = pages.adapt_links(page, "made/readme", ROOT)
+    assert "](../first_screen.png)" in shown
+
+
 class References(HTMLParser):
     """The ids of a page, its links, and what a browser loads for it."""
 

@@ -23,6 +23,15 @@ OptionalOut = Annotated[
     typer.Option("-o", "--output", help="model file to write; without it, none is written"),
 ]
 Json = Annotated[bool, typer.Option("--json", help="print one JSON document")]
+Details = Annotated[
+    bool,
+    typer.Option(
+        "--details", help="print all warnings in full, and remarks and figures for experts, too"
+    ),
+]
+Parameters = Annotated[
+    bool, typer.Option("--parameters", help="print the identified parameters, too")
+]
 Data = Annotated[
     list[str] | None,
     typer.Option(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import shlex
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,6 +12,7 @@ from parallel_cal.cli.arguments import (
     AddedEffects,
     Bags,
     Data,
+    Details,
     EffectName,
     EffectsInModel,
     FittingByMethod,
@@ -21,6 +23,7 @@ from parallel_cal.cli.arguments import (
     Json,
     ModelFile,
     OptionalOut,
+    Parameters,
     with_options,
 )
 from parallel_cal.cli.recordings import data_options
@@ -43,6 +46,8 @@ def fit(
     force: ForceFit = False,
     options: Annotated[FitOptions, ("method", *FIT, "refit")],
     data: Data = None,
+    parameters: Parameters = False,
+    details: Details = False,
     as_json: Json = False,
 ) -> None:
     """Identify the free parameters and show the errors. The model is written to the file of -o if
@@ -55,7 +60,7 @@ def fit(
     step = fitted(
         start, dataset, force, options=options, progress=console.progress, effects=effect or ()
     )
-    _finish(step, bags, output, as_json)
+    _finish(step, _Run(model, bags, data, output, parameters, details), as_json)
 
 
 @with_options
@@ -68,6 +73,8 @@ def add(
     force: ForceAdd = False,
     options: FittingByMethod,
     data: Data = None,
+    parameters: Parameters = False,
+    details: Details = False,
     as_json: Json = False,
 ) -> None:
     """Add an effect and fit again. The model is written to the file of -o if the validation error
@@ -77,7 +84,7 @@ def add(
     start, dataset = read_model_and_data(model, bags, data)
     options = replace(options, insist=force)
     step = add(start, effect, dataset, force, options=options, progress=console.progress)
-    _finish(step, bags, output, as_json)
+    _finish(step, _Run(model, bags, data, output, parameters, details), as_json)
 
 
 @with_options
@@ -90,6 +97,8 @@ def remove(
     force: ForceRemove = False,
     options: FittingByMethod,
     data: Data = None,
+    parameters: Parameters = False,
+    details: Details = False,
     as_json: Json = False,
 ) -> None:
     """Remove an effect and fit again. The model is written to the file of -o, unless the validation
@@ -99,7 +108,7 @@ def remove(
     start, dataset = read_model_and_data(model, bags, data)
     options = replace(options, insist=force)
     step = remove(start, effect, dataset, force, options=options, progress=console.progress)
-    _finish(step, bags, output, as_json)
+    _finish(step, _Run(model, bags, data, output, parameters, details), as_json)
 
 
 def read_model_and_data(
@@ -112,27 +121,65 @@ def read_model_and_data(
     return model, load_sessions(bags, options, console.progress, mechanism=model.mechanism)
 
 
-def _finish(step: Step, bags: list[Path], output: Path | None, as_json: bool) -> None:
+@dataclass(frozen=True)
+class _Run:
+    """What a command was given, and what it shall print."""
+
+    model: Path
+    bags: list[Path]
+    data: list[str] | None
+    output: Path | None
+    parameters: bool
+    details: bool
+
+
+def _finish(step: Step, run: _Run, as_json: bool) -> None:
     """Write the model, then print the result, so that a failed write prints no success."""
     from parallel_cal.model.file.modelfile import model_hash, replace_model
 
+    output = run.output
     written = {}
+    following = "the same command with -o FILE, which writes the model"
     if output is not None:
         # `export` finds the touches of a printer's bed again by the paths of the recordings.
         *earlier, last = step.model.history
-        dataset = last["dataset"] | {"files": [path.as_posix() for path in bags]}
+        dataset = last["dataset"] | {"files": [path.as_posix() for path in run.bags]}
         model = replace(step.model, history=(*earlier, last | {"dataset": dataset}))
         replace_model(model, output)
         written = {"output": str(output), "hash": model_hash(model)}
+        following = command_line("diagnose", output, run.bags, run.data)
     console.progress("", 1.0)
-    console.warn(step.warnings)
+    console.warn(step.warnings, brief=not run.details)
     if as_json:
         return console.emit(step.document() | written)
-    from parallel_cal.reporting import text
+    from parallel_cal.reporting.results import describe
 
-    console.say(text.show(step))
+    console.show(describe(step), list_options(run.details, run.parameters))
     if written:
         console.say(f"written: {output} (sha256 {written['hash'][:12]})")
+    print_summary(step, following, is_command=bool(written))
+
+
+def list_options(details: bool, parameters: bool = False) -> list[str]:
+    """List the options that show details."""
+    return [*(["details"] if details else []), *(["parameters"] if parameters else [])]
+
+
+def command_line(
+    command: str, model: Path, bags: list[Path], data: list[str] | None, *others: str
+) -> str:
+    """Write a command that continues with these files."""
+    words = ["parallel-cal", command, str(model), *map(str, bags)]
+    return shlex.join([*words, *(f"--data={item}" for item in data or []), *others])
+
+
+def print_summary(result: object, following: str, is_command: bool) -> None:
+    """Print the last lines of a result, and what to do next."""
+    from parallel_cal.reporting.readable import COMMAND
+    from parallel_cal.reporting.summary import Line, summarize, summary_table
+
+    line = Line("next:", following, COMMAND if is_command else "")
+    console.show([summary_table([*summarize(result), line])])
 
 
 def compare(
@@ -140,6 +187,7 @@ def compare(
     bags: Bags,
     joint_sigma: JointSigma = None,
     data: Data = None,
+    details: Details = False,
     as_json: Json = False,
 ) -> None:
     """Show the errors of a model at every sample. The worst sample comes first. No parameter of the
@@ -149,9 +197,14 @@ def compare(
     judged, dataset = read_model_and_data(model, bags, data)
     compared = comparison.compare(judged, dataset, joint_sigma)
     console.progress("", 1.0)
-    console.warn(compared.dataset.warnings)
+    console.warn(compared.dataset.warnings, brief=not details)
     if as_json:
         return console.emit(compared.document())
-    from parallel_cal.reporting import text
+    from parallel_cal.reporting.results import describe
 
-    console.say(text.show(compared))
+    console.show(describe(compared), list_options(details))
+    if compared.given.fits_of_these_samples:
+        command = command_line("diagnose", model, bags, data)
+    else:
+        command = command_line("fit", model, bags, data, "-o", "fitted.yaml")
+    print_summary(compared, command, is_command=True)

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import shlex
+
 from parallel_cal.cli.arguments import (
     Also,
     Bags,
     Data,
+    Details,
     Fitting,
     Json,
     ModelFile,
     Tested,
     with_options,
 )
-from parallel_cal.cli.calibration import read_model_and_data
+from parallel_cal.cli.calibration import command_line, list_options, read_model_and_data
 from parallel_cal.reporting import console
 
 
@@ -25,6 +28,7 @@ def diagnose(
     also: Also = None,
     options: Fitting,
     data: Data = None,
+    details: Details = False,
     as_json: Json = False,
 ) -> None:
     """Find the physical effect that the model lacks. The verdict states how certain this is, and
@@ -41,9 +45,23 @@ def diagnose(
         progress=console.progress,
     )
     console.progress("", 1.0)
-    console.warn(found.best.fitted.warnings)
+    console.warn(found.best.fitted.warnings, brief=not details)
     if as_json:
         return console.emit(found.document())
-    from parallel_cal.reporting import text
+    from parallel_cal.reporting.readable import COMMAND
+    from parallel_cal.reporting.results import describe
+    from parallel_cal.reporting.summary import Line, name_files, summarize, summary_table
 
-    console.say(text.show(found))
+    console.show(describe(found), list_options(details))
+    # The proposed commands exclude samples themselves.
+    reading = [f"--data={item}" for item in data or [] if not item.startswith("exclude=")]
+    names = {
+        "MODEL": shlex.quote(str(model)),
+        "RECORDING": shlex.join([*map(str, bags), *reading]),
+        "BETTER.yaml": "better.yaml",
+    }
+    lines = [name_files(line, names) for line in summarize(found)]
+    if not found.next_steps:
+        command = command_line("report", model, bags, data, "-o", "report.html")
+        lines.append(Line("next:", command, COMMAND))
+    console.show([summary_table(lines)])

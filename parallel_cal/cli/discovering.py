@@ -59,7 +59,7 @@ def discover(
         return console.emit(found.document(files))
     from parallel_cal.reporting import text
 
-    console.say(text.show(found))
+    console.show(text.list_blocks(found))
     if output is not None and not files:
         console.say(f"nothing was written to {output}: no law was proven to be the robot's")
     if files:

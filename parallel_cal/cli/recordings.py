@@ -59,11 +59,9 @@ def info(
 def show_info(document: dict[str, Any], as_json: bool) -> None:
     if as_json:
         return console.emit(document)
-    from rich.console import Console
+    from parallel_cal.reporting.recorded import describe_info
 
-    from parallel_cal.reporting.recorded import print_info
-
-    print_info(document, Console())
+    console.show(describe_info(document))
 
 
 def import_csv(

@@ -207,7 +207,7 @@ def diagnose(folder: Folder, as_json: Json = False) -> None:
         return console.emit(found.document())
     from parallel_cal.reporting import text
 
-    console.say(text.show(found))
+    console.show(text.list_blocks(found))
 
 
 def discover(folder: Folder, as_json: Json = False) -> None:
@@ -221,7 +221,7 @@ def discover(folder: Folder, as_json: Json = False) -> None:
         return console.emit(found.document(files))
     from parallel_cal.reporting import text
 
-    console.say(text.show(found))
+    console.show(text.list_blocks(found))
     for file in files:
         console.say(f"written: {file}; next: parallel-cal session add {folder} {file.stem}")
 

@@ -13,17 +13,22 @@ digits. Texts are ASCII; a page writes um as µm.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from parallel_cal.reporting.readable import (
     MISSING,
+    Paint,
     columns,
     format_fixed,
     is_known,
     number,
+    plain,
+    probability,
     round_to_sigma,
+    short_probability,
+    wrap,
     write_micro,
 )
 
@@ -58,10 +63,23 @@ class Number:
 
 
 @dataclass(frozen=True)
+class PValue:
+    """A p-value: a terminal shows `< 0.001`, a page its exponent."""
+
+    value: float | None
+
+    def fixed(self) -> str:
+        return short_probability(self.value)
+
+    def on_page(self) -> str:
+        return probability(self.value)
+
+
+@dataclass(frozen=True)
 class Cell:
     """A cell with what only a page shows: a smaller line under it, a mark, a bar, a link."""
 
-    content: str | Number
+    content: str | Number | PValue
     under: str = ""
     key: float | None = None  # orders the rows; by default the value of a number
     mark: str = ""
@@ -70,12 +88,12 @@ class Cell:
 
     def on_page(self) -> str:
         """Write the content for a page."""
-        if isinstance(self.content, Number):
+        if not isinstance(self.content, str):
             return self.content.on_page()
         return MISSING if self.content == "-" else write_micro(self.content)
 
 
-Row = Sequence[Cell | Number | str]
+Row = Sequence[Cell | Number | PValue | str]
 DIGITS = " digits"  # of a key in the rows of the workbench: how its number is written
 
 
@@ -104,30 +122,65 @@ class Table:
         return [one if isinstance(one, Column) else Column(one) for one in self.columns]
 
 
-Block = Table | str
+@dataclass(frozen=True)
+class Detail:
+    """A table or a sentence that a terminal shows only with this option; pages always show it."""
+
+    block: Table | str
+    option: str = "details"
 
 
-def as_cell(cell: Cell | Number | str) -> Cell:
+Block = Table | Detail | str
+
+
+def as_cell(cell: Cell | Number | PValue | str) -> Cell:
     return cell if isinstance(cell, Cell) else Cell(cell)
 
 
-def as_text(blocks: Iterable[Block]) -> str:
-    """Render blocks for a terminal."""
-    return "\n".join(block if isinstance(block, str) else _as_columns(block) for block in blocks)
+def uncover(
+    blocks: Iterable[Block], options: Collection[str] | None = None
+) -> Iterator[Table | str]:
+    """Yield tables and sentences, with the details of these options; None: with all details."""
+    for block in blocks:
+        if not isinstance(block, Detail):
+            yield block
+        elif options is None or block.option in options:
+            yield block.block
 
 
-def _as_columns(table: Table) -> str:
+def as_text(
+    blocks: Iterable[Block],
+    options: Collection[str] = (),
+    width: int | None = None,
+    paint: Paint = plain,
+) -> str:
+    """Render blocks for a terminal, with the details of `options`.
+
+    With a width, lines are broken between words; without one, a sentence is one line.
+    """
+    return "\n".join(
+        _as_columns(block, width, paint)
+        if isinstance(block, Table)
+        else block
+        if width is None
+        else "\n".join(wrap(block, width, "  "))
+        for block in uncover(blocks, options)
+    )
+
+
+def _as_columns(table: Table, width: int | None, paint: Paint) -> str:
     headings = table.headings()
     rows = [
-        [
-            content.fixed() if isinstance(content, Number) else content
-            for heading, cell in zip(headings, row, strict=True)
-            if heading.on_terminal
-            for content in [as_cell(cell).content]
-        ]
+        [as_cell(cell) for heading, cell in zip(headings, row, strict=True) if heading.on_terminal]
         for row in table.rows
     ]
-    return columns([heading.name for heading in headings if heading.on_terminal], rows)
+    texts = [
+        [c.content if isinstance(c.content, str) else c.content.fixed() for c in row]
+        for row in rows
+    ]
+    marks = [[cell.mark for cell in row] for row in rows]
+    names = [heading.name for heading in headings if heading.on_terminal]
+    return columns(names, texts, width, paint, marks)
 
 
 def as_rows(table: Table) -> dict[str, Any]:

@@ -84,10 +84,15 @@ class HeldOutErrors:
     @property
     def kinds(self) -> list[str]:
         """The kinds of error: of the pose; if none was measured, of readings, or of joints."""
-        for group in (("position", "orientation"), ("reading",), ("joint",)):
-            if kinds := [k for k in group if self.now.rms(k) or self.noise.rms(k)]:
-                return kinds
-        return []
+        return list_shown_kinds(self.now, self.noise)
+
+
+def list_shown_kinds(errors: Summary, noise: Summary) -> list[str]:
+    """List the kinds of error of the pose; if none was measured, of readings, or of joints."""
+    for group in (("position", "orientation"), ("reading",), ("joint",)):
+        if kinds := [kind for kind in group if errors.rms(kind) or noise.rms(kind)]:
+            return kinds
+    return []
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,16 @@ from html import escape
 from itertools import compress
 from typing import Any
 
-from parallel_cal.reporting.blocks import Block, Cell, Column, Number, Row, Table, as_cell
+from parallel_cal.reporting.blocks import (
+    Block,
+    Cell,
+    Column,
+    Number,
+    Row,
+    Table,
+    as_cell,
+    uncover,
+)
 from parallel_cal.reporting.readable import is_known, write_micro
 
 BLANK = ' class="blank"'
@@ -19,7 +28,8 @@ Plot = Callable[[Mapping[str, Any]], str]  # keeps a figure for the page, return
 def as_html(blocks: Iterable[Block]) -> str:
     """Render blocks: a sentence is a paragraph, a table has a box that scrolls."""
     return "".join(
-        paragraph(block) if isinstance(block, str) else _render_table(block) for block in blocks
+        paragraph(block) if isinstance(block, str) else _render_table(block)
+        for block in uncover(blocks)
     )
 
 

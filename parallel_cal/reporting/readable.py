@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, TypeGuard
 
 from parallel_cal.base.units import ERROR_SI_UNITS, LARGE_UNITS, SMALL_UNITS
@@ -18,6 +19,18 @@ SMALL = SMALL_UNITS | {
 }
 LARGE = LARGE_UNITS | {"degC": ("°C", 1.0), "1": ("", 1.0)}
 MISSING = "–"
+HIGHEST_PERCENT = 99  # a probability is not stated more closely than its model is right
+WIDTH = 80  # columns of a terminal that every table should fit
+# Marks of cells, by which a terminal colours them and pages style them.
+HEADING, COMMAND, FOUND, ODD, LABEL = "heading", "command", "found", "odd", "label"
+Paint = Callable[[str, str], str]  # colours a text by its mark
+
+
+def plain(text: str, mark: str) -> str:
+    """Return the text without a colour."""
+    return text
+
+
 ABOUT_SAMPLES = (
     "Samples are counted from 0, in the order of the recording. The sigmas of a sample are the rms "
     "of its residuals, in standard deviations of the noise. After a fit, these residuals are "
@@ -128,6 +141,15 @@ def percent(share: float | None, digits: int = 0, missing: str = MISSING) -> str
     return f"{round(100 * share, digits) + 0.0:.{digits}f} %" if is_known(share) else missing
 
 
+def format_percent(probability: float) -> str:
+    """`84 %`; near certainty as `> 99 %`, near impossibility as `< 1 %`."""
+    if probability > HIGHEST_PERCENT / 100:
+        return f"> {HIGHEST_PERCENT} %"
+    if probability < 1 - HIGHEST_PERCENT / 100:
+        return f"< {100 - HIGHEST_PERCENT} %"
+    return f"{100 * probability:.0f} %"
+
+
 def unit_of(kind: str, joint_units: Mapping[str, str]) -> str:
     """Return the SI unit of an error kind; rad|m for a mix of revolute and prismatic joints."""
     units = set(joint_units.values())
@@ -149,17 +171,98 @@ def in_unit(value: float | None, unit: str, digits: int = 4) -> tuple[str, str]:
     return format_fixed(value, factor, digits), name
 
 
-def columns(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Format a short table without frames, with numbers aligned to the right."""
-    lines = [list(header), *([str(cell) for cell in row] for row in rows)]
-    widths = [max(len(line[k]) for line in lines) for k in range(len(header))]
-    right = [
-        all(not line[k].strip("<+-0123456789.e ") for line in lines[1:]) for k in range(len(header))
-    ]
-    return "\n".join(
-        "  ".join(
-            cell.rjust(width) if numbers else cell.ljust(width)
-            for cell, width, numbers in zip(line, widths, right, strict=True)
-        ).rstrip()
-        for line in lines
+def short_probability(p: float | None) -> str:
+    """Format a p-value for a terminal: two digits, or `< 0.001`."""
+    if not is_known(p):
+        return "-"
+    return f"{p:.2g}" if p >= 1e-3 else "< 0.001"
+
+
+def columns(
+    header: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    width: int | None = None,
+    paint: Paint = plain,
+    marks: Sequence[Sequence[str]] = (),
+) -> str:
+    """Format a short table without frames, with numbers aligned to the right.
+
+    Where the table is wider than `width` (80 if none is given), headings are broken between words.
+    Texts in cells are broken only if a width is given: a pipe gets one line for each row. `marks`
+    has a mark for each cell, with which `paint` colours it.
+    """
+    body = [[str(cell) for cell in row] for row in rows]
+    lines = [list(header), *body]
+    heads, blank = [HEADING] * len(header), [[""] * len(header)] * len(body)
+    right = [all(not row[k].strip("<+-0123456789.e %") for row in body) for k in range(len(header))]
+    longest = [max((len(row[k]) for row in body), default=0) for k in range(len(header))]
+    widths = [max(len(name), size) for name, size in zip(header, longest, strict=True)]
+    floors = [max(_longest_word(name), size) for name, size in zip(header, longest, strict=True)]
+    widths = _narrow(widths, floors, width or WIDTH)
+    for k, name in enumerate(header):
+        while widths[k] > floors[k] and 1 < len(wrap(name, widths[k])) == len(
+            wrap(name, widths[k] - 1)
+        ):
+            widths[k] -= 1  # the lines of a broken heading are about equally long
+    if width is not None:
+        words = [max(_longest_word(line[k]) for line in lines) for k in range(len(header))]
+        texts = [
+            size if numbers else word
+            for size, word, numbers in zip(widths, words, right, strict=True)
+        ]
+        widths = _narrow(widths, texts, width)
+        widths = _narrow(widths, words, width)  # at last, vectors between their numbers
+    shown = []
+    for line, of_line in zip(lines, [heads, *(marks or blank)], strict=True):
+        if not any(line):  # a table without headings
+            continue
+        parts = [_break_cell(*cell) for cell in zip(line, widths, of_line, strict=True)]
+        height = max(map(len, parts))
+        for part in parts:  # a heading stands directly above its column
+            more = [""] * (height - len(part))
+            part[:] = more + part if line is lines[0] else part + more
+        for pieces in zip(*parts, strict=True):
+            last = max(k for k, text in enumerate(pieces) if text)
+            shown.append(
+                "  ".join(
+                    paint(
+                        text.rjust(size) if numbers else text.ljust(size if k < last else 0), mark
+                    )
+                    for k, (text, size, numbers, mark) in enumerate(
+                        zip(pieces[: last + 1], widths, right, of_line, strict=False)
+                    )
+                )
+            )
+    return "\n".join(shown)
+
+
+def _break_cell(cell: str, width: int, mark: str) -> list[str]:
+    """Break a cell between words; a command ends its lines so that a shell reads them as one."""
+    if len(cell) <= width:
+        return [cell]
+    if mark == COMMAND:
+        *lines, last = wrap(cell, width - len(" \\"))
+        return [*(f"{line} \\" for line in lines), last]
+    return wrap(cell, width)
+
+
+def _longest_word(text: str) -> int:
+    return max(map(len, text.split()), default=0)
+
+
+def _narrow(widths: Sequence[int], floors: Sequence[int], width: int) -> list[int]:
+    """Narrow the widest columns that are above their floor until the table fits."""
+    found = list(widths)
+    for _ in range(sum(found) + 2 * (len(found) - 1) - width):
+        loose = [k for k, floor in enumerate(floors) if found[k] > floor]
+        if not loose:
+            break
+        found[max(loose, key=lambda k: found[k])] -= 1
+    return found
+
+
+def wrap(text: str, width: int, indent: str = "") -> list[str]:
+    """Break a text between words; lines after the first begin with `indent`."""
+    return textwrap.wrap(
+        text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
     )

@@ -3,39 +3,35 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
 from parallel_cal.base.units import ARCMIN
 from parallel_cal.recordings.channels import find_channel, list_channels
+from parallel_cal.reporting.blocks import Block, Table
 from parallel_cal.reporting.readable import format_fixed_vector
 
-if TYPE_CHECKING:
-    from rich.console import Console
 
-
-def print_info(document: dict[str, Any], console: Console) -> None:
-    """Print the document as short tables, in units for people."""
-    from rich.markup import escape
-
+def describe_info(document: dict[str, Any]) -> Iterator[Block]:
+    """Describe the document as short tables and sentences, in units for people."""
     duration = document["duration"]
     size = "samples" if duration is None else f"{duration:.1f} s"
-    console.print(f"{document['source']}: {size}, sha256 {document['sha256'][:12]}")
+    yield f"{document['source']}: {size}, sha256 {document['sha256'][:12]}"
     if document["topics"]:
-        console.print(_topic_table(document))
-    console.print(_joint_table(document))
-    console.print(_sample_sentence(document))
+        yield _topic_table(document)
+    yield _joint_table(document)
+    yield _sample_sentence(document)
     for reason, count in document["dropped"].items():
         first = next(d for d in document["dropped_list"] if d["reason"] == reason)
-        line = f"  dropped {count}: {reason}; first at {first['time']:.2f} s: {first['detail']}"
-        console.print(escape(line), highlight=False)
+        yield f"  dropped {count}: {reason}; first at {first['time']:.2f} s: {first['detail']}"
     names = list_channels("condition", among=document["conditions"])
     units = {name: channel.unit for name in names if (channel := find_channel(name))}
     units["time"] = "s"
     for name, unit in units.items():
         if span := document["conditions"].get(name):
-            console.print(f"{name}: {span['min']:.2f} to {span['max']:.2f} {unit}", highlight=False)
+            yield f"{name}: {span['min']:.2f} to {span['max']:.2f} {unit}"
     for kind, noise in document["noise"].items():
         pose, parts = noise["pose"], []
         if any(v is not None for v in pose):
@@ -46,36 +42,37 @@ def print_info(document: dict[str, Any], console: Console) -> None:
         about = f" ({noise['dof']} degrees of freedom)" if "dof" in noise else ""
         label = kind.replace("_", " ")
         if parts:
-            console.print(f"noise {label}, 1 sigma{about}: {', '.join(parts)}", highlight=False)
+            yield f"noise {label}, 1 sigma{about}: {', '.join(parts)}"
     for warning in document["warnings"]:
-        console.print(f"[yellow]warning:[/yellow] {escape(warning)}", highlight=False)
+        yield f"warning: {warning}"
 
 
-def _topic_table(document: dict[str, Any]) -> Any:
+def _topic_table(document: dict[str, Any]) -> Table:
     """Make the table of topics with type, count, rate and channel."""
-    from rich.table import Table
-
-    table = Table("topic", "type", "messages", "rate", "used for", box=None, pad_edge=False)
     used = {topic: channel for channel, topic in document["channels"].items() if topic}
-    for t in document["topics"]:
-        rate = f"{t['rate']:.1f} Hz" if t["rate"] else ""
-        table.add_row(t["name"], t["type"], str(t["count"]), rate, used.get(t["name"], ""))
-    return table
+    rows = [
+        (
+            t["name"],
+            t["type"],
+            str(t["count"]),
+            f"{t['rate']:.1f}" if t["rate"] else "-",
+            used.get(t["name"], ""),
+        )
+        for t in document["topics"]
+    ]
+    return Table(("topic", "type", "messages", "rate [Hz]", "used for"), rows)
 
 
-def _joint_table(document: dict[str, Any]) -> Any:
+def _joint_table(document: dict[str, Any]) -> Table:
     """Make the table of joints and their ranges, also in degrees unless a joint is prismatic. A
     topic does not tell the type of a joint; a column map does."""
-    from rich.table import Table
-
     known = all("unit" in span for span in document["joints"].values())
-    angles = "in degrees" if known else "(if revolute)"
-    table = Table("joint", "from", "to", angles, box=None, pad_edge=False)
+    rows = []
     for name, span in document["joints"].items():
         low, high, unit = span["min"], span["max"], span.get("unit", "rad|m")
         degrees = "" if unit == "m" else f"{np.degrees(low):.2f} to {np.degrees(high):.2f} deg"
-        table.add_row(name, f"{low:.4f} {unit}", f"{high:.4f} {unit}", degrees)
-    return table
+        rows.append((name, f"{low:.4f} {unit}", f"{high:.4f} {unit}", degrees))
+    return Table(("joint", "from", "to", "in degrees" if known else "(if revolute)"), rows)
 
 
 def _sample_sentence(document: dict[str, Any]) -> str:

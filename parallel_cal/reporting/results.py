@@ -18,7 +18,16 @@ from parallel_cal.identification.fit import FitResult, ParameterEstimate
 from parallel_cal.identification.prediction_errors import ERRORS, Summary
 from parallel_cal.model.model import Model
 from parallel_cal.model.region import describe_workspace_excess
-from parallel_cal.reporting.blocks import Block, Cell, Column, Number, Row, Table
+from parallel_cal.reporting.blocks import (
+    Block,
+    Cell,
+    Column,
+    Detail,
+    Number,
+    PValue,
+    Row,
+    Table,
+)
 from parallel_cal.reporting.contents import DescribedParameter, HeldOutErrors, JudgedSample
 from parallel_cal.reporting.contents import parameters as describe_parameters
 from parallel_cal.reporting.figures import MAX_MOVED_TOLERANCES
@@ -29,14 +38,16 @@ from parallel_cal.reporting.readable import (
     format_fixed_vector,
     format_judged_errors,
     is_known,
+    name_p_value,
     number,
     percent,
-    probability,
+    short_probability,
     unit_of,
     value_unit,
     vector,
     with_sigma,
 )
+from parallel_cal.reporting.summary import describe_result_errors
 
 if TYPE_CHECKING:
     from parallel_cal.diagnosis.catalogue import Candidate
@@ -49,11 +60,10 @@ if TYPE_CHECKING:
 
 # Limits on what one screen shows.
 MAX_CANDIDATES = 8
-HIGHEST_PERCENT = 99  # a probability is not stated more closely than its model is right
-MAX_SAMPLES = 10
+MAX_SAMPLES = 5
 MAX_PATTERNS = 5
 MAX_ESTIMATES = 4  # parameters of an effect that are shown; gears have a dozen
-PATTERN_SIGNIFICANCE_LEVEL = 0.05  # below it a pattern of the errors is shown
+PATTERN_SIGNIFICANCE_LEVEL = 0.05  # below it a terminal shows an effect or a pattern of the errors
 # How a model and the samples of a figure are related.
 IN_SAMPLE = "poses (not held out)"
 UNUSED = "poses (no fit of this model used them)"
@@ -104,7 +114,7 @@ def describe_step(step: Step) -> Iterator[Block]:
         )
         beyond = describe_workspace_excess(step.result.model, step.result.region)
         where = f"these errors are of samples in {step.result.region.description}"
-        yield f"{where}; {beyond}" if beyond else where
+        yield f"{where}; {beyond}" if beyond else Detail(where)
 
 
 def describe_fit(result: FitResult, without: FitResult | None = None) -> Iterator[Block]:
@@ -122,6 +132,9 @@ def describe_fit(result: FitResult, without: FitResult | None = None) -> Iterato
         "held-out, after": result.held_out.summary,
     }
     estimate = result.estimate
+    if result.held_out.summary.is_known:
+        errors = describe_result_errors(result.held_out.summary, rival.summary, result.noise_floor)
+        yield f"error at held-out poses {errors}"
     yield (
         f"{result.samples} samples, {estimate.spectrum.rank} of {result.free.sum()} free "
         f"parameters identified, chi2/dof {format_fixed(estimate.chi2_per_dof)}"
@@ -130,9 +143,10 @@ def describe_fit(result: FitResult, without: FitResult | None = None) -> Iterato
     yield from describe_images(result)
     for budget in result.budgets[:1]:
         yield budget_table(budget)
-        yield budget_sentence(budget)
-    yield from map(iso_sentence, result.iso_9283[:1])
-    yield parameter_table(select_shown_parameters(result.model, describe_parameters(result)))
+        yield Detail(budget_sentence(budget))
+    yield from map(Detail, map(iso_sentence, result.iso_9283[:1]))
+    shown = select_shown_parameters(result.model, describe_parameters(result))
+    yield Detail(parameter_table(shown), "parameters")
 
 
 def saving_table(models: Sequence[ComparedModel]) -> Table:
@@ -299,7 +313,8 @@ def parameter_table(parameters: Mapping[str, DescribedParameter]) -> Table:
 
 def describe_comparison(comparison: Comparison) -> Iterator[Block]:
     """Describe errors, the worst samples, patterns of the errors, and odd samples."""
-    yield f"{len(comparison.observations)} samples"
+    shown = describe_result_errors(comparison.errors.summary, None, comparison.noise)
+    yield f"{len(comparison.observations)} samples: error {shown}"
     errors = {"error": comparison.errors.summary}
     if comparison.given.is_registered:
         # Without start values, a camera predicts nothing as given.
@@ -312,11 +327,11 @@ def describe_comparison(comparison: Comparison) -> Iterator[Block]:
             f"held-out, {comparison.given.label}": comparison.held_out.summary,
         }
     yield errors_table(errors, comparison.noise, comparison.model)
-    yield from map(iso_sentence, comparison.iso_9283[:1])
+    yield from map(Detail, map(iso_sentence, comparison.iso_9283[:1]))
     yield "worst samples:"
     yield _worst_samples(comparison)
     rows = [
-        (a.name, Number(a.strength, 1, 1), f"{a.p_value:.2g}")
+        (a.name, Number(a.strength, 1, 1), PValue(a.p_value))
         for a in comparison.residual_profiles[:MAX_PATTERNS]
         if a.p_value < PATTERN_SIGNIFICANCE_LEVEL
     ]
@@ -329,7 +344,7 @@ def describe_comparison(comparison: Comparison) -> Iterator[Block]:
     yield (
         f"worst region: {worst.region}, "
         f"{format_fixed(worst.position_rms or worst.reading_rms, 1e6, 0)} um rms; "
-        f"structure: p = {comparison.structure.p_value:.2g}"
+        f"structure: {name_p_value(short_probability(comparison.structure.p_value))}"
     )
     for one in comparison.odd_samples[:MAX_PATTERNS]:
         at = format_fixed_vector(one.place, 1e3, 1)
@@ -370,15 +385,40 @@ def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
         "held-out, with it": diagnosis.best.fitted.held_out.summary,
     }
     yield f"{diagnosis.verdict.word}: {diagnosis.verdict.summary}"
-    yield from describe_causes(diagnosis)
     yield errors_table(judged, diagnosis.best.fitted.noise_floor, diagnosis.model)
     tested = [e for e in diagnosis.entries if e.p_adjusted is not None][:MAX_CANDIDATES]
-    yield candidate_table(diagnosis, tested)
+    likely = [
+        entry
+        for entry in tested
+        if entry.name in diagnosis.effects or (entry.p_adjusted or 0.0) < PATTERN_SIGNIFICANCE_LEVEL
+    ]
+    others = [entry for entry in tested if entry not in likely]
+    if likely:
+        yield candidate_table(diagnosis, likely)
+    if others:
+        yield Detail(candidate_table(diagnosis, others))
     yield from _describe_settings(diagnosis, [entry.candidate for entry in tested])
-    for entry in diagnosis.entries:
-        was_scored = entry in tested or entry.candidate.score is not None
-        if entry.candidate.missing or (entry.reason and was_scored):
-            yield f"{entry.name}: {entry.reason}"
+    reasons = [
+        f"{entry.name}: {entry.reason}"
+        for entry in diagnosis.entries
+        if entry.candidate.missing
+        or (entry.reason and (entry in tested or entry.candidate.score is not None))
+    ]
+    for entry in tested:
+        if entry.confused_with:
+            words = f"{entry.name} is confused with {', '.join(entry.confused_with)}"
+            yield words if entry.name in diagnosis.effects else Detail(words)
+    hidden = [
+        *([f"{len(others)} effects that are not significant"] if others else []),
+        *(
+            [f"{len(reasons)} remarks, such as what is missing to test an effect"]
+            if reasons
+            else []
+        ),
+    ]
+    if hidden:
+        yield f"--details lists {' and '.join(hidden)}"
+    yield from map(Detail, reasons)
     for one in diagnosis.odd_samples[:MAX_CANDIDATES]:
         when = "" if math.isnan(one.time) else f"{one.time:.1f} s, "
         yield (
@@ -386,8 +426,6 @@ def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
             f"{when}{one.sigmas:.1f} sigmas, Cook's "
             f"distance {one.cooks_distance:.2f} (--data exclude={one.sample} excludes it)"
         )
-    for step in diagnosis.next_steps:
-        yield f"next: {step}"
     for advice in diagnosis.measure_next.advice:
         yield f"measure next: {advice}"
     if plan := diagnosis.measure_next.plan:
@@ -396,27 +434,6 @@ def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
             f"{' from '.join(plan.separates)} "
             f"by {plan.sigmas.then:.1f} sigmas; the present samples do by {plan.sigmas.now:.1f}"
         )
-
-
-def describe_causes(diagnosis: Diagnosis) -> Iterator[str]:
-    """Answer two questions: what is missing, with probabilities, and whether anything is left."""
-    for cause in diagnosis.missing:
-        each = [f"{name} {format_percent(p)}" for name, p in cause["each"].items()]
-        yield f"missing: {', or '.join(each)}"
-    if not diagnosis.missing:
-        yield "missing: no effect of the catalogue"
-    laws = [f"{name} ({format_percent(p)})" for name, p in diagnosis.explanation.laws.items()]
-    what = f", described best by an unknown {' and an unknown '.join(laws)}" if laws else ""
-    yield f"left: {diagnosis.left}{what}"
-
-
-def format_percent(probability: float) -> str:
-    """`84 %`; near certainty as `> 99 %`, near impossibility as `< 1 %`."""
-    if probability > HIGHEST_PERCENT / 100:
-        return f"> {HIGHEST_PERCENT} %"
-    if probability < 1 - HIGHEST_PERCENT / 100:
-        return f"< {100 - HIGHEST_PERCENT} %"
-    return f"{100 * probability:.0f} %"
 
 
 def _describe_settings(diagnosis: Diagnosis, tested: Sequence[Candidate]) -> Iterator[str]:
@@ -490,7 +507,7 @@ def candidate_table(diagnosis: Diagnosis, entries: Sequence[Entry]) -> Table:
         "explains",
         "first pick",
         "not geometry",
-        "confused with",
+        Column("confused with", on_terminal=False),
     )
     rows = []
     for entry in entries:
@@ -507,7 +524,7 @@ def candidate_table(diagnosis: Diagnosis, entries: Sequence[Entry]) -> Table:
             (
                 str(entry.rank),
                 Cell(entry.name, effect.physics + cure, mark="found" if found else ""),
-                probability(p),
+                PValue(p),
                 percent(alone.ratio if alone else None, 1, "-"),
                 Cell(fall or "-", estimates),
                 percent(alone.share_explained if alone else None, missing="-"),

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from typing import Any
 
-from parallel_cal.reporting.blocks import as_text
+from parallel_cal.reporting.blocks import Block, as_text
 from parallel_cal.reporting.markup import as_html
 from parallel_cal.reporting.results import describe
+from parallel_cal.reporting.summary import summarize, summary_table
 
 
-def show(result: Any, html: bool = False) -> str:
+def show(result: Any, html: bool = False, details: bool = False) -> str:
     """Format a result as the command line prints it, or as a notebook shows it.
 
     Parameters
     ----------
     result : FitResult, Step, Comparison, Diagnosis or Discovery
     html : bool, optional
-        Make HTML with tables instead of text.
+        Make HTML with tables, and with all details, instead of text.
+    details : bool, optional
+        Add to a text what the options --parameters and --details of the commands add.
 
     Returns
     -------
@@ -33,7 +36,15 @@ def show(result: Any, html: bool = False) -> str:
     >>> model = pc.read_model("config/delta_mockup_nominal.yaml")
     >>> data = pc.load_dataset("bags/delta_backlash", joints=model.joints)
     >>> print(pc.show(pc.compare(model, data)).splitlines()[0])
-    94 samples
+    94 samples: error 606 um, 25 arcmin; noise floor 30 um, 0.433 arcmin
     """
-    blocks = describe(result)
-    return as_html(blocks) if html else as_text(blocks)
+    if html:
+        lines = summarize(result)
+        return as_html([*describe(result), *(f"{line.label} {line.text}" for line in lines)])
+    return as_text(list_blocks(result), ("details", "parameters") if details else ())
+
+
+def list_blocks(result: Any) -> list[Block]:
+    """List the blocks of a result, and at last the table of its last lines."""
+    lines = summarize(result)
+    return [*describe(result), *([summary_table(lines)] if lines else [])]

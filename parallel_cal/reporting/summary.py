@@ -1,0 +1,170 @@
+"""The last lines of a command: the errors before and after, the noise, and what is missing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from parallel_cal.identification.acceptance import format_errors
+from parallel_cal.identification.fit import FitResult
+from parallel_cal.identification.fit_warnings import chi2_band
+from parallel_cal.identification.prediction_errors import Summary
+from parallel_cal.reporting.blocks import Cell, Table
+from parallel_cal.reporting.contents import list_shown_kinds
+from parallel_cal.reporting.readable import (
+    COMMAND,
+    FOUND,
+    LABEL,
+    ODD,
+    error_unit,
+    format_percent,
+    number,
+    unit_of,
+    with_sigma,
+)
+
+if TYPE_CHECKING:
+    from parallel_cal.diagnosis.comparison import Comparison
+    from parallel_cal.diagnosis.diagnose import Diagnosis
+    from parallel_cal.model.model import Model
+    from parallel_cal.session.steps import Step
+
+PROGRAM = "parallel-cal"
+HELD_OUT = " (rms at held-out poses)"
+
+
+class Line(NamedTuple):
+    """One of the last lines; the mark colours its text."""
+
+    label: str
+    text: str
+    mark: str = ""
+
+
+def summarize(result: Any) -> list[Line]:
+    """List the last lines of a result; empty for a result without any."""
+    # By name: the classes of a diagnosis need not be imported to show a fit.
+    functions: dict[str, Callable[[Any], Iterator[Line]]] = {
+        "Step": _summarize_step,
+        "FitResult": _summarize_fit,
+        "Comparison": _summarize_comparison,
+        "Diagnosis": _summarize_diagnosis,
+    }
+    summarizer = functions.get(type(result).__name__)
+    return [] if summarizer is None else list(summarizer(result))
+
+
+def summary_table(lines: Sequence[Line]) -> Table:
+    """Make a table of the last lines; it has no headings."""
+    rows = [(Cell(one.label, mark=LABEL), Cell(one.text, mark=one.mark)) for one in lines]
+    return Table(("", ""), rows)
+
+
+def name_files(line: Line, names: Mapping[str, str]) -> Line:
+    """Replace the placeholders of a command, such as MODEL, by the files of this run."""
+    if line.mark != COMMAND:
+        return line
+    words = [names.get(word, word) for word in line.text.split(" ")]
+    return line._replace(text=" ".join(words))
+
+
+def describe_result_errors(after: Summary, before: Summary | None, noise: Summary) -> str:
+    """Say the errors in one line: `from 606 to 37.6 um; noise floor 30 um`."""
+    floor = f"; noise floor {format_errors(noise)}" if noise.is_known else ""
+    return f"{format_errors(after, before)}{floor}"
+
+
+def _summarize_step(step: Step) -> Iterator[Line]:
+    yield from _summarize_fit(step.result, (step.errors_to_beat, step.sigmas_to_beat))
+
+
+def _summarize_fit(
+    result: FitResult, before: tuple[Summary, Mapping[str, float]] | None = None
+) -> Iterator[Line]:
+    """Compare with `before`, errors and their standard deviations; the given model by default."""
+    after, noise = result.held_out.summary, result.noise_floor
+    if before is None:
+        given = result.held_out_before
+        before = given.summary, result.rms_sigmas(given)
+    write = _writer(result.model, after, noise)
+    yield Line("before:", write(*before) + HELD_OUT)
+    yield Line("after:", write(after, result.rms_sigmas(result.held_out)), FOUND)
+    yield Line("noise:", write(noise, result.simulated_noise.sigmas))
+    estimate = result.estimate
+    if result.observations.noise_assumed:
+        yield Line("missing:", "not known, because the noise is not stated")
+    elif estimate.chi2_per_dof > chi2_band(estimate.dof)[1]:
+        yield Line("missing:", _describe_excess(result.model, after, noise), ODD)
+    else:
+        yield Line("missing:", "nothing larger than the noise")
+
+
+def _summarize_comparison(comparison: Comparison) -> Iterator[Line]:
+    errors, noise = comparison.errors, comparison.noise
+    write = _writer(comparison.model, errors.summary, noise)
+    yield Line("error:", write(errors.summary, {}) + " (rms)")
+    yield Line("noise:", write(noise, comparison.noise_sigmas))
+    if comparison.observations.noise_assumed:
+        yield Line("missing:", "not known, because the noise is not stated")
+    elif comparison.scene.chi2_per_dof > chi2_band(comparison.scene.dof)[1]:
+        yield Line("missing:", _describe_excess(comparison.model, errors.summary, noise), ODD)
+    else:
+        yield Line("missing:", "nothing larger than the noise")
+
+
+def _summarize_diagnosis(diagnosis: Diagnosis) -> Iterator[Line]:
+    """Answer two questions: what is missing, with probabilities, and whether anything is left."""
+    base, best = diagnosis.base.fitted, diagnosis.best.fitted
+    now, noise = base.held_out.summary, best.noise_floor
+    write = _writer(diagnosis.model, now, noise)
+    yield Line("now:", write(now, base.rms_sigmas(base.held_out)) + HELD_OUT)
+    if diagnosis.effects:
+        errors = write(best.held_out.summary, best.rms_sigmas(best.held_out))
+        yield Line("with it:", f"{errors} with {' and '.join(diagnosis.effects)}", FOUND)
+    yield Line("noise:", write(noise, best.simulated_noise.sigmas))
+    for cause in diagnosis.missing:
+        each = [f"{name} {format_percent(p)}" for name, p in cause["each"].items()]
+        yield Line("missing:", ", or ".join(each), ODD)
+    if not diagnosis.missing:
+        yield Line("missing:", "no effect of the catalogue")
+    laws = [f"{name} ({format_percent(p)})" for name, p in diagnosis.explanation.laws.items()]
+    what = f", described best by an unknown {' and an unknown '.join(laws)}" if laws else ""
+    yield Line("left:", f"{diagnosis.left}{what}")
+    for number_of_step, step in enumerate(diagnosis.next_steps):
+        reason, is_command, words = step.partition(f": {PROGRAM} ")
+        yield Line("then:" if number_of_step else "next:", reason)
+        if is_command:
+            yield Line("", f"{PROGRAM} {words}", COMMAND)
+
+
+def _writer(
+    model: Model, errors: Summary, noise: Summary
+) -> Callable[[Summary, Mapping[str, float]], str]:
+    """Return a function that writes errors and their standard deviations in ASCII."""
+    kinds = list_shown_kinds(errors, noise)
+    units = dict(zip(model.joints, model.mechanism.joint_units, strict=True))
+
+    def write(shown: Summary, sigmas: Mapping[str, float]) -> str:
+        parts = []
+        for kind in kinds:
+            if shown.rms(kind) is None:
+                continue
+            name, factor = error_unit(unit_of(kind, units))
+            text = f"{with_sigma(shown.rms(kind), sigmas.get(kind), factor)} {name}"
+            parts.append(text.replace("±", "+-").replace("µ", "u"))
+        return ", ".join(parts) or "not known"
+
+    return write
+
+
+def _describe_excess(model: Model, errors: Summary, noise: Summary) -> str:
+    """Say how large the part of the error is that is not noise."""
+    units = dict(zip(model.joints, model.mechanism.joint_units, strict=True))
+    for kind in list_shown_kinds(errors, noise):
+        error, floor = errors.rms(kind), noise.rms(kind)
+        if error is not None and floor is not None and error > floor:
+            name, factor = error_unit(unit_of(kind, units))
+            excess = number(math.sqrt(error**2 - floor**2), factor)
+            return f"an error of {excess} {name.replace('µ', 'u')} (rms) beside the noise"
+    return "an error beside the noise"
