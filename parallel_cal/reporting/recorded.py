@@ -60,7 +60,7 @@ def _topic_table(document: dict[str, Any]) -> Table:
         )
         for t in document["topics"]
     ]
-    return Table(("topic", "type", "messages", "rate [Hz]", "used for"), rows)
+    return Table(("topic", "type", "count", "rate [Hz]", "used for"), rows)
 
 
 def _joint_table(document: dict[str, Any]) -> Table:
