@@ -110,7 +110,7 @@ class Evidence:
         return float(self._log_t(self._squares, self._log_det)) + self.log_prior
 
     def beside(self, stack: Stack) -> np.ndarray:
-        """The same (m, sizes) with one more cause, for each of its settings and sizes.
+        """The log posterior (m, sizes) with one more cause, for each of its settings and sizes.
 
         With orthogonal columns B of the cause, and Z the part of the chosen ones in their
         directions, its matrix is 1 + s^2 (B'B - Z'Z). The smaller one of this and of 1 - s^2 Z

@@ -24,8 +24,6 @@ from parallel_cal.identification.thresholds import (
 )
 from parallel_cal.model.model import Model
 
-MAX_DAMPING_GROWTH = 24.0  # by one step: it falls slower again
-
 # Arguments: the parameters, the previous system (None at the start), and the step (n_free,) from
 # the parameters of that system. Returns the system at the parameters; None without a solution.
 Reach = Callable[[np.ndarray, System | None, np.ndarray], System | None]
@@ -63,6 +61,24 @@ class _Point:
         return self.system.chi2 + self.known - self.system.chi2_of(other.system) - other.known
 
 
+@dataclass
+class _Damping:
+    """How much steps are shortened. It grows the faster, the more bad steps follow one another
+    (Nielsen, Technical University of Denmark, IMM-REP-1999-05)."""
+
+    value: float = 1e-6
+    growth: float = 3.0
+
+    def follow(self, fall: float, promised: float) -> None:
+        """Learn from a step that promised a fall of chi2. One below half of it shows curvature:
+        longer steps would oscillate."""
+        if fall > promised / 2:
+            self.value, self.growth = max(self.value / 5, 1e-12), 3.0
+        else:
+            self.value = max(self.value * self.growth, 1e-6)
+            self.growth = min(2 * self.growth, 24.0)  # a good step only divides by 5
+
+
 def minimise(
     sought: EstimationProblem, reach: Reach, advice: str, iterations: int, near: bool = False
 ) -> Estimate:
@@ -94,15 +110,10 @@ def minimise(
         raise FitError("the starting model has no solution at some samples: start nearer")
     known, choices = sought.make_knowledge(first), 1
     here, costs = held(np.array(sought.model.values), first), [np.inf]
-    damping, growth, promised, settled = 1e-6, 3.0, np.inf, False
+    damping, promised, settled = _Damping(), np.inf, False
     for k in range(iterations):
         last = near and k > 0 and here.normal.will_converge(promised)
-        # The last steps gained almost nothing: the minimum is reached, even if it is flat.
-        gains_nothing = (
-            len(costs) > STALLED_ITERATIONS
-            and costs[-STALLED_ITERATIONS - 1] - costs[-1] < STALLED_GAIN * costs[-1]
-        )
-        if (k > 0 and here.normal.has_converged) or last or gains_nothing:
+        if (k > 0 and here.normal.has_converged) or last or _gain_nothing(costs):
             seen = sought.compute_spectrum(here.system)
             better = sought.make_knowledge(here.system, seen)
             if choices >= MAX_DIRECTION_CHOICES or known.is_close_to(better):
@@ -110,20 +121,14 @@ def minimise(
                 values[free] += here.normal.step(0.0)[0] if last else 0.0
                 found = make_estimate(sought, values, here.system, k, seen)
                 return replace(found, system=here.system)
-            known, choices, costs = better, choices + 1, [np.inf]
-            damping, growth = 1e-6, 3.0
+            known, choices, damping, costs = better, choices + 1, _Damping(), [np.inf]
             here = held(here.values, here.system)
-        tried, promised = ahead(here, damping)
+        tried, promised = ahead(here, damping.value)
         if tried is not None and here.fall_to(tried) < 0:
             # A step along a curved valley ends on its slope; a second one leads to its floor.
-            tried, _ = ahead(tried, damping)
+            tried, _ = ahead(tried, damping.value)
         fall = -np.inf if tried is None else here.fall_to(tried)
-        # A fall below half of the predicted one shows curvature: longer steps would oscillate. The
-        # damping grows the faster, the more such steps follow one another (Nielsen, 1999).
-        if fall > promised / 2:
-            damping, growth = max(damping / 5, 1e-12), 3.0
-        else:
-            damping, growth = max(damping * growth, 1e-6), min(2 * growth, MAX_DAMPING_GROWTH)
+        damping.follow(fall, promised)
         nothing = 1e-9 * (here.system.chi2 + here.known)
         if tried is not None and fall >= -nothing:
             here, settled = tried, False
@@ -132,12 +137,19 @@ def minimise(
             before, here = here, at(here.values, here.system, stay) or here
             settled = abs(before.system.chi2 - here.system.chi2) <= nothing
         costs.append(here.system.chi2 + here.known)
-        if damping > 1e12:
+        if damping.value > 1e12:
             break
     raise NoSolutionError(
         f"identification did not converge in {iterations} iterations (chi2 "
         f"{here.system.chi2:.3g} of {len(here.system.residual)} samples): {advice}"
     )
+
+
+def _gain_nothing(costs: list[float]) -> bool:
+    """Whether the last steps gained almost nothing: the minimum is reached, even if it is flat."""
+    if len(costs) <= STALLED_ITERATIONS:
+        return False
+    return costs[-STALLED_ITERATIONS - 1] - costs[-1] < STALLED_GAIN * costs[-1]
 
 
 def make_estimate_at(
