@@ -369,11 +369,13 @@ def test_a_result_has_the_text_that_the_command_line_prints(made, data, files, c
     with pytest.raises(SystemExit):
         cli.main(["compare", str(files / "m.yaml"), str(files / "samples.json")])
     printed = capsys.readouterr().out
-    assert pc.show(pc.compare(made.diagnosis.model, data)) == printed.rstrip("\n")
-    said = pc.show(made.diagnosis).splitlines()
+    *text, following = printed.splitlines()  # the next command names the files
+    assert pc.show(pc.compare(made.diagnosis.model, data)).splitlines() == text
+    assert following.startswith("next:     parallel-cal diagnose ")
+    said = pc.show(made.diagnosis, details=True).splitlines()
     assert said[0] == f"explained: {made.diagnosis.verdict.summary}"
     assert any(line.startswith("zero_shift: cannot be tested") for line in said)
-    parameters = pc.show(made.diagnosis.best.fitted).splitlines()
+    parameters = pc.show(made.diagnosis.best.fitted, details=True).splitlines()
     assert sum("backlash.joint" in line and line.endswith("deg") for line in parameters) == 3
     with pytest.raises(
         pc.ParallelCalError, match=r"^result is Model\(.*; expected the result of fit"
