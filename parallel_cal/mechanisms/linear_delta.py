@@ -43,7 +43,6 @@ CHAIN = {
     "b_z": ("m", 0.0, 0.2 * MM, "P2"),
 }
 RAIL = ("D_?", "alpha", "beta")
-HOME_CARRIAGE_HEIGHT = float(np.sqrt(ROD**2 - OFFSET**2))  # m: carriage above platform
 BODIES = {"rods": ("*.Lb", "*.dLb"), "base": ("*.D_?", "*.b_?")}  # with the platform
 
 
