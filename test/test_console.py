@@ -2,9 +2,13 @@
 
 import io
 import re
+from pathlib import Path
 
 import pytest
 
+import parallel_cal as pc
+from parallel_cal.cli.calibration import command_line, write_program
+from parallel_cal.model.model import new_model
 from parallel_cal.reporting import console
 from parallel_cal.reporting.blocks import Cell, Detail, PValue, Table, as_text, uncover
 from parallel_cal.reporting.readable import COMMAND, FOUND, columns
@@ -128,10 +132,14 @@ def test_a_pipe_and_the_option_details_get_every_warning_in_full(screen):
     )
 
 
-def test_an_error_is_one_line(screen):
-    _, err = screen(terminal=True)
+@pytest.mark.parametrize("terminal", [True, False])
+def test_an_error_is_one_line_which_a_terminal_gets_wrapped(screen, terminal):
+    _, err = screen(terminal)
     console.error("a wrong value\n" * 20)
-    assert err.getvalue().count("\n") == 1
+    shown = COLOUR.sub("", err.getvalue()).splitlines()
+    assert (len(shown) > 1) == terminal
+    assert " ".join(" ".join(shown).split()) == " ".join(["error:", *["a wrong value"] * 20])
+    assert not terminal or max(map(len, shown)) <= 80
 
 
 def test_the_bar_shows_the_time_left_of_work_that_takes_long(screen):
@@ -165,3 +173,20 @@ def test_a_pipe_gets_no_bar(screen):
 )
 def test_a_duration_has_the_units_of_a_clock(seconds, shown):
     assert console.format_duration(seconds) == shown
+
+
+def test_a_proposed_command_finds_effects_of_ones_own(tmp_path, monkeypatch):
+    """Those in a folder that PYTHONPATH names; an installed one is found anyway."""
+    text = (Path(pc.__file__).parent / "effects" / "backlash.py").read_text()
+    (tmp_path / "own_play.py").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    model = new_model("delta_nominal").with_effect("own_play")
+    monkeypatch.setenv("PYTHONPATH", "/elsewhere")
+    assert write_program(model) == "parallel-cal"
+    monkeypatch.setenv("PYTHONPATH", f"/elsewhere:{tmp_path}")
+    assert write_program(model) == "PYTHONPATH=. parallel-cal"
+    assert write_program(model.without_effect("own_play")) == "parallel-cal"
+    assert write_program(model, tmp_path / "a b") == "PYTHONPATH='a b:.' parallel-cal"
+    shown = command_line("diagnose", Path("a b.yaml"), model, [Path("bag")], ["exclude=3"])
+    assert shown == "PYTHONPATH=. parallel-cal diagnose 'a b.yaml' bag --data=exclude=3"

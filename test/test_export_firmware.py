@@ -369,6 +369,7 @@ def test_a_users_file_keeps_all_but_its_numbers_and_the_old_one_stays(target, tm
     file.write_bytes(text.replace("\n", "\r\n").encode())
     model = moved(configured([file]).model)
     done = export_into(model, target, [file])
+    export_into(model, target, [file])  # writes nothing new, and so loses nothing old
     assert (tmp_path / f"{name}.previous").read_bytes() == text.replace("\n", "\r\n").encode()
     written = file.read_bytes().decode()
     assert written.count("\r\n") == written.count("\n")

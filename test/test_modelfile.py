@@ -19,6 +19,7 @@ from parallel_cal.model.file.modelfile import (
     model_hash,
     parse_model,
     read_model,
+    replace_model,
     write_model,
 )
 from parallel_cal.model.model import Noise, new_model
@@ -712,3 +713,14 @@ def test_an_older_file_of_a_cable_robot_that_does_not_state_its_spools_is_read(s
     older = parse_model("\n".join(lines) + "\n")
     assert older.joints == today.joints
     np.testing.assert_array_equal(older.values, today.values)
+
+
+def test_a_model_that_is_written_again_does_not_replace_the_file_before_it(tmp_path):
+    path, model = tmp_path / "m.yaml", new_model("delta_nominal")
+    replace_model(model, path)
+    first = path.read_text()
+    changed = model.with_values(1.001 * model.values)
+    for _ in range(2):
+        replace_model(changed, path)
+        assert (tmp_path / "m.yaml.previous").read_text() == first
+    assert path.read_text() != first

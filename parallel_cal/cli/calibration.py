@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shlex
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -147,7 +149,7 @@ def _finish(step: Step, run: _Run, as_json: bool) -> None:
         model = replace(step.model, history=(*earlier, last | {"dataset": dataset}))
         replace_model(model, output)
         written = {"output": str(output), "hash": model_hash(model)}
-        following = command_line("diagnose", output, run.bags, run.data)
+        following = command_line("diagnose", output, model, run.bags, run.data)
     console.progress("", 1.0)
     console.warn(step.warnings, brief=not run.details)
     if as_json:
@@ -166,11 +168,32 @@ def list_options(details: bool, parameters: bool = False) -> list[str]:
 
 
 def command_line(
-    command: str, model: Path, bags: list[Path], data: list[str] | None, *others: str
+    command: str,
+    file: Path,
+    model: Model,
+    bags: list[Path],
+    data: list[str] | None,
+    *others: str,
 ) -> str:
     """Write a command that continues with these files."""
-    words = ["parallel-cal", command, str(model), *map(str, bags)]
-    return shlex.join([*words, *(f"--data={item}" for item in data or []), *others])
+    words = [command, str(file), *map(str, bags), *(f"--data={item}" for item in data or [])]
+    return f"{write_program(model)} {shlex.join([*words, *others])}"
+
+
+def write_program(model: Model, *folders: Path) -> str:
+    """Write the name of the program, with folders of effects, and those of the model's own that
+    PYTHONPATH names."""
+    named = {
+        Path(folder).resolve() for folder in os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    }
+    found = [*folders]
+    for effect in model.effects:
+        module = type(effect).__module__
+        folder = Path(sys.modules[module].__file__ or "").resolve().parents[module.count(".")]
+        if not module.startswith("parallel_cal.") and folder in named:
+            found.append(folder)
+    path = os.pathsep.join(dict.fromkeys(os.path.relpath(folder) for folder in found))
+    return f"PYTHONPATH={shlex.quote(path)} parallel-cal" if path else "parallel-cal"
 
 
 def print_summary(result: object, following: str, is_command: bool) -> None:
@@ -204,7 +227,7 @@ def compare(
 
     console.show(describe(compared), list_options(details))
     if compared.given.fits_of_these_samples:
-        command = command_line("diagnose", model, bags, data)
+        command = command_line("diagnose", model, judged, bags, data)
     else:
-        command = command_line("fit", model, bags, data, "-o", "fitted.yaml")
+        command = command_line("fit", model, judged, bags, data, "-o", "fitted.yaml")
     print_summary(compared, command, is_command=True)

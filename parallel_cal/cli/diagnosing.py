@@ -15,7 +15,12 @@ from parallel_cal.cli.arguments import (
     Tested,
     with_options,
 )
-from parallel_cal.cli.calibration import command_line, list_options, read_model_and_data
+from parallel_cal.cli.calibration import (
+    command_line,
+    list_options,
+    read_model_and_data,
+    write_program,
+)
 from parallel_cal.reporting import console
 
 
@@ -56,12 +61,13 @@ def diagnose(
     # The proposed commands exclude samples themselves.
     reading = [f"--data={item}" for item in data or [] if not item.startswith("exclude=")]
     names = {
+        "parallel-cal": write_program(found.model),
         "MODEL": shlex.quote(str(model)),
         "RECORDING": shlex.join([*map(str, bags), *reading]),
         "BETTER.yaml": "better.yaml",
     }
     lines = [name_files(line, names) for line in summarize(found)]
     if not found.next_steps:
-        command = command_line("report", model, bags, data, "-o", "report.html")
+        command = command_line("report", model, found.model, bags, data, "-o", "report.html")
         lines.append(Line("next:", command, COMMAND))
     console.show([summary_table(lines)])

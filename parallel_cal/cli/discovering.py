@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,7 +20,7 @@ from parallel_cal.cli.arguments import (
     Scheduler,
     with_options,
 )
-from parallel_cal.cli.calibration import read_model_and_data
+from parallel_cal.cli.calibration import read_model_and_data, write_program
 from parallel_cal.reporting import console
 
 EffectOut = Annotated[
@@ -58,15 +59,19 @@ def discover(
     if as_json:
         return console.emit(found.document(files))
     from parallel_cal.reporting import text
+    from parallel_cal.reporting.readable import COMMAND
+    from parallel_cal.reporting.summary import Line, summary_table
 
     console.show(text.list_blocks(found))
     if output is not None and not files:
         console.say(f"nothing was written to {output}: no law was proven to be the robot's")
     if files:
         # Together: each law was proven beside those before it.
-        laws, folder = "+".join(file.stem for file in files), files[0].parent
-        command = f"PYTHONPATH={folder} parallel-cal add {model} {laws} RECORDING"
-        console.say(f"written: {', '.join(map(str, files))}; next: {command}")
+        console.say(f"written: {', '.join(map(str, files))}")
+        words = ["add", str(model), "+".join(file.stem for file in files), *map(str, bags)]
+        words += [*(f"--data={item}" for item in data or []), "-o", "better.yaml"]
+        command = f"{write_program(judged, files[0].parent)} {shlex.join(words)}"
+        console.show([summary_table([Line("next:", command, COMMAND)])])
 
 
 @contextmanager

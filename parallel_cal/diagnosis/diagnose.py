@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -192,17 +193,16 @@ class Diagnosis(ShownInNotebook):
             part = ""
             if len(addition.effects) < len(self.effects):
                 part = f" ({addition.acceptance.description})"
-            adds.append(
-                f"add what was found{part}: parallel-cal add MODEL {addition.text} {options}"
-            )
+            added = shlex.quote(addition.text)
+            adds.append(f"add what was found{part}: parallel-cal add MODEL {added} {options}")
         if self.doubted is not None:
             what = "what errs" if self.addition is None else "all of it"
             refused = " (until then, add refuses)" if self.doubted.acceptance.against else ""
             adds.append(
                 f"once you know whether the robot or the device errs{refused}, "
-                f"add {what}: parallel-cal add MODEL {self.doubted.text} {options}"
+                f"add {what}: parallel-cal add MODEL {shlex.quote(self.doubted.text)} {options}"
             )
-        discovers = [discover] if self.leaves_an_error else []
+        discovers = [discover] if self.leaves_an_error and self.left != "no" else []
         if self.verdict.needs_sides:
             adds, discovers = [STATE_THE_SIDES], []
         checks = []

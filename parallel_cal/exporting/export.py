@@ -239,10 +239,11 @@ def _check_files_are_given(
 
 
 def _replace_files(texts: Mapping[Path, str]) -> None:
-    """Write files, and keep the old ones as `NAME.previous`."""
+    """Write files that change, and keep the old ones as `NAME.previous`."""
     for path, text in texts.items():
-        write_atomically(path.with_name(path.name + BACKUP_SUFFIX), read_verbatim(path), like=path)
-        write_atomically(path, text)
+        if (old := read_verbatim(path)) != text:
+            write_atomically(path.with_name(path.name + BACKUP_SUFFIX), old, like=path)
+            write_atomically(path, text)
 
 
 def _worse_bed(files: Sequence[Path], heights: BedHeights) -> ModelError:

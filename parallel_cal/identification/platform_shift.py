@@ -70,11 +70,15 @@ def compute_platform_shift(before: FitResult, after: FitResult) -> PlatformShift
         _compute_rms_distance(_compare_poses(*pair), frames) for pair in (reached, anywhere)
     )
     neutral: dict[str, tuple[float, str]] = {}
+    units = dict(zip(new.joints, new.mechanism.joint_units, strict=True))
     for robot, result in ((old, before), (new, after)):
         for name, values in condition_columns(robot, result.observations).items():
-            unit, value, _ = CONDITIONS[name.partition(".")[0]]
+            kind, _, joint = name.partition(".")
+            unit, value, of_joints = CONDITIONS[kind]
+            if of_joints:
+                unit = unit.replace("rad", units[joint])
             if np.any(values != value):
-                neutral[name.partition(".")[0]] = (value, unit)
+                neutral[kind] = (value, unit)
     return PlatformShift(measured or 0.0, workspace, shown, neutral)
 
 

@@ -107,10 +107,8 @@ def warn(warnings: Iterable[str], brief: bool = False) -> None:
 
 
 def error(text: str) -> None:
-    """Write an error as one line."""
-    _bar.clear()
-    label = paint(sys.stderr)("error:", "error")
-    sys.stderr.write(f"{label} {' '.join(text.split())}\n")
+    """Write an error as one line, which a terminal gets wrapped."""
+    note(f"error: {' '.join(text.split())}", "error")
 
 
 def width(stream: TextIO) -> int | None:

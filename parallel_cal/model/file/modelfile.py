@@ -59,7 +59,8 @@ def model_text(path: str | Path) -> str:
     try:
         return read_text(path, MAX_MODEL_FILE_BYTES)
     except OSError as error:
-        raise ModelFileError(f"{path}: cannot be read: {error.strerror}") from None
+        hint = " (expected a model file, then recordings)" if Path(path).is_dir() else ""
+        raise ModelFileError(f"{path}: cannot be read: {error.strerror}{hint}") from None
     except UnicodeDecodeError:
         raise ModelFileError(f"{path}:1: not YAML: the file is not text (UTF-8)") from None
 
@@ -116,9 +117,12 @@ def replace_text(path: str | Path, text: str) -> None:
 
 
 def _write_beside_previous(path: str | Path, text: str) -> None:
-    """Write a text that was just checked; an existing file is kept as `PATH.previous`."""
+    """Write a text that was just checked; an existing file that differs is kept as
+    `PATH.previous`."""
     if Path(path).exists():
-        write_text(f"{path}{BACKUP_SUFFIX}", model_text(path), like=path)
+        if (old := model_text(path)) == text:
+            return
+        write_text(f"{path}{BACKUP_SUFFIX}", old, like=path)
     write_text(path, text)
 
 
