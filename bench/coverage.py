@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bench.blind import interval
 from bench.foreign_five_bar import position
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.files import write_atomically
@@ -114,7 +115,8 @@ def judge(
 ) -> Outcome:
     """Compare the intervals of a fit with the truth; of the parameters `own` only, if given."""
     values = dict(zip(new_model("five_bar").table.names, session.true.ravel(), strict=True))
-    values |= {f"backlash.{j}.width": w for j, w in zip(session.data.joint_names, session.widths)}
+    joints = session.data.joint_names
+    values |= {f"backlash.{j}.width": w for j, w in zip(joints, session.widths, strict=True)}
     names = own or [n for n in result.parameters() if not result.parameters()[n].fixed]
     inside = []
     for name in names:
@@ -126,7 +128,8 @@ def judge(
 
 
 def _holds(result: FitResult, session: Session, rng: np.random.Generator) -> bool | None:
-    """Whether the interval of the error at held-out poses holds the error at further poses."""
+    """Whether the interval of the error at held-out poses holds the error at further poses, in {B}
+    even if the fit took the device to be displaced."""
     sigma = result.rms_sigmas(result.held_out).get("position")
     rms = result.held_out.summary.position_rms
     if sigma is None or rms is None:
@@ -246,13 +249,10 @@ def read_study() -> list[Outcome]:
     return [Outcome(**json.loads(line)) for line in lines]
 
 
-def interval(k: int, n: int) -> str:
-    """The exact 95 % interval of a share k / n (Clopper and Pearson 1934)."""
-    from scipy.stats import beta
-
-    low = beta.ppf(0.025, k, n - k + 1) if k else 0.0
-    high = beta.ppf(0.975, k + 1, n - k) if k < n else 1.0
-    return f"{k / n:.1%} ({low:.1%}..{high:.1%})"
+def _format_share(held: Sequence[bool]) -> str:
+    if not held:
+        return ""
+    return f"{sum(held) / len(held):.1%} ({interval(sum(held), len(held))})"
 
 
 def make_table(outcomes: Sequence[Outcome]) -> str:
@@ -265,7 +265,7 @@ def make_table(outcomes: Sequence[Outcome]) -> str:
         own = [one for one in outcomes if one.case == name]
         parameter = [one.parameter for one in own if one.parameter is not None]
         held_out = [one.held_out for one in own if one.held_out is not None]
-        cells = [interval(sum(some), len(some)) if some else "" for some in (parameter, held_out)]
+        cells = [_format_share(some) for some in (parameter, held_out)]
         count = f"{len(own)}" if len(parameter) == len(own) else f"{len(parameter)} of {len(own)}"
         rows.append(f"| {case.words} | {count} | {' | '.join(cells)} |")
     return "\n".join(rows)
@@ -285,7 +285,7 @@ def main() -> None:
     table = make_table(read_study())
     if given.page:
         before, rest = PAGE.read_text().split(START)
-        text = f"{before}{START}\n{table}\n{END}{rest.split(END)[1]}"
+        text = f"{before}{START}\n\n{table}\n\n{END}{rest.split(END)[1]}"
         write_atomically(PAGE, text)
     print(table)
 
