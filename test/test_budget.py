@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import virtual_setups as vs
+from scipy import stats
 
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.identification.budget import iso_9283
@@ -127,7 +128,8 @@ def test_iso_9283_of_a_pose_visited_thrice_and_one_visited_once():
     assert found.accuracy_sigma == pytest.approx(1e-5)
     assert found.accuracy_max == pytest.approx(4e-5)
     l = np.sqrt(3 / 2) * np.array([1e-5, 1e-5, 0])  # about the barycentre, unbiased
-    assert found.repeatability == pytest.approx(l.mean() + 3 * l.std())
+    # Three visits have two degrees of freedom: the variance is twice that of the three distances.
+    assert found.repeatability == pytest.approx(l.mean() + 3 * np.sqrt(2) * l.std())
     assert (found.repeated_poses, found.visits, found.poses, found.samples) == (1, 3, 2, 4)
     assert not found.sides_known
 
@@ -135,12 +137,27 @@ def test_iso_9283_of_a_pose_visited_thrice_and_one_visited_once():
 def test_visits_from_different_sides_are_no_repetition():
     errors = Errors(E, NONE, NONE, NONE, NONE, NONE)
     [found] = iso_9283(errors, GROUP, np.array([0, 1, 1, 0]))
-    l = np.sqrt(2) * np.array([0.5e-5, 0.5e-5])  # of the second and the third visit
-    assert found.repeatability == pytest.approx(l.mean())
+    # The second and the third visit have the same distance from their barycentre: no scatter.
     assert found.visits == 2
+    assert found.repeatability is None
+    assert "only one pose was visited twice from the same side" in iso_sentence(found)
     [found] = iso_9283(errors, GROUP, np.array([0, 1, 2, 0]))
     assert found.repeatability is None
     assert "no pose was visited twice from the same side" in iso_sentence(found)
+
+
+@pytest.mark.parametrize("visits", [[2] * 10, [1] * 10 + [30], [2, 3, 10, 1] * 5])
+def test_the_repeatability_depends_on_the_noise_and_not_on_how_often_poses_were_visited(visits):
+    rng, group = np.random.default_rng(0), np.repeat(np.arange(len(visits)), visits)
+    none, found = np.full((len(group), 3), np.nan), []
+    for _ in range(400):
+        e = rng.normal(0, 1e-5, (len(group), 3))
+        [one] = iso_9283(Errors(e, none, none, none, none, none), group)
+        found.append((one.repeatability, one.repeatability_sigma))
+    value, sigma = np.mean(found, axis=0)
+    distance = stats.chi(3, scale=1e-5)
+    assert value == pytest.approx(distance.mean() + 3 * distance.std(), rel=0.03)
+    assert sigma == pytest.approx(np.std(found, axis=0)[0], rel=0.12)
 
 
 def test_figures_after_iso_9283_are_of_held_out_poses_with_their_counts(result):

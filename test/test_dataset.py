@@ -164,6 +164,22 @@ def test_a_platform_that_moves_while_the_joints_stand_is_dropped(tmp_path):
     assert "while the joints stand still" in dataset.dropped[0].detail
 
 
+@pytest.mark.parametrize(("every", "samples"), [(10, 5), (5, 4)])
+def test_orientations_of_a_dwell_that_are_far_apart_are_not_averaged(tmp_path, every, samples):
+    """A device that takes a symmetric target for a turned one: few such readings are removed, more
+    make the dwell unusable."""
+    rng, seen = np.random.default_rng(0), []
+    for k, t in enumerate(np.arange(0.004, ROBOT.time[-1], 1 / ROBOT.pose_rate)):
+        half = (np.pi * (k % every == 0 and 1.5 < t < 2.7) + 1e-5 * rng.normal()) / 2
+        turn = [*1e-5 * rng.normal(size=2), np.sin(half), np.cos(half)]
+        r = ROBOT.position(np.array([t]))[0] + 2e-6 * rng.normal(size=3)
+        seen.append(pose(t, r, turn))
+    dataset = dataset_of(tmp_path, joint_states(ROBOT) + seen)
+    assert len(dataset) == samples
+    assert len(dataset.dropped) == 1
+    np.testing.assert_allclose(dataset.R, np.broadcast_to(np.eye(3), (samples, 3, 3)), atol=1e-4)
+
+
 def late_by(late, tmp_path):
     """A recording whose device's clock goes `late` s after that of the joints."""
     there = joint_states(ROBOT) + poses(dataclasses.replace(ROBOT, start=late))

@@ -99,6 +99,24 @@ def test_repeated_visits_of_a_pose_do_not_count_as_similar_neighbours():
     assert morans_i(field, places, np.arange(120))[1] < 0.01  # what would go wrong
 
 
+@pytest.mark.parametrize("clusters", [0, 6])
+@pytest.mark.parametrize("visits", [1, 10])
+def test_white_noise_has_structure_as_rarely_as_stated(clusters, visits):
+    """On even and on clustered poses, also if those of one region are visited ten times."""
+    alarms, draws = 0, 400
+    for seed in range(draws):
+        rng = np.random.default_rng([7, seed])
+        places = rng.uniform(-1, 1, (60, 3))
+        if clusters:
+            places = places[np.arange(60) % clusters] + 0.02 * rng.normal(size=(60, 3))
+        away = np.linalg.norm(places - places[0], axis=1)
+        group = np.repeat(np.arange(60), np.where(away < np.quantile(away, 1 / 3), visits, 1))
+        noise = rng.normal(size=(len(group), 3))
+        alarms += morans_i(noise, places[group], group, seed=seed)[1] < 0.05
+    low, high = stats.binom(draws, 0.05).ppf([0.005, 0.995])
+    assert low <= alarms <= high
+
+
 def test_the_nearest_places_are_the_same_by_a_tree_and_by_all_distances(monkeypatch):
     """A robot that is back at a place is there twice: neither visit is its own neighbour."""
     places = np.random.default_rng(0).normal(size=(300, 6))

@@ -8,6 +8,7 @@ import pytest
 import virtual_blind as vb
 import virtual_findings as vf
 from findings import dataset, quiet, sized
+from scipy import stats
 
 from parallel_cal.diagnosis import verdict
 from parallel_cal.diagnosis.diagnose import diagnose
@@ -29,6 +30,44 @@ def noisy(kind, seed, effects=()):
 
 def found_in(data):
     return diagnose(new_model("delta54"), data)
+
+
+def replicates(dof, variance=1.0):
+    return NoiseLevel(variance, dof, "replicates", PureError(variance, dof))
+
+
+def test_the_band_of_two_replicates_and_two_other_degrees_of_freedom_is_that_worked_by_hand():
+    # F(2, 2) lies below x with probability x / (1 + x), so its 0.5 % and 99.5 % points are 1/199
+    # and 199. chi2/dof is the mean of that and of the scatter itself, which is 1.
+    assert replicates(2).band(4) == pytest.approx(((1 / 199 + 1) / 2, 100), rel=1e-9)
+    assert replicates(2, variance=4).band(4)[1] == pytest.approx(400, rel=1e-9)
+
+
+@pytest.mark.parametrize(("dof", "of_replicates"), [(150, 10), (150, 30), (522, 8)])
+def test_the_band_counts_the_replicates_as_a_part_of_the_residuals(dof, of_replicates):
+    # The share of the replicates in chi2 has a beta distribution: neither chi2 nor a plain F.
+    share = stats.beta(of_replicates / 2, (dof - of_replicates) / 2).ppf([0.995, 0.005])
+    band = replicates(of_replicates).band(dof)
+    assert band == pytest.approx(of_replicates / dof / share, rel=1e-6)
+
+
+@pytest.mark.parametrize("dof", [1, 2, 10, 150])
+def test_the_band_of_a_stated_noise_is_that_of_chi2(dof):
+    known = NoiseLevel(1.0, None, "stated", PureError(None, 0))
+    assert known.band(dof) == pytest.approx(stats.chi2(dof).ppf([0.005, 0.995]) / dof, rel=1e-6)
+
+
+def test_replicates_alone_cannot_show_an_error_of_the_model():
+    assert replicates(10).count_testing_dof(10) == 0
+    assert replicates(10).band(10) == (0, np.inf)
+
+
+def test_few_replicates_make_neither_an_excess_nor_a_gain_certain():
+    few, stated = replicates(10), NoiseLevel(1.0, None, "stated", PureError(None, 0))
+    assert stated.compute_sigma(150) == pytest.approx((2 / 150) ** 0.5)
+    assert few.compute_sigma(150) == pytest.approx((2 / 10 - 2 / 150) ** 0.5)
+    assert stated.compute_p_value(60.0, 3) == pytest.approx(stats.chi2(3).sf(60), rel=1e-6)
+    assert few.compute_p_value(60.0, 3) == pytest.approx(stats.f(3, 10).sf(20), rel=1e-6)
 
 
 @pytest.mark.wide

@@ -8,7 +8,9 @@ from parallel_cal.base.rotation import (
     quaternion_to_matrix,
     rotation_matrix,
     rotation_vector,
+    turns_from_mean,
 )
+from parallel_cal.recordings.samples import mean_rotation
 from parallel_cal.virtual import robot as vr
 
 HALF_TURNS = [[np.pi, 0, 0], [0, np.pi, 0], [0, 0, np.pi], [3, 0, 0], [0, -3, 0], [0, 0.1, 3.1]]
@@ -44,3 +46,35 @@ def test_one_rotation_and_many_give_the_same_bits():
     R = rotation_matrix(rng.standard_normal((2000, 3)) * rng.choice([1e-3, 1, 3], (2000, 1)))
     single = np.array([matrix_to_quaternion(one) for one in R])
     assert np.array_equal(matrix_to_quaternion(R), single)
+
+
+def turns_about_z(*degrees):
+    return rotation_matrix(np.outer(np.radians(degrees), [0.0, 0.0, 1.0]))
+
+
+@pytest.mark.parametrize(
+    ("degrees", "mean"),
+    [
+        # The chordal mean about one axis is the direction of the sum of the unit vectors.
+        ([0, 0, 120], 30),  # (1 + 1 - 1/2, sqrt(3)/2) = (3/2, sqrt(3)/2); the geodesic mean is 40
+        ([0, 90, 90], np.degrees(np.arctan2(2, 1))),
+        ([179.9, -179.9], 180),
+        ([170, -170, -160], -173.30),  # (-2.9093, -0.3420): by hand
+    ],
+)
+def test_the_mean_of_orientations_that_are_far_apart_is_the_chordal_one(degrees, mean):
+    away = turns_from_mean(turns_about_z(*degrees))
+    about = np.radians(np.array(degrees) - mean)
+    assert away[:, :2] == pytest.approx(0, abs=1e-12)
+    assert away[:, 2] == pytest.approx(np.arctan2(np.sin(about), np.cos(about)), abs=1e-4)
+
+
+def test_the_mean_rotation_is_nearest_to_all_and_turns_with_them():
+    rng = np.random.default_rng(3)
+    R = rotation_matrix(rng.normal(size=(7, 3)))
+    mean = mean_rotation(R)
+    by, before = rotation_matrix([0.3, -2.0, 1.0]), rotation_matrix([1.0, 0.5, -0.2])
+    assert mean_rotation(by @ R @ before) == pytest.approx(by @ mean @ before, abs=1e-12)
+    near = rotation_matrix(1e-3 * rng.normal(size=(50, 3))) @ mean
+    sizes = [np.sum((R - one) ** 2) for one in (mean, *near)]
+    assert np.argmin(sizes) == 0

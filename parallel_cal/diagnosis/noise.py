@@ -125,16 +125,45 @@ class NoiseLevel:
         """The noise that the fit used, in words."""
         return "the jitter within dwells" if self.from_jitter else "the stated noise"
 
+    def count_testing_dof(self, dof: int) -> int:
+        """Count the degrees of freedom of a fit that can show an error of the model: those of
+        replicates only show the noise."""
+        return dof - (self.dof or 0)
+
     def band(self, dof: int) -> tuple[float, float]:
-        """Band that holds chi2/dof of 99 % of complete models; infinite if the noise is unknown."""
+        """Band that holds chi2/dof of 99 % of complete models; infinite if the noise is unknown.
+
+        Replicates are samples of the fit, so their scatter is a part of chi2. Only the rest, with
+        dof - self.dof degrees of freedom, is independent of it: rest / scatter is F-distributed.
+        """
         from scipy.special import fdtri
 
         if self.variance is None or dof <= 0:
             return (0.0, float("inf"))
         if self.dof is None:
             return chi2_band(dof)
+        rest = self.count_testing_dof(dof)
+        if rest <= 0:
+            return (0.0, float("inf"))
         low, high = (
-            float(fdtri(dof, self.dof, p))
+            (rest * float(fdtri(rest, self.dof, p)) + self.dof) / dof
             for p in (SIGNIFICANCE_LEVEL / 2, 1 - SIGNIFICANCE_LEVEL / 2)
         )
         return low * self.variance, high * self.variance
+
+    def compute_sigma(self, dof: int) -> float:
+        """Standard deviation of chi2/dof of a complete model, relative to the variance of the
+        noise."""
+        if self.dof is None:
+            return float((2 / dof) ** 0.5)
+        # That of the logarithm of (dof - self.dof) F / dof, to first order.
+        return float(max(2 / self.dof - 2 / dof, 0.0) ** 0.5)
+
+    def compute_p_value(self, fall: float, parameters: int) -> float:
+        """Probability that noise alone lets additional parameters reduce chi2 by as much."""
+        from scipy.special import chdtrc, fdtrc
+
+        fall = max(fall, 0.0) / (self.variance or 1.0)
+        if self.dof is None:
+            return float(chdtrc(parameters, fall))
+        return float(fdtrc(parameters, self.dof, fall / parameters))

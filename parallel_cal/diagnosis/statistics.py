@@ -34,13 +34,15 @@ def morans_i(
     """Moran's I = sum w_ij f_i . f_j / sum f_i . f_i on nearest neighbours, and its p-value.
 
     field (N, k) and places (N, d) of every sample; p (one-sided: neighbours alike) by permuting
-    the samples. Visits of one pose (`group`) are averaged: they are no neighbours but copies.
+    the samples. Visits of one pose (`group`) are averaged: they are no neighbours but copies. The
+    mean of many visits has less noise than one visit, so f is the mean times the root of their
+    number: only then may the samples be permuted.
     """
-    field, places = average_groups(field, group), average_groups(places, group)
-    n = len(field)
+    field = average_groups(field - field.mean(axis=0), group)
+    field *= np.sqrt(np.unique(group, return_counts=True)[1])[:, None]
+    places, n = average_groups(places, group), len(field)
     if n < NEIGHBOURS + 3 or not np.any(field):
         return 0.0, 1.0
-    field = field - field.mean(axis=0)
     near, total = nearest(places, NEIGHBOURS).T, NEIGHBOURS * np.sum(field**2)
     rng = np.random.default_rng(seed)
 

@@ -142,13 +142,11 @@ class Findings:
     def was_inside_band(self) -> bool:
         """Whether the base needed no effect: its chi2/dof was inside the band, and the better
         fit is either not significant or lowers the validation error only a little."""
-        from scipy.special import chdtrc
-
         before, after = self.base.fitted.estimate, self.final_estimate
         inside = self.chi2_before <= self.noise.band(before.dof)[1] and not self.noise.is_exceeded
         fall = self.chi2_before * before.dof - after.chi2_per_dof * after.dof
         taken = max(before.dof - after.dof, 1)
-        certain = chdtrc(taken, max(fall, 0.0) / (self.noise.variance or 1.0)) < CERTAINTY_LEVEL
+        certain = self.noise.compute_p_value(fall, taken) < CERTAINTY_LEVEL
         ratio = ratio_of(self.base, self.best)
         counts = ratio is None or ratio * MAX_SWAP_ERROR_RATIO < 1
         return bool(inside and not (certain and counts))
@@ -196,8 +194,9 @@ def _judge(found: Findings) -> Verdict:
     judgement = acceptance(found.best.fitted, found.base.fitted)
     now = f"error {judgement.basis} {format_errors(judgement.after)}"
     errors = judgement.description if found.best.chosen else now
-    if after.dof < MIN_DOF:
-        words = f"{after.dof} degrees of freedom are too few for a verdict: measure more poses"
+    if (dof := found.noise.count_testing_dof(after.dof)) < MIN_DOF:
+        beside = " beside those of the replicates" if found.noise.dof else ""
+        words = f"{dof} degrees of freedom{beside} are too few for a verdict: measure more poses"
         return Verdict("cannot_know", words)
     if found.best.chosen and not judgement.judged:
         fits = "fit better" if len(found.best.chosen) > 1 else "fits better"
@@ -275,8 +274,8 @@ def _list_objections(found: Findings) -> list[str]:
     against, chi2, share = [], found.final_estimate.chi2_per_dof, found.share
     high, structure = found.noise.band(found.final_estimate.dof)[1], found.structure
     # Within two sigmas a small excess is mostly chance: its share means nothing.
-    noise = found.noise.variance or 0.0
-    beyond_chance = chi2 > noise * (1 + MAX_EXCESS_SIGMAS * (2 / found.final_estimate.dof) ** 0.5)
+    noise, sigma = found.noise.variance or 0.0, found.noise.compute_sigma(found.final_estimate.dof)
+    beyond_chance = chi2 > noise * (1 + MAX_EXCESS_SIGMAS * sigma)
     if share is not None and share < MIN_EXPLAINED_SHARE and beyond_chance:
         against.append(
             f"that is only {100 * max(share, 0):.0f} % of the error above the noise floor"

@@ -147,6 +147,10 @@ def _compute_motions(model: Model, observations: Observations) -> dict[str, np.n
     return found
 
 
+# Of the distance of a point from its mean, with equal normal noise in three coordinates
+DISTANCE_SKEWNESS = 0.486
+
+
 @dataclass(frozen=True)
 class Iso9283:
     """Pose accuracy and repeatability of a robot that the model commands (after ISO 9283, 7.2).
@@ -155,7 +159,9 @@ class Iso9283:
     from the predicted pose, mean (with its standard deviation) and maximum over all of them. The
     repeatability is the mean distance of the visits from their barycentre plus three of its
     standard deviations, pooled over the poses that were visited again from the same side
-    (`repeated_poses`, and `visits` in total); None if there are none. Both contain the noise of the
+    (`repeated_poses`, and `visits` in total), each pose by the degrees of freedom of its visits;
+    None for less than two degrees of freedom: two visits alone do not tell how distances scatter.
+    Both contain the noise of the
     device. `poses` counts the poses, `samples` all visits. If the recording does not know the side
     from which a pose was approached (`sides_known`), all its visits count as from one side.
     `sides_from_order`: these sides follow from the order of a table's rows. `unused`: no fit in the
@@ -233,10 +239,14 @@ def _compute_iso_figures(
     widened = np.sqrt(visits / np.maximum(visits - 1, 1))[cell]
     l = (widened * np.linalg.norm(e - middle[cell], axis=1))[again]
     repeatability = repeatability_sigma = None
-    if len(l):
-        scatter, freedoms = float(l.std()), len(l) - int((visits > 1).sum())
+    # Visits of one pose share their barycentre: two have equal distances from it.
+    freedoms = len(l) - int((visits > 1).sum())
+    if freedoms > 1:
+        scatter = float(l.std()) * math.sqrt(freedoms / (freedoms - 1))
         repeatability = float(l.mean()) + 3 * scatter
-        repeatability_sigma = scatter * math.sqrt(1 / freedoms + 9 / (2 * freedoms))
+        # Large distances raise both the mean and the scatter.
+        of_mean = (1 + 3 * DISTANCE_SKEWNESS) / freedoms
+        repeatability_sigma = scatter * math.sqrt(of_mean + 9 / (2 * (freedoms - 1)))
     return Iso9283(
         kind=kind,
         accuracy_mean=mean,

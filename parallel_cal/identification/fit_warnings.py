@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL
+from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL, SIGNIFICANCE_LEVEL
 from parallel_cal.identification.estimate import Estimate
 from parallel_cal.identification.observations import (
     ESTIMATED,
@@ -223,15 +223,14 @@ def list_sample_warnings(estimate: Estimate, dataset: Dataset, loss: str) -> lis
 
 
 def chi2_band(dof: int) -> tuple[float, float]:
-    """Compute the band that holds chi2/dof of 99 % of fits with a complete model
-    (Wilson-Hilferty)."""
+    """Compute the band that holds chi2/dof of 99 % of fits with a complete model and a stated
+    noise."""
+    from scipy.special import chdtri  # of the upper tail
+
     if dof <= 0:
         return (0.0, float("inf"))
-    a = 2 / (9 * dof)
-    return tuple(
-        (1 - a + z * a**0.5) ** 3
-        for z in (-SIGMAS_AT_SIGNIFICANCE_LEVEL, SIGMAS_AT_SIGNIFICANCE_LEVEL)
-    )  # type: ignore[return-value]
+    tail = SIGNIFICANCE_LEVEL / 2
+    return float(chdtri(dof, 1 - tail)) / dof, float(chdtri(dof, tail)) / dof
 
 
 def leaves_only_noise(model: Model, estimate: Estimate, observations: Observations) -> bool:

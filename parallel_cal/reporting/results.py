@@ -199,7 +199,8 @@ def iso_sentence(figures: Iso9283) -> str:
     side = "from the same side" if figures.sides_known else "(sides of approach not recorded)"
     if figures.sides_from_order:
         side += " (sides taken from the order of the rows)"
-    again = f"repeatability RP not known: no pose was visited twice {side}"
+    few = "only one pose was visited twice" if figures.visits else "no pose was visited twice"
+    again = f"repeatability RP not known: {few} {side}"
     if figures.repeatability is not None:
         shown = with_sigma(figures.repeatability, figures.repeatability_sigma, factor)
         again = (
