@@ -7,11 +7,13 @@ from itertools import product
 import numpy as np
 import pytest
 
+from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.kinematics import solving
 from parallel_cal.kinematics.all_solutions import direct_all, inverse_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import load_mechanism
 
 FIVE_BAR = '''
 import casadi as ca
@@ -151,3 +153,53 @@ def test_a_pose_out_of_reach_has_no_solution_and_a_closed_form_reports_it():
 def test_one_solution_does_not_exclude_others():
     model = new_model("delta24")
     assert solving.inverse(model, np.array([0, 0, 0.2]), None, {})[0].complete is None
+
+
+def test_deltas_and_five_bars_have_as_many_solutions_as_circles_intersect():
+    """Two sides to each arm: 8 ways to a pose of a Delta and 4 of a five-bar. Three spheres meet in
+    two points, and so do two circles."""
+    rng = np.random.default_rng(1)
+    for _ in range(3):
+        base, platform, arm = rng.uniform((0.08, 0.02, 0.1), (0.15, 0.04, 0.15))
+        delta = load_mechanism("delta24", base=base, platform=platform, arm=arm, rod=0.4)
+        crank, rod = rng.uniform((0.08, 0.15), (0.12, 0.2))
+        bars = load_mechanism("five_bar", base=0.06, crank=crank, rod=rod)
+        for mechanism, ways in ((delta, 8), (bars, 4)):
+            model = new_model(mechanism)
+            q = np.array(mechanism.home.joints) + rng.uniform(-0.1, 0.1, len(mechanism.joints))
+            poses = direct_all(model, q)
+            joints = inverse_all(model, poses.position[0])
+            assert (len(poses), len(joints)) == (2, ways)
+            assert poses.complete
+            assert joints.complete
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("seed", range(4))
+def test_a_general_hexapod_has_no_pose_beyond_those_listed(seed):
+    """Newton's method in NumPy, from 2,000 random poses."""
+    rng = np.random.default_rng(seed)
+    feet, heads = rng.uniform(-0.3, 0.3, (2, 6, 3))
+    names = [f"leg{i + 1}.{point}_{axis}" for point in "CB" for i in range(6) for axis in "xyz"]
+    model = new_model("stewart42", dict(zip(names, np.ravel([feet, heads]), strict=True)))
+    turn = rotation_matrix(rng.normal(size=3))
+    length = np.linalg.norm([0.1, -0.1, 0.5] + heads @ turn.T - feet, axis=1)
+    zero = np.array([model.value(f"leg{i + 1}.L0") for i in range(6)])
+    found = direct_all(model, length - zero)
+    assert found.complete
+    assert len(found) % 2 == 0
+    r, R = rng.uniform(-1, 1, (2000, 3)), rotation_matrix(rng.normal(0, 2, (2000, 3)))
+    for _ in range(60):
+        arm = heads @ R.swapaxes(1, 2)
+        leg = r[:, None] + arm - feet
+        error = ((leg**2).sum(axis=-1) - length**2) / 2
+        slopes = np.concatenate([leg, np.cross(arm, leg)], axis=-1)
+        step = -np.linalg.solve(slopes, error[..., None])[..., 0]
+        step /= np.maximum(1.0, 2 * np.linalg.norm(step, axis=1))[:, None]
+        r, R = r + step[:, :3], rotation_matrix(step[:, 3:]) @ R
+    ends = np.abs(error).max(axis=1) < 1e-12
+    assert ends.sum() > 100
+    apart = np.abs(r[ends][:, None] - found.position).max(axis=-1)
+    apart += np.abs(R[ends][:, None] - found.rotation).max(axis=(-1, -2))
+    assert apart.min(axis=1).max() < 1e-6  # each end is listed
+    assert apart.min(axis=0).max() < 1e-6  # each listed pose is an end

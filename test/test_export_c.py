@@ -657,6 +657,35 @@ def test_nan_and_infinity_are_a_status_and_nothing_else_is_answered():
         assert exported.direct(home, at=[bad, *neutral[1:]])[0] == Status.INVALID_INPUT
 
 
+@pytest.mark.wide
+@pytest.mark.parametrize(
+    "options",
+    [
+        "-O0",
+        "-O3 -march=native -ffp-contract=fast",
+        "-Ofast -fno-finite-math-only",
+        "-O3 -ffp-contract=off",
+    ],
+)
+def test_status_and_numbers_do_not_depend_on_the_options_of_the_compiler(options, tmp_path):
+    export(robot("cable"), "c:poses=200", tmp_path)
+    source = ["cable_check.c", "cable.c"]
+    run(["gcc", "-std=c99", *options.split(), *source, "-o", "check", "-lm"], tmp_path)
+    assert "rows 400 other_status 0" in run(["./check", "cable_vectors.csv"], tmp_path)
+
+
+def test_options_that_deny_nan_are_refused_with_the_cure(tmp_path):
+    """With -Ofast of gcc, invalid input was reported as converged."""
+    export(new_model("cable"), "c:poses=2", tmp_path)
+    export(new_model("cable"), "cpp:poses=2", tmp_path)
+    for option in ("-Ofast", "-ffast-math", "-ffinite-math-only"):
+        for compiler, source in (("gcc", "cable.c"), ("g++", "cable_check.cpp")):
+            words = [compiler, option, "-fsyntax-only", source]
+            done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True)
+            assert done.returncode
+            assert "cable must know NaN: add -fno-finite-math-only" in done.stderr
+
+
 def test_a_start_that_is_not_a_number_does_no_harm():
     exported = Exported("delta54")
     home = np.array(exported.model.mechanism.home.joints)

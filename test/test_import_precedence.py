@@ -216,6 +216,7 @@ CONFIG_G = "M92 X160 Y160 Z160\nM665 R102 L250 H300 B80\nM666 X0 Y0 Z0\n"
         (CONFIG_G + "; M501\n", 102),
         (CONFIG_G + "M501\n", 100),
         ("M501 ; load it\n" + CONFIG_G, 102),  # the lines behind M501 count
+        ("M501\n" + CONFIG_G + "M501\n", 100),  # it is run each time
     ],
 )
 def test_config_override_counts_where_m501_loads_it(write, config, radius):
@@ -263,6 +264,7 @@ DUMP = "echo:  M665 L250.00 R{0} H295.00 S200.00 X0.00 Y0.00 Z0.00 A0.00 B0.00 C
         (DUMP.format(124) + DUMP.format(123), 123),  # the later of two reports
         (DUMP.format(123) + "Send: M500\nSend: M665 R120\nSend: M501\n", 123),
         (DUMP.format(123) + "Send: M500\nSend: M665 R120\n", 120),
+        (DUMP.format(123) + "Send: M500\nSend: M502\nSend: M501\n", 123),  # M502 stores nothing
         (DUMP.format(123) + "Send: M502\n" + DUMP.format(122), 122),
     ],
 )
@@ -277,6 +279,25 @@ def test_settings_before_m502_do_not_count(write):
         configured([log])
     model = configured([log, write(HEADER_H, "Configuration.h")]).model
     assert model.value("chain2.D_x") == pytest.approx(0.124)
+
+
+def test_values_that_m501_returns_to_must_be_in_the_log(write):
+    """Marlin prints them after M501 unless EEPROM_CHITCHAT is off; a printer may have other ones
+    in its memory than those that it stored."""
+    silent = write(DUMP.format(120) + "Send: M501\n", "silent.log")
+    (remark,) = [text for text in configured([silent]).remarks if "M501" in text]
+    assert "silent.log:2: M501 returns to values that M500 stored before this log" in remark
+    shown = configured([write(DUMP.format(120) + "Send: M501\n" + DUMP.format(123), "m501.log")])
+    assert shown.model.value("chain2.D_x") == pytest.approx(0.123)
+    assert not any("M501" in text for text in shown.remarks)
+
+
+def test_a_value_set_after_m500_is_gone_after_m501(write):
+    """The stored radius is not in this log: the one that was set since must not pass for it."""
+    stored = "Send: M665 L250 H295 X0 Y0 Z0 A0 B0 C0\nSend: M500\n"
+    log = write(stored + "Send: M665 R120\nSend: M501\n", "part.log")
+    with pytest.raises(DatasetError, match="no M665 R"):
+        configured([log])
 
 
 def test_stored_settings_count_before_those_of_configuration_h(write):

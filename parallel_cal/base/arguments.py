@@ -11,6 +11,7 @@ from numbers import Integral, Real
 from os import PathLike
 from typing import Any, ParamSpec, TypeVar
 
+from parallel_cal.base.documents import to_plain
 from parallel_cal.base.errors import DatasetError, ModelError, ParallelCalError
 
 P = ParamSpec("P")
@@ -34,7 +35,7 @@ KINDS: dict[str, tuple[Check, str, str]] = {
     "Any": (lambda value: True, "anything", "values"),
     "None": (lambda value: value is None, "None", "None"),
     "str": (lambda value: isinstance(value, str), "a string", "strings"),
-    "bool": (lambda value: type(value).__name__ in ("bool", "bool_"), "True or False", "flags"),
+    "bool": (lambda value: isinstance(value, bool), "True or False", "flags"),
     "int": (
         lambda value: isinstance(value, Integral) and not isinstance(value, bool),
         "a whole number",
@@ -112,9 +113,13 @@ def require(name: str, value: Any, kind: str, error: type[ParallelCalError]) -> 
 
 
 def require_fields(options: Any, error: type[ParallelCalError]) -> None:
-    """Raise `error` for a field of a dataclass whose value is not of the annotated kind."""
+    """Raise `error` for a field of a dataclass whose value is not of the annotated kind.
+
+    NumPy's scalars and arrays in the fields become numbers and lists of Python.
+    """
     for field in fields(options):
         require(field.name, getattr(options, field.name), str(field.type), error)
+        object.__setattr__(options, field.name, to_plain(getattr(options, field.name)))
 
 
 def check_arguments(
@@ -155,7 +160,9 @@ def _split_union(kind: str) -> tuple[str, ...]:
 
 
 def _is_of(value: Any, kind: str) -> bool:
-    """Whether a value is of one kind, which is no union."""
+    """Whether a value is of one kind, which is no union. A NumPy scalar is the number it holds."""
+    if getattr(value, "shape", None) == ():
+        value = to_plain(value)
     if kind in KINDS:
         return KINDS[kind][0](value)
     if not (generic := GENERIC.fullmatch(kind)):

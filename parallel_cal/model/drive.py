@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
+
+from parallel_cal.base.documents import to_plain
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,10 @@ class Drive:
     gear: float = 1.0
     advantage: float = 1.0
     line: str = "out"
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            object.__setattr__(self, field.name, to_plain(getattr(self, field.name)))
 
     @property
     def travel(self) -> float:

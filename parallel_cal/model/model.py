@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.arguments import check_arguments, describe_argument, require
+from parallel_cal.base.documents import to_plain
 from parallel_cal.base.errors import ModelError
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.effect import Effect, list_substitutes
@@ -120,6 +121,8 @@ class Model:
         values = np.array(self.values, dtype=float)
         values.setflags(write=False)
         object.__setattr__(self, "values", values)
+        for sizes in ("tolerances", "usual_tolerances"):
+            object.__setattr__(self, sizes, to_plain(getattr(self, sizes)))
         if self.fixed is None:
             parts = (*self.effects, *self.sensors)
             pattern = [*self.mechanism.fixed, *(p for part in parts for p in part.fixed_patterns())]
@@ -130,9 +133,12 @@ class Model:
         n = len(self.table)
         if values.shape != (n,):
             raise ModelError(f"found {values.size} values, expected {n}, one for each parameter")
-        if self.covariance is not None and np.shape(self.covariance) != (n, n):
-            shape = np.shape(self.covariance)
-            raise ModelError(f"the covariance has the shape {shape}; expected {(n, n)}")
+        if self.covariance is not None:
+            covariance = np.asarray(self.covariance, dtype=float)
+            object.__setattr__(self, "covariance", covariance)
+            if covariance.shape != (n, n):
+                shape = covariance.shape
+                raise ModelError(f"the covariance has the shape {shape}; expected {(n, n)}")
 
     def __repr__(self) -> str:
         effects = "".join(f" + {effect.name}" for effect in self.effects)

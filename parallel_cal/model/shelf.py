@@ -13,6 +13,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from parallel_cal.base.documents import to_plain
 from parallel_cal.base.errors import (
     ModelError,
     ParallelCalError,
@@ -54,6 +55,7 @@ def add_plugin_folder(folder: Path) -> None:
 
 def load_mechanism(name: str, /, **options: Any) -> Mechanism:
     """Load a mechanism by file name (`delta54`) or Python path (`my_pkg.my_robot`)."""
+    options = to_plain(options)
     cls = load_class("mechanisms", name, Mechanism)
     try:
         signature(cls).bind(**options)
@@ -86,7 +88,7 @@ def load_effect(name: str) -> Effect:
 def load_sensor(name: str, **options: Any) -> Sensor:
     """Load a sensor by file name (`plane_spheres`) or Python path; its fields are the options."""
     try:
-        return load_class("sensors", name, Sensor)(**options)
+        return load_class("sensors", name, Sensor)(**to_plain(options))
     except TypeError as error:
         raise ModelError(f"sensor {name}: {error}") from None
 

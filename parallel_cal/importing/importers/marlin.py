@@ -116,7 +116,8 @@ def samples(
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     """Return the printer that the last settings in a log, or a Configuration.h, describe."""
     stated = settings(paths)
-    return deltas.make_configured_robot(towers(stated), tip(stated))
+    remarks = stated.remarks if "M665 R" in stated else ()  # not of M502, if Configuration.h counts
+    return deltas.make_configured_robot(towers(stated), tip(stated), remarks=remarks)
 
 
 def settings(paths: Sequence[Path]) -> Settings:
@@ -190,7 +191,14 @@ def _iterate_lines(
             if code == STORE:
                 stored = dict(texts)
             elif code == RESTORE and stored:
+                texts.clear()
                 texts.update(stored)
+                remarks.clear()
+            elif code == RESTORE:
+                remarks[:] = [
+                    f"{place.path}:{place.line}: M501 returns to values that M500 stored before "
+                    "this log. Send M503 after it"
+                ]
             elif code == "M665":
                 remarks.clear()
             elif code == RESET:

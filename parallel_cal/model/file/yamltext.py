@@ -13,6 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
+from parallel_cal.base.documents import to_plain
 from parallel_cal.base.errors import ModelFileError
 
 Path = tuple[str | int, ...]
@@ -143,7 +144,7 @@ def _scalar(node: Any) -> Any:
 
 def flow(value: Any) -> str:
     """Format a value on one line; floats like Python's repr, which reads back to the same bits."""
-    value = value.tolist() if hasattr(value, "tolist") else value
+    value = to_plain(value)
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{flow(str(k))}: {flow(v)}" for k, v in value.items()) + "}"
     if isinstance(value, Sequence) and not isinstance(value, str):

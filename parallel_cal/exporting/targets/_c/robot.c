@@ -5,6 +5,11 @@
 #include <math.h>
 #include <string.h>
 
+/* A status relies on NaN and infinity, which these options of a compiler declare impossible. */
+#if (defined __FINITE_MATH_ONLY__ && __FINITE_MATH_ONLY__) || defined _M_FP_FAST
+#error "@robot@ must know NaN: add -fno-finite-math-only behind -ffast-math or -Ofast, with MSVC /fp:precise"
+#endif
+
 #define NQ @n_joints@       /* joints */
 #define NU @n_passive@       /* passive coordinates */
 #define NX (NQ + 12 + NU)   /* a configuration: joints, position, rotation, passive coordinates */
