@@ -119,3 +119,10 @@ def test_what_was_exported_is_read_again(kind, tmp_path):
 def test_settings_that_cannot_be_are_named(old, new, message, tmp_path):
     with pytest.raises(ParallelCalError, match=message):
         configured([written(tmp_path, RICHCATTELL.replace(old, new))])
+
+
+@pytest.mark.parametrize("kind", LOGS)
+@pytest.mark.parametrize(("word", "expected"), [("R150.00 ", "M666 R"), ("D250.00", "M666 D")])
+def test_the_word_that_is_missing_is_named(kind, word, expected, tmp_path):
+    with pytest.raises(ParallelCalError, match=f"no {expected}, expected the "):
+        configured([written(tmp_path, LOGS[kind].replace(word, ""))])

@@ -100,9 +100,10 @@ def settings(paths: Sequence[Path]) -> Settings:
 
 
 def state_all_by_m666(path: Path) -> TowerWords | None:
-    """Return the words of a file that states the rods by M666; None if it is another firmware's."""
+    """Return the words of a file whose M666 has the radius or the rods; None if it is another
+    firmware's."""
     stated = settings([path])
-    if ROD not in stated:
+    if ROD not in stated and RADIUS not in stated:
         return None
     return MK4DUO if any(field in stated for field in MK4DUO.fields("UVW")) else RICHCATTELL
 
