@@ -222,6 +222,13 @@ def test_settings_that_cannot_be_are_named(old, new, message, tmp_path):
         configured([path])
 
 
+@pytest.mark.parametrize("angle", [-297, 120])
+def test_an_arm_is_homed_between_up_and_down(angle, tmp_path):
+    path = written(tmp_path, ROTARY.replace("beta_max -20.5", f"beta_max {angle}"))
+    with pytest.raises(ParallelCalError, match=f":15: beta_max is '{angle}', .* from -90 to 90"):
+        configured([path])
+
+
 def test_the_old_name_of_a_trim_is_named(tmp_path):
     """The firmware renamed it in 718bfc9c (2016), and ignores the old one."""
     path = written(tmp_path, LINEAR.replace("beta_trim_mm", "beta_trim"))

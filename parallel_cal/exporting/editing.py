@@ -106,6 +106,11 @@ def _head(field: str) -> str:
     return re.match(rf"\[[^\]]*\]|[GM]\d+(?= )|\$|{defined}|[^.]*(?=\.)|", field)[0]  # type: ignore[index]
 
 
+def sets_stored_value(field: str) -> bool:
+    """Return whether a field is a word of a command or a setting `$641`: controllers store them."""
+    return re.match(r"\$|[GM]\d+ ", field) is not None
+
+
 def _key(field: str) -> str:
     if "/" in field and field[0] != "[":
         return field.rpartition("/")[2]

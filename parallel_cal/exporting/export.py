@@ -25,6 +25,7 @@ from parallel_cal.exporting.editing import (
     edit_files,
     format_settings,
     read_verbatim,
+    sets_stored_value,
 )
 from parallel_cal.exporting.heights import BedHeights, nozzle_heights, rms_height, why_not
 from parallel_cal.exporting.projection import (
@@ -208,6 +209,8 @@ def export_into(
         cleared = []
     _check_files_are_given(files, stated, [numbers for numbers, _ in groups])
     texts, firmware = _edit(module, replace(stated, paths=files), groups, robot)
+    if are_equal(now, firmware):  # the file may state the same in other words
+        texts = {path: read_verbatim(path) for path in files}
     old, new = (replace(found, firmware=each) for each in (now, firmware))
     _check_previous_numbers(files, robot, old, new)
     heights = movement = None
@@ -251,12 +254,14 @@ def _edit(
 ) -> tuple[dict[Path, str], Firmware]:
     """Return the texts of files with new numbers, and the firmware that reads them.
 
-    A number that the firmware also has without it is not added to a file.
+    A number that the firmware also has without it is not added to a file. Words of commands and
+    settings of grblHAL are: without them, a controller keeps the numbers that it has stored.
     """
     texts = edit_files(stated, groups)
     firmware = _read(module, stated.paths, texts, robot)
     for numbers, _ in groups:
-        for key in [key for key in numbers if key not in stated]:
+        added = [key for key in numbers if key not in stated and not sets_stored_value(key)]
+        for key in added:
             text = numbers.pop(key)
             try:
                 shorter = edit_files(stated, groups)

@@ -46,6 +46,8 @@ def are_equal(one: Any, other: Any) -> bool:
     """Return whether two firmwares have equal numbers, to a nanometre or nanoradian."""
     if isinstance(one, dict):
         return one.keys() == other.keys() and all(are_equal(one[k], other[k]) for k in one)
+    if one is None or other is None:
+        return one is other
     if hasattr(one, "__dict__"):
         return type(one) is type(other) and are_equal(vars(one), vars(other))
     try:

@@ -238,9 +238,12 @@ def _towers(stated: Settings) -> Towers:
 def _shoulders(stated: Settings) -> Shoulders:
     e, f, rod, arm = (_number(stated, key, "a length in mm", low=0.0) for key in SIDES)
     top, below, tool = (_number(stated, key, "mm") for key in DEPTHS)
-    homed = np.array([_homed(stated, axis, "degrees when homed") for axis in range(3)]) * DEGREE
+    angle = "degrees when homed, from -90 to 90"
+    homed = np.array([_homed(stated, axis, angle) for axis in range(3)]) * DEGREE
+    for axis in np.flatnonzero(abs(homed) > np.pi / 2)[:1]:
+        raise stated.error(stop_field(stated, int(axis)), angle)
     same = np.ones(3)
-    turned = Shoulders(
+    hung = Shoulders(
         SIDE * (f - e) * MM,
         (top - below - tool) * MM * same,
         arm * MM * same,
@@ -251,7 +254,7 @@ def _shoulders(stated: Settings) -> Shoulders:
     short = stated.error(
         where(stated, "delta_re"), "mm, long enough for the middle of the workspace"
     )
-    return deltas.place_below(replace(turned, limits=limits), -homed - deltas.BELOW_HOMED, short)
+    return deltas.place_below(replace(hung, limits=limits), -homed - deltas.BELOW_HOMED, short)
 
 
 def _arms(stated: Settings) -> MorganArms:
