@@ -100,6 +100,53 @@ def test_a_users_file_gets_the_numbers_and_keeps_the_rest(tmp_path):
     assert export_into(again, "klipper", [path]).before["position_max"] < 1e-8
 
 
+def bed_moved(model, by):
+    values = model.values.copy()
+    values[model.table.index_of("bed.q0")] += by * MM
+    return model.with_values(values)
+
+
+@pytest.mark.parametrize("by", [-0.0784, 0.2])
+def test_the_range_of_the_bed_moves_with_its_end_stop(by, tmp_path):
+    """Klipper refuses an end-stop outside of position_min (0 where it is not stated) to max."""
+    path = written(tmp_path, PRINTER)
+    export_into(bed_moved(configured([path]).model, by), "klipper", [path])
+    assert PRINTER.split("[stepper_y]")[0] == path.read_text().split("[stepper_y]")[0]
+    lines = sorted(path.read_text().split("[stepper_y]\n")[1].splitlines())
+    ends = (("endstop", by), ("max", 200 + by), ("min", by))
+    assert lines == [f"position_{key}: {at:.6f}" for key, at in ends]
+
+
+def test_a_print_width_that_klipper_refuses_with_the_new_arms_gets_smaller(tmp_path):
+    """With cos 5 deg * 217 - 160 = 56.2 mm to each side, 112 mm; shorter arms leave 55 mm."""
+    path = written(tmp_path, PRINTER.replace("max_velocity: 500", "print_width: 112 # mine"))
+    model = configured([path]).model
+    values = model.values.copy()
+    for side in ("left", "right"):
+        values[model.table.index_of(f"{side}.rod")] -= 0.5 * MM
+    done = export_into(model.with_values(values), "klipper", [path])
+    assert "print_width: 110 # mine" in path.read_text()
+    assert any("print_width becomes 110 in place of 112" in remark for remark in done.remarks)
+
+
+def test_an_unchanged_model_changes_nothing_and_new_lines_look_like_the_others(tmp_path):
+    path = written(tmp_path, PRINTER.replace("endstop = 267.5", "endstop: 267.5"))
+    text, model = path.read_text(), configured([path]).model
+    export_into(model, "klipper", [path])
+    assert path.read_text() == text
+    values = model.values.copy()
+    values[model.table.index_of("right.rod")] += 0.1 * MM
+    export_into(model.with_values(values), "klipper", [path])
+    assert "\narm_length: 217.100000\n" in path.read_text()
+    assert "right]\nrotation" not in path.read_text()
+
+
+def test_motors_without_a_length_of_a_step_are_named(tmp_path):
+    remarks = configured([written(tmp_path, PRINTER)]).remarks
+    missing = "[stepper_right] rotation_distance, [stepper_y] rotation_distance"
+    assert f"Klipper does not start without {missing}; the model does not need it" in remarks
+
+
 def test_what_was_exported_is_read_again(tmp_path):
     done = export(new_model("deltesian"), "klipper", tmp_path)
     assert done.loss["position_max"] < 1e-8
@@ -120,6 +167,15 @@ def test_leans_that_klipper_cannot_represent_are_reported_as_loss(tmp_path):
         ("arm_length: 217", "arm_length: 150", r":8: \[stepper_left\] arm_length is '150', expec"),
         ("arm_x_length: 160", "", r"no \[stepper_left\] arm_x_length, expected mm"),
         ("position_max: 200", "position_max: -3", r"position_max is '-3', expected mm, more than"),
+        ("endstop: 0", "endstop: -5", r"stepper_y\] position_endstop is '-5', .* \(0 to 200\)"),
+        ("endstop = 267.5", "endstop = -1", r"right\] position_endstop is '-1', .* 0 or more"),
+        ("rotation_distance: 40", "rotation_distance: 0", r"rotation_distance is '0', expected mm"),
+        (
+            "max_velocity: 500",
+            "print_width: 2000",
+            r"print_width is '2000', .* 0 to 112, Klipper's",
+        ),
+        ("deltesian", "deltesion", r"is 'deltesion', expected delta, rotary_delta or deltesian"),
     ],
 )
 def test_settings_that_cannot_be_are_named(old, new, message, tmp_path):

@@ -186,6 +186,10 @@ def test_what_was_exported_is_read_again(tmp_path):
         (DELTA, "crank_mm: 70.0", "", "no kinematics/paralleldelta/crank_mm, expected a length"),
         (DELTA, "133.50", "30", r":6: kinematics/.*/linkage_mm is '30', expected mm that reach"),
         (DELTA, "-20.0", "20", r":8: kinematics/.*/up_degrees is '20', expected degrees from -90"),
+        (DELTA, "crank_mm: 70", "crank_mm: 49", "crank_mm is '49.0', .* in mm from 50 to 500"),
+        (DELTA, "179.437", "600", "base_triangle_mm is '600', expected a length in mm from 20 to"),
+        (DELTA, "up_degrees: -20", "homing_mpos_radians: 0", "radians is '0.0', .* FluidNC 4.0"),
+        (DELTA, "board", "  \tboard", r"config.yaml:1: the indentation is '  \\tboard: 6 Pack'"),
         (PLOTTER, "-267", "300", "left_anchor_x is '300.0', expected mm, left of the right"),
         (PLOTTER, "WallPlotter", "CoreXY", "no /maslow_tlx, expected ParallelDelta, WallPlotter"),
         (DELTA, "kinematics", "kin", "config.yaml: not a configuration that can be read"),
@@ -194,6 +198,45 @@ def test_what_was_exported_is_read_again(tmp_path):
 def test_settings_that_cannot_be_are_named(text, old, new, message, tmp_path):
     with pytest.raises(ParallelCalError, match=message):
         configured([written(tmp_path, text.replace(old, new))])
+
+
+def delta_of(crank, across=40.0, effector=86.603):
+    """A Delta in mm; the sides of its triangles differ by 2 sqrt(3) times `across`."""
+    text = DELTA.replace("70.0", f"{crank}").replace("133.50", f"{2 * crank}")
+    text = text.replace("86.603", f"{effector}")
+    return text.replace("179.437", f"{effector + 2 * np.sqrt(3) * across:.4f}")
+
+
+def test_a_crank_outside_of_the_firmwares_range_is_refused(tmp_path):
+    path = written(tmp_path, delta_of(50.2))
+    model = configured([path]).model
+    values = model.values.copy()
+    for i in (1, 2, 3):
+        values[model.table.index_of(f"chain{i}.La_x")] -= 0.6 * MM
+    before = path.read_text()
+    expected = r"crank_mm would be 49.6\d*, expected 50 to 500.*; grblhal can"
+    with pytest.raises(ParallelCalError, match=expected):
+        export_into(model.with_values(values), "fluidnc", [path])
+    assert path.read_text() == before
+
+
+def test_a_base_outside_of_its_range_becomes_smaller_with_the_effector(tmp_path):
+    """Both sides smaller by the same is the same machine: 480 = 500 - 20."""
+    across = 480 / 2 / np.sqrt(3)
+    model = configured([written(tmp_path, delta_of(150, across, 20))]).model
+    done = export(model, "fluidnc", tmp_path / "new")
+    assert done.loss["position_max"] < 0.3e-6
+    text = done.paths[0].read_text()
+    assert "base_triangle_mm: 500.0000" in text
+    assert "end_effector_triangle_mm: 20.0000" in text
+
+
+def test_an_unchanged_model_changes_nothing(tmp_path):
+    """Also where the file leaves up_degrees to its default."""
+    for text in (DELTA.replace("    up_degrees: -20.0\n", ""), PLOTTER, MASLOW):
+        path = written(tmp_path, text)
+        export_into(configured([path]).model, "fluidnc", [path])
+        assert path.read_text() == text
 
 
 def test_a_cable_robot_that_fluidnc_cannot_move_is_refused(tmp_path):

@@ -60,10 +60,17 @@ def test_settings_come_back_with_nothing_lost_and_no_other_line_changed(tmp_path
     path = written(tmp_path, DELIVERED)
     model = configured([path]).model
     assert export_into(model, "grblhal", [path]).loss["position_max"] < 1e-12
-    kept = [line for line in DELIVERED.splitlines() if line[:4] not in ("$643", "$644")]
+    assert path.read_text() == DELIVERED
+    values = model.values.copy()
+    for i in (1, 2, 3):
+        values[model.table.index_of(f"chain{i}.Lb")] += 1.0 * MM
+    model = model.with_values(values)
+    assert export_into(model, "grblhal", [path]).loss["position_max"] < 1e-9
+    kept = [line for line in DELIVERED.splitlines() if line[:4] not in ("$641", "$643", "$644")]
     changed = path.read_text().splitlines()
     assert [line for line in changed if line in kept] == kept
     assert [line for line in changed if line not in kept] == [
+        "$641=301.000",
         "$643=51.000 (Base radius)",
         "$644=0.000",
     ]

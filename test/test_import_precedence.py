@@ -182,8 +182,8 @@ def test_new_numbers_are_written_where_klipper_reads_them(write, text):
     assert done.loss["position_max"] < 1e-9
     read, wanted = klipper.settings([path]), klipper.settings([write(NEW, "new.cfg")])
     for field in ("[printer] delta_radius", "[stepper_a] arm_length", "[stepper_a] angle"):
-        expected = wanted.texts[field][0] if field in wanted else "210"
-        assert float(read.texts[field][0]) == float(expected)
+        expected = wanted.number(field, "a number", 210.0)
+        assert read.number(field, "a number", 210.0) == expected
     assert klipper.delta(read).rods == pytest.approx([0.33125] * 3)
     assert ("gcode_macro" in text) == any("is not read" in remark for remark in done.remarks)
 

@@ -198,7 +198,17 @@ def test_what_was_exported_is_read_again(tmp_path):
         (
             "gamma_homing_direction            home_to_max",
             "",
-            "no gamma_min, expected the no",
+            "no gamma_homing_direction, expected home_to_max: otherwise .* homes to gamma_min and",
+        ),
+        (
+            "beta_homing_direction             home_to_max",
+            "beta_homing_direction home_to_min",
+            ":14: beta_homing_direction is 'home_to_min', expected home_to_max: otherwise",
+        ),
+        (
+            "gamma_max                         300",
+            "gamma_max -297",
+            ":18: gamma_max is '-297', expected the nozzle's height in mm when homed, more than 0",
         ),
         ("zprobe.enable", "include delta.txt\nx", None),
     ],
@@ -210,6 +220,27 @@ def test_settings_that_cannot_be_are_named(old, new, message, tmp_path):
         return
     with pytest.raises(ParallelCalError, match=message):
         configured([path])
+
+
+@pytest.mark.parametrize("angle", [-297, 120])
+def test_an_arm_is_homed_between_up_and_down(angle, tmp_path):
+    path = written(tmp_path, ROTARY.replace("beta_max -20.5", f"beta_max {angle}"))
+    with pytest.raises(ParallelCalError, match=f":15: beta_max is '{angle}', .* from -90 to 90"):
+        configured([path])
+
+
+def test_the_old_name_of_a_trim_is_named(tmp_path):
+    """The firmware renamed it in 718bfc9c (2016), and ignores the old one."""
+    path = written(tmp_path, LINEAR.replace("beta_trim_mm", "beta_trim"))
+    found = configured([path])
+    assert (
+        f"{path}:20: beta_trim is not used: like the firmware, this reads beta_trim_mm only"
+        in (found.remarks[-1])
+    )
+    tops = np.array(found.model.mechanism.joint_limits)[:, 1]
+    without = LINEAR.replace("beta_trim_mm                      -0.5", "")
+    again = configured([written(tmp_path, without)]).model
+    np.testing.assert_allclose(tops, np.array(again.mechanism.joint_limits)[:, 1], atol=1e-12)
 
 
 # ------------------------------------------------------------------ Morgan's SCARA

@@ -93,10 +93,32 @@ def test_a_users_file_gets_the_numbers_and_keeps_the_rest(kind, tmp_path):
 def test_the_offset_of_the_homed_height_is_cleared(tmp_path):
     path = written(tmp_path, RICHCATTELL)
     model = configured([path]).model
-    export_into(model, "richcattell", [path])
+    values = model.values.copy()
+    for i in (1, 2, 3):  # with the same end-stops, rods 1 mm longer put the nozzle lower
+        values[model.table.index_of(f"chain{i}.Lb")] += MM
+    export_into(model.with_values(values), "richcattell", [path])
     now = read(path.read_text())
     assert now["M206 Z"] == 0
-    assert now["M666 H"] == pytest.approx(300.5, abs=1e-4)
+    # 250^2 = 150^2 + 200^2, in mm: the mean tower is at 150 + 0.4 / 3
+    lower = np.sqrt(251**2 - 150.133**2) - np.sqrt(250**2 - 150.133**2)
+    assert now["M666 H"] == pytest.approx(300.5 - lower, abs=5e-3)
+
+
+@pytest.mark.parametrize("kind", LOGS)
+def test_an_unchanged_model_changes_nothing(kind, tmp_path):
+    path = written(tmp_path, LOGS[kind])
+    export_into(configured([path]).model, kind, [path])
+    assert path.read_text() == LOGS[kind]
+
+
+def test_a_command_gets_all_its_words(tmp_path):
+    """A printer keeps what it has stored where a command lacks the word."""
+    path = written(tmp_path, "M666 R150 D250 H300 U0\n", "printer.gcode")
+    model = configured([path]).model
+    values = model.values.copy()
+    values[model.table.index_of("chain1.Lb")] += 0.5 * MM
+    export_into(model.with_values(values), "mk4duo", [path])
+    assert set("ABCIJKUVWXYZRDH") <= {word[0] for word in path.read_text().split()}
 
 
 @pytest.mark.parametrize("kind", LOGS)
@@ -112,6 +134,7 @@ def test_what_was_exported_is_read_again(kind, tmp_path):
     [
         ("D250.00", "D100.00", r":6: M666 D is '100.00', expected the rods' length in mm"),
         ("H300.00", "", "no M666 H, expected the homed height"),
+        ("Z0.50", "Z-300", ":2: M206 Z is '-300', expected the homed height in mm, more than 0"),
         ("Y-0.50", "Y0.50", r":4: M666 Y is '0.50', expected mm, 0 or less"),
         ("X0.00 Y0.00 Z0.50", "X0.00 Y2.00", r":2: M206 Y is '2.00', expected 0: a Delta"),
     ],
@@ -119,3 +142,10 @@ def test_what_was_exported_is_read_again(kind, tmp_path):
 def test_settings_that_cannot_be_are_named(old, new, message, tmp_path):
     with pytest.raises(ParallelCalError, match=message):
         configured([written(tmp_path, RICHCATTELL.replace(old, new))])
+
+
+@pytest.mark.parametrize("kind", LOGS)
+@pytest.mark.parametrize(("word", "expected"), [("R150.00 ", "M666 R"), ("D250.00", "M666 D")])
+def test_the_word_that_is_missing_is_named(kind, word, expected, tmp_path):
+    with pytest.raises(ParallelCalError, match=f"no {expected}, expected the "):
+        configured([written(tmp_path, LOGS[kind].replace(word, ""))])

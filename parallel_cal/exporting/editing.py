@@ -17,6 +17,7 @@ from parallel_cal.importing.settings import Settings
 # file (LinuxCNC), or a global variable (RepRapFirmware).
 VARIABLE = re.compile(r"\s*sets\s+(\S+)|(?:set\s+)?global[\s.]\s*(\w+)\s*=|\s*([A-Za-z_]\w*)\s*=")
 
+EQUALS = " = "  # between the key and the value of `[section] key`
 DEFINITIONS = ("DELTA_", "DEFAULT_")  # beginnings of names in Configuration.h
 
 
@@ -61,8 +62,8 @@ def edit_files(
             near = [f for f in places if _head(f) == _head(field) and places[f][0] in files]
             if near:
                 path, k = places[near[-1]]
-                begin = _begin(lines[path][: k + 1], near[-1])
-                lines[path][k] = _insert_setting(lines[path][k], field, value, begin)
+                begin, equals = _find_style(lines[path][: k + 1], near[-1])
+                lines[path][k] = _insert_setting(lines[path][k], field, value, begin, equals)
             else:
                 apart[field] = value
         if apart:
@@ -77,12 +78,16 @@ def edit_files(
     return {path: "".join(text) for path, text in lines.items()}
 
 
-def _begin(lines: Sequence[str], field: str) -> str:
-    """Return what stands before the key of a setting, whose value is on the last of the lines."""
+def _find_style(lines: Sequence[str], field: str) -> tuple[str, str]:
+    """Return what stands before the key of a setting, whose value is on the last of the lines, and
+    what stands between the key and the value."""
     if field[0] != "[" and "/" not in field:
-        return ""
-    key = re.compile(rf"(?im)^((?:#\*# )?[ \t]*){re.escape(_key(field))}\s*[:=]")
-    return next((found[1] for line in reversed(lines) if (found := key.search(line))), "")
+        return "", EQUALS
+    key = re.compile(rf"(?im)^((?:#\*# )?[ \t]*){re.escape(_key(field))}([ \t]*[:=][ \t]*)")
+    found = next((found for line in reversed(lines) if (found := key.search(line))), None)
+    if found is None:
+        return "", EQUALS
+    return found[1], f"{found[2].rstrip()} " if found[2] == found[2].rstrip() else found[2]
 
 
 def read_verbatim(path: Path) -> str:
@@ -101,18 +106,23 @@ def _head(field: str) -> str:
     return re.match(rf"\[[^\]]*\]|[GM]\d+(?= )|\$|{defined}|[^.]*(?=\.)|", field)[0]  # type: ignore[index]
 
 
+def sets_stored_value(field: str) -> bool:
+    """Return whether a field is a word of a command or a setting `$641`: controllers store them."""
+    return re.match(r"\$|[GM]\d+ ", field) is not None
+
+
 def _key(field: str) -> str:
     if "/" in field and field[0] != "[":
         return field.rpartition("/")[2]
     return field.removeprefix(_head(field)).strip() if field[0] in "[GM" else field
 
 
-def _line(field: str, value: str) -> str:
+def _line(field: str, value: str, equals: str = EQUALS) -> str:
     """Format a setting without its command or section."""
     if field[0] in "GM":
         return _key(field) + value
     if field[0] == "[":
-        return f"{_key(field)} = {value}"
+        return f"{_key(field)}{equals}{value}"
     if field.startswith(DEFINITIONS):
         return f"#define {field} {value}"
     if "/" in field:
@@ -169,10 +179,10 @@ def _replace_value(line: str, field: str, old: str, new: str) -> str:
     return line
 
 
-def _insert_setting(line: str, field: str, value: str, begin: str) -> str:
+def _insert_setting(line: str, field: str, value: str, begin: str, equals: str) -> str:
     """Add a word to a command, or a line after this one that has `begin` before its key."""
     if field[0] in "GM":
         command, comment = re.fullmatch(r"([^;(\r\n]*?)(\s*(?:[;(].*)?\s*)", line, re.S).groups()  # type: ignore[union-attr]
         return f"{command} {_line(field, value)}{comment}"
     end = "\r\n" if line.endswith("\r\n") else "\n"
-    return line.rstrip("\r\n") + end + begin + _line(field, value) + end
+    return line.rstrip("\r\n") + end + begin + _line(field, value, equals) + end

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.arguments import check_arguments
-from parallel_cal.base.errors import ModelError
+from parallel_cal.base.errors import ModelError, ParallelCalError
 from parallel_cal.base.files import BACKUP_SUFFIX, write_atomically
 from parallel_cal.base.options import convert_options, split_options
 from parallel_cal.base.threads import single_threaded
@@ -25,9 +25,17 @@ from parallel_cal.exporting.editing import (
     edit_files,
     format_settings,
     read_verbatim,
+    sets_stored_value,
 )
 from parallel_cal.exporting.heights import BedHeights, nozzle_heights, rms_height, why_not
-from parallel_cal.exporting.projection import Firmware, Machine, Projection, TargetPoses, loss
+from parallel_cal.exporting.projection import (
+    Firmware,
+    Machine,
+    Projection,
+    TargetPoses,
+    are_equal,
+    loss,
+)
 from parallel_cal.importing.settings import Settings
 from parallel_cal.importing.touch_samples import Touches
 from parallel_cal.model.model import Model
@@ -200,10 +208,10 @@ def export_into(
         groups.append(({**numbers, **dict.fromkeys(cleared, "0")}, its))
         cleared = []
     _check_files_are_given(files, stated, [numbers for numbers, _ in groups])
-    texts = edit_files(replace(stated, paths=files), groups)
-    old, new = (
-        replace(found, firmware=firmware) for firmware in (now, _read(module, files, texts, robot))
-    )
+    texts, firmware = _edit(module, replace(stated, paths=files), groups, robot)
+    if are_equal(now, firmware):  # the file may state the same in other words
+        texts = {path: read_verbatim(path) for path in files}
+    old, new = (replace(found, firmware=each) for each in (now, firmware))
     _check_previous_numbers(files, robot, old, new)
     heights = movement = None
     if touches is not None:
@@ -236,6 +244,35 @@ def _check_files_are_given(
             f"with {files[0]}, and this value is the one that counts. Nothing was written: {given} "
             "changes it there"
         )
+
+
+def _edit(
+    module: ModuleType,
+    stated: Settings,
+    groups: Sequence[tuple[dict[str, str], Sequence[Path]]],
+    robot: Model,
+) -> tuple[dict[Path, str], Firmware]:
+    """Return the texts of files with new numbers, and the firmware that reads them.
+
+    A number that the firmware also has without it is not added to a file. Words of commands and
+    settings of grblHAL are: without them, a controller keeps the numbers that it has stored.
+    """
+    texts = edit_files(stated, groups)
+    firmware = _read(module, stated.paths, texts, robot)
+    for numbers, _ in groups:
+        added = [key for key in numbers if key not in stated and not sets_stored_value(key)]
+        for key in added:
+            text = numbers.pop(key)
+            try:
+                shorter = edit_files(stated, groups)
+                same = are_equal(_read(module, stated.paths, shorter, robot), firmware)
+            except ParallelCalError:  # the firmware needs this number
+                same = False
+            if same:
+                texts = shorter
+            else:
+                numbers[key] = text
+    return texts, firmware
 
 
 def _replace_files(texts: Mapping[Path, str]) -> None:

@@ -26,6 +26,7 @@ N_FIT_POSES = 400
 N_VALIDATION_POSES = 2000
 BED_POSES = 200  # on the plate that a probe touched, where the first layer is printed
 BED_WEIGHT = 10.0  # weight of a height on that plate; other errors have 1
+EQUAL = 1e-9  # m or rad, between numbers of a firmware that are the same
 STEP = 1e-6  # rad or m, for differences
 MICRO = 1e6  # the fit is in um and urad, so that its tolerances are below any written digit
 
@@ -39,6 +40,20 @@ class Firmware(Protocol):
 
     def joints(self, r: Array, R: Array) -> Array:
         """Return motors (N, n) for the pose r (N, 3), R (N, 3, 3); NaN out of reach."""
+
+
+def are_equal(one: Any, other: Any) -> bool:
+    """Return whether two firmwares have equal numbers, to a nanometre or nanoradian."""
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(are_equal(one[k], other[k]) for k in one)
+    if one is None or other is None:
+        return one is other
+    if hasattr(one, "__dict__"):
+        return type(one) is type(other) and are_equal(vars(one), vars(other))
+    try:
+        return np.allclose(one, other, rtol=0, atol=EQUAL, equal_nan=True)
+    except (TypeError, ValueError):
+        return bool(one == other)
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.importing.reach import shrink_workspace
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.shelf import load_mechanism
 from parallel_cal.recordings.recording import Array
 
 HOME_HEIGHT_M = 0.05  # above the bed
+MIN_ANGLE = 5.0  # degrees between a rod and the horizontal, the default of Klipper's min_angle
+WRITTEN_DECIMALS = 6  # of mm, of which whole numbers are made
 SIGNS = np.array([-1.0, 1.0])  # of the rails along x
 
 
@@ -34,6 +37,12 @@ class DeltesianArms:
     def heights(self) -> Array:
         """The nozzle's heights (2,) m on the axis with one carriage at its end-stop."""
         return self.homed[:2] - np.sqrt(self.rods**2 - self.widths**2)
+
+    def max_print_width(self, min_angle: float) -> float:
+        """Return the largest print_width, a whole number of mm, that Klipper accepts."""
+        reach = (np.cos(min_angle * DEGREE) * self.rods - self.widths)[::-1]
+        left, right = np.floor(np.round(np.minimum(self.widths, reach) / MM, WRITTEN_DECIMALS))
+        return float(min(left + right, 2 * left, 2 * right))
 
     def joints(self, r: Array, R: Array | None = None) -> Array:
         """Return the joints (N, 3) in m for the nozzle at r (N, 3); NaN out of reach."""

@@ -65,12 +65,16 @@ class TowerWords:
     def towers(self, stated: Settings) -> Towers:
         radius = stated.number(RADIUS, "the delta radius in mm", low=1.0)
         rod = stated.number(ROD, "the rods' length in mm, more than the radius", low=radius)
-        height = stated.number(HEIGHT, "the homed height in mm", low=0.0)
+        above = "the homed height in mm, more than 0"
+        height = stated.number(HEIGHT, above, low=0.0)
         if self.offsets:
             for field in HOME_OFFSETS[:2]:
                 if stated.number(field, "mm", 0.0):
                     raise stated.error(field, "0: a Delta is homed on its axis")
             height += stated.number(HOME_OFFSETS[2], "mm", 0.0)
+        if height <= 0:
+            lowered = self.offsets and stated.number(HEIGHT, above) > 0
+            raise stated.error(HOME_OFFSETS[2] if lowered else HEIGHT, above)
         stops = [stated.number(field, "mm, 0 or less", 0.0, high=0.0) for field in STOPS]
         return Towers.of(
             radius + self.read_radii(stated) / MM,
@@ -100,9 +104,10 @@ def settings(paths: Sequence[Path]) -> Settings:
 
 
 def state_all_by_m666(path: Path) -> TowerWords | None:
-    """Return the words of a file that states the rods by M666; None if it is another firmware's."""
+    """Return the words of a file whose M666 has the radius or the rods; None if it is another
+    firmware's."""
     stated = settings([path])
-    if ROD not in stated:
+    if ROD not in stated and RADIUS not in stated:
         return None
     return MK4DUO if any(field in stated for field in MK4DUO.fields("UVW")) else RICHCATTELL
 

@@ -1,13 +1,14 @@
 """FluidNC: the sizes of its ParallelDelta, the anchors of its WallPlotter, and those of Maslow.
 
 Of a ParallelDelta, only the difference of the two triangles' sides counts:
-end_effector_triangle_mm stays as it is. Its position when homed is always mpos_mm, so that its
-origin follows from up_degrees. The meaning of the numbers and their source are in the importer.
+end_effector_triangle_mm stays as it is, unless the base would leave its range. The position when
+homed is always mpos_mm, so that the origin follows from up_degrees. The meaning of the numbers and
+their source are in the importer.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,7 @@ from parallel_cal.importing.importers.fluidnc import (
     EXTENSION,
     HOMED_AT,
     PLOTTER,
+    RANGES,
     SIZES,
     UP,
 )
@@ -92,12 +94,20 @@ def _delta(model: Model, present: Refinement | None, stated: Settings | None) ->
     at = 0.0 if stated is None else stated.number(HOMED_AT[2], "mm", 0.0) * MM
     above = at - heights_on_axis(delta, delta.homed)[0]  # the motors, over the firmware's origin
     frame = replace(found.frame, origin=found.frame.origin - above * found.frame.axes[:, 2])
-    base = delta.radius / MM / SIDE + EFFECTOR_MM
-    sizes = (delta.arms[0] / MM, delta.rods[0] / MM, base, EFFECTOR_MM)
-    written = {
-        f"{DELTA}/{key}": f"{size:.{DECIMALS}f}" for key, size in zip(SIZES, sizes, strict=True)
-    }
-    written[UP] = f"{-delta.homed[0] / DEGREE:.{ANGLE_DECIMALS}f}"
+    fields = [f"{DELTA}/{key}" for key in SIZES]
+    effector = EFFECTOR_MM if stated is None else stated.number(fields[3], "mm", EFFECTOR_MM)
+    base = delta.radius / MM / SIDE + effector
+    outside = base - np.clip(base, *RANGES[fields[2]])
+    sizes = (delta.arms[0] / MM, delta.rods[0] / MM, base - outside, effector - outside)
+    written = {field: f"{size:.{DECIMALS}f}" for field, size in zip(fields, sizes, strict=True)}
+    written[UP] = f"{np.round(-delta.homed[0] / DEGREE, ANGLE_DECIMALS) + 0.0:.{ANGLE_DECIMALS}f}"
+    for field, text in written.items():
+        low, high = RANGES[field]
+        if not low <= float(text) <= high:
+            raise ModelError(
+                f"fluidnc: {field} would be {text}, expected {low:g} to {high:g}: the firmware "
+                "takes the nearer end of this range. It cannot move this robot; grblhal can"
+            )
     return Projection({FILE: written}, frame, found.stops)
 
 
@@ -159,13 +169,3 @@ def _maslow(model: Model, stated: Settings | None) -> Projection:
     if np.ptp(offsets) > MAX_EQUAL_DIFFERENCE_M:
         remarks.append(OFFSETS_LOST.format("each"))
     return Projection({FILE: numbers}, frame(found, axes), np.zeros(n), tuple(remarks))
-
-
-def adapt(stated: Settings, numbers: Mapping[str, str]) -> dict[str, str]:
-    """Keep the file's own side of the effector's triangle: only the difference counts."""
-    base, effector = (f"{DELTA}/{key}" for key in SIZES[2:])
-    if base not in numbers:
-        return dict(numbers)
-    side = stated.number(effector, "mm") - EFFECTOR_MM
-    found = {field: text for field, text in numbers.items() if field != effector}
-    return found | {base: f"{float(numbers[base]) + side:.{DECIMALS}f}"}

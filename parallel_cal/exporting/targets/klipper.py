@@ -60,7 +60,7 @@ def project(
     model: Model, present: Refinement | None = None, stated: Settings | None = None
 ) -> Projection:
     if model.mechanism.name == klipper.DELTESIAN:
-        return _deltesian(model)
+        return _deltesian(model, stated)
     remarks, scale = list[str](), None
     if model.mechanism.name in LINEAR:
         has_scale = stated is not None and klipper.scale(stated) is not None
@@ -108,7 +108,7 @@ def end_stop_heights(delta: Shoulders) -> np.ndarray:
     )
 
 
-def _deltesian(model: Model) -> Projection:
+def _deltesian(model: Model, stated: Settings | None) -> Projection:
     """Fit widths, rods and end-stops of left and right, and the end-stop of the bed."""
     sides = ("left", "right")
     tops = [high for _, high in model.mechanism.joint_limits]
@@ -129,14 +129,33 @@ def _deltesian(model: Model) -> Projection:
         numbers = (arms.widths[k], arms.rods[k], arms.heights[k])
         for key, number in zip(keys, numbers, strict=True):
             found[f"{side} {key}"] = f"{number / MM:.{DECIMALS}f}"
-    found[f"{klipper.BED} position_endstop"] = f"{arms.homed[2] / MM:.{DECIMALS}f}"
+    found[klipper.ENDSTOP] = f"{arms.homed[2] / MM:.{DECIMALS}f}"
     ends = np.array(model.mechanism.joint_limits)[2] + arms.homed[2] - stops[2]
-    for key, end in zip(("position_min", "position_max"), ends, strict=True):
-        found[f"{klipper.BED} {key}"] = f"{end / MM:.{DECIMALS}f}"
-    return Projection({FILE: found}, frame, stops)
+    for field, end in zip(klipper.BED_RANGE, ends, strict=True):
+        found[field] = f"{end / MM:.{DECIMALS}f}"
+    remarks = list[str]()
+    if stated is not None and klipper.WIDTH in stated:
+        width, widest = stated.number(klipper.WIDTH, "mm"), klipper.max_print_width(stated, arms)
+        if width > widest:
+            found[klipper.WIDTH] = f"{widest:g}"
+            remarks.append(
+                f"{klipper.WIDTH} becomes {widest:g} in place of {width:g}: it is the largest "
+                "that Klipper accepts with the new arms"
+            )
+    return Projection({FILE: found}, frame, stops, tuple(remarks))
 
 
 def adapt(stated: Settings, numbers: Mapping[str, str]) -> dict[str, str]:
-    """Leave the range of a deltesian's bed as it is in the file."""
-    ranges = (f"{klipper.BED} position_min", f"{klipper.BED} position_max")
-    return {field: text for field, text in numbers.items() if field not in ranges}
+    """Move the range of a deltesian's bed in the file along with its end-stop.
+
+    Klipper refuses an end-stop outside of the range.
+    """
+    found = {field: text for field, text in numbers.items() if field not in klipper.BED_RANGE}
+    if klipper.ENDSTOP not in numbers:
+        return found
+    by = float(numbers[klipper.ENDSTOP]) - stated.number(klipper.ENDSTOP, "mm")
+    ends = (stated.number(field, "mm", 0.0) + by for field in klipper.BED_RANGE)
+    return found | {
+        field: f"{np.round(end, DECIMALS) + 0.0:.{DECIMALS}f}"
+        for field, end in zip(klipper.BED_RANGE, ends, strict=True)
+    }

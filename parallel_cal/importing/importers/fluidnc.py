@@ -3,7 +3,8 @@
 A ParallelDelta has equal chains and counts its angles down from the horizontal. Its sizes are sides
 of triangles, as in grblHAL. When homed, all arms are at up_degrees, and the position is then
 mpos_mm. Source: bdring/FluidNC e952f33f, FluidNC/src/Kinematics/ParallelDelta.cpp
-(motors_to_cartesian, set_homed_mpos) and .h (defaults); importing/wall_lines.py for the others.
+(group, motors_to_cartesian, set_homed_mpos) and .h (defaults); importing/wall_lines.py for the
+others, whose numbers have no range. The keys before release 4.0: ParallelDelta.cpp in 049719e2.
 """
 
 from __future__ import annotations
@@ -27,10 +28,20 @@ from parallel_cal.model.model import new_model
 CONFIGURATION = (".yaml", ".yml")
 MACHINE_CLASS: MachineClass = "hobby"  # belts, printed parts, open loop
 LINE = re.compile(r"(\s*)([\w/-]+)\s*:\s*([^#]*)")
+TAB = re.compile(r" *\t")
 DELTA, PLOTTER = "kinematics/paralleldelta", "kinematics/wallplotter"
 EFFECTOR_MM = 86.603  # the firmware's default
 SIZES = ("crank_mm", "linkage_mm", "base_triangle_mm", "end_effector_triangle_mm")
 UP, UP_DEGREES = f"{DELTA}/up_degrees", -30.0
+# The firmware takes the nearer end of the range for a number outside.
+RANGES = {f"{DELTA}/{key}": (20.0, 500.0) for key in SIZES}
+RANGES |= {f"{DELTA}/crank_mm": (50.0, 500.0), UP: (-90.0, 0.0)}
+BEFORE_4_0 = tuple(f"{DELTA}/{key}" for key in ("homing_mpos_radians", "soft_limits", "max_z_mm"))
+KEYS_OF_4_0 = (
+    "the keys of FluidNC 4.0, which has none of this name: the origin of earlier releases is on "
+    "the motors' axes, and they are not read. Update the firmware, delete the key, and state "
+    "up_degrees (degrees) and mpos_mm"
+)
 HOMED_AT = tuple(f"axes/{axis}/homing/mpos_mm" for axis in "xyz")
 ANCHORS = ("left_anchor_x", "left_anchor_y", "right_anchor_x", "right_anchor_y")
 CORNERS = tuple(f"/maslow_{corner}{axis}" for corner in ("tl", "tr", "bl", "br") for axis in "xy")
@@ -52,7 +63,7 @@ BELTS = "tl, tr, bl, br"
 
 def recognizes(path: Path) -> bool:
     """Whether a file has the kinematics of FluidNC; other YAML files have the same ending."""
-    stated = settings([path])
+    stated = _read([path])
     return any(field.startswith(("kinematics/", "/maslow_tl")) for field in stated.texts)
 
 
@@ -71,6 +82,14 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
 
 
 def settings(paths: Sequence[Path]) -> Settings:
+    """Read the configuration; DatasetError for tabs, at which the firmware stops."""
+    for place, line in (each for path in paths for each in read_lines(path)):
+        if TAB.match(line):
+            raise place.error("the indentation", line.replace("\t", "\\t"), "spaces, no tabs")
+    return _read(paths)
+
+
+def _read(paths: Sequence[Path]) -> Settings:
     """Read `key: value` by the sections and the key in lower case, such as `axes/x/steps_per_mm`
     or, without a section, `/board`. The last of two equal ones counts."""
     texts: dict[str, tuple[str, SourceLine]] = {}
@@ -106,10 +125,12 @@ def kinematics(stated: Settings) -> Shoulders | PlotterLines | MaslowBelts:
 
 
 def _shoulders(stated: Settings) -> Shoulders:
+    for field in (field for field in BEFORE_4_0 if field in stated):
+        raise stated.error(field, KEYS_OF_4_0)
     arm, rod, base, effector = (
-        stated.number(f"{DELTA}/{key}", "a length in mm", low=0.0) * MM for key in SIZES
+        _ranged(stated, f"{DELTA}/{key}", "a length in mm") * MM for key in SIZES
     )
-    up = stated.number(UP, "degrees from -90 to 0", UP_DEGREES, -90.0, 0.0)
+    up = _ranged(stated, UP, "degrees", UP_DEGREES)
     same, homed = np.ones(3), np.full(3, -up * DEGREE)
     limits = ((-np.pi / 2, float(homed[0])),) * 3
     hung = Shoulders(SIDE * (base - effector), 0 * same, arm * same, rod * same, HANGING_ANGLES)
@@ -121,3 +142,8 @@ def _shoulders(stated: Settings) -> Shoulders:
         raise short
     hung = replace(hung, heights=hung.heights + at - above)
     return deltas.place_below(hung, homed - deltas.BELOW_HOMED, short)
+
+
+def _ranged(stated: Settings, field: str, unit: str, default: float | None = None) -> float:
+    low, high = RANGES[field]
+    return stated.number(field, f"{unit} from {low:g} to {high:g}", default, low, high)

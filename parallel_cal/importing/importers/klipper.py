@@ -18,7 +18,7 @@ from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.importing import deltas
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.deltas import Delta, Shoulders, Towers, are_counter_clockwise
-from parallel_cal.importing.deltesian import DeltesianArms
+from parallel_cal.importing.deltesian import MIN_ANGLE, DeltesianArms
 from parallel_cal.importing.klipper_config import settings
 from parallel_cal.importing.klipper_mesh import DEFAULT, choose_mesh, read_mesh
 from parallel_cal.importing.settings import Settings
@@ -43,10 +43,14 @@ ROTATION_DISTANCE, GEAR_RATIO = "rotation_distance", "gear_ratio"
 STEP_DISTANCE = "step_distance"
 # The bed is near 0; a block on it may be of any height that a printer reaches.
 MAX_HEIGHTS_MM = {"height": 50.0, "manual_height": 500.0}
-KINDS = "delta or rotary_delta"
+LINEAR_OR_ROTARY = ("delta", "rotary_delta")
+KINDS = " or ".join(LINEAR_OR_ROTARY)
 KINEMATICS, DELTESIAN = "[printer] kinematics", "deltesian"
 SIDES = [f"[stepper_{side}]" for side in ("left", "right")]
 BED = "[stepper_y]"
+ENDSTOP, BED_RANGE = f"{BED} position_endstop", (f"{BED} position_min", f"{BED} position_max")
+WIDTH = "[printer] print_width"
+HEIGHT_EXPECTED = "the nozzle's height in mm, 0 or more"  # the low end of Klipper's range
 LEANS_NOT_STATED = (
     "the leans of the rails and the direction of the bed have no number in the firmware: they have "
     "the mechanism's nominal values"
@@ -169,17 +173,27 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     """Return the printer as configured."""
     stated = settings(paths)
     printer = kinematics(stated)
+    remarks = [*_describe_missing_steps(stated, printer), *stated.describe_unused()]
     if isinstance(printer, DeltesianArms):
-        return ConfiguredRobot(
-            new_model(printer.mechanism()), (LEANS_NOT_STATED, *stated.describe_unused())
-        )
+        return ConfiguredRobot(new_model(printer.mechanism()), (LEANS_NOT_STATED, *remarks))
     if isinstance(printer, Shoulders):
         deltas.check_reach(printer, stated, "[printer] shoulder_height")
-    found = deltas.make_configured_robot(printer, _probe(stated), remarks=stated.describe_unused())
+    found = deltas.make_configured_robot(printer, _probe(stated), remarks=remarks)
     if (parts := _read_parts(stated, [])) is None:
         return found
     sensor = load_sensor("distances", directions=parts.directions)
     return replace(found, model=found.model.with_sensors((*found.model.sensors, sensor)))
+
+
+def _describe_missing_steps(stated: Settings, printer: Delta | DeltesianArms) -> list[str]:
+    """Name steppers without the length of a step, without which Klipper does not start."""
+    steppers = (*SIDES, BED) if isinstance(printer, DeltesianArms) else STEPPERS
+    key = GEAR_RATIO if isinstance(printer, Shoulders) else ROTATION_DISTANCE
+    fields = [
+        f"{stepper} {key}" for stepper in steppers if f"{stepper} {STEP_DISTANCE}" not in stated
+    ]
+    missing = ", ".join(field for field in fields if field not in stated)
+    return [f"Klipper does not start without {missing}; the model does not need it"] * bool(missing)
 
 
 def _kind_of_probe(stated: Settings) -> str:
@@ -263,26 +277,42 @@ def _gear(stated: Settings, field: str) -> float:
 
 def _kind(stated: Settings) -> str:
     text, place = stated.text(KINEMATICS, KINDS)
-    if text not in ("delta", "rotary_delta"):
+    if text not in LINEAR_OR_ROTARY:
         raise place.error(KINEMATICS, text, KINDS)
     return text
 
 
 def kinematics(stated: Settings) -> Delta | DeltesianArms:
     """Return the printer that a configuration describes."""
-    if stated.text(KINEMATICS, f"{KINDS}, or {DELTESIAN}")[0] != DELTESIAN:
+    expected = f"{KINDS.replace(' or', ',')} or {DELTESIAN}"
+    text, place = stated.text(KINEMATICS, expected)
+    if text in LINEAR_OR_ROTARY:
         return delta(stated)
+    if text != DELTESIAN:
+        raise place.error(KINEMATICS, text, expected)
     widths = _read_pair(stated, "arm_x_length", "mm", 1e-3)
     rods = _read_pair(stated, "arm_length", "mm, longer than arm_x_length", 1e-3)
     for side in (side for side, ok in zip(SIDES, rods > widths, strict=True) if not ok):
         given = side if f"{side} arm_length" in stated else SIDES[0]
         raise stated.error(f"{given} arm_length", "mm, longer than arm_x_length")
-    heights = _read_pair(stated, "position_endstop", "the nozzle's height in mm")
-    low = stated.number(f"{BED} position_min", "mm", 0.0) * MM
-    high = stated.number(f"{BED} position_max", "mm, more than position_min", low=low / MM) * MM
-    at = stated.number(f"{BED} position_endstop", "mm") * MM
+    heights = _read_pair(stated, "position_endstop", HEIGHT_EXPECTED, 0.0)
+    low = stated.number(BED_RANGE[0], "mm", 0.0)
+    high = stated.number(BED_RANGE[1], "mm, more than position_min", low=low)
+    within = f"mm from position_min to position_max ({low:g} to {high:g})"
+    at = stated.number(ENDSTOP, within, None, low, high) * MM
+    for field in (f"{stepper} {ROTATION_DISTANCE}" for stepper in (*SIDES, BED)):
+        stated.number(field, "mm a turn, more than 0", 1.0, 1e-3)
     tops = heights * MM + np.sqrt(rods**2 - widths**2) * MM
-    return DeltesianArms(widths * MM, rods * MM, np.append(tops, at), (low, high))
+    arms = DeltesianArms(widths * MM, rods * MM, np.append(tops, at), (low * MM, high * MM))
+    widest = max_print_width(stated, arms)
+    stated.number(WIDTH, f"mm from 0 to {widest:g}, Klipper's limit with these arms", 0, 0, widest)
+    return arms
+
+
+def max_print_width(stated: Settings, arms: DeltesianArms) -> float:
+    """Return the largest print_width in mm that Klipper accepts with these arms."""
+    angle = stated.number("[printer] min_angle", "degrees from 0 to 90", MIN_ANGLE, 0.0, 90.0)
+    return arms.max_print_width(angle)
 
 
 def _read_pair(stated: Settings, key: str, expected: str, low: float = -1e4) -> Array:
@@ -327,7 +357,7 @@ def _towers(stated: Settings) -> Towers:
         radius,
         _read_stepper_values(stated, "arm_length", "mm, longer than the delta radius", low=radius),
         angles - np.array(TOWERS),
-        _read_stepper_values(stated, "position_endstop", "the nozzle's height in mm"),
+        _read_stepper_values(stated, "position_endstop", HEIGHT_EXPECTED, low=0.0),
         reach=stated.number("[printer] print_radius", "mm", 0.6 * radius, 1.0) * MM,
         scale=scale(stated),
     )
@@ -343,7 +373,7 @@ def _shoulders(stated: Settings) -> Shoulders:
         _read_stepper_values(stated, "lower_arm_length", "mm", low=1.0) * MM,
         _angles(stated, SHOULDERS) * DEGREE,
     )
-    heights = _read_stepper_values(stated, "position_endstop", "the nozzle's height in mm") * MM
+    heights = _read_stepper_values(stated, "position_endstop", HEIGHT_EXPECTED, low=0.0) * MM
     tops = np.diag(rotary.joints(np.column_stack([np.zeros((3, 2)), heights])))
     for stepper in (s for s, top in zip(STEPPERS, tops, strict=True) if np.isnan(top)):
         given = stepper if f"{stepper} position_endstop" in stated else STEPPERS[0]

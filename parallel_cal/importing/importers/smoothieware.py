@@ -45,6 +45,8 @@ LINEAR, ROTARY = ("linear_delta", "rostock", "kossel", "delta"), ("rotary_delta"
 MORGAN = ("morgan",)
 KINDS = f"{', '.join(LINEAR)}, {ROTARY[0]} or {MORGAN[0]}"
 TRIMS = tuple(f"{axis}_trim_mm" for axis in AXES)
+OLD_TRIMS = tuple(f"{axis}_trim" for axis in AXES)  # before 718bfc9c
+OLD_TRIM = "{0}:{1}: {2} is not used: like the firmware, this reads {2}_mm only. Rename the key"
 STEPS = tuple(f"{axis}_steps_per_mm" for axis in AXES)
 OFFSETS = tuple(f"delta_tower{i}_offset" for i in (1, 2, 3))
 ANGLES = tuple(f"delta_tower{i}_angle" for i in (1, 2, 3))
@@ -111,7 +113,7 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
 def settings(paths: Sequence[Path]) -> Settings:
     """Read the last value of each key of `config` and of each word of `config-override`."""
     texts: dict[str, tuple[str, SourceLine]] = {}
-    unread = []
+    unread, remarks = [], list[str]()
     for path in paths:
         for place, line in read_lines(path):
             if COMMAND.match(line):
@@ -119,9 +121,11 @@ def settings(paths: Sequence[Path]) -> Settings:
             elif found := LINE.match(line):
                 if found[1] in KEYS or ENDSTOP.fullmatch(found[1]):
                     texts[found[1]] = (found[2], place)
+                elif found[1] in OLD_TRIMS:
+                    remarks.append(OLD_TRIM.format(place.path, place.line, found[1]))
                 elif found[1] == "include" and found[2] not in [each.name for each in paths]:
                     unread.append(found[2])
-    return Settings(texts, paths, tuple(unread))
+    return Settings(texts, paths, tuple(unread), tuple(remarks))
 
 
 def kind(stated: Settings) -> tuple[str, ...]:
@@ -181,7 +185,13 @@ def stop_field(stated: Settings, axis: int) -> str:
 
 def _homed(stated: Settings, axis: int, expected: str) -> float:
     """Return the position at which an axis is homed, with its offset of M206."""
-    position = stated.number(stop_field(stated, axis), expected, None, -1e4)
+    field, direction = stop_field(stated, axis), f"{AXES[axis]}_homing_direction"
+    other = f"{AXES[axis]}_max"
+    if field not in stated and field == f"{AXES[axis]}_min" and other in stated:
+        words = f"home_to_max: otherwise the firmware homes to {field} and does not use {other}"
+        stated.text(direction, words)
+        raise stated.error(direction, words)
+    position = stated.number(field, expected, None, -1e4)
     return position + stated.number(HOME_OFFSETS[axis], "a number", 0.0)
 
 
@@ -211,7 +221,10 @@ def _towers(stated: Settings) -> Towers:
             field = stop_field(stated, axis)
             field = HOME_OFFSETS[axis] if stated.number(field, "0") == 0 else field
             raise stated.error(field, "0: a Delta is homed on its axis")
-    height = _homed(stated, 2, "the nozzle's height in mm when homed")
+    above = "the nozzle's height in mm when homed, more than 0"
+    height = _homed(stated, 2, above)
+    if height <= 0:
+        raise stated.error(stop_field(stated, 2), above)
     trims = [_number(stated, key, "mm", 0.0) for key in TRIMS]
     return Towers.of(
         radius + radius_offsets(stated) / MM,
@@ -225,9 +238,12 @@ def _towers(stated: Settings) -> Towers:
 def _shoulders(stated: Settings) -> Shoulders:
     e, f, rod, arm = (_number(stated, key, "a length in mm", low=0.0) for key in SIDES)
     top, below, tool = (_number(stated, key, "mm") for key in DEPTHS)
-    homed = np.array([_homed(stated, axis, "degrees when homed") for axis in range(3)]) * DEGREE
+    angle = "degrees when homed, from -90 to 90"
+    homed = np.array([_homed(stated, axis, angle) for axis in range(3)]) * DEGREE
+    for axis in np.flatnonzero(abs(homed) > np.pi / 2)[:1]:
+        raise stated.error(stop_field(stated, int(axis)), angle)
     same = np.ones(3)
-    turned = Shoulders(
+    hung = Shoulders(
         SIDE * (f - e) * MM,
         (top - below - tool) * MM * same,
         arm * MM * same,
@@ -238,7 +254,7 @@ def _shoulders(stated: Settings) -> Shoulders:
     short = stated.error(
         where(stated, "delta_re"), "mm, long enough for the middle of the workspace"
     )
-    return deltas.place_below(replace(turned, limits=limits), -homed - deltas.BELOW_HOMED, short)
+    return deltas.place_below(replace(hung, limits=limits), -homed - deltas.BELOW_HOMED, short)
 
 
 def _arms(stated: Settings) -> MorganArms:
