@@ -90,7 +90,7 @@ def test_each_station_is_named_with_its_size():
 @pytest.mark.wide
 def test_stations_are_shown_under_names_that_a_user_knows():
     result = fit(nominal("ur5"), joined(FIRST, SECOND), hold_out=0)
-    shown = text.show(result)
+    shown = text.show(result, details=True)
     assert "parallel_cal.identification" not in shown
     assert "recording 2's device frame, x" in shown
     assert "stations of the recordings" in shown

@@ -61,24 +61,6 @@ class _Point:
         return self.system.chi2 + self.known - self.system.chi2_of(other.system) - other.known
 
 
-@dataclass
-class _Damping:
-    """How much steps are shortened. It grows the faster, the more bad steps follow one another
-    (Nielsen, Technical University of Denmark, IMM-REP-1999-05)."""
-
-    value: float = 1e-6
-    growth: float = 3.0
-
-    def follow(self, fall: float, promised: float) -> None:
-        """Learn from a step that promised a fall of chi2. One below half of it shows curvature:
-        longer steps would oscillate."""
-        if fall > promised / 2:
-            self.value, self.growth = max(self.value / 5, 1e-12), 3.0
-        else:
-            self.value = max(self.value * self.growth, 1e-6)
-            self.growth = min(2 * self.growth, 24.0)  # a good step only divides by 5
-
-
 def minimise(
     sought: EstimationProblem, reach: Reach, advice: str, iterations: int, near: bool = False
 ) -> Estimate:
@@ -110,7 +92,7 @@ def minimise(
         raise FitError("the starting model has no solution at some samples: start nearer")
     known, choices = sought.make_knowledge(first), 1
     here, costs = held(np.array(sought.model.values), first), [np.inf]
-    damping, promised, settled = _Damping(), np.inf, False
+    damping, promised, settled = 1e-6, np.inf, False
     for k in range(iterations):
         last = near and k > 0 and here.normal.will_converge(promised)
         if (k > 0 and here.normal.has_converged) or last or _gain_nothing(costs):
@@ -121,14 +103,15 @@ def minimise(
                 values[free] += here.normal.step(0.0)[0] if last else 0.0
                 found = make_estimate(sought, values, here.system, k, seen)
                 return replace(found, system=here.system)
-            known, choices, damping, costs = better, choices + 1, _Damping(), [np.inf]
+            known, choices, damping, costs = better, choices + 1, 1e-6, [np.inf]
             here = held(here.values, here.system)
-        tried, promised = ahead(here, damping.value)
+        tried, promised = ahead(here, damping)
         if tried is not None and here.fall_to(tried) < 0:
             # A step along a curved valley ends on its slope; a second one leads to its floor.
-            tried, _ = ahead(tried, damping.value)
+            tried, _ = ahead(tried, damping)
         fall = -np.inf if tried is None else here.fall_to(tried)
-        damping.follow(fall, promised)
+        # A fall below half of the predicted one shows curvature: longer steps would oscillate.
+        damping = max(damping / 5, 1e-12) if fall > promised / 2 else max(damping * 3, 1e-6)
         nothing = 1e-9 * (here.system.chi2 + here.known)
         if tried is not None and fall >= -nothing:
             here, settled = tried, False
@@ -137,7 +120,7 @@ def minimise(
             before, here = here, at(here.values, here.system, stay) or here
             settled = abs(before.system.chi2 - here.system.chi2) <= nothing
         costs.append(here.system.chi2 + here.known)
-        if damping.value > 1e12:
+        if damping > 1e12:
             break
     raise NoSolutionError(
         f"identification did not converge in {iterations} iterations (chi2 "
