@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
 
+import numpy as np
+
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import read_text
 from parallel_cal.importing.gcode import COMMANDS
@@ -19,6 +21,11 @@ VARIABLE = re.compile(r"\s*sets\s+(\S+)|(?:set\s+)?global[\s.]\s*(\w+)\s*=|\s*([
 
 EQUALS = " = "  # between the key and the value of `[section] key`
 DEFINITIONS = ("DELTA_", "DEFAULT_")  # beginnings of names in Configuration.h
+
+
+def format_number(value: float, decimals: int) -> str:
+    """Format a number with fixed decimals, and zero without a sign."""
+    return f"{np.round(value, decimals) + 0.0:.{decimals}f}"
 
 
 def format_settings(settings: Mapping[str, str]) -> str:
@@ -81,13 +88,13 @@ def edit_files(
 def _find_style(lines: Sequence[str], field: str) -> tuple[str, str]:
     """Return what stands before the key of a setting, whose value is on the last of the lines, and
     what stands between the key and the value."""
-    if field[0] != "[" and "/" not in field:
+    if field[0] != "[" and not _is_of_yaml(field):
         return "", EQUALS
     key = re.compile(rf"(?im)^((?:#\*# )?[ \t]*){re.escape(_key(field))}([ \t]*[:=][ \t]*)")
     found = next((found for line in reversed(lines) if (found := key.search(line))), None)
     if found is None:
         return "", EQUALS
-    return found[1], f"{found[2].rstrip()} " if found[2] == found[2].rstrip() else found[2]
+    return found[1], found[2] if found[2][-1].isspace() else f"{found[2]} "
 
 
 def read_verbatim(path: Path) -> str:
@@ -97,10 +104,14 @@ def read_verbatim(path: Path) -> str:
         return stream.read()
 
 
+def _is_of_yaml(field: str) -> bool:
+    return "/" in field and field[0] != "["
+
+
 def _head(field: str) -> str:
     """Return the group of a field: `M665`, `[section]`, `$`, `DELTA_` (C), the component of a pin,
     the sections of YAML, or nothing for all keys of a file of `key value`."""
-    if "/" in field and field[0] != "[":
+    if _is_of_yaml(field):
         return field.rpartition("/")[0]
     defined = "|".join(DEFINITIONS)
     return re.match(rf"\[[^\]]*\]|[GM]\d+(?= )|\$|{defined}|[^.]*(?=\.)|", field)[0]  # type: ignore[index]
@@ -112,7 +123,7 @@ def sets_stored_value(field: str) -> bool:
 
 
 def _key(field: str) -> str:
-    if "/" in field and field[0] != "[":
+    if _is_of_yaml(field):
         return field.rpartition("/")[2]
     return field.removeprefix(_head(field)).strip() if field[0] in "[GM" else field
 
@@ -125,7 +136,7 @@ def _line(field: str, value: str, equals: str = EQUALS) -> str:
         return f"{_key(field)}{equals}{value}"
     if field.startswith(DEFINITIONS):
         return f"#define {field} {value}"
-    if "/" in field:
+    if _is_of_yaml(field):
         return f"{_key(field)}: {value}"
     if field[0] == "$":
         return f"{field}={value}"

@@ -209,7 +209,7 @@ def export_into(
         cleared = []
     _check_files_are_given(files, stated, [numbers for numbers, _ in groups])
     texts, firmware = _edit(module, replace(stated, paths=files), groups, robot)
-    if are_equal(now, firmware):  # the file may state the same in other words
+    if are_equal(now, firmware):  # the files may state these numbers in other words
         texts = {path: read_verbatim(path) for path in files}
     old, new = (replace(found, firmware=each) for each in (now, firmware))
     _check_previous_numbers(files, robot, old, new)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.exporting.deltas import TOWERS, complete_towers, express_gain, towers
+from parallel_cal.exporting.editing import format_number
 from parallel_cal.exporting.projection import Array, Firmware, Projection, Refinement
+from parallel_cal.importing import tower_words
 from parallel_cal.importing.deltas import Towers
 from parallel_cal.importing.gcode import STEPS_FIELDS, read_scale
 from parallel_cal.importing.settings import Settings
@@ -41,6 +44,9 @@ class WrittenWords:
     words: TowerWords
     name: str
 
+    def settings(self, paths: Sequence[Path]) -> Settings:
+        return tower_words.settings(paths)
+
     def firmware(self, stated: Settings) -> Firmware:
         return self.words.towers(stated)
 
@@ -48,7 +54,7 @@ class WrittenWords:
         return complete_towers(read, model, TOWERS)
 
     def project(
-        self, model: Model, present: Refinement | None, stated: Settings | None
+        self, model: Model, present: Refinement | None = None, stated: Settings | None = None
     ) -> Projection:
         w = self.words
         delta, c = towers(
@@ -75,9 +81,7 @@ class WrittenWords:
         )
         for fields, values in groups:
             found |= dict(zip(fields, values, strict=True))
-        written = {
-            field: f"{np.round(v, DECIMALS) + 0.0:.{DECIMALS}f}" for field, v in found.items()
-        }
+        written = {field: format_number(v, DECIMALS) for field, v in found.items()}
         if delta.scale is not None:
             steps = zip(STEPS_FIELDS, delta.scale * MM, strict=True)
             written |= {field: f"{value:.{STEPS_DECIMALS}f}" for field, value in steps}

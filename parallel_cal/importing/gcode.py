@@ -28,6 +28,7 @@ HOST_PREFIX = re.compile(
     rf"^(?:[^;]*?{DIRECTION})?(?:\s*(?:{TIME}|<+|-?>+|<-)\s*[-|:]*)*\s*(?:(?:echo|Config)\s*:)?",
     re.IGNORECASE,
 )
+HOME_OFFSETS = tuple(f"M206 {axis}" for axis in "XYZ")  # added to the position when homed
 LOAD, OVERRIDE = "M501", "config-override.g"  # which M500 writes
 MACRO = "M98"  # runs the file that P names
 # A command of RepRapFirmware ends where the next G or M begins outside quotes and expressions.

@@ -22,14 +22,13 @@ from parallel_cal.base.units import MM
 from parallel_cal.importing import deltas
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.deltas import Towers
-from parallel_cal.importing.gcode import HOST_PREFIX, parse_settings_line, read_scale
+from parallel_cal.importing.gcode import HOME_OFFSETS, HOST_PREFIX, parse_settings_line, read_scale
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines
 from parallel_cal.recordings.recording import Array
 
 CODES = ("M92", "M206", "M666")
 CODE, RADIUS, ROD, HEIGHT = "M666", "M666 R", "M666 D", "M666 H"
 STOPS = tuple(f"{CODE} {axis}" for axis in "XYZ")
-HOME_OFFSETS = tuple(f"M206 {axis}" for axis in "XYZ")
 
 
 @dataclass(frozen=True)

@@ -136,9 +136,8 @@ class FiveBar(Mechanism):
         )
         self.closed_forms = ("direct",)
         self.bodies = {**BODIES, "rods": ("*.rod", "tool.?")}
-        k = list(SIDES).index(self.carrier)
         if bars["crank"] == bars["rod"][::-1]:  # a parallelogram
-            self.fixed = (f"{list(SIDES)[1 - k]}.crank",)
+            self.fixed = (f"{self.other}.crank",)
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """Compute the length error (|J - elbow|^2 - rod^2) / (2 rod) of each rod, in metres, where
@@ -149,13 +148,20 @@ class FiveBar(Mechanism):
             return ca.vertcat(*[_too_long(r[:2] - elbows[side], p[side].rod) for side in SIDES])
         reach = ca.norm_2(self._reach(p))
         errors = {self.carrier: _too_long(r[:2] - elbows[self.carrier], reach)}
-        other = self._other
-        errors[other] = _too_long(self.meeting(q, r, p) - elbows[other], p[other].rod)
+        errors[self.other] = _too_long(
+            self.meeting(q, r, p) - elbows[self.other], p[self.other].rod
+        )
         return ca.vertcat(*[errors[side] for side in SIDES])
 
     @property
-    def _other(self) -> str:
+    def other(self) -> str:
+        """The side whose rod does not carry the tool."""
         return "right" if self.carrier == "left" else "left"
+
+    @property
+    def _index(self) -> int:
+        """The number of the carrier's joint."""
+        return list(SIDES).index(self.carrier)
 
     def _reach(self, p: Named) -> Any:
         """Return the end point (2, 1) m in the frame of the carrier's rod, from its elbow."""
@@ -165,7 +171,7 @@ class FiveBar(Mechanism):
         """Return the point (2, 1) m where the rods meet."""
         if not self.has_tool:
             return r[:2]
-        elbow = self.elbow(q[list(SIDES).index(self.carrier)], p[self.carrier])
+        elbow = self.elbow(q[self._index], p[self.carrier])
         return elbow + p[self.carrier].rod * self._along(r[:2] - elbow, p)
 
     def _along(self, away: Any, p: Named) -> Any:
@@ -203,7 +209,7 @@ class FiveBar(Mechanism):
         elbows = [self.elbow(q[i], p[side]) for i, side in enumerate(SIDES)]
         points = two_circles(elbows, [p.left.rod**2, p.right.rod**2])
         if self.has_tool:
-            elbow = elbows[list(SIDES).index(self.carrier)]
+            elbow = elbows[self._index]
             x, y = self._reach(p).elements()
             along = [(point - elbow) / p[self.carrier].rod for point in points]
             points = tuple(elbow + x * u + y * ca.vertcat(-u[1], u[0]) for u in along)
@@ -214,15 +220,14 @@ class FiveBar(Mechanism):
         both angles of the carrier's."""
         if not self.has_tool:
             return joint_angles(self, r, R, p)
-        carrier, other = p[self.carrier], p[self._other]
+        carrier, other = p[self.carrier], p[self.other]
         first = _crank_angles(r[:2], carrier, ca.norm_2(self._reach(p)))
-        k = list(SIDES).index(self.carrier)
         second = list[Any]()
         for angle in first:
             elbow = self.elbow(angle, carrier)
             J = elbow + carrier.rod * self._along(r[:2] - elbow, p)
             second += _crank_angles(J, other, other.rod)
-        return [first, tuple(second)] if k == 0 else [tuple(second), first]
+        return [first, tuple(second)] if self._index == 0 else [tuple(second), first]
 
 
 def _too_long(span: Any, length: Any) -> Any:

@@ -18,6 +18,7 @@ import numpy as np
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.exporting.deltas import ROTARY, fit_equal_shoulders
+from parallel_cal.exporting.editing import format_number
 from parallel_cal.exporting.projection import (
     Array,
     Firmware,
@@ -100,7 +101,7 @@ def _delta(model: Model, present: Refinement | None, stated: Settings | None) ->
     outside = base - np.clip(base, *RANGES[fields[2]])
     sizes = (delta.arms[0] / MM, delta.rods[0] / MM, base - outside, effector - outside)
     written = {field: f"{size:.{DECIMALS}f}" for field, size in zip(fields, sizes, strict=True)}
-    written[UP] = f"{np.round(-delta.homed[0] / DEGREE, ANGLE_DECIMALS) + 0.0:.{ANGLE_DECIMALS}f}"
+    written[UP] = format_number(-delta.homed[0] / DEGREE, ANGLE_DECIMALS)
     for field, text in written.items():
         low, high = RANGES[field]
         if not low <= float(text) <= high:
@@ -164,7 +165,7 @@ def _maslow(model: Model, stated: Settings | None) -> Projection:
     arm = ARM_MM if stated is None else stated.number(ARM, "mm", ARM_MM)
     written = dict(zip(CORNERS, places.ravel() / MM, strict=True))
     written[EXTENSION] = found.offset / MM - arm
-    numbers = {key: f"{np.round(v, DECIMALS) + 0.0:.{DECIMALS}f}" for key, v in written.items()}
+    numbers = {key: format_number(v, DECIMALS) for key, v in written.items()}
     remarks = [f"the lines are the belts {BELTS}, in this order"]
     if np.ptp(offsets) > MAX_EQUAL_DIFFERENCE_M:
         remarks.append(OFFSETS_LOST.format("each"))

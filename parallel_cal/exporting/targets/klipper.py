@@ -24,6 +24,7 @@ from parallel_cal.exporting.deltas import (
     shoulders,
     towers,
 )
+from parallel_cal.exporting.editing import format_number
 from parallel_cal.exporting.projection import (
     Firmware,
     Frame,
@@ -156,6 +157,6 @@ def adapt(stated: Settings, numbers: Mapping[str, str]) -> dict[str, str]:
     by = float(numbers[klipper.ENDSTOP]) - stated.number(klipper.ENDSTOP, "mm")
     ends = (stated.number(field, "mm", 0.0) + by for field in klipper.BED_RANGE)
     return found | {
-        field: f"{np.round(end, DECIMALS) + 0.0:.{DECIMALS}f}"
+        field: format_number(end, DECIMALS)
         for field, end in zip(klipper.BED_RANGE, ends, strict=True)
     }

@@ -11,8 +11,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
-
 from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.exporting.deltas import (
     LINEAR,
@@ -21,6 +19,7 @@ from parallel_cal.exporting.deltas import (
     express_gain,
     towers,
 )
+from parallel_cal.exporting.editing import format_number
 from parallel_cal.exporting.projection import Firmware, Projection, Refinement
 from parallel_cal.exporting.tower_words import split_heights
 from parallel_cal.importing.importers import marlin
@@ -73,7 +72,7 @@ def make_projection(
     if not equal_rods:
         found |= {f"M665 {t}": a for t, a in zip("ABC", (delta.rods - rod) / MM, strict=True)}
     found |= {f"M666 {t}": -a for t, a in zip("XYZ", retract / MM, strict=True)}
-    written = {field: f"{np.round(v, DECIMALS) + 0.0:.{DECIMALS}f}" for field, v in found.items()}
+    written = {field: format_number(v, DECIMALS) for field, v in found.items()}
     if delta.scale is not None:
         steps = zip(marlin.STEPS_FIELDS, delta.scale * MM, strict=True)
         written |= {field: f"{value:.{STEPS_DECIMALS}f}" for field, value in steps}

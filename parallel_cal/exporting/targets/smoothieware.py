@@ -19,6 +19,7 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.exporting import deltas
 from parallel_cal.exporting.deltas import TOWERS, complete_towers, express_gain, fit_equal_shoulders
+from parallel_cal.exporting.editing import format_number
 from parallel_cal.exporting.projection import (
     Firmware,
     Frame,
@@ -28,13 +29,13 @@ from parallel_cal.exporting.projection import (
     fit_numbers,
 )
 from parallel_cal.importing.deltas import HANGING_ANGLES, SIDE
+from parallel_cal.importing.gcode import HOME_OFFSETS
 from parallel_cal.importing.importers import smoothieware
 from parallel_cal.importing.importers.smoothieware import (
     ANGLES,
     ARMS,
     AXES,
     DEPTHS,
-    HOME_OFFSETS,
     HOMING,
     LINEAR,
     MORGAN,
@@ -128,8 +129,7 @@ def _morgan(model: Model, stated: Settings | None) -> Projection:
             "smoothieware: the rods meet at the end point, expected two arms on one axis whose "
             "forearm has a tool beyond its rods (Morgan's SCARA); the target rrf has a five-bar"
         )
-    upper = bars.carrier
-    other = "left" if upper == "right" else "right"
+    upper, other = bars.carrier, bars.other
     order = (0, 1) if upper == "left" else (1, 0)
     frame, stops = Frame(order, np.ones(2)), np.array(bars.switches)
     q0 = np.array([model.value(f"{side}.q0") for side in (upper, other)])
@@ -158,9 +158,7 @@ def _morgan(model: Model, stated: Settings | None) -> Projection:
 def _write(kind: tuple[str, ...], numbers: Mapping[str, float]) -> dict[str, str]:
     written = {SOLUTION: kind[0], HOMING[kind]: "true"}
     written |= {f"{axis}_homing_direction": "home_to_max" for axis in AXES}
-    return written | {
-        key: f"{np.round(number, DECIMALS) + 0.0:.{DECIMALS}f}" for key, number in numbers.items()
-    }
+    return written | {key: format_number(number, DECIMALS) for key, number in numbers.items()}
 
 
 def adapt(stated: Settings, numbers: Mapping[str, str]) -> dict[str, str]:

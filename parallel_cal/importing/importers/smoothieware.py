@@ -29,7 +29,7 @@ from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.importing import deltas
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.deltas import HANGING_ANGLES, SIDE, Delta, Shoulders, Towers
-from parallel_cal.importing.gcode import COMMAND, parse_settings_line
+from parallel_cal.importing.gcode import COMMAND, HOME_OFFSETS, parse_settings_line
 from parallel_cal.importing.morgan import MorganArms
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines
 from parallel_cal.model.machine_class import MachineClass
@@ -60,7 +60,7 @@ RATIOS = ("morgan_undefined_max", "morgan_undefined_min")
 REAL_SCARA = "real_scara"
 HOMING = {LINEAR: "delta_homing", ROTARY: "rdelta_homing", MORGAN: "scara_homing"}
 HOMED_BY_JOINTS = "true: otherwise the firmware does not home this kind of machine by its joints"
-# Commands that set the same as a key, by the kind of machine.
+# Commands that set a key, by the kind of machine.
 WORDS = [f"{code} {axis}" for code in ("M666", "M92") for axis in "XYZ"]
 SAME = dict(zip((*TRIMS, *STEPS), WORDS, strict=True))
 COMMANDS = {
@@ -73,8 +73,7 @@ COMMANDS = {
     )
     | dict(zip(TRIMS[:2], WORDS[:2], strict=True)),
 }
-HEIGHT = "M665 Z"  # the same as the homing position of axis z of a linear Delta
-HOME_OFFSETS = tuple(f"M206 {axis}" for axis in "XYZ")
+HEIGHT = "M665 Z"  # sets the homing position of axis z of a linear Delta
 LINE = re.compile(r"\s*([^\s#]+)[ \t]+([^\s#]+)")
 ENDSTOP = re.compile(r"endstop\.(\w+)\.(axis|homing_direction|homing_position)")
 KEYS = {
@@ -129,7 +128,7 @@ def settings(paths: Sequence[Path]) -> Settings:
 
 
 def kind(stated: Settings) -> tuple[str, ...]:
-    """Return the names of the arm solution: LINEAR or ROTARY."""
+    """Return the names of the arm solution: LINEAR, ROTARY or MORGAN."""
     text, place = stated.text(SOLUTION, KINDS)
     for names in (LINEAR, ROTARY, MORGAN):
         if text in names:
