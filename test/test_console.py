@@ -187,6 +187,6 @@ def test_a_proposed_command_finds_effects_of_ones_own(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", f"/elsewhere:{tmp_path}")
     assert write_program(model) == "PYTHONPATH=. parallel-cal"
     assert write_program(model.without_effect("own_play")) == "parallel-cal"
-    assert write_program(model, tmp_path / "a b") == "PYTHONPATH='a b:.' parallel-cal"
-    shown = command_line("diagnose", Path("a b.yaml"), model, [Path("bag")], ["exclude=3"])
+    assert write_program(model, [tmp_path / "a b"]) == "PYTHONPATH='a b:.' parallel-cal"
+    shown = command_line(["diagnose", Path("a b.yaml")], model, [Path("bag")], ["exclude=3"])
     assert shown == "PYTHONPATH=. parallel-cal diagnose 'a b.yaml' bag --data=exclude=3"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -149,7 +150,7 @@ def _finish(step: Step, run: _Run, as_json: bool) -> None:
         model = replace(step.model, history=(*earlier, last | {"dataset": dataset}))
         replace_model(model, output)
         written = {"output": str(output), "hash": model_hash(model)}
-        following = command_line("diagnose", output, model, run.bags, run.data)
+        following = command_line(["diagnose", output], model, run.bags, run.data)
     console.progress("", 1.0)
     console.warn(step.warnings, brief=not run.details)
     if as_json:
@@ -168,19 +169,21 @@ def list_options(details: bool, parameters: bool = False) -> list[str]:
 
 
 def command_line(
-    command: str,
-    file: Path,
+    words: Sequence[str | Path],
     model: Model,
     bags: list[Path],
     data: list[str] | None,
     *others: str,
+    folders: Sequence[Path] = (),
 ) -> str:
-    """Write a command that continues with these files."""
-    words = [command, str(file), *map(str, bags), *(f"--data={item}" for item in data or [])]
-    return f"{write_program(model)} {shlex.join([*words, *others])}"
+    """Write a command that continues with these recordings: `words` before them, `others` behind
+    them. `folders` have further effects."""
+    options = [f"--data={item}" for item in data or []]
+    whole = shlex.join([*map(str, words), *map(str, bags), *options, *others])
+    return f"{write_program(model, folders)} {whole}"
 
 
-def write_program(model: Model, *folders: Path) -> str:
+def write_program(model: Model, folders: Sequence[Path] = ()) -> str:
     """Write the name of the program, with folders of effects, and those of the model's own that
     PYTHONPATH names."""
     named = {
@@ -227,7 +230,7 @@ def compare(
 
     console.show(describe(compared), list_options(details))
     if compared.given.fits_of_these_samples:
-        command = command_line("diagnose", model, judged, bags, data)
+        command = command_line(["diagnose", model], judged, bags, data)
     else:
-        command = command_line("fit", model, judged, bags, data, "-o", "fitted.yaml")
+        command = command_line(["fit", model], judged, bags, data, "-o", "fitted.yaml")
     print_summary(compared, command, is_command=True)

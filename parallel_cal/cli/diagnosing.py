@@ -68,6 +68,6 @@ def diagnose(
     }
     lines = [name_files(line, names) for line in summarize(found)]
     if not found.next_steps:
-        command = command_line("report", model, found.model, bags, data, "-o", "report.html")
+        command = command_line(["report", model], found.model, bags, data, "-o", "report.html")
         lines.append(Line("next:", command, COMMAND))
     console.show([summary_table(lines)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,7 +19,7 @@ from parallel_cal.cli.arguments import (
     Scheduler,
     with_options,
 )
-from parallel_cal.cli.calibration import read_model_and_data, write_program
+from parallel_cal.cli.calibration import command_line, read_model_and_data
 from parallel_cal.reporting import console
 
 EffectOut = Annotated[
@@ -68,9 +67,16 @@ def discover(
     if files:
         # Together: each law was proven beside those before it.
         console.say(f"written: {', '.join(map(str, files))}")
-        words = ["add", str(model), "+".join(file.stem for file in files), *map(str, bags)]
-        words += [*(f"--data={item}" for item in data or []), "-o", "better.yaml"]
-        command = f"{write_program(judged, files[0].parent)} {shlex.join(words)}"
+        laws = "+".join(file.stem for file in files)
+        command = command_line(
+            ["add", model, laws],
+            judged,
+            bags,
+            data,
+            "-o",
+            "better.yaml",
+            folders=[files[0].parent],
+        )
         console.show([summary_table([Line("next:", command, COMMAND)])])
 
 

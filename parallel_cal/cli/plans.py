@@ -26,6 +26,7 @@ from parallel_cal.reporting.summary import Line, summary_table
 
 MIN_SHOWN_TURN = 1e-4  # rad; a platform that turns less does not turn
 MAX_UNCERTAIN_PARAMETERS = 5  # that are named
+ERRORS = {"position": ("um", 1e6), "orientation": ("arcmin", 1 / ARCMIN)}  # unit and factor
 
 
 def describe_poses(found: Plan, document: dict[str, Any]) -> Table:
@@ -59,11 +60,11 @@ def describe_plan(found: Plan, document: dict[str, Any]) -> Iterator[Block]:
     ]
     expected = (document["expected"], random["expected"])
     rows += [
-        ["expected position error, rms [um]", *_numbers(expected, "position", 1e6)],
         [
-            "expected orientation error, rms [arcmin]",
-            *_numbers(expected, "orientation", 1 / ARCMIN),
-        ],
+            f"expected {kind} error, rms [{unit}]",
+            *(format_fixed(column[f"{kind}_rms"], factor, 2) for column in expected),
+        ]
+        for kind, (unit, factor) in ERRORS.items()
     ]
     yield Table(("", "planned", "random"), rows)
     sigmas = {k: v["sigma_tolerances"] for k, v in document["expected"]["parameters"].items()}
@@ -83,10 +84,7 @@ def summarize_plan(found: Plan, document: dict[str, Any], following: str) -> Tab
     def write(expected: dict[str, Any]) -> str:
         parts = [
             f"{number(expected[f'{kind}_rms'], factor)} {unit}"
-            for kind, unit, factor in (
-                ("position", "um", 1e6),
-                ("orientation", "arcmin", 1 / ARCMIN),
-            )
+            for kind, (unit, factor) in ERRORS.items()
             if is_known(expected[f"{kind}_rms"])
         ]
         return ", ".join(parts) or "not known"
@@ -99,10 +97,6 @@ def summarize_plan(found: Plan, document: dict[str, Any], following: str) -> Tab
             Line("next:", following),
         ]
     )
-
-
-def _numbers(columns: tuple[dict[str, Any], ...], kind: str, factor: float) -> list[str]:
-    return [format_fixed(column[f"{kind}_rms"], factor, 2) for column in columns]
 
 
 def _format_short(value: float | None) -> str:

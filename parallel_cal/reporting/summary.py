@@ -27,7 +27,9 @@ from parallel_cal.reporting.readable import (
 if TYPE_CHECKING:
     from parallel_cal.diagnosis.comparison import Comparison
     from parallel_cal.diagnosis.diagnose import Diagnosis
+    from parallel_cal.identification.estimate import Estimate
     from parallel_cal.model.model import Model
+    from parallel_cal.posterior.scene import Scene
     from parallel_cal.session.steps import Step
 
 PROGRAM = "parallel-cal"
@@ -91,13 +93,7 @@ def _summarize_fit(
     yield Line("before:", write(*before) + HELD_OUT)
     yield Line("after:", write(after, result.rms_sigmas(result.held_out)), FOUND)
     yield Line("noise:", write(noise, result.simulated_noise.sigmas))
-    estimate = result.estimate
-    if result.observations.noise_assumed:
-        yield Line("missing:", "not known, because the noise is not stated")
-    elif estimate.chi2_per_dof > chi2_band(estimate.dof)[1]:
-        yield Line("missing:", _describe_excess(result.model, after, noise), ODD)
-    else:
-        yield Line("missing:", "nothing larger than the noise")
+    yield _state_missing(result, result.estimate, after, noise)
 
 
 def _summarize_comparison(comparison: Comparison) -> Iterator[Line]:
@@ -105,12 +101,18 @@ def _summarize_comparison(comparison: Comparison) -> Iterator[Line]:
     write = _writer(comparison.model, errors.summary, noise)
     yield Line("error:", write(errors.summary, {}) + " (rms)")
     yield Line("noise:", write(noise, comparison.noise_sigmas))
-    if comparison.observations.noise_assumed:
-        yield Line("missing:", "not known, because the noise is not stated")
-    elif comparison.scene.chi2_per_dof > chi2_band(comparison.scene.dof)[1]:
-        yield Line("missing:", _describe_excess(comparison.model, errors.summary, noise), ODD)
-    else:
-        yield Line("missing:", "nothing larger than the noise")
+    yield _state_missing(comparison, comparison.scene, errors.summary, noise)
+
+
+def _state_missing(
+    judged: FitResult | Comparison, residual: Estimate | Scene, errors: Summary, noise: Summary
+) -> Line:
+    """Say whether the residual is larger than the noise, and by how much."""
+    if judged.observations.noise_assumed:
+        return Line("missing:", "not known, because the noise is not stated")
+    if residual.chi2_per_dof > chi2_band(residual.dof)[1]:
+        return Line("missing:", _describe_excess(judged.model, errors, noise), ODD)
+    return Line("missing:", "nothing larger than the noise")
 
 
 def _summarize_diagnosis(diagnosis: Diagnosis) -> Iterator[Line]:
