@@ -11,7 +11,7 @@ from numbers import Integral, Real
 from os import PathLike
 from typing import Any, ParamSpec, TypeVar
 
-from parallel_cal.base.documents import to_plain
+from parallel_cal.base.documents import make_plain, to_plain
 from parallel_cal.base.errors import DatasetError, ModelError, ParallelCalError
 
 P = ParamSpec("P")
@@ -119,7 +119,7 @@ def require_fields(options: Any, error: type[ParallelCalError]) -> None:
     """
     for field in fields(options):
         require(field.name, getattr(options, field.name), str(field.type), error)
-        object.__setattr__(options, field.name, to_plain(getattr(options, field.name)))
+    make_plain(options)
 
 
 def check_arguments(

@@ -22,6 +22,13 @@ def to_plain(value: Any) -> Any:
     return value
 
 
+def make_plain(instance: Any, *names: str) -> None:
+    """Replace fields of a dataclass by what `to_plain` makes of them, for its `__post_init__`; all
+    fields if no names are given."""
+    for name in names or (field.name for field in fields(instance)):
+        object.__setattr__(instance, name, to_plain(getattr(instance, name)))
+
+
 def to_json_value(value: Any) -> Any:
     """Convert a value to plain JSON data.
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
-from parallel_cal.base.documents import to_plain
+from parallel_cal.base.documents import make_plain
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,7 @@ class Drive:
     line: str = "out"
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            object.__setattr__(self, field.name, to_plain(getattr(self, field.name)))
+        make_plain(self)
 
     @property
     def travel(self) -> float:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.arguments import check_arguments, describe_argument, require
-from parallel_cal.base.documents import to_plain
+from parallel_cal.base.documents import make_plain
 from parallel_cal.base.errors import ModelError
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.effect import Effect, list_substitutes
@@ -121,8 +121,7 @@ class Model:
         values = np.array(self.values, dtype=float)
         values.setflags(write=False)
         object.__setattr__(self, "values", values)
-        for sizes in ("tolerances", "usual_tolerances"):
-            object.__setattr__(self, sizes, to_plain(getattr(self, sizes)))
+        make_plain(self, "tolerances", "usual_tolerances")
         if self.fixed is None:
             parts = (*self.effects, *self.sensors)
             pattern = [*self.mechanism.fixed, *(p for part in parts for p in part.fixed_patterns())]
