@@ -215,12 +215,13 @@ class Case:
 CASES = {
     "stated": Case("noise stated", with_stated_noise),
     "residuals": Case("noise estimated from the residuals", with_noise_of_residuals),
-    "replicates": Case(f"noise stated as {REPLICATES} pairs of visits show it",
-                       with_noise_of_replicates),
+    "replicates": Case(
+        f"noise stated as {REPLICATES} pairs of visits show it", with_noise_of_replicates
+    ),
     "weak": Case("weak directions held by tolerances", with_weak_directions),
     "bound": Case("a width that is 0, one-sided", with_effect_at_its_bound),
     "search": Case("a width after a search found the effect", after_a_search),
-}  # fmt: skip
+}
 
 
 def run(names: Sequence[str], sessions: int, minutes: float) -> None:

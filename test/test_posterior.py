@@ -68,7 +68,7 @@ def test_the_evidence_is_the_density_of_a_multivariate_t_distribution():
         found = Evidence(squares, scene.dof, nu, chosen)
         expected = multivariate_t(np.zeros(scene.dof), S, df=nu).logpdf(scene.residual)
         assert found.log_p - found.log_prior == pytest.approx(expected, rel=1e-10)
-        beside = Evidence(squares, scene.dof, nu, chosen[:1]).beside(blocks[3].alone)
+        beside = Evidence(squares, scene.dof, nu, chosen[:1]).weigh(blocks[3].alone)
         assert beside[1, 0] == pytest.approx(found.log_p, rel=1e-10)
 
 

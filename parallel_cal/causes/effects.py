@@ -99,7 +99,7 @@ def refine_setting(scene: Scene, beside: Evidence, best: Choice) -> Choice:
         return block if more is None else more
 
     def cost(values: Mapping[str, float]) -> float:
-        return -float(beside.beside(refined(values).alone).max())
+        return -float(beside.weigh(refined(values).alone).max())
 
     def find_best(key: str, start: Mapping[str, float]) -> dict[str, float]:
         """The best value of one number between the neighbours of its start in the scan."""
@@ -127,7 +127,7 @@ def refine_setting(scene: Scene, beside: Evidence, best: Choice) -> Choice:
     if setting == block.settings[best.setting]:
         return best
     more = refined(setting)
-    return Choice(more, 0, int(np.argmax(beside.beside(more.alone)[0])))
+    return Choice(more, 0, int(np.argmax(beside.weigh(more.alone)[0])))
 
 
 def list_effects_to_test(

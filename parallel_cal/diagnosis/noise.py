@@ -160,7 +160,7 @@ class NoiseLevel:
         return float(max(2 / self.dof - 2 / dof, 0.0) ** 0.5)
 
     def compute_p_value(self, fall: float, parameters: int) -> float:
-        """Probability that noise alone lets additional parameters reduce chi2 by as much."""
+        """Probability that by chance additional parameters reduce chi2 by as much."""
         from scipy.special import chdtrc, fdtrc
 
         fall = max(fall, 0.0) / (self.variance or 1.0)

@@ -109,7 +109,7 @@ class Evidence:
         """Logarithm of the evidence and the prior of the chosen causes, at their sizes."""
         return float(self._log_t(self._squares, self._log_det)) + self.log_prior
 
-    def beside(self, stack: Stack) -> np.ndarray:
+    def weigh(self, stack: Stack) -> np.ndarray:
         """The log posterior (m, sizes) with one more cause, for each of its settings and sizes.
 
         With orthogonal columns B of the cause, and Z the part of the chosen ones in their
@@ -140,7 +140,7 @@ class Evidence:
 
     def rank(self, stack: Stack) -> list[Ranked]:
         """One more cause beside the chosen ones, for each block of a stack."""
-        log_p = self.beside(stack)
+        log_p = self.weigh(stack)
         found = []
         for block, own in zip(stack.blocks, np.split(log_p, stack.first[1:]), strict=True):
             setting, size = np.unravel_index(int(np.argmax(own)), own.shape)
