@@ -160,10 +160,13 @@ def test_a_law_outside_the_catalogue_is_searched_before_an_unusual_effect_that_l
 
 
 @pytest.mark.wide
-def test_an_unusual_effect_that_explains_all_is_added_before_a_law_is_searched(worn):
+def test_no_law_is_searched_where_an_unusual_effect_leaves_nothing(worn):
     found = diagnose(new_model("delta54"), worn, effects=["backlash"])
     assert not found.verdict.suspected_of_law
-    assert ["add" in step for step in found.next_steps] == [True, False]
+    assert found.unusual
+    assert found.left == "no"
+    [step] = found.next_steps
+    assert "parallel-cal add MODEL backlash RECORDING" in step
 
 
 def run(*arguments):
