@@ -3,7 +3,6 @@
 import dataclasses
 import tracemalloc
 from itertools import combinations
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from scipy import stats
 from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL, SIGNIFICANCE_LEVEL
 from parallel_cal.base.errors import ModelError
 from parallel_cal.causes.effects import list_effects_to_test
-from parallel_cal.diagnosis import catalogue, statistics
+from parallel_cal.diagnosis import statistics
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import lack_of_fit, smooth_map
@@ -24,11 +23,10 @@ from parallel_cal.diagnosis.scoring import (
     canonical_correlation,
     f_test,
     log_p_of,
-    resample_log_p,
     score,
 )
 from parallel_cal.diagnosis.search import Chosen, Search
-from parallel_cal.diagnosis.statistics import holm, morans_i, runs_test
+from parallel_cal.diagnosis.statistics import morans_i, runs_test
 from parallel_cal.identification.estimate import NoSolutionError
 from parallel_cal.identification.fit import UnjudgedFit, fit, fit_unjudged
 from parallel_cal.identification.linearisation import Linearisation
@@ -56,16 +54,6 @@ def fitted_scene(data, model=None):
 
 
 # --------------------------------------------------------------------------------- statistics
-
-
-def test_holm_multiplies_the_smallest_p_value_by_the_number_of_tests_and_so_on():
-    adjusted = holm(np.array([0.04, 0.001, 0.02, 0.5]))
-    assert adjusted == pytest.approx([0.08, 0.004, 0.06, 0.5])
-
-
-def test_holm_keeps_the_order_of_two_tests_and_never_exceeds_one():
-    assert holm(np.array([0.010, 0.0101, 0.9])) == pytest.approx([0.03, 0.03, 0.9])
-    assert holm(np.array([0.6, 0.7])) == pytest.approx([1.0, 1.0])
 
 
 def test_a_long_row_of_equal_signs_is_too_few_runs_and_a_zigzag_is_not():
@@ -134,14 +122,6 @@ def test_the_nearest_places_are_the_same_by_a_tree_and_by_all_distances(monkeypa
     monkeypatch.setattr(statistics, "MAX_PLACES_WITHOUT_TREE", 0)
     same = statistics.nearest(np.zeros((30, 2)), 7)
     assert (same != np.arange(30)[:, None]).all()
-
-
-def test_poses_are_resampled_where_no_free_direction_is_left(here):
-    """As where the tolerances decide every combination of parameters."""
-    bare = dataclasses.replace(here)
-    bare.__dict__["basis"] = np.zeros((len(here.residual), 0))
-    U = np.eye(len(here.residual))[:, :2]
-    assert np.isfinite(resample_log_p(bare, [U], resamples=5)).all()
 
 
 def test_permutations_find_the_tail_of_a_known_distribution():
@@ -226,32 +206,6 @@ def test_the_residual_of_a_complete_model_is_noise_in_noise_units(here):
     assert here.dof == here.residual.size - here.basis.shape[1]
     z = Field.of(here).noise_units
     assert np.mean(z**2) == pytest.approx(1, abs=0.15)
-
-
-def test_samples_are_weighed_under_each_load_once_for_all_shuffled_copies(monkeypatch):
-    scene, looks, look = fitted_scene(clean(0)), [], catalogue.columns
-    assert len(np.unique(scene.dataset.conditions["payload"])) == 2
-    monkeypatch.setattr(catalogue, "columns", lambda *a: looks.append(a) or look(*a))
-    known = candidate(scene, "payload_sag")
-    looks.clear()
-    p = known.shuffled_p
-    assert len(looks) == 2
-    monkeypatch.setattr(catalogue, "LEVELS", 0)
-    assert candidate(scene, "payload_sag").shuffled_p == p
-    assert len(looks) > 10  # once for each copy
-
-
-def test_no_more_copies_are_drawn_than_tell_that_something_is_chance(monkeypatch):
-    scene, looks, look = fitted_scene(clean(0)), [], catalogue.columns
-    monkeypatch.setattr(catalogue, "columns", lambda *a: looks.append(a) or look(*a))
-    known = candidate(scene, "backlash")
-    looks.clear()
-    early = known.shuffled_p
-    assert len(looks) < 20
-    assert early == 5 / len(looks)  # the fifth that scores as well is the last
-    monkeypatch.setattr(catalogue, "EQUAL_SHUFFLES_TO_STOP", 1000)
-    monkeypatch.setattr(catalogue, "SHUFFLES", 999)
-    assert 0.4 < candidate(scene, "backlash").shuffled_p / early < 2.5
 
 
 @pytest.mark.parametrize("name", ["backlash", "hysteresis", "payload_sag", "base_drift"])
@@ -389,32 +343,6 @@ def test_a_scan_that_shares_derivatives_finds_the_same_setting():
     one, other = (candidate(s, "gear_transmission_error") for s in (scene, alone))
     assert one.settings == pytest.approx(other.settings)
     assert one.log_p == pytest.approx(other.log_p)
-
-
-def test_resampled_groups_score_as_their_f_tests_if_every_pose_is_drawn_once(here, monkeypatch):
-    groups = [candidate(here, name).score.U for name in ("encoder_gain", "device_axes")]
-    monkeypatch.setattr(np, "bincount", lambda row, minlength: np.ones(minlength))
-    expected = [f_test(here.residual, U, here.dof)[1] for U in groups]
-    np.testing.assert_allclose(resample_log_p(here, groups, 2), [expected] * 2, rtol=1e-6)
-
-
-def test_resampling_many_poses_keeps_the_products_of_a_few_in_memory():
-    n, rng = 2000, np.random.default_rng(0)
-    columns = np.linalg.qr(rng.standard_normal((6 * n, 90)))[0]
-    scene = SimpleNamespace(
-        x=np.zeros((n, 1)),
-        rows=6,
-        group=np.arange(n),
-        basis=columns[:, :40],
-        residual=rng.standard_normal(6 * n),
-        dof=6 * n - 40,
-    )
-    groups = [columns[:, k : k + 5] for k in range(40, 90, 5)]
-    tracemalloc.start()
-    resample_log_p(scene, groups)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 60e6  # one matrix of all products for each pose: 130 MB
 
 
 def test_the_structures_of_a_diagnosis_of_three_effects_are_kept_for_the_next():

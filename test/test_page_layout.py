@@ -420,7 +420,7 @@ def test_effects_that_are_not_significant_are_folded(page):
         "add backlash",
         "add hysteresis",
     ]
-    missing.get_by_text("tested effects not significant").click()
+    missing.get_by_text("tested effects less probable").click()
     missing.get_by_role("button", name="add encoder_gain").wait_for()
 
 

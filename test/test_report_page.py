@@ -123,25 +123,24 @@ def test_a_note_and_a_legend_are_printed_only_with_a_figure_that_they_explain(ma
     assert 'class="key"' in shown
 
 
-def test_a_pattern_has_its_effect_joints_amplitude_and_p_and_is_drawn_only_if_it_is_seen(
+def test_a_pattern_has_its_effect_joints_amplitude_and_probability_and_is_drawn_if_probable(
     made, text
 ):
     said = unescape(part(text, "which-effect-is-missing"))
     captions = re.findall(r"<figcaption><b>Pattern of (\w+):</b> ([^<]+)</figcaption>", said)
-    tested = [e for e in made.diagnosis.entries if e.p_adjusted is not None]
-    unseen = {e.name for e in tested if e.p_adjusted >= 0.01}
+    tested = [e for e in made.diagnosis.entries if e.candidate.testable]
+    unseen = {e.name for e in tested if e.probability < 0.05}
     assert unseen
     assert "backlash" in dict(captions)
     assert not unseen & set(dict(captions))
     words = dict(captions)["backlash"]
-    p = next(e.p_adjusted for e in tested if e.name == "backlash")
-    assert words.startswith("p < 1e-99" if p < 1e-99 else f"p = {p:.2g}")
+    assert words.startswith("> 99 % probable. Amplitude")
     sizes = re.findall(r"joint(\d) ([\d.]+) arcmin \([\d.]+ σ\)", words)
     assert [number for number, _ in sizes] == ["1", "2", "3"]
     # Half of the widths that are hidden, but for what the geometry absorbs.
     for (_, size), width in zip(sizes, (6e-4, 5e-4, 4e-4), strict=True):
         assert 0.6 < float(size) * np.pi / 10800 / (width / 2) < 1.1
-    assert f"{len(unseen)} effects that the residuals do not show (p > 0.01)" in said
+    assert f"{len(unseen)} effects with a probability below 5 %" in said
 
 
 def test_a_figure_stands_with_its_caption_in_one_block_that_no_page_break_divides(text):

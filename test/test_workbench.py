@@ -761,7 +761,7 @@ def test_a_refused_effect_is_added_with_a_reason_that_both_histories_keep(browse
         page.set_default_timeout(1000 * LONG)
         page.goto(served.url)
         page.locator("#verdict").get_by_text("explained, not yet in the model: backlash").wait_for()
-        page.get_by_text("tested effects not significant").click()
+        page.get_by_text("tested effects less probable").click()
         page.get_by_role("button", name="add encoder_gain").click()
         page.locator("#question").get_by_text("Add encoder_gain anyway?").wait_for()
         assert "--force" not in page.locator("#question").inner_text()

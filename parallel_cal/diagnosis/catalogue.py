@@ -13,26 +13,21 @@ from parallel_cal.causes.effects import (
     collect_recorded_values,
     compute_effect_columns,
     find_missing_conditions,
-    find_new_parameters,
     widen_scene,
 )
 from parallel_cal.diagnosis.scoring import Score, quick_log_p, score
 from parallel_cal.diagnosis.thresholds import (
     EFFECT_SIGNIFICANCE_LEVEL,
     EQUAL_FIT_LOG_P,
-    EQUAL_SHUFFLES_TO_STOP,
-    LEVELS,
     MAX_LOG_P_TO_REFINE,
     MIN_SLOW_CORRELATION,
     MIN_VISIBLE_SIGMAS,
-    SHUFFLES,
-    STRETCHES,
 )
 from parallel_cal.identification.observations import conditions
 from parallel_cal.model.effect import Effect
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
-from parallel_cal.posterior.scene import Scene, columns
+from parallel_cal.posterior.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -90,42 +85,6 @@ class Candidate:
     @property
     def p_value(self) -> float:
         return float(np.exp(self.log_p))
-
-    @cached_property
-    def shuffled_p(self) -> float | None:
-        """Guard 4: share of copies with the condition shuffled between stretches of time (all its
-        columns alike) that score as well, counting the effect itself; None where it needs none.
-
-        Once EQUAL_SHUFFLES_TO_STOP copies do, no more are drawn (Besag and Clifford 1991).
-        """
-        if not self.effect.needs or self.score is None or self.scene is None:
-            return None
-        scene = self.scene
-        extended = scene.model.with_effect(self.name, self.settings)
-        a, new = conditions(extended, scene.dataset), find_new_parameters(scene.model, extended)
-        own = [extended.conditions.index(c) for c in self.effect.conditions(extended.mechanism)]
-        rng, as_good = np.random.default_rng(0), 1
-        order = np.argsort(scene.dataset.time, kind="stable")
-        stretches = np.array_split(order, min(STRETCHES, len(order)))
-
-        levels, level = np.unique(a[:, own], axis=0, return_inverse=True)
-
-        def under(conditions: np.ndarray) -> np.ndarray:
-            shuffled = a.copy()
-            shuffled[:, own] = conditions
-            return columns(extended, scene, new, shuffled)
-
-        # Loads are few: every sample under each of them, once, is all that copies are made of.
-        few = len(levels) <= LEVELS
-        known = np.array([scene.by_sample(under(one)) for one in levels if few])
-        other = np.empty_like(order)
-        for drawn in range(1, SHUFFLES + 1):
-            other[order] = np.concatenate([stretches[k] for k in rng.permutation(len(stretches))])
-            B = known[level[other], range(len(a))] if few else under(a[other[:, None], own])
-            as_good += quick_log_p(scene, B.reshape(len(scene.residual), -1)) <= self.score.log_p
-            if as_good > EQUAL_SHUFFLES_TO_STOP:
-                return EQUAL_SHUFFLES_TO_STOP / drawn
-        return as_good / (SHUFFLES + 1)
 
 
 def candidate(scene: Scene, name: str, scored: Iterable[Candidate] = ()) -> Candidate:

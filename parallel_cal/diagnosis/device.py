@@ -28,7 +28,7 @@ def find_doubtful_effects(scene: Scene, chosen: Sequence[Candidate]) -> list[str
     """Names of the effects among `chosen` that the other side may cause: beside the others, it is
     not CREDIBLE that it does not, nor is it CREDIBLE among all sets of causes that they are there.
 
-    Errors of the device that change with time are tested elsewhere: shuffled conditions.
+    Errors of the device that change with time compete as drift, where causes are searched.
     """
     names = [one.name for one in chosen]
     device = [name for name in list_effects_to_test(scene.model) if load_effect(name).of_device]

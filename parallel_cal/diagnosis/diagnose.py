@@ -26,10 +26,8 @@ from parallel_cal.diagnosis.catalogue import Candidate, candidate
 from parallel_cal.diagnosis.confirmation import Confirmed, FindAddition, format_additions
 from parallel_cal.diagnosis.entries import (
     Entry,
-    NegativeControl,
     chi2_before,
     entries,
-    negative_control,
 )
 from parallel_cal.diagnosis.explanation import Explanation
 from parallel_cal.diagnosis.field import Field
@@ -148,7 +146,6 @@ class Diagnosis(ShownInNotebook):
     best: Trial
     ranked: tuple[Candidate, ...]
     entries: tuple[Entry, ...]
-    negative_control: NegativeControl
     noise: NoiseLevel
     noise_shape: NoiseShape
     verdict: Verdict
@@ -291,7 +288,6 @@ class Diagnosis(ShownInNotebook):
                 "floor": best.noise_floor,
             },
             "candidates": self.entries,
-            "negative_control": self.negative_control,
             "swaps": self.swaps,
             "robot_or_device": self.robot_or_device,
             "unusual": self.unusual,
@@ -605,8 +601,7 @@ def _diagnose_trusted(
         base=base,
         best=best,
         ranked=tuple(ranked),
-        entries=entries(ranked, base, search, noise, against, best, found.probable),
-        negative_control=negative_control(base.scene, ranked),
+        entries=entries(ranked, base, search, noise, against, best, found),
         noise=noise,
         noise_shape=shape,
         verdict=judge(findings),

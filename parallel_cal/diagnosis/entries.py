@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -11,20 +11,14 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.diagnosis.catalogue import Candidate
+from parallel_cal.diagnosis.explanation import Explanation
 from parallel_cal.diagnosis.noise import NoiseLevel
-from parallel_cal.diagnosis.scoring import canonical_correlation, resample_log_p, score
+from parallel_cal.diagnosis.scoring import canonical_correlation
 from parallel_cal.diagnosis.search import Chosen, Search, Trial, ratio_of
-from parallel_cal.diagnosis.statistics import holm
-from parallel_cal.diagnosis.thresholds import (
-    EFFECT_SIGNIFICANCE_LEVEL,
-    MAX_REFITTED_CANDIDATES,
-    MIN_CONFUSED_CORRELATION,
-    RESAMPLES,
-)
+from parallel_cal.diagnosis.thresholds import MAX_REFITTED_CANDIDATES, MIN_CONFUSED_CORRELATION
 from parallel_cal.diagnosis.verdict import share_explained
 from parallel_cal.identification.fit import ParameterEstimate
 from parallel_cal.identification.prediction_errors import Summary
-from parallel_cal.posterior.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -37,7 +31,6 @@ class SingleEffectFit:
     ratio: float | None
     chi2_per_dof: float
     share_explained: float | None
-    shuffled_p_value: float | None
     parameters: Mapping[str, ParameterEstimate]
 
 
@@ -45,28 +38,22 @@ class SingleEffectFit:
 class Entry:
     """A candidate with its rank (from 1) and its evidence.
 
-    `confused_with` are its lookalikes in these data. `p_adjusted` is its p-value corrected for the
-    number of tests, `first_picks` the share of resamples in which it scores best; both are None if
-    it cannot be tested. `reason` is the objection to it. `alone` is a refit, made for the best
-    significant candidates.
+    `probability` is that of the robot having the effect, among all causes; None if the samples
+    cannot show it, or if it was refuted. `probable` effects are worth a fit of their own, `alone`.
+    `confused_with` are its lookalikes in these data. `reason` is the objection to it.
     """
 
     candidate: Candidate
     rank: int
+    probability: float | None
+    probable: bool
     confused_with: tuple[str, ...]
-    p_adjusted: float | None
-    first_picks: float | None
     reason: str
     alone: SingleEffectFit | None = None
 
     @property
     def name(self) -> str:
         return self.candidate.name
-
-    @property
-    def is_significant(self) -> bool:
-        """Whether the residuals show its pattern."""
-        return self.p_adjusted is not None and self.p_adjusted < EFFECT_SIGNIFICANCE_LEVEL
 
     @property
     def remaining(self) -> float | None:
@@ -78,6 +65,7 @@ class Entry:
         row = {
             "effect": one.name,
             "rank": self.rank,
+            "probability": self.probability,
             "physics": one.effect.physics,
             "source": one.effect.source,
             "p_value": one.p_value if score else None,
@@ -98,16 +86,10 @@ class Entry:
             "holdout_after": alone.after if alone else None,
             "share_explained": alone.share_explained if alone else None,
             "parameters": alone.parameters if alone else {},
-            "p_adjusted": self.p_adjusted,
-            "first_picks": self.first_picks,
             "reason": self.reason,
         }
         if alone:
-            row |= {
-                "holdout_ratio": alone.ratio,
-                "chi2_per_dof": alone.chi2_per_dof,
-                "shuffled_p_value": alone.shuffled_p_value,
-            }
+            row |= {"holdout_ratio": alone.ratio, "chi2_per_dof": alone.chi2_per_dof}
         return row
 
 
@@ -118,37 +100,36 @@ def entries(
     noise: NoiseLevel,
     against: Mapping[str, str],
     best: Trial,
-    probable: Collection[str],
+    explanation: Explanation,
 ) -> tuple[Entry, ...]:
-    """Make one entry for each candidate: evidence if it is testable, else a reason.
+    """Make one entry for each candidate, the most probable first: evidence if it is testable, else
+    a reason.
 
-    Significant ones that are `probable` are fitted, each alone; those that `best` chose as large as
-    the data show, even if that is unusual.
+    Probable ones are fitted, each alone; those that `best` chose as large as the data show, even if
+    that is unusual.
     """
-    named = {chosen.name for chosen in best.chosen}
-    tested = [c for c in ranked if c.testable]
-    raised = holm(np.array([c.p_value for c in tested]))
-    adjusted = dict(zip([c.name for c in tested], raised.tolist(), strict=True))
-    picks, alike = first_picks(tested), defaultdict[str, tuple[str, ...]](tuple)
+    named, probable = set(best.names), explanation.probable
+    alike = defaultdict[str, tuple[str, ...]](tuple)
     for one, other in combinations(ranked, 2):
         if are_confused(one, other):
             alike[one.name] += (other.name,)
             alike[other.name] += (one.name,)
+
+    def place(one: Candidate) -> tuple[bool, bool, float, float]:
+        p = explanation.probability_of(one.name)
+        return not one.testable, one.name not in named, -(p or 0.0), one.log_p
+
     rows = []
-    for rank, one in enumerate(ranked, 1):
+    for rank, one in enumerate(sorted(ranked, key=place), 1):
         reason, alone = against.get(one.name) or one.reason, None
-        if (
-            one.testable
-            and rank <= MAX_REFITTED_CANDIDATES
-            and one.name in probable
-            and one.p_value < EFFECT_SIGNIFICANCE_LEVEL
-        ):
+        likely = one.testable and one.name in probable
+        if likely and rank <= MAX_REFITTED_CANDIDATES:
             fit = search.fit_as_shown if one.name in named else search.fit
             trial = fit(Chosen.of(one))
             reason = trial.reason or reason
             alone = _summarise_single_fit(one, base, trial, noise) if trial.result else None
-        p, first = adjusted.get(one.name), picks.get(one.name)
-        rows.append(Entry(one, rank, alike[one.name], p, first, reason, alone))
+        p = explanation.probability_of(one.name) if one.testable else None
+        rows.append(Entry(one, rank, p, likely, alike[one.name], reason, alone))
     return tuple(rows)
 
 
@@ -170,7 +151,6 @@ def _summarise_single_fit(
         ratio=ratio_of(base, trial),
         chi2_per_dof=chi2,
         share_explained=share_explained(chi2_before(base, trial, [one]), chi2, noise.variance),
-        shuffled_p_value=one.shuffled_p,
         parameters=parameters,
     )
 
@@ -200,43 +180,3 @@ def rivals_of(best: Trial, ranked: Sequence[Candidate]) -> dict[str, list[Candid
         for one in ranked
         if one.name in taken
     }
-
-
-def first_picks(tested: Sequence[Candidate]) -> dict[str, float]:
-    """Share of the resamples of the poses in which each candidate scores best."""
-    if not tested:
-        return {}
-    logs = np.zeros((RESAMPLES, len(tested)))
-    for scene in {id(c.scene): c.scene for c in tested}.values():
-        mine = [k for k, c in enumerate(tested) if c.scene is scene]
-        groups = [tested[k].score.U for k in mine]  # type: ignore[union-attr]
-        assert scene is not None
-        logs[:, mine] = resample_log_p(scene, groups) + np.log([tested[k].tried for k in mine])
-    wins = np.bincount(np.argmin(logs, axis=1), minlength=len(tested)) / RESAMPLES
-    return {c.name: float(w) for c, w in zip(tested, wins, strict=True)}
-
-
-@dataclass(frozen=True)
-class RandomGroup:
-    """A group of random columns: its p-value, and the rank that it would have."""
-
-    p_value: float
-    rank: int
-
-
-@dataclass(frozen=True)
-class NegativeControl:
-    """Control with no physical effect: random columns, and by effect how often copies of its
-    condition, shuffled between samples, score as well as the condition itself."""
-
-    random_group: RandomGroup
-    shuffled: Mapping[str, float]
-
-
-def negative_control(scene: Scene, ranked: Sequence[Candidate]) -> NegativeControl:
-    """Score six random columns on the informative rows, and the shuffled conditions."""
-    draw = np.random.default_rng(0).standard_normal((len(scene.x), scene.rows, 6))
-    random = score(scene, (scene.whitener @ draw).reshape(-1, 6))
-    better = sum(c.score is not None and c.log_p < random.log_p for c in ranked)
-    shuffled = {c.name: p for c in ranked if c.testable and (p := c.shuffled_p) is not None}
-    return NegativeControl(RandomGroup(random.p_value, better + 1), shuffled)

@@ -152,6 +152,10 @@ class Explanation:
         sums = (self.posterior, self.described)
         return {n for each in sums for n, p in each.probability.items() if p > 1 - CREDIBLE}
 
+    def probability_of(self, name: str) -> float | None:
+        """How probable it is that the robot has an effect; None if the sum is not about it."""
+        return 1.0 if name == self.first else self.posterior.probability.get(name)
+
     @property
     def laws(self) -> dict[str, float]:
         """What no effect describes and the likeliest set contains, with its probability: laws of
@@ -165,10 +169,8 @@ class Explanation:
         found = []
         for name in names:
             effects = [name, *self.swaps.get(name, [])]
-            each = {one: self.posterior.probability.get(one, 0.0) for one in effects}
-            together = self.posterior.of_any(effects)
-            if name == self.first:
-                together = each[name] = 1.0
+            each = {one: self.probability_of(one) or 0.0 for one in effects}
+            together = 1.0 if name == self.first else self.posterior.of_any(effects)
             found.append({"effects": effects, "probability": together, "each": each})
         return found
 

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER, RESAMPLES
+from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER
 from parallel_cal.posterior.scene import Scene
-
-POSES_AT_A_TIME = 64  # whose products are in memory: some 100 kB each
 
 
 @dataclass(frozen=True)
@@ -107,56 +104,3 @@ def canonical_correlation(one: np.ndarray, other: np.ndarray) -> float:
     if not one.shape[1] or not other.shape[1]:
         return 0.0
     return float(np.linalg.norm(one.T @ other, 2))
-
-
-def resample_log_p(
-    scene: Scene, groups: list[np.ndarray], resamples: int = RESAMPLES, seed: int = 0
-) -> np.ndarray:
-    """log p (resamples, k) of each group of directions when poses are drawn with replacement.
-
-    Poses, not rows: visits of one pose stay together. Everything is expressed in the full
-    data's bases first, so that a resample costs sums of small Gram matrices. Scenes of the same
-    poses with the same seed draw the same poses.
-    """
-    n, p = len(scene.x), scene.basis.shape[1]
-    ends = np.cumsum([0, *[g.shape[1] for g in groups]])
-    own = [slice(begin, end) for begin, end in pairwise(ends.tolist())]
-    basis = scene.basis.reshape(n, scene.rows, p)
-    others = np.column_stack([*groups, scene.residual]).reshape(n, scene.rows, -1)
-    names = np.unique(scene.group)
-    picks = np.random.default_rng(seed).integers(len(names), size=(resamples, len(names)))
-    count = np.array([np.bincount(row, minlength=len(names)) for row in picks], dtype=float)
-
-    def products(name: float) -> np.ndarray:
-        """Products of the rows of one pose. A group needs those with the basis, with itself and
-        with the residual, not those with other groups."""
-        here = scene.group == name
-        rows = np.count_nonzero(here) * scene.rows
-        A, B = basis[here].reshape(rows, p), others[here].reshape(rows, others.shape[2])
-        parts = [A.T @ A, A.T @ B, *(B[:, k].T @ B[:, k] for k in own), B.T @ B[:, -1]]
-        return np.concatenate([part.ravel() for part in parts])
-
-    drawn = sum(
-        count[:, begin : begin + POSES_AT_A_TIME]
-        @ np.array([products(name) for name in names[begin : begin + POSES_AT_A_TIME]])
-        for begin in range(0, len(names), POSES_AT_A_TIME)
-    )
-    sizes = [p * p, p * others.shape[2], *((k.stop - k.start) ** 2 for k in own)]
-    A, C, *squares, onto = np.split(drawn, np.cumsum(sizes), axis=1)
-    A, C = A.reshape(resamples, p, p), C.reshape(resamples, p, others.shape[2])
-    # Directions that a resample does not see are held by a grain of the identity.
-    grain = 1e-9 * np.maximum(np.trace(A, axis1=1, axis2=2) / max(p, 1), 1e-12)
-    S = np.linalg.solve(A + grain[:, None, None] * np.eye(p), C)
-    rr = onto[:, -1] - np.sum(C[:, :, -1] * S[:, :, -1], axis=1)
-    logs = np.zeros((resamples, len(groups)))
-    for column, k, square in zip(logs.T, own, squares, strict=True):
-        q = k.stop - k.start
-        if not q or scene.dof <= q:
-            continue
-        across = C[:, :, k].transpose(0, 2, 1)
-        M = square.reshape(resamples, q, q) - across @ S[:, :, k]
-        g = onto[:, k, None] - across @ S[:, :, -1:]
-        taken = (g.transpose(0, 2, 1) @ np.linalg.pinv(M, rcond=1e-6, hermitian=True) @ g)[:, 0, 0]
-        F = taken / q / np.maximum((rr - taken) / (scene.dof - q), 1e-300)
-        column[:] = log_p_of(np.maximum(F, 0.0), q, scene.dof - q)
-    return logs

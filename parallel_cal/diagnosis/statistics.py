@@ -18,16 +18,6 @@ from parallel_cal.recordings.replicates import average_groups
 MAX_PLACES_WITHOUT_TREE = 500  # with fewer, the distances of all pairs take less than the import
 
 
-def holm(p_values: np.ndarray) -> np.ndarray:
-    """p-values (k,) adjusted for having looked at all of them (Holm 1979)."""
-    order = np.argsort(p_values, kind="stable")
-    k = len(p_values)
-    raised = np.maximum.accumulate(p_values[order] * (k - np.arange(k)))
-    adjusted = np.empty(k)
-    adjusted[order] = np.minimum(raised, 1.0)
-    return adjusted
-
-
 def morans_i(
     field: np.ndarray, places: np.ndarray, group: np.ndarray, seed: int = 0
 ) -> tuple[float, float]:

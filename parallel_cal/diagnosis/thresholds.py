@@ -49,11 +49,6 @@ MAX_REFITTED_CANDIDATES = (
 MAX_LOG_P_TO_REFINE = log(1e-3)  # log p: a scanned setting is refined between its neighbours
 EQUAL_FIT_LOG_P = 4.5  # of log p, three sigmas: closer settings of a scan fit equally well
 MAX_MISTRUSTED_SHARE = 0.25  # of the samples: a robust loss excludes at most so many
-SHUFFLES = 39  # copies with the condition shuffled between samples ...
-EQUAL_SHUFFLES_TO_STOP = (
-    5  # ... until so many score as well: more copies would not change the result ...
-)
-STRETCHES = 12  # of the session, shuffled as a whole: noise may drift from sample to sample
 MIN_SLOW_CORRELATION = (
     0.5  # correlation of neighbours in time: noise may imitate such a slow condition
 )
@@ -75,7 +70,6 @@ NEIGHBOURS = 7  # of a sample, in Moran's I
 PERMUTATIONS = 999  # of the samples, for a p-value ...
 ENOUGH_COPIES = 30  # ... until so many are as extreme: then it is known to a fifth
 MIN_PERMUTATION_P = 1e-12  # the moments of permutations show no smaller one
-RESAMPLES = 200  # of the poses, for the share of first picks
 MIN_SIGNS_PER_SIDE = 5  # on either side of the median, for a runs test
 WINDOW = 15  # samples of a rolling mean, or more if this gives more than MAX_WINDOWS of them
 MAX_WINDOWS = 200

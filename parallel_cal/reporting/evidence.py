@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.entries import Entry
+from parallel_cal.diagnosis.explanation import CREDIBLE
 from parallel_cal.diagnosis.separate import PlannedPose
 from parallel_cal.diagnosis.signature import signature
-from parallel_cal.diagnosis.thresholds import EFFECT_SIGNIFICANCE_LEVEL, MAX_REFITTED_CANDIDATES
+from parallel_cal.diagnosis.thresholds import MAX_REFITTED_CANDIDATES
 from parallel_cal.reporting import signatures
 from parallel_cal.reporting.blocks import Column
 from parallel_cal.reporting.contents import unit_along
@@ -24,9 +25,8 @@ from parallel_cal.reporting.markup import (
     tabs,
 )
 from parallel_cal.reporting.readable import (
-    name_p_value,
+    format_percent,
     number,
-    probability,
     value_unit,
     vector,
 )
@@ -42,22 +42,19 @@ NOTE_ON_PATTERNS = (
     "The pattern of each candidate over the residuals of the present model: the part that the "
     "geometry cannot absorb. The band contains 99 % of the means of residuals that do not depend "
     "on the quantity. An effect fits if the dashed line follows the blue one and both leave the "
-    "band. p is that of all panels of an effect together; an amplitude is half of the "
-    "peak-to-peak value of the dashed line."
+    "band. An amplitude is half of the peak-to-peak value of the dashed line."
 )
 
 
 def candidates(report: Report, plot: Plot) -> str:
     """Render the catalogue, best candidate first, then the effects that were not tested."""
     found = report.diagnosis
-    tested = [entry for entry in found.entries if entry.p_adjusted is not None]
-    rest = [(entry.name, entry.reason) for entry in found.entries if entry.p_adjusted is None]
-    control = found.negative_control.random_group
+    tested = [entry for entry in found.entries if entry.candidate.testable]
+    rest = [(e.name, e.reason) for e in found.entries if not e.candidate.testable]
     note = (
-        "Each effect is scored by the part of its pattern that the geometry cannot absorb. The "
-        "best significant effects are refitted. The p-values account for the number of tests. "
-        f"For comparison, random numbers have {name_p_value(probability(control.p_value))} and "
-        f"would be number {control.rank} of the table."
+        "Each effect competes by the part of its pattern that the geometry cannot absorb: with all "
+        "other effects, unknown laws of the robot, errors of the device and drifting noise. The "
+        "probability is that of the robot having it. The most probable effects are refitted."
     )
     remarks = [f"{name} fits no better than {', '.join(o)}." for name, o in found.swaps.items()]
     remarks += [f"Objection: {text}" for text in found.verdict.against]
@@ -78,19 +75,18 @@ def candidates(report: Report, plot: Plot) -> str:
 
 def _patterns(found: Diagnosis, tested: Sequence[Entry], plot: Plot) -> str:
     """Render the patterns of the likeliest effects that the residuals show."""
-    seen = [e for e in tested if e.name in found.effects or e.is_significant]
+    seen = [e for e in tested if e.name in found.effects or e.probable]
     pages, mechanism = dict[str, str](), found.model.mechanism
     for entry in seen[:PATTERNS]:
         drawn = signature(entry.candidate)
         if drawn.panels:
-            words = signatures.describe_pattern(drawn, entry.p_adjusted, mechanism)
+            words = signatures.describe_pattern(drawn, entry.probability, mechanism)
             pages[entry.name] = figure(
                 plot(signatures.figure(drawn, mechanism)), f"Pattern of {entry.name}:", words
             )
-    clear = f"p > {EFFECT_SIGNIFICANCE_LEVEL:g}"
     counts = {
-        "that the residuals show less clearly": len(seen) - len(pages),
-        f"that the residuals do not show ({clear})": len(tested) - len(seen),
+        "that are less probable": len(seen) - len(pages),
+        f"with a probability below {format_percent(1 - CREDIBLE)}": len(tested) - len(seen),
     }
     others = [
         f"{n} {'effect' if n == 1 else 'effects'} {words}" for words, n in counts.items() if n

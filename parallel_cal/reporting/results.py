@@ -37,6 +37,7 @@ from parallel_cal.reporting.readable import (
     format_fixed,
     format_fixed_vector,
     format_judged_errors,
+    format_percent,
     is_known,
     name_p_value,
     number,
@@ -387,18 +388,14 @@ def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
     }
     yield f"{diagnosis.verdict.word}: {diagnosis.verdict.summary}"
     yield errors_table(judged, diagnosis.best.fitted.noise_floor, diagnosis.model)
-    tested = [e for e in diagnosis.entries if e.p_adjusted is not None][:MAX_CANDIDATES]
-    likely = [
-        entry
-        for entry in tested
-        if entry.name in diagnosis.effects or (entry.p_adjusted or 0.0) < PATTERN_SIGNIFICANCE_LEVEL
-    ]
+    tested = [e for e in diagnosis.entries if e.candidate.testable][:MAX_CANDIDATES]
+    likely = [e for e in tested if e.probable or e.name in diagnosis.effects]
     others = [entry for entry in tested if entry not in likely]
     if likely:
         yield candidate_table(diagnosis, likely)
     if others:
         yield Detail(candidate_table(diagnosis, others))
-    yield from _describe_settings(diagnosis, [entry.candidate for entry in tested])
+    yield from _describe_settings(diagnosis, [entry.candidate for entry in likely])
     reasons = [
         f"{entry.name}: {entry.reason}"
         for entry in diagnosis.entries
@@ -410,7 +407,7 @@ def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
             words = f"{entry.name} is confused with {', '.join(entry.confused_with)}"
             yield words if entry.name in diagnosis.effects else Detail(words)
     hidden = [
-        *([f"{len(others)} effects that are not significant"] if others else []),
+        *([f"{len(others)} improbable effects"] if others else []),
         *(
             [f"{len(reasons)} remarks, such as what is missing to test an effect"]
             if reasons
@@ -502,17 +499,16 @@ def candidate_table(diagnosis: Diagnosis, entries: Sequence[Entry]) -> Table:
     columns = (
         Column("rank", on_terminal=False),
         "effect",
-        "p",
+        "probability",
         "held-out",
         Column(f"validation error, {kind} rms", "fall", on_terminal=False),
         "explains",
-        "first pick",
         "not geometry",
         Column("confused with", on_terminal=False),
     )
     rows = []
     for entry in entries:
-        p, alone, effect = entry.p_adjusted or 0.0, entry.alone, entry.candidate.effect
+        alone, effect = entry.alone, entry.candidate.effect
         found = entry.name in diagnosis.effects
         cure = f" At the machine: {effect.remedy}." if found and effect.remedy else ""
         apart = f"distinguished by {effect.separated_by}" if effect.separated_by else ""
@@ -525,11 +521,10 @@ def candidate_table(diagnosis: Diagnosis, entries: Sequence[Entry]) -> Table:
             (
                 str(entry.rank),
                 Cell(entry.name, effect.physics + cure, mark="found" if found else ""),
-                PValue(p),
+                _probability(entry.probability),
                 percent(alone.ratio if alone else None, 1, "-"),
                 Cell(fall or "-", estimates),
                 percent(alone.share_explained if alone else None, missing="-"),
-                percent(entry.first_picks, missing="-"),
                 percent(entry.remaining, missing="-"),
                 Cell(
                     ", ".join(entry.confused_with), "; ".join(filter(None, (entry.reason, apart)))
@@ -537,6 +532,10 @@ def candidate_table(diagnosis: Diagnosis, entries: Sequence[Entry]) -> Table:
             )
         )
     return Table(columns, rows, "evidence")
+
+
+def _probability(p: float | None) -> Cell | str:
+    return "-" if p is None else Cell(format_percent(p), key=p)
 
 
 def _format_estimates(parameters: Mapping[str, ParameterEstimate]) -> str:

@@ -21,9 +21,8 @@ from parallel_cal.reporting.figures import (
 )
 from parallel_cal.reporting.joint_panels import MAX_POINTS_PER_JOINT
 from parallel_cal.reporting.readable import (
-    name_p_value,
+    format_percent,
     number,
-    probability,
     value_unit,
     with_unit,
 )
@@ -52,10 +51,11 @@ def describe_signature(found: Signature, mechanism: Mechanism) -> str:
     return f"{found.effect}: residual of {', '.join(panels)}, in sigmas, with its pattern"
 
 
-def describe_pattern(found: Signature, p_value: float | None, mechanism: Mechanism) -> str:
-    """Describe how certain a pattern is, and how large in each panel."""
+def describe_pattern(found: Signature, probability: float | None, mechanism: Mechanism) -> str:
+    """Describe how probable an effect is, and how large its pattern in each panel."""
     amplitudes = ", ".join(f"{p.component} {_amplitude(p, mechanism)}" for p in found.panels)
-    return f"{name_p_value(probability(p_value))}. Amplitude of the pattern: {amplitudes}."
+    known = "" if probability is None else f"{format_percent(probability)} probable. "
+    return f"{known}Amplitude of the pattern: {amplitudes}."
 
 
 def _amplitude(panel: Panel, mechanism: Mechanism) -> str:

@@ -14,7 +14,6 @@ from parallel_cal.reporting.colours import MEASURED
 from parallel_cal.reporting.readable import (
     ABOUT_SAMPLES,
     format_judged_error,
-    name_p_value,
     write_micro,
 )
 from parallel_cal.workbench.bench import Bench
@@ -187,14 +186,14 @@ class Window:
                 )
                 add.props("dense").set_enabled(not self.bench.busy)
             for one in candidates:
-                if one["significant"]:
+                if one["probable"]:
                     self._candidate(one)
-            others = [one for one in candidates if not one["significant"]]
+            others = [one for one in candidates if not one["probable"]]
             if candidates and len(others) == len(candidates):
-                ui.label("No tested effect is significant.")
+                ui.label("No tested effect is probable.")
             if others:
-                title = f"{_count(others, 'tested effect')} not significant"
-                self._unfolded(title, "not significant", partial(self._candidates, others))
+                title = f"{_count(others, 'tested effect')} less probable"
+                self._unfolded(title, "less probable", partial(self._candidates, others))
             if untested := view["untested"]:
                 title = f"{_count(untested, 'effect')} not tested"
                 self._unfolded(title, "not tested", partial(_list_untested, untested))
@@ -220,7 +219,7 @@ class Window:
                 ui.label(f"accounts for {one['explains']}").classes("text-xs").tooltip(
                     one["fall details"]
                 )
-                ui.label(name_p_value(one["p"])).classes("text-xs")
+                ui.label(f"{one['probability']} probable").classes("text-xs")
             if one["pattern"]:
                 with ui.element().classes("wide"):
                     self._unfolded("Show pattern", name, partial(self._pattern, one))

@@ -258,7 +258,7 @@ def _make_report_view(found: Report) -> View:
     diagnosis, units = found.diagnosis, found.provenance.joint_units
     now = diagnosis.base.fitted  # the model of this state; the effects found are only proposed
     identified = contents.parameters(now)
-    tested = [entry for entry in diagnosis.entries if entry.p_adjusted is not None]
+    tested = [entry for entry in diagnosis.entries if entry.candidate.testable]
     by_name = {entry.name: entry.candidate for entry in diagnosis.entries}
     chosen = [by_name[name] for name in diagnosis.effects if name in by_name]
     first_pattern = next((signature(one) for one in chosen if one.score), None)
@@ -294,14 +294,14 @@ def _make_report_view(found: Report) -> View:
             row
             | {
                 "found": entry.name in diagnosis.effects,
-                "significant": entry.is_significant,
+                "probable": entry.probable,
                 "pattern": _pattern(entry, diagnosis.model),
             }
             for row, entry in zip(candidates, tested, strict=True)
         ],
         "together": together,
         "untested": [
-            {"name": e.name, "why": e.reason} for e in diagnosis.entries if e.p_adjusted is None
+            {"name": e.name, "why": e.reason} for e in diagnosis.entries if not e.candidate.testable
         ],
         "parameters": as_rows(results.parameter_table(identified)),
         "drawing": to_json_value(drawings.drawing(diagnosis.model, found=identified)),
