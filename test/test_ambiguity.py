@@ -26,12 +26,12 @@ def test_backlash_stays_ambiguous_after_it_was_added():
     found = diagnose_with("backlash", "bags/delta_backlash")
     assert found.verdict.word == "at_noise"
     assert {one.effect: one.names for one in found.ambiguous} == {"backlash": ["hysteresis"]}
-    assert "backlash or hysteresis: the samples do not tell" in found.verdict.summary
+    assert "backlash or hysteresis: the samples do not tell" in found.verdict.text
     plan = found.measure_next.plan
     assert plan.separates == ("backlash", "hysteresis")
     assert plan.sigmas.now < plan.sigmas.then
-    assert f"{len(plan.poses)} planned poses would" in found.verdict.summary
-    assert f"they separate the two by {plan.sigmas.then:.1f} sigmas" in found.verdict.summary
+    assert f"{len(plan.poses)} planned poses would" in found.verdict.text
+    assert f"they separate the two by {plan.sigmas.then:.1f} sigmas" in found.verdict.text
     hysteresis = next(e for e in found.entries if e.name == "hysteresis")
     assert "do not distinguish it from backlash of the model" in hysteresis.reason
     assert found.document()["ambiguous"] == {"backlash": ["hysteresis"]}
@@ -41,7 +41,7 @@ def test_backlash_stays_ambiguous_after_it_was_added():
 def test_an_effect_without_a_lookalike_is_not_ambiguous():
     found = diagnose_with("thermal_expansion", "bags/delta_thermal")
     assert found.ambiguous == ()
-    assert "do not tell which" not in found.verdict.summary
+    assert "do not tell which" not in found.verdict.text
 
 
 @pytest.mark.wide

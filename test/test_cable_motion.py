@@ -55,7 +55,7 @@ def test_the_lag_of_each_motor_is_named_and_the_robot_is_right_at_rest(moving):
     found = diagnose(drawn, data)
     # A first-order lag T also makes an error of T^2 times the acceleration.
     assert {"servo_lag"} <= set(found.effects) <= {"servo_lag", "acceleration_lag"}
-    assert "for 100 % of the error above the noise floor" in found.verdict.summary
+    assert "for 100 % of the error above the noise floor" in found.verdict.text
     step = add(plain, "servo_lag", data)
     p = step.model.table.mapping(step.model.values)
     lags = np.array([p[f"servo_lag.line{i}.lag"] for i in range(1, 5)])

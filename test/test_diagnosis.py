@@ -50,7 +50,7 @@ def test_where_nothing_is_hidden_it_says_stop_looking_and_proposes_nothing(seed)
     found = diagnose(MODEL, clean(seed))
     assert found.verdict.word == "at_noise"
     assert found.effects == ()
-    assert "no further effect is needed" in found.verdict.summary
+    assert "no further effect is needed" in found.verdict.text
 
 
 @pytest.mark.parametrize(("there", "refits"), [(True, 2), (False, 1)])
@@ -125,6 +125,30 @@ def test_the_table_of_effects_agrees_with_what_is_missing(play):
     assert row[:3] == ["backlash", ">", "99"]
 
 
+@pytest.mark.parametrize(
+    ("make", "word"),
+    [
+        (lambda: clean(0), "at_noise"),
+        (lambda: hiding([vf.KINDS["backlash"]], 1.0, 0)[0], "explained"),
+        (lambda: hiding([vf.KINDS["joint compliance"]], 1.0, 0)[0], "unexplained"),
+        (lambda: measured(3, n_poses=7, n_replicates=0), "cannot_know"),
+    ],
+    ids=["clean", "found", "not in the catalogue", "few"],
+)
+def test_a_verdict_is_two_short_sentences_and_a_list(make, word):
+    found = diagnose(MODEL, make(), effects=["backlash"])
+    assert found.verdict.word == word
+    sentences = found.verdict.summary.split(". ")
+    assert len(sentences) <= 2
+    assert all(len(one.split()) <= 25 for one in sentences)
+    document = found.document()
+    assert document["summary"] == found.verdict.summary
+    details = [*document["against"], *document["remarks"]]
+    lines = show(found).splitlines()
+    assert lines[0] == f"{word}: {found.verdict.summary}"
+    assert lines[1 : 1 + min(len(details), 3)] == [f"- {one}" for one in details[:3]]
+
+
 def test_add_accepts_the_effect_that_the_diagnosis_proposes(play):
     _, data = play
     step = add(MODEL, "backlash", data)
@@ -177,8 +201,8 @@ def test_a_dissipative_effect_of_the_wrong_sign_teaches_the_robot_nothing():
     found = diagnose(MODEL, measured(0, effects=[vr.Backlash((-3e-3, -2e-3, -2.5e-3))]))
     assert found.verdict.word == "unexplained"
     assert not found.effects
-    assert "width would have to be -0.00" in found.verdict.summary
-    assert "check the recorded direction and travel of the joints" in found.verdict.summary
+    assert "width would have to be -0.00" in found.verdict.text
+    assert "check the recorded direction and travel of the joints" in found.verdict.text
 
 
 @pytest.mark.wide
@@ -335,14 +359,14 @@ def test_without_any_noise_figure_the_best_is_named_and_what_is_left_is_unknown(
 def test_too_few_poses_cannot_know():
     found = diagnose(MODEL, measured(3, n_poses=7, n_replicates=0))
     assert found.verdict.word == "cannot_know"
-    assert found.verdict.summary.startswith("6 degrees of freedom are too few for a verdict")
+    assert found.verdict.text.startswith("6 degrees of freedom are too few for a verdict")
 
 
 def test_orientation_that_the_model_holds_still_is_not_at_noise():
     data = measured(4)
     found = diagnose(new_model("delta24"), data, effects=["backlash"])
     assert found.verdict.word == "unexplained"
-    assert "larger model" in found.verdict.summary
+    assert "larger model" in found.verdict.text
 
 
 @pytest.mark.wide
@@ -454,7 +478,7 @@ def test_one_knocked_sample_is_named_with_the_verdict_of_the_others(size):
     assert found.effects == ("backlash",)
     assert found.verdict.word == "explained"
     assert [one.sample for one in found.knocked] == [17]
-    first, last = found.verdict.summary.split(". Not used: ")
+    first, last = found.verdict.text.split(". Not used: ")
     assert "backlash" in first
     assert last.startswith("sample 17 (")
     assert found.document()["next_steps"][0].endswith("--data exclude=17")
@@ -487,7 +511,7 @@ def test_without_the_sides_an_effect_is_not_told_from_a_backlash_that_scatters_t
         MODEL, replace(data, conditions=others), effects=["gear_transmission_error", "base_drift"]
     )
     assert (blind.verdict.word, blind.effects) == ("cannot_know", ("gear_transmission_error",))
-    assert "the sides from which the joints came are not known" in blind.verdict.summary
+    assert "the sides from which the joints came are not known" in blind.verdict.text
     assert [step.split(":")[0] for step in blind.next_steps] == [
         "state the sides from which the joints came, and diagnose again"
     ]
@@ -514,8 +538,8 @@ def test_the_first_row_of_a_table_is_excluded_for_its_unknown_sides_and_nobody_i
     found = diagnose(MODEL, data, effects=["backlash", "base_drift", "device_axes"])
     assert found.effects == ("backlash",)
     assert [one.sample for one in found.knocked] == [0]
-    assert "knocked" not in found.verdict.summary
-    assert found.verdict.summary.endswith(
+    assert "knocked" not in found.verdict.text
+    assert found.verdict.text.endswith(
         "from which sides its joints came is not known, so exclude it"
     )
     assert found.next_steps[0] == "exclude sample 0 from each command: --data exclude=0"

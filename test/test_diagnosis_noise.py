@@ -74,8 +74,8 @@ def test_few_replicates_make_neither_an_excess_nor_a_gain_certain():
 def test_visits_that_differ_by_more_than_the_stated_noise_may_be_noise_or_motion():
     found = found_in(noisy(vb.twice, 0))
     assert found.verdict.word == "cannot_know"
-    assert "visits of the same pose differ by 2.0 times the stated noise" in found.verdict.summary
-    assert "depends on no recorded condition" in found.verdict.summary
+    assert "visits of the same pose differ by 2.0 times the stated noise" in found.verdict.text
+    assert "depends on no recorded condition" in found.verdict.text
     assert not found.effects
     assert found.remaining is None
     assert found.noise.misstated == pytest.approx(2.0, abs=0.2)
@@ -102,11 +102,11 @@ def test_what_depends_on_a_condition_is_no_noise_though_revisited_poses_differ_a
         structure=SimpleNamespace(has_structure=False),
     )
     monkeypatch.setattr(verdict.Region, "of", lambda fitted: None)
-    monkeypatch.setattr(verdict, "_uncertainty", lambda found: "")
+    monkeypatch.setattr(verdict, "_uncertainty", lambda found: [])
     monkeypatch.setattr(verdict, "is_touched_at_one_height", lambda fitted: False)
     judged = verdict._nothing_found(found, "error 15.1 um")
     assert judged.word == word
-    assert "the compliance would have to be negative" in judged.summary
+    assert "the compliance would have to be negative" in judged.text
 
 
 @pytest.mark.wide
@@ -123,9 +123,9 @@ def test_visits_that_differ_by_more_than_the_jitter_within_dwells_are_not_at_noi
     )
     found = found_in(unstated)
     assert found.verdict.word == "cannot_know"
-    assert "differ by 2.0 times the jitter within dwells" in found.verdict.summary
-    assert "What differed between the visits?" in found.verdict.summary
-    assert "no further effect is needed" not in found.verdict.summary
+    assert "differ by 2.0 times the jitter within dwells" in found.verdict.text
+    assert "What differed between the visits?" in found.verdict.text
+    assert "no further effect is needed" not in found.verdict.text
     assert found.noise.is_exceeded
     assert not found.effects
 
@@ -143,7 +143,7 @@ def test_noise_that_wanders_is_no_drift():
     found = found_in(noisy(vb.correlated, 0))
     assert not found.effects
     assert found.noise_shape.correlated
-    assert "noise is correlated over" in found.verdict.summary
+    assert "noise is correlated over" in found.verdict.text
     drift = next(e for e in found.entries if e.name == "base_drift")
     assert "shuffled" in drift.reason or "indistinguishable from drift" in drift.reason
 
@@ -173,8 +173,8 @@ def test_noise_that_grows_outwards_is_reported_as_growing():
     assert not found.effects
     assert found.noise_shape.grows_from_centre
     assert found.verdict.word == "cannot_know"  # the noise exceeds the stated one, too
-    assert "visits of the same pose differ by 2.2 times the stated noise" in found.verdict.summary
-    assert "times larger far from the centre" in found.verdict.summary
+    assert "visits of the same pose differ by 2.2 times the stated noise" in found.verdict.text
+    assert "times larger far from the centre" in found.verdict.text
 
 
 @pytest.mark.parametrize(("variance", "contradicted"), [(1.4, False), (1.6, True), (0.6, True)])

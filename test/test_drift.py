@@ -23,7 +23,7 @@ def wandering(seed, size=7e-6, effects=()):
 def test_a_device_that_walks_at_random_is_not_learned(seed):
     found = diagnose(new_model("delta54"), wandering(seed))
     assert not found.effects
-    assert "the noise is correlated over" in found.verdict.summary
+    assert "the noise is correlated over" in found.verdict.text
     drift = next(e for e in found.entries if e.name == "base_drift")
     assert "indistinguishable from drift" in drift.reason
 

@@ -290,7 +290,7 @@ def test_the_verdict_on_a_warm_hexapod_is_explained_and_then_at_noise(scales):
     plain = fit(hexapod_model(), data).model
     found = diagnose(plain, data)
     assert (found.verdict.word, found.effects) == ("explained", (NAME,))
-    assert "larger than usual" not in found.verdict.summary
+    assert "larger than usual" not in found.verdict.text
     added = add(plain, NAME, data).model
     assert diagnose(added, data).verdict.word == "at_noise"
 

@@ -89,7 +89,7 @@ def test_a_refused_geometry_is_put_down_to_them():
         assert "in the first fit" not in str(e.value)  # no effect is put forward
     found = diagnose(DELTA, data)
     assert (found.verdict.word, found.effects) == ("explained", ("backlash",))
-    assert "sample 51 (213 sigmas" in found.verdict.summary
+    assert "sample 51 (213 sigmas" in found.verdict.text
 
 
 def test_wrong_readings_of_an_arm_in_a_trackers_frame_are_found():
@@ -138,7 +138,7 @@ def test_samples_that_a_condition_separates_are_no_outliers():
     loaded = {**sunk.conditions, "payload": 5.0 * np.isin(sunk.numbers, (10, 30, 40, 70))}
     found = diagnose(DELTA, replace(sunk, conditions=loaded), effects=["backlash"])
     assert (found.verdict.word, found.knocked) == ("unexplained", ())
-    assert "payload" in found.verdict.summary
+    assert "payload" in found.verdict.text
 
 
 def test_noise_that_nobody_stated_does_not_hide_an_outlier():

@@ -92,7 +92,7 @@ def test_a_diagnosis_with_the_encoder_names_a_backlash():
     model = with_encoder(sigma=2e-5)
     session = pc.simulate(model, 60, effects=["backlash:left.width=0.0006"], seed=1)
     found = pc.diagnose(model, session.dataset())
-    assert "backlash" in found.verdict.summary
+    assert "backlash" in found.verdict.text
 
 
 @pytest.mark.parametrize(

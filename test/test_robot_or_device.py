@@ -50,7 +50,7 @@ def test_a_field_of_the_device_that_is_larger_than_usual_is_named(refracted):
     found = diagnose(new_model("delta54"), refracted)
     assert found.effects == ("device_field",)
     assert found.verdict.word == "partly_explained"
-    assert "usual up to 0.005): a fault, or another" in found.verdict.summary
+    assert "usual up to 0.005): a fault, or another" in found.verdict.text
 
 
 def sagging(seed):
@@ -273,7 +273,7 @@ def test_what_add_refuses_because_it_would_move_the_robot_the_diagnosis_says_fir
     with pytest.raises(UnprovenStepError, match="the samples do not separate") as refused:
         add(new_model("stewart42"), "device_axes", data)
     assert found.verdict.word == "partly_explained"
-    assert refused.value.against in found.verdict.summary
+    assert refused.value.against in found.verdict.text
 
 
 def before_hexapod(device=None, seed=1, leg_error=None):
@@ -345,7 +345,7 @@ def test_an_effect_larger_than_usual_is_preferred_to_a_lookalike_that_fits_worse
     found = diagnose(new_model("delta54"), data, effects=["encoder_gain", "encoder_eccentricity"])
     assert found.verdict.word == "partly_explained"
     assert found.effects == ("encoder_gain",)
-    assert "gain is larger than usual (0.0196; usual up to 0.005)" in found.verdict.summary
+    assert "gain is larger than usual (0.0196; usual up to 0.005)" in found.verdict.text
 
 
 @pytest.mark.wide

@@ -61,7 +61,7 @@ def test_effects_of_a_pose_device_are_not_tested_without_one(fitted):
 
 def test_a_verdict_from_one_height_says_so_and_asks_for_a_block(diagnosed):
     assert diagnosed.verdict.word == "at_noise"
-    assert f"no further effect is needed{AT_ONE_HEIGHT}" in diagnosed.verdict.summary
+    assert f"no further effect is needed{AT_ONE_HEIGHT}" in diagnosed.verdict.text
     assert diagnosed.measure_next.advice == (TOUCH_A_BLOCK,)
 
 

@@ -73,7 +73,7 @@ def test_a_diagnosis_names_the_unusual_effect_its_size_and_its_gain_and_add_acce
     assert found.effects == ("backlash",)
     [one] = found.document()["unusual"]
     assert one["effect"] == "backlash"
-    assert one["text"] in found.verdict.summary
+    assert one["text"] in found.verdict.text
     assert "larger than usual (15.9 mrad; usual up to 3)" in one["text"]
     assert one["parameters"][0]["usual"] == pytest.approx([0.0, 3e-3])
     assert one["holdout_with"]["position_rms"] < 0.1 * one["holdout_without"]["position_rms"]
@@ -113,7 +113,7 @@ def test_with_two_unusual_effects_each_one_is_named_with_its_own_gain():
     for one in found.unusual:
         assert f"{one.name}." in one.description
         assert "this effect changes the error at held-out poses from" in one.description
-        assert one.description in found.verdict.summary
+        assert one.description in found.verdict.text
         assert one.ratio < 0.9
 
 
@@ -148,7 +148,7 @@ def test_a_law_outside_the_catalogue_is_searched_before_an_unusual_effect_that_l
     found = diagnose(new_model("stewart42"), data, effects=tested)
     assert found.effects == ("joint_compliance",)
     assert found.verdict.suspected_of_law == ("joint_compliance",)
-    assert "joint_compliance leaves an error, so the cause may be" in found.verdict.summary
+    assert "joint_compliance leaves an error, so the cause may be" in found.verdict.text
     # `add` takes the sample under the largest load for a knocked one, and so says the diagnosis.
     *_, first, second = found.next_steps
     assert "parallel-cal discover MODEL RECORDING" in first
@@ -200,11 +200,11 @@ def test_every_verdict_says_robot_or_device_once(monkeypatch):
     words = "robot or device: the measuring device may cause encoder_eccentricity"
     verdict = judge(doubtful)
     assert verdict.word == "partly_explained"
-    assert verdict.summary.count(words) == 1
+    assert verdict.text.count(words) == 1
     unknown_noise = replace(doubtful, noise=replace(doubtful.noise, variance=None))
     verdict = judge(unknown_noise)
     assert verdict.word in ("cannot_know", "partly_explained")
-    assert verdict.summary.count(words) == 1
+    assert verdict.text.count(words) == 1
 
 
 @pytest.mark.wide
@@ -259,4 +259,4 @@ def test_the_gain_of_an_unusual_effect_is_stated_alone_if_the_others_do_not_fit_
     assert gain.ratio < 0.7
     assert gain.sizes[0].value == pytest.approx(4e-3, abs=0.3e-3)
     assert "alone, this effect changes the error at held-out poses from" in gain.description
-    assert gain.description in found.verdict.summary
+    assert gain.description in found.verdict.text

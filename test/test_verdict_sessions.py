@@ -60,7 +60,7 @@ def test_friction_that_grows_with_the_load_leaves_something_that_depends_on_payl
     found = diagnosed("friction_with_load")
     assert found.verdict.word == "partly_explained"
     assert found.remaining.name == "payload"
-    assert "what remains depends on payload" in found.verdict.summary
+    assert "what remains depends on payload" in found.verdict.text
 
 
 def test_arms_of_different_warmth_leave_something_that_depends_on_temperature():
@@ -72,13 +72,13 @@ def test_arms_of_different_warmth_leave_something_that_depends_on_temperature():
 def test_sticking_that_shows_between_visits_is_not_called_noise():
     found = diagnosed("sticking")
     assert found.verdict.word in ("partly_explained", "cannot_know")
-    assert "the noise is 1.9 times the stated noise" in found.verdict.summary
+    assert "the noise is 1.9 times the stated noise" in found.verdict.text
 
 
 def test_correlated_noise_is_at_noise():
     found = diagnosed("correlated")
     assert found.verdict.word == "at_noise"
-    assert "the noise is correlated over" in found.verdict.summary
+    assert "the noise is correlated over" in found.verdict.text
 
 
 def compute_true_error(name, model):

@@ -101,12 +101,8 @@ def test_the_stated_uncertainty_outside_the_measured_region_matches_the_true_err
 
 @pytest.mark.wide
 def test_stop_looking_refers_to_the_region_that_was_measured():
-    assert (
-        "no further effect is needed inside x -" in diagnose(MODEL, within(0.06, 1)).verdict.summary
-    )
-    assert (
-        "no further effect is needed inside" not in diagnose(MODEL, within(0.12, 1)).verdict.summary
-    )
+    assert "no further effect is needed inside x -" in diagnose(MODEL, within(0.06, 1)).verdict.text
+    assert "no further effect is needed inside" not in diagnose(MODEL, within(0.12, 1)).verdict.text
 
 
 @pytest.mark.wide
@@ -120,7 +116,7 @@ def test_the_summary_states_model_uncertainty_and_the_error_with_twice_as_many_p
         for words in re.search(
             r"error at held-out poses (.+?)\).+?; the noise floor is (.+?), and the rest of the "
             r"error is model uncertainty: twice as many poses would reduce the error to about (.+)",
-            found.verdict.summary,
+            found.verdict.text,
         ).groups()
     )
     assert len(error) == len(floor) == len(twice) == 2
@@ -138,13 +134,13 @@ def test_an_effect_found_in_residuals_within_the_noise_leaves_the_verdict_at_noi
     assert found.base.fitted.estimate.chi2_per_dof < found.band[1]
     assert found.effects == ("backlash",)
     assert found.verdict.word == "at_noise"
-    assert "add it if this gain matters to you" in found.verdict.summary
+    assert "add it if this gain matters to you" in found.verdict.text
 
 
 @pytest.mark.wide
 def test_the_summary_states_the_noise_floor():
     data = measured(0, effects=[vr.Backlash((3e-4, 2.5e-4, 2e-4))], n_poses=110)
-    summary = diagnose(MODEL, data, effects=["backlash"]).verdict.summary
+    summary = diagnose(MODEL, data, effects=["backlash"]).verdict.text
     assert "; noise floor 2" in summary or "; noise floor 3" in summary
 
 

@@ -158,7 +158,7 @@ def judge_samples(
             found, guard, question.more, question.left, question.changes, question.seed
         )
     missing = describe_missing_evidence(found)
-    verdict, summary, suspected = found.verdict.word, found.verdict.summary, found.suspected
+    verdict, summary, suspected = found.verdict.word, found.verdict.text, found.suspected
     if first := found.explanation.first:
         summary = f"no geometry fits the samples without {first}; with it: {summary}"
     laws = LawSearch("")

@@ -270,6 +270,7 @@ class Diagnosis(ShownInNotebook):
             "additions": self.additions,
             "share_explained": self.verdict.share,
             "against": self.verdict.against,
+            "remarks": self.verdict.remarks,
             "samples": len(self.dataset),
             "baseline": base.held_out.summary,
             "best": best.held_out.summary,
@@ -500,12 +501,12 @@ def _exclude_as_add_does(
 
 def _with_samples_aside(others: Diagnosis, aside: Sequence[OddSample]) -> Diagnosis:
     """Name the samples in a diagnosis that was made without them."""
-    words = f"{others.verdict.summary.rstrip('.')}. {describe_knocked_samples(aside)}"
+    remarks = (*others.verdict.remarks, describe_knocked_samples(aside))
     numbers = {one.sample for one in aside}
     odd = [one for one in others.odd_samples if one.sample not in numbers]
     return replace(
         others,
-        verdict=replace(others.verdict, summary=words),
+        verdict=replace(others.verdict, remarks=remarks),
         odd_samples=(*aside, *odd),
         knocked=tuple(aside),
     )

@@ -1,4 +1,4 @@
-"""Judge a diagnosis in one word and one sentence.
+"""Judge a diagnosis in one word and two short sentences, with what else is to know.
 
 The numbers come from held-out poses and stated or measured noise, not from the fit alone.
 """
@@ -32,6 +32,11 @@ from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.model.shelf import load_effect
 
+NO_NOISE = (
+    "without a noise figure it is not known whether the explanation is complete: visit poses "
+    "again, or state the noise if it was measured"
+)
+NOT_IN_CATALOGUE = "An effect is missing that the catalogue does not describe"
 CERTAIN = 0.95  # probability above which an effect is named whatever is known of the noise
 # Verdicts that leave an error which no effect of the catalogue describes.
 UNEXPLAINED_VERDICTS = ("unexplained", "partly_explained", "cannot_know")
@@ -43,6 +48,8 @@ AMBER_VERDICTS = ("explained", "partly_explained", "unexplained")
 class Verdict:
     """`at_noise`, `explained`, `partly_explained`, `unexplained` or `cannot_know`, and why.
 
+    `summary` are at most two short sentences. `against` says what keeps the effects found from
+    being the whole explanation, `remarks` what else is to know; each a sentence of its own.
     `suspected_of_law` lists effects found that may only imitate a law outside the catalogue.
     `like_drift` lists effects of time that explain the error no better than noise that drifts.
     `needs_sides` is whether the sides from which the joints came must be known for more.
@@ -52,9 +59,15 @@ class Verdict:
     summary: str
     share: float | None = None
     against: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
     suspected_of_law: tuple[str, ...] = ()
     like_drift: tuple[str, ...] = ()
     needs_sides: bool = False
+
+    @property
+    def text(self) -> str:
+        """All of it, where there is room for one text only."""
+        return "; ".join([self.summary, *self.against, *self.remarks])
 
 
 @dataclass(frozen=True)
@@ -173,19 +186,16 @@ def share_explained(before: float, after: float, noise: float | None) -> float |
 def judge(found: Findings) -> Verdict:
     """Judge the findings.
 
-    Whatever the verdict is, its summary names the effects that are larger than usual, those that
-    the measuring device may cause, and those of the model that another effect would replace.
+    Whatever the verdict is, it names the effects that are larger than usual, those that the
+    measuring device may cause, and those of the model that another effect would replace.
     """
     verdict = replace(
         _judge(found),
         suspected_of_law=tuple(dict.fromkeys([*found.suspected_of_law, *found.imitating])),
         like_drift=found.like_drift,
     )
-    doubts = [words for words in _describe_doubts(found) if words not in verdict.against]
-    if not (doubts or found.ambiguous):
-        return verdict
-    summary = "; ".join([verdict.summary.removesuffix("."), *doubts, *found.ambiguous])
-    return replace(verdict, summary=summary, against=(*verdict.against, *doubts))
+    against = tuple(dict.fromkeys([*verdict.against, *_describe_doubts(found)]))
+    return replace(verdict, against=against, remarks=(*verdict.remarks, *found.ambiguous))
 
 
 def _judge(found: Findings) -> Verdict:
@@ -193,32 +203,34 @@ def _judge(found: Findings) -> Verdict:
     after, share, names = found.final_estimate, found.share, found.names
     judgement = acceptance(found.best.fitted, found.base.fitted)
     now = f"error {judgement.basis} {format_errors(judgement.after)}"
-    errors = judgement.description if found.best.chosen else now
+    fell = judgement.description if found.best.chosen else now
+    errors = f"{fell[0].upper()}{fell[1:]}"
     if (dof := found.noise.count_testing_dof(after.dof)) < MIN_DOF:
         beside = " beside those of the replicates" if found.noise.dof else ""
         words = f"{dof} degrees of freedom{beside} are too few for a verdict: measure more poses"
         return Verdict("cannot_know", words)
     if found.best.chosen and not judgement.judged:
         fits = "fit better" if len(found.best.chosen) > 1 else "fits better"
-        words = f"{names} {fits} ({errors}), but there is no validation error"
-        return Verdict("cannot_know", f"{words}: {judgement.against}", share)
+        words = f"{names} {fits}, but there is no validation error. {errors}"
+        return Verdict("cannot_know", words, share, remarks=(judgement.against,))
     if found.noise.variance is None:
         verb = "help" if len(found.best.chosen) > 1 else "helps"
         helps = f"{names} {verb}" if names else "no effect of the catalogue helps"
-        rest = " and the residuals still have structure" if found.structure.has_structure else ""
+        rest = ", but the residuals still have structure" if found.structure.has_structure else ""
         known = max(found.probability.values(), default=0.0) > CERTAIN
         return Verdict(
             "partly_explained" if known else "cannot_know",
-            f"{helps} ({errors}){rest}; without a noise figure it is not known whether the "
-            "explanation is complete: visit poses again, or state the noise if it was measured",
+            f"{helps}{rest}. {errors}",
             share,
+            remarks=(NO_NOISE,),
         )
     if found.held > MAX_HELD_COORDINATE_SIGMAS:
         return Verdict(
             "unexplained",
-            "the measured pose includes coordinates that the model holds at one value; they vary "
-            f"by {found.held:.0f} sigmas ({errors}): use a larger model",
+            "the measured pose includes coordinates that the model holds at one value: use a "
+            f"larger model. They vary by {found.held:.0f} sigmas",
             share,
+            remarks=(errors,),
         )
     if not found.best.chosen:
         return _nothing_found(found, errors)
@@ -231,24 +243,21 @@ def _judge(found: Findings) -> Verdict:
         chi2, high = format_distinctly(
             [found.chi2_before, found.noise.band(found.base.fitted.estimate.dof)[1]]
         )
-        but = "".join(f"; but {words}" for words in against)
         words = (
             f"the residuals are within the noise without any effect (chi2/dof {chi2}, at most "
-            f"{high}); {names} {'are' if several else 'is'} significant all the same ({errors}): "
-            f"add {'them' if several else 'it'} if this gain matters to you{but}"
+            f"{high}). With {names}: {fell}; add "
+            f"{'them' if several else 'it'} if this gain matters to you"
         )
-        return Verdict("at_noise", f"{words}{_noise(found)}", share, against)
+        return Verdict("at_noise", words, share, against, _noise(found))
     if not against:
         if share is not None and share >= MIN_EXPLAINED_SHARE:
             verb = "together account" if several else "accounts"
             part = f"{verb} for {100 * share:.0f} % of the error above the noise floor"
         else:  # the excess was mostly chance: its share means nothing
             part = f"{'together explain' if several else 'explains'} the remaining error"
-        words = f"{names} {part}: {errors}{_noise(found)}"
-        return Verdict("explained", words, share)
-    verb = "explain" if several else "explains"
-    words = f"{names} {verb} part of the error ({errors}), but {'; '.join(against)}{_noise(found)}"
-    return Verdict("partly_explained", words, share, against)
+        return Verdict("explained", f"{names} {part}. {errors}", share, remarks=_noise(found))
+    words = f"{names} {'explain' if several else 'explains'} part of the error. {errors}"
+    return Verdict("partly_explained", words, share, against, _noise(found))
 
 
 def _ask_for_sides(found: Findings, errors: str, share: float | None) -> Verdict:
@@ -260,11 +269,14 @@ def _ask_for_sides(found: Findings, errors: str, share: float | None) -> Verdict
     several = len(found.best.chosen) > 1
     return Verdict(
         "cannot_know",
-        f"{found.names} would explain {'parts' if several else 'a part'} of the error ({errors}), "
-        f"but visits of the same pose differ by {found.noise.misstated:.1f} times "
-        f"{found.noise.used}, and the sides from which the joints came are not known. A backlash "
-        f"makes visits differ, and imitates {'such effects' if several else 'such an effect'}",
+        f"{found.names} would explain {'parts' if several else 'a part'} of the error, but the "
+        f"sides from which the joints came are not known. {errors}",
         share,
+        remarks=(
+            f"visits of the same pose differ by {found.noise.misstated:.1f} times "
+            f"{found.noise.used}: a backlash makes them differ, and imitates "
+            f"{'such effects' if several else 'such an effect'}",
+        ),
         needs_sides=True,
     )
 
@@ -372,40 +384,42 @@ def robot_or_device(name: str) -> str:
 
 def _nothing_found(found: Findings, errors: str) -> Verdict:
     chi2, high = found.final_estimate.chi2_per_dof, found.noise.band(found.final_estimate.dof)[1]
-    noise = _noise(found)
+    noise, refused = _noise(found), tuple(found.refused[:1])
     if chi2 <= high and found.noise.is_exceeded:
         return _doubt_noise(found, errors)
     if chi2 <= high and found.noise.dof is not None and found.remaining:
         # What moves the robot between visits of a pose passes for noise.
-        yet = f" ({found.refused[0]})" if found.refused else ""
         return Verdict(
             "unexplained",
-            f"the residuals are no larger than the scatter of revisited poses ({errors}), but "
-            f"{found.remaining.description}, as noise does not: an effect is missing that the "
-            f"catalogue does not describe{yet}{noise}",
+            "the residuals are no larger than the scatter of revisited poses, but "
+            f"{found.remaining.description}, as noise does not. {NOT_IN_CATALOGUE}",
+            remarks=(errors, *refused, *noise),
         )
     if chi2 <= high:
-        words = f"the model explains the measurements down to the noise ({errors})"
+        words = f"the model explains the measurements down to the noise. {errors}"
         region = Region.of(found.best.fitted)
         where = region.description if region else ""
         if is_touched_at_one_height(found.best.fitted):
             where = AT_ONE_HEIGHT
-        advice = f"no further effect is needed{where}{_uncertainty(found)}"
+        advice = [f"no further effect is needed{where}", *_uncertainty(found)]
         if found.refused:
-            advice = f"yet {found.refused[0]}"
+            advice = list(refused)
         elif found.structure.has_structure:
-            advice += ". But neighbouring residuals are similar: look at the map"
-        return Verdict("at_noise", f"{words}: {advice}{noise or '.'}")
-    nothing = "no effect of the catalogue explains it"
+            advice.append("neighbouring residuals are similar: look at the map")
+        return Verdict("at_noise", words, remarks=(*advice, *noise))
+    nothing, remarks = "no effect of the catalogue explains it", list[str]()
     if found.refused:
-        nothing = f"no effect explains it well ({found.refused[0]})"
+        nothing, remarks = "no effect explains it well", [*refused]
     elif found.like_drift:
-        nothing = "; ".join(_describe_like_drift(found))
+        nothing, remarks = "noise that drifts does", _describe_like_drift(found)
+    if size := _size(found.structure, "the smooth part is"):
+        remarks.append(size)
+    if found.remaining:
+        remarks.append(found.remaining.description)
     return Verdict(
         "unexplained",
-        f"chi2/dof {' is above '.join(format_distinctly([chi2, high]))}, but {nothing}"
-        f"{_size(found.structure, '; smooth part')}"
-        f"{f'; {found.remaining.description}' if found.remaining else ''} ({errors}){noise}",
+        f"chi2/dof {' is above '.join(format_distinctly([chi2, high]))}, but {nothing}. {errors}",
+        remarks=(*remarks, *noise),
     )
 
 
@@ -413,46 +427,49 @@ def _doubt_noise(found: Findings, errors: str) -> Verdict:
     """Judge residuals that are within the scatter of revisited poses, but not within the noise that
     the fit used: the scatter may be noise, or motion of the robot between the visits."""
     ratio = f"by {found.noise.misstated or 1.0:.1f} times {found.noise.used}"
-    differ = f"visits of the same pose differ {ratio} ({errors})"
+    differ = f"visits of the same pose differ {ratio}"
     if found.remaining:
         return Verdict(
             "unexplained",
-            f"{differ}, and {found.remaining.description}: an effect is missing that the catalogue "
-            "does not describe",
+            f"{differ}, and {found.remaining.description}. {NOT_IN_CATALOGUE}",
+            remarks=(errors,),
         )
     test = (
-        "Measure one pose ten times without moving the robot: if this scatters less, the robot "
+        "measure one pose ten times without moving the robot: if this scatters less, the robot "
         "moves; if it scatters as much, state this noise in the model file"
     )
     if found.noise.from_jitter:
         test = (
-            "Record what differed and diagnose again; if nothing did, because encoders and device "
+            "record what differed and diagnose again; if nothing did, because encoders and device "
             "repeat no better, state the noise of repeated visits in the model file"
         )
-    unknown = "the difference depends on no recorded condition"
+    remarks = [
+        errors,
+        "what differed between the visits? If the robot moved (friction, backlash, load, warming), "
+        "an effect is missing; if all of it is noise, the model is complete",
+        test,
+    ]
     if found.sides_from_order:
-        unknown += (
-            ". The sides from which the joints came were not recorded, but taken from the order of "
+        remarks.append(
+            "the sides from which the joints came were not recorded, but taken from the order of "
             "the rows: if they were others, state them (direction.JOINT) and diagnose again"
         )
     return Verdict(
         "cannot_know",
-        f"{differ}, and {unknown}. What differed between the "
-        "visits? If the robot moved (friction, backlash, load, warming), an effect is missing; if "
-        f"all of it is noise, the model is complete. {test}"
-        f"{''.join(f'. By the residuals, {words}' for words in found.shape.remarks)}",
+        f"{differ}, and the difference depends on no recorded condition",
+        remarks=(*remarks, *(f"by the residuals, {words}" for words in found.shape.remarks)),
     )
 
 
-def _noise(found: Findings) -> str:
+def _noise(found: Findings) -> tuple[str, ...]:
     """Describe the noise if it is not white, or not as stated."""
     words = list(found.shape.remarks)
     if found.noise.misstated is not None:
         words.insert(0, f"the noise is {found.noise.misstated:.1f} times {found.noise.used}")
-    return f". By the residuals, {' and '.join(words)}" if words else ""
+    return (f"by the residuals, {' and '.join(words)}",) if words else ()
 
 
-def _uncertainty(found: Findings) -> str:
+def _uncertainty(found: Findings) -> list[str]:
     """Describe the part of the validation errors that the model uncertainty makes."""
     result, misstated = found.best.fitted, found.noise.misstated or 1.0
     floors, twice, is_large = dict[str, float](), dict[str, float](), False
@@ -466,12 +483,12 @@ def _uncertainty(found: Findings) -> str:
         # The variance that parameters add falls with the number of observations.
         twice[f"{kind}_rms"] = ((min(floor, error) ** 2 + error**2) / 2) ** 0.5
     if not is_large:
-        return ""
-    return (
-        f"; the noise floor is {format_errors(Summary(**floors))}, and the rest of the error is "
+        return []
+    return [
+        f"the noise floor is {format_errors(Summary(**floors))}, and the rest of the error is "
         f"model uncertainty: twice as many poses would reduce the error to about "
         f"{format_errors(Summary(**twice))}"
-    )
+    ]
 
 
 def _describe_noise_floor(found: Findings) -> str:

@@ -80,7 +80,7 @@ def _make_row(found: Diagnosis) -> Row:
         "mechanism": found.model.mechanism.name,
         "samples": len(found.dataset),
         "verdict": found.verdict.word,
-        "summary": found.verdict.summary,
+        "summary": found.verdict.text,
         "effects": found.effects,
         "robot_or_device": found.robot_or_device,
         "before": base.held_out_before.summary,

@@ -57,7 +57,6 @@ def candidates(report: Report, plot: Plot) -> str:
         "probability is that of the robot having it. The most probable effects are refitted."
     )
     remarks = [f"{name} fits no better than {', '.join(o)}." for name, o in found.swaps.items()]
-    remarks += [f"Objection: {text}" for text in found.verdict.against]
     first = [e for e in tested if e.name in found.effects or e.rank <= MAX_REFITTED_CANDIDATES]
     later = [e for e in tested if e not in first]
     shown = paragraph("No effect could be tested.", "none")

@@ -160,7 +160,7 @@ def certificate(report: Report) -> str:
         "Excluded samples": _describe_excluded(data),
         "Noise, 1 sigma": _describe_noise(report),
         "Region of the samples": report.diagnosis.base.fitted.region.description,
-        "Verdict": sentence(describe_verdict(verdict.word, verdict.summary)),
+        "Verdict": sentence(describe_verdict(verdict.word, verdict.text)),
         "Software": f"parallel_cal {p.version}",
         "Date of this certificate": day(p.made),
     }

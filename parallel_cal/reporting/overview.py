@@ -34,10 +34,11 @@ REFITTED = (
 
 
 def verdict(report: Report) -> str:
-    """Render the verdict as a badge and a sentence."""
+    """Render the verdict as a badge and its sentences."""
     found = report.diagnosis.verdict
     badge = f'<span class="badge {escape(found.word)}">{escape(VERDICT_LABELS[found.word])}</span>'
     words = f'<p class="verdict">{badge} {escape(micro(found.summary))}</p>'
+    words += items(map(sentence, [*found.against, *found.remarks]))
     laws = "".join(
         paragraph(
             f"The effect {name} of this model was found in data; its physical cause is unknown.",

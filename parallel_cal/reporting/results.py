@@ -63,6 +63,7 @@ if TYPE_CHECKING:
 MAX_CANDIDATES = 8
 MAX_SAMPLES = 5
 MAX_PATTERNS = 5
+MAX_REMARKS = 3  # about a verdict, on a terminal
 MAX_ESTIMATES = 4  # parameters of an effect that are shown; gears have a dozen
 PATTERN_SIGNIFICANCE_LEVEL = 0.05  # below it a terminal shows an effect or a pattern of the errors
 # How a model and the samples of a figure are related.
@@ -386,7 +387,11 @@ def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
         "held-out, as it is": diagnosis.base.fitted.held_out.summary,
         "held-out, with it": diagnosis.best.fitted.held_out.summary,
     }
-    yield f"{diagnosis.verdict.word}: {diagnosis.verdict.summary}"
+    verdict = diagnosis.verdict
+    yield f"{verdict.word}: {verdict.summary}"
+    details = [f"- {words}" for words in (*verdict.against, *verdict.remarks)]
+    yield from details[:MAX_REMARKS]
+    yield from map(Detail, details[MAX_REMARKS:])
     yield errors_table(judged, diagnosis.best.fitted.noise_floor, diagnosis.model)
     tested = [e for e in diagnosis.entries if e.candidate.testable][:MAX_CANDIDATES]
     likely = [e for e in tested if e.probable or e.name in diagnosis.effects]
@@ -406,7 +411,9 @@ def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
         if entry.confused_with:
             words = f"{entry.name} is confused with {', '.join(entry.confused_with)}"
             yield words if entry.name in diagnosis.effects else Detail(words)
+    more = max(len(details) - MAX_REMARKS, 0)
     hidden = [
+        *([f"{more} more about the verdict"] if more else []),
         *([f"{len(others)} improbable effects"] if others else []),
         *(
             [f"{len(reasons)} remarks, such as what is missing to test an effect"]

@@ -147,5 +147,5 @@ def examine(
     except ParallelCalError as error:
         return Outcome(False, str(error))
     word = found.verdict.word
-    message = f"{word}: {found.verdict.summary}"
+    message = f"{word}: {found.verdict.text}"
     return Outcome(True, message, found.document(), text, verdict=word)

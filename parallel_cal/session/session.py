@@ -437,7 +437,7 @@ class Session(History):
         how: dict[str, Any] = {"options": self.options, "progress": progress} | options
         found = diagnose(self.model, self.dataset, **how)
         knocked = [one.sample for one in found.knocked]
-        self.record_verdict(at, found.verdict.word, found.verdict.summary, knocked)
+        self.record_verdict(at, found.verdict.word, found.verdict.text, knocked)
         return found
 
     def conditions(self, names: Iterable[str]) -> Mapping[str, np.ndarray]:

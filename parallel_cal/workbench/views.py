@@ -154,7 +154,7 @@ def view(session: Session, progress: Progress) -> View:
     verdict, made = found.diagnosis.verdict, _make_report_view(found)
     remark = "" if part is None else f" (diagnosis of {_describe_part(len(part), session)})"
     knocked = None if part is not None else [one.sample for one in found.diagnosis.knocked]
-    session.record_verdict(session.state, verdict.word, f"{verdict.summary}{remark}", knocked)
+    session.record_verdict(session.state, verdict.word, f"{verdict.text}{remark}", knocked)
     if part is None and not knocked:
         return made
     return made | _make_numbers_of_all(session, made, remark)
@@ -346,7 +346,7 @@ def _select_shown(
 def _verdict(found: Report) -> View:
     """Describe the verdict; it is green only if the data show no missing effect."""
     verdict = found.diagnosis.verdict
-    words = describe_verdict(verdict.word, verdict.summary)
+    words = describe_verdict(verdict.word, verdict.text)
     if verdict.word == "at_noise":
         laws = "".join(
             f" {name} was found in data; its physical cause is unknown."
