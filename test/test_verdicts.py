@@ -114,7 +114,7 @@ def test_the_summary_states_model_uncertainty_and_the_error_with_twice_as_many_p
     error, floor, twice = (
         [float(v) for v in re.findall(r"([\d.]+) (?:um|arcmin)", words)]
         for words in re.search(
-            r"error at held-out poses (.+?)\).+?; the noise floor is (.+?), and the rest of the "
+            r"Error at held-out poses (.+?); .*the noise floor is (.+?), and the rest of the "
             r"error is model uncertainty: twice as many poses would reduce the error to about (.+)",
             found.verdict.text,
         ).groups()
