@@ -478,9 +478,8 @@ def test_one_knocked_sample_is_named_with_the_verdict_of_the_others(size):
     assert found.effects == ("backlash",)
     assert found.verdict.word == "explained"
     assert [one.sample for one in found.knocked] == [17]
-    first, last = found.verdict.text.split(". Not used: ")
-    assert "backlash" in first
-    assert last.startswith("sample 17 (")
+    assert "backlash" in found.verdict.summary
+    assert found.verdict.remarks[-1].startswith("Not used: sample 17 (")
     assert found.document()["next_steps"][0].endswith("--data exclude=17")
     assert found.next_steps[-1].split(" -o ")[0].endswith("RECORDING --data exclude=17")
 

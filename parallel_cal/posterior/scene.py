@@ -116,6 +116,8 @@ class Scene:
 
     def in_units_of(self, variance: float) -> Scene:
         """The same scene in units of a noise with this variance, in units of the present one."""
+        if variance == 1.0:
+            return self
         scale = variance**-0.5
         return replace(self, residual=scale * self.residual, whitener=scale * self.whitener)
 
