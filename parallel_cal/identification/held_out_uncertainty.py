@@ -81,16 +81,12 @@ class FoldedErrors:
             return None
         U = np.linalg.inv(np.eye(n_free) - shares)
 
-        cells, at, counts = np.unique(
-            np.column_stack([self.fold, self.group]),
-            axis=0,
-            return_inverse=True,
-            return_counts=True,
-        )
+        pairs = np.column_stack([self.fold, self.group])
+        cells, at, counts = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
         at, fold = at.reshape(-1), cells[:, 0]
         each = self.J.transpose(0, 2, 1) @ self.J
-        G = _sum_by(fold, _sum_by(at, each, len(cells)), len(U))
         cell_G = _sum_by(at, each, len(cells))
+        G = _sum_by(fold, cell_G, len(U))
 
         P_a = U @ self.P
         from_parameters = np.einsum("nij,nij->n", each, P_a[self.fold])
@@ -103,13 +99,9 @@ class FoldedErrors:
         within = 2 * own.sum() + np.sum(2 * in_cells + uneven**2)
 
         in_folds = _trace_of_square(P_a @ G).sum() - in_cells.sum()
-        between = sum(
-            np.trace(M @ G[b] @ M.T @ G[a])
-            for a in range(len(U))
-            for b in range(len(U))
-            if a != b
-            for M in [U[a] @ self.P @ U[b].T]
-        )
+        # tr(U_a P U_b^T G_b U_b P U_a^T G_a) = tr(P H_b P H_a), summed over all a and b but a = b
+        H = U.transpose(0, 2, 1) @ G @ U
+        between = _trace_of_square(self.P @ H.sum(axis=0)) - _trace_of_square(self.P @ H).sum()
         shared = 2 * (in_folds + between + _trace_of_square(self.P @ G.sum(axis=0)))
 
         found, scatter = compute_mean_and_sigma(squares, self.group)
