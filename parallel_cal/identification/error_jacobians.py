@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from parallel_cal.identification.image_poses import ShownPoses
+from parallel_cal.identification.image_poses import ShownPoses, find_shown_changes
 from parallel_cal.identification.linearisation import Linearisation, follow_closure
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prediction_errors import (
@@ -65,6 +65,12 @@ def differentiate_errors(
     pose[:, m.moved, :n] -= to_pose
     read[:, :, :n] = -to_reading
     pose_by_free[:, m.moved], read_by_free = follow_closure(model, rows, by_free)
+    if shown and by_free.shape[2]:
+        # The error of a pose that an image shows follows from the errors of its pixels.
+        changes = find_shown_changes(model, observations, rows, read_by_free)
+        pose_by_free[:, m.moved] = np.where(
+            shown.known[:, None, None], changes, pose_by_free[:, m.moved]
+        )
     pose, pose_by_free = (np.where(measured[:, :, None], one, 0.0) for one in (pose, pose_by_free))
 
     solved_for = [*range(n), *[n + i for i in m.parasitic], *m.passive_columns]
