@@ -17,6 +17,6 @@ pc.write_model(fitted.model, "fitted.yaml")
 # Prints:
 # FitResult(delta54, 94 samples, 42 of 42 free parameters identified, chi2/dof 1.17)
 # before:   606 +- 11 um, 24.99 +- 0.22 arcmin (rms at held-out poses)
-# after:    37.6 +- 1.8 um, 0.457 +- 0.020 arcmin
+# after:    37.6 +- 2.2 um, 0.457 +- 0.022 arcmin
 # noise:    30.0 +- 1.2 um, 0.433 +- 0.015 arcmin
 # missing:  an error of 22.7 um (rms) beside the noise

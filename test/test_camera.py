@@ -21,6 +21,7 @@ from parallel_cal.identification.image_poses import (
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.placement import place_sensors
+from parallel_cal.identification.prediction_errors import compute_rms_sigmas
 from parallel_cal.identification.predictions import predict_configurations
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.file.modelfile import dump_model, parse_model
@@ -126,6 +127,14 @@ def test_the_error_of_the_robot_contains_the_noise_of_the_joints_unless_it_is_su
 
 
 @pytest.mark.wide
+def test_the_sigma_of_the_validation_error_is_that_of_poses_beside_the_camera(hexapod_fit):
+    """Robot and camera may shift together: neither their place nor its large sigma is an error."""
+    _, found = hexapod_fit
+    scatter = compute_rms_sigmas(found.held_out, np.arange(found.samples))
+    for kind, sigma in found.rms_sigmas(found.held_out).items():
+        assert scatter[kind] < sigma < 2 * scatter[kind]
+
+
 def test_the_report_draws_residuals_as_arrows_over_the_image(hexapod_fit):
     _, found = hexapod_fit
     [one] = list_images(found)

@@ -10,11 +10,17 @@ import virtual_findings as vf
 from findings import dataset, quiet, sized
 from scipy import stats
 
+from bench import coverage
 from parallel_cal.diagnosis import verdict
 from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.diagnosis.explanation import _in_units_of_noise
+from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import NoiseLevel, PureError
 from parallel_cal.diagnosis.remaining import RemainingCondition
+from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import new_model
+from parallel_cal.posterior.evidence import Evidence
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.virtual import robot as vr
 
 
@@ -181,3 +187,24 @@ def test_noise_that_grows_outwards_is_reported_as_growing():
 def test_replicates_that_may_be_luck_contradict_no_stated_noise(variance, contradicted):
     """150 degrees of freedom: 1.4 has a chance of 9e-4, 1.6 of 4e-6 and 0.6 of 3e-5."""
     assert PureError(variance, 150).contradicts_stated_noise is contradicted
+
+
+def test_visits_of_one_pose_count_once_by_hand():
+    """R = 60 of 60 replicates, L = 400 or 200 of the other 90 of 150 degrees of freedom.
+
+    p(L | R) is a t distribution: -(60 + 90)/2 log((1 + 400/60) / (1 + 200/60)) = -75 log(23/13).
+    With the visits in the prior and in the residual it was -(60 + 150)/2 log(520 / 320).
+    """
+    session = coverage.draw_session(np.random.default_rng([77, 0]), replicates=40)
+    unstated = replace(
+        session.data, pose_cov=np.full_like(session.data.pose_cov, np.nan), joint_sigma=None
+    )
+    found = fit(new_model("five_bar"), unstated, hold_out=0)
+    scene = Scene.of(found.model, found.dataset, found.observations, found.free)
+    scaled, nu = _in_units_of_noise(scene)
+    of_visits = PureError.of(scene, Field.of(scene))
+    assert of_visits.dof > 60
+    assert scaled.residual == pytest.approx(scene.residual / np.sqrt(of_visits.variance))
+    large, small = (Evidence(60.0 + rest, 150, nu).log_p for rest in (400.0, 200.0))
+    assert large - small == pytest.approx(-75 * np.log(23 / 13), rel=0.02)
+    assert large - small != pytest.approx(-105 * np.log(520 / 320), rel=0.1)

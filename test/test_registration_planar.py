@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from bench import coverage
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.registration import register_device
 from parallel_cal.identification.stations import has_stations
@@ -99,6 +100,17 @@ def test_a_planar_robot_is_registered_in_the_coordinates_that_are_measured(kind,
     assert error_at_fresh_points(found.model, kind) < 2 * NOISE
     assert where.held == (() if axes == XYZ else ("z", "rx", "ry"))
     assert ("z, rx, ry of the frame are not measured" in where.description) == (axes == XY)
+
+
+@pytest.mark.parametrize("number", [27, 124, 263, 290, 327, 376])
+def test_a_robot_within_its_tolerances_is_no_displaced_device(number):
+    """Zeros of 1 degree move the point by 4 to 6 mm, nearly as a displaced device does."""
+    session = coverage.draw_session(np.random.default_rng([77, number]))
+    model = new_model("five_bar")
+    assert register_device(model, session.data)[1] is None
+    shifted = session.data.r + np.array([0.0, 0.012, 0.0])
+    moved = fit(model, replace(session.data, r=shifted), hold_out=0).registration
+    assert moved.position[1] == pytest.approx(-0.012, abs=2e-3)
 
 
 def test_the_file_of_a_registered_planar_robot_keeps_what_no_pose_shows_fixed():

@@ -69,6 +69,22 @@ def test_the_mean_of_orientations_that_are_far_apart_is_the_chordal_one(degrees,
     assert away[:, 2] == pytest.approx(np.arctan2(np.sin(about), np.cos(about)), abs=1e-4)
 
 
+def test_the_mean_of_turns_of_120_degrees_about_x_y_and_z_is_one_of_90_about_their_middle():
+    """The sum of the three matrices is sin(120 deg) [1 1 1]x, which a rotation by theta about
+    (1, 1, 1) meets with 2 sin(theta): best at 90 degrees. So does the eigenvector of the largest
+    eigenvalue of sum q q^T, (1; n) with n = (1, 1, 1) / sqrt(3), since cos(45) = sin(45)."""
+    turns = 2 * np.pi / 3 * np.eye(3)
+    R = rotation_matrix(turns)
+    middle = np.pi / 2 * np.ones(3) / np.sqrt(3)
+    assert rotation_vector(mean_rotation(R)) == pytest.approx(middle)
+    q = matrix_to_quaternion(R)
+    eigenvector = np.linalg.eigh(q.T @ q)[1][:, -1]
+    assert abs(eigenvector @ matrix_to_quaternion(rotation_matrix(middle))) == pytest.approx(1.0)
+    # One of them is away from the mean by the product of the quaternions: cos(half) = (1/2 +
+    # sqrt(3)/2 / sqrt(3)) / sqrt(2) = 1 / sqrt(2).
+    assert np.linalg.norm(turns_from_mean(R), axis=1) == pytest.approx(np.pi / 2)
+
+
 def test_the_mean_rotation_is_nearest_to_all_and_turns_with_them():
     rng = np.random.default_rng(3)
     R = rotation_matrix(rng.normal(size=(7, 3)))

@@ -257,7 +257,17 @@ class Causes:
 
 def _find_noise(scene: Scene) -> tuple[float, float]:
     """The variance of the noise that is known best, in the units of a scene, and how many degrees
-    of freedom are known of it: stated, measured by visits of one pose, or hardly known.
+    of freedom are known of it apart from the residual: stated, or hardly any.
+
+    Visits of one pose measure the noise, but they are samples of the residual, too. Let R be their
+    sum of squares about their means, with m degrees of freedom, and L the rest of a residual with d
+    of them. Given R, the evidence of L is that of a t distribution with m degrees of freedom, R/m
+    its variance:
+
+        log p(L | R) = -(m + d - m)/2 log(1 + L / R) + ... = -d/2 log(R + L) + ...
+
+    which is the evidence of the whole residual if nothing else is known of the noise (nu -> 0).
+    With nu = m it would be -(m + d)/2 log(2 R + L): the visits would count twice.
 
     Visits may differ by more than the stated noise because the robot moves; they cannot differ by
     less.
@@ -265,8 +275,10 @@ def _find_noise(scene: Scene) -> tuple[float, float]:
     seen, stated = PureError.of(scene, Field.of(scene)), not scene.observations.noise_assumed
     v, measured = seen.variance, seen.dof >= MIN_REPLICATE_DOF
     if v is not None and measured and (not stated or (seen.contradicts_stated_noise and v < 1)):
-        return max(v, 1e-12), float(seen.dof)
-    return (1.0, STATED) if stated else (max(scene.chi2_per_dof, 1e-12), UNKNOWN)
+        return max(v, 1e-12), UNKNOWN
+    if stated:
+        return 1.0, STATED
+    return max(scene.chi2_per_dof, 1e-12), UNKNOWN
 
 
 def _is_lasting_error_of_device(name: str) -> bool:

@@ -50,6 +50,7 @@ from parallel_cal.identification.fit_warnings import (
     on_priors,
 )
 from parallel_cal.identification.given_model import Folds, GivenModel
+from parallel_cal.identification.held_out_uncertainty import compute_held_out_sigmas
 from parallel_cal.identification.image_poses import measure_image_noise
 from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.identification.noise_floor import (
@@ -200,8 +201,28 @@ class FitResult(ShownInNotebook):
 
     def rms_sigmas(self, found: Errors) -> dict[str, float]:
         """Standard deviations of the rms errors at the samples of this fit, for each kind of
-        error (position, orientation, ...)."""
-        return compute_rms_sigmas(found, blocks(self.dataset))
+        error (position, orientation, ...).
+
+        Those of `held_out` are about the rms error of this calibration at poses like the measured
+        ones; all others follow from the scatter between poses alone.
+        """
+        sigmas = compute_rms_sigmas(found, blocks(self.dataset))
+        return sigmas | self._held_out_sigmas if found is self.held_out else sigmas
+
+    @cached_property
+    @single_threaded()
+    def _held_out_sigmas(self) -> dict[str, float]:
+        if not self.held_out.judged.any():
+            return {}
+        return compute_held_out_sigmas(
+            self.model,
+            self.estimate,
+            self.free,
+            self.observations,
+            self.held_out,
+            _folds(self.dataset, self.options),
+            blocks(self.dataset),
+        )
 
     @cached_property
     @single_threaded()

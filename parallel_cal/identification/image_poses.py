@@ -68,6 +68,19 @@ def find_shown_poses(model: Model, observations: Observations, x: np.ndarray) ->
     return ShownPoses(change, covariance)
 
 
+def find_shown_changes(
+    model: Model, observations: Observations, rows: np.ndarray, readings: np.ndarray
+) -> np.ndarray:
+    """Changes (N, n_moved, m) of the poses that small changes of the readings (N, n_channels, m)
+    show, by least squares in units of their noise; `rows` are the derivatives by (q, r, w) from
+    `Linearisation.blocks`."""
+    n, closure = len(model.joints), model.structure.phi.shape[0]
+    used = _shows_pose(model) & np.isfinite(observations.reading)
+    weight = used / np.where(used, observations.get_reading_sigma(model), 1.0)
+    by_pose = rows[:, closure:, [n + i for i in model.mechanism.moved]] * weight[:, :, None]
+    return np.asarray(np.linalg.pinv(by_pose) @ (readings * weight[:, :, None]))
+
+
 def add_joint_noise(
     shown: ShownPoses, model: Model, observations: Observations, x: np.ndarray
 ) -> ShownPoses:

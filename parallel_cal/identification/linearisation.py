@@ -361,12 +361,17 @@ def _parts(x: np.ndarray) -> Iterator[slice]:
     return (slice(begin, begin + BLOCK) for begin in range(0, len(x), BLOCK))
 
 
+def follow_closure(model: Model, rows: np.ndarray, by: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """d pose / dy (N, n_moved, m) along the closure, and d reading / dy (N, n_channels, m), of
+    the derivatives of the rows by (q, r, w) from `blocks` and by other quantities y (N, rows,
+    m)."""
+    closure, dependent = model.structure.phi.shape[0], model.mechanism.dependent_columns
+    follows = -np.linalg.pinv(rows[:, :closure, dependent]) @ by[:, :closure]
+    pose = follows[:, : len(model.mechanism.moved)]
+    return pose, by[:, closure:] + rows[:, closure:, dependent] @ follows
+
+
 def compute_joint_jacobians(model: Model, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """d pose / d q (N, n_moved, nq) along the closure, and d reading / d q (N, n_channels, nq), of
     the derivatives of the rows by (q, r, w) from `blocks`."""
-    n, closure = len(model.joints), model.structure.phi.shape[0]
-    C, shown_by = rows[:, :closure], rows[:, closure:]
-    dependent = model.mechanism.dependent_columns
-    follows = -np.linalg.pinv(C[:, :, dependent]) @ C[:, :, :n]
-    pose = follows[:, : len(model.mechanism.moved)]
-    return pose, shown_by[:, :, :n] + shown_by[:, :, dependent] @ follows
+    return follow_closure(model, rows, rows[:, :, : len(model.joints)])

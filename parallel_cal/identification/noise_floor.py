@@ -8,16 +8,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from parallel_cal.base.threads import single_threaded
+from parallel_cal.identification.error_jacobians import differentiate_errors
 from parallel_cal.identification.image_poses import find_shown_poses
-from parallel_cal.identification.linearisation import Linearisation, compute_joint_jacobians
+from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prediction_errors import (
     ERRORS,
     Errors,
     Summary,
     find_fully_measured_samples,
-    find_judgeable_samples,
-    keep_moved_coordinates,
     where_known,
 )
 from parallel_cal.model.model import Model
@@ -50,15 +49,13 @@ def simulate_noise_floor(model: Model, observations: Observations, seed: int = 0
     """
     if observations.noise_assumed:
         return NoiseFloor()
-    n, m = len(model.joints), model.mechanism
+    n = len(model.joints)
     closure = model.structure.phi.shape[0]
     none = np.zeros(len(model.values), dtype=bool)
     linearise = Linearisation(model, observations, none, weighted=True)
-    rows = linearise.blocks(model.values, linearise.start())[1]  # where the platform is
-    measured = observations.measured[:, n : n + 6].copy()
-    C, (to_pose, to_reading) = rows[:, :closure], compute_joint_jacobians(model, rows)
-    solved_for = [*range(n), *[n + i for i in m.parasitic], *m.passive_columns]
-    given = [n + i for i in m.controlled]
+    x = linearise.start()  # where the platform is
+    shown = find_shown_poses(model, observations, x)
+    jacobians = differentiate_errors(model, observations, linearise, x, shown)
     rng = np.random.default_rng(seed)
     draws = rng.standard_normal((64, *observations.S.shape[:2]))
     noise = np.einsum(
@@ -66,36 +63,23 @@ def simulate_noise_floor(model: Model, observations: Observations, seed: int = 0
         np.linalg.cholesky(observations.S + 1e-30 * np.eye(len(observations.S[0]))),
         draws,
     )
-    to_joint = -(np.linalg.pinv(C[:, :, solved_for]) @ C[:, :, given])[:, :n]
-    if shown := find_shown_poses(model, observations, linearise.start()):
+    if shown:
         # Where only an image shows the pose, its noise is that of the pose.
         factor = np.linalg.cholesky(shown.covariance[shown.known] + 1e-30 * np.eye(6))
         at_images = rng.standard_normal((64, len(factor), 6))
         noise[:, shown.known, n : n + 6] = np.einsum("nij,dnj->dni", factor, at_images)
-        measured[shown.known] = [i in m.moved for i in range(6)]
-    pose = noise[:, :, n : n + 6].copy()
-    pose[:, :, m.moved] -= np.einsum("nij,dnj->dni", to_pose, noise[:, :, :n])
-    joint = noise[:, :, :n] - np.einsum("nij,dnj->dni", to_joint, noise[:, :, given])
-    read = observations.get_reading_sigma(model) * rng.standard_normal(
-        (*draws.shape[:2], to_reading.shape[1])
+    of_readings = rng.standard_normal((*draws.shape[:2], len(model.structure.channels)))
+    drawn = {}
+    for kind, one in jacobians.items():
+        e = np.einsum("nij,dnj->dni", one.by_measured, noise)
+        if kind in ("reading", "pixel"):
+            e += one.reading_sigma * of_readings
+        drawn[kind] = np.where(one.known, e, np.nan)
+    C = linearise.blocks(model.values, x)[1][:, :closure]
+    drawn["closure"] = where_known(
+        find_fully_measured_samples(model, observations), np.einsum("nij,dnj->dni", C, noise)
     )
-    read -= np.einsum("nij,dnj->dni", to_reading, noise[:, :, :n])
-    read = np.where(np.isfinite(observations.reading), read, np.nan)
-    in_pixels = model.structure.channel_units == "px"
-    pose = np.where(measured, pose, 0.0)
-    placed = find_judgeable_samples(model, measured, range(3))
-    turned = find_judgeable_samples(model, measured, range(3, 6))
-    each = (
-        where_known(placed, keep_moved_coordinates(model, pose[:, :, :3], range(3))),
-        where_known(turned, keep_moved_coordinates(model, pose[:, :, 3:], range(3, 6))),
-        where_known(np.all(observations.measured[:, given], axis=1), joint),
-        read * model.structure.reading_lengths,
-        where_known(
-            find_fully_measured_samples(model, observations), np.einsum("nij,dnj->dni", C, noise)
-        ),
-        np.where(in_pixels, read, np.nan),
-    )
-    found = Errors(*[np.concatenate(draw) for draw in each])
+    found = Errors(**{kind: np.concatenate(draw) for kind, draw in drawn.items()})
     sigmas = {}
     for kind in ERRORS:
         squares = found.norms(kind).reshape(len(draws), -1) ** 2

@@ -175,9 +175,14 @@ def register_observed(
         return model, None
     found, base, stated = there.frames, model.frames["base"], _device(model) is not None
     elsewhere = frame not in ("", base) and not stated
-    if not (elsewhere or there.is_misplaced(found, is_identified(model), stated)):
+    if elsewhere or there.exceeds_tolerances(found):
+        placed = _with_fitted_frames(model, observations, there, found)
+    elif there.is_misplaced(found, is_identified(model), stated):
+        placed = _with_fitted_frames(model, observations, there, found)
+        if not is_identified(model) and not _stays_displaced(placed, observations, there):
+            return model, None
+    else:
         return model, None
-    placed = _with_fitted_frames(model, observations, there, found)
     why = "the poses are in another frame" if elsewhere else "the poses did not fit without it"
     if not elsewhere and is_identified(model):
         why += (
@@ -186,6 +191,26 @@ def register_observed(
         )
     told = there.tilts or not (there.turns and there.placed.any())
     return placed, _registration(placed, frame or "device", why, told, there.held)
+
+
+def _stays_displaced(placed: Model, observations: Observations, there: DevicePoses) -> bool:
+    """Whether the frames are still displaced if the robot's own parameters are fitted beside them.
+
+    Frames alone take over what a robot's errors have in common: zeros of joints move the platform
+    nearly as a displaced device does. Beside the robot's parameters, with their tolerances as
+    priors, they keep only what these do not describe better. Nothing is known of the frames, so
+    where a robot and its frames can move alike the frames keep the displacement.
+    """
+    own = np.array([there.is_free(name) for name in placed.table.names])
+    free = (~np.asarray(placed.fixed) & (placed.table.tolerance > 0)) | own
+    sigma = np.where(own, UNKNOWN_FRAME_TOLERANCES, 1.0) * placed.table.tolerance
+    prior = Prior(placed.table.nominal, np.diag(sigma**2))
+    near = observations.select(there.find_near(frames_of(placed)))
+    try:
+        values = implicit.estimate(placed, near, free, prior).values
+    except FitError:  # no tolerances describe these samples
+        return True
+    return there.are_far_apart(frames_of(placed.with_values(values)))
 
 
 def registered_by(model: Model, observations: Observations) -> Model | None:
@@ -416,19 +441,21 @@ class DevicePoses:
         """Whether enough measured positions tell a displaced target from a displaced frame."""
         return self.tilts and self.poses >= MIN_REGISTRATION_POSES and bool(self.placed.any())
 
-    def is_misplaced(self, found: Frames, identified: bool, stated: bool) -> bool:
-        """Whether the data show that the device or its target is not where the model has it.
-
-        Either the error exceeds what the robot's tolerances explain, and frames explain most of it.
-        Or frames explain a significant part (by BIC) and differ from the model's by more than a
-        workshop would call aligned; this does not depend on tolerances. An `identified` robot has
-        no errors of its own that resemble frames, so the limit of alignment does not apply to it.
-        If the model has `stated` where the device stands, a fit moves the frame from there.
-        """
+    def exceeds_tolerances(self, found: Frames) -> bool:
+        """Whether the error exceeds what the robot's tolerances explain, and frames explain most
+        of it."""
         before, after = self.compute_median_errors(self.now), self.compute_median_errors(found)
         off = before > MIN_UNREGISTERED_ERROR_RATIO * self.expected
-        if (off & (before > MIN_EXPLAINED_ERROR_RATIO * after)).any():
-            return True
+        return bool((off & (before > MIN_EXPLAINED_ERROR_RATIO * after)).any())
+
+    def is_misplaced(self, found: Frames, identified: bool, stated: bool) -> bool:
+        """Whether frames explain a significant part of an error that tolerances may explain, too,
+        and differ from the model's by more than a workshop would call aligned.
+
+        An `identified` robot has no errors of its own that resemble frames, so the limit of
+        alignment does not apply to it. If the model has `stated` where the device stands, a fit
+        moves the frame from there.
+        """
         # On a platform that never turns, a displaced target is a displaced frame.
         separate = self.determines_target or not (self.turns or stated) or identified
         judged = separate and self.poses >= MIN_REGISTRATION_POSES
@@ -444,10 +471,10 @@ class DevicePoses:
         significant = rows * np.log(squares[0] / max(squares[1], 1e-300)) > parameters * np.log(
             rows
         )
-        displaced = identified or self._are_far_apart(found)
+        displaced = identified or self.are_far_apart(found)
         return bool(significant and squares[1] < share * squares[0] and displaced)
 
-    def _are_far_apart(self, found: Frames) -> bool:
+    def are_far_apart(self, found: Frames) -> bool:
         now = self.now
         # Compare at the robot's base: the origin of a device far away moves a lot with a small
         # rotation, and at the poses the robot's own errors of angle look like shifts.
