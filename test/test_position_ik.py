@@ -158,7 +158,7 @@ def test_what_cannot_be_answered_gets_the_code_of_moveit_and_a_reason(service, d
 
 
 def test_a_solution_outside_the_limits_is_none(service, delta):
-    beyond = np.array(delta.model.mechanism.joint_limits)[:, 1] + 0.01
+    beyond = np.array(delta.model.mechanism.joint_limits)[:, 0] - 0.01
     error = ask(service, delta, pose_of(delta.kinematics.direct(beyond))).error_code
     assert error.val == error.NO_IK_SOLUTION
     assert "limits" in error.message
