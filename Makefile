@@ -29,7 +29,7 @@ $(BIN)/uv pip install -q -p $(BIN)/python $(1) 2>/dev/null \
 endef
 
 # Stamps of their own: a changed list of libraries must not rebuild the messages, which takes longest.
-$(STAMP): $(VENV)/.messages $(VENV)/.controller_messages $(VENV)/.transform_messages setup.cfg pyproject.toml
+$(STAMP): $(VENV)/.messages $(VENV)/.controller_messages $(VENV)/.transform_messages $(VENV)/.moveit_messages setup.cfg pyproject.toml
 	@echo "installing the libraries"
 	@$(call install,$(LIBRARIES))
 	@touch $@
@@ -39,20 +39,25 @@ $(VENV)/.messages: $(VENV)/.created $(wildcard msg_defs/*.* msg_defs/*/*.*)
 	@$(call install,./msg_defs)
 	@touch $@
 
-# Messages of which there are no wheels, for the tests only: the action of robot controllers, and TF.
-# They are built as msg_defs is, from the same list of tools.
-$(VENV)/.controller_messages: TRAJECTORIES := -e 's/ros-jazzy-geometry-msgs/ros-jazzy-trajectory-msgs/'
+# Messages of which there are no wheels, for the tests only: the action of robot controllers, TF, and
+# the inverse kinematics of MoveIt. They are built as msg_defs is, from the same list of tools.
+$(VENV)/.controller_messages: NEEDED := trajectory-msgs
+$(VENV)/.transform_messages: NEEDED := geometry-msgs
+$(VENV)/.moveit_messages: NEEDED := sensor-msgs
 $(VENV)/.controller_messages: PACKAGE := control_msgs
 $(VENV)/.transform_messages: PACKAGE := tf2_msgs
-$(VENV)/.controller_messages $(VENV)/.transform_messages: $(VENV)/.created
+$(VENV)/.moveit_messages: PACKAGE := moveit_msgs
+$(VENV)/.controller_messages $(VENV)/.transform_messages $(VENV)/.moveit_messages: $(VENV)/.created
 	@rm -rf build/$(PACKAGE) && mkdir -p build/$(PACKAGE)
 	@cp -R test/$(PACKAGE)/* msg_defs/pip_build build/$(PACKAGE)
-	@sed -e 's/parallel_cal_msgs/$(PACKAGE)/' -e 's/^version = .*/version = "0.0.0"/' $(TRAJECTORIES) \
+	@sed -e 's/parallel_cal_msgs/$(PACKAGE)/' -e 's/^version = .*/version = "0.0.0"/' \
+	  -e 's/ros-jazzy-geometry-msgs/ros-jazzy-$(NEEDED)/' \
 	  msg_defs/pyproject.toml > build/$(PACKAGE)/pyproject.toml
 	@$(call install,./build/$(PACKAGE))
 	@touch $@
 $(VENV)/.controller_messages: $(wildcard test/control_msgs/*.* test/control_msgs/*/*.*)
 $(VENV)/.transform_messages: $(wildcard test/tf2_msgs/*.* test/tf2_msgs/*/*.*)
+$(VENV)/.moveit_messages: $(wildcard test/moveit_msgs/*.* test/moveit_msgs/*/*.*)
 
 $(VENV)/.created:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \

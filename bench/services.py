@@ -1,4 +1,4 @@
-"""Round trips of ~/compute_fk and ~/compute_ik beside a service that answers a constant.
+"""Round trips of the kinematic services beside a service that answers a constant.
 
 All services live in one server process and are called in turn by one client process, one
 configuration or one target in each request. Targets are the poses of random configurations.
@@ -21,6 +21,7 @@ from rich.console import Console
 from rich.table import Table
 from timing import readable
 
+from parallel_cal.nodes import position_ik
 from parallel_cal.nodes.client import use_private_domain
 from parallel_cal.nodes.kinematics_node import KinematicsNode
 from parallel_cal.nodes.run import run
@@ -54,7 +55,11 @@ def call(node: Any, client: Any, request: Any) -> tuple[float, Any]:
     future = client.call_async(request)
     while not future.done():
         rclpy.spin_once(node)
-    assert future.result().results[0].solutions
+    answer = future.result()
+    if hasattr(answer, "results"):
+        assert answer.results[0].solutions
+    else:
+        assert answer.error_code.val == answer.error_code.SUCCESS, answer.error_code
     return time.perf_counter() - begin, future.result()
 
 
@@ -62,6 +67,8 @@ def measure() -> None:
     rclpy.init()
     node = rclpy.create_node("bench")
     types = {"constant": ComputeFK, "compute_fk": ComputeFK, "compute_ik": ComputeIK}
+    if position_ik_type := position_ik.find_service_type():
+        types[position_ik.NAME] = position_ik_type
     clients = {
         name: node.create_client(type, f"kinematics_node/{name}") for name, type in types.items()
     }
@@ -75,6 +82,12 @@ def measure() -> None:
     forward = [ComputeFK.Request(configurations=[one]) for one in configurations]
     inverse = [ComputeIK.Request(targets=[solution.pose]) for solution in solutions]
     requests = {"constant": forward, "compute_fk": forward, "compute_ik": inverse}
+    if position_ik_type:
+        asked = requests[position_ik.NAME] = [position_ik_type.Request() for _ in solutions]
+        for request, positions, solution in zip(asked, joints, solutions, strict=True):
+            request.ik_request.pose_stamped.pose = solution.pose
+            state = request.ik_request.robot_state.joint_state
+            state.name, state.position = ["joint1", "joint2", "joint3"], positions
     times: dict[str, list[float]] = {name: [] for name in types}
     for k in range(-300, CALLS):  # warm up: discovery, and the C compiler in the background
         for name, client in clients.items():

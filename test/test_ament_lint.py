@@ -12,8 +12,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-XML = ["package.xml", "msg_defs", "config", "test/control_msgs", "test/tf2_msgs"]
-CMAKE = ["msg_defs", "parallel_cal/exporting", "test/control_msgs", "test/tf2_msgs"]
+FOR_TESTS = ["test/control_msgs", "test/moveit_msgs", "test/tf2_msgs"]
+XML = ["package.xml", "msg_defs", "config", *FOR_TESTS]
+CMAKE = ["msg_defs", "parallel_cal/exporting", *FOR_TESTS]
 # What ROS reads by itself has the header; LICENSE is the licence of everything.
 LICENSED = ["LICENSE", "launch", "msg_defs"]
 

@@ -1,6 +1,7 @@
 """Live collection gives the samples that the bag reader gives; a person can correct them."""
 
 import copy
+import dataclasses
 from itertools import islice
 from pathlib import Path
 
@@ -697,3 +698,19 @@ def test_a_clock_that_jumps_often_leaves_no_empty_inboxes(messages):
             collector.refresh()
     assert len(collector) == samples
     assert len(collector._inboxes) < 15
+
+
+@pytest.mark.parametrize("position", [[np.nan, 0.5, 0.5], [0.5, 0.5]], ids=["nan", "short"])
+def test_joint_states_without_a_reading_tell_no_time(messages, position):
+    """Their stamps ran ahead; the good joint states after them were taken for another clock, and
+    the poses that belong to them were lost."""
+    part, good, flooded = until(messages, 20), Collector(), Collector()
+    half = len(part) // 2
+    joints = next(message for channel, _, message in part if "joint_states" in channel)
+    bad = dataclasses.replace(joints, position=np.array(position))
+    flood = [("joint_states", part[half][1], stamped(bad, 50 + k // 100)) for k in range(2000)]
+    expected = feed(good, part).collection().dataset
+    found = feed(flooded, [*part[:half], *flood, *part[half:]]).collection().dataset
+    same(found, expected)
+    reasons = [one.reason for one in found.dropped if one.count == 2000]
+    assert reasons in (["joint reading is not finite"], ["position and name differ in length"])

@@ -1,5 +1,6 @@
 """What a terminal shows of a result, and what a pipe gets."""
 
+import dataclasses
 import io
 import re
 from pathlib import Path
@@ -12,7 +13,9 @@ from parallel_cal.model.model import new_model
 from parallel_cal.reporting import console
 from parallel_cal.reporting.blocks import Cell, Detail, PValue, Table, as_text, uncover
 from parallel_cal.reporting.readable import COMMAND, FOUND, columns
+from parallel_cal.reporting.summary import summarize
 
+ROOT = Path(__file__).parents[1]
 COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 TEXTS = (
     "encoder_eccentricity",
@@ -190,3 +193,15 @@ def test_a_proposed_command_finds_effects_of_ones_own(tmp_path, monkeypatch):
     assert write_program(model, [tmp_path / "a b"]) == "PYTHONPATH='a b:.' parallel-cal"
     shown = command_line(["diagnose", Path("a b.yaml")], model, [Path("bag")], ["exclude=3"])
     assert shown == "PYTHONPATH=. parallel-cal diagnose 'a b.yaml' bag --data=exclude=3"
+
+
+@pytest.mark.parametrize(("factor", "named"), [(1.0, False), (4.0, True)])
+def test_a_noise_floor_above_the_error_is_named_as_that_of_the_stated_noise(factor, named):
+    """`error: 27.7 um, noise: 74.3 um` stood there without a word: single messages had that noise,
+    and the samples were the means of many."""
+    model = pc.read_model(ROOT / "config" / "delta_mockup_identified.yaml")
+    data = pc.load_dataset(ROOT / "bags" / "delta_clean", joints=model.joints)
+    data = dataclasses.replace(data, pose_cov=data.pose_cov * factor**2)
+    lines = {line.label: line.text for line in summarize(pc.fit(model, data))}
+    assert (" by the stated noise; that of the samples is smaller" in lines["noise:"]) == named
+    assert lines["missing:"] == "nothing larger than the noise"

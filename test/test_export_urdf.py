@@ -142,3 +142,21 @@ def test_the_legs_of_a_hexapod_are_driven_telescopes(tmp_path):
     [path] = export(model, "urdf", tmp_path).paths
     joints = {j.get("name"): j.get("type") for j in ElementTree.parse(path).iter("joint")}
     assert {joints[name] for name in model.joints} == {"prismatic"}
+
+
+@pytest.mark.parametrize("name", ["cable", "deltesian"])
+def test_every_reading_has_a_joint_of_its_name(name, tmp_path):
+    """A cable robot had none: its motors wind lines, whose lengths are passive joints."""
+    model = new_model(name)
+    [path] = export(model, "urdf", tmp_path).paths
+    joints = {j.get("name"): j for j in ElementTree.parse(path).iter("joint")}
+    units = dict(zip(model.joints, model.mechanism.joint_units, strict=True))
+    for joint, unit in units.items():
+        assert (joints[joint].get("type") == "prismatic") == (unit == "m")
+    tree = tree_of(model)
+    assert not set(tree.passive) & set(model.joints)
+    q = model.mechanism.home.joints
+    found = Kinematics(model).direct(np.array(q))
+    at = everything(model, tree, q, found.configuration.rows)
+    _, placed = Urdf(path).frame(model.frames["platform"], at)
+    np.testing.assert_allclose(placed, found.position, atol=1e-9)

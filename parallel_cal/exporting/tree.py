@@ -81,7 +81,8 @@ class Tree:
 
 
 def tree_of(model: Model) -> Tree:
-    """Return the tree of a model's geometry; without a drawing it has the base and the platform.
+    """Return the tree of a model's geometry; without a drawing it has the base, the platform and
+    an empty link for each reading.
 
     ModelError if the mechanism is a serial arm, which has no passive joints, or if no pose of the
     workspace is reached.
@@ -111,6 +112,7 @@ class _Builder:
         for k, (kind, points) in enumerate(self._lines, start=1):
             for j, ends in enumerate(pairwise(points)):
                 self._add_segment(f"{kind}{k}" + (f"_{j}" if len(points) > 2 else ""), kind, *ends)
+        self._add_undrawn()
 
     def _numbers(self, expression: Any, x: np.ndarray | None = None) -> np.ndarray:
         """Evaluate an expression at configurations (K, nq + 12), by default at the samples."""
@@ -152,6 +154,15 @@ class _Builder:
         body = _Body(f"{name}_link", R, p)
         self._bodies.append(body)
         self._join(Joint(name, turns, self._bodies[0].name, body.name, axis, origin))
+
+    def _add_undrawn(self) -> None:
+        """Add a joint beside the base for each reading that is not the position of a drawn link,
+        such as the angle of a motor that winds a line: programs know the joints by these names."""
+        drawn, units = {joint.name for joint in self.tree.joints}, self._model.mechanism.joint_units
+        for name, unit in zip(self._model.joints, units, strict=True):
+            if name not in drawn:
+                base, origin = self._bodies[0].name, np.zeros(3)
+                self._join(Joint(name, unit == "rad", base, f"{name}_link", Z, origin))
 
     def _add_platform(self, name: str) -> None:
         """Add the platform, free in the base: three translations, then rotations about z, y, x."""

@@ -7,6 +7,7 @@ its bag, because both pass the same steps: cleaning, dwells, conditions, replica
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -101,6 +102,8 @@ class Collector:
         else:
             stream = self._identify_stream(channel, message)
             gate = self._gates.setdefault(stream, Gate(channel))
+            if kind == "joints" and not _is_complete(message, self.joints):
+                stamp = 0  # whoever sends no reading tells no time either
             self._pass_on(stream, gate.take(stamp, log_ns, sequence, message))
 
     def _pass_on(
@@ -362,3 +365,11 @@ class Collector:
         for k, (dataset, start_ns) in enumerate(parts):
             self._inboxes.insert(k, Inbox.from_dataset(dataset, self._numbers, start_ns))
         return sum(len(dataset) for dataset, _ in parts)
+
+
+def _is_complete(message: Any, joints: Sequence[str] | None) -> bool:
+    """Whether a joint state has a finite position of each joint that is wanted."""
+    if len(message.position) != len(message.name):
+        return False
+    positions = zip(message.name, message.position, strict=True)
+    return all(math.isfinite(value) for name, value in positions if not joints or name in joints)

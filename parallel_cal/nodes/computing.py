@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -11,11 +11,15 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import SolveError
+from parallel_cal.base.worker import Worker
 from parallel_cal.kinematics import solving
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
+from parallel_cal.kinematics.solvers import newton
 from parallel_cal.model.file.modelfile import parse_model
 from parallel_cal.model.shelf import forbid_foreign
 
+BUILD_TIMEOUT_S = 60.0  # s for building a model's functions on a busy machine
+SAME_BRANCH = 1e-3  # rad or m: solutions of the same pose that differ less are the same branch
 PIECE_DURATION_S = 0.1  # s that one piece of a request should take; then its answers are sent
 # A singular pose has no finite covariance.
 SOLVED = (Status.CONVERGED, Status.OUTSIDE_LIMITS)
@@ -76,6 +80,54 @@ def warm(text: str, every: bool) -> None:
         solving.direct(model, q, {}, every=True)
     else:
         kinematics.direct(q), kinematics.inverse(r)
+
+
+def warm_in(worker: Worker, text: str, *every: bool) -> None:
+    """Build the functions that the first requests need, in a worker."""
+    for each in every or (False,):
+        worker.work(warm, text, each, seconds=BUILD_TIMEOUT_S)
+
+
+def solve_near(
+    text: str,
+    seed: np.ndarray | None,
+    r: np.ndarray,
+    R: np.ndarray,
+    at: Mapping[str, float] | None,
+) -> Solutions:
+    """Solve the joints for one pose on the branch of the joints `seed`, by default that of home."""
+    kinematics = _kinematics(text)
+    return solve_on_branch(kinematics, seed, *solving.controlled_pose(kinematics.model, r, R), at)
+
+
+def solve_on_branch(
+    kinematics: Kinematics,
+    last: np.ndarray | None,
+    r: np.ndarray,
+    R: np.ndarray | None,
+    at: Mapping[str, float] | None,
+) -> Solutions:
+    """Solve on the home branch, or for a robot on another branch nearest to its joints `last`."""
+    found = kinematics.inverse(r, R, at)
+    if last is None or _is_on_home_branch(kinematics, last, at):
+        return found
+    # Without random starts, the search is fast enough for a stream.
+    others = newton.inverse_all(kinematics.model, r, R, at, starts=0)
+    usable = np.flatnonzero(others.status == Status.CONVERGED)
+    if not len(usable):
+        return found
+    return others[usable[np.argmin(np.abs(others.joints[usable] - last).max(axis=1))]]
+
+
+def _is_on_home_branch(
+    kinematics: Kinematics, q: np.ndarray, at: Mapping[str, float] | None
+) -> bool:
+    """Return whether inverse kinematics on the home branch recovers the robot's joints."""
+    here = kinematics.direct(q, at)
+    if here.status not in (Status.CONVERGED, Status.OUTSIDE_LIMITS):
+        return True  # unknown: use the branch that the model file selects
+    back = kinematics.inverse(here.position, here.rotation, at)
+    return bool(np.abs(back.joints - q).max() < SAME_BRANCH)
 
 
 @lru_cache(maxsize=4)

@@ -21,7 +21,7 @@ from parallel_cal.recordings.gate import MAX_STAMP_JUMP_NS
 from parallel_cal.recordings.loading import dataset_from_aligned
 from parallel_cal.recordings.options import ReadOptions, SampleOptions
 from parallel_cal.recordings.pairing import find_bracketed
-from parallel_cal.recordings.pose_messages import frame_of
+from parallel_cal.recordings.pose_messages import frame_of, stamp_of
 from parallel_cal.recordings.recording import MESSAGE_COLUMNS, Bools, Dropped, Raw
 from parallel_cal.recordings.samples import max_gap
 
@@ -128,8 +128,14 @@ class Inbox:
         return bool(last) and stamp > 0 and stamp < last[0] - MAX_STAMP_JUMP_NS
 
     def add(self, channel: str, stamp: int, log: int, message: Any, publisher: str = "") -> None:
-        """Append one message; times in ns."""
+        """Append one message; times in ns.
+
+        A stamp of 0 was not believed. If the message has one, it takes its place after the message
+        before it, so that the reader says what else is wrong with it.
+        """
         raw, kind = self.raws[channel], CHANNELS[channel]
+        if not stamp and kind.kind == "joints" and stamp_of(message) > 0:
+            stamp = raw.stamp[-1] + 1 if raw.stamp else stamp_of(message)
         if kind.kind == "condition" and raw.stamp[-1:] == [stamp]:
             return  # a latched message arrives twice, see subscriptions
         origin = sys.intern((frame_of(message) or "(empty)") + publisher)

@@ -21,6 +21,7 @@ from std_srvs.srv import Trigger
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.worker import Worker
 from parallel_cal.model.shelf import forbid_foreign
+from parallel_cal.nodes import position_ik
 from parallel_cal.nodes.computing import prepare
 from parallel_cal.nodes.file_watch import FileWatch
 from parallel_cal.nodes.folders import Folders
@@ -94,6 +95,10 @@ class KinematicsNode(ManagedNode):
         requests = WorkerThreadGroup()
         for type, name in ((ComputeFK, "compute_fk"), (ComputeIK, "compute_ik")):
             self._serve(type, name, partial(self._answer, name), requests)
+        if position_ik_type := position_ik.find_service_type():
+            self._serve(position_ik_type, position_ik.NAME, self._answer_position_ik, requests)
+        else:
+            self.get_logger().info(f"no service ~/{position_ik.NAME}: moveit_msgs is not installed")
         self._serve(LoadModel, "load_model", self._load_model)
         self._serve(Trigger, "reload", self._reload)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -206,6 +211,18 @@ class KinematicsNode(ManagedNode):
         budget = Budget(self._parameter("request_poses"), self._parameter("request_time"))
         answer(self._worker, budget, served, self._server.last.reason, request, response)
         self._tally.add(name, "refused" if response.message else "answered", response.message)
+        return response
+
+    def _answer_position_ik(self, request: Any, response: Any) -> Any:
+        served = None if self.refusal else self._server.current
+        known = self._memory.conditions(served.model) if served else None
+        # The directions are those of the last motion, not of one to the target.
+        at = known and {k: v for k, v in known.items() if not k.startswith("direction.")}
+        seconds, why = self._parameter("request_time"), self.refusal or self._server.last.reason
+        position_ik.answer(self._worker, seconds, served, at, why, request, response)
+        code = response.error_code
+        done = "answered" if code.val == code.SUCCESS else "refused"
+        self._tally.add(position_ik.NAME, done, code.message)
         return response
 
     def _stop(self, request: Any, response: Any) -> Any:

@@ -26,7 +26,6 @@ from parallel_cal.nodes.conversions import (
 from parallel_cal.nodes.model_server import ServedModel
 
 Rows = tuple[np.ndarray, ...]
-BUILD_TIMEOUT_S = 60.0  # s for building a model's functions on a busy machine
 
 
 @dataclass(frozen=True)
@@ -82,8 +81,7 @@ def warm_up(worker: Worker, served: ServedModel) -> None:
 
 def _warm(worker: Worker, served: ServedModel, *every: bool) -> None:
     with suppress(WorkError, TimeBudgetExceeded):  # the request itself will report why
-        for each in every:
-            worker.work(computing.warm, served.text, each, seconds=BUILD_TIMEOUT_S)
+        computing.warm_in(worker, served.text, *every)
 
 
 def _read_configurations(served: ServedModel, request: Any) -> list[Rows | str]:

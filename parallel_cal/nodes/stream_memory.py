@@ -10,14 +10,12 @@ import numpy as np
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.campaign.path_guard import describe_exceeded_limits
-from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
-from parallel_cal.kinematics.solvers import newton
+from parallel_cal.kinematics.kinematics import Solutions, Status
 from parallel_cal.model.effect import list_substitutes, parse_lag
 from parallel_cal.model.model import Model
+from parallel_cal.nodes.computing import solve_on_branch
 from parallel_cal.nodes.model_server import ServedModel, describe_status
 from parallel_cal.recordings.lagged import follow
-
-SAME_BRANCH = 1e-3  # rad or m: solutions of the same pose that differ less are the same branch
 
 
 class DirectionTracker:
@@ -135,7 +133,7 @@ def joints_for(
     """
     kinematics, model = served.kinematics, served.model
     last, at = memory.joints(model), memory.conditions(model)
-    found = _solve_on_branch(kinematics, last, r, R, at)
+    found = solve_on_branch(kinematics, last, r, R, at)
     if at is not None and last is not None and np.isfinite(found.joints).all():
         moves = zip(model.joints, (found.joints - last).tolist(), strict=True)
         moving = {f"direction.{j}": d for j, d in moves if abs(d) > memory.tracker.threshold}
@@ -144,40 +142,10 @@ def joints_for(
         }
         # The first solution assumed the present directions: solve again if a joint will reverse.
         if not approach.items() <= at.items():
-            found = _solve_on_branch(kinematics, last, r, R, at | approach)
+            found = solve_on_branch(kinematics, last, r, R, at | approach)
     if found.status == Status.OUTSIDE_LIMITS:
         exceeded = describe_exceeded_limits(model.mechanism, found.joints)
         raise SolveError(f"{describe_status(found.status)} ({exceeded})")
     if found.status != Status.CONVERGED:
         raise SolveError(describe_status(found.status))
     return found
-
-
-def _solve_on_branch(
-    kinematics: Kinematics,
-    last: np.ndarray | None,
-    r: np.ndarray,
-    R: np.ndarray | None,
-    at: Mapping[str, float] | None,
-) -> Solutions:
-    """Solve on the home branch, or for a robot on another branch nearest to its joints."""
-    found = kinematics.inverse(r, R, at)
-    if last is None or _is_on_home_branch(kinematics, last, at):
-        return found
-    # Without random starts, the search is fast enough for a stream.
-    others = newton.inverse_all(kinematics.model, r, R, at, starts=0)
-    usable = np.flatnonzero(others.status == Status.CONVERGED)
-    if not len(usable):
-        return found
-    return others[usable[np.argmin(np.abs(others.joints[usable] - last).max(axis=1))]]
-
-
-def _is_on_home_branch(
-    kinematics: Kinematics, q: np.ndarray, at: Mapping[str, float] | None
-) -> bool:
-    """Return whether inverse kinematics on the home branch recovers the robot's joints."""
-    here = kinematics.direct(q, at)
-    if here.status not in (Status.CONVERGED, Status.OUTSIDE_LIMITS):
-        return True  # unknown: use the branch that the model file selects
-    back = kinematics.inverse(here.position, here.rotation, at)
-    return bool(np.abs(back.joints - q).max() < SAME_BRANCH)

@@ -68,7 +68,7 @@ def numbers(report: Report) -> str:
     refitted = was_fitted(report.diagnosis.model) and not certified.identified_here
     note = paragraph(
         f"Validation error: rms of the error's norm at {counts}, with its standard deviation. "
-        "Noise floor: what a perfect model would show at these samples."
+        "Noise floor: what a perfect model would show at these samples, as their noise is stated."
         f"{KEPT_SENSORS if errors.keeps_sensors else ''}{REFITTED if refitted else ''}",
         "note",
     )

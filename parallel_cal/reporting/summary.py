@@ -34,6 +34,10 @@ if TYPE_CHECKING:
 
 PROGRAM = "parallel-cal"
 HELD_OUT = " (rms at held-out poses)"
+STATED = (
+    " by the stated noise; that of the samples is smaller, as where the stated noise is that of "
+    "single messages"
+)
 
 
 class Line(NamedTuple):
@@ -92,7 +96,8 @@ def _summarize_fit(
     write = _writer(result.model, after, noise)
     yield Line("before:", write(*before) + HELD_OUT)
     yield Line("after:", write(after, result.rms_sigmas(result.held_out)), FOUND)
-    yield Line("noise:", write(noise, result.simulated_noise.sigmas))
+    shown = write(noise, result.simulated_noise.sigmas)
+    yield Line("noise:", shown + _name_noise(result, result.estimate))
     yield _state_missing(result, result.estimate, after, noise)
 
 
@@ -100,7 +105,8 @@ def _summarize_comparison(comparison: Comparison) -> Iterator[Line]:
     errors, noise = comparison.errors, comparison.noise
     write = _writer(comparison.model, errors.summary, noise)
     yield Line("error:", write(errors.summary, {}) + " (rms)")
-    yield Line("noise:", write(noise, comparison.noise_sigmas))
+    shown = write(noise, comparison.noise_sigmas)
+    yield Line("noise:", shown + _name_noise(comparison, comparison.scene))
     yield _state_missing(comparison, comparison.scene, errors.summary, noise)
 
 
@@ -115,6 +121,12 @@ def _state_missing(
     return Line("missing:", "nothing larger than the noise")
 
 
+def _name_noise(judged: FitResult | Comparison, residual: Estimate | Scene) -> str:
+    """Say whose noise it is, where the residuals show that the samples have less than is stated."""
+    small = residual.dof > 0 and residual.chi2_per_dof < chi2_band(residual.dof)[0]
+    return STATED if small and not judged.observations.noise_assumed else ""
+
+
 def _summarize_diagnosis(diagnosis: Diagnosis) -> Iterator[Line]:
     """Answer two questions: what is missing, with probabilities, and whether anything is left."""
     base, best = diagnosis.base.fitted, diagnosis.best.fitted
@@ -124,7 +136,8 @@ def _summarize_diagnosis(diagnosis: Diagnosis) -> Iterator[Line]:
     if diagnosis.effects:
         errors = write(best.held_out.summary, best.rms_sigmas(best.held_out))
         yield Line("with it:", f"{errors} with {' and '.join(diagnosis.effects)}", FOUND)
-    yield Line("noise:", write(noise, best.simulated_noise.sigmas))
+    shown = write(noise, best.simulated_noise.sigmas)
+    yield Line("noise:", shown + _name_noise(best, best.estimate))
     for cause in diagnosis.missing:
         each = [f"{name} {format_percent(p)}" for name, p in cause["each"].items()]
         yield Line("missing:", ", or ".join(each), ODD)

@@ -1,6 +1,6 @@
 """A URDF: the chain of a serial arm with its identified joints, or a picture of another robot.
 
-The picture has the drawing's links, the driven joints, and passive joints that close the loops.
+The picture has the drawing's links, a joint for each reading, and passive joints that close loops.
 kinematics_node publishes the passive joints on `~/passive_joint_states`.
 """
 
