@@ -249,6 +249,25 @@ def test_a_robot_of_the_shelf_as_a_chain_has_the_same_solutions(name):
     assert back.joints == pytest.approx(joints.joints, abs=1e-10)
 
 
+@pytest.mark.parametrize("name", ["five_bar", "planar_stewart", "stewart42"])
+@pytest.mark.parametrize("problem", ["direct", "inverse"])
+def test_iterations_from_home_begin_at_its_expansion_of_second_order(name, problem):
+    """At half the distance from home, an eighth of the error remains."""
+    chain = make_chain(SHELF[name](SHELF_MODELS[name]()))
+    kinematics, m = pc.Kinematics(chain), chain.mechanism
+    home = np.array([*m.home.position, *m.home.rotation_vector])[m.controlled]
+    step = 0.1 * (np.array(m.workspace.high) - home)
+    left = []
+    for share in (1.0, 0.5):
+        pose = m.poses((home + share * step)[None])
+        truth = kinematics.inverse(*pose).configuration.rows[0]
+        begin = getattr(kinematics, f"{problem}_problem").start(truth)
+        off = chain.configuration(begin).change_from(chain.configuration(truth))
+        left.append(np.linalg.norm(off))
+    assert 0 < left[0] < 1e-2
+    assert left[1] == pytest.approx(left[0] / 8, rel=0.3)
+
+
 # Parameters that the shelf does not have, or knows: each pair of models then has the same freedoms.
 KNOWN = {
     "five_bar": ("target.*", "tip.a_?"),
