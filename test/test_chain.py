@@ -193,6 +193,28 @@ def test_parameters_that_only_dependent_rows_contain_are_fixed_and_named():
     assert "only such rows contain them: tip (a_z b_z), left (z rx ry)" in said
 
 
+def with_driven(driven):
+    given = chains.five_bar()
+    joints = [joint | {"driven": joint["name"] in driven} for joint in given["joints"]]
+    return given | {"joints": joints}
+
+
+def test_more_driven_joints_than_freedoms_are_named():
+    home = make_chain(chains.five_bar()).mechanism.home
+    given = with_driven(("left", "right", "left_elbow"))
+    given["joints"][1]["home"] = home.passive[0]
+    model = make_chain(given)
+    said = " ".join(model.mechanism.remarks)
+    assert "3 joints are driven, but the chain has 2 freedoms" in said
+    assert "freedoms" not in " ".join(make_chain(chains.five_bar()).mechanism.remarks)
+
+
+def test_a_chain_that_moves_with_locked_motors_is_refused_and_a_joint_that_moves_then_named():
+    expected = "move in 1 of its 2 freedoms.*if right(_elbow)?, which moves most, rests"
+    with pytest.raises(ModelError, match=expected):
+        make_chain(with_driven(("left",)))
+
+
 def test_a_tilted_axis_of_a_plane_robot_still_closes():
     model = make_chain(chains.five_bar())
     off = model.with_values(model.table.vector({"left.rx": 0.02, "tip.a_z": 1e-3}))

@@ -47,6 +47,8 @@ class Survey:
         """Change some coordinates (columns of (q, r, w, u)) as little as possible so that all rows
         are zero; return the configuration and what is left of the rows."""
         phi, J, _ = self.evaluate(x)
+        if not np.isfinite(phi).all():  # two frames are half a turn apart
+            return x, np.full(len(phi), np.inf)
         for _ in range(STEPS):
             if np.linalg.norm(phi) < CLOSED * self.length:
                 break
@@ -134,11 +136,11 @@ class Motion:
         """Number of independent motions: the smallest one, as a singular pose has more."""
         return min(tangent.shape[1] for tangent in self.tangents)
 
-    def count_loose(self) -> int:
-        """Return the number of freedoms that remain if all driven joints are locked."""
-        locked = [T[: self.n_joints] for T in self.tangents]
-        ranks = [int(np.sum(np.linalg.svd(J, compute_uv=False) > RELATIVE_RANK)) for J in locked]
-        return min(J.shape[1] - rank for J, rank in zip(locked, ranks, strict=True))
+    def find_loose(self) -> np.ndarray:
+        """Return motions (nq + 6 + nu, n) that remain if all driven joints are locked, at the
+        configuration with the fewest."""
+        locked = [T @ _null_space(T[: self.n_joints]) for T in self.tangents]
+        return min(locked, key=lambda motion: motion.shape[1])
 
     def find_moves(self, loops: Sequence[int]) -> list[int]:
         """Return the coordinates x y z rx ry rz in which the platform moves, also if its nominal
