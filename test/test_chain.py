@@ -51,6 +51,16 @@ def test_a_rod_of_balls_is_solved_by_its_distance():
         assert np.linalg.norm(R @ [-0.05, y, 0] - crank) == pytest.approx(z, abs=1e-12)
 
 
+def test_a_foot_that_only_turns_is_where_its_geometry_places_it():
+    """Its origin is on the axes of the ankle by the drawing; the real ankle is 1 mm ahead."""
+    model = make_chain(chains.ankle())
+    assert model.mechanism.moves == ("x", "y", "z", "rx", "ry", "rz")
+    assert model.mechanism.controls == ("rx", "ry")
+    ahead = model.with_values(model.table.vector({"ankle.x": 1e-3}))
+    found = pc.Kinematics(ahead).direct([[0.0, 0.0], [0.3, -0.2]])
+    assert found.position == pytest.approx(np.array([[1e-3, 0, 0]] * 2), abs=1e-12)
+
+
 @pytest.mark.parametrize(
     ("kind", "home", "shift", "turn"),
     [
@@ -193,6 +203,28 @@ def test_parameters_that_only_dependent_rows_contain_are_fixed_and_named():
     assert "only such rows contain them: tip (a_z b_z), left (z rx ry)" in said
 
 
+def with_driven(driven):
+    given = chains.five_bar()
+    joints = [joint | {"driven": joint["name"] in driven} for joint in given["joints"]]
+    return given | {"joints": joints}
+
+
+def test_more_driven_joints_than_freedoms_are_named():
+    home = make_chain(chains.five_bar()).mechanism.home
+    given = with_driven(("left", "right", "left_elbow"))
+    given["joints"][1]["home"] = home.passive[0]
+    model = make_chain(given)
+    said = " ".join(model.mechanism.remarks)
+    assert "3 joints are driven, but the chain has 2 freedoms" in said
+    assert "freedoms" not in " ".join(make_chain(chains.five_bar()).mechanism.remarks)
+
+
+def test_a_chain_that_moves_with_locked_motors_is_refused_and_a_joint_that_moves_then_named():
+    expected = "move in 1 of its 2 freedoms.*if right(_elbow)?, which moves most, rests"
+    with pytest.raises(ModelError, match=expected):
+        make_chain(with_driven(("left",)))
+
+
 def test_a_tilted_axis_of_a_plane_robot_still_closes():
     model = make_chain(chains.five_bar())
     off = model.with_values(model.table.vector({"left.rx": 0.02, "tip.a_z": 1e-3}))
@@ -247,6 +279,25 @@ def test_a_robot_of_the_shelf_as_a_chain_has_the_same_solutions(name):
     back = other.inverse(poses.position, poses.rotation)
     assert back.ok.all()
     assert back.joints == pytest.approx(joints.joints, abs=1e-10)
+
+
+@pytest.mark.parametrize("name", ["five_bar", "planar_stewart", "stewart42"])
+@pytest.mark.parametrize("problem", ["direct", "inverse"])
+def test_iterations_from_home_begin_at_its_expansion_of_second_order(name, problem):
+    """At half the distance from home, an eighth of the error remains."""
+    chain = make_chain(SHELF[name](SHELF_MODELS[name]()))
+    kinematics, m = pc.Kinematics(chain), chain.mechanism
+    home = np.array([*m.home.position, *m.home.rotation_vector])[m.controlled]
+    step = 0.1 * (np.array(m.workspace.high) - home)
+    left = []
+    for share in (1.0, 0.5):
+        pose = m.poses((home + share * step)[None])
+        truth = kinematics.inverse(*pose).configuration.rows[0]
+        begin = getattr(kinematics, f"{problem}_problem").start(truth)
+        off = chain.configuration(begin).change_from(chain.configuration(truth))
+        left.append(np.linalg.norm(off))
+    assert 0 < left[0] < 1e-2
+    assert left[1] == pytest.approx(left[0] / 8, rel=0.3)
 
 
 # Parameters that the shelf does not have, or knows: each pair of models then has the same freedoms.

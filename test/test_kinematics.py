@@ -272,7 +272,7 @@ def test_a_single_solve_needs_no_arrays(name, monkeypatch):
         assert np.abs(answer.rotation - pose.rotation).max() < 1e-9
 
 
-@pytest.mark.parametrize("name", ["argos27", "stewart42"])
+@pytest.mark.parametrize("name", ["argos27", "planar_stewart"])
 def test_a_solution_that_needs_more_iterations_is_that_of_many_and_owns_its_arrays(name):
     """Off nominal, these are some iterations away from their start: one sample goes on in the
     buffers of its first iterations."""

@@ -5,12 +5,15 @@ from dataclasses import replace
 import chains
 import numpy as np
 import pytest
+from bag_writing import Session, joint_states, poses, write_bag
 
 import parallel_cal as pc
 from parallel_cal.base.errors import ModelError
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.model.shelf import load_sensor
+from parallel_cal.recordings.bag import read_bag
+from parallel_cal.recordings.options import ReadOptions
 
 ZERO = "passive_encoder.left_elbow.zero"
 NOISE = pc.Noise(joint=1e-6, position=1e-5)
@@ -85,6 +88,28 @@ def test_a_recording_holds_what_the_encoder_reads(tmp_path):
     assert read == pytest.approx(known, abs=2e-7)  # single precision
     pc.write_model(model, tmp_path / "robot.yaml")
     assert pc.read_model(tmp_path / "robot.yaml").structure.channels == ("left_elbow",)
+
+
+@pytest.mark.parametrize("mode", ["dwell", "continuous"])
+def test_a_passive_joint_among_the_joint_states_is_read_by_its_name(tmp_path, mode):
+    """As joint_state_broadcaster publishes them: motors and the elbow in one message."""
+    mechanism, names = with_encoder().mechanism, ("left_elbow", "right", "wheel", "left")
+    elbow, right, left = [-1.4, -1.3, -1.5], [0.9, 1.0, 0.8], [2.2, 2.1, 2.3]
+    stops = np.column_stack([elbow, right, [0.0, 0.5, 1.0], left])
+    moves = Session(stops, r=np.zeros((3, 3)), names=names)
+    path = write_bag(tmp_path / "bag", joint_states(moves) + poses(moves))
+    read = pc.load_dataset(path, mechanism=mechanism, mode=mode)
+    assert read.joint_names == ("left", "right")
+    expected = elbow
+    if mode == "continuous":
+        # The joints move together: the elbow is where the left motor is on the way.
+        expected = np.interp(read.q[:, 0], [2.1, 2.2, 2.3], [-1.3, -1.4, -1.5])
+    assert read.conditions["reading.left_elbow"] == pytest.approx(expected, abs=2e-4)
+    assert "reading.wheel" not in read.conditions
+    options = ReadOptions(joints=mechanism.joints, mechanism=mechanism)
+    notes = [note for note in read_bag(path, options).notes if "ignored joints" in note]
+    assert len(notes) == 1
+    assert notes[0].endswith(": wheel")
 
 
 @pytest.mark.wide

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache, reduce
 from operator import mul
@@ -13,10 +14,10 @@ import numpy as np
 from parallel_cal.base.compiled import dense
 from parallel_cal.base.rotation import cayley
 from parallel_cal.kinematics.solutions import MIN_REGULAR_SINGULAR_VALUE
+from parallel_cal.kinematics.start import start_function, unknown_columns
 from parallel_cal.model.structure import Structure
 
 ITERATIONS = 2  # third order, from the solution of model 24; more follow only if necessary
-ITERATIONS_FROM_HOME = 3  # with passive coordinates, which no closed form starts near the solution
 INLINE_BELOW = 2000  # instructions of one step; below that, repeating them is faster than a call
 
 
@@ -61,10 +62,17 @@ def newton_functions(structure: Structure, problem: str) -> NewtonFunctions:
     step = _step_function(s, residual, J, symbols, columns, order, float(side.round()))
     prepare = dense("prepare", [s.configuration, s.a, table_symbols], [before])
     tables_function = dense("tables", [s.v], [tables])
-    joints, from_home = len(s.mechanism.joints), bool(s.mechanism.passive)
-    iterations = ITERATIONS_FROM_HOME if from_home else ITERATIONS
     turns = [2 * np.pi * (unit == "rad") for unit in s.mechanism.passive_units]
-    iterate = Iteration(prepare, step, residual, constants.shape[0], joints, iterations, turns)
+    iterate = Iteration(
+        prepare,
+        step,
+        residual,
+        constants.shape[0],
+        len(s.mechanism.joints),
+        ITERATIONS,
+        turns,
+        s.mechanism.home.passive,
+    )
     solve = iterate.function(f"{problem}_solve", from_start=True)
     refine = iterate.function(f"{problem}_refine", from_start=False)
     return NewtonFunctions(tables_function, solve, refine, columns, home_sign, iterate)
@@ -72,17 +80,13 @@ def newton_functions(structure: Structure, problem: str) -> NewtonFunctions:
 
 def split(s: Structure, problem: str) -> tuple[list[int], Any, Any]:
     """Return the unknown columns of (q, r, w, u), the given symbols and the start configuration."""
-    m, n = s.mechanism, len(s.mechanism.joints)
-    u = ca.DM(m.home.passive)
+    m, columns = s.mechanism, unknown_columns(s, problem)
+    start = start_function(s.ideal, problem)(s.configuration, s.geometry.column)
     if problem == "direct":
-        start = ca.vertcat(s.q, *s.ideal.start_pose(s.q, s.geometry.column), u)
-        return m.dependent_columns, s.q, start
-    q = s.ideal.start_joints(s.r, s.R9, s.geometry.column)
+        return columns, s.q, start
     given = [s.r[i] for i in range(3) if i not in m.parasitic]
     if not any(i >= 3 for i in m.parasitic):
         given.append(s.R9)
-    start = ca.vertcat(q, s.r, s.R9, u)
-    columns = [*range(n), *(n + i for i in m.parasitic), *m.passive_columns]
     return columns, ca.vertcat(*given), start
 
 
@@ -233,7 +237,7 @@ class Iteration:
     `prepare`: (configuration, a, k) -> constants, start.
     `step`: (configuration, constants) -> configuration, last step (m), smallest pivot.
     `residual`: (configuration, constants) -> phi.
-    `turns`: a whole turn of each passive angle, 0 of a passive length.
+    `turns`: a whole turn of each passive angle, 0 of a passive length. `home`: their values there.
     """
 
     prepare: ca.Function
@@ -243,6 +247,7 @@ class Iteration:
     n_joints: int
     iterations: int
     turns: list[float]
+    home: Sequence[float]
 
     def function(self, name: str, from_start: bool) -> ca.Function:
         """Build a fixed number of iterations; a short step is inlined, a long one is called."""
@@ -255,7 +260,7 @@ class Iteration:
         prepared = self.prepare(given, a, k)
         constants = prepared[: self.n_constants]
         x = prepared[self.n_constants :] if from_start else given
-        begin = x[n + 12 :]
+        begin = ca.DM(self.home) if from_start else x[n + 12 :]
         for _ in range(self.iterations):
             x, length, pivot = self.step(x, constants)
         x = ca.vertcat(x[: n + 12], self._unwind(x[n + 12 :], begin))
@@ -264,8 +269,8 @@ class Iteration:
         return ca.Function(name, [given, a, k_and_limits], [x, length, residual, pivot, inside])
 
     def _unwind(self, u: Any, begin: Any) -> Any:
-        """Move passive angles by whole turns to within half a turn of where iterations began: a
-        long step may turn a joint several times."""
+        """Move passive angles by whole turns to within half a turn of home, or of the configuration
+        to refine: a long step may turn a joint several times."""
         for k, turn in enumerate(self.turns):
             if turn:
                 u[k] -= turn * ca.floor((u[k] - begin[k]) / turn + 0.5)

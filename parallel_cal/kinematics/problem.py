@@ -14,6 +14,7 @@ from parallel_cal.kinematics.solutions import (
     Solutions,
     Status,
 )
+from parallel_cal.kinematics.start import start_function
 from parallel_cal.model.model import Model
 from parallel_cal.model.structure import Structure
 
@@ -82,14 +83,9 @@ class Problem:
 
     def start(self, given: np.ndarray) -> np.ndarray:
         """Copy one configuration, with the unknown coordinates where `solve_many` begins."""
-        ideal, n = self.model.structure.ideal, self._n
-        geometry = self.model.values[: len(ideal.table)]
-        q, r, R9, u = np.split(given, (n, n + 3, n + 12))
-        if self.unknown_joints:
-            q = ideal.start_joints(r, R9, geometry)
-        else:
-            r, R9 = ideal.start_pose(q, geometry)
-        return np.concatenate([np.array(part).ravel() for part in (q, r, R9, u)])
+        ideal = self.model.structure.ideal
+        begin = start_function(ideal, self.name)(given, self.model.values[: len(ideal.table)])
+        return np.array(begin).ravel()
 
     def settle(self, begin: np.ndarray, row: np.ndarray) -> np.ndarray | None:
         """Iterate from one configuration; None if the iterations do not settle on home's side of

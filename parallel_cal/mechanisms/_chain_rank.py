@@ -47,6 +47,8 @@ class Survey:
         """Change some coordinates (columns of (q, r, w, u)) as little as possible so that all rows
         are zero; return the configuration and what is left of the rows."""
         phi, J, _ = self.evaluate(x)
+        if not np.isfinite(phi).all():  # two frames are half a turn apart
+            return x, np.full(len(phi), np.inf)
         for _ in range(STEPS):
             if np.linalg.norm(phi) < CLOSED * self.length:
                 break
@@ -134,11 +136,11 @@ class Motion:
         """Number of independent motions: the smallest one, as a singular pose has more."""
         return min(tangent.shape[1] for tangent in self.tangents)
 
-    def count_loose(self) -> int:
-        """Return the number of freedoms that remain if all driven joints are locked."""
-        locked = [T[: self.n_joints] for T in self.tangents]
-        ranks = [int(np.sum(np.linalg.svd(J, compute_uv=False) > RELATIVE_RANK)) for J in locked]
-        return min(J.shape[1] - rank for J, rank in zip(locked, ranks, strict=True))
+    def find_loose(self) -> np.ndarray:
+        """Return motions (nq + 6 + nu, n) that remain if all driven joints are locked, at the
+        configuration with the fewest."""
+        locked = [T @ _null_space(T[: self.n_joints]) for T in self.tangents]
+        return min(locked, key=lambda motion: motion.shape[1])
 
     def find_moves(self, loops: Sequence[int]) -> list[int]:
         """Return the coordinates x y z rx ry rz in which the platform moves, also if its nominal
@@ -151,7 +153,10 @@ class Motion:
         if len(loops) < self.by.shape[1]:
             others = [c for c in range(self.by.shape[2]) if not n <= c < n + 6]
             size = np.abs(self.by[:, :6, others]).max(axis=(0, 2))
-            return [i for i in range(6) if size[i] > RELATIVE_RANK]
+            moves = [i for i in range(6) if size[i] > RELATIVE_RANK]
+            # A platform that turns in space, about a point that is its origin by the drawing alone.
+            turns_in_space = sum(i >= 3 for i in moves) > 1
+            return sorted({0, 1, 2, *moves}) if turns_in_space else moves
         pose = [T[n : n + 6] for T in self.tangents]
         size = np.max([np.abs(part).max(axis=1) for part in pose], axis=0)
         moves = [i for i in range(6) if size[i] > RELATIVE_RANK]

@@ -287,11 +287,14 @@ class Chain(Mechanism):
             self.moves = tuple(POSE[i] for i in motion.find_moves(loops))
         given = None if controls is None else read_coordinates("controls", controls)
         self.controls = tuple(given or [POSE[i] for i in motion.find_controls(self.moved)])
-        if loose := motion.count_loose():
+        if (loose := motion.find_loose()).size:
+            first = len(self.joints) + len(POSE)
+            most = self.passive[int(np.argmax(np.abs(loose[first:, 0])))] if self.passive else ""
+            locked = f"; if {most}, which moves most, rests in the robot, lock it" if most else ""
             raise ModelError(
                 f"with all driven joints locked ({', '.join(self.joints)}), the chain can still "
-                f"move in {loose} of its {motion.freedoms} freedoms; drive more joints, or join "
-                "more bodies"
+                f"move in {loose.shape[1]} of its {motion.freedoms} freedoms; drive more joints, "
+                f"or join more bodies{locked}"
             )
         self._set_home(x, stated is not None)
         self._set_workspace(x, workspace)
@@ -396,12 +399,20 @@ class Chain(Mechanism):
         self.fixed = tuple(
             name for name, held in zip(self.parameters.names, replaced, strict=True) if held
         )
-        self.remarks = tuple(self._remarks(len(combine), replaced, unseen))
+        self.remarks = tuple(self._remarks(motion.freedoms, len(combine), replaced, unseen))
 
-    def _remarks(self, kept: int, replaced: np.ndarray, unseen: np.ndarray) -> list[str]:
-        """Say what is held, and why."""
+    def _remarks(
+        self, freedoms: int, kept: int, replaced: np.ndarray, unseen: np.ndarray
+    ) -> list[str]:
+        """Say what is held, and why; and whether joints are driven that cannot move alone."""
         names, found = np.array(self.parameters.names), list[str]()
         rows = len(self._row_scale)
+        if freedoms < len(self.joints):
+            found.append(
+                f"{len(self.joints)} joints are driven, but the chain has {freedoms} freedoms: not "
+                "all readings are possible, and those that are not are fitted by least squares. If "
+                "the robot moves more freely, a joint or a loop of the description is too stiff"
+            )
         if kept < rows:
             found.append(
                 f"{rows - kept} of {rows} rows of the loops depend on the others, as those do that "

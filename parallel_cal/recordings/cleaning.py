@@ -15,7 +15,7 @@ from parallel_cal.base.errors import BagError
 from parallel_cal.base.float_fields import NEGATIVE_INT, UNCONVERTED, is_unconverted
 from parallel_cal.recordings.channels import Kind, list_channels
 from parallel_cal.recordings.clocks import require_overlap
-from parallel_cal.recordings.joint_stream import clean_joints, order_readings
+from parallel_cal.recordings.joint_stream import clean_joints, order_readings, split_passive
 from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.pose_stream import clean_poses, pose_values
 from parallel_cal.recordings.publishers import keep_one_publisher, separate_publishers
@@ -55,7 +55,9 @@ def assemble(
     streams = [*of("joints").values(), *of("poses").values()][:2]
     for raw in streams:
         require_messages(raw)
-    readings = order_readings(streams[0], options.joints, said)
+    passive = options.mechanism.passive if options.mechanism else ()
+    encoders = split_passive(streams[0], passive)
+    readings = order_readings(streams[0], options.joints, said, passive)
     contents = [readings.q, *map(pose_values, streams[1:])]
     kept = [
         keep_one_publisher(raw, values, said, dropped)
@@ -87,6 +89,7 @@ def assemble(
 
     conditions, distances = numbers(of("condition")), numbers(_by_gauge(of("readings").values()))
     distances |= numbers(_by_corner(of("images").values()))
+    distances = numbers(encoders) | distances  # a topic of its own has priority
     words = (_latch_texts(raw, streams[0], times[0], start) for raw in of("words").values())
     return Recording(
         source,

@@ -34,9 +34,14 @@ class OrderedReadings:
         )
 
 
-def order_readings(raw: Raw, wanted: Sequence[str] | None, notes: list[str]) -> OrderedReadings:
-    """Return joint readings in the order of `wanted`; the raw rows are (names, q, effort)."""
-    names = _joint_names(raw, wanted, notes)
+def order_readings(
+    raw: Raw, wanted: Sequence[str] | None, notes: list[str], passive: Sequence[str] = ()
+) -> OrderedReadings:
+    """Return joint readings in the order of `wanted`; the raw rows are (names, q, effort).
+
+    `passive` are joints whose readings `split_passive` takes: no note names them as ignored.
+    """
+    names = _joint_names(raw, wanted, notes, passive)
     q = np.full((len(raw.rows), len(names)), np.nan)
     effort = np.full_like(q, np.nan)
     missing, ragged = np.zeros(len(q), bool), np.zeros(len(q), bool)
@@ -77,7 +82,28 @@ def clean_joints(topic: str, readings: OrderedReadings, sieve: Sieve) -> JointSt
     return JointStream(topic, names, sieve.time[keep], q[keep], readings.effort[keep])
 
 
-def _joint_names(raw: Raw, wanted: Sequence[str] | None, notes: list[str]) -> tuple[str, ...]:
+def split_passive(raw: Raw, passive: Sequence[str]) -> dict[str, Raw]:
+    """Return the readings of passive joints in joint states, by name; rows are (value,)."""
+    found: dict[str, Raw] = {}
+    for log, stamp, (names, q, _), origin in zip(
+        raw.log, raw.stamp, raw.rows, raw.origins, strict=True
+    ):
+        if len(names) == len(q):
+            for name, value in zip(names, q, strict=True):
+                if name in passive:
+                    stream = found.setdefault(name, Raw(name_encoder(raw.topic, name), raw.type))
+                    stream.append(log, stamp, (value,), origin)
+    return found
+
+
+def name_encoder(topic: str, joint: str) -> str:
+    """Return the name of the stream of a passive joint in messages with joint states."""
+    return f"{topic} ({joint})"
+
+
+def _joint_names(
+    raw: Raw, wanted: Sequence[str] | None, notes: list[str], passive: Sequence[str]
+) -> tuple[str, ...]:
     """Return the requested joints, or those of most messages; BagError if one never occurs."""
     counts = Counter(row[0] for row in raw.rows)
     names = tuple(wanted) if wanted else counts.most_common(1)[0][0]
@@ -95,7 +121,7 @@ def _joint_names(raw: Raw, wanted: Sequence[str] | None, notes: list[str]) -> tu
             f"messages contain {'; '.join(', '.join(present) for present in counts)}. "
             "Publish all joints in one message."
         )
-    extra = [name for name in seen if name not in names]
+    extra = [name for name in seen if name not in (*names, *passive)]
     if extra:
         notes.append(f"{raw.topic}: ignored joints: {', '.join(extra)}")
     return names

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError, UnfitError
+from parallel_cal.recordings.joint_stream import name_encoder
 from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.recording import Array, Bools, Dropped, JointStream, Recording
 from parallel_cal.recordings.samples import Sample, Samples, max_gap
@@ -15,7 +16,12 @@ ACCELERATION_PERIODS = 5  # of the joint readings, to each side of a sample
 def paired_samples(recording: Recording, options: SampleOptions, tolerance: Array) -> Samples:
     """Return one sample per pose message, with the joints interpolated to its time."""
     joints, pose = recording.joints, recording.pose
-    if recording.constraint or recording.distances:
+    encoders = {
+        name: stream
+        for name, stream in recording.distances.items()
+        if stream.topic == name_encoder(joints.topic, name)
+    }
+    if recording.constraint or len(recording.distances) > len(encoders):
         raise UnfitError(
             f"{recording.source}: a constraint or a distance belongs to a dwell, but "
             "mode is 'continuous': use mode='dwell', or disable their topics "
@@ -40,6 +46,7 @@ def paired_samples(recording: Recording, options: SampleOptions, tolerance: Arra
     columns = _interpolate_joints(joints, pose.time[at])
     acceleration = compute_acceleration(joints, pose.time[at])
     nowhere = np.full(len(joints.names), np.nan)
+    encoded = {c: np.interp(pose.time[at], s.time, s.value) for c, s in encoders.items()}
     reading = np.searchsorted(joints.time, pose.time[at])
     for k, i in enumerate(at):
         q, effort, velocity = (column[k] for column in columns)
@@ -59,6 +66,7 @@ def paired_samples(recording: Recording, options: SampleOptions, tolerance: Arra
                 count_q=1,
                 count_pose=1,
                 first_reading=int(reading[k]),
+                readings={name: float(values[k]) for name, values in encoded.items()},
                 acceleration=acceleration[k],
             )
         )

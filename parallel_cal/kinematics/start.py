@@ -1,0 +1,113 @@
+"""Where Newton's method begins: the mechanism's closed form, or the solution expanded at home."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.base.rotation import cayley
+from parallel_cal.kinematics.solutions import MIN_REGULAR_SINGULAR_VALUE
+from parallel_cal.model.configuration import Configuration
+from parallel_cal.model.structure import Structure
+
+MAX_HOME_RESIDUAL = 1e-6  # m, rad: beyond that, home of the drawing closes nothing
+STEP = 1e-4  # m, rad: of the differences that give second derivatives
+
+
+def unknown_columns(s: Structure, problem: str) -> list[int]:
+    """Return the unknown columns of (q, r, w, u) of the "direct" or the "inverse" problem."""
+    m, n = s.mechanism, len(s.mechanism.joints)
+    if problem == "direct":
+        return m.dependent_columns
+    return [*range(n), *(n + i for i in m.parasitic), *m.passive_columns]
+
+
+@lru_cache(maxsize=64)
+def start_function(s: Structure, problem: str) -> ca.Function:
+    """Build (configuration, geometry) -> the configuration at which iterations begin.
+
+    The unknowns come from the candidates of an ideal mechanism `s`. If these are home whatever is
+    given, they are expanded there to second order: near home little is then left to the
+    iterations, and farther away they still begin on the branch of home.
+    """
+    m, q, r, R9, u = s.mechanism, s.q, s.r, s.R9, ca.DM(s.mechanism.home.passive)
+    if problem == "direct":
+        r, R9 = s.start_pose(s.q, s.geometry.column)
+        found = ca.vertcat(r, R9)
+    else:
+        q = found = s.start_joints(s.r, s.R9, s.geometry.column)
+    start = ca.vertcat(q, r, R9, u)
+    if not ca.symvar(ca.SX(found)):
+        n = len(m.joints)
+        given = [*range(n)] if problem == "direct" else [n + i for i in m.controlled]
+        columns = unknown_columns(s, problem)
+        if (series := _expand_at_home(s, given, columns)) is not None:
+            d = _change_from_home(s, problem)
+            change = ca.SX.zeros(len(s.scale))
+            for column, slope, curvature in zip(columns, *series, strict=True):
+                change[column] = ca.dot(ca.DM(slope), d) + ca.bilin(ca.DM(curvature), d, d) / 2
+            start = _apply(start, change, n, turned={n + 3, n + 4, n + 5} & {*columns})
+    return ca.Function(f"{problem}_start", [s.configuration, s.v], [start])
+
+
+def _apply(x: Any, change: Any, n: int, turned: set[int]) -> Any:
+    """Apply a change of (q, r, w, u) to a configuration (q, r, R9, u)."""
+    R9 = x[n + 3 : n + 12]
+    if turned:
+        R9 = ca.vec((cayley(change[n + 3 : n + 6]) @ ca.reshape(R9, 3, 3).T).T)
+    return ca.vertcat(x[: n + 3] + change[: n + 3], R9, x[n + 12 :] + change[n + 6 :])
+
+
+def _change_from_home(s: Structure, problem: str) -> Any:
+    """Compute how far the given coordinates are from home, within half a turn (m, rad)."""
+    m = s.mechanism
+    home = Configuration.from_rows(m.home.configuration, len(m.passive))
+    if problem == "direct":
+        turns = m.joint_periods
+        d = ca.vertsplit(s.q - ca.DM(home.q))
+        return ca.vertcat(*[
+            one - turn * ca.floor(one / turn + 0.5) if turn else one
+            for one, turn in zip(d, turns, strict=True)
+        ])  # fmt: skip
+    E = s.R @ ca.DM(home.R).T
+    turn = ca.vertcat(E[2, 1] - E[1, 2], E[0, 2] - E[2, 0], E[1, 0] - E[0, 1]) / 2
+    return ca.vertcat(s.r - ca.DM(home.r), turn)[m.controlled]
+
+
+def _expand_at_home(
+    s: Structure, given: list[int], unknown: list[int]
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return first (k, n) and second (k, n, n) derivatives of k unknowns by n given coordinates, of
+    the nominal robot at home; None if home is singular or does not close, or if the rows are more
+    or fewer than the unknowns."""
+    home = s.mechanism.home.configuration
+    at_home = Configuration.from_rows(home, len(s.mechanism.passive))
+    phi, J = s.closure_configuration(home, s.neutral, s.table.nominal)
+    if J.shape[0] != len(unknown) or not given:
+        return None
+    scaled = np.array(J)[:, unknown] / s.scale[unknown]
+    if not np.isfinite(scaled).all() or np.linalg.norm(np.array(phi)) > MAX_HOME_RESIDUAL:
+        return None
+    if np.linalg.svd(scaled, compute_uv=False)[-1] < MIN_REGULAR_SINGULAR_VALUE:
+        return None
+
+    def slope(J: Any) -> np.ndarray:
+        J = np.array(J)
+        return -np.linalg.solve(J[:, unknown], J[:, given])
+
+    first = slope(J)
+    second = np.empty((*first.shape, len(given)))
+    for k in range(len(given)):
+        change = np.zeros(len(s.scale))
+        change[given[k]], change[unknown] = STEP, STEP * first[:, k]
+        ends = [
+            slope(s.closure_configuration(
+                at_home.apply_change(sign * change).rows, s.neutral, s.table.nominal
+            )[1])
+            for sign in (1, -1)
+        ]  # fmt: skip
+        second[:, :, k] = (ends[0] - ends[1]) / (2 * STEP)
+    return first, second
