@@ -37,6 +37,7 @@ from parallel_cal.reporting.readable import (
     format_fixed,
     format_fixed_vector,
     format_judged_errors,
+    format_percent,
     is_known,
     name_p_value,
     number,
@@ -502,14 +503,17 @@ def candidate_table(diagnosis: Diagnosis, entries: Sequence[Entry]) -> Table:
     columns = (
         Column("rank", on_terminal=False),
         "effect",
+        "probability",
         "p",
         "held-out",
         Column(f"validation error, {kind} rms", "fall", on_terminal=False),
         "explains",
-        "first pick",
         "not geometry",
         Column("confused with", on_terminal=False),
     )
+    # As the answer below the table states them.
+    named = {name: p for cause in diagnosis.missing for name, p in cause["each"].items()}
+    probable = {**diagnosis.explanation.posterior.probability, **named}
     rows = []
     for entry in entries:
         p, alone, effect = entry.p_adjusted or 0.0, entry.alone, entry.candidate.effect
@@ -525,11 +529,11 @@ def candidate_table(diagnosis: Diagnosis, entries: Sequence[Entry]) -> Table:
             (
                 str(entry.rank),
                 Cell(entry.name, effect.physics + cure, mark="found" if found else ""),
+                format_percent(probable[entry.name]) if entry.name in probable else "-",
                 PValue(p),
                 percent(alone.ratio if alone else None, 1, "-"),
                 Cell(fall or "-", estimates),
                 percent(alone.share_explained if alone else None, missing="-"),
-                percent(entry.first_picks, missing="-"),
                 percent(entry.remaining, missing="-"),
                 Cell(
                     ", ".join(entry.confused_with), "; ".join(filter(None, (entry.reason, apart)))
