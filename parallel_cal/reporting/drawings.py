@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.model.model import Model
-from parallel_cal.reporting.axes import space
+from parallel_cal.reporting.axes import name_axis, space
 from parallel_cal.reporting.colours import MEASURED, QUIET, WARNING
 from parallel_cal.reporting.contents import DescribedParameter
 from parallel_cal.reporting.figures import (
@@ -129,7 +129,7 @@ def drawing(
     points = 1e3 * np.vstack([part.points for part in parts])
     middle, half = (points.min(0) + points.max(0)) / 2, 0.55 * np.ptp(points, axis=0).max()
     axes: Spec = {
-        f"{a}axis": {"title": {"text": f"{a} [mm]"}, "range": [float(m - half), float(m + half)]}
+        f"{a}axis": {"title": {"text": name_axis(a)}, "range": [float(m - half), float(m + half)]}
         for a, m in zip("xyz", middle, strict=True)
     }
     camera = space("position")["scene"]["camera"]

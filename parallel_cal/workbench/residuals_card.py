@@ -12,8 +12,7 @@ from parallel_cal.workbench.marking import FigureSlot, Marking
 from parallel_cal.workbench.widgets import FIGURE_MARGIN, card
 
 HINT = (
-    "Drag a box or a lasso in a flat view to mark samples. They are then marked in all flat views. "
-    "The colour of an arrow shows its direction."
+    "Drag a box or a lasso in a flat view to mark samples. They are then marked in all flat views."
 )
 LIKELY = "99 % band of the mean without dependence"
 HEIGHT = 320  # of a figure

@@ -36,6 +36,7 @@ from parallel_cal.reporting import (
     signatures,
     spaces,
 )
+from parallel_cal.reporting.axes import name_axis
 from parallel_cal.reporting.blocks import as_rows
 from parallel_cal.reporting.figures import Spec, select_evenly
 from parallel_cal.reporting.readable import value_unit, with_sigma, write_micro
@@ -481,7 +482,7 @@ def _residuals(residuals: contents.Residuals, striking: Sequence[ResidualProfile
             "place": np.round(
                 (1.0 if residuals.kind == "orientation" else 1e3) * residuals.place, 4
             ),
-            "where": "platform axis, {}" if residuals.kind == "orientation" else "{} [mm]",
+            "where": name_axis("{}", residuals.kind or "position"),
         }
     )
 
