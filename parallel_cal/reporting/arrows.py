@@ -29,7 +29,7 @@ class Ramp:
     @classmethod
     def over(cls, fields: Sequence[np.ndarray]) -> Ramp:
         """Make one ramp for several fields of vectors (N, 3)."""
-        sizes = np.concatenate([np.linalg.norm(field, axis=1) for field in fields])
+        sizes = np.concatenate([np.empty(0), *(np.linalg.norm(f, axis=1) for f in fields)])
         sizes = sizes[sizes > 0]
         if not sizes.size:
             return cls(1.0, MIN_RAMP_RATIO)
@@ -44,7 +44,7 @@ class Ramp:
         return f"rgb({r:.0f},{g:.0f},{b:.0f})"
 
     def bar(self, kind: str) -> Spec:
-        """Make an invisible trace whose colour bar explains the colours, below the figure."""
+        """Make an invisible trace whose colour bar explains the colours, at the upper left."""
         unit, factor = error_unit(ERROR_SI_UNITS[kind])
         ends = [factor * self.low, factor * self.high]
         ticks = list_round_ticks(*ends)
@@ -67,14 +67,12 @@ class Ramp:
                 ],
                 "showscale": True,
                 "colorbar": {
-                    "orientation": "h",
                     "thickness": 8,
                     "len": 0.5,
                     "x": 0.0,
                     "xanchor": "left",
-                    "y": 0.0,
-                    "yanchor": "bottom",
-                    "ypad": 4,
+                    "y": 1.0,
+                    "yanchor": "top",
                     "outlinewidth": 0,
                     "tickvals": [float(np.log10(tick)) for tick in ticks],
                     "ticktext": [f"{tick:g}" for tick in ticks],

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from html import escape
+from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
@@ -111,7 +112,7 @@ def drawing(
         own = [found[name] for name in part.parameters if name in found] if found else []
         far = any(abs(p.moved_tolerances) > MAX_MOVED_TOLERANCES for p in own if not p.fixed)
         groups.setdefault((part.kind, far), []).append(part)
-    traces = [_trace(kind, far, own, found or {}) for (kind, far), own in groups.items()]
+    traces = [trace_lines(kind, own, far, found or {}) for (kind, far), own in groups.items()]
     named = select_labelled(parts)
     at = 1e3 * np.array([part.middle for part in named]).reshape(-1, 3)
     texts = [escape(part.label) for part in named]
@@ -195,9 +196,14 @@ def select_labelled(parts: list[DrawnLine]) -> list[DrawnLine]:
     return chosen
 
 
-def _trace(
-    kind: str, far: bool, parts: list[DrawnLine], found: Mapping[str, DescribedParameter]
+def trace_lines(
+    kind: str,
+    parts: Sequence[DrawnLine],
+    far: bool = False,
+    found: Mapping[str, DescribedParameter] = MappingProxyType({}),
 ) -> Spec:
+    """Make one trace of lines of a kind; hovering shows their parameters, with the values `found`.
+    Lines whose parameters moved `far` have the colour of a warning."""
     points, words = [], []
     for part in parts:
         told = [describe_parameter(found[n]) if n in found else escape(n) for n in part.parameters]
