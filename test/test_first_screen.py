@@ -102,6 +102,26 @@ def test_the_part_that_errs_glows_with_its_size_and_no_other_part(model, owner):
     np.testing.assert_allclose(at, 1e3 * np.vstack([part.points for part in own]), atol=1e-2)
 
 
+def test_arrows_point_the_same_way_wherever_the_device_stands():
+    from dataclasses import replace
+
+    from parallel_cal.base.rotation import rotation_matrix
+    from parallel_cal.diagnosis.comparison import compare
+    from parallel_cal.recordings.simulate import simulate
+    from parallel_cal.workbench.views import _make_comparison_view
+
+    model = read_model(HEXAPOD)
+    data = simulate(model, 20, 5, effects=["backlash:width=6e-5"]).dataset()
+    turn, shift = rotation_matrix(np.array([0.3, -0.5, 1.2])), np.array([0.5, -1.0, 0.4])
+    moved = replace(data, r=(data.r - shift) @ turn, R=turn.T @ data.R, frame="tracker")
+    here, there = (_make_comparison_view(compare(model, one))["machine"] for one in (data, moved))
+    for axis in "xyz":
+        shafts = (drawn["stages"][0]["traces"][0][axis] for drawn in (here, there))
+        np.testing.assert_allclose(*(np.array(one, float) for one in shafts), atol=1e-3)
+    [device] = [trace for trace in there["robot"] if trace["name"] == "device"]
+    assert [device[a][0] for a in "xy"] == pytest.approx([500, -1000], abs=5)
+
+
 def test_the_robot_is_drawn_to_scale_with_the_device_where_it_was_registered():
     from parallel_cal.sensors.device_frame import DeviceFrame
 

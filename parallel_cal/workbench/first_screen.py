@@ -49,6 +49,7 @@ class MachineCard:
             with ui.column().classes("w-full gap-0") as self._choice:
                 self._slider = ui.element().classes("w-full")
                 self._labels = ui.row().classes("w-full no-wrap justify-between gap-2 text-xs")
+        self.card.set_visibility(False)
 
     def show(self, machine: dict[str, Any] | None) -> None:
         self.card.set_visibility(machine is not None)

@@ -144,7 +144,8 @@ class Window:
         self.marking.numbers = set()
         view = self.bench.view or {}
         self._show_empty()
-        self.machine.show(view.get("machine"))
+        if "machine" in view:  # a preliminary view of many samples leaves the picture before it
+            self.machine.show(view["machine"])
         has_samples = self.bench.has_samples
         for one in (self.verdict, self.errors):
             one.card.set_visibility(has_samples)
