@@ -29,7 +29,7 @@ DEVICE_NEAR = 2.2  # half extents of the robot within which the device is drawn 
 GLOW_WIDTH, GLOW_COLOUR = 16, "#f08c2e"
 LABEL = {"bgcolor": "rgba(160,160,160,0.6)", "font": {"size": 12}}
 ARROW_RATIO = 0.06  # least length of a typical large arrow, as a share of the robot
-CLOSER = 0.85  # than other figures in space is the camera
+CLOSER = 0.95  # than other figures in space is the camera
 NO_PLACES, NO_NUMBERS = np.empty((0, 3)), np.empty(0, int)
 NUMBERED = re.compile(r"([a-z_]*[a-z])(\d+)")
 
