@@ -262,7 +262,7 @@ def test_patterns_joints_maps_and_the_mechanism_are_drawn_by_the_same_code(made,
     # Backlash over the direction; the title of a narrow panel has two lines.
     assert "approach of joint1<br>falling −1, rising +1" in titles
     assert "joint1 residual [mrad]" in titles
-    assert "plan: x [mm]" in titles
+    assert "plan: x of base [mm]" in titles
     kinds = [{t.get("name") for t in f["data"]} for f in figures(text)]
     assert any({"1 σ of the model"} <= names for names in kinds)
     assert any({"base", "driven", "rod", "platform", "parameters"} <= names for names in kinds)
