@@ -42,9 +42,9 @@ def test_plan_front_and_side_show_the_same_arrows_on_one_scale_with_equal_axes()
     layout = drawn["layout"]
     assert [layout[f"yaxis{k}"]["scaleanchor"] for k in ("", "2", "3")] == ["x", "x2", "x3"]
     assert [layout[f"xaxis{k}"]["title"]["text"] for k in ("", "2", "3")] == [
-        "plan: x [mm]",
-        "front: x [mm]",
-        "side: y [mm]",
+        "plan: x of base [mm]",
+        "front: x of base [mm]",
+        "side: y of base [mm]",
     ]
 
 

@@ -82,7 +82,7 @@ def test_no_line_crosses_the_label_of_a_step_and_the_title_is_above_the_axis():
     errors = [3.0, 1.03, 1.07, 0.4, 0.9]
     steps = [Step(str(k), 3e-4 * v, k - 1 if k else None) for k, v in enumerate(errors)]
     figure = draw_steps(FallingError("orientation", steps, words="orientation, rms"))
-    [points] = [t for t in figure["data"] if t["mode"] == "markers+text"]
+    [points] = [t for t in figure["data"] if t.get("mode") == "markers+text"]
     assert points["textposition"] == [
         "top center",
         "top right",  # the curve comes from above, and goes on almost level
@@ -105,7 +105,7 @@ def test_a_step_on_other_samples_is_joined_by_a_dotted_line():
         )
     )
     assert [s.is_comparable for s in found.steps] == [True, False]
-    lines = [t for t in draw_steps(found)["data"] if t["mode"] == "lines"]
+    lines = [t for t in draw_steps(found)["data"] if t.get("mode") == "lines"]
     assert [line["line"]["dash"] for line in lines] == ["dot"]
     assert found.steps[1].details == "1 excluded sample"
 
@@ -175,7 +175,7 @@ def test_a_page_shows_a_limited_number_of_many_samples_with_the_worst_and_says_s
     assert min(numbers) < 10 < 84 < max(numbers)  # of the whole recording
     for values in (part["residuals"]["sigmas"], part["residuals"]["place"]):
         assert len(values) == 40
-    assert part["arrows"]["field"]["numbers"] == numbers
+    assert part["field"]["numbers"] == numbers
     by_number = {row["sample"]: row for row in whole["samples"]["rows"]}
     assert [by_number[row["sample"]] for row in part["samples"]["rows"]] == (
         part["samples"]["rows"]
@@ -333,24 +333,39 @@ def open_page(browser, url):
 
 @pytest.mark.wide
 @pytest.mark.parametrize("size", SIZES)
-def test_the_verdict_comes_first_then_what_is_missing_then_where_it_fails(page, size):
+def test_the_first_screen_is_the_machine_the_verdict_and_one_step(page, size):
     width, height = SIZES[size]
     page.set_viewport_size({"width": width, "height": height})
     page.wait_for_timeout(500)  # the page is laid out anew
     assert page.locator("header").bounding_box()["height"] <= 0.15 * height
     assert page.evaluate("document.documentElement.scrollWidth") <= width
-    verdict, missing, fails = (
+    machine, verdict, errors, missing, fails = (
         page.get_by_role("region", name=name, exact=True).bounding_box()
-        for name in ("Verdict", "What is missing", "Where it fails")
+        for name in ("Machine", "Verdict", "Errors", "What is missing", "Where it fails")
     )
-    assert verdict["y"] < 0.25 * height
-    assert verdict["y"] + verdict["height"] <= missing["y"]
+    figure = page.get_by_role("figure", name="the machine and its errors").bounding_box()
+    step = page.get_by_role("button", name="next step: Add backlash").bounding_box()
+    assert figure["height"] >= 150
+    for part in (figure, step, page.locator("#missing").bounding_box()):
+        assert part["y"] + part["height"] <= height
+    if width >= 840:
+        assert machine["width"] == pytest.approx(1.5 * verdict["width"], rel=0.02)
+    filled = (
+        page.locator("main button, .q-page button")
+        .filter(visible=True)
+        .evaluate_all(
+            "all => all.filter(one => one.matches('.q-btn--standard')).map(one => one.innerText)"
+        )
+    )
+    assert filled == ["Add backlash"]
+    assert max(one["y"] + one["height"] for one in (machine, verdict)) <= errors["y"]
+    assert errors["y"] + errors["height"] <= missing["y"]
     if width < 1600:
         assert missing["y"] + missing["height"] <= fails["y"]
         assert fails["x"] == missing["x"]
     else:
         assert missing["x"] + missing["width"] <= fails["x"]
-        assert fails["y"] == verdict["y"]
+        assert fails["y"] == errors["y"]
         live, samples, parameters = (
             page.get_by_role("region", name=name, exact=True).bounding_box()
             for name in ("Live", "Samples", "Parameters")
@@ -421,7 +436,7 @@ def test_effects_that_are_not_significant_are_folded(page):
         "add hysteresis",
     ]
     missing.get_by_text("tested effects less probable").click()
-    missing.get_by_role("button", name="add encoder_gain").wait_for()
+    missing.get_by_role("button", name="add gain of the drives").wait_for()
 
 
 @pytest.mark.wide
@@ -475,7 +490,7 @@ def test_the_text_of_figures_in_space_has_the_colour_of_the_page(page):
     for scheme in ("dark", "light"):
         page.emulate_media(color_scheme=scheme)
         page.evaluate("window.scrollTo(0, 0)")
-        page.get_by_role("figure", name="residual arrows in space").scroll_into_view_if_needed()
+        page.get_by_role("figure", name="the machine and its errors").scroll_into_view_if_needed()
         alike = f"(found => found.length && found.every(([a, b]) => a === b))(({colours})())"
         page.wait_for_function(alike)
         seen |= {page_colour for _, page_colour in page.evaluate(colours)}
@@ -483,12 +498,12 @@ def test_the_text_of_figures_in_space_has_the_colour_of_the_page(page):
 
 
 @pytest.mark.wide
-def test_the_keyboard_reaches_the_first_effect_in_ten_stops_and_shows_where_it_is(page):
+def test_the_keyboard_reaches_the_next_step_in_ten_stops_and_shows_where_it_is(page):
     page.reload()
-    page.get_by_role("button", name="add backlash").wait_for()
+    page.get_by_role("button", name="add backlash", exact=True).wait_for()
     page.locator("#campaign").get_by_text("moving: pose 27").wait_for()
     stops = []
-    while not stops or stops[-1][0] != "add backlash":
+    while not stops or stops[-1][0] != "next step: Add backlash":
         assert len(stops) < 10, stops
         page.keyboard.press("Tab")
         stops.append(

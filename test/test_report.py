@@ -18,7 +18,7 @@ from parallel_cal.model.file.modelfile import model_hash, write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
 from parallel_cal.reporting import contents, figures, results
-from parallel_cal.reporting.arrows import arrows, colour, scale_of
+from parallel_cal.reporting.arrows import Ramp, arrows, scale_of
 from parallel_cal.reporting.figures import select_evenly
 from parallel_cal.reporting.page import page
 from parallel_cal.reporting.readable import (
@@ -502,11 +502,18 @@ def test_arrows_reach_from_the_place_to_the_magnified_error():
     assert (heads["x"][0], heads["z"][4]) == (110.0, 120.0)
 
 
-def test_colours_name_directions_and_the_scale_is_round():
-    assert colour(np.array([1.0, 0.0, 0.0])) == "rgb(223,32,32)"  # red
-    assert colour(np.array([-1.0, 0.0, 0.0])) == "rgb(32,223,223)"  # cyan, across
-    up, down = (sum(map(int, re.findall(r"\d+", colour(np.array([0, 0, z]))))) for z in (1.0, -1.0))
-    assert up > down
+def test_colours_show_sizes_on_one_ramp_and_the_scale_is_round():
+    small, large = np.full((20, 3), 1e-5), np.full((20, 3), 4e-5)
+    ramp = Ramp.over([small, large])
+    assert (ramp.low, ramp.high) == pytest.approx((1e-5 * 3**0.5, 4e-5 * 3**0.5))
+    assert ramp.colour(0.0) == ramp.colour(ramp.low) == "rgb(127,159,198)"
+    assert ramp.colour(2 * ramp.low) == "rgb(230,159,0)"  # half way by the logarithm
+    assert ramp.colour(1.0) == "rgb(193,39,45)"
+    shafts = arrows(small, small, 1.0, [""] * 20, ramp=ramp)[0]
+    assert set(shafts["line"]["color"]) == {ramp.colour(ramp.low)}
+    bar = ramp.bar("position")["marker"]["colorbar"]
+    assert bar["ticktext"] == ["20", "50"]
+    assert bar["title"]["text"] == "error [µm]"
     corners = np.array([[0.0, 0, 0], [0.3, 0, 0]])
     # 16 % of 0.3 m is 48 mm, for 100 um 480 times: the next round number below is 200.
     assert scale_of(corners, [np.full((2, 3), 1e-4 / np.sqrt(3))]) == 200.0

@@ -14,12 +14,12 @@ from datasets import measured
 from parallel_cal.diagnosis.patterns import OddSample, Region
 from parallel_cal.model.model import new_model
 from parallel_cal.reporting import failures
-from parallel_cal.reporting.blocks import Cell
+from parallel_cal.reporting.blocks import Cell, as_rows
 from parallel_cal.reporting.certificate import CertificateFields
 from parallel_cal.reporting.figures import parameter_bars
 from parallel_cal.reporting.multiples import multiples, peak
 from parallel_cal.reporting.page import page
-from parallel_cal.reporting.readable import round_to_sigma
+from parallel_cal.reporting.readable import format_percent, round_to_sigma
 from parallel_cal.reporting.report import report
 from parallel_cal.reporting.results import candidate_table
 from parallel_cal.session.steps import fitted
@@ -217,6 +217,16 @@ def test_estimates_have_the_decimals_of_their_sigma_wherever_they_are_shown(made
         assert len(digits) == 2 or "." not in sigma
 
 
+def test_the_table_of_effects_has_the_probabilities_of_the_answer_below_it(made):
+    tested = [e for e in made.diagnosis.entries if e.candidate.testable]
+    rows = as_rows(candidate_table(made.diagnosis, tested))["rows"]
+    shown = {row["effect"]: row["probability"] for row in rows}
+    [cause] = made.diagnosis.missing
+    assert "backlash" in cause["each"]
+    for name, probability in cause["each"].items():
+        assert shown[name] == format_percent(probability)
+
+
 def test_samples_are_sorted_by_a_column_that_is_seen_at_once(text):
     said = part(text, "samples")
     heads = re.findall(r"<th[^>]*>([^<]+)</th>", said)
@@ -251,7 +261,7 @@ def test_patterns_joints_maps_and_the_mechanism_are_drawn_by_the_same_code(made,
     # Backlash over the direction; the title of a narrow panel has two lines.
     assert "approach of joint1<br>falling −1, rising +1" in titles
     assert "joint1 residual [mrad]" in titles
-    assert "plan: x [mm]" in titles
+    assert "plan: x of base [mm]" in titles
     kinds = [{t.get("name") for t in f["data"]} for f in figures(text)]
     assert any({"1 σ of the model"} <= names for names in kinds)
     assert any({"base", "driven", "rod", "platform", "parameters"} <= names for names in kinds)

@@ -344,7 +344,7 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
         other.goto(served.url)
         other.locator("#verdict").get_by_text("explained, not yet in the model").wait_for()
 
-        page.get_by_role("button", name="add backlash").click()
+        page.get_by_role("button", name="add backlash", exact=True).click()
         page.locator("#verdict").get_by_text("down to the noise").wait_for()
         other.locator("#verdict").get_by_text("down to the noise").wait_for()
         assert page.locator("header").inner_text() != fitted
@@ -762,17 +762,17 @@ def test_a_refused_effect_is_added_with_a_reason_that_both_histories_keep(browse
         page.goto(served.url)
         page.locator("#verdict").get_by_text("explained, not yet in the model: backlash").wait_for()
         page.get_by_text("tested effects less probable").click()
-        page.get_by_role("button", name="add encoder_gain").click()
-        page.locator("#question").get_by_text("Add encoder_gain anyway?").wait_for()
+        page.get_by_role("button", name="add gain of the drives").click()
+        page.locator("#question").get_by_text("Add gain of the drives anyway?").wait_for()
         assert "--force" not in page.locator("#question").inner_text()
         page.get_by_role("button", name="Keep the model", exact=True).click()
-        page.locator("#message").get_by_text("encoder_gain was not added").wait_for()
+        page.locator("#message").get_by_text("gain of the drives was not added").wait_for()
         assert Session(folder).state.step == "fit"
 
-        page.get_by_role("button", name="add encoder_gain").click()
+        page.get_by_role("button", name="add gain of the drives").click()
         page.get_by_label("say why").fill("its data sheet states it")
         page.get_by_role("button", name="Add anyway", exact=True).click()
-        page.get_by_role("cell", name="add encoder_gain, forced").wait_for()
+        page.get_by_role("cell", name="add gain of the drives, forced").wait_for()
         page.get_by_role("cell", name="its data sheet states it").wait_for()
         session = Session(folder)
         assert session.state.reason == "its data sheet states it"
@@ -780,8 +780,8 @@ def test_a_refused_effect_is_added_with_a_reason_that_both_histories_keep(browse
         assert (entry["effect"], entry["reason"]) == ("encoder_gain", "its data sheet states it")
         assert entry["forced"]
 
-        page.get_by_role("button", name="remove encoder_gain").click()
-        page.get_by_role("cell", name="remove encoder_gain", exact=True).wait_for()
+        page.get_by_role("button", name="remove gain of the drives").click()
+        page.get_by_role("cell", name="remove gain of the drives", exact=True).wait_for()
         assert not Session(folder).model.effects
     finally:
         served.end()

@@ -1,16 +1,85 @@
-"""Residual arrows in space, coloured by direction, all on one stated scale."""
+"""Residual arrows in space, coloured by size, all on one stated scale and one ramp of colours."""
 
 from __future__ import annotations
 
-import colorsys
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from parallel_cal.base.units import ERROR_SI_UNITS
+from parallel_cal.reporting.axes import list_round_ticks
 from parallel_cal.reporting.figures import Spec
+from parallel_cal.reporting.readable import error_unit
 
 TYPICAL_ARROW_RATIO = 0.16  # length of a typical large arrow, as a share of the workspace
 HEAD, WIDTH = 0.3, 0.35  # length of a head per arrow, width of a head per head length
+# From small to large: legible on a light and on a dark ground, and for colour-blind readers.
+RAMP_COLOURS = ((127, 159, 198), (230, 159, 0), (193, 39, 45))
+MIN_RAMP_RATIO = 2.0  # of its ends: sizes that hardly differ have nearly one colour
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """The colours of sizes from `low` to `high` (SI), by their logarithm."""
+
+    low: float
+    high: float
+
+    @classmethod
+    def over(cls, fields: Sequence[np.ndarray]) -> Ramp:
+        """Make one ramp for several fields of vectors (N, 3)."""
+        sizes = np.concatenate([np.empty(0), *(np.linalg.norm(f, axis=1) for f in fields)])
+        sizes = sizes[sizes > 0]
+        if not sizes.size:
+            return cls(1.0, MIN_RAMP_RATIO)
+        low, high = np.quantile(sizes, (0.1, 0.98))
+        return cls(float(low), float(max(high, MIN_RAMP_RATIO * low)))
+
+    def colour(self, size: float) -> str:
+        """Return the colour of a size; beyond the ends, that of the end."""
+        share = np.log(max(size, self.low) / self.low) / np.log(self.high / self.low)
+        at = np.linspace(0.0, 1.0, len(RAMP_COLOURS))
+        r, g, b = (np.interp(share, at, levels) for levels in zip(*RAMP_COLOURS, strict=True))
+        return f"rgb({r:.0f},{g:.0f},{b:.0f})"
+
+    def bar(self, kind: str) -> Spec:
+        """Make an invisible trace whose colour bar explains the colours, at the upper left."""
+        unit, factor = error_unit(ERROR_SI_UNITS[kind])
+        ends = [factor * self.low, factor * self.high]
+        ticks = list_round_ticks(*ends)
+        steps = np.linspace(0.0, 1.0, len(RAMP_COLOURS))
+        return {
+            "type": "scatter3d",
+            "mode": "markers",
+            "x": [None],
+            "y": [None],
+            "z": [None],
+            "showlegend": False,
+            "hoverinfo": "skip",
+            "marker": {
+                "color": [float(np.log10(ends[0]))],
+                "cmin": float(np.log10(ends[0])),
+                "cmax": float(np.log10(ends[1])),
+                "colorscale": [
+                    [float(at), f"rgb{colour}"]
+                    for at, colour in zip(steps, RAMP_COLOURS, strict=True)
+                ],
+                "showscale": True,
+                "colorbar": {
+                    "thickness": 8,
+                    "len": 0.5,
+                    "x": 0.0,
+                    "xanchor": "left",
+                    "y": 1.0,
+                    "yanchor": "top",
+                    "outlinewidth": 0,
+                    "tickvals": [float(np.log10(tick)) for tick in ticks],
+                    "ticktext": [f"{tick:g}" for tick in ticks],
+                    "title": {"text": f"error [{unit}]", "side": "top"},
+                },
+            },
+        }
 
 
 def scale_of(places: np.ndarray, fields: Sequence[np.ndarray]) -> float:
@@ -36,12 +105,18 @@ def round_below(value: float) -> float:
 
 
 def arrows(
-    places: np.ndarray, field: np.ndarray, scale: float, words: Sequence[str], factor: float = 1.0
+    places: np.ndarray,
+    field: np.ndarray,
+    scale: float,
+    words: Sequence[str],
+    factor: float = 1.0,
+    ramp: Ramp | None = None,
 ) -> list[Spec]:
     """Draw arrows (N, 3) at places (N, 3) with hover texts; `factor` converts SI to the axes'
-    unit."""
+    unit. The `ramp` of their colours is by default their own."""
     starts, ends = places * factor, (places + scale * field) * factor
-    colours = [colour(v) for v in field]
+    ramp = ramp or Ramp.over([field])
+    colours = [ramp.colour(size) for size in np.linalg.norm(field, axis=1)]
     shafts = np.stack([starts, ends, np.full_like(starts, np.nan)], axis=1).reshape(-1, 3)
     lines = {
         "type": "scatter3d",
@@ -100,13 +175,3 @@ def _heads(starts: np.ndarray, ends: np.ndarray, colours: list[str]) -> Spec:
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12))
-
-
-def colour(direction: np.ndarray) -> str:
-    """Return a hue by the direction in the x-y plane, red along +x; light up, dark down."""
-    x, y, z = direction
-    length = float(np.linalg.norm(direction))
-    hue = float(np.arctan2(y, x)) / (2 * np.pi) % 1.0
-    lightness = 0.5 + 0.22 * (float(z) / length if length else 0.0)
-    r, g, b = colorsys.hls_to_rgb(hue, lightness, 0.75)
-    return f"rgb({255 * r:.0f},{255 * g:.0f},{255 * b:.0f})"

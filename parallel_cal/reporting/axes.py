@@ -16,20 +16,22 @@ def log_axis(values: Sequence[float | None], title: str = "") -> dict[str, Any]:
     Only positive values can be drawn; the axis holds all of them.
     """
     known = [v for v in values if v]
-    low, high = math.log10(min(known) * 0.6), math.log10(max(known) * 1.6)
-    ticks = [
-        digit * 10.0**power
-        for power in range(math.floor(low), math.ceil(high) + 1)
-        for digit in (1, 2, 5)
-        if low < math.log10(digit * 10.0**power) < high
-    ]
+    low, high = min(known) * 0.6, max(known) * 1.6
+    ticks = list_round_ticks(low, high)
     return {
         "type": "log",
-        "range": [low, high],
+        "range": [math.log10(low), math.log10(high)],
         "title": {"text": title},
         "tickvals": ticks,
         "ticktext": [f"{t:g}" for t in ticks],
     }
+
+
+def list_round_ticks(low: float, high: float) -> list[float]:
+    """List 1, 2 and 5 times powers of ten between two positive numbers."""
+    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    ticks = (digit * 10.0**power for power in powers for digit in (1, 2, 5))
+    return [tick for tick in ticks if low < tick < high]
 
 
 def draw_noise_floor(
@@ -56,10 +58,14 @@ def draw_noise_floor(
     return line, label
 
 
+def name_axis(axis: str, kind: str = "position") -> str:
+    """Name an axis of a figure in the frame of the base."""
+    return f"{axis} of base [mm]" if kind == "position" else f"platform axis, {axis} of base"
+
+
 def space(kind: str) -> dict[str, Any]:
-    """Make axes of equal scale: positions in mm, directions on the unit sphere without unit."""
-    unit = " [mm]" if kind == "position" else ""
-    axes = {f"{a}axis": {"title": {"text": f"{a}{unit}"}} for a in "xyz"}
+    """Make axes of equal scale in {B}: positions in mm, directions on the unit sphere."""
+    axes = {f"{a}axis": {"title": {"text": name_axis(a, kind)}} for a in "xyz"}
     camera = {"eye": {"x": 1.5, "y": -1.5, "z": 0.75}, "center": {"x": 0, "y": 0, "z": -0.16}}
     return {
         "scene": {**axes, "aspectmode": "data", "camera": camera},

@@ -55,11 +55,8 @@ class HeldOutErrors:
     @classmethod
     def of(cls, diagnosis: Diagnosis) -> HeldOutErrors:
         base, best = diagnosis.base.fitted, diagnosis.best.fitted
-        # Errors in the model's history may be those of other samples.
         fitted_before = bool(_list_judged_steps(diagnosis))
-        before = base.nominal_errors if fitted_before else base.held_out_before
-        judged = base.held_out.judged
-        before = before.only_at(judged)
+        before, judged = errors_before(diagnosis), base.held_out.judged
         owners = [name.partition(".")[0] for name in base.model.table.names]
         others = [sensor.name for sensor in base.model.sensors if sensor.name != SENSOR]
         of_sensors = np.isin(owners, others)
@@ -85,6 +82,16 @@ class HeldOutErrors:
     def kinds(self) -> list[str]:
         """The kinds of error: of the pose; if none was measured, of readings, or of joints."""
         return list_shown_kinds(self.now, self.noise)
+
+
+def errors_before(diagnosis: Diagnosis) -> Errors:
+    """Errors of the uncalibrated model at the samples of the validation errors: of the given one,
+    or of the nominal one if the given model was fitted before."""
+    base = diagnosis.base.fitted
+    # Errors in the model's history may be those of other samples.
+    fitted_before = bool(_list_judged_steps(diagnosis))
+    before = base.nominal_errors if fitted_before else base.held_out_before
+    return before.only_at(base.held_out.judged)
 
 
 def list_shown_kinds(errors: Summary, noise: Summary) -> list[str]:

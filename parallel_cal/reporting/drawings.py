@@ -6,12 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from html import escape
+from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
 
 from parallel_cal.model.model import Model
-from parallel_cal.reporting.axes import space
+from parallel_cal.reporting.axes import name_axis, space
 from parallel_cal.reporting.colours import MEASURED, QUIET, WARNING
 from parallel_cal.reporting.contents import DescribedParameter
 from parallel_cal.reporting.figures import (
@@ -111,7 +112,7 @@ def drawing(
         own = [found[name] for name in part.parameters if name in found] if found else []
         far = any(abs(p.moved_tolerances) > MAX_MOVED_TOLERANCES for p in own if not p.fixed)
         groups.setdefault((part.kind, far), []).append(part)
-    traces = [_trace(kind, far, own, found or {}) for (kind, far), own in groups.items()]
+    traces = [trace_lines(kind, own, far, found or {}) for (kind, far), own in groups.items()]
     named = select_labelled(parts)
     at = 1e3 * np.array([part.middle for part in named]).reshape(-1, 3)
     texts = [escape(part.label) for part in named]
@@ -129,7 +130,7 @@ def drawing(
     points = 1e3 * np.vstack([part.points for part in parts])
     middle, half = (points.min(0) + points.max(0)) / 2, 0.55 * np.ptp(points, axis=0).max()
     axes: Spec = {
-        f"{a}axis": {"title": {"text": f"{a} [mm]"}, "range": [float(m - half), float(m + half)]}
+        f"{a}axis": {"title": {"text": name_axis(a)}, "range": [float(m - half), float(m + half)]}
         for a, m in zip("xyz", middle, strict=True)
     }
     camera = space("position")["scene"]["camera"]
@@ -195,9 +196,14 @@ def select_labelled(parts: list[DrawnLine]) -> list[DrawnLine]:
     return chosen
 
 
-def _trace(
-    kind: str, far: bool, parts: list[DrawnLine], found: Mapping[str, DescribedParameter]
+def trace_lines(
+    kind: str,
+    parts: Sequence[DrawnLine],
+    far: bool = False,
+    found: Mapping[str, DescribedParameter] = MappingProxyType({}),
 ) -> Spec:
+    """Make one trace of lines of a kind; hovering shows their parameters, with the values `found`.
+    Lines whose parameters moved `far` have the colour of a warning."""
     points, words = [], []
     for part in parts:
         told = [describe_parameter(found[n]) if n in found else escape(n) for n in part.parameters]

@@ -13,7 +13,7 @@ from typing import Any
 
 from parallel_cal.base.units import ERROR_SI_UNITS
 from parallel_cal.reporting.axes import draw_noise_floor, log_axis
-from parallel_cal.reporting.colours import MEASURED
+from parallel_cal.reporting.colours import BAND, MEASURED
 from parallel_cal.reporting.readable import error_unit, number
 
 BEFORE = "before calibration"  # name of the first step
@@ -24,6 +24,7 @@ MAX_LABEL_WIDTH, MAX_LABEL_LINES = 14, 3  # of the name of a step below the axis
 # With more steps their labels stand upright on most screens: one line each, and a higher picture.
 MANY_STEPS, MAX_UPRIGHT_WIDTH = 6, 26
 HEIGHT, HEIGHT_OF_MANY = 230, 320
+BAR_WIDTH = 0.5  # of the distance between two steps
 MAX_LEVEL_RATIO = 1.05  # of two errors whose line is so flat that it crosses no label
 
 
@@ -62,8 +63,12 @@ def draw_steps(found: FallingError) -> dict[str, Any]:
     noise = factor * found.noise if found.noise else None
     ends = [-0.4, len(values) - 0.4]
     floor = draw_noise_floor(noise, ends, unit) if noise else ()
+    axis = log_axis([noise, *values])
+    bottom = 10 ** axis["range"][0]
     return {
         "data": [
+            *_draw_bars(found.steps, values),
+            *([_draw_band(ends, bottom, noise)] if noise else []),
             *floor[:1],
             *_draw_lines(found.steps, values),
             *_draw_points(found, values, unit),
@@ -82,6 +87,7 @@ def draw_steps(found: FallingError) -> dict[str, Any]:
             },
             "margin": {"t": 44, "r": 28, "l": 40, "b": 48},
             "showlegend": False,
+            "barmode": "overlay",
             "xaxis": {
                 "tickvals": list(range(len(values))),
                 "ticktext": _make_labels(found.steps),
@@ -94,7 +100,7 @@ def draw_steps(found: FallingError) -> dict[str, Any]:
                 "zeroline": False,
                 "automargin": True,
             },
-            "yaxis": log_axis([noise, *values]),
+            "yaxis": axis,
             "annotations": [*floor[1:]],
         },
         "config": {"displaylogo": False, "displayModeBar": False},
@@ -107,6 +113,34 @@ def describe_steps(found: FallingError) -> str:
     steps = ", ".join(f"{step.name} {number(step.error, factor)} {unit}" for step in found.steps)
     floor = f"; noise floor {number(found.noise, factor)} {unit}" if found.noise else ""
     return f"{found.words} over the steps: {steps}{floor}"
+
+
+def _draw_bars(steps: Sequence[Step], values: Sequence[float]) -> Iterator[dict[str, Any]]:
+    """Draw a pale bar for each step, in the colour of its branch."""
+    for branch in sorted({step.branch for step in steps}):
+        own = [k for k, step in enumerate(steps) if step.branch == branch]
+        yield {
+            "type": "bar",
+            "x": own,
+            "y": [values[k] for k in own],
+            "width": BAR_WIDTH,
+            "marker": {"color": _colour(branch), "opacity": 0.3},
+            "hoverinfo": "skip",
+        }
+
+
+def _draw_band(ends: Sequence[float], bottom: float, noise: float) -> dict[str, Any]:
+    """Draw the grey band up to the noise floor: what rises above it is an error of the model."""
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "x": [ends[0], ends[1], ends[1], ends[0]],
+        "y": [bottom, bottom, noise, noise],
+        "fill": "toself",
+        "fillcolor": BAND,
+        "line": {"width": 0},
+        "hoverinfo": "skip",
+    }
 
 
 def _draw_lines(steps: Sequence[Step], values: Sequence[float]) -> Iterator[dict[str, Any]]:

@@ -37,7 +37,6 @@ SWITCH = (
     '<p class="switch"><button type="button" value="0" aria-pressed="true">present model</button>'
     '<button type="button" value="1" aria-pressed="false">with the effects found</button></p>'
 )
-COLOURS = "Colour is direction: red +x, green-yellow +y, cyan -x, violet -y; light up, dark down."
 
 
 def over_images(report: Report, plot: Plot) -> str:
@@ -68,10 +67,8 @@ def in_space(report: Report, plot: Plot) -> str:
     )
     if len(left.sample) > spaces.MAX_ARROWS:
         what += f" {spaces.MAX_ARROWS} of {len(left.sample)} samples are drawn."
-    wheel = '<span class="wheel" aria-hidden="true"></span>'
-    legend = f'<p class="note legend">{wheel}<span>{escape(f"{what} {COLOURS}")}</span></p>'
     pages = {
-        "in space": figure(legend + plot(arrows)),
+        "in space": figure(paragraph(what, "note") + plot(arrows)),
         "plan, front, side": figure(
             plot(flat), caption=f"Residuals in {{B}}, magnified {same:g} times."
         ),

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import colorsys
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from parallel_cal.identification.fit import FitResult
-from parallel_cal.reporting.arrows import colour, round_below
+from parallel_cal.reporting.arrows import round_below
 from parallel_cal.reporting.colours import MEASURED, PATTERN, QUIET
 from parallel_cal.reporting.figures import (
     LEGEND,
@@ -78,12 +79,19 @@ def draw_cameras(result: FitResult) -> Iterator[Picture]:
             )
 
 
+def _colour(direction: np.ndarray) -> str:
+    """Return a hue by the direction in the image, red to the right."""
+    hue = float(np.arctan2(direction[1], direction[0])) / (2 * np.pi) % 1.0
+    r, g, b = colorsys.hls_to_rgb(hue, 0.5, 0.75)
+    return f"rgb({255 * r:.0f},{255 * g:.0f},{255 * b:.0f})"
+
+
 def residual_arrows(one: CameraImages) -> tuple[Spec, float]:
     """Draw the residuals as arrows over the image; return the figure and the magnification."""
     kept = select_evenly(len(one.corners), MAX_ARROWS)
     starts, moves = one.corners[kept], one.residuals[kept]
     scale = _magnify(one, TYPICAL_ARROW)
-    colours = np.array([colour(np.append(np.nan_to_num(v), 0.0)) for v in moves])
+    colours = np.array([_colour(np.nan_to_num(v)) for v in moves])
     hues = np.round(np.arctan2(*np.nan_to_num(moves).T[::-1]) / (2 * np.pi) * 12) % 12
     data: list[Spec] = []
     for hue in np.unique(hues):  # one trace for each of twelve directions keeps the page small

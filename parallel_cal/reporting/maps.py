@@ -8,6 +8,7 @@ import numpy as np
 
 from parallel_cal.identification.position_uncertainty import PositionUncertainty
 from parallel_cal.reporting.arrows import scale_of, typical
+from parallel_cal.reporting.axes import name_axis
 from parallel_cal.reporting.colours import MEASURED, PATTERN, QUIET
 from parallel_cal.reporting.figures import (
     Spec,
@@ -43,7 +44,7 @@ def residuals(
             for k, field in enumerate(fields)
         ]
         panels.append([*drawn, _bar(places, fields[0], scale, factor, axes, kind)])
-    return _three(panels, list(VIEWS.values()), " [mm]" if kind == "position" else ""), scale
+    return _three(panels, list(VIEWS.values()), kind), scale
 
 
 def workspace(found: PositionUncertainty) -> tuple[Spec, float]:
@@ -77,7 +78,7 @@ def workspace(found: PositionUncertainty) -> tuple[Spec, float]:
         }
         ellipses = _ellipses(places, spread, scale, 1e3, axes)
         panels.append([ellipses, marks])
-    drawn = _three(panels, views, " [mm]")
+    drawn = _three(panels, views, "position")
     drawn["layout"]["coloraxis"] = {
         "colorscale": "Cividis",
         "cmin": 0.0,
@@ -87,10 +88,12 @@ def workspace(found: PositionUncertainty) -> tuple[Spec, float]:
     return drawn, scale
 
 
-def _three(panels: list[list[Spec]], views: list[tuple[int, int]], unit: str) -> Spec:
+def _three(panels: list[list[Spec]], views: list[tuple[int, int]], kind: str) -> Spec:
     """Arrange panels with equal axes, as on a drawing."""
     names = {axes: name for name, axes in VIEWS.items()}
-    axes = [(f"{names[a, b]}: {'xyz'[a]}{unit}", f"{'xyz'[b]}{unit}") for a, b in views]
+    axes = [
+        (f"{names[a, b]}: {name_axis('xyz'[a], kind)}", name_axis("xyz"[b], kind)) for a, b in views
+    ]
     drawn = side_by_side(panels, axes, [])
     for k in range(len(panels)):
         mark = str(k + 1) if k else ""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from parallel_cal.diagnosis.lack_of_fit import SmoothMap
-from parallel_cal.reporting.arrows import arrows, scale_of, typical
+from parallel_cal.reporting.arrows import Ramp, arrows, scale_of, typical
 from parallel_cal.reporting.axes import space
 from parallel_cal.reporting.colours import PATTERN
 from parallel_cal.reporting.figures import Spec, round_values, select_evenly
@@ -25,12 +25,13 @@ def residual_arrows(
     The first field is visible (traces with `meta` 0), the others are hidden (1, ...). A bar shows
     the scale.
     """
-    scale = scale_of(places, fields)
+    scale, ramp = scale_of(places, fields), Ramp.over(fields)
     traces = [
         trace | {"visible": k == 0, "meta": k}
         for k, field in enumerate(fields)
-        for trace in _draw_arrows(places, field, scale, kind, numbers)
+        for trace in draw_arrows(places, field, scale, kind, numbers, ramp)
     ]
+    traces.append(ramp.bar(kind))
     return _add_scale_arrow(traces, places, fields[0], scale, kind), scale
 
 
@@ -50,9 +51,12 @@ def sides(
     margin = 0.1 * (high - low).max()  # the bar lies there
     ranges = _axis_factor(kind) * np.stack([low - margin, high + margin], axis=1)
     axes = {f"{a}axis": {"range": pair} for a, pair in zip("xyz", ranges.tolist(), strict=True)}
-    figures = []
+    figures, ramp = [], Ramp.over([fields])
     for own_places, own_field, numbers in models:
-        traces = _draw_arrows(own_places, own_field, scale, kind, numbers)
+        traces = [
+            *draw_arrows(own_places, own_field, scale, kind, numbers, ramp),
+            ramp.bar(kind),
+        ]
         figure = _add_scale_arrow(traces, places, fields, scale, kind)
         scene = figure["layout"]["scene"]
         scene |= {name: scene.get(name, {}) | axis for name, axis in axes.items()}
@@ -68,7 +72,9 @@ def smooth_map(found: SmoothMap) -> tuple[Spec, float] | None:
     if found.share <= 0 or not found.size or found.places.shape[1:] != (3,):
         return None
     scale = scale_of(found.places, [found.field])
-    drawn = _draw_arrows(found.places, found.field, scale, found.kind, np.arange(len(found.field)))
+    ramp, numbers = Ramp.over([found.field]), np.arange(len(found.field))
+    drawn = draw_arrows(found.places, found.field, scale, found.kind, numbers, ramp)
+    drawn.append(ramp.bar(found.kind))
     layout = space(found.kind)
     if found.kind == "orientation":
         layout["scene"] |= {
@@ -77,15 +83,20 @@ def smooth_map(found: SmoothMap) -> tuple[Spec, float] | None:
     return {"data": drawn, "layout": layout}, scale
 
 
-def _draw_arrows(
-    places: np.ndarray, field: np.ndarray, scale: float, kind: str, numbers: np.ndarray
+def draw_arrows(
+    places: np.ndarray,
+    field: np.ndarray,
+    scale: float,
+    kind: str,
+    numbers: np.ndarray,
+    ramp: Ramp,
 ) -> list[Spec]:
     """Draw arrows with their sizes as hover texts, a part of them if there are many."""
     kept = select_evenly(len(places), MAX_ARROWS)
     places, field, numbers = places[kept], field[kept], numbers[kept]
     sizes = np.linalg.norm(field, axis=1)
     words = [f"{n}: {with_unit(size, SI[kind])}" for n, size in zip(numbers, sizes, strict=True)]
-    return arrows(places, field, scale, words, _axis_factor(kind))
+    return arrows(places, field, scale, words, _axis_factor(kind), ramp)
 
 
 def _axis_factor(kind: str) -> float:

@@ -12,6 +12,7 @@ from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.reporting.blocks import Cell, Table
 from parallel_cal.reporting.contents import list_shown_kinds
+from parallel_cal.reporting.names import title_of
 from parallel_cal.reporting.readable import (
     COMMAND,
     FOUND,
@@ -151,6 +152,28 @@ def _summarize_diagnosis(diagnosis: Diagnosis) -> Iterator[Line]:
         yield Line("then:" if number_of_step else "next:", reason)
         if is_command:
             yield Line("", f"{PROGRAM} {words}", COMMAND)
+
+
+def describe_missing(diagnosis: Diagnosis) -> str:
+    """Say what is missing, with its probability, for people: the first answer of a page."""
+    sentences = []
+    for cause in diagnosis.missing:
+        each = [f"{title_of(name)}: {format_percent(p)}" for name, p in cause["each"].items()]
+        text = ", or ".join(each)
+        sentences.append(f"{text[0].upper()}{text[1:]}.")
+    if not sentences:
+        return "No known effect is missing."
+    return " ".join(sentences)
+
+
+def describe_left(diagnosis: Diagnosis) -> str:
+    """Say whether an error is left that no effect found describes: the second answer of a page."""
+    else_ = " else" if diagnosis.missing else ""
+    return {
+        "no": f"Nothing{else_} is left: the rest is noise.",
+        "yes": f"Something{else_} is left that no known effect describes.",
+        "unknown": f"Whether anything{else_} is left is not known.",
+    }[diagnosis.left]
 
 
 def _writer(

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from parallel_cal.session.session import Session
 
 LOOK = "look"  # makes the view of a state, and changes nothing
+EXAMPLE = "try_example"  # takes simulated samples
 CERTIFICATE_FILE = "certificate.yaml"  # fields of the certificate, in a session's folder
 # Methods of a session that take long.
 STEPS = ("fit", "add", "remove", "exclude", "include", "choose", "plan", "import_table")
@@ -106,6 +107,17 @@ class Bench:
     def busy(self) -> bool:
         """Whether a step runs that the owner began."""
         return self.working and not self._looking
+
+    @property
+    def has_samples(self) -> bool:
+        """Whether the page has a view of samples."""
+        return self.view is not None and "verdict" in self.view
+
+    @property
+    def is_saved(self) -> bool:
+        """Whether `output` contains the present model."""
+        kept = self.session.folder / self.session.state.model
+        return self.output.exists() and read_text(self.output) == read_text(kept)
 
     def close(self) -> None:
         """End the worker and the connection to the nodes."""
@@ -292,7 +304,7 @@ class Bench:
 
 # Views kept in memory for undo and redo. That of many samples takes 20 MB, and 0.05 s to parse.
 MAX_LOADED_VIEWS = 6
-VIEW_VERSION = 16  # of the stored views; a view of another version is computed again
+VIEW_VERSION = 18  # of the stored views; a view of another version is computed again
 
 
 def view_path(session: History, state: int | None = None) -> Path:
@@ -372,11 +384,15 @@ def _work(
 ) -> Done:
     """Run one step of the session in `folder` and write its view to a file (in the worker)."""
     from parallel_cal.session.steps import UnprovenStepError
+    from parallel_cal.workbench.example import simulate_example
     from parallel_cal.workbench.views import fit_some_samples, glance, view, view_some_samples
 
     session = _open_session(folder)
     session.refresh()
     done = None
+    if step == EXAMPLE:
+        tell("simulating poses", 0.0)
+        session.take(partial(simulate_example, session.model))
     if step == "fit":
         tell("fitting", 0.0, fit_some_samples(session))
     if step in STEPS:

@@ -10,6 +10,7 @@ import numpy as np
 from nicegui import run, ui
 
 from parallel_cal.diagnosis.verdict_words import describe_verdict
+from parallel_cal.reporting.names import name_effects
 from parallel_cal.reporting.readable import MISSING, format_judged_error, write_micro
 from parallel_cal.reporting.spaces import sides
 from parallel_cal.session.history import History, format_first_error
@@ -25,7 +26,7 @@ class BranchComparison:
         self.camera: Any = None
         states = session.compared()
         views = {name: load_view(session, state.number) or {} for name, state in states.items()}
-        fields = {name: v["arrows"]["field"] for name, v in views.items() if v.get("arrows")}
+        fields = {name: v["field"] for name, v in views.items() if v.get("field")}
         # A dialog that grows from nothing has no size by which Plotly could draw in space.
         dialog = ui.dialog(value=True).props("maximized transition-show=fade")
         with dialog, ui.card():
@@ -33,9 +34,9 @@ class BranchComparison:
             rows = [
                 {
                     "branch": name,
-                    "step": s.step,
+                    "step": name_effects(s.step),
                     "out": len(s.excluded),
-                    "verdict": write_micro(describe_verdict(s.verdict, s.summary)),
+                    "verdict": name_effects(write_micro(describe_verdict(s.verdict, s.summary))),
                     "after": format_judged_error(s.errors, s.sigmas),
                     "noise": write_micro(format_first_error(s.noise, MISSING)),
                 }

@@ -86,7 +86,7 @@ class CampaignCard:
                         ("available payload [kg]", 0, 0),
                     )
                 )
-                self.begin = ui.button("Calibrate", on_click=self._begin).props("dense")
+                self.begin = ui.button("Calibrate", on_click=self._begin).props("dense outline")
             self.status = ui.label().props("id=campaign-status")
             self.chart = FigureSlot()
 

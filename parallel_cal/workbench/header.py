@@ -1,4 +1,4 @@
-"""What is always in view, and the verdict: the header, the notice below, the card Verdict."""
+"""What is always in view, and the numbers: the header, the notice below, the card Errors."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ from typing import Any
 
 from nicegui import ui
 
-from parallel_cal.reporting.error_steps import DOTTED, describe_steps, draw_steps
+from parallel_cal.reporting.names import name_effects
 from parallel_cal.reporting.readable import write_micro
 from parallel_cal.workbench.bench import Bench
 from parallel_cal.workbench.campaign_card import CampaignBar
-from parallel_cal.workbench.error_steps import find_steps
-from parallel_cal.workbench.marking import FigureSlot
 from parallel_cal.workbench.widgets import COLOURS, card, table
 
 READING = {
@@ -61,8 +59,7 @@ class Header:
                 with ui.row().classes("no-wrap gap-2 shrink-0"):
                     self.undo = _button("Undo", partial(bench.run_now, "undo"))
                     self.redo = _button("Redo", partial(bench.run_now, "redo"))
-                    self.fit = ui.button("Fit", on_click=partial(bench.begin, "fit"))
-                    self.fit.props("dense")
+                    self.fit = _button("Fit", partial(bench.begin, "fit"))
                     self.save = _button("Save", lambda: bench.save())
                     self.save.tooltip(
                         f"write this model to {bench.output}, unless the model there is better"
@@ -79,13 +76,13 @@ class Header:
         for button, usable in (
             (self.undo, record.state.parent is not None),
             (self.redo, bool(record.forward.get(record.branch))),
-            (self.fit, bool(bench.view)),
+            (self.fit, bench.has_samples),
             (self.save, record.state.parent is not None),
         ):
             button.set_enabled(usable and not bench.busy)
         self.work.set_visibility(bench.working)
         self.headline.set_visibility(not bench.working)
-        self.stage.set_text(bench.stage)
+        self.stage.set_text(name_effects(bench.stage))
         self.fraction.set_value(bench.fraction)
 
     def show_verdict(self) -> None:
@@ -93,7 +90,7 @@ class Header:
         runs = self.campaign is not None and self.campaign.runs
         empty = READING if self.bench.view is None else CAMPAIGN_RUNS if runs else NOTHING
         verdict = (self.bench.view or {}).get("verdict", empty)
-        words = write_micro(verdict["words"])
+        words = name_effects(write_micro(verdict["words"]))
         self.verdict.set_text(words)
         self.whole.set_text(words)
         colour = COLOURS[verdict["colour"]]
@@ -141,7 +138,7 @@ class Notice:
             if question.key != self._key:
                 self.reason.set_value("")
             self._key = question.key
-            self.question.set_text(write_micro(question.words))
+            self.question.set_text(name_effects(write_micro(question.words)))
             self.no.set_text(question.no)
             self.yes.set_text(question.yes)
             self._allow_yes()
@@ -149,7 +146,7 @@ class Notice:
             self._dismissed = ""  # the next message may have the same words
         answered = bool(bench.message) and not bench.busy and bench.message != self._dismissed
         self.answer.set_visibility(answered)
-        self.message.set_text(write_micro(bench.message))
+        self.message.set_text(name_effects(write_micro(bench.message)))
         self.message.classes(**{"add" if bench.failed else "remove": "amber"})
         self._show_table()
         self.footer.set_value(answered or question is not None)
@@ -168,26 +165,19 @@ class Notice:
         )
 
 
-class VerdictCard:
-    """The card Verdict: the sentence, the errors, and how the error fell."""
+class ErrorsCard:
+    """The card Errors: all numbers of the errors, and what they are made of."""
 
-    def __init__(self, bench: Bench):
-        self.bench = bench
-        with card("Verdict") as self.card:
-            self.words = ui.label().classes("font-bold").props("id=verdict-words")
+    def __init__(self) -> None:
+        with card("Errors") as self.card:
             self.numbers = ui.row().classes("items-start gap-x-4 gap-y-1")
-            self.steps = FigureSlot()
-            self.dotted = ui.label(DOTTED)
-            self.dotted.classes("text-xs quiet")
-            self.included = ui.label().props("id=included").classes("text-xs quiet")
 
     def show(self, view: dict[str, Any]) -> None:
-        self.words.set_text(write_micro(view["verdict"]["words"]))
         self.numbers.clear()
         with self.numbers:
             for tile in view.get("tiles", []):
                 with ui.column().classes("gap-0"):
-                    ui.label(tile["name"]).classes("text-xs quiet")
+                    ui.label(name_effects(tile["name"])).classes("text-xs quiet")
                     for value, unit, kind in tile["values"]:
                         ui.label(f"{value} {unit}").classes("text-lg leading-tight").tooltip(
                             f"{kind}: {tile['about']}, rms"
@@ -196,7 +186,7 @@ class VerdictCard:
                 with ui.column().classes("gap-0 w-full"):
                     ui.label(budget["title"]).classes("text-xs quiet")
                     # A tooltip inside: `tooltip()` looks for an id that NiceGUI gives.
-                    with ui.label(" · ".join(budget["parts"])).props("id=budget"):
+                    with ui.label(name_effects(" · ".join(budget["parts"]))).props("id=budget"):
                         ui.tooltip(budget["about"])
             if words := " · ".join(filter(None, (view.get("counts"), view.get("chi2")))):
                 ui.label(words).props("id=counts").classes("text-xs w-full")
@@ -209,18 +199,7 @@ class VerdictCard:
                 count = "1 warning" if len(warnings) == 1 else f"{len(warnings)} warnings"
                 with ui.expansion(count).props("dense id=warnings").classes("text-xs"):
                     for text in warnings:
-                        ui.label(text)
-        found = find_steps(self.bench.session)
-        self.dotted.set_visibility(
-            found is not None and not all(step.is_comparable for step in found.steps)
-        )
-        self.steps.show(*((draw_steps(found), describe_steps(found)) if found else (None,)))
-        knocked = [str(number) for number in view.get("knocked", ())]
-        self.included.set_visibility(bool(knocked))
-        self.included.set_text(
-            "Errors and parameters are those of the model, which was fitted to all samples. "
-            f"The verdict does not use sample {', '.join(knocked)}: exclude it if it is wrong."
-        )
+                        ui.label(name_effects(text))
 
 
 def _headline(tiles: Sequence[dict[str, Any]]) -> tuple[str, str]:

@@ -25,7 +25,7 @@ def draw_law_card(bench: Bench, view: dict[str, Any]) -> None:
     with card("Law of the error"):
         if found is None:
             ui.label(OFFER)
-            find = ui.button("Find its law", on_click=bench.find_law).props("dense")
+            find = ui.button("Find its law", on_click=bench.find_law).props("dense outline")
             find.set_enabled(not bench.busy)
             return
         ui.label(found["words"]).props("id=law role=status")
@@ -45,5 +45,5 @@ def draw_law_card(bench: Bench, view: dict[str, Any]) -> None:
 def _draw_addition(bench: Bench, title: str, effects: str, remark: str) -> None:
     with ui.row().classes("w-full items-center"):
         add = ui.button(title, on_click=partial(bench.begin, "add", effects))
-        add.props("dense no-caps").set_enabled(not bench.busy)
+        add.props("dense outline no-caps").set_enabled(not bench.busy)
         ui.label(remark).classes("text-xs break-all").style("opacity: 0.75")

@@ -42,7 +42,7 @@ class LiveCard:
             self.model = ui.label().props("id=served")
             with ui.row().classes("items-center"):
                 self.samples = ui.label().props("id=collected aria-live=polite")
-                self.take = ui.button("Take samples", on_click=self._take).props("dense")
+                self.take = ui.button("Take samples", on_click=self._take).props("dense outline")
                 with self.take:
                     ui.tooltip("add the samples that calibration_node has collected to the session")
             self.warnings = ui.label().classes("text-sm").style(f"color: {COLOURS['amber']}")

@@ -14,7 +14,11 @@ from parallel_cal.workbench.widgets import draw_figure
 # which takes twenty times as long. To draw all views takes seconds: the numbers are painted first,
 # then one view after the other, those in space last, and a view out of sight when it comes into
 # sight.
+# The wheel scrolls the page, and zooms a figure with Ctrl; Plotly would keep it to itself in space.
 SCRIPT = """<script>
+addEventListener("wheel", event => {
+  if (!event.ctrlKey && event.target.closest?.(".js-plotly-plot")) event.stopPropagation();
+}, { capture: true, passive: true });
 let marked = new Set();
 function markSamples(numbers) {
   marked = new Set(numbers);

@@ -11,14 +11,16 @@ from nicegui import run, ui
 from parallel_cal.base.sample_names import format_sample
 from parallel_cal.diagnosis.verdict_words import describe_verdict
 from parallel_cal.reporting.colours import MEASURED
+from parallel_cal.reporting.names import name_effects, title_of
 from parallel_cal.reporting.readable import (
     ABOUT_SAMPLES,
     format_judged_error,
     write_micro,
 )
 from parallel_cal.workbench.bench import Bench
+from parallel_cal.workbench.first_screen import MachineCard, VerdictCard, WelcomeCard
 from parallel_cal.workbench.fixing import ask_where_to_fix
-from parallel_cal.workbench.header import READING, Header, Notice, VerdictCard
+from parallel_cal.workbench.header import READING, ErrorsCard, Header, Notice
 from parallel_cal.workbench.import_dialog import ImportDialog
 from parallel_cal.workbench.law_card import draw_law_card
 from parallel_cal.workbench.live import LiveCard
@@ -78,12 +80,13 @@ class Window:
             ui.label(f"Session {bench.session.folder.name}").classes("text-sm font-bold").props(
                 "role=heading aria-level=1"
             )
-            with ui.row().classes("items-center") as self.empty_row:
-                self.empty = ui.label().props("id=empty")
-                self._import_button()
+            with ui.element().classes("first"):
+                self.machine = MachineCard()
+                self.verdict = VerdictCard(bench, self._import)
+                self.welcome = WelcomeCard(bench, self._import)
             with ui.element().classes("columns") as self.work:
                 with ui.column().classes("w-full gap-3"):
-                    self.verdict = VerdictCard(bench)
+                    self.errors = ErrorsCard()
                     self.missing = ui.column().classes("w-full gap-3")
                     if bench.live is not None:
                         LiveCard(bench, bench.live, self._follow_campaign)
@@ -118,15 +121,15 @@ class Window:
             words = CAMPAIGN_RUNS
         else:
             words = EMPTY if self.bench.live is None else EMPTY_AT_ROBOT
-        self.empty.set_text(words)
-        self.empty_row.set_visibility(not view)
+        self.welcome.card.set_visibility(not self.bench.has_samples)
+        self.welcome.show(words, can_begin=view is not None and not runs)
+
+    def _import(self) -> None:
+        with self.layer:
+            ImportDialog(self.bench)
 
     def _import_button(self) -> None:
-        def show() -> None:
-            with self.layer:
-                ImportDialog(self.bench)
-
-        ui.button("Import a table", on_click=show).props("dense outline")
+        ui.button("Import a table", on_click=self._import).props("dense outline")
 
     def _draw(self) -> None:
         afresh = self.seen != self.bench.seen
@@ -134,18 +137,25 @@ class Window:
         self.header.show(afresh)
         self.notice.show()
         if not afresh:
+            self.verdict.show_next()
+            self._show_empty()
             return  # while a step runs, only its progress changes
         self.marking.numbers = set()
         view = self.bench.view or {}
         self._show_empty()
-        self.verdict.card.set_visibility(bool(view))
+        if "machine" in view:  # a preliminary view of many samples leaves the picture before it
+            self.machine.show(view["machine"])
+        has_samples = self.bench.has_samples
+        for one in (self.verdict, self.errors):
+            one.card.set_visibility(has_samples)
         complete = "residuals" in view  # a preliminary view of many samples has only numbers
         self.right.set_visibility(complete)
         self.missing.clear()
         self.rest.clear()
         self.work.classes(**{"add" if complete else "remove": "paired"})
-        if view:
+        if has_samples:
             self.verdict.show(view)
+            self.errors.show(view)
             with self.missing:
                 self._missing(view)
                 draw_law_card(self.bench, view)
@@ -169,22 +179,19 @@ class Window:
                 with ui.row().classes("items-center gap-x-2 gap-y-0"):
                     ui.label("in the model:").classes("quiet")
                     for name in effects:
-                        ui.label(name).classes("font-bold")
+                        ui.label(title_of(name)).classes("font-bold")
                         if rivals := view["ambiguous"].get(name):
-                            words = f"or {' or '.join(rivals)}: the samples do not tell"
+                            words = (
+                                f"or {' or '.join(map(title_of, rivals))}: the samples do not tell"
+                            )
                             ui.label(words).classes("ambiguous")
                         remove = partial(self.bench.begin, "remove", name)
                         button = ui.button("Remove", on_click=remove)
-                        button.props(f'dense outline aria-label="remove {name}"')
+                        button.props(f'dense outline aria-label="remove {title_of(name)}"')
                         button.set_enabled(not self.bench.busy)
             if not candidates:
                 running = "The effects are being tested."
                 ui.label(running if self.bench.working else "No effect has been tested. Press Fit.")
-            if both := view["together"]:
-                add = ui.button(
-                    f"Add {both['names']}", on_click=partial(self.bench.begin, "add", both["text"])
-                )
-                add.props("dense").set_enabled(not self.bench.busy)
             for one in candidates:
                 if one["probable"]:
                     self._candidate(one)
@@ -206,20 +213,20 @@ class Window:
         name = one["effect"]
         with ui.element().classes("candidate"):
             add = ui.button("Add", on_click=partial(self.bench.begin, "add", name))
-            look = "dense" if one["found"] else "dense outline"
-            add.props(f'{look} aria-label="add {name}"').set_enabled(not self.bench.busy)
+            add.props(f'dense outline aria-label="add {title_of(name)}"')
+            add.set_enabled(not self.bench.busy)
             with ui.column().classes("gap-0"):
-                ui.label(name).classes("font-bold" if one["found"] else "")
+                ui.label(title_of(name)).classes("font-bold" if one["found"] else "")
                 ui.label(one["effect details"]).classes("text-sm")
                 resembles = one["confused with"] and f"resembles {one['confused with']}"
                 remarks = filter(None, (resembles, one["confused with details"]))
-                ui.label("; ".join(remarks)).classes("text-xs quiet")
+                ui.label(name_effects("; ".join(remarks))).classes("text-xs quiet")
             with ui.column().classes("gap-0 items-end whitespace-nowrap"):
                 ui.label(one["fall"] if one["fall details"] else "not refitted")
-                ui.label(f"accounts for {one['explains']}").classes("text-xs").tooltip(
-                    one["fall details"]
+                ui.label(f"probability {one['probability']}").classes("text-xs").tooltip(
+                    f"alone, it accounts for {one['explains']} of the error above the noise. "
+                    f"{one['fall details']}"
                 )
-                ui.label(f"{one['probability']} probable").classes("text-xs")
             if one["pattern"]:
                 with ui.element().classes("wide"):
                     self._unfolded("Show pattern", name, partial(self._pattern, one))
@@ -247,13 +254,13 @@ class Window:
         with card("History"):
             rows = [
                 {
-                    "step": state.step,
+                    "step": name_effects(state.step),
                     "samples": state.samples,
                     "before": format_judged_error(state.before, state.sigmas_before),
                     "after": format_judged_error(state.errors, state.sigmas),
                     "out": len(state.excluded),
-                    "verdict": write_micro(
-                        describe_verdict(state.verdict, state.summary) or state.against
+                    "verdict": name_effects(
+                        write_micro(describe_verdict(state.verdict, state.summary) or state.against)
                     ),
                     "reason": state.reason,
                 }
@@ -289,7 +296,7 @@ class Window:
             with ui.row().classes("items-center"):
                 for words, as_pdf in (("Report", False), ("Report as PDF", True)):
                     make = ui.button(words, on_click=partial(bench.make_report, as_pdf))
-                    make.props("dense outline").set_enabled(bool(bench.view) and not bench.busy)
+                    make.props("dense outline").set_enabled(bench.has_samples and not bench.busy)
                 for file in bench.reports:
                     download = ui.button(
                         f"Download {file.name}", on_click=partial(ui.download.file, file)
@@ -299,7 +306,7 @@ class Window:
                 branches = [
                     {
                         "branch": k,
-                        "step": s.step,
+                        "step": name_effects(s.step),
                         "after": format_judged_error(s.errors, s.sigmas),
                         "out": len(s.excluded),
                     }
@@ -343,7 +350,8 @@ class Window:
             with ui.row().classes("items-center"):
                 self.count = ui.label().props("id=marked aria-live=polite")
                 self.reason = ui.input("reason", on_change=self._allow_excluding).classes("w-64")
-                self.exclude = ui.button("Exclude", on_click=self._exclude).props("dense")
+                self.exclude = ui.button("Exclude", on_click=self._exclude)
+                self.exclude.props("dense outline")
                 self.open = ui.button("Open", on_click=self._open).props("dense outline")
                 self.open.tooltip("show the readings that the first marked sample averages")
                 self._import_button()
@@ -460,7 +468,9 @@ class Window:
             with ui.row().classes("items-center"):
                 count = ui.label().props("id=marked-parameters aria-live=polite")
                 buttons = [
-                    ui.button(words, on_click=partial(self._choose, rows, fix)).props("dense")
+                    ui.button(words, on_click=partial(self._choose, rows, fix)).props(
+                        "dense outline"
+                    )
                     for words, fix in (("Fix marked", True), ("Free marked", False))
                 ]
 
@@ -518,7 +528,7 @@ class Window:
 
 def _list_untested(untested: list[dict[str, Any]]) -> None:
     for one in untested:
-        ui.label(f"{one['name']}: {one['why']}").classes("quiet")
+        ui.label(name_effects(f"{one['name']}: {one['why']}")).classes("quiet")
 
 
 def _count(things: Sequence[Any], name: str) -> str:

@@ -13,6 +13,7 @@ from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.files import read_text
 from parallel_cal.reporting.axes import space
 from parallel_cal.reporting.colours import PATTERN, QUIET
+from parallel_cal.reporting.names import name_effects
 from parallel_cal.reporting.readable import write_micro
 from parallel_cal.workbench.bench import Bench, Live
 from parallel_cal.workbench.widgets import card, draw_figure
@@ -57,7 +58,7 @@ def draw_plan_card(bench: Bench, view: dict[str, Any]) -> None:
     """Draw the card of a complete view."""
     with card("What to measure next"):
         for advice in view["advice"]:
-            ui.label(write_micro(advice))
+            ui.label(name_effects(write_micro(advice)))
         if separation := view["separation"]:
             poses = PlannedPoses.parse(separation)
             _draw_poses(bench, view, poses, "distinguish_effects.csv", DISTINGUISHING)
@@ -69,7 +70,7 @@ def draw_plan_card(bench: Bench, view: dict[str, Any]) -> None:
             plan = ui.button(
                 "Plan", on_click=lambda: bench.begin("plan", int(count.value or usual))
             )
-            plan.props("dense").set_enabled(not bench.busy)
+            plan.props("dense outline").set_enabled(not bench.busy)
             ui.label("poses that determine the free parameters of this step").classes("quiet")
         if file and planned:
             _draw_poses(bench, view, planned, file.name, PLANNED)
@@ -81,7 +82,7 @@ def _draw_poses(
     """Draw planned poses with what they tell and how to reach them."""
     with ui.column().classes("gap-0"):
         for remark in planned.remarks:
-            ui.label(write_micro(remark)).classes("text-sm")
+            ui.label(name_effects(write_micro(remark))).classes("text-sm")
     with ui.row().classes("items-center"):
         ui.button(
             "Download CSV", on_click=lambda: ui.download(planned.text.encode(), file, "text/csv")
@@ -123,4 +124,4 @@ def _send(live: Live, rows: Sequence[dict[str, float]], words: PlanWords) -> Non
             except ParallelCalError as error:
                 answer.set_text(str(error))
 
-        ui.button(words.send, on_click=send).props("dense")
+        ui.button(words.send, on_click=send).props("dense outline")

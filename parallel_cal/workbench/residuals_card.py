@@ -12,8 +12,7 @@ from parallel_cal.workbench.marking import FigureSlot, Marking
 from parallel_cal.workbench.widgets import FIGURE_MARGIN, card
 
 HINT = (
-    "Drag a box or a lasso in a flat view to mark samples. They are then marked in all flat views. "
-    "The colour of an arrow shows its direction."
+    "Drag a box or a lasso in a flat view to mark samples. They are then marked in all flat views."
 )
 LIKELY = "99 % band of the mean without dependence"
 HEIGHT = 320  # of a figure
@@ -30,9 +29,7 @@ class ResidualsCard:
         with card("Where it fails"):
             ui.label(HINT).classes("text-sm quiet")
             self.shown = ui.label().props("id=shown").classes("text-sm")
-            with ui.row().classes("w-full no-wrap gap-2 side-by-side"):
-                self.arrows = FigureSlot()
-                self.map = FigureSlot(marking)
+            self.map = FigureSlot(marking)
             self.tabs = ui.tabs(on_change=self._turn).props("dense inline-label no-caps")
             self.picture = FigureSlot(marking)
             with ui.row().classes("items-center") as self.asked:
@@ -44,16 +41,9 @@ class ResidualsCard:
 
     def show(self, view: dict[str, Any]) -> None:
         self.view = view
-        arrows, residuals = view["arrows"], view["residuals"]
+        residuals = view["residuals"]
         self.shown.set_text(view["shown"])
         self.shown.set_visibility(bool(view["shown"]))
-        if arrows is None:
-            self.arrows.show(None)
-        else:
-            figure = arrows["figure"]
-            title = f"residuals in the frame of the base, magnified {arrows['scale']:g} times"
-            low = figure | {"layout": figure["layout"] | {"height": HEIGHT}}
-            self.arrows.show(low, "residual arrows in space", title)
         sizes = [sample["sigmas"] or 0 for sample in view["samples"]["rows"]]
         marker = {"color": sizes, "colorscale": "Cividis", "showscale": True, "size": 9}
         x, y = ([p[k] for p in residuals["place"]] for k in (0, 1))

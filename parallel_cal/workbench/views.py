@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,8 @@ from parallel_cal.identification.fit import FitResult, summarise_parameters
 from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.given_model import fits_of
 from parallel_cal.identification.observations import blocks
-from parallel_cal.identification.prediction_errors import Summary, compute_rms_sigmas
+from parallel_cal.identification.prediction_errors import Errors, Summary, compute_rms_sigmas
+from parallel_cal.identification.registration import frames_of
 from parallel_cal.model.model import Model
 from parallel_cal.posterior.scene import Scene
 from parallel_cal.reporting import (
@@ -34,12 +35,21 @@ from parallel_cal.reporting import (
     multiples,
     results,
     signatures,
-    spaces,
 )
+from parallel_cal.reporting.axes import name_axis
 from parallel_cal.reporting.blocks import as_rows
 from parallel_cal.reporting.figures import Spec, select_evenly
-from parallel_cal.reporting.readable import value_unit, with_sigma, write_micro
+from parallel_cal.reporting.machine import (
+    ErringPart,
+    Stage,
+    describe_erring_parts,
+    draw_machine,
+    find_erring_parts,
+)
+from parallel_cal.reporting.names import title_of
+from parallel_cal.reporting.readable import error_unit, number, value_unit, with_sigma, write_micro
 from parallel_cal.reporting.report import Report, report
+from parallel_cal.reporting.summary import describe_left, describe_missing
 from parallel_cal.session.history import State
 from parallel_cal.session.session import Session
 from parallel_cal.session.steps import fitted
@@ -57,7 +67,7 @@ NUMBERS_ONLY: View = {
     "effects": [],
     "ambiguous": {},
     "candidates": [],
-    "together": None,
+    "offered": None,
     "untested": [],
 }
 FIT_TILES = ("before this step", "now", "noise floor")
@@ -139,11 +149,11 @@ def view(session: Session, progress: Progress) -> View:
     A model that was not fitted to these samples is only compared with them. Any other model is
     diagnosed, and the state records its verdict. A diagnosis may use only a part of the samples: an
     evenly spread part of many, or all but those that are far from all others. The errors and the
-    parameters are nevertheless those of all, as the model has them. Without samples the view is
-    empty.
+    parameters are nevertheless those of all, as the model has them. Without samples the view has
+    only the robot.
     """
     if not session.recordings:
-        return {}
+        return _make_empty_view(session.model)
     if not session.state.errors:
         return _make_comparison_view(
             compare(session.model, session.dataset, session.options.joint_sigma)
@@ -158,6 +168,15 @@ def view(session: Session, progress: Progress) -> View:
     if part is None and not knocked:
         return made
     return made | _make_numbers_of_all(session, made, remark)
+
+
+def _make_empty_view(model: Model) -> View:
+    """Make the view of a session without samples: the robot that it is about."""
+    joints = len(model.joints)
+    return {
+        "robot": f"Robot of this session: {model.mechanism.name}, {joints} joints.",
+        "machine": to_json_value(draw_machine(model)),
+    }
 
 
 def _make_numbers_of_all(session: Session, made: View, remark: str) -> View:
@@ -225,7 +244,10 @@ def _make_comparison_view(found: Comparison) -> View:
         "iso": _iso(found.iso_9283),
         "chi2": "",
         "warnings": [write_micro(words) for words in found.dataset.warnings],
-        "arrows": _arrows(residuals),
+        "machine": _machine(
+            found.model, found.scene, residuals, [_Stage("now", found.errors, found.errors.summary)]
+        ),
+        "field": _field(residuals),
         "residuals": _residuals(residuals, found.residual_profiles),
         "pictures": list(_pictures(residuals, found.scene, None)),
         "samples": _samples(samples, residuals, kinds or ["joint"], units),
@@ -234,7 +256,7 @@ def _make_comparison_view(found: Comparison) -> View:
         "knocked": {},
         "names": _names(found.dataset.names),
         "candidates": [],
-        "together": None,
+        "offered": None,
         "untested": [],
         "parameters": None,
         "separation": None,
@@ -262,11 +284,7 @@ def _make_report_view(found: Report) -> View:
     by_name = {entry.name: entry.candidate for entry in diagnosis.entries}
     chosen = [by_name[name] for name in diagnosis.effects if name in by_name]
     first_pattern = next((signature(one) for one in chosen if one.score), None)
-    together = None
     offered = diagnosis.addition or diagnosis.doubted
-    if offered and len(offered.effects) > 1:  # together, because one alone may be refused
-        names = " and ".join(one.name for one in offered.effects)
-        together = {"names": names, "text": offered.text}
     candidates = as_rows(results.candidate_table(diagnosis, tested))["rows"]
     residuals, shown = _select_shown(found.residuals, found.samples)
     separation = diagnosis.measure_next.plan
@@ -279,7 +297,9 @@ def _make_report_view(found: Report) -> View:
         "iso": [*map(write_micro, images.describe_robot_error(now)), *_iso(now.iso_9283)],
         "chi2": _chi2(now),
         "warnings": [write_micro(words) for words in dict.fromkeys(now.warnings)],
-        "arrows": _arrows(residuals),
+        "machine": _machine_of(found, residuals),
+        "answers": _answers(found),
+        "field": _field(residuals),
         "residuals": _residuals(residuals, found.along),
         "pictures": [
             *(_picture(one.name, one.words, one.figure) for one in image_figures.draw_cameras(now)),
@@ -299,7 +319,9 @@ def _make_report_view(found: Report) -> View:
             }
             for row, entry in zip(candidates, tested, strict=True)
         ],
-        "together": together,
+        "offered": offered
+        and {"effects": [one.name for one in offered.effects], "text": offered.text},
+        "with_effects": vars(found.errors.found) if found.errors.found else None,
         "untested": [
             {"name": e.name, "why": e.reason} for e in diagnosis.entries if not e.candidate.testable
         ],
@@ -386,7 +408,9 @@ def _budget(budget: Budget) -> View:
     ]
     total = f"{with_sigma(budget.total, budget.sigma, factor)} {unit}"
     return {
-        "title": write_micro(f"error of the nominal model {total}, removed by"),
+        "title": write_micro(
+            f"error of the nominal model {total}, removed by (parts add in squares: 3 and 4 make 5)"
+        ),
         "parts": [write_micro(part) for part in parts],
         "about": write_micro(results.budget_sentence(budget)),
     }
@@ -408,19 +432,77 @@ def _iso(figures: Sequence[Iso9283]) -> list[str]:
     return [write_micro(results.iso_sentence(one)) for one in figures]
 
 
-def _arrows(residuals: contents.Residuals) -> View | None:
+def _field(residuals: contents.Residuals) -> View | None:
+    """Return the residuals in space, in which branches are compared."""
     if residuals.kind is None:
         return None
-    figure, scale = spaces.residual_arrows(
-        residuals.place, [residuals.now], residuals.kind, residuals.sample
-    )
     field = {
         "kind": residuals.kind,
         "places": residuals.place,
         "vectors": residuals.now,
         "numbers": residuals.sample,
     }
-    return to_json_value({"figure": figure, "scale": scale, "field": field})
+    return to_json_value(field)
+
+
+class _Stage(NamedTuple):
+    """A stage of the machine's slider: a model's errors, and their rms at the same samples."""
+
+    name: str
+    errors: Errors
+    summary: Summary
+
+
+def _machine_of(found: Report, residuals: contents.Residuals) -> View | None:
+    """Draw the machine with its errors at held-out poses: nominal, fitted, with what was found."""
+    diagnosis, errors = found.diagnosis, found.errors
+    base, best = diagnosis.base.fitted, diagnosis.best.fitted
+    before = contents.errors_before(diagnosis)
+    stages = [_Stage("nominal", before, errors.before), _Stage("fitted", base.held_out, errors.now)]
+    if errors.found is not None:
+        names = " + ".join(map(title_of, diagnosis.effects))
+        stages.append(_Stage(f"+ {names}", best.held_out, errors.found))
+    erring = find_erring_parts(diagnosis.effects, found.parameters)
+    return _machine(diagnosis.model, diagnosis.base.scene, residuals, stages, erring)
+
+
+def _machine(
+    model: Model,
+    scene: Scene,
+    residuals: contents.Residuals,
+    stages: Sequence[_Stage],
+    erring: Sequence[ErringPart] = (),
+) -> View | None:
+    """Draw the machine; errors are drawn only where positions were measured."""
+    if residuals.kind != "position":
+        return to_json_value(draw_machine(model))
+    shown = np.isin(scene.dataset.numbers, residuals.sample)
+    frame = frames_of(scene.model).F
+    unit, factor = error_unit("m")
+    drawn = [
+        Stage(
+            one.name,
+            one.errors.position[shown] @ frame.T,
+            f"{number(one.summary.position_rms, factor)} {unit}",
+        )
+        for one in stages
+        if one.summary.position_rms is not None
+    ]
+    return to_json_value(
+        draw_machine(scene.model, residuals.place, drawn, residuals.sample, erring)
+    )
+
+
+def _answers(found: Report) -> View:
+    """Answer what is missing and whether anything is left, with the sizes of what was found."""
+    diagnosis = found.diagnosis
+    erring = find_erring_parts(diagnosis.effects, found.parameters)
+    return {
+        "missing": describe_missing(diagnosis),
+        "sizes": describe_erring_parts(erring, diagnosis.model.joints),
+        "left": describe_left(diagnosis),
+        "is_left": diagnosis.left,
+    }
 
 
 def _pictures(
@@ -481,7 +563,7 @@ def _residuals(residuals: contents.Residuals, striking: Sequence[ResidualProfile
             "place": np.round(
                 (1.0 if residuals.kind == "orientation" else 1e3) * residuals.place, 4
             ),
-            "where": "platform axis, {}" if residuals.kind == "orientation" else "{} [mm]",
+            "where": name_axis("{}", residuals.kind or "position"),
         }
     )
 

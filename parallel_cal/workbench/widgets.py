@@ -30,6 +30,7 @@ FIGURE_LAYOUT = {
 # Width [px] from which the page has two columns, and width up to which the header omits numbers
 # and figures stand one below the other.
 TWO_COLUMNS_PX, NARROW_PX = 1600, 767
+STACKED_PX = 839  # width up to which the verdict is below the machine
 # The utility classes that the page uses, with Tailwind's names and values. Tailwind itself rewrites
 # its style sheet whenever an element appears, and the browser then computes all styles again.
 UTILITIES = """
@@ -61,6 +62,7 @@ UTILITIES = """
   .gap-x-4 { column-gap: 1rem }
   .gap-y-0 { row-gap: 0 }
   .gap-y-1 { row-gap: 0.25rem }
+  .justify-between { justify-content: space-between }
   .items-start { align-items: flex-start }
   .items-center { align-items: center }
   .items-end { align-items: flex-end }
@@ -89,6 +91,17 @@ CSS = f"""
 .q-footer {{ padding: 6px 16px; border-top: 1px solid #d0d7de }}
 .quiet {{ opacity: 0.75 }}
 .nicegui-content {{ padding: 12px 16px }}
+.first {{ display: grid; grid-template-columns: minmax(0, 3fr) minmax(0, 2fr); gap: 12px;
+  width: 100%; align-items: stretch }}
+.machine {{ width: 100%; height: clamp(220px, calc(100vh - 260px), 640px) }}
+.falling {{ width: 100%; flex: 1 1 160px; min-height: 160px; position: relative }}
+.machine > *, .falling > * {{ height: 100% }}
+.falling > * {{ position: absolute }}
+.stages {{ padding: 0 8px }}
+.steps {{ margin: 0; padding-left: 1.5em; list-style: decimal }}
+@media (max-width: {STACKED_PX}px) {{
+  .first {{ grid-template-columns: minmax(0, 1fr) }}
+  .machine {{ height: clamp(180px, 30vh, 400px) }} }}
 .columns {{ display: grid; grid-template-columns: minmax(0, 1fr); gap: 12px; width: 100%;
   align-items: start }}
 .columns > .rest {{ display: contents }}
@@ -118,6 +131,8 @@ CSS = f"""
 .body--dark .amber {{ color: #d29922 }}
 .js-plotly-plot :is([class$=tick], .textpoint, .infolayer, .legend) text {{
   fill: currentColor !important }}
+#popup {{ top: 0; bottom: auto; left: 50%; transform: translateX(-50%); margin: 4px;
+  padding: 12px 48px; color: #fff; background: #9a3412; white-space: nowrap }}
 .skip-link {{ position: absolute; left: -999rem; top: 4px; z-index: 1; padding: 4px 12px;
   background: inherit }}
 .skip-link:focus {{ left: 16px }}
