@@ -194,7 +194,9 @@ def columns(
     body = [[str(cell) for cell in row] for row in rows]
     lines = [list(header), *body]
     heads, blank = [HEADING] * len(header), [[""] * len(header)] * len(body)
-    right = [all(not row[k].strip("<>+-0123456789.e %") for row in body) for k in range(len(header))]
+    right = [
+        all(not row[k].strip("<>+-0123456789.e %") for row in body) for k in range(len(header))
+    ]
     longest = [max((len(row[k]) for row in body), default=0) for k in range(len(header))]
     widths = [max(len(name), size) for name, size in zip(header, longest, strict=True)]
     floors = [max(_longest_word(name), size) for name, size in zip(header, longest, strict=True)]

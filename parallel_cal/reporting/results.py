@@ -528,7 +528,7 @@ def candidate_table(diagnosis: Diagnosis, entries: Sequence[Entry]) -> Table:
             (
                 str(entry.rank),
                 Cell(entry.name, effect.physics + cure, mark="found" if found else ""),
-                _probability(entry.probability),
+                "-" if entry.probability is None else format_percent(entry.probability),
                 percent(alone.ratio if alone else None, 1, "-"),
                 Cell(fall or "-", estimates),
                 percent(alone.share_explained if alone else None, missing="-"),
@@ -539,10 +539,6 @@ def candidate_table(diagnosis: Diagnosis, entries: Sequence[Entry]) -> Table:
             )
         )
     return Table(columns, rows, "evidence")
-
-
-def _probability(p: float | None) -> Cell | str:
-    return "-" if p is None else Cell(format_percent(p), key=p)
 
 
 def _format_estimates(parameters: Mapping[str, ParameterEstimate]) -> str:

@@ -383,8 +383,8 @@ def _work(
     tell: Callable[..., None],
 ) -> Done:
     """Run one step of the session in `folder` and write its view to a file (in the worker)."""
+    from parallel_cal.session.example import simulate_example
     from parallel_cal.session.steps import UnprovenStepError
-    from parallel_cal.workbench.example import simulate_example
     from parallel_cal.workbench.views import fit_some_samples, glance, view, view_some_samples
 
     session = _open_session(folder)

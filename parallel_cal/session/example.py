@@ -1,4 +1,4 @@
-"""Samples to try the page with: those of a robot that is simulated from the session's model."""
+"""Samples to try a session with: those of a robot that is simulated from the session's model."""
 
 from __future__ import annotations
 
