@@ -13,7 +13,7 @@ from scipy import stats
 from bench import coverage
 from parallel_cal.diagnosis import verdict
 from parallel_cal.diagnosis.diagnose import diagnose
-from parallel_cal.diagnosis.explanation import _in_units_of_noise
+from parallel_cal.diagnosis.explanation import _find_noise
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import NoiseLevel, PureError
 from parallel_cal.diagnosis.remaining import RemainingCondition
@@ -201,10 +201,10 @@ def test_visits_of_one_pose_count_once_by_hand():
     )
     found = fit(new_model("five_bar"), unstated, hold_out=0)
     scene = Scene.of(found.model, found.dataset, found.observations, found.free)
-    scaled, nu = _in_units_of_noise(scene)
+    variance, nu = _find_noise(scene)
     of_visits = PureError.of(scene, Field.of(scene))
     assert of_visits.dof > 60
-    assert scaled.residual == pytest.approx(scene.residual / np.sqrt(of_visits.variance))
+    assert variance == pytest.approx(of_visits.variance)
     large, small = (Evidence(60.0 + rest, 150, nu).log_p for rest in (400.0, 200.0))
     assert large - small == pytest.approx(-75 * np.log(23 / 13), rel=0.02)
     assert large - small != pytest.approx(-105 * np.log(520 / 320), rel=0.1)
