@@ -85,7 +85,7 @@ def with_sigma(value: float | None, sigma: float | None, factor: float = 1.0) ->
 
 
 def format_judged_error(errors: Mapping[str, float | None], sigmas: Mapping[str, float]) -> str:
-    """Format the first known kind of error in a summary with its sigma: `32.2 ± 1.4 µm`."""
+    """Format the first known kind of error in a summary with its sigma: `32.2 ± 1.8 µm`."""
     return next(format_judged_errors(errors, sigmas), MISSING)
 
 
