@@ -118,8 +118,8 @@ def test_arrows_point_the_same_way_wherever_the_device_stands():
     for axis in "xyz":
         shafts = (drawn["stages"][0]["traces"][0][axis] for drawn in (here, there))
         np.testing.assert_allclose(*(np.array(one, float) for one in shafts), atol=1e-3)
-    [device] = [trace for trace in there["robot"] if trace["name"] == "device"]
-    assert [device[a][0] for a in "xy"] == pytest.approx([500, -1000], abs=5)
+    [device] = [trace for trace in there["robot"] if trace.get("name") == "device"]
+    assert device["text"] == ["device, 1.1 m away"]  # 0.5, -1 and 0.4 m, from the robot's middle
 
 
 def test_the_robot_is_drawn_to_scale_with_the_device_where_it_was_registered():
