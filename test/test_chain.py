@@ -51,6 +51,15 @@ def test_a_rod_of_balls_is_solved_by_its_distance():
         assert np.linalg.norm(R @ [-0.05, y, 0] - crank) == pytest.approx(z, abs=1e-12)
 
 
+def test_the_position_of_a_foot_that_only_turns_follows_its_parameters_if_it_is_stated_to_move():
+    """Its origin is on the axes of the ankle by the drawing; the real ankle is 1 mm ahead."""
+    for more, expected in (({}, 0.0), ({"moves": ["x", "y", "z", "rx", "ry", "rz"]}, 1e-3)):
+        model = make_chain(chains.ankle() | more)
+        ahead = model.with_values(model.table.vector({"ankle.x": 1e-3}))
+        found = pc.Kinematics(ahead).direct([[0.0, 0.0], [0.3, -0.2]])
+        assert found.position == pytest.approx(np.array([[expected, 0, 0]] * 2), abs=1e-12)
+
+
 @pytest.mark.parametrize(
     ("kind", "home", "shift", "turn"),
     [
