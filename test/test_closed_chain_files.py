@@ -234,6 +234,22 @@ def test_new_makes_a_chain_and_export_writes_its_numbers(tmp_path, run_cli):
     assert path.read_text() == own.FIVE_BAR_MJCF
 
 
+def test_a_file_that_draws_its_loops_open_is_closed_and_the_joints_at_home_are_stated(tmp_path):
+    """The right rod is drawn 0.3 rad away from where it meets the left one."""
+    bend = own.BENDS[1]
+    turn = f'quat="{float(np.cos(bend / 2))!r} 0 0 {float(np.sin(bend / 2))!r}"'
+    opened = f'quat="{np.cos(bend / 2 - 0.15):.17g} 0 0 {np.sin(bend / 2 - 0.15):.17g}"'
+    assert turn in own.FIVE_BAR_MJCF
+    anchored = f'body1="left_rod" body2="right_rod" anchor="{own.ROD} 0 0"'
+    at_sites = own.FIVE_BAR_MJCF.replace(anchored, 'site1="tip" site2="other_tip"')
+    said = {
+        name: " ".join(chain([written(tmp_path, name, text)], "frame", "tip").remarks)
+        for name, text in (("closed.xml", at_sites), ("open.xml", at_sites.replace(turn, opened)))
+    }
+    assert "open as the file draws them" not in said["closed.xml"]
+    assert "at home they close with right_elbow 0.3 rad." in said["open.xml"]
+
+
 @pytest.mark.parametrize("text", [own.FIVE_BAR_MJCF, own.ANKLE_MJCF])
 def test_mujoco_reads_the_same_linkage_from_an_mjcf(tmp_path, text):
     pytest.importorskip("mujoco")

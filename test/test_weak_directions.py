@@ -120,6 +120,6 @@ def test_a_floor_that_is_rough_is_a_floor():
         residual = np.array([[100.0, 50 * (away - 1) + 0.01 * (-1) ** len(steps)]])
         return System(residual, np.array([[[0.0], [50 / tolerance]]]), np.array([2]), np.copy)
 
-    found = minimise(EstimationProblem(model, free), reach, "", 50)
+    found = minimise(EstimationProblem(model, free), reach, "")
     assert found.iterations < 20
     assert (found.values[0] - model.table.nominal[0]) / tolerance == pytest.approx(1, abs=1e-3)

@@ -50,6 +50,7 @@ READERS: Mapping[str, Callable[[Path], Linkage]] = {
 }
 GRAVITY = np.array([0.0, 0.0, -9.81])  # m/s^2, in the frame of the file's world
 ROUNDING_ERROR = 1e-15
+MAX_DRAWN_OPEN = 1e-3  # rad or m: files state angles with few digits
 
 
 def describes_linkage(path: Path) -> bool:
@@ -130,7 +131,8 @@ def make_mechanism(
 ) -> tuple[Mechanism, list[str]]:
     """Return the mechanism, and a remark if its loops do not close with driven joints at zero."""
     try:
-        return load_mechanism("chain", **describe(linkage, base, place, driven) | {**options}), []
+        mechanism = load_mechanism("chain", **describe(linkage, base, place, driven) | {**options})
+        return mechanism, describe_closing(mechanism)
     except ModelError as error:
         closed = close_loops(linkage, base, place.body, ())
         if closed is None:
@@ -143,6 +145,22 @@ def make_mechanism(
         except ModelError:
             raise DatasetError(f"{linkage.path}: {error}{_hint(linkage)}") from None
         return mechanism, [f"home is where the loops close next to the file's zero: {words}"]
+
+
+def describe_closing(mechanism: Any) -> list[str]:
+    """Say where passive joints of a `chain` are at home if the file draws its loops open."""
+    drawn = {name: value for name, _, value in mechanism.skeleton.passive}
+    home = zip(mechanism.passive, mechanism.passive_units, mechanism.home.passive, strict=True)
+    moved = [
+        f"{name} {value:.6g} {unit}"
+        for name, unit, value in home
+        if abs(value - drawn[name]) > MAX_DRAWN_OPEN
+    ]
+    return moved and [
+        f"the loops are open as the file draws them; at home they close with {', '.join(moved)}. "
+        "If the robot is assembled otherwise, state values near its own as home of these joints in "
+        "the model file"
+    ]
 
 
 def _hint(linkage: Linkage) -> str:

@@ -153,10 +153,7 @@ class Motion:
         if len(loops) < self.by.shape[1]:
             others = [c for c in range(self.by.shape[2]) if not n <= c < n + 6]
             size = np.abs(self.by[:, :6, others]).max(axis=(0, 2))
-            moves = [i for i in range(6) if size[i] > RELATIVE_RANK]
-            # A platform that turns in space, about a point that is its origin by the drawing alone.
-            turns_in_space = sum(i >= 3 for i in moves) > 1
-            return sorted({0, 1, 2, *moves}) if turns_in_space else moves
+            return [i for i in range(6) if size[i] > RELATIVE_RANK]
         pose = [T[n : n + 6] for T in self.tangents]
         size = np.max([np.abs(part).max(axis=1) for part in pose], axis=0)
         moves = [i for i in range(6) if size[i] > RELATIVE_RANK]

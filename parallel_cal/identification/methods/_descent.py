@@ -24,6 +24,8 @@ from parallel_cal.identification.thresholds import (
 )
 from parallel_cal.model.model import Model
 
+ITERATIONS = 600  # most fits need 10; a curved valley, hundreds
+
 # Arguments: the parameters, the previous system (None at the start), and the step (n_free,) from
 # the parameters of that system. Returns the system at the parameters; None without a solution.
 Reach = Callable[[np.ndarray, System | None, np.ndarray], System | None]
@@ -61,9 +63,7 @@ class _Point:
         return self.system.chi2 + self.known - self.system.chi2_of(other.system) - other.known
 
 
-def minimise(
-    sought: EstimationProblem, reach: Reach, advice: str, iterations: int, near: bool = False
-) -> Estimate:
+def minimise(sought: EstimationProblem, reach: Reach, advice: str, near: bool = False) -> Estimate:
     """Levenberg-Marquardt (C.4) on whitened residuals, for every iterative method.
 
     The tolerances are priors of the directions that the data determine weakly. These directions are
@@ -93,7 +93,7 @@ def minimise(
     known, choices = sought.make_knowledge(first), 1
     here, costs = held(np.array(sought.model.values), first), [np.inf]
     damping, promised, settled = 1e-6, np.inf, False
-    for k in range(iterations):
+    for k in range(ITERATIONS):
         last = near and k > 0 and here.normal.will_converge(promised)
         if (k > 0 and here.normal.has_converged) or last or _gain_nothing(costs):
             seen = sought.compute_spectrum(here.system)
@@ -123,7 +123,7 @@ def minimise(
         if damping > 1e12:
             break
     raise NoSolutionError(
-        f"identification did not converge in {iterations} iterations (chi2 "
+        f"identification did not converge in {ITERATIONS} iterations (chi2 "
         f"{here.system.chi2:.3g} of {len(here.system.residual)} samples): {advice}"
     )
 

@@ -18,8 +18,6 @@ from parallel_cal.identification.thresholds import (
 from parallel_cal.model.mechanism import POSE
 from parallel_cal.model.model import Model
 
-ITERATIONS = 50
-
 
 class Prediction:
     """Measured minus predicted `unknown` coordinates, given the others, in noise units.
@@ -101,5 +99,4 @@ class Prediction:
             EstimationProblem(self._model, self._free, prior, self._observations.noise_assumed),
             lambda values, before, step: self(values),
             "leave out samples near singularities, or use the implicit method",
-            ITERATIONS,
         )

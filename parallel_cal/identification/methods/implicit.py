@@ -17,8 +17,6 @@ from parallel_cal.model.model import Model
 
 __all__ = ["Estimate", "estimate"]
 
-ITERATIONS = 600  # most fits need 10; a curved valley, hundreds
-
 
 def estimate(
     model: Model,
@@ -46,4 +44,4 @@ def estimate(
 
     sought = EstimationProblem(model, free, prior, observations.noise_assumed)
     advice = "is the starting model of the right robot?"
-    return minimise(sought, reach, advice, ITERATIONS, near=begin is not None)
+    return minimise(sought, reach, advice, near=begin is not None)
