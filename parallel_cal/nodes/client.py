@@ -112,7 +112,12 @@ class Client:
         self._processes, self._clients = processes, dict[str, Any]()
 
     def close(self) -> None:
+        """End the node, with the action clients, which it leaves to the garbage collection: one
+        that outlives its context crashes the process."""
         self._executor.shutdown()
+        for client in self._clients.values():
+            if isinstance(client, ActionClient):
+                client.destroy()
         self._node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 
