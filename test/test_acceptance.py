@@ -165,7 +165,7 @@ def test_an_effect_that_is_there_is_taken_by_all_three(tmp_path):
     nothing = diagnose(start, data, effects=["backlash"], hold_out=0)
     assert nothing.verdict.word == "cannot_know"
     assert NOTHING in nothing.verdict.text
-    assert "error at the samples used" in nothing.verdict.text
+    assert "Error at the samples used" in nothing.verdict.text
 
 
 def test_too_few_poses_to_leave_some_out_prove_nothing():

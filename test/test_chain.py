@@ -530,4 +530,6 @@ def test_a_diagnosis_names_the_backlash_of_an_ankle():
     session = pc.simulate(model, 60, effects=["backlash:left_motor.width=0.003"], seed=1)
     found = pc.diagnose(model, session.dataset()).document()
     assert found["verdict"] == "explained"
-    assert found["candidates"][0]["effect"] == "backlash"
+    [cause] = found["missing"]
+    assert set(cause["effects"]) == {"backlash", "hysteresis"}
+    assert cause["probability"] > 0.95

@@ -130,7 +130,7 @@ def test_visits_that_differ_by_more_than_the_jitter_within_dwells_are_not_at_noi
     found = found_in(unstated)
     assert found.verdict.word == "cannot_know"
     assert "differ by 2.0 times the jitter within dwells" in found.verdict.text
-    assert "What differed between the visits?" in found.verdict.text
+    assert "what differed between the visits?" in found.verdict.text
     assert "no further effect is needed" not in found.verdict.text
     assert found.noise.is_exceeded
     assert not found.effects

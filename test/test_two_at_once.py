@@ -71,16 +71,16 @@ def test_the_workbench_offers_two_effects_together(tmp_path):
     until(lambda: not bench.working, "the first look")
     bench.begin("fit")
     until(lambda: not bench.busy, "fit")
-    names = bench.view["together"]["names"]
-    assert set(names.split(" and ")) == {"backlash", "screw_pitch_error"}
-    bench.begin("add", bench.view["together"]["text"])
+    offered = bench.view["offered"]
+    assert set(offered["effects"]) == {"backlash", "screw_pitch_error"}
+    bench.begin("add", offered["text"])
     until(lambda: not bench.busy, "add")
     assert not bench.failed, bench.message
     assert {effect.name for effect in Session(tmp_path / "s").model.effects} == {
         "backlash",
         "screw_pitch_error",
     }
-    assert bench.view["together"] is None
+    assert bench.view["offered"] is None
 
 
 @pytest.mark.wide

@@ -81,7 +81,7 @@ class Explanation:
                 refuted[name] = tried.reason
                 wrong += [tried.reason] if tried.wrong_sign else []
                 continue
-            ended = not chosen or frozenset(chosen) in known or len(known) == MAX_LINEARISATIONS
+            ended = not more or frozenset(chosen) in known or len(known) == MAX_LINEARISATIONS
             if ended or causes.agree_with(tried, described, more):
                 best = search.fit_as_shown(*chosen)
                 return cls(posterior, described, best, refuted, tuple(wrong), *base.names)
