@@ -20,7 +20,12 @@ from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.region import Region
 from parallel_cal.diagnosis.search import Trial
-from parallel_cal.diagnosis.verdict import _describe_noise_floor, format_effect_names
+from parallel_cal.diagnosis.verdict import (
+    QUIETER,
+    _describe_noise_floor,
+    _noise,
+    format_effect_names,
+)
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.fit_warnings import format_distinctly
 from parallel_cal.identification.prediction_errors import Summary
@@ -169,14 +174,7 @@ def test_the_order_of_samples_is_no_time():
 
 @pytest.mark.parametrize(
     ("chi2", "words"),
-    [
-        (1.0, "; noise floor 7 um"),
-        (
-            0.06,
-            "; noise floor 7 um by the stated noise: that of the samples is smaller, as where a "
-            "pose is the mean of many messages",
-        ),
-    ],
+    [(1.0, "; noise floor 7 um"), (0.06, "; noise floor 7 um by the stated noise")],
 )
 def test_a_noise_floor_that_the_residuals_contradict_is_said_to_be_that_of_the_stated_noise(
     chi2, words
@@ -186,8 +184,11 @@ def test_a_noise_floor_that_the_residuals_contradict_is_said_to_be_that_of_the_s
         noise=NoiseLevel(1.0, None, "stated (model file)", None),
         final_estimate=SimpleNamespace(chi2_per_dof=chi2, dof=200),
         best=SimpleNamespace(fitted=SimpleNamespace(noise_floor=Summary(position_rms=7e-6))),
+        shape=SimpleNamespace(remarks=()),
     )
     assert _describe_noise_floor(found) == words
+    remarks = [f"by the residuals, {QUIETER}"] if chi2 < 1 else []
+    assert list(_noise(found)) == remarks
 
 
 # --------------------------------------------------------------------------- gears

@@ -36,6 +36,7 @@ NO_NOISE = (
     "without a noise figure it is not known whether the explanation is complete: visit poses "
     "again, or state the noise if it was measured"
 )
+QUIETER = "the noise is smaller than stated, as where a pose is the mean of many messages"
 NOT_IN_CATALOGUE = "An effect is missing that the catalogue does not describe"
 CERTAIN = 0.95  # probability above which an effect is named whatever is known of the noise
 # Verdicts that leave an error which no effect of the catalogue describes.
@@ -466,6 +467,8 @@ def _noise(found: Findings) -> tuple[str, ...]:
     words = list(found.shape.remarks)
     if found.noise.misstated is not None:
         words.insert(0, f"the noise is {found.noise.misstated:.1f} times {found.noise.used}")
+    elif _is_quieter_than_stated(found):
+        words.insert(0, QUIETER)
     return (f"by the residuals, {' and '.join(words)}",) if words else ()
 
 
@@ -496,14 +499,13 @@ def _describe_noise_floor(found: Findings) -> str:
     floor = found.best.fitted.noise_floor
     if found.noise.misstated is not None or not floor.is_known:
         return ""
+    whose = " by the stated noise" if _is_quieter_than_stated(found) else ""
+    return f"; noise floor {format_errors(floor)}{whose}"
+
+
+def _is_quieter_than_stated(found: Findings) -> bool:
     after = found.final_estimate
-    words = f"; noise floor {format_errors(floor)}"
-    if after.chi2_per_dof < found.noise.band(after.dof)[0]:
-        words += (
-            " by the stated noise: that of the samples is smaller, as where a pose is the mean of "
-            "many messages"
-        )
-    return words
+    return after.chi2_per_dof < found.noise.band(after.dof)[0]
 
 
 def _size(structure: LackOfFit, before: str = ",") -> str:
