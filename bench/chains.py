@@ -54,17 +54,17 @@ def tables() -> Iterator[tuple[str, list[Row]]]:
         shelf = new_model(name)
         yield (
             f"{name} and the same robot as chain, direct problem",
-            beside(shelf, chains.make_chain(convert(shelf))),
+            time_both(shelf, chains.make_chain(convert(shelf))),
         )
     for title, text, platform in (
         ("five-bar", linkage_files.FIVE_BAR_MJCF, "tip"),
         ("ankle with two rods", linkage_files.ANKLE_MJCF, "toe"),
         ("planar Stewart platform", planar_stewart_mjcf(new_model("planar_stewart")), "plate"),
     ):
-        yield f"MJCF of a {title}, direct problem", on_file(text, platform)
+        yield f"MJCF of a {title}, direct problem", time_on_file(text, platform)
 
 
-def beside(shelf: Model, same: Model) -> list[Row]:
+def time_both(shelf: Model, same: Model) -> list[Row]:
     """Time one pose of a batch, and one public call, of both models."""
     poses = poses_in_workspace(shelf.mechanism, BATCH, np.random.default_rng(0))
     q = Kinematics(shelf).inverse(*poses).joints
@@ -82,7 +82,7 @@ def beside(shelf: Model, same: Model) -> list[Row]:
     return rows
 
 
-def on_file(text: str, platform: str) -> list[Row]:
+def time_on_file(text: str, platform: str) -> list[Row]:
     """Time both programs on one MJCF, after they gave the same answers."""
     with TemporaryDirectory() as folder:
         path = Path(folder, "robot.xml")
@@ -93,11 +93,11 @@ def on_file(text: str, platform: str) -> list[Row]:
     q = solver.inverse(*poses).joints
     q = q[solver.direct(q).ok]  # some of the workspace is beyond the limits of joints
     found = solver.direct(q)
+    each = processor_each(lambda: solver.direct(q), least=3) / len(q)
     rows = [
-        Row(f"chain, one pose of {len(q)}",
-            processor_each(lambda: solver.direct(q), least=3) / len(q)),
+        Row(f"chain, one pose of {len(q)}", each),
         Row("chain, public call", processor_each(lambda: solver.direct(q[0]))),
-    ]  # fmt: skip
+    ]
     newton, evaluation = f"MuJoCo, {STEPS} Newton steps", "MuJoCo, constraints and Jacobian once"
     try:
         peer = MuJoCo(text, model, platform)

@@ -68,10 +68,11 @@ def _change_from_home(s: Structure, problem: str) -> Any:
     if problem == "direct":
         turns = m.joint_periods
         d = ca.vertsplit(s.q - ca.DM(home.q))
-        return ca.vertcat(*[
+        nearest = [
             one - turn * ca.floor(one / turn + 0.5) if turn else one
             for one, turn in zip(d, turns, strict=True)
-        ])  # fmt: skip
+        ]
+        return ca.vertcat(*nearest)
     E = s.R @ ca.DM(home.R).T
     turn = ca.vertcat(E[2, 1] - E[1, 2], E[0, 2] - E[2, 0], E[1, 0] - E[0, 1]) / 2
     return ca.vertcat(s.r - ca.DM(home.r), turn)[m.controlled]
@@ -103,11 +104,9 @@ def _expand_at_home(
     for k in range(len(given)):
         change = np.zeros(len(s.scale))
         change[given[k]], change[unknown] = STEP, STEP * first[:, k]
-        ends = [
-            slope(s.closure_configuration(
-                at_home.apply_change(sign * change).rows, s.neutral, s.table.nominal
-            )[1])
-            for sign in (1, -1)
-        ]  # fmt: skip
+        ends = []
+        for sign in (1, -1):
+            at = at_home.apply_change(sign * change).rows
+            ends.append(slope(s.closure_configuration(at, s.neutral, s.table.nominal)[1]))
         second[:, :, k] = (ends[0] - ends[1]) / (2 * STEP)
     return first, second
