@@ -85,6 +85,8 @@ def clean_joints(topic: str, readings: OrderedReadings, sieve: Sieve) -> JointSt
 def split_passive(raw: Raw, passive: Sequence[str]) -> dict[str, Raw]:
     """Return the readings of passive joints in joint states, by name; rows are (value,)."""
     found: dict[str, Raw] = {}
+    if not passive:  # as most robots: nothing to look for in each message
+        return found
     for log, stamp, (names, q, _), origin in zip(
         raw.log, raw.stamp, raw.rows, raw.origins, strict=True
     ):
