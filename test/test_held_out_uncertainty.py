@@ -86,7 +86,8 @@ def test_the_derivatives_of_errors_are_their_differences(name):
     model, seen, free = result.model, result.observations, result.free
     linearise = Linearisation(model, seen, free, weighted=True)
     # At the predicted pose, where both are exact
-    found = differentiate_errors(model, seen, linearise, linearise.start())
+    _, rows, by_free = linearise.blocks(model.values, linearise.start())
+    found = differentiate_errors(model, seen, rows, by_free)
     for k in np.flatnonzero(free)[::3]:
         step = 1e-4 * model.table.tolerance[k] * (np.arange(len(free)) == k)
         moved = [errors(model.with_values(model.values + s * step), seen) for s in (1, -1)]

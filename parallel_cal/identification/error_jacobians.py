@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.identification.image_poses import ShownPoses, find_shown_changes
-from parallel_cal.identification.linearisation import Linearisation, follow_closure
+from parallel_cal.identification.linearisation import follow_closure
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prediction_errors import (
     find_judgeable_samples,
@@ -41,30 +41,29 @@ class ErrorJacobian:
 def differentiate_errors(
     model: Model,
     observations: Observations,
-    linearise: Linearisation,
-    x: np.ndarray,
+    rows: np.ndarray,
+    by_free: np.ndarray,
     shown: ShownPoses | None = None,
 ) -> dict[str, ErrorJacobian]:
-    """Differentiate each kind of error at configurations x (N, nq+12+nu) by what was measured, and
-    by the free parameters of `linearise`.
+    """Differentiate each kind of error by what was measured, and by the free parameters: `rows` and
+    `by_free` are the derivatives of the rows by them from `Linearisation.blocks`.
 
     Where only an image shows a pose (`shown`), this pose counts as measured.
     """
     n, m, s = len(model.joints), model.mechanism, model.structure
-    closure, channels = s.phi.shape[0], len(s.channels)
-    _, rows, by_free = linearise.blocks(model.values, x)
-    count, quantities = len(x), rows.shape[2]
+    count, _, quantities = rows.shape
     measured = observations.measured[:, n : n + 6].copy()
     if shown:
         measured[shown.known] = [i in m.moved for i in range(6)]
 
-    pose, read = np.zeros((count, 6, quantities)), np.zeros((count, channels, quantities))
+    pose, read = np.zeros((count, 6, quantities)), np.zeros((count, len(s.channels), quantities))
     pose_by_free = np.zeros((count, 6, by_free.shape[2]))
-    to_pose, to_reading = follow_closure(model, rows, rows[:, :, :n])
+    by = np.concatenate([rows[:, :, :n], by_free], axis=2)
+    to_pose, to_reading = follow_closure(model, rows, by)
     pose[:, range(6), range(n, n + 6)] = 1.0
-    pose[:, m.moved, :n] -= to_pose
-    read[:, :, :n] = -to_reading
-    pose_by_free[:, m.moved], read_by_free = follow_closure(model, rows, by_free)
+    pose[:, m.moved, :n] -= to_pose[:, :, :n]
+    read[:, :, :n] = -to_reading[:, :, :n]
+    pose_by_free[:, m.moved], read_by_free = to_pose[:, :, n:], to_reading[:, :, n:]
     if shown and by_free.shape[2]:
         # The error of a pose that an image shows follows from the errors of its pixels.
         changes = find_shown_changes(model, observations, rows, read_by_free)
@@ -72,13 +71,6 @@ def differentiate_errors(
             shown.known[:, None, None], changes, pose_by_free[:, m.moved]
         )
     pose, pose_by_free = (np.where(measured[:, :, None], one, 0.0) for one in (pose, pose_by_free))
-
-    solved_for = [*range(n), *[n + i for i in m.parasitic], *m.passive_columns]
-    given = [n + i for i in m.controlled]
-    inverse = -np.linalg.pinv(rows[:, :closure, solved_for])[:, :n]
-    joint = np.zeros((count, n, quantities))
-    joint[:, range(n), range(n)] = 1.0
-    joint[:, :, given] -= inverse @ rows[:, :closure, given]
 
     found = {}
     for kind, part in (("position", range(3)), ("orientation", range(3, 6))):
@@ -89,12 +81,7 @@ def differentiate_errors(
         ]
         none = np.zeros((count, 3))
         found[kind] = ErrorJacobian(np.tile(known[:, None], 3), moved[0], moved[1], none)
-    found["joint"] = ErrorJacobian(
-        np.tile(np.all(observations.measured[:, given], axis=1, keepdims=True), n),
-        joint,
-        inverse @ by_free[:, :closure],
-        np.zeros((count, n)),
-    )
+    found["joint"] = _differentiate_joint_errors(model, observations, rows, by_free)
     in_pixels = s.channel_units == "px"
     sigma = observations.get_reading_sigma(model)
     for kind, factor in (
@@ -110,3 +97,22 @@ def differentiate_errors(
             np.where(known, factor * sigma, 0.0),
         )
     return found
+
+
+def _differentiate_joint_errors(
+    model: Model, observations: Observations, rows: np.ndarray, by_free: np.ndarray
+) -> ErrorJacobian:
+    """Differentiate the measured joints minus those of the measured pose, by inverse kinematics."""
+    n, m, closure = len(model.joints), model.mechanism, model.structure.phi.shape[0]
+    solved_for = [*range(n), *[n + i for i in m.parasitic], *m.passive_columns]
+    given = [n + i for i in m.controlled]
+    inverse = -np.linalg.pinv(rows[:, :closure, solved_for])[:, :n]
+    joint = np.zeros((len(rows), n, rows.shape[2]))
+    joint[:, range(n), range(n)] = 1.0
+    joint[:, :, given] -= inverse @ rows[:, :closure, given]
+    return ErrorJacobian(
+        np.tile(np.all(observations.measured[:, given], axis=1, keepdims=True), n),
+        joint,
+        inverse @ by_free[:, :closure],
+        np.zeros((len(rows), n)),
+    )

@@ -126,7 +126,8 @@ def compute_held_out_sigmas(
     samples that their Jacobian does not fit the memory, the parameters have no error that counts.
     """
     linearise = Linearisation(model, reweight(observations, estimate.weight), free, weighted=True)
-    system = linearise(model.values, linearise.start())
+    start = linearise.start()
+    system = linearise(model.values, start)
     if isinstance(system, Streamed):
         return {}
     x = system.adjusted(np.zeros(int(free.sum())))
@@ -135,13 +136,14 @@ def compute_held_out_sigmas(
     for k, (_, test) in enumerate(folds):
         fold[test] = k
     information = np.stack([np.tensordot(A[test], A[test], ((0, 1), (0, 1))) for _, test in folds])
-    shown = find_shown_poses(model, observations, linearise.start())
+    shown = find_shown_poses(model, observations, start)
     S = observations.S
     if shown:
         S, pose = S.copy(), slice(len(model.joints), len(model.joints) + 6)
         S[shown.known, pose] = S[shown.known, :, pose] = 0.0
         S[shown.known, pose, pose] = shown.covariance[shown.known]
-    jacobians = differentiate_errors(model, observations, linearise, x, shown)
+    _, rows, by_free = linearise.blocks(model.values, x)
+    jacobians = differentiate_errors(model, observations, rows, by_free, shown)
     # Parameters in tolerances: metres and radians in one matrix.
     scale = model.table.tolerance[free]
     P = estimate.spectrum.covariance / np.outer(scale, scale)

@@ -55,7 +55,8 @@ def simulate_noise_floor(model: Model, observations: Observations, seed: int = 0
     linearise = Linearisation(model, observations, none, weighted=True)
     x = linearise.start()  # where the platform is
     shown = find_shown_poses(model, observations, x)
-    jacobians = differentiate_errors(model, observations, linearise, x, shown)
+    _, rows, by_free = linearise.blocks(model.values, x)
+    jacobians = differentiate_errors(model, observations, rows, by_free, shown)
     rng = np.random.default_rng(seed)
     draws = rng.standard_normal((64, *observations.S.shape[:2]))
     noise = np.einsum(
@@ -75,9 +76,9 @@ def simulate_noise_floor(model: Model, observations: Observations, seed: int = 0
         if kind in ("reading", "pixel"):
             e += one.reading_sigma * of_readings
         drawn[kind] = np.where(one.known, e, np.nan)
-    C = linearise.blocks(model.values, x)[1][:, :closure]
     drawn["closure"] = where_known(
-        find_fully_measured_samples(model, observations), np.einsum("nij,dnj->dni", C, noise)
+        find_fully_measured_samples(model, observations),
+        np.einsum("nij,dnj->dni", rows[:, :closure], noise),
     )
     found = Errors(**{kind: np.concatenate(draw) for kind, draw in drawn.items()})
     sigmas = {}

@@ -175,13 +175,11 @@ def register_observed(
         return model, None
     found, base, stated = there.frames, model.frames["base"], _device(model) is not None
     elsewhere = frame not in ("", base) and not stated
-    if elsewhere or there.exceeds_tolerances(found):
-        placed = _with_fitted_frames(model, observations, there, found)
-    elif there.is_misplaced(found, is_identified(model), stated):
-        placed = _with_fitted_frames(model, observations, there, found)
-        if not is_identified(model) and not _stays_displaced(placed, observations, there):
-            return model, None
-    else:
+    plain = elsewhere or there.exceeds_tolerances(found)
+    if not (plain or there.is_misplaced(found, is_identified(model), stated)):
+        return model, None
+    placed = _with_fitted_frames(model, observations, there, found)
+    if not (plain or is_identified(model) or _stays_displaced(placed, observations, there)):
         return model, None
     why = "the poses are in another frame" if elsewhere else "the poses did not fit without it"
     if not elsewhere and is_identified(model):
