@@ -115,9 +115,11 @@ def entries(
             alike[one.name] += (other.name,)
             alike[other.name] += (one.name,)
 
+    probability = {c.name: explanation.probability_of(c.name) for c in ranked if c.testable}
+
     def place(one: Candidate) -> tuple[bool, bool, float, float]:
-        p = explanation.probability_of(one.name)
-        return not one.testable, one.name not in named, -(p or 0.0), one.log_p
+        p = probability.get(one.name) or 0.0
+        return not one.testable, one.name not in named, -p, one.log_p
 
     rows = []
     for rank, one in enumerate(sorted(ranked, key=place), 1):
@@ -128,7 +130,7 @@ def entries(
             trial = fit(Chosen.of(one))
             reason = trial.reason or reason
             alone = _summarise_single_fit(one, base, trial, noise) if trial.result else None
-        p = explanation.probability_of(one.name) if one.testable else None
+        p = probability.get(one.name)
         rows.append(Entry(one, rank, p, likely, alike[one.name], reason, alone))
     return tuple(rows)
 

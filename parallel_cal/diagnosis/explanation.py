@@ -28,8 +28,8 @@ from parallel_cal.posterior.scene import Scene
 from parallel_cal.posterior.search import Posterior, Sum
 
 MAX_LINEARISATIONS = 2
-# Of chi2, between a fit and what the linear problem predicts. It was below 1 in 40 sessions, where
-# a sum about the new geometry gave the same causes, and 6 to 130 where effects were mistaken.
+# Of chi2, between a fit and what the linear problem predicts: in 20 sessions at most 1.5 where a
+# sum about the new geometry gave the same causes, and 6 and 130 where effects were mistaken.
 MAX_LINEAR_ERROR = 2.0
 CREDIBLE = 0.95  # probability that the cause is one of those named for it
 

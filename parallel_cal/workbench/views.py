@@ -10,6 +10,7 @@ import numpy as np
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.comparison import Comparison, compare
+from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.entries import Entry
 from parallel_cal.diagnosis.patterns import ResidualProfile
 from parallel_cal.diagnosis.signature import Signature, signature
@@ -284,6 +285,7 @@ def _make_report_view(found: Report) -> View:
     by_name = {entry.name: entry.candidate for entry in diagnosis.entries}
     chosen = [by_name[name] for name in diagnosis.effects if name in by_name]
     first_pattern = next((signature(one) for one in chosen if one.score), None)
+    erring = find_erring_parts(diagnosis.effects, found.parameters)
     offered = diagnosis.addition or diagnosis.doubted
     candidates = as_rows(results.candidate_table(diagnosis, tested))["rows"]
     residuals, shown = _select_shown(found.residuals, found.samples)
@@ -297,8 +299,8 @@ def _make_report_view(found: Report) -> View:
         "iso": [*map(write_micro, images.describe_robot_error(now)), *_iso(now.iso_9283)],
         "chi2": _chi2(now),
         "warnings": [write_micro(words) for words in dict.fromkeys(now.warnings)],
-        "machine": _machine_of(found, residuals),
-        "answers": _answers(found),
+        "machine": _machine_of(found, residuals, erring),
+        "answers": _answers(diagnosis, erring),
         "field": _field(residuals),
         "residuals": _residuals(residuals, found.along),
         "pictures": [
@@ -453,7 +455,9 @@ class _Stage(NamedTuple):
     summary: Summary
 
 
-def _machine_of(found: Report, residuals: contents.Residuals) -> View | None:
+def _machine_of(
+    found: Report, residuals: contents.Residuals, erring: Sequence[ErringPart]
+) -> View | None:
     """Draw the machine with its errors at held-out poses: nominal, fitted, with what was found."""
     diagnosis, errors = found.diagnosis, found.errors
     base, best = diagnosis.base.fitted, diagnosis.best.fitted
@@ -462,7 +466,6 @@ def _machine_of(found: Report, residuals: contents.Residuals) -> View | None:
     if errors.found is not None:
         names = " + ".join(map(title_of, diagnosis.effects))
         stages.append(_Stage(f"+ {names}", best.held_out, errors.found))
-    erring = find_erring_parts(diagnosis.effects, found.parameters)
     return _machine(diagnosis.model, diagnosis.base.scene, residuals, stages, erring)
 
 
@@ -493,10 +496,8 @@ def _machine(
     )
 
 
-def _answers(found: Report) -> View:
+def _answers(diagnosis: Diagnosis, erring: Sequence[ErringPart]) -> View:
     """Answer what is missing and whether anything is left, with the sizes of what was found."""
-    diagnosis = found.diagnosis
-    erring = find_erring_parts(diagnosis.effects, found.parameters)
     return {
         "missing": describe_missing(diagnosis),
         "sizes": describe_erring_parts(erring, diagnosis.model.joints),
