@@ -282,9 +282,6 @@ def _make_report_view(found: Report) -> View:
     now = diagnosis.base.fitted  # the model of this state; the effects found are only proposed
     identified = contents.parameters(now)
     tested = [entry for entry in diagnosis.entries if entry.candidate.testable]
-    by_name = {entry.name: entry.candidate for entry in diagnosis.entries}
-    chosen = [by_name[name] for name in diagnosis.effects if name in by_name]
-    first_pattern = next((signature(one) for one in chosen if one.score), None)
     erring = find_erring_parts(diagnosis.effects, found.parameters)
     offered = diagnosis.addition or diagnosis.doubted
     candidates = as_rows(results.candidate_table(diagnosis, tested))["rows"]
@@ -305,7 +302,7 @@ def _make_report_view(found: Report) -> View:
         "residuals": _residuals(residuals, found.along),
         "pictures": [
             *(_picture(one.name, one.words, one.figure) for one in image_figures.draw_cameras(now)),
-            *_pictures(residuals, diagnosis.base.scene, first_pattern),
+            *_pictures(residuals, diagnosis.base.scene, _find_first_pattern(diagnosis)),
         ],
         "samples": _samples(found.samples, residuals, found.errors.kinds, units),
         "effects": _list_effects(diagnosis.model),
@@ -338,6 +335,13 @@ def _make_report_view(found: Report) -> View:
         "cannot_tell": [one["text"] for one in contents.combinations(now)["unidentifiable"]],
         "find_law": diagnosis.leaves_an_error,
     }
+
+
+def _find_first_pattern(diagnosis: Diagnosis) -> Signature | None:
+    """Return the pattern of the first effect found that has one."""
+    by_name = {entry.name: entry.candidate for entry in diagnosis.entries}
+    chosen = (by_name[name] for name in diagnosis.effects if name in by_name)
+    return next((signature(one) for one in chosen if one.score), None)
 
 
 def _names(names: Mapping[int, str]) -> dict[str, str]:
