@@ -13,7 +13,9 @@ from findings import hiding
 from scipy.stats import multivariate_t
 
 from parallel_cal.causes.unknown_laws import smooth
+from parallel_cal.diagnosis.addition import see
 from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import new_model
 from parallel_cal.posterior.blocks import EFFECT, Block
 from parallel_cal.posterior.evidence import LOG_WEIGHTS, SIZES, STATED, Choice, Evidence
@@ -168,3 +170,14 @@ def test_friction_that_saturates_with_the_velocity_is_not_latency(saturates):
     else:
         assert {"latency", "servo_lag"} & {*found.missing[0]["effects"]}
         assert found.verdict.word == "explained"
+
+
+def test_rows_that_say_nothing_are_left_out_and_change_no_sum():
+    """Positions alone leave three of six rows of a serial arm or a Delta with orientations."""
+    data, _ = hiding([vf.KINDS["backlash"]], 1.0, seed=3)
+    data = replace(data, measured=data.measured & (np.arange(6) < 3))
+    found = fit(new_model("delta54"), data, hold_out=0)
+    scene = see(found)
+    assert (scene.rows, set(scene.informative.tolist())) == (3, {3})
+    assert scene.residual @ scene.residual == pytest.approx(found.estimate.chi2, rel=1e-3)
+    assert scene.dof == 3 * len(data) - scene.basis.shape[1]

@@ -8,17 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 
-from parallel_cal.base.errors import FitError
 from parallel_cal.base.progress import Progress
+from parallel_cal.causes.effects import list_effects_to_test
+from parallel_cal.causes.knocks import are_few
 from parallel_cal.diagnosis.catalogue import Candidate, candidate
 from parallel_cal.diagnosis.device import find_doubtful_effects
-from parallel_cal.diagnosis.patterns import (
-    are_few,
-    explain_exclusion,
-    set_knocked_samples_aside,
-)
+from parallel_cal.diagnosis.explanation import Causes
+from parallel_cal.diagnosis.patterns import explain_exclusion
 from parallel_cal.diagnosis.search import is_superfluous
 from parallel_cal.diagnosis.stations import exclude_device
 from parallel_cal.diagnosis.verdict import robot_or_device
@@ -27,9 +25,8 @@ from parallel_cal.identification.added_effects import limit_patterns
 from parallel_cal.identification.checks import ImplausibleGeometryError
 from parallel_cal.identification.fit import FitResult, fit, fit_unjudged
 from parallel_cal.identification.fit_warnings import list_setting_warnings
-from parallel_cal.identification.observations import Observations, observe
+from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitOptions
-from parallel_cal.identification.outliers import search_outliers
 from parallel_cal.identification.platform_shift import (
     explain_unseparated_device,
     find_large_device_effects,
@@ -180,49 +177,34 @@ def find_addition(
             one = candidate(scene, name)  # with the settings that fit the residuals best
             added.append(replace(one, settings=settings or one.settings))
             extended = extended.with_effect(name, added[-1].settings)
-        try:
-            result = result or fit_with(extended, base, is_plausible)
-        except FitError:
-            # One knocked sample may be what no plausible size of the effects describes.
-            seen = observe(extended, base.dataset, options.joint_sigma, options.insist)
-            outliers = search_outliers(extended, base.dataset, seen, options)
-            searched = knocked is None and not aside
-            if outliers is None or not searched or not are_few(outliers.numbers, dataset):
-                raise
-            return fit_both(outliers.numbers)
-        result = with_given_model_of(result, base)
+        result = with_given_model_of(result or fit_with(extended, base, is_plausible), base)
         return Addition(keep(aside), base, result, scene, tuple(added), effect, tuple(aside))
 
     def fit_both(aside: Sequence[int]) -> Addition:
+        is_plausible = True
         try:
             base = fit(model, keep(aside), limited, progress)
         except ImplausibleGeometryError as error:
             # The geometry may imitate these effects, unless a few samples contradict all others.
             if error.outliers:
                 raise
+            is_plausible = False
             base = fit(model, keep(aside), limited, progress, compared_only=True)
-            return extend(base, aside, is_plausible=False)
-        return extend(base, aside)
+        if knocked is None and options.loss == "linear":
+            names = list_effects_to_test(base.model, [name for name, _ in asked])
+            more = [*aside, *Causes.of(see(base), names).find_knocked_samples()]
+            if len(more) > len(aside) and are_few(more, dataset):
+                return fit_both(sorted(more))
+        return extend(base, aside, is_plausible=is_plausible)
 
-    def fit_without_more(before: Sequence[int], more: list[int]) -> Addition:
-        return fit_both(sorted({*before, *more}))
-
+    if known:
+        return extend(known[0], (), known[1])
     try:
-        both = extend(known[0], (), known[1]) if known else fit_both(knocked or ())
+        return fit_both(knocked or ())
     except ImplausibleGeometryError as error:
         if knocked is not None or not error.outliers:
             raise
-        both = fit_both(error.outliers)
-    while knocked is None and options.loss == "linear":  # a knocked sample may hide another one
-        fits = [(both.scene, both.base), (see(both.result), both.result)]
-        if not both.acceptance.against:  # samples that it explains, such as a few under load
-            fits = fits[1:]
-        fit_more = partial(fit_without_more, both.knocked)
-        without = set_knocked_samples_aside(fits, fit_more, lambda others: others.result.model)
-        if without is None or not are_few(without[1].knocked, dataset):
-            break
-        both = without[1]
-    return both
+        return fit_both(error.outliers)
 
 
 def see(found: FitResult) -> Scene:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from parallel_cal.base.arguments import check_arguments
@@ -16,6 +15,7 @@ from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.causes.effects import list_effects_to_test
+from parallel_cal.causes.knocks import are_few
 from parallel_cal.diagnosis.addition import Addition, find_addition
 from parallel_cal.diagnosis.ambiguity import (
     Ambiguity,
@@ -40,15 +40,11 @@ from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.patterns import (
-    KNOCKED,
     OddSample,
-    are_few,
     describe_knocked_samples,
     explain_exclusion,
     list_samples_far_from,
-    list_sideless_samples,
     odd_samples,
-    set_knocked_samples_aside,
 )
 from parallel_cal.diagnosis.remaining import RemainingCondition, find_remaining_condition
 from parallel_cal.diagnosis.search import (
@@ -377,21 +373,39 @@ def diagnose(
     names = list_effects_to_test(model, also, effects)
 
     from_any_geometry = False
+    report("identifying the geometry", 0.0)
 
-    def without(aside: list[int], why: str = f"by --loss {options.loss}") -> Diagnosis:
-        kept = dataset.excluding(aside, why)
-        least_squares = replace(options, loss="linear")
+    def without(aside: list[int], why: str = "", seen: Observations | None = None) -> Diagnosis:
+        """Diagnose without these samples, and without those that were disturbed alone; name them if
+        it is known how all were `seen`."""
+        why = why or f"because it is {explain_exclusion(dataset, aside)}"
+        kept, least_squares = dataset.excluding(aside, why), replace(options, loss="linear")
         judged = given.with_dataset(kept)
+        refit = refit_with_equal_weights(model, judged, least_squares)
+
+        def search_from(smaller: Model) -> Search:
+            return Search(smaller, refit, report, usual_only, from_any_geometry)
+
+        def may_set_aside(more: Sequence[int]) -> bool:
+            return options.loss == "linear" and are_few([*aside, *more], dataset)
 
         def find(text: str, base: FitResult, result: FitResult | None) -> Addition:
             as_add = replace(least_squares, usual_only=usual_only)
             samples = recorded.excluding(aside, why)
-            return find_addition(asked, text, samples, as_add, known=(base, result))
+            return find_addition(asked, text, samples, as_add, knocked=(), known=(base, result))
 
-        search = partial(Search, usual_only=usual_only, from_any_geometry=from_any_geometry)
-        return _diagnose_trusted(
-            model, judged, names, least_squares, registration, report, search, find
+        search = search_from(model)
+        explanation = Explanation.of(search, names, may_set_aside)
+        if more := explanation.knocked:
+            seen = seen or search.fit().fitted.observations
+            return without(sorted([*aside, *more]), seen=seen)
+        found = _diagnose_trusted(
+            judged, search, search_from, explanation, names, registration, report, find
         )
+        if seen is None:
+            return found
+        best = found.best.fitted.model
+        return _with_samples_aside(found, list_samples_far_from(best, dataset, seen, aside))
 
     def suspects(judged: Model) -> list[int]:
         return find_mistrusted_samples(fit(judged, dataset, options, hold_out=0))
@@ -415,22 +429,20 @@ def diagnose(
                 return found
             if not are_few(outliers.numbers, dataset):
                 raise outliers.put_before(error) from None
-        others = without([*outliers.numbers], f"because it is {KNOCKED}")
-        best = others.best.fitted.model
-        far = list_samples_far_from(best, dataset, observations, outliers.numbers)
-        return _with_samples_aside(others, far)
+        return without([*outliers.numbers], seen=observations)
 
     with proposing_first_effect(model, dataset, options, effects, report):
-        aside = [] if options.loss == "linear" else suspects(model)
-        found = without(aside) if aside else without_outliers()
-    if options.loss == "linear":
-        return _exclude_as_add_does(_set_knocked_samples_aside(found, without), without)
+        if options.loss == "linear":
+            return without_outliers()
+        by_loss = f"by --loss {options.loss}"
+        aside = suspects(model)
+        found = without(aside, by_loss)
     # A good pose may look bad only for as long as the effect is not in the model.
     try:
         again = suspects(found.best.fitted.model) if found.effects else aside
     except FitError:  # with all samples an effect may be out of its range
         return found
-    return found if again == aside else without(again)
+    return found if again == aside else without(again, by_loss)
 
 
 def find_mistrusted_samples(robust: FitResult) -> list[int]:
@@ -438,65 +450,6 @@ def find_mistrusted_samples(robust: FitResult) -> list[int]:
     the model that is wrong: at most a quarter of the samples is returned."""
     worst = robust.down_weighted[: int(MAX_MISTRUSTED_SHARE * len(robust.dataset))]
     return sorted(one.sample for one in worst)
-
-
-def _set_knocked_samples_aside(
-    found: Diagnosis, without: Callable[[list[int], str], Diagnosis]
-) -> Diagnosis:
-    """Diagnose again without single samples that are far from all others, such as those at which
-    somebody knocked the device; name them, with the verdict of the others.
-
-    One such sample hides effects, because it makes up most of chi2. A large effect in turn hides
-    such a sample, which shows only when the effect is in the model. It counts as knocked if it is
-    as far from what the model predicts that describes the others. If no model does, and none
-    describes more of them than before, a sample that is far from it may show what the model lacks.
-    """
-    before = [one.sample for one in found.knocked]
-
-    def without_more(samples: list[int]) -> Diagnosis:
-        numbers = sorted({*before, *samples})
-        return without(numbers, f"because it is {explain_exclusion(found.dataset, samples)}")
-
-    trials = [found.base, found.best] if found.effects else [found.base]
-    if found.verdict.word == "explained":
-        trials = [found.best]  # samples that it explains, such as a few under load, are not odd
-    aside = set_knocked_samples_aside(
-        ((trial.scene, trial.fitted) for trial in trials),
-        without_more,
-        lambda others: others.best.fitted.model,
-    )
-    if aside is not None:
-        confirmed, others = aside
-        only_unusual = others.unusual and not others.verdict.suspected_of_law
-        names_more = others.addition is not None and not {*others.effects} <= {*found.effects}
-        names_more &= found.verdict.word != "explained"
-        unexplained = others.verdict.word in ("unexplained", "partly_explained")
-        if unexplained and not only_unusual and not names_more:
-            return found
-        return _with_samples_aside(others, [*found.knocked, *confirmed])
-    # Samples of unknown sides may be what a verdict does not explain.
-    partly = found.verdict.word == "partly_explained"
-    if sideless := list_sideless_samples(found.effects, found.best.scene) if partly else []:
-        others = without_more([one.sample for one in sideless])
-        if others.verdict.word == "explained":
-            return _with_samples_aside(others, [*found.knocked, *sideless])
-    return found
-
-
-def _exclude_as_add_does(
-    found: Diagnosis, without: Callable[[list[int], str], Diagnosis]
-) -> Diagnosis:
-    """Diagnose again without the samples that `add` would exclude with the effects found."""
-    if found.addition is None or not found.addition.knocked:
-        return found
-    before, more = [one.sample for one in found.knocked], found.addition.knocked
-    why = f"because it is {explain_exclusion(found.dataset, more)}"
-    others, base = without(sorted({*before, *more}), why), found.base.fitted
-    if found.verdict.word == "explained" != others.verdict.word:
-        return found  # what the effects explain with the sample is no mistake
-    best = others.best.fitted.model
-    aside = list_samples_far_from(best, base.dataset, base.observations, more)
-    return _with_samples_aside(others, [*found.knocked, *aside])
 
 
 def _with_samples_aside(others: Diagnosis, aside: Sequence[OddSample]) -> Diagnosis:
@@ -512,36 +465,37 @@ def _with_samples_aside(others: Diagnosis, aside: Sequence[OddSample]) -> Diagno
     )
 
 
-def _diagnose_trusted(
-    model: Model,
-    given: GivenModel,
-    names: list[str],
-    least_squares: FitOptions,
-    registration: Registration | None,
-    report: Progress,
-    make_search: Callable[[Model, Refit, Progress], Search],
-    find: FindAddition,
-) -> Diagnosis:
-    """Diagnose samples without excluding any; `find` returns what `add` makes of effects."""
-    dataset = given.dataset
-    noise_of_base: Observations | None = None
+def refit_with_equal_weights(model: Model, given: GivenModel, options: FitOptions) -> Refit:
+    """Return what refits larger models than `model` to the same samples, with the noise that the
+    first fit estimates: only with equal weights can the residuals of two models be compared."""
+    noise: Observations | None = None
 
     def refit(extended: Model, insist: bool, compared_only: bool) -> UnjudgedFit:
-        nonlocal noise_of_base
-        asked = replace(least_squares, insist=insist or least_squares.insist)
+        nonlocal noise
+        asked = replace(options, insist=insist or options.insist)
         asked = limit_patterns(asked, extended, model)
-        unjudged = fit_unjudged(extended, dataset, asked, None, given, noise_of_base, compared_only)
-        # Only with equal weights can the residuals of two models be compared.
-        if noise_of_base is None:
-            noise_of_base = unjudged.result.observations
+        unjudged = fit_unjudged(extended, given.dataset, asked, None, given, noise, compared_only)
+        noise = noise or unjudged.result.observations
         return unjudged
 
-    search = make_search(model, refit, report)
-    report("identifying the geometry", 0.0)
-    base = search.fit()
+    return refit
+
+
+def _diagnose_trusted(
+    given: GivenModel,
+    search: Search,
+    search_from: Callable[[Model], Search],
+    found: Explanation,
+    names: list[str],
+    registration: Registration | None,
+    report: Progress,
+    find: FindAddition,
+) -> Diagnosis:
+    """Diagnose samples of which none is set aside; `find` returns what `add` makes of effects."""
+    dataset, base = given.dataset, search.fit()
+    model = base.fitted.start
     catalogue = _Catalogue(names, report)
     ranked = catalogue.rank(base)
-    found = Explanation.of(search, names)
     against = {**dict.fromkeys(found.like_drift, LIKE_DRIFT), **found.refuted}
     report("judging the effects as add does", 0.7)
     confirmed = Confirmed.of(search, found.best, found.robot_or_device, find)
@@ -556,7 +510,7 @@ def _diagnose_trusted(
     ambiguous = find_ambiguous_effects(
         model,
         best,
-        lambda smaller: make_search(smaller, refit, report),
+        search_from,
         lambda effect: _Catalogue([effect, *names], report).rank,
     )
     report("computing the weights of the observations", 0.8)

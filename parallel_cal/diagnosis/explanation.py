@@ -7,7 +7,7 @@ sum is made again about the geometry found with them, unless the fit leaves what
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from types import MappingProxyType
@@ -16,13 +16,14 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.causes.effects import list_effect_blocks, refine_setting, widen
+from parallel_cal.causes.knocks import are_few, list_knock_blocks
 from parallel_cal.causes.unknown_laws import list_unknown_blocks
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import PureError
 from parallel_cal.diagnosis.search import Chosen, Search, Trial
 from parallel_cal.diagnosis.thresholds import MIN_REPLICATE_DOF
 from parallel_cal.model.shelf import load_effect
-from parallel_cal.posterior.blocks import DRIFT, EFFECT, FIELD, LAW, Block
+from parallel_cal.posterior.blocks import DRIFT, EFFECT, FIELD, LAW, Block, Stack
 from parallel_cal.posterior.evidence import STATED, UNKNOWN, Choice
 from parallel_cal.posterior.scene import Scene
 from parallel_cal.posterior.search import Posterior, Sum
@@ -50,6 +51,9 @@ class Explanation:
         Effects that would have been likely, with the reason why no robot has them.
     wrong_signs : tuple of str
         The reasons of those that fit only with a sign that physics forbids.
+    knocked : tuple of int
+        Numbers of the samples that were disturbed alone. Where there are any, the explanation ends
+        with the sums: without them it is another.
     first : str
         The effect without which only a geometry that no robot has describes the samples; the sums
         are about the model with it. Empty if there is none.
@@ -59,13 +63,17 @@ class Explanation:
     described: Posterior = field(repr=False)
     best: Trial = field(repr=False)
     refuted: Mapping[str, str]
-    wrong_signs: tuple[str, ...]
+    wrong_signs: tuple[str, ...] = ()
     first: str = ""
+    knocked: tuple[int, ...] = ()
 
     @classmethod
-    def of(cls, search: Search, names: Sequence[str]) -> Explanation:
-        """Explain the residuals of the model that a search extends, by effects of these `names`
-        and by what no effect describes."""
+    def of(
+        cls, search: Search, names: Sequence[str], may_set_aside: Callable[[Sequence[int]], bool]
+    ) -> Explanation:
+        """Explain the residuals of the model that a search extends, by effects of these `names`,
+        by what no effect describes, and by samples that were disturbed alone: the explanation ends
+        with those that `may_set_aside`."""
         base = search.fit()
         if search.from_any_geometry:
             base = _find_first(search, base, names)
@@ -74,6 +82,9 @@ class Explanation:
         causes, known = Causes.of(base.scene, names), list[frozenset[Chosen]]()
         while True:
             posterior, described, more = causes.explain(refuted)
+            knocked = posterior.knocked
+            if knocked and may_set_aside(knocked):
+                return cls(posterior, described, base, refuted, knocked=knocked)
             chosen = (*first, *more)
             tried = search.fit_as_shown(*chosen, judged=False)
             if tried.result is None and more:
@@ -84,7 +95,7 @@ class Explanation:
             ended = not more or frozenset(chosen) in known or len(known) == MAX_LINEARISATIONS
             if ended or causes.agree_with(tried, described, more):
                 best = search.fit_as_shown(*chosen)
-                return cls(posterior, described, best, refuted, tuple(wrong), *base.names)
+                return cls(posterior, described, best, refuted, tuple(wrong), "".join(base.names))
             known.append(frozenset(chosen))
             causes = Causes.of(_scene_about(base, tried), names)
 
@@ -201,7 +212,8 @@ class Causes:
         variance, nu = _find_noise(scene)
         scene, larger = widen(scene.in_units_of(variance), names)
         effects = list_effect_blocks(scene, names, settings)
-        return cls(scene, [*larger, *effects, *list_unknown_blocks(scene)], nu, variance)
+        unknown = [*list_unknown_blocks(scene), *list_knock_blocks(scene)]
+        return cls(scene, [*larger, *effects, *unknown], nu, variance)
 
     @property
     def sum(self) -> Sum:
@@ -228,15 +240,12 @@ class Causes:
         that drifts, an effect of time is not told from it.
         """
 
-        def search(blocks: Sequence[Block]) -> Posterior:
-            refine = partial(refine_setting, self.scene)
-            return replace(self.sum, blocks=blocks, refine=refine).search()
-
-        blocks = [one for one in self.blocks if one.name not in refuted]
-        posterior = described = search(blocks)
+        possible = [one for one in self.blocks if one.name not in refuted]
+        posterior, blocks = self._search_with_knocks(possible)
+        described = posterior
         likely = {one.block.name for one in posterior.chosen}
         if any(posterior.kinds[name] == LAW for name in likely):
-            described = search([one for one in blocks if one.kind != LAW])
+            described = self._search([one for one in blocks if one.kind != LAW], posterior.chosen)
         drifts = any(one.block.kind == DRIFT for one in described.chosen)
 
         def is_named(one: Choice) -> bool:
@@ -253,6 +262,36 @@ class Causes:
         # What a larger mechanism has must be there before effects act on it.
         chosen.sort(key=lambda one: not load_effect(one.name).widens)
         return posterior, described, tuple(chosen)
+
+    def find_knocked_samples(self) -> tuple[int, ...]:
+        """Find the samples that were disturbed alone, whatever else is missing."""
+        return self._search_with_knocks(self.blocks)[0].knocked
+
+    def _search(self, blocks: Sequence[Block], start: Sequence[Choice] = ()) -> Posterior:
+        """Sum over the sets of some causes, from a set that may be near."""
+        names = {block.name for block in blocks}
+        made = replace(self.sum, blocks=blocks, refine=partial(refine_setting, self.scene))
+        return made.search(tuple(one for one in start if one.block.name in names))
+
+    def _search_with_knocks(self, blocks: Sequence[Block]) -> tuple[Posterior, Sequence[Block]]:
+        """Sum over the sets of these causes, and of further samples that may have been disturbed;
+        return all of these causes, too."""
+        found = self._search(blocks)
+        while are_few(found.knocked, self.scene.dataset) and (
+            more := self._find_hidden_knocks(blocks, found)
+        ):
+            blocks = [*blocks, *more]
+            found = self._search(blocks, found.chosen)
+        return found, blocks
+
+    def _find_hidden_knocks(self, blocks: Sequence[Block], found: Posterior) -> list[Block]:
+        """Further samples that may have been disturbed, if one of them makes what was found
+        likelier: what is known now may have hidden it."""
+        known = {block.name for block in blocks}
+        more = [one for one in list_knock_blocks(self.scene, found.chosen) if one.name not in known]
+        now = self.sum.evidence(found.chosen, found.nu)
+        ranked = (one for stack in Stack.by_width(more) for one in now.rank(stack))
+        return more if any(one.log_p > now.log_p for one in ranked) else []
 
 
 def _find_noise(scene: Scene) -> tuple[float, float]:

@@ -3,41 +3,31 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
 
 import numpy as np
 
 from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL
-from parallel_cal.base.errors import FitError
 from parallel_cal.base.sample_names import format_sample
 from parallel_cal.base.units import MM
+from parallel_cal.causes.knocks import find_sideless_samples
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import find_varying_coordinates, regressors
 from parallel_cal.diagnosis.statistics import normal_below, runs_test
 from parallel_cal.diagnosis.thresholds import (
-    KNOCK_SIGNIFICANCE_LEVEL,
     LEVELS,
-    MAX_KNOCKED_SHARE,
     MAX_PROFILE_POINTS,
-    MAX_SIDELESS_SHARE,
     MAX_WINDOWS,
     MIN_INFLUENTIAL_COOKS_DISTANCE,
-    MIN_KNOCK_SIGMAS,
     OUTLIER_SIGNIFICANCE_LEVEL,
     WINDOW,
 )
-from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.observations import Observations, conditions
-from parallel_cal.identification.outliers import are_separated, find_outliers
 from parallel_cal.model.model import Model
-from parallel_cal.model.shelf import load_effect
 from parallel_cal.model.words import join_words
 from parallel_cal.posterior.scene import Scene
 from parallel_cal.recordings.dataset import Dataset
-
-Fitted = TypeVar("Fitted")
 
 KNOCKED = "far from all others, as if somebody knocked the device"
 MIN_SHOWN_MM = 1e-9
@@ -210,102 +200,9 @@ def odd_samples(scene: Scene, field: Field, also: Collection[int] = ()) -> tuple
     return tuple(sorted(odd, key=lambda one: -one.sigmas))
 
 
-def find_sideless_samples(dataset: Dataset) -> set[int]:
-    """Return the numbers of the samples without sides, such as the first row of a table; none if
-    no sample has any."""
-    sides = [column for name, column in dataset.conditions.items() if name.startswith("direction.")]
-    if not np.any(sides):
-        return set()
-    return set(dataset.numbers[~np.any(sides, axis=0)].tolist())
-
-
-def list_sideless_samples(found: Sequence[str], scene: Scene) -> list[OddSample]:
-    """List the samples without sides, if an effect that was found depends on the sides, and they
-    are few: then they show what the model cannot predict."""
-    numbers = find_sideless_samples(scene.dataset)
-    few = len(numbers) <= max(1, MAX_SIDELESS_SHARE * len(scene.dataset))
-    if not few or not any("direction" in load_effect(name).needs for name in found):
-        return []
-    odd = odd_samples(scene, Field.of(scene), numbers)
-    return sorted((one for one in odd if one.sample in numbers), key=lambda one: one.sample)
-
-
 def explain_exclusion(dataset: Dataset, samples: Iterable[int]) -> str:
     """Say why samples are excluded: nothing is known of their sides, or they are far away."""
     return SIDELESS if set(samples) <= find_sideless_samples(dataset) else KNOCKED
-
-
-def find_knocked_samples(scene: Scene) -> list[OddSample]:
-    """Find single samples that are far from all others; none if they are more than
-    MAX_KNOCKED_SHARE, because then the noise has heavy tails, or the model fails in places."""
-    if scene.dataset.mode == "continuous":
-        return []
-    far = [
-        one
-        for one in odd_samples(scene, Field.of(scene))
-        if one.p_value < KNOCK_SIGNIFICANCE_LEVEL and _exceeds_noise(one, scene)
-    ]
-    return far if are_few(far, scene.dataset) else []
-
-
-def are_few(samples: Collection[Any], dataset: Dataset) -> bool:
-    """Whether so many samples may be excluded without being asked."""
-    return len(samples) <= max(1, MAX_KNOCKED_SHARE * len(dataset))
-
-
-def set_knocked_samples_aside(
-    fits: Iterable[tuple[Scene, FitResult]],
-    fit_without: Callable[[list[int]], Fitted],
-    model_of: Callable[[Fitted], Model],
-) -> tuple[list[OddSample], Fitted] | None:
-    """Return the knocked samples of the first fit that shows any, with what was found without them;
-    None if there are none, or if a fit without them fails.
-
-    An effect that the first model lacks may hide them: the next fits are those with effects. Only
-    samples count that are also far from what the model without them predicts: a sample that is far
-    from the first fit may be so because of another one. Samples that a recorded condition separates
-    from all others show an effect of it rather than a knock.
-    """
-    for found, knocked in _iterate_suspects(fits):
-        while knocked and not are_separated(found.dataset, [one.sample for one in knocked]):
-            try:
-                others = fit_without([one.sample for one in knocked])
-                numbers = {one.sample for one in knocked}
-                still = list_samples_far_from(
-                    model_of(others), found.dataset, found.observations, numbers
-                )
-            except FitError:
-                break
-            confirmed = [one for one in still if one.p_value < KNOCK_SIGNIFICANCE_LEVEL]
-            if len(confirmed) == len(knocked):
-                return confirmed, others
-            knocked = confirmed
-    return None
-
-
-def _iterate_suspects(
-    fits: Iterable[tuple[Scene, FitResult]],
-) -> Iterator[tuple[FitResult, list[OddSample]]]:
-    """Iterate over the fits, with the samples that are far from each, and with those that are far
-    from what a robust fit would predict: least squares follow an outlier."""
-    for scene, found in fits:
-        far = find_knocked_samples(scene)
-        yield found, far
-        if scene.dataset.mode == "continuous":
-            continue
-        columns = scene.by_sample(scene.basis)
-        outliers, _ = find_outliers(scene.by_sample(scene.residual), columns, scene.informative)
-        numbers = set(scene.dataset.numbers[outliers].tolist())
-        if numbers and are_few(numbers, scene.dataset) and numbers != {one.sample for one in far}:
-            odd = odd_samples(scene, Field.of(scene), numbers)
-            hidden = [one for one in odd if one.sample in numbers]
-            yield found, [one for one in hidden if _exceeds_noise(one, scene)]
-
-
-def _exceeds_noise(one: OddSample, scene: Scene) -> bool:
-    """Whether a sample is further away than noise of the stated size, which may be stated too
-    large; without a stated noise, its distance from the others decides alone."""
-    return scene.observations.noise_assumed or one.sigmas > MIN_KNOCK_SIGMAS
 
 
 def list_samples_far_from(

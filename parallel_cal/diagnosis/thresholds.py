@@ -17,13 +17,6 @@ CERTAINTY_LEVEL = (
     1e-8  # p-value below which an effect counts although residuals are within the noise
 )
 OUTLIER_SIGNIFICANCE_LEVEL = 1e-3  # p-value of an outlier, over the whole data set
-# p-value, over the whole data set, of a sample that was disturbed alone; if more samples than this
-# share are so far away, the noise has heavy tails
-KNOCK_SIGNIFICANCE_LEVEL = 1e-6
-MAX_KNOCKED_SHARE = 0.05
-MIN_KNOCK_SIGMAS = 2.0  # rms over its equations, where the noise is stated
-# Share of the samples whose unknown sides may be what an effect of the sides does not explain
-MAX_SIDELESS_SHARE = 0.05
 MIN_INFLUENTIAL_COOKS_DISTANCE = (
     1.0  # Cook's distance: without the sample, estimates move by about their sigma
 )

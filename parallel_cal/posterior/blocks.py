@@ -10,7 +10,7 @@ import numpy as np
 
 from parallel_cal.posterior.scene import Scene
 
-EFFECT, LAW, FIELD, DRIFT = "effect", "law", "field", "drift"
+EFFECT, LAW, FIELD, DRIFT, KNOCK = "effect", "law", "field", "drift", "knock"
 NO_COLUMN = 1e-9  # root of the sum of squares of a column that the geometry imitates
 LOG_ODDS = np.log(1 / 30)  # that a robot has a known cause, before anything is measured
 
@@ -31,7 +31,7 @@ class Block:
         The name of an effect, or of what no effect describes.
     kind : str
         EFFECT; LAW of the robot outside the catalogue; FIELD of errors of the measuring device;
-        DRIFT of the noise.
+        DRIFT of the noise; KNOCK that disturbed a single sample.
     log_prior : float
         Logarithm of the odds that a robot has this cause, before anything is measured.
     settings : tuple of Mapping
@@ -76,18 +76,6 @@ class Block:
         return cls(name, kind, log_prior, given, tried or len(B), B, squares, scene.residual @ B)
 
     @cached_property
-    def _products(self) -> dict[tuple[int, int], tuple[Block, np.ndarray]]:
-        return {}
-
-    def times(self, setting: int, other: Block) -> np.ndarray:
-        """The products (m, k, k') of the columns of one setting with all those of another block,
-        computed once."""
-        key = setting, id(other)
-        if key not in self._products:  # with the other block, so that its id stays its own
-            self._products[key] = other, self.columns[setting].T @ other.columns
-        return self._products[key][1]
-
-    @cached_property
     def alone(self) -> Stack:
         return Stack((self,))
 
@@ -125,7 +113,15 @@ class Stack:
         priors = [block.log_prior - np.log(block.tried) for block in self.blocks]
         return np.repeat(priors, [len(block.columns) for block in self.blocks])
 
+    @cached_property
+    def _products(self) -> dict[tuple[int, int], tuple[Block, np.ndarray]]:
+        return {}
+
     def times(self, other: Block, setting: int) -> np.ndarray:
         """The products (m, c, k) of the columns of one setting of another block with those of all
-        settings."""
-        return np.concatenate([other.times(setting, block) for block in self.blocks])
+        settings, computed once."""
+        key = setting, id(other)
+        if key not in self._products:  # with the other block, so that its id stays its own
+            products = [other.columns[setting].T @ block.columns for block in self.blocks]
+            self._products[key] = other, np.concatenate(products)
+        return self._products[key][1]

@@ -57,8 +57,8 @@ class Scene:
     x (N, nq+12+nu) the configurations predicted from the joints. Regressors are evaluated there,
     never at the measured pose: a noisy measurement would explain its own error. `by_measured` (N,
     rows, nq + 6 + nu) are the derivatives of the rows by (q, r, w, u) there. `whitener` (N, rows,
-    rows) turns rows of the closure into noise units, without unmeasured coordinates; `informative`
-    (N,) is the number of independent rows that remain for each sample.
+    rows of the closure) turns these into noise units, without unmeasured coordinates; `informative`
+    (N,) is the number of independent rows that remain for each sample, of at most `rows`.
     """
 
     model: Model
@@ -90,14 +90,18 @@ class Scene:
         linearise = Linearisation(model, observations, free, True)
         C = np.empty((len(x), model.structure.rows.shape[0], len(model.structure.scale)))
         system = linearise(model.values, x, by_measured=C)
-        r = system.residual.reshape(-1)
-        J = system.jacobian.reshape(len(r), -1) * model.table.prior_sigma[free]
+        whitener, r, J = linearise.whiten(C), system.residual[:, :, None], system.jacobian
+        rows = int(system.informative.max(initial=0))
+        if rows < r.shape[1]:  # along the directions of their whitener, fewer say as much as all
+            turn = np.linalg.svd(whitener)[0][:, :, :rows].transpose(0, 2, 1)
+            whitener, r, J = turn @ whitener, turn @ r, turn @ J
+        r = r.reshape(-1)
+        J = J.reshape(len(r), -1) * model.table.prior_sigma[free]
         basis = compute_orthonormal_basis(
             J, RELATIVE_RANK, MIN_SIGMAS_PER_TOLERANCE
         )  # what a fit holds takes nothing away
         residual = r - basis @ (basis.T @ r)
         dof = int(system.informative.sum()) - basis.shape[1]
-        rows = system.residual.shape[1]
         return cls(
             model,
             dataset,
@@ -105,7 +109,7 @@ class Scene:
             free,
             x,
             C,
-            linearise.whiten(C),
+            whitener,
             system.informative,
             residual,
             basis,
@@ -226,7 +230,7 @@ def columns(
         )
     else:  # another closure, or a reading that changes with it
         by_v = s.columns(tuple(which.tolist()))(scene.x, a, extended.values)[0]
-        J = scene.whitener @ by_v.reshape(n, len(which), scene.rows).transpose(0, 2, 1)
+        J = scene.whitener @ by_v.reshape(n, len(which), -1).transpose(0, 2, 1)
     return np.asarray(J.reshape(len(scene.residual), -1) * extended.table.tolerance[new])
 
 

@@ -8,11 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
-from parallel_cal.posterior.blocks import EFFECT, LOG_ODDS, Block, Stack
+from parallel_cal.posterior.blocks import EFFECT, KNOCK, LOG_ODDS, Block, Stack
 from parallel_cal.posterior.evidence import STATED, UNKNOWN, Choice, Evidence, Ranked
 from parallel_cal.posterior.scene import Scene
 
-MAX_CAUSES = 6
+MAX_CAUSES = 6  # beside knocked samples
 MAX_ROUNDS = 4
 MAX_FIRST = 4  # effects that are tried as one of two in the place of one
 
@@ -36,6 +36,12 @@ class Posterior:
         """Probability that the robot has at least one of these causes."""
         found = sum(p for members, p in self.sets if not set(names).isdisjoint(members))
         return min(1.0, float(found))  # a sum of rounded numbers may exceed 1
+
+    @property
+    def knocked(self) -> tuple[int, ...]:
+        """Numbers of the samples that were disturbed alone."""
+        found = [one.block for one in self.chosen if one.block.kind == KNOCK]
+        return tuple(sorted(int(block.settings[0]["sample"]) for block in found))
 
     @cached_property
     def rivals(self) -> dict[str, dict[str, float]]:
@@ -84,12 +90,13 @@ class Sum:
         left = (one for one in ranked if one.best.block.name not in taken)
         return sorted(left, key=lambda one: -one.log_p)
 
-    def search(self) -> Posterior:
-        """Add, exchange, split and remove causes until nothing is likelier; sum over the sets
-        nearby."""
+    def search(self, chosen: tuple[Choice, ...] = ()) -> Posterior:
+        """Add, exchange, split and remove causes until nothing is likelier, from a set that may be
+        near; sum over the sets nearby."""
         nu = self.nu
-        chosen: tuple[Choice, ...] = ()
-        while len(chosen) < MAX_CAUSES:
+        if chosen:
+            chosen = self._prune(self._polish(chosen, nu), nu)
+        while sum(one.block.kind != KNOCK for one in chosen) < MAX_CAUSES:
             now = self.evidence(chosen, nu)
             if self.stated:
                 nu = max((STATED, UNKNOWN), key=lambda v: self.total(chosen, v))
@@ -115,7 +122,9 @@ class Sum:
         """A likelier set with an effect and another cause in the place of one that may imitate them
         together; None if there is none."""
         names = {one.block.name for one in now.chosen}
-        for k in range(len(now.chosen)):
+        for k, one in enumerate(now.chosen):
+            if one.block.kind == KNOCK:  # it imitates nothing
+                continue
             rest = now.chosen[:k] + now.chosen[k + 1 :]
             ranked = self.rank(self.evidence(rest, nu), names)
             effects = [other for other in ranked if other.best.block.kind == EFFECT]
@@ -162,11 +171,10 @@ class Sum:
                 rest = chosen[:k] + chosen[k + 1 :]
                 beside = self.evidence(rest, nu)
                 best = self.rank(beside, {one.block.name for one in rest})[0].best
-                if best.block.name == chosen[k].block.name:
-                    # its refined settings stay unless a scanned one is better
-                    own = self.evidence((*rest, chosen[k]), nu).log_p
-                    again = self.evidence((*rest, best), nu).log_p
-                    best = chosen[k] if own >= again else best
+                own = self.evidence((*rest, chosen[k]), nu).log_p
+                same = best.block.name == chosen[k].block.name
+                if same and own >= self.evidence((*rest, best), nu).log_p:
+                    continue  # its refined settings stay: no scanned one is better
                 chosen = (*chosen[:k], self._refined(beside, best), *chosen[k + 1 :])
             if before == [one.block.name for one in chosen]:
                 break
