@@ -60,7 +60,7 @@ def explain(model: Model, data: Dataset) -> Explanation:
         )
 
     search = Search(given.start, refit, lambda stage, share: None)
-    return Explanation.of(search, list_effects_to_test(given.start))
+    return Explanation.of(search, list_effects_to_test(given.start), lambda knocked: True)
 
 
 def statements(found: Explanation) -> list[dict[str, Any]]:
@@ -114,7 +114,7 @@ def run(draws: int, first: int, results: Path, minutes: float) -> None:
         started = time.process_time()
         try:
             found = explain(*make())
-            row |= {"statements": statements(found), "laws": found.laws}
+            row |= {"statements": statements(found), "laws": found.laws, "knocked": found.knocked}
         except FitError as error:
             row |= {"error": str(error)}
         row["seconds"] = round(time.process_time() - started, 2)
