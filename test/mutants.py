@@ -186,7 +186,7 @@ MUTANTS = (
         "undo_shift_and_turn(seen, e, at.time)",
         "undo_shift_and_turn(seen, e, at.time / 3600)",
         "drift per second is taken per hour",
-        "test_drift.py test_effects_parts.py test_effects_load.py test_effects.py",
+        "test_effects_joint.py test_drift.py",
     ),
     Mutant(
         "effects/hysteresis.py",
@@ -382,7 +382,7 @@ MUTANTS = (
         "upright = ca.dot(turn[:, 2], R[:, 2]) if self.mounted else 1",
         "upright = 1",
         "a gauge on a tilted platform measures along the plate's normal",
-        "test_sensors.py",
+        "test_effects_touch.py test_sensors.py",
     ),
     Mutant(
         "session/history.py",
