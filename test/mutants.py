@@ -95,7 +95,7 @@ MUTANTS = (
         "if (why := self.find_violation(self.points(a, b))) is None:",
         "if (why := self.find_violation(np.stack([a, b]))) is None:",
         "only the ends of a path are checked",
-        "test_campaign_safety.py test_way.py test_campaign.py",
+        "test_campaign_way.py test_way.py",
     ),
     Mutant(
         "campaign/path_guard.py",
@@ -116,14 +116,14 @@ MUTANTS = (
         "prior = LOG_PRIOR - np.log(FORMS) if effect.found_in_data else LOG_ODDS",
         "prior = LOG_ODDS",
         "a law found in the data does not pay for the forms that were tried",
-        "test_posterior.py test_discovery.py test_robot_or_device.py test_diagnosing.py",
+        "test_posterior.py test_discovery.py",
     ),
     Mutant(
         "causes/effects.py",
-        "if effect.of_device and not effect.reads and not scene.shows_pose:",
-        "if False:",
-        "errors of a device that measures no pose are causes",
-        "test_posterior.py test_robot_or_device.py test_effects_touch.py test_touches.py",
+        "settings = [known[name]] if known.get(name) else settings",
+        "settings = list(settings)",
+        "an effect whose ratio the owner states is tested with all others",
+        "test_posterior.py test_diagnosing.py",
     ),
     Mutant(
         "cli/main.py",

@@ -42,6 +42,25 @@ def replicates(dof, variance=1.0):
     return NoiseLevel(variance, dof, "replicates", PureError(variance, dof))
 
 
+@pytest.mark.parametrize(
+    ("variance", "structured", "correlated", "believed"),
+    [
+        (0.25, True, False, True),
+        (0.25, False, True, False),  # visits soon after each other share their noise
+        (4.0, False, True, True),
+        (4.0, True, False, False),  # the robot moved between the visits
+    ],
+)
+def test_visits_that_contradict_the_stated_noise_are_not_always_believed(
+    monkeypatch, variance, structured, correlated, believed
+):
+    monkeypatch.setattr(PureError, "of", lambda scene, field: PureError(variance, 60))
+    scene = SimpleNamespace(observations=SimpleNamespace(noise_from={"position": "option"}))
+    level = NoiseLevel.of(scene, None, structured, correlated)
+    assert (level.variance, level.dof) == ((variance, 60) if believed else (1.0, None))
+    assert level.source.startswith("replicates" if believed else "stated")
+
+
 def test_the_band_of_two_replicates_and_two_other_degrees_of_freedom_is_that_worked_by_hand():
     # F(2, 2) lies below x with probability x / (1 + x), so its 0.5 % and 99.5 % points are 1/199
     # and 199. chi2/dof is the mean of that and of the scatter itself, which is 1.

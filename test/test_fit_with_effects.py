@@ -157,10 +157,10 @@ def test_a_setting_far_outside_its_usual_range_is_named_with_its_unit(with_backl
     model, effect = new_model("delta54"), "gear_transmission_error:ratio=5000"
     words = "gear_transmission_error.ratio is 5000, but usually 0.001 to 250: settings of effects"
     with pytest.raises(FitError, match=words):
-        add(model, effect, with_backlash, hold_out=0.25)
-    forced = add(model, effect, with_backlash, force=True)
+        add(model, effect, with_backlash, hold_out=0)
+    forced = add(model, effect, with_backlash, force=True, hold_out=0)
     assert sum(words in one for one in forced.warnings) == 1
-    usual = add(model, "gear_transmission_error:ratio=50", with_backlash, force=True)
+    usual = add(model, "gear_transmission_error:ratio=50", with_backlash, force=True, hold_out=0)
     assert not any("settings of effects" in one for one in usual.warnings)
 
 
