@@ -1,4 +1,4 @@
-# make demo | test | check | wide | slow | bags | bench | faults | tables | gallery | real | docs | clean      (PYTHON=python3.12 make ... for another)
+# make demo | test | check | wide | slow | bags | bench | faults | mutants | tables | gallery | real | docs | clean      (PYTHON=python3.12 make ... for another)
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -16,7 +16,7 @@ endif
 # Nodes under test talk to this machine only.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
-.PHONY: venv demo test wide check lint types slow bags bench faults tables gallery real docs maintainer clean
+.PHONY: venv demo test wide check lint types slow bags bench faults mutants tables gallery real docs maintainer clean
 
 venv: $(STAMP)
 
@@ -104,6 +104,11 @@ bench: $(STAMP)
 SHARE ?= 1
 faults: $(STAMP)
 	@$(BIN)/python bench/faults.py --share $(SHARE)
+
+# Mistakes planted in the package, one at a time: which do the nearest tests find? WORDS="journal prior"
+# for some of them; half an hour for all.
+mutants: $(STAMP)
+	@$(BIN)/python test/mutants.py $(WORDS)
 
 # The documents' tables and figures again (docs/tables.*): some minutes.
 tables: $(STAMP)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from datasets import measured
+from shared_models import new_model
 from typer.testing import CliRunner
 
 from parallel_cal.base.errors import FitError
@@ -16,7 +17,6 @@ from parallel_cal.identification.fit import fit, fit_unjudged
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import Errors, Summary
 from parallel_cal.model.file.modelfile import read_model, write_model
-from parallel_cal.model.model import new_model
 from parallel_cal.session.goals import Request, propose_model, write_proposal
 from parallel_cal.session.steps import add, fitted
 from parallel_cal.virtual import robot as vr
@@ -59,17 +59,20 @@ def answer(clean, identified, tmp_path):
     return ask
 
 
-def by_hand(result, *, before, after):
-    """A result whose errors at held-out poses point along x and have the given sizes."""
+def by_hand(result, *, before, after, turned=(None, None)):
+    """A result whose errors at held-out poses point along x and have the given sizes; `turned` are
+    those of the orientation before and after."""
     n = len(result.observations)
 
-    def errors(sizes):
+    def errors(sizes, angle):
         known = {k: np.full_like(a, np.nan) for k, a in result.after.parts().items()}
         known["position"] = np.outer(np.resize(sizes, n), [1.0, 0.0, 0.0])
+        if angle is not None:
+            known["orientation"] = np.outer(np.full(n, angle), [1.0, 0.0, 0.0])
         return Errors(**known)
 
-    result = replace(result, held_out=errors(after))
-    vars(result)["held_out_before"] = errors(before)
+    result = replace(result, held_out=errors(after, turned[1]))
+    vars(result)["held_out_before"] = errors(before, turned[0])
     return result
 
 
@@ -85,6 +88,17 @@ def test_a_rise_is_refused_with_its_factor(identified):
     assert found.against.startswith(
         "the error at held-out poses does not fall with 'x' (from 40 to 50 um; factor 1.250)"
     )
+
+
+@pytest.mark.parametrize("kind", ["position", "orientation"])
+def test_one_error_may_not_fall_at_the_cost_of_the_other(identified, kind):
+    falls, rises = (1e-2, 1e-3), (1e-3, 2e-3)  # the sum of both, in units of the noise, falls
+    (before, after), turned = (rises, falls) if kind == "position" else (falls, rises)
+    found = acceptance(by_hand(identified, before=[before], after=[after], turned=turned))
+    assert found.against.startswith(f"the {kind} error at held-out poses rises")
+    assert "factor 2.000" in found.against
+    both = acceptance(by_hand(identified, before=[1e-2], after=[1e-3], turned=falls))
+    assert not both.against
 
 
 def test_a_figure_that_does_not_change_is_not_written_as_a_fall():

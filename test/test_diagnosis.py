@@ -11,6 +11,7 @@ import virtual_effects_more as more
 import virtual_findings as vf
 from datasets import JOINTS, measured
 from findings import clean, dataset, hiding
+from shared_models import new_model
 
 import parallel_cal.diagnosis.separate as separate
 import parallel_cal.identification.fit as fitting
@@ -20,7 +21,7 @@ from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.search import Chosen
 from parallel_cal.diagnosis.separate import NextMeasurement
 from parallel_cal.identification.fit import fit
-from parallel_cal.model.model import Noise, new_model
+from parallel_cal.model.model import Noise
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting.text import show
 from parallel_cal.session.steps import add

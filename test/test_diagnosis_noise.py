@@ -9,6 +9,7 @@ import virtual_blind as vb
 import virtual_findings as vf
 from findings import dataset, quiet, sized
 from scipy import stats
+from shared_models import new_model
 
 from bench import coverage
 from parallel_cal.diagnosis import verdict
@@ -18,7 +19,6 @@ from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import NoiseLevel, PureError
 from parallel_cal.diagnosis.remaining import RemainingCondition
 from parallel_cal.identification.fit import fit
-from parallel_cal.model.model import new_model
 from parallel_cal.posterior.evidence import Evidence
 from parallel_cal.posterior.scene import Scene
 from parallel_cal.virtual import robot as vr
@@ -40,6 +40,25 @@ def found_in(data):
 
 def replicates(dof, variance=1.0):
     return NoiseLevel(variance, dof, "replicates", PureError(variance, dof))
+
+
+@pytest.mark.parametrize(
+    ("variance", "structured", "correlated", "believed"),
+    [
+        (0.25, True, False, True),
+        (0.25, False, True, False),  # visits soon after each other share their noise
+        (4.0, False, True, True),
+        (4.0, True, False, False),  # the robot moved between the visits
+    ],
+)
+def test_visits_that_contradict_the_stated_noise_are_not_always_believed(
+    monkeypatch, variance, structured, correlated, believed
+):
+    monkeypatch.setattr(PureError, "of", lambda scene, field: PureError(variance, 60))
+    scene = SimpleNamespace(observations=SimpleNamespace(noise_from={"position": "option"}))
+    level = NoiseLevel.of(scene, None, structured, correlated)
+    assert (level.variance, level.dof) == ((variance, 60) if believed else (1.0, None))
+    assert level.source.startswith("replicates" if believed else "stated")
 
 
 def test_the_band_of_two_replicates_and_two_other_degrees_of_freedom_is_that_worked_by_hand():

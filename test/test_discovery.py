@@ -18,6 +18,7 @@ import virtual_blind as vb
 import virtual_findings as vf
 import virtual_laws as laws
 import virtual_sessions as days
+from shared_models import new_model
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.parallel import run_on_cores
@@ -52,7 +53,6 @@ from parallel_cal.effects._legs import leg_inclinations, needs_legs
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.effect import Seen
 from parallel_cal.model.file.modelfile import read_model, write_model
-from parallel_cal.model.model import new_model
 from parallel_cal.model.parameters import Named
 from parallel_cal.model.shelf import list_plugins, load_effect
 from parallel_cal.posterior.scene import Scene
@@ -88,6 +88,18 @@ SIZES = {
     "arm": {laws.cross: 2.4e-4, laws.coupling: 2.3e-4, laws.dent: 1.1e-3},
 }
 CASES = [(name, kind) for name, sizes in SIZES.items() for kind in sizes]
+# One law for each kind of place and of driver; the others are found in the same way.
+TYPICAL = [
+    ("delta", laws.lag),  # a joint, by what it did before
+    ("delta", laws.cross),  # a joint, by the reading of another one
+    ("delta", laws.dent),  # a joint, by a spot of its own reading
+    ("delta", laws.warm_parts),  # several joints, by a condition
+    ("delta", laws.sag),  # the platform
+    ("delta", laws.rod_play),  # the rods
+    ("delta", laws.new_zero),  # by time
+    ("hexapod", laws.spring),  # a leg, by its load
+    ("arm", laws.coupling),  # a chain
+]
 
 
 def hiding(name, kind, seed=0, visits=(90, 20)):
@@ -109,9 +121,16 @@ def spring():
 # ------------------------------------------------------------------------------ laws are found
 
 
-@pytest.mark.wide
 @pytest.mark.parametrize(
-    ("name", "kind"), CASES, ids=[f"{name}-{kind.__name__}" for name, kind in CASES]
+    ("name", "kind"),
+    [
+        pytest.param(
+            *case,
+            id=f"{case[0]}-{case[1].__name__}",
+            marks=pytest.mark.wide if case in TYPICAL else pytest.mark.slow,
+        )
+        for case in CASES
+    ],
 )
 def test_a_law_outside_the_catalogue_is_found_and_lowers_the_true_error(name, kind):
     data, hidden, effect, end = hiding(name, kind)
@@ -153,14 +172,14 @@ def test_the_share_of_a_law_is_judged_with_the_same_noise_without_and_with_it(sp
     ("name", "sigmas", "seed"),
     [
         ("rod_compliance", 1.0, 0),
-        ("thermal_expansion", 1.0, 0),
-        ("thermal_expansion", 2.0, 0),
-        ("spool_buildup", 1.0, 0),
+        pytest.param("thermal_expansion", 1.0, 0, marks=pytest.mark.slow),
+        pytest.param("thermal_expansion", 2.0, 0, marks=pytest.mark.slow),
+        pytest.param("spool_buildup", 1.0, 0, marks=pytest.mark.slow),
         ("payload_sag", 2.0, 0),
         ("line_stretch", 1.0, 0),
         # Several laws describe these better, but `add` refuses one of them.
         ("joint_compliance", 1.0, 5004),
-        ("encoder_second_harmonic", 1.0, 5006),
+        pytest.param("encoder_second_harmonic", 1.0, 5006, marks=pytest.mark.slow),
         # The places of a common driver are found from another place than that of the best law.
         ("thermal_expansion", 2.0, 5009),
     ],

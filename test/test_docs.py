@@ -178,8 +178,13 @@ TUTORIALS = {
 }
 
 
-@pytest.mark.wide
-@pytest.mark.parametrize("page", TUTORIALS)
+@pytest.mark.parametrize(
+    "page",
+    [  # three robots, two of which also test_extra_legs.py and test_belts.py calibrate: a minute
+        pytest.param(page, marks=pytest.mark.slow if page == "cable_robot.md" else pytest.mark.wide)
+        for page in TUTORIALS
+    ],
+)
 def test_a_tutorial_goes_from_raw_data_to_a_controller(page, tmp_path):
     for name in ("bags", "config", "examples", "real"):
         (tmp_path / name).symlink_to(ROOT / name)

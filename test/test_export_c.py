@@ -165,7 +165,7 @@ def test_the_headers_state_how_the_angles_of_motors_convert(tmp_path):
     run([*STRICT, "crane_check.c", "crane.c", "-o", "check", "-lm"], tmp_path)
 
 
-@pytest.mark.wide
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [p if isinstance(p, str) else p.values[0] for p in ROBOTS])
 def test_it_agrees_with_python_over_many_poses(name):
     poses = 100_000 if name == "delta54" else 20_000

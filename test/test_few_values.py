@@ -136,10 +136,12 @@ def test_every_step_answers_a_small_session_or_refuses_it_in_a_sentence(robot, s
     check_every_step(robot, seed)
 
 
-@pytest.mark.wide
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize(
+    "seed",
+    [pytest.param(k, marks=pytest.mark.slow if k else pytest.mark.wide) for k in range(4)],
+)
 def test_every_step_answers_many_small_sessions(robot, seed):
     check_every_step(robot, 100 + seed)
 

@@ -6,6 +6,7 @@ import law_sessions
 import numpy as np
 import pytest
 from datasets import measured
+from shared_models import new_model
 
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.cli import main as cli
@@ -17,7 +18,6 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.identification.fit_warnings import list_setting_warnings
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model, write_model
-from parallel_cal.model.model import new_model
 from parallel_cal.session.session import Session
 from parallel_cal.session.steps import add, fitted, remove
 from parallel_cal.virtual import joint_effects as ve
@@ -157,10 +157,10 @@ def test_a_setting_far_outside_its_usual_range_is_named_with_its_unit(with_backl
     model, effect = new_model("delta54"), "gear_transmission_error:ratio=5000"
     words = "gear_transmission_error.ratio is 5000, but usually 0.001 to 250: settings of effects"
     with pytest.raises(FitError, match=words):
-        add(model, effect, with_backlash, hold_out=0.25)
-    forced = add(model, effect, with_backlash, force=True)
+        add(model, effect, with_backlash, hold_out=0)
+    forced = add(model, effect, with_backlash, force=True, hold_out=0)
     assert sum(words in one for one in forced.warnings) == 1
-    usual = add(model, "gear_transmission_error:ratio=50", with_backlash, force=True)
+    usual = add(model, "gear_transmission_error:ratio=50", with_backlash, force=True, hold_out=0)
     assert not any("settings of effects" in one for one in usual.warnings)
 
 

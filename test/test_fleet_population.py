@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import f
 
 from parallel_cal.fleet.drift import trend
 from parallel_cal.fleet.population import population, separate_outliers
@@ -114,6 +115,23 @@ def test_a_drift_is_named_with_its_rate():
     # sqrt(0.01 / sum (t - mean)^2) = 0.1 / sqrt(62.5)
     assert 0.0126 <= found.sigma < 0.025
     assert found.p_value < 1e-6
+
+
+def test_recordings_that_scatter_more_than_their_noise_enlarge_the_sigma_of_a_drift():
+    """10 per second, and 3, -3, -3, 3 beside it, each +- 1: chi2 36 of 2 degrees of freedom."""
+    off = (3.0, -3.0, -3.0, 3.0)
+    found = trend([told(10.0 * k + s, 1.0) for k, s in enumerate(off)], range(4))
+    assert found.rate == pytest.approx(10.0)
+    assert found.sigma == pytest.approx((36 / 2 / 5) ** 0.5)  # sum of squared times: 5 s^2
+    quiet = trend([told(10.0 * k, 1.0) for k in range(4)], range(4))
+    assert quiet.sigma == pytest.approx(5**-0.5)
+
+
+def test_a_drift_among_three_parameters_pays_for_all_of_them():
+    drifting = [told([1.0 * k, 0.0, 0.0], np.eye(3)) for k in range(4)]
+    found = trend(drifting, range(4))
+    assert found.gain == pytest.approx(5.0)
+    assert found.p_value == pytest.approx(3 * f.sf(5.0, 1, 3 * 3 - 1))
 
 
 def test_what_differs_without_growing_is_no_drift():

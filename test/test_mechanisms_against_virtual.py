@@ -99,6 +99,11 @@ CASES = [
 ]
 ELSEWHERE = {"delta54", "delta24", "delta_nominal", "serial", "chain"}  # test_delta.py; below
 each_case = pytest.mark.parametrize("case", CASES, ids=str)
+# Every parameter is strayed in each of them, and 100 poses are tried.
+each_seed = pytest.mark.parametrize(
+    "seed",
+    [pytest.param(k, marks=pytest.mark.slow if k else pytest.mark.wide) for k in range(3)],
+)
 
 
 def strayed(mechanism, seed):
@@ -136,17 +141,15 @@ def situation(case, seed, n=100):
     return model, robot.inverse(*given)
 
 
-@pytest.mark.wide
 @each_case
-@pytest.mark.parametrize("seed", range(3))
+@each_seed
 def test_closure_is_zero_where_the_virtual_robot_closes(case, seed):
     model, poses = situation(case, seed)
     assert largest_gap(model, *poses) < 1e-12
 
 
-@pytest.mark.wide
 @each_case
-@pytest.mark.parametrize("seed", range(3))
+@each_seed
 def test_direct_and_inverse_problem_are_solved_as_the_virtual_robot_stands(case, seed):
     model, (q, r, R) = situation(case, seed)
     poses, joints = Kinematics(model).direct(q), Kinematics(model).inverse(r, R)

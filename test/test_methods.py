@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from datasets import measured as measured_delta
 from datasets import quiet
+from shared_models import new_model
 from virtual_small import SliderCrank
 
 from parallel_cal.virtual import robot as vr
@@ -28,7 +29,6 @@ from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.robust import estimate_robustly
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.mechanisms.delta24 import Delta24
-from parallel_cal.model.model import new_model
 
 MM, DEGREE = 1e-3, np.pi / 180
 CRANK = {"a": 80.2 * MM, "b": 50.1 * MM, "q0": 1 * DEGREE}

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from parallel_cal.diagnosis.noise_shape import noise_shape
+from parallel_cal.diagnosis.noise_shape import NoiseShape, noise_shape
 
 N = 150
 
@@ -11,6 +11,15 @@ N = 150
 def drawn(seed):
     rng = np.random.default_rng(seed)
     return rng.standard_normal((N, 6)), 10.0 * np.arange(N), rng.uniform(-0.06, 0.06, (N, 3))
+
+
+@pytest.mark.parametrize(
+    ("p", "inflation", "correlated"), [(1e-4, 2.0, True), (1e-4, 1.2, False), (0.5, 2.0, False)]
+)
+def test_a_correlation_must_be_certain_and_change_a_sigma_to_count(p, inflation, correlated):
+    shape = NoiseShape(0.1, p, 30.0, 1.0, 1.0, inflation)
+    assert shape.correlated is correlated
+    assert bool(shape.remarks) is correlated
 
 
 @pytest.mark.wide

@@ -53,6 +53,17 @@ def test_a_regression_finds_what_least_squares_hide():
     assert not len(find_outliers(y, X, np.full(40, 2))[0])
 
 
+@pytest.mark.parametrize(("wrong", "found"), [(6, 6), (9, 0)])
+def test_if_more_than_a_tenth_of_the_samples_are_far_away_the_model_fails(wrong, found):
+    """The regression sees each of them clearly."""
+    rng = np.random.default_rng(2)
+    X, r = rng.standard_normal((60, 2, 2)), 0.1 * rng.standard_normal((60, 2))
+    r[:wrong] += 5.0
+    outliers, sizes = find_outliers(r, X, np.full(60, 2))
+    assert outliers.tolist() == list(range(found))
+    assert sizes[:wrong].min() > 6
+
+
 def test_a_sample_that_determines_a_direction_alone_is_no_outlier():
     """Its residual is large by chance, and nothing else holds the direction without it."""
     rng = np.random.default_rng(1)

@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 import virtual_day as vd
 import virtual_findings as vf
-from datasets import as_dataset
+from datasets import as_dataset, measured
 from findings import hiding
 from scipy.stats import multivariate_t
 
+from parallel_cal.causes.effects import list_effect_blocks
 from parallel_cal.causes.unknown_laws import smooth
 from parallel_cal.diagnosis.addition import see
 from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.effects.backlash import Backlash
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import new_model
 from parallel_cal.posterior.blocks import EFFECT, Block
@@ -132,6 +134,29 @@ def test_a_smooth_function_has_variance_one_and_the_stated_correlation():
     np.testing.assert_allclose(
         covariance, np.exp(-((z[:, None] - z) ** 2) / (2 * 0.8**2)), atol=5e-3
     )
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """The residuals of the geometry of a Delta without effects."""
+    return see(fit(MODEL, measured(0), hold_out=0))
+
+
+def test_a_law_found_in_the_data_pays_for_the_forms_that_were_tried(scene, monkeypatch):
+    """Among thousands of forms one fits well by chance; an effect of the catalogue is one of
+    dozens."""
+    (known,) = list_effect_blocks(scene, ["backlash"], {})
+    monkeypatch.setattr(Backlash, "found_in_data", True)
+    (found,) = list_effect_blocks(scene, ["backlash"], {})
+    assert found.log_prior < known.log_prior - np.log(10_000)
+
+
+def test_known_settings_of_an_effect_are_not_scanned_and_still_pay_for_the_scan(scene):
+    ratio, name = {"ratio": 47.3}, "gear_transmission_error"
+    (scanned,) = list_effect_blocks(scene, [name], {})
+    (known,) = list_effect_blocks(scene, [name], {name: ratio})
+    assert list(known.settings) == [ratio]
+    assert known.tried == scanned.tried == len(scanned.settings) > 10
 
 
 def test_two_answers_say_what_is_missing_and_whether_anything_is_left():

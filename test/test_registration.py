@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from datasets import measured, quiet
+from shared_models import new_model
 
 from parallel_cal.base.rotation import (
     nearest_rotation,
@@ -20,10 +21,14 @@ from parallel_cal.identification import observations, registration
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.prediction_errors import errors
-from parallel_cal.identification.registration import register_device
+from parallel_cal.identification.registration import (
+    IDENTITY_FRAMES,
+    DevicePoses,
+    register_device,
+)
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import dump_model
-from parallel_cal.model.model import Noise, new_model
+from parallel_cal.model.model import Noise
 from parallel_cal.model.shelf import load_sensor
 from parallel_cal.recordings.simulate import simulate
 from parallel_cal.reporting.contents import HeldOutErrors
@@ -150,6 +155,34 @@ def test_report_and_fleet_show_the_registered_model_before_at_held_out_poses(far
     expected = fit(model, far).held_out_before.summary
     assert HeldOutErrors.of(found).before == expected
     assert fleet_judging._make_row(found)["before"] == expected
+
+
+@pytest.mark.parametrize(("poses", "displaced"), [(6, False), (60, True)])
+def test_frames_that_explain_an_error_of_few_poses_may_do_so_by_chance(poses, displaced):
+    """Positions show 9 numbers of a frame and a target, and 6 positions are 18 numbers."""
+    rng = np.random.default_rng(1)
+    r, R = rng.uniform(-0.2, 0.2, (poses, 3)), rotation_matrix(rng.uniform(-0.5, 0.5, (poses, 3)))
+    noise = rng.standard_normal((poses, 3))
+    noise -= noise.mean(axis=0)  # so that it adds to the squares of a shift
+    noise *= 1e-4 / np.sqrt(np.mean(np.sum(noise**2, axis=1)))
+    shift = np.array([1.76e-4, 0.0, 0.0])  # the noise is just less than a quarter of the squares
+    there = DevicePoses(
+        r=r,
+        R=R,
+        seen_r=r - shift + noise,
+        seen_R=R,
+        measured=np.tile(np.arange(6) < 3, (poses, 1)),
+        length=0.1,
+        moves=("x", "y", "z", "rx", "ry", "rz"),
+        tilts=True,
+        target_known=False,
+        poses=poses,
+        now=IDENTITY_FRAMES,
+        expected=np.array([1e-3, 1e-3]),
+    )
+    shifted = replace(IDENTITY_FRAMES, f=shift)
+    assert there.is_displaced(shifted, identified=True) == displaced
+    assert there.is_misplaced(shifted, identified=True, stated=False) == displaced
 
 
 @pytest.mark.parametrize("far_away", [False, True])

@@ -26,7 +26,12 @@ from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import model_hash, read_model
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.loading import load_dataset
-from parallel_cal.session.saving import HELD_OUT, PERHAPS_USED, SaveRefused
+from parallel_cal.session.saving import (
+    HELD_OUT,
+    PERHAPS_USED,
+    SaveRefused,
+    compare_with_model_in_use,
+)
 from parallel_cal.session.session import Session, SessionError
 from parallel_cal.workbench.views import view
 
@@ -489,6 +494,19 @@ def test_a_model_in_use_that_other_samples_made_is_judged_as_it_is(session, in_u
         live.save(in_use)
     errors = refused.value.replacement
     assert errors.in_use_errors.position_rms < errors.errors.position_rms
+
+
+def test_a_step_that_was_refused_and_forced_is_named_before_its_model_is_saved(session, tmp_path):
+    def read_samples():
+        raise DatasetError("no samples are here")
+
+    forced = session.state.model_copy(update={"against": "the error at held-out poses rises"})
+    for state, refused in ((session.state, False), (forced, True)):
+        found = compare_with_model_in_use(
+            session.model, state, read_samples, session.options, tmp_path / "robot.yaml"
+        )
+        assert ("the error at held-out poses rises" in found.objections) == refused
+        assert "the errors of this model are not known: no samples are here" in found.objections
 
 
 def test_an_amber_model_is_written_only_where_the_owner_insists(session, tmp_path):
