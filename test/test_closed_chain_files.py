@@ -14,7 +14,7 @@ from parallel_cal.exporting.export import export_into
 from parallel_cal.importing import closed_chain
 from parallel_cal.importing.closed_chain import chain
 from parallel_cal.importing.compound_joints import product_of_joints
-from parallel_cal.importing.linkage import LinkageJoint
+from parallel_cal.importing.linkage import LinkageJoint, locked_value
 from parallel_cal.kinematics.kinematics import Kinematics
 
 ANGLES = np.random.default_rng(0).uniform(-0.4, 0.4, (30, 2))
@@ -222,6 +222,16 @@ def test_a_joint_locked_where_its_spring_rests_is_written_only_if_the_file_is_dr
         return
     with pytest.raises(ModelError, match=r"joint leaf is locked at 0\.0872665 rad, but the file"):
         export_into(model, "mjcf", [path])
+
+
+def test_a_spring_that_rests_beyond_a_limit_holds_its_joint_there(tmp_path):
+    leaf = '<joint name="leaf" pos="0.02 0 0" stiffness="1" springref="150" range="-10 20"/>'
+    text = own.FIVE_BAR_MJCF.replace(
+        '<joint name="left_elbow"/>', f'<joint name="left_elbow"/>{leaf}'
+    )
+    linkage = closed_chain.read_linkage([written(tmp_path, "model.xml", text)])
+    leaf = next(joint for joint in linkage.joints if joint.name == "leaf")
+    assert locked_value(leaf) == pytest.approx(np.radians(20))
 
 
 def test_new_makes_a_chain_and_export_writes_its_numbers(tmp_path, run_cli):

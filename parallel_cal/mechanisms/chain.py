@@ -45,6 +45,11 @@ PLACES = {"position", "quaternion", "rpy"}
 EXAMPLE = "{name: hip, type: revolute, parent: base, child: leg, axis: [0, 0, 1], driven: true}"
 PREFERENCE = {"zero": 4.0, "length": 4.0} | dict.fromkeys(SHIFTS, 1.0) | dict.fromkeys(TURNS, 0.5)
 SHARE_OF_LIMITS = 0.3  # of the range of a joint, for the motion around home
+MAX_ROUNDED_M = 1e-6  # that numbers with few digits leave open
+ROUNDED = (
+    "; so little stays open if the geometry is stated with few digits, and the loops hold more than "
+    "they need to: state more digits"
+)
 TRIES = 30  # random starts from which the loops are closed at home
 
 
@@ -326,7 +331,7 @@ class Chain(Mechanism):
             f"the loops do not close at home: {open_at_home} with the driven joints at their home, "
             f"and {self._describe_open(left, survey)} if these may move, too, from {TRIES} starts. "
             "Correct the home of joints and platform, the geometry, or a joint or loop whose type "
-            "is too stiff"
+            f"is too stiff{ROUNDED if np.abs(left).max() < MAX_ROUNDED_M else ''}"
         )
 
     def _close_near(
@@ -499,8 +504,8 @@ class Chain(Mechanism):
         q, *passive, r, R, p = args
         frames = self._frames(q, passive[0] if passive else ca.SX(0, 1), r, R, p)
         return {
-            body: [frames[body][0] + frames[body][1] @ ca.DM(centre)]
-            for body, centre in self._centres.items()
+            part: [frames[body][0] + frames[body][1] @ ca.DM(centre)]
+            for part, (body, centre) in self._centres.items()
         }
 
     def spans(self, q: Any, p: Named) -> list[tuple[float, Any, Any]]:
