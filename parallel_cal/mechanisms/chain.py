@@ -47,8 +47,8 @@ PREFERENCE = {"zero": 4.0, "length": 4.0} | dict.fromkeys(SHIFTS, 1.0) | dict.fr
 SHARE_OF_LIMITS = 0.3  # of the range of a joint, for the motion around home
 MAX_ROUNDED_M = 1e-6  # that numbers with few digits leave open
 ROUNDED = (
-    "; so little stays open if the geometry is stated with few digits, and the loops hold more than "
-    "they need to: state more digits"
+    "; so little stays open if the geometry is stated with few digits and its loops are redundant: "
+    "state more digits"
 )
 TRIES = 30  # random starts from which the loops are closed at home
 
