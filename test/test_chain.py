@@ -509,6 +509,23 @@ def test_a_mass_on_a_crank_acts_at_its_centre():
     assert found.rotation == pytest.approx(expected.rotation, abs=1e-8)
 
 
+def test_a_body_named_platform_has_a_mass_of_its_own():
+    """Many files call a body so; `mass.platform` is the mass at the origin of {P}."""
+    crank = {"left_crank": "platform"}
+    given = chains.ankle() | {"target": [0.15, 0, 0]}
+    given["joints"] = [
+        {key: crank.get(str(value), value) for key, value in joint.items()}
+        for joint in given["joints"]
+    ]
+    for loop in given["loops"]:
+        for end in ("a", "b"):
+            loop[end] = {**loop[end], "body": crank.get(loop[end]["body"], loop[end]["body"])}
+    masses = {"platform": {"mass": 4.0, "centre": [-0.1, 0, 0]}}
+    model = yielding(make_chain(given | {"masses": masses}), "joint_compliance", 1e-5)
+    assert model.value("joint_compliance.mass.platform_body") == 4.0
+    assert model.value("joint_compliance.mass.platform") != 4.0
+
+
 def test_a_rod_under_load_is_shorter_by_its_compliance():
     chain = make_chain(chains.ankle() | {"target": [0.15, 0, 0]})
     model = yielding(chain, "rod_compliance", 1e-7)

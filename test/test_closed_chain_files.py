@@ -13,6 +13,8 @@ from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.exporting.export import export_into
 from parallel_cal.importing import closed_chain
 from parallel_cal.importing.closed_chain import chain
+from parallel_cal.importing.compound_joints import product_of_joints
+from parallel_cal.importing.linkage import LinkageJoint, locked_value
 from parallel_cal.kinematics.kinematics import Kinematics
 
 ANGLES = np.random.default_rng(0).uniform(-0.4, 0.4, (30, 2))
@@ -222,6 +224,16 @@ def test_a_joint_locked_where_its_spring_rests_is_written_only_if_the_file_is_dr
         export_into(model, "mjcf", [path])
 
 
+def test_a_spring_that_rests_beyond_a_limit_holds_its_joint_there(tmp_path):
+    leaf = '<joint name="leaf" pos="0.02 0 0" stiffness="1" springref="150" range="-10 20"/>'
+    text = own.FIVE_BAR_MJCF.replace(
+        '<joint name="left_elbow"/>', f'<joint name="left_elbow"/>{leaf}'
+    )
+    linkage = closed_chain.read_linkage([written(tmp_path, "model.xml", text)])
+    leaf = next(joint for joint in linkage.joints if joint.name == "leaf")
+    assert locked_value(leaf) == pytest.approx(np.radians(20))
+
+
 def test_new_makes_a_chain_and_export_writes_its_numbers(tmp_path, run_cli):
     path = written(tmp_path, "model.xml", own.FIVE_BAR_MJCF)
     model = tmp_path / "model.yaml"
@@ -271,3 +283,87 @@ def test_mujoco_reads_the_same_linkage_from_an_mjcf(tmp_path, text):
         assert (a.name, a.kind, a.a.body, a.b.body) == (b.name, b.kind, b.a.body, b.b.body)
         assert np.allclose(a.a.frame[:3, 3], b.a.frame[:3, 3], rtol=0, atol=1e-9)
         assert np.allclose(a.b.frame[:3, 3], b.b.frame[:3, 3], rtol=0, atol=1e-9)
+
+
+def listed_urdf(tmp_path, loops, urdf):
+    return written(tmp_path, "robot.urdf", urdf, loops)
+
+
+def test_a_chain_that_closes_with_other_readings_has_its_home_there(tmp_path):
+    """At zero of both cranks the rods do not meet: each crank points away from the other one."""
+    text = own.five_bar_urdf("")
+    for angle, drawn in ((own.LEFT, np.pi), (own.RIGHT, 0.0)):
+        text = text.replace(f"0 0 {angle!r}", f"0 0 {drawn!r}")
+    text = text.replace(f'xyz="{own.ROD} 0 0"', 'xyz="0.14 0 0"')
+    found = chain([listed_urdf(tmp_path, own.LOOP_FILE, text)], "frame", "tip")
+    left, right = found.model.mechanism.home.joints
+    one = np.array([-own.HALF, 0]) + own.CRANK * np.array([-np.cos(left), -np.sin(left)])
+    other = np.array([own.HALF, 0]) + own.CRANK * np.array([np.cos(right), np.sin(right)])
+    assert np.linalg.norm(one - other) <= 0.28
+    assert f"home is where the loops close next to the file's zero: left {left:.6g} rad" in (
+        " ".join(found.remarks)
+    )
+
+
+def test_loops_that_close_nowhere_are_named_with_what_may_be_wrong(tmp_path):
+    """The end of the right rod is twisted by 0.3 rad, which no hinge of the plane follows."""
+    text = own.five_bar_urdf("").replace(
+        f'<origin rpy="0 0 0" xyz="{own.ROD} 0 0"/>\n    <parent link="right_rod"/>',
+        f'<origin rpy="0.3 0 0" xyz="{own.ROD} 0 0"/>\n    <parent link="right_rod"/>',
+    )
+    assert text != own.five_bar_urdf("")
+    loops = own.LOOP_FILE.replace("3d", "6d")
+    with pytest.raises(DatasetError) as error:
+        chain([listed_urdf(tmp_path, loops, text)], "frame", "tip")
+    assert "if these may move, too, from 30 starts" in str(error.value)
+    assert re.search(r"join points only .*check left_pin_to_right_pin$", str(error.value))
+
+
+def test_ends_of_loops_that_the_list_lacks_are_named(tmp_path):
+    text = own.five_bar_urdf("").replace("left_pin", "pin1_A").replace("right_pin", "pin1_B")
+    text = text.replace(
+        "</robot>",
+        '<link name="pin2_A"/><joint name="second" type="fixed"><parent link="frame"/>'
+        '<child link="pin2_A"/></joint></robot>',
+    )
+    loops = own.LOOP_FILE.replace("left_pin, right_pin", "pin1_A, pin1_B")
+    found = chain([listed_urdf(tmp_path, loops, text)], "frame", "tip")
+    said = [words for words in found.remarks if "closed_loop does not list" in words]
+    assert len(said) == 1
+    assert "does not list pin2_A, which are named as the ends" in said[0]
+
+
+@pytest.mark.parametrize(
+    ("extra", "name", "words"),
+    [
+        ("", "spherical_elbow", "hinges named spherical are read as ball joints"),
+        (
+            "joint_name: [right_elbow_bal]\njoint_type: [SPHERICAL]\n",
+            "right_elbow_ball",
+            "no joint 'right_elbow_bal' of joint_name: read as 'right_elbow_ball'",
+        ),
+        ("joint_name: []\njoint_type: []\n", "spherical_elbow", ""),
+        (
+            "joint_name: [wheel]\njoint_type: [SPHERICAL]\n",
+            "right_elbow",
+            "no joint 'wheel' of joint_name: not read",
+        ),
+    ],
+)
+def test_ball_joints_of_a_loop_file_by_their_names(tmp_path, extra, name, words):
+    text = own.five_bar_urdf("").replace('"right_elbow"', f'"{name}"')
+    linkage = closed_chain.read_linkage([listed_urdf(tmp_path, own.LOOP_FILE + extra, text)])
+    kind = next(joint.kind for joint in linkage.joints if joint.name == name)
+    assert kind == ("spherical" if "read as" in words else "revolute")
+    assert words in " ".join(linkage.remarks)
+
+
+def test_a_hinge_whose_line_passes_through_a_ball_turns_about_its_centre():
+    """The hinge is 0.05 m below the ball, on its axis."""
+    up = np.eye(4)
+    up[2, 3] = 0.05
+    hinge = LinkageJoint("hinge", "revolute", "a", "b", np.eye(4), axes=(np.eye(3)[2],))
+    ball = LinkageJoint("ball", "spherical", "b", "c", up)
+    both = product_of_joints(hinge, ball, on_line=True)
+    assert both.kind == "spherical"
+    assert np.allclose((both.origin @ [*both.anchor, 1.0])[:3], [0, 0, 0.05], atol=1e-15)

@@ -8,10 +8,11 @@ import pytest
 from bag_writing import Session, joint_states, poses, write_bag
 
 import parallel_cal as pc
-from parallel_cal.base.errors import ModelError
+from parallel_cal.base.errors import BagError, ModelError
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.model.shelf import load_sensor
+from parallel_cal.nodes.collector import Collector
 from parallel_cal.recordings.bag import read_bag
 from parallel_cal.recordings.options import ReadOptions
 
@@ -131,3 +132,30 @@ def test_a_diagnosis_with_the_encoder_names_a_backlash():
 def test_an_encoder_that_does_not_fit_the_robot_is_refused(options, message):
     with pytest.raises(ModelError, match=message):
         with_encoder(**options)
+
+
+@pytest.mark.parametrize("device", [True, False])
+def test_live_samples_hold_the_encoder_as_a_recording_does(tmp_path, device):
+    """Without a pose device, encoders alone make samples."""
+    mechanism, names = with_encoder().mechanism, ("left_elbow", "right", "left")
+    stops = np.array([[-1.4, 0.9, 2.2], [-1.3, 1.0, 2.1], [-1.5, 0.8, 2.3]])
+    moves = Session(stops, r=np.zeros((3, 3)), names=names)
+    messages = joint_states(moves) + (poses(moves) if device else [])
+    path = write_bag(tmp_path / "bag", messages)
+    live, loaded = (Collector(mechanism.joints, passive=mechanism.passive) for _ in range(2))
+    for topic, _, log, message in sorted(messages, key=lambda message: message[2]):
+        live.receive(topic.strip("/"), message, log)
+    live.refresh()
+    loaded.load(path)
+    recorded = pc.load_dataset(path, mechanism=mechanism)
+    for dataset in (recorded, live.collection().dataset, loaded.collection().dataset):
+        assert dataset.joint_names == ("left", "right")
+        assert dataset.conditions["reading.left_elbow"] == pytest.approx(stops[:, 0], abs=2e-4)
+        assert bool(dataset.measured.any()) == device
+
+
+def test_a_recording_of_motors_alone_is_refused(tmp_path):
+    moves = Session(np.array([[0.9, 2.2], [1.0, 2.1]]), r=np.zeros((2, 3)), names=("right", "left"))
+    path = write_bag(tmp_path / "bag", joint_states(moves))
+    with pytest.raises(BagError, match="no messages on topic 'measured_pose'"):
+        pc.load_dataset(path, mechanism=with_encoder().mechanism)

@@ -5,6 +5,7 @@ names the file, key, topic or sample, the value, what was expected and what to d
 """
 
 import traceback
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 
@@ -34,6 +35,25 @@ class ModelFileError(ParallelCalError):
 
 class ModelError(ParallelCalError):
     """A model is composed wrongly: unknown mechanism, effect, parameter or condition."""
+
+
+class OpenLoopsError(ModelError):
+    """The loops of a chain do not close with its driven joints at home.
+
+    `home` has a value for each coordinate of the joints where they do close, and is empty if they
+    close nowhere; `position` and `quaternion` are the pose of the platform there.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        home: Mapping[str, float] | None = None,
+        position: Sequence[float] = (),
+        quaternion: Sequence[float] = (),
+    ):
+        super().__init__(message)
+        self.home = home or {}
+        self.position, self.quaternion = position, quaternion
 
 
 def wrap_plugin_error(name: str, error: Exception) -> ModelError:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from parallel_cal.identification.image_poses import find_shown_poses
-from parallel_cal.identification.linearisation import compute_joint_jacobians
+from parallel_cal.identification.linearisation import follow_closure
 from parallel_cal.identification.observations import UNMEASURED
 from parallel_cal.posterior.scene import Scene
 
@@ -86,7 +86,7 @@ class Field:
 
 def _compute_joint_jacobians(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """d pose / d q (N, 6, nq) along the closure, and d reading / d q (N, n_channels, nq)."""
-    moved_by, reading = compute_joint_jacobians(scene.model, scene.by_measured)
+    moved_by, reading = follow_closure(scene.model, scene.by_measured)
     pose = np.zeros((len(moved_by), 6, len(scene.model.joints)))
     pose[:, scene.model.mechanism.moved] = moved_by
     return pose, reading

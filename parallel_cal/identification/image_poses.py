@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from parallel_cal.identification.linearisation import Linearisation, compute_joint_jacobians
+from parallel_cal.identification.linearisation import Linearisation, follow_closure
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.predictions import predict_configurations
 from parallel_cal.identification.thresholds import (
@@ -90,7 +90,7 @@ def add_joint_noise(
     n, moved = len(model.joints), model.mechanism.moved
     none = np.zeros(len(model.values), dtype=bool)
     linearise = Linearisation(model, observations.select(known), none, weighted=True)
-    to_pose = compute_joint_jacobians(model, linearise.blocks(model.values, x[known])[1])[0]
+    to_pose = follow_closure(model, linearise.blocks(model.values, x[known])[1])[0]
     covariance = shown.covariance.copy()
     covariance[np.ix_(known.tolist(), moved, moved)] += np.einsum(
         "nij,njk,nlk->nil", to_pose, observations.S[known, :n, :n], to_pose

@@ -361,17 +361,14 @@ def _parts(x: np.ndarray) -> Iterator[slice]:
     return (slice(begin, begin + BLOCK) for begin in range(0, len(x), BLOCK))
 
 
-def follow_closure(model: Model, rows: np.ndarray, by: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """d pose / dy (N, n_moved, m) along the closure, and d reading / dy (N, n_channels, m), of
-    the derivatives of the rows by (q, r, w) from `blocks` and by other quantities y (N, rows,
-    m)."""
+def follow_closure(
+    model: Model, rows: np.ndarray, by: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """d pose / dy (N, n_moved, m) along the closure, and d reading / dy (N, n_channels, m), of the
+    derivatives of the rows by (q, r, w) from `blocks` and by quantities y (N, rows, m). Without
+    `by`, y are the joints."""
+    by = rows[:, :, : len(model.joints)] if by is None else by
     closure, dependent = model.structure.phi.shape[0], model.mechanism.dependent_columns
     follows = -np.linalg.pinv(rows[:, :closure, dependent]) @ by[:, :closure]
     pose = follows[:, : len(model.mechanism.moved)]
     return pose, by[:, closure:] + rows[:, closure:, dependent] @ follows
-
-
-def compute_joint_jacobians(model: Model, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """d pose / d q (N, n_moved, nq) along the closure, and d reading / d q (N, n_channels, nq), of
-    the derivatives of the rows by (q, r, w) from `blocks`."""
-    return follow_closure(model, rows, rows[:, :, : len(model.joints)])

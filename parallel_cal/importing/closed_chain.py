@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.base.errors import DatasetError, ModelError
+from parallel_cal.base.errors import DatasetError, ModelError, OpenLoopsError, ParallelCalError
 from parallel_cal.base.files import read_foreign_text
 from parallel_cal.base.rotation import matrix_to_quaternion
 from parallel_cal.importing.compound_joints import simplify
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.linkage import (
+    COORDINATES,
     DRIVABLE,
     Linkage,
     LinkageJoint,
@@ -28,7 +29,6 @@ from parallel_cal.importing.linkage import (
     with_locked,
     with_plain_names,
 )
-from parallel_cal.importing.loop_closure import close_loops
 from parallel_cal.importing.mjcf import read_mjcf
 from parallel_cal.importing.mjcf_elements import NeedsMuJoCo
 from parallel_cal.importing.sdf import read_sdf
@@ -103,7 +103,11 @@ def chain(
     used = [name for name in stated if name in known]
     check_driven(between, driven, used)
     remarks = [*linkage.remarks]
-    mechanism, about_home = make_mechanism(between, base, place, used, options)
+    try:
+        mechanism, about_home = make_mechanism(between, base, place, used, options)
+    except OpenLoopsError as error:
+        advice = [*linkage.remarks, *advise_points(linkage, base, platform, used)]
+        raise DatasetError(". ".join([str(error), *advice])) from None
     remarks += about_home
     velocities = {joint.name: joint.velocity for joint in between.joints}
     mechanism.joint_rates = tuple(
@@ -130,21 +134,39 @@ def make_mechanism(
     options: Mapping[str, Any],
 ) -> tuple[Mechanism, list[str]]:
     """Return the mechanism, and a remark if its loops do not close with driven joints at zero."""
+    described, remarks = describe(linkage, base, place, driven) | {**options}, list[str]()
     try:
-        mechanism = load_mechanism("chain", **describe(linkage, base, place, driven) | {**options})
-        return mechanism, describe_closing(mechanism)
-    except ModelError as error:
-        closed = close_loops(linkage, base, place.body, ())
-        if closed is None:
-            raise DatasetError(f"{linkage.path}: {error}{_hint(linkage)}") from None
-        moved, words = with_home(linkage, closed[0], driven)
         try:
-            mechanism = load_mechanism(
-                "chain", **describe(moved, base, place, driven) | {**options}
-            )
-        except ModelError:
-            raise DatasetError(f"{linkage.path}: {error}{_hint(linkage)}") from None
-        return mechanism, [f"home is where the loops close next to the file's zero: {words}"]
+            mechanism = load_mechanism("chain", **described)
+        except ModelError as error:
+            if not (isinstance(error.__cause__, OpenLoopsError) and error.__cause__.home):
+                raise
+            described, words = with_home(described, error.__cause__)
+            mechanism = load_mechanism("chain", **described)
+            remarks = [f"home is where the loops close next to the file's zero: {words}"]
+    except ModelError as error:
+        message = f"{linkage.path}: {error}{_hint(linkage)}"
+        closes_nowhere = isinstance(error.__cause__, OpenLoopsError)
+        raise (OpenLoopsError if closes_nowhere else DatasetError)(message) from None
+    return mechanism, remarks or describe_closing(mechanism)
+
+
+def advise_points(linkage: Linkage, base: str, platform: str, driven: Sequence[str]) -> list[str]:
+    """Say if loops that close nowhere would close with points in place of full poses."""
+    poses = [loop.name for loop in linkage.loops if loop.kind == "pose"]
+    points = [replace(one, kind="point") if one.name in poses else one for one in linkage.loops]
+    try:
+        looser, place = cut_out(replace(linkage, loops=tuple(points)), base, platform, driven)
+        make_mechanism(looser, base, place, driven, {})
+    except OpenLoopsError:
+        return []
+    except ParallelCalError:
+        pass  # it closes, and lacks something else
+    return poses and [
+        "The loops do close if those that state a full pose (6d of a URDF, weld of an MJCF) join "
+        "points only (3d, connect). A rod that has a ball at its end needs this type: check "
+        f"{', '.join(poses)}"
+    ]
 
 
 def describe_closing(mechanism: Any) -> list[str]:
@@ -170,20 +192,24 @@ def _hint(linkage: Linkage) -> str:
     return words if springs else ""
 
 
-def with_home(
-    linkage: Linkage, values: Mapping[str, Array], driven: Collection[str]
-) -> tuple[Linkage, str]:
-    """Return the linkage with values of its joints at home, and the readings there in words."""
-    joints = tuple(
-        replace(joint, home=tuple(values[joint.name].tolist())) for joint in linkage.joints
-    )
-    units = {"prismatic": "m", "revolute": "rad"}
-    said = [
-        f"{joint.name} {joint.home[0] - joint.zero:.6g} {units[joint.kind]}"
-        for joint in joints
-        if joint.name in driven
-    ]
-    return replace(linkage, joints=joints), ", ".join(said)
+def with_home(described: Mapping[str, Any], closed: OpenLoopsError) -> tuple[dict[str, Any], str]:
+    """Return options of `chain` with a home at which its loops close, and the readings in words."""
+    found, said = {**described}, list[str]()
+    for key in ("joints", "loops"):
+        parts = []
+        for one in described.get(key, ()):
+            name, count = one["name"], COORDINATES.get(one["type"], 1)
+            names = [name] if count == 1 else [f"{name}.{i + 1}" for i in range(count)]
+            values = [float(closed.home[each]) for each in names if each in closed.home]
+            parts.append(one | ({"home": values[0] if count == 1 else values} if values else {}))
+            if values and one.get("driven"):
+                unit = "rad" if one["type"] == "revolute" else "m"
+                said.append(f"{name} {values[0]:.6g} {unit}")
+        if parts:
+            found[key] = parts
+    if "home" in described:
+        found["home"] = {"position": closed.position, "quaternion": closed.quaternion}
+    return found, ", ".join(said)
 
 
 def read_linkage(paths: Sequence[Path]) -> Linkage:

@@ -100,7 +100,8 @@ def product_of_joints(
         kind=kind,
         child=second.child,
         origin=first.origin @ second.origin,
-        anchor=at,
+        # A hinge may be anywhere on its line through a ball; the ball turns about its centre.
+        anchor=second.anchor if second.kind == "spherical" else at,
         axes=tuple(axes[:rank]) if rank < 3 else (),
         limits=(-np.inf, np.inf),
         home=(),

@@ -179,8 +179,14 @@ def with_locked(linkage: Linkage, names: Collection[str]) -> Linkage:
 
 
 def locked_value(joint: LinkageJoint) -> float:
-    """Return the value (rad or m) that a joint keeps if it does not move."""
-    return joint.rest if joint.rest is not None else (joint.home or (0.0,))[0]
+    """Return the value (rad or m) that a joint keeps if it does not move.
+
+    A spring that would rest beyond a limit of its joint presses the joint against it.
+    """
+    if joint.rest is None:
+        return (joint.home or (0.0,))[0]
+    low, high = (limit + joint.zero for limit in joint.limits)
+    return float(min(max(joint.rest, low), high))
 
 
 def locked(joint: LinkageJoint) -> LinkageJoint:

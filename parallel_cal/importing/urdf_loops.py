@@ -6,15 +6,17 @@ in `<constraint>` elements (proposed in ros/urdfdom_headers#108).
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
-from parallel_cal.base.errors import DatasetError
+from parallel_cal.base.errors import DatasetError, format_suggestion
 from parallel_cal.base.files import read_text
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.importing.chain import rotation_from_rpy
@@ -36,6 +38,8 @@ KINDS = {
 AXES = dict(zip("XYZ", np.eye(3), strict=True))
 LOOP_KEYS = ("closed_loop", "type", "name_mot", "joint_name", "joint_type")
 LOOP_TYPES = {"3d": "point", "6d": "pose"}
+SPHERICAL = "spherical"
+MIN_SIMILARITY = 0.9  # of a misspelt name, as difflib counts it
 CONSTRAINTS = ("revolute", "prismatic", "universal", "spherical", "link")
 
 
@@ -72,11 +76,8 @@ def read_urdf_loops(path: Path, loop_file: Path | None = None) -> Linkage:
         frames.setdefault(joint.name, Place(joint.child, np.eye(4)))
     loops, driven, remarks = list[LinkageLoop](), read_transmissions(root), list[str]()
     if beside := loop_file or find_loops(path):
-        stated = read_loop_file(beside)
-        if unknown := [name for name in stated.get("joint_name") or [] if name not in joints]:
-            remarks.append(
-                f"{beside}: not read, as the URDF has no such joint: {', '.join(unknown)}"
-            )
+        stated, remarks = find_types(beside, read_loop_file(beside), joints)
+        remarks += describe_unlisted(beside, stated, frames)
         joints = with_types(beside, stated, joints)
         loops += listed_loops(beside, stated, frames)
         driven = tuple(stated.get("name_mot") or driven)
@@ -210,6 +211,50 @@ def read_loop_file(path: Path) -> dict[str, Any]:
     return stated
 
 
+def find_types(
+    path: Path, stated: Mapping[str, Any], joints: Mapping[str, LinkageJoint]
+) -> tuple[dict[str, Any], list[str]]:
+    """Return the content of the file with names of joints that the URDF has, and remarks.
+
+    A misspelt name is read as the one joint that is similar. A file without `joint_name` means what
+    the tool that writes these files would add: hinges with `spherical` in their names are balls.
+    """
+    if "joint_name" not in stated:
+        balls = [n for n, one in joints.items() if SPHERICAL in n and one.kind == "revolute"]
+        remark = (
+            f"{path}: no joint_name is stated, so hinges named {SPHERICAL} are read as ball "
+            f"joints, as is usual in such files: {', '.join(balls)}. If they are hinges, state "
+            "joint_name: []"
+        )
+        types = {"joint_name": balls, "joint_type": ["SPHERICAL"] * len(balls)}
+        return {**stated, **types}, [remark] if balls else []
+    names, kinds = (stated.get(key) or [] for key in ("joint_name", "joint_type"))
+    free = [name for name in joints if name not in names]
+    found, remarks = dict[str, str](), list[str]()
+    for name, kind in zip(names, kinds, strict=True):
+        meant = [name] if name in joints else get_close_matches(name, free, 2, MIN_SIMILARITY)
+        if len(meant) == 1:
+            found[meant[0]] = kind
+        if meant != [name]:
+            read = f"read as '{meant[0]}', the similar one" if len(meant) == 1 else "not read"
+            remarks.append(f"{path}: the URDF has no joint '{name}' of joint_name: {read}")
+    return {**stated, "joint_name": [*found], "joint_type": [*found.values()]}, remarks
+
+
+def describe_unlisted(
+    path: Path, stated: Mapping[str, Any], frames: Mapping[str, Place]
+) -> list[str]:
+    """Say which frames are named as the ends of loops are, but close none."""
+    pairs = stated.get("closed_loop") or []
+    listed = {name for pair in pairs if isinstance(pair, list) for name in pair}
+    names = {re.sub(r"\d+", "#", str(name)) for name in listed}
+    others = [n for n in frames if n not in listed and re.sub(r"\d+", "#", n) in names]
+    return others and [
+        f"{path}: closed_loop does not list {', '.join(others)}, which are named as the ends of "
+        "its loops: if they close a loop, add the pair"
+    ]
+
+
 def with_types(
     path: Path, stated: Mapping[str, Any], joints: Mapping[str, LinkageJoint]
 ) -> dict[str, LinkageJoint]:
@@ -217,8 +262,6 @@ def with_types(
     found = dict(joints)
     names, kinds = (stated.get(key) or [] for key in ("joint_name", "joint_type"))
     for name, kind in zip(names, kinds, strict=True):
-        if name not in found:
-            continue
         word = str(kind).upper()
         axes = word.removeprefix("UJOINT_")
         if word in ("SPHERICAL", "FIXED"):
@@ -246,6 +289,7 @@ def listed_loops(
         if missing := [name for name in pair if name not in frames]:
             raise DatasetError(
                 f"{path}: closed_loop names '{missing[0]}', which is no link or joint of the URDF"
+                f"{format_suggestion(missing[0], [*frames])}"
             )
         if str(kind).lower() not in LOOP_TYPES:
             raise DatasetError(f"{path}: type is '{kind}', expected 3d or 6d")

@@ -334,16 +334,21 @@ def read_coordinates(key: str, given: Any) -> list[str]:
 
 def read_masses(
     given: Mapping[str, Any] | None, bodies: Collection[str]
-) -> tuple[dict[str, float], dict[str, np.ndarray]]:
-    """Return the mass of each body that has one, and its centre in the frame of the body."""
+) -> tuple[dict[str, float], dict[str, tuple[str, np.ndarray]]]:
+    """Return the mass of each part that has one, and its body with the centre in its frame.
+
+    A part has the name of its body. That of a body `platform` is `platform_body`, because the mass
+    `platform` acts at the origin of {P}.
+    """
     entries = Entry("masses", given or {}, {*(given or {})})
-    found, centres = dict[str, float](), dict[str, np.ndarray]()
+    found, centres = dict[str, float](), dict[str, tuple[str, np.ndarray]]()
     for body, value in entries.given.items():
         if body not in bodies:
             raise ModelError(f"masses: unknown body {body!r}, expected some of {sorted(bodies)}")
         own = Entry(f"masses: {body}", value, {"mass", "centre"})
-        if body == "platform":  # the name of the mass at the origin of {P}
-            raise ModelError("masses: rename the body 'platform': 'mass.platform' acts at {P}")
-        found[str(body)] = own.number("mass")
-        centres[str(body)] = own.vector("centre", (0.0, 0.0, 0.0))
+        part = "platform_body" if body == "platform" else str(body)
+        if part in found:
+            raise ModelError(f"masses: rename the body {body!r}: there are two parts {part!r}")
+        found[part] = own.number("mass")
+        centres[part] = str(body), own.vector("centre", (0.0, 0.0, 0.0))
     return found, centres

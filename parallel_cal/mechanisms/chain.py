@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.base.errors import ModelError
+from parallel_cal.base.errors import ModelError, OpenLoopsError
 from parallel_cal.base.rotation import exponential, matrix_to_quaternion, quaternion_to_matrix
 from parallel_cal.base.units import DEGREE
 from parallel_cal.mechanisms._chain_bodies import (
@@ -45,6 +45,11 @@ PLACES = {"position", "quaternion", "rpy"}
 EXAMPLE = "{name: hip, type: revolute, parent: base, child: leg, axis: [0, 0, 1], driven: true}"
 PREFERENCE = {"zero": 4.0, "length": 4.0} | dict.fromkeys(SHIFTS, 1.0) | dict.fromkeys(TURNS, 0.5)
 SHARE_OF_LIMITS = 0.3  # of the range of a joint, for the motion around home
+MAX_ROUNDED_M = 1e-6  # that numbers with few digits leave open
+ROUNDED = (
+    "; so little stays open if the geometry is stated with few digits and its loops are redundant: "
+    "state more digits"
+)
 TRIES = 30  # random starts from which the loops are closed at home
 
 
@@ -301,26 +306,62 @@ class Chain(Mechanism):
         self._choose_rows_and_parameters(home)
 
     def _close_at_home(self, survey: Survey, guess: np.ndarray) -> np.ndarray:
-        """Close the loops with the driven joints at home; ModelError where they cannot."""
-        n, rng = len(self.joints), np.random.default_rng(0)
-        columns = list(range(n, len(survey.scale)))
-        best, start = (np.inf, guess), guess
+        """Close the loops with the driven joints at home. Where they cannot, OpenLoopsError states
+        a home next to it at which they do."""
+        n, every = len(self.joints), list(range(len(survey.scale)))
+        x, left = self._close_near(survey, guess, every[n:])
+        if np.linalg.norm(left) < CLOSED * self.length:
+            return x
+        open_at_home = self._describe_open(left, survey)
+        x, left = self._close_near(survey, guess, every)
+        if np.linalg.norm(left) < CLOSED * self.length:
+            at = Configuration.from_rows(x, len(self.passive))
+            words = ", ".join(
+                f"{name} {value:.6g} {unit}"
+                for name, value, unit in zip(self.joints, at.q, self.joint_units, strict=True)
+            )
+            raise OpenLoopsError(
+                f"the loops do not close at home: {open_at_home} with the driven joints at their "
+                f"home. They close at {words}: state these as the home of the driven joints",
+                dict(zip([*self.joints, *self.passive], [*at.q, *at.u], strict=True)),
+                at.r.tolist(),
+                matrix_to_quaternion(at.R).tolist(),
+            )
+        raise OpenLoopsError(
+            f"the loops do not close at home: {open_at_home} with the driven joints at their home, "
+            f"and {self._describe_open(left, survey)} if these may move, too, from {TRIES} starts. "
+            "Correct the home of joints and platform, the geometry, or a joint or loop whose type "
+            f"is too stiff{ROUNDED if np.abs(left).max() < MAX_ROUNDED_M else ''}"
+        )
+
+    def _close_near(
+        self, survey: Survey, guess: np.ndarray, columns: Sequence[int]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Change some coordinates so that the loops close, from starts farther and farther from a
+        guess; return the configuration with the least rest, and this rest.
+
+        A configuration beyond the limits of the joints counts only if there is no other one.
+        """
+        rng, (low, high) = np.random.default_rng(0), np.array(self.joint_limits).T
+        start, beyond, best = guess, None, (np.inf, guess, np.zeros(0))
         for k in range(TRIES):
             x, left = survey.close(start, columns)
-            if np.linalg.norm(left) < CLOSED * self.length:
-                return x
-            best = min(best, (float(np.linalg.norm(left)), x), key=lambda one: one[0])
+            size, q = float(np.linalg.norm(left)), x[: len(self.joints)]
+            if size < CLOSED * self.length:
+                if np.all((low <= q) & (q <= high)):
+                    return x, left
+                beyond = beyond or (x, left)
+            best = min(best, (size, x, left), key=lambda one: one[0])
             change = np.zeros(len(survey.scale))
             change[columns] = rng.uniform(-1, 1, len(columns)) * self.length * (k + 1) / TRIES
             at = Configuration.from_rows(guess, len(self.passive))
             start = at.apply_change(2 * change / survey.scale).rows
-        rows = survey.evaluate(best[1])[0]
-        worst = self._owners()[int(np.argmax(np.abs(rows)))]
-        raise ModelError(
-            f"the loops do not close at home: '{worst}' stays {1e3 * np.abs(rows).max():.3g} mm "
-            "open with the driven joints at their home; correct the home of joints and platform, "
-            "or the geometry"
-        )
+        return beyond or best[1:]
+
+    def _describe_open(self, left: np.ndarray, survey: Survey) -> str:
+        """Say which loop is widest open, from the rows in metres."""
+        worst = int(np.argmax(np.abs(left)))
+        return f"'{self._owners()[worst]}' stays {1e3 * abs(left[worst]):.3g} mm open"
 
     def _owners(self) -> list[str]:
         p = Named(self.parameters.names, ca.DM(self.parameters.nominal))
@@ -463,8 +504,8 @@ class Chain(Mechanism):
         q, *passive, r, R, p = args
         frames = self._frames(q, passive[0] if passive else ca.SX(0, 1), r, R, p)
         return {
-            body: [frames[body][0] + frames[body][1] @ ca.DM(centre)]
-            for body, centre in self._centres.items()
+            part: [frames[body][0] + frames[body][1] @ ca.DM(centre)]
+            for part, (body, centre) in self._centres.items()
         }
 
     def spans(self, q: Any, p: Named) -> list[tuple[float, Any, Any]]:

@@ -103,6 +103,7 @@ class CalibrationSettings:
         self._version: Any = None
         self._joints: tuple[str, ...] | None = None
         self.rest_tolerance: Any = DEFAULT_REST_TOLERANCE  # (nq,) rad or m, of a joint at rest
+        self.passive: tuple[str, ...] = ()  # passive joints of the model
         self.camera_board = ""  # columns x rows of the board of the model's camera, or empty
         self.model_trouble = ""  # why the model file cannot be read; empty if it can
 
@@ -168,6 +169,7 @@ class CalibrationSettings:
                 moves = any(sensor.name == DEVICE_FRAME_SENSOR for sensor in model.sensors)
                 self.base = "" if moves else model.frames["base"]
                 self.rest_tolerance = REST_SHARE * np.asarray(model.mechanism.joint_ranges)
+                self.passive = model.mechanism.passive
                 seen = [sensor.options for sensor in model.sensors if sensor.shows_pose]
                 boards = (
                     f"{o['columns']}x{o['rows']}" for o in seen if {"columns", "rows"} <= set(o)

@@ -61,18 +61,29 @@ class Collector:
         options: SampleOptions | None = None,
         topics: Mapping[str, str] | None = None,
         auto: bool = True,
+        passive: Sequence[str] = (),
     ):
         self.joints, self.options, self.auto = joints, options or SampleOptions(), auto
+        self.passive = passive
         self.received: Counter[str] = Counter()
         self._topics, self._numbers = dict(topics or {}), count(1)
         self._past_paired = self._past_dropped = self._past_lost = self._past_strays = 0
         self._restart()
 
-    def configure(self, joints: Sequence[str] | None, options: SampleOptions, auto: bool) -> None:
-        """Change joints or options, and remake the samples whose messages are still buffered."""
+    def configure(
+        self,
+        joints: Sequence[str] | None,
+        options: SampleOptions,
+        auto: bool,
+        passive: Sequence[str] = (),
+    ) -> None:
+        """Change joints or options, and remake the samples whose messages are still buffered.
+
+        `passive` are the passive joints whose readings are taken from the joint states.
+        """
         self.auto = auto
-        if (joints, options) != (self.joints, self.options):
-            self.joints, self.options = joints, options
+        if (joints, options, passive) != (self.joints, self.options, self.passive):
+            self.joints, self.options, self.passive = joints, options, passive
             for inbox in self._inboxes:
                 inbox.forget()
 
@@ -204,7 +215,9 @@ class Collector:
         """
         for stream, gate in self._gates.items():
             self._pass_on(stream, gate.flush(now_ns))
-        taken = (inbox.take_snapshot(self.joints, self.options) for inbox in self._inboxes)
+        taken = (
+            inbox.take_snapshot(self.joints, self.options, self.passive) for inbox in self._inboxes
+        )
         return [snapshot for snapshot in taken if snapshot is not None]
 
     def adopt(self, made: Sequence[tuple[Snapshot, Made]]) -> bool:
@@ -360,7 +373,7 @@ class Collector:
         if Path(path).suffix == SUFFIX:
             parts = [(order_joints(p.dataset, self.joints), p.start_ns) for p in read_journal(path)]
         else:
-            parts = [(load_dataset(path, joints=self.joints), 0)]
+            parts = [(load_dataset(path, joints=self.joints, passive=self.passive), 0)]
         self.clear()
         for k, (dataset, start_ns) in enumerate(parts):
             self._inboxes.insert(k, Inbox.from_dataset(dataset, self._numbers, start_ns))

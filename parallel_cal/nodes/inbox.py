@@ -54,6 +54,7 @@ class Snapshot:
     raws: Mapping[str, Raw]
     joints: Sequence[str] | None
     options: SampleOptions
+    passive: Sequence[str] = ()
 
     @property
     def messages(self) -> int:
@@ -64,7 +65,9 @@ class Snapshot:
         raws, poses = self.raws, find_poses(self.raws)
         measured = (poses, *(raws[name] for name in list_channels("words", "readings", "images")))
         silent = [] if raws["joint_states"].stamp else [raws["joint_states"].topic]
-        if not any(raw.stamp for raw in measured):
+        newest = raws["joint_states"].rows[-1:]
+        encoded = any(name in self.passive for names, _, _ in newest for name in names)
+        if not encoded and not any(raw.stamp for raw in measured):
             silent.append(" or ".join(raw.topic for raw in measured))
         if silent:
             return Made(trouble=f"no messages received on {' and '.join(silent)} yet")
@@ -72,7 +75,8 @@ class Snapshot:
         try:
             received = {name: raw for name, raw in raws.items() if raw.stamp}
             # One recording serves the counts and the samples, so that they agree.
-            recording = align_clocks(assemble(received, ReadOptions(joints=self.joints), "live"))
+            reading = ReadOptions(joints=self.joints, passive=self.passive)
+            recording = align_clocks(assemble(received, reading, "live"))
             # A measurement needs a joint state before and after it; the newest may still get one.
             states, time = recording.joints, recording.pose.time
             near = find_bracketed(states, time, max_gap(states, self.options))
@@ -165,7 +169,7 @@ class Inbox:
         return sum(len(raw.stamp) for raw in self.raws.values())
 
     def take_snapshot(
-        self, joints: Sequence[str] | None, options: SampleOptions
+        self, joints: Sequence[str] | None, options: SampleOptions, passive: Sequence[str] = ()
     ) -> Snapshot | None:
         """Copy all messages if there are new ones since the last snapshot, else return None."""
         messages = self._count_messages()
@@ -174,7 +178,7 @@ class Inbox:
         self._seen = messages
         # The lists grow while another thread makes samples of the snapshot.
         raws = {name: raw.select(range(len(raw.stamp))) for name, raw in self.raws.items()}
-        return Snapshot(self, next(self._snapshots), raws, joints, options)
+        return Snapshot(self, next(self._snapshots), raws, joints, options, passive)
 
     def adopt(self, snapshot: Snapshot, made: Made) -> None:
         """Use the samples made of a snapshot, unless those of a newer one are in use already."""

@@ -100,7 +100,10 @@ class LiveSamples:
         self._process_messages()
         settings = self._settings
         self.collector.configure(
-            settings.joints(), settings.sample_options(), settings.get("auto_collect")
+            settings.joints(),
+            settings.sample_options(),
+            settings.get("auto_collect"),
+            settings.passive,
         )
         return self.collector.take_snapshots(now)
 

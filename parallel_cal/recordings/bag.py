@@ -48,9 +48,12 @@ def read_bag(
     options, path = options or ReadOptions(), Path(path)
     try:
         with _Bag(path) as bag:
-            chosen = choose_topics(bag.topics, options.topics, bag.notes, bool(options.images))
+            offer, images = (bag.topics, options.topics, bag.notes), bool(options.images)
+            chosen = choose_topics(*offer, images, bool(options.passive_joints))
             raws = _read_messages(bag, chosen, options.topics, progress)
             recording = assemble(raws, options, str(path), bag.notes)
+            if len(raws) == 1 and not recording.passive:
+                choose_topics(*offer, images)  # names what else can be measured
             if options.images:
                 recording = _add_images(bag, recording, options, progress)
         return replace(recording, sha256=data_hash(path), topics=bag.topics)

@@ -55,9 +55,8 @@ def assemble(
     streams = [*of("joints").values(), *of("poses").values()][:2]
     for raw in streams:
         require_messages(raw)
-    passive = options.mechanism.passive if options.mechanism else ()
-    encoders = split_passive(streams[0], passive)
-    readings = order_readings(streams[0], options.joints, said, passive)
+    encoders = split_passive(streams[0], options.passive_joints)
+    readings = order_readings(streams[0], options.joints, said, options.passive_joints)
     contents = [readings.q, *map(pose_values, streams[1:])]
     kept = [
         keep_one_publisher(raw, values, said, dropped)
@@ -89,7 +88,7 @@ def assemble(
 
     conditions, distances = numbers(of("condition")), numbers(_by_gauge(of("readings").values()))
     distances |= numbers(_by_corner(of("images").values()))
-    distances = numbers(encoders) | distances  # a topic of its own has priority
+    read = {name: raw for name, raw in encoders.items() if name not in distances}  # no own topic
     words = (_latch_texts(raw, streams[0], times[0], start) for raw in of("words").values())
     return Recording(
         source,
@@ -99,6 +98,7 @@ def assemble(
         conditions,
         next(words, None),
         distances,
+        numbers(read),
         tuple(dropped),
         tuple(said),
     )

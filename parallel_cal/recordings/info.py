@@ -109,6 +109,7 @@ def _recording_part(recording: Recording, duration: float) -> dict[str, Any]:
         },
         "constraint": recording.constraint,
         **{_channel_name(name): gauge for name, gauge in recording.distances.items()},
+        **recording.passive,
     }
     return {
         "source": recording.source,

@@ -93,14 +93,9 @@ def split_passive(raw: Raw, passive: Sequence[str]) -> dict[str, Raw]:
         if len(names) == len(q):
             for name, value in zip(names, q, strict=True):
                 if name in passive:
-                    stream = found.setdefault(name, Raw(name_encoder(raw.topic, name), raw.type))
+                    stream = found.setdefault(name, Raw(f"{raw.topic} ({name})", raw.type))
                     stream.append(log, stamp, (value,), origin)
     return found
-
-
-def name_encoder(topic: str, joint: str) -> str:
-    """Return the name of the stream of a passive joint in messages with joint states."""
-    return f"{topic} ({joint})"
 
 
 def _joint_names(

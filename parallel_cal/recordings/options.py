@@ -115,6 +115,9 @@ class ReadOptions(SampleOptions):
     mechanism : Mechanism, optional
         The robot: it states names and order of the joints, and converts angles of motors to lengths
         by the drives that its model file states.
+    passive : sequence of str
+        Joints without a motor whose readings in the joint states count, beside those of
+        `mechanism`. Default none.
     mode : str
         `dwell` (one sample per standstill), `continuous` (one per pose message) or `auto`.
         Default `auto`.
@@ -155,6 +158,7 @@ class ReadOptions(SampleOptions):
     images: str | Sequence[str] = ()
     board: str = "8x6"
     mechanism: Mechanism | None = None
+    passive: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -180,6 +184,11 @@ class ReadOptions(SampleOptions):
         if self.joints is None:
             return self.mechanism.joints if self.mechanism else None
         return tuple(self.joints)
+
+    @property
+    def passive_joints(self) -> tuple[str, ...]:
+        """Joints without a motor that joint states may contain."""
+        return (*self.passive, *(self.mechanism.passive if self.mechanism else ()))
 
     def with_values(self, **given: Any) -> ReadOptions:
         """Return the options with some values changed; DatasetError for an unknown name."""
@@ -210,3 +219,4 @@ class ReadKeywords(TypedDict, total=False):
     images: str | Sequence[str]
     board: str
     mechanism: Mechanism | None
+    passive: Sequence[str]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError, UnfitError
-from parallel_cal.recordings.joint_stream import name_encoder
 from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.recording import Array, Bools, Dropped, JointStream, Recording
 from parallel_cal.recordings.samples import Sample, Samples, max_gap
@@ -16,12 +15,7 @@ ACCELERATION_PERIODS = 5  # of the joint readings, to each side of a sample
 def paired_samples(recording: Recording, options: SampleOptions, tolerance: Array) -> Samples:
     """Return one sample per pose message, with the joints interpolated to its time."""
     joints, pose = recording.joints, recording.pose
-    encoders = {
-        name: stream
-        for name, stream in recording.distances.items()
-        if stream.topic == name_encoder(joints.topic, name)
-    }
-    if recording.constraint or len(recording.distances) > len(encoders):
+    if recording.constraint or recording.distances:
         raise UnfitError(
             f"{recording.source}: a constraint or a distance belongs to a dwell, but "
             "mode is 'continuous': use mode='dwell', or disable their topics "
@@ -46,7 +40,10 @@ def paired_samples(recording: Recording, options: SampleOptions, tolerance: Arra
     columns = _interpolate_joints(joints, pose.time[at])
     acceleration = compute_acceleration(joints, pose.time[at])
     nowhere = np.full(len(joints.names), np.nan)
-    encoded = {c: np.interp(pose.time[at], s.time, s.value) for c, s in encoders.items()}
+    encoded = {
+        name: np.interp(pose.time[at], stream.time, stream.value)
+        for name, stream in recording.passive.items()
+    }
     reading = np.searchsorted(joints.time, pose.time[at])
     for k, i in enumerate(at):
         q, effort, velocity = (column[k] for column in columns)

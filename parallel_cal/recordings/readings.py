@@ -24,7 +24,7 @@ def readings_between(recording: Recording, start: float, end: float) -> dict[str
     """Return the mean reading (m) of each channel between two times; a constraint reads zero."""
     word = words_between(recording.constraint, start, end)[0]
     readings = {word: 0.0} if word else {}
-    for channel, stream in recording.distances.items():
+    for channel, stream in {**recording.passive, **recording.distances}.items():
         a, b = np.searchsorted(stream.time, [start, end])
         if b > a:
             readings[channel] = float(stream.value[a:b].mean())

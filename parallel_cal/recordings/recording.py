@@ -147,7 +147,8 @@ class Recording:
 
     `conditions` are numbers over time by channel (temperature, payload, ...). `constraint` names
     the plane or sphere that constrains the tip; it is empty if there is none. `distances` are the
-    readings (m) of ball-bars and probes by channel.
+    readings (m) of ball-bars and probes by channel. `passive` are the joint states' readings of
+    passive joints (rad or m) by name.
     """
 
     source: str
@@ -157,6 +158,7 @@ class Recording:
     conditions: Mapping[str, ScalarStream] = field(default_factory=dict)
     constraint: TextStream | None = None
     distances: Mapping[str, ScalarStream] = field(default_factory=dict)
+    passive: Mapping[str, ScalarStream] = field(default_factory=dict)
     dropped: tuple[Dropped, ...] = ()
     notes: tuple[str, ...] = ()
     topics: tuple[TopicInfo, ...] = ()

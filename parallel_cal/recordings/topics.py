@@ -25,10 +25,12 @@ def choose_topics(
     topics: Mapping[str, str],
     notes: list[str],
     has_images: bool = False,
+    may_lack_poses: bool = False,
 ) -> dict[str, TopicInfo]:
     """Return the topic of each channel that has one, and at most one topic of poses.
 
-    BagError if there are no joints, or nothing measured besides images.
+    BagError if there are no joints, or nothing measured besides images, unless the joint states may
+    contain what was measured (`may_lack_poses`).
     """
     channels: dict[str, Channel] = {n: c for n in topics if (c := find_channel(n))} | CHANNELS
     names = {channel: split_body(topics.get(channel, channel))[0] for channel in channels}
@@ -46,13 +48,13 @@ def choose_topics(
 
     choose("words")
     choose("readings")
-    if pose := _pose(offer, names, needed=len(chosen) == 1 and not has_images):
+    if pose := _pose(offer, names, len(chosen) == 1 and not has_images, may_lack_poses):
         chosen["measured_position" if pose.type in POINTS else "measured_pose"] = pose
     choose("condition")
     return chosen
 
 
-def _pose(offer: _Offer, names: Mapping[str, str], needed: bool) -> TopicInfo | None:
+def _pose(offer: _Offer, names: Mapping[str, str], alone: bool, optional: bool) -> TopicInfo | None:
     """Return the pose device's topic; only by its name if another sensor was recorded."""
     pose = offer.find_named(names["measured_pose"], POSES)
     point = offer.find_named(names["measured_position"], POINTS + POSES)
@@ -61,9 +63,9 @@ def _pose(offer: _Offer, names: Mapping[str, str], needed: bool) -> TopicInfo | 
     wanted = names["measured_position"]
     if wanted == "measured_position":
         wanted = names["measured_pose"]
-    if not needed:
+    if not alone or optional:
         seen = [topic for topic in (pose, point) if topic and topic.count]
-        return seen[0] if seen else offer.optional("measured_pose", wanted, POSES + POINTS, False)
+        return seen[0] if seen else offer.optional("measured_pose", wanted, POSES + POINTS, alone)
     return (
         pose
         or point
