@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 import test_export_heights
 import test_import_fluidnc
+import test_import_repetier
 import test_import_smoothieware
 import test_import_tower_words
 import virtual_printer as vp
@@ -173,6 +174,7 @@ def test_a_printers_configuration_makes_a_hobby_machine_unless_a_class_is_stated
         "smoothieware",
         "mk4duo",
         "richcattell",
+        "repetier",
         "fluidnc",
     ],
 )
@@ -185,6 +187,7 @@ def test_the_firmware_of_printers_has_the_class_of_printers(kind, tmp_path):
         "fluidnc": ("config.yaml", test_import_fluidnc.DELTA),
         "mk4duo": ("printer.log", test_import_tower_words.MK4DUO),
         "richcattell": ("printer.log", test_import_tower_words.RICHCATTELL),
+        "repetier": ("printer.log", test_import_repetier.REPORT),
         "smoothieware": ("config", test_import_smoothieware.LINEAR),
         "linuxcnc": ("machine.hal", "setp lineardeltakins.R 100\nsetp lineardeltakins.L 250\n"),
     }
