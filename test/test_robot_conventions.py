@@ -105,7 +105,7 @@ def test_what_is_wrong_is_said(tmp_path):
         with pytest.raises(ParallelCalError) as error:
             import_csv(path, **given)
         assert message in str(error.value)
-    with pytest.raises(ParallelCalError, match=r"map.yaml:1: robot"):
+    with pytest.raises(ParallelCalError, match=r"map.yaml:1: .*robot is 'fanucc', expected"):
         read(tmp_path, "robot: fanucc\n")
 
 

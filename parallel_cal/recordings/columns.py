@@ -19,7 +19,7 @@ from parallel_cal.model.file.schema import NoisePart, Part, sentence
 from parallel_cal.model.file.yamltext import parse_yaml
 from parallel_cal.recordings.channels import list_channels
 from parallel_cal.recordings.joint_names import match_numbered_names, rename_conditions
-from parallel_cal.recordings.robot_conventions import CONVENTIONS, complete_map
+from parallel_cal.recordings.robot_conventions import complete_map
 from parallel_cal.recordings.samples import READING
 from parallel_cal.recordings.table import Table, split_condition, split_unit
 
@@ -235,7 +235,7 @@ class ColumnMap(Part):
     join: Join | None = None
     log: Log | None = None
     noise: NoisePart = NoisePart()
-    robot: Literal[tuple(CONVENTIONS)] | None = None  # type: ignore[valid-type]
+    robot: str | None = None
 
     @model_validator(mode="before")
     @classmethod

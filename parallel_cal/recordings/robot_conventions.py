@@ -64,10 +64,13 @@ def complete_map(given: Any) -> Any:
     """Return the data of a column map with what its `robot` says about keys that it does not state.
 
     Without any measurement, position and orientation have the maker's usual columns. `joints` may
-    be a list of six names, those of the model file. Data without a known robot are unchanged.
+    be a list of six names, those of the model file. ValueError for a robot that is not known.
     """
-    if not isinstance(given, dict) or given.get("robot") not in CONVENTIONS:
+    if not isinstance(given, dict) or given.get("robot") is None:
         return given
+    if given["robot"] not in CONVENTIONS:
+        known = ", ".join(CONVENTIONS)
+        raise ValueError(f"robot is '{given['robot']}', expected one of {known}")
     own, found = CONVENTIONS[given["robot"]], dict(given)
     joints = found.get("joints", [f"joint{i}" for i in range(1, 7)])
     if isinstance(joints, list) and len(joints) == len(own.joints):
