@@ -18,7 +18,7 @@ MM, DEGREE = 1e-3, np.pi / 180
 DELTA = """\
 board: 6 Pack
 kinematics:
-  ParallelDelta:   # mine
+  parallel_delta:   # mine
     crank_mm: 70.0
     base_triangle_mm: 179.437 # by the drawing
     linkage_mm: 133.50
@@ -184,7 +184,7 @@ def test_what_was_exported_is_read_again(tmp_path):
 @pytest.mark.parametrize(
     ("text", "old", "new", "message"),
     [
-        (DELTA, "crank_mm: 70.0", "", "no kinematics/paralleldelta/crank_mm, expected a length"),
+        (DELTA, "crank_mm: 70.0", "", "no kinematics/parallel_delta/crank_mm, expected a length"),
         (DELTA, "133.50", "30", r":6: kinematics/.*/linkage_mm is '30', expected mm that reach"),
         (DELTA, "-20.0", "20", r":8: kinematics/.*/up_degrees is '20', expected degrees from -90"),
         (DELTA, "crank_mm: 70", "crank_mm: 49", "crank_mm is '49.0', .* in mm from 50 to 500"),
@@ -192,7 +192,8 @@ def test_what_was_exported_is_read_again(tmp_path):
         (DELTA, "up_degrees: -20", "homing_mpos_radians: 0", "radians is '0.0', .* FluidNC 4.0"),
         (DELTA, "board", "  \tboard", r"config.yaml:1: the indentation is '  \\tboard: 6 Pack'"),
         (PLOTTER, "-267", "300", "left_anchor_x is '300.0', expected mm, left of the right"),
-        (PLOTTER, "WallPlotter", "CoreXY", "no /maslow_tlx, expected ParallelDelta, WallPlotter"),
+        (DELTA, "parallel_delta", "ParallelDelta", "expected the section parallel_delta: the firm"),
+        (PLOTTER, "WallPlotter", "CoreXY", "no /maslow_tlx, expected parallel_delta, WallPlotter"),
         (DELTA, "kinematics", "kin", "config.yaml: not a configuration that can be read"),
     ],
 )

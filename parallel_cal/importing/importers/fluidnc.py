@@ -1,9 +1,9 @@
 """FluidNC: the configuration (`config.yaml`) of a ParallelDelta or a WallPlotter, and Maslow's with
 the log of its calibration.
 
-A ParallelDelta has equal chains and counts its angles down from the horizontal. Its sizes are sides
-of triangles, as in grblHAL. When homed, all arms are at up_degrees, and the position is then
-mpos_mm. Source: bdring/FluidNC e952f33f, FluidNC/src/Kinematics/ParallelDelta.cpp
+A ParallelDelta (`parallel_delta:`) has equal chains and counts its angles down from the horizontal.
+Its sizes are sides of triangles, as in grblHAL. When homed, all arms are at up_degrees, and the
+position is then mpos_mm. Source: bdring/FluidNC e952f33f, FluidNC/src/Kinematics/ParallelDelta.cpp
 (group, motors_to_cartesian, set_homed_mpos) and .h (defaults); importing/wall_lines.py for the
 others, whose numbers have no range. The keys before release 4.0: ParallelDelta.cpp in 049719e2.
 
@@ -38,7 +38,12 @@ CONFIGURATION = (".yaml", ".yml")
 MACHINE_CLASS: MachineClass = "hobby"  # belts, printed parts, open loop
 LINE = re.compile(r"(\s*)([\w/-]+)\s*:\s*([^#]*)")
 TAB = re.compile(r" *\t")
-DELTA, PLOTTER = "kinematics/paralleldelta", "kinematics/wallplotter"
+DELTA, PLOTTER = "kinematics/parallel_delta", "kinematics/wallplotter"
+# What its source and documents call it, but not what the firmware reads.
+MISNAMED, NAME = (
+    "kinematics/paralleldelta/",
+    "the section parallel_delta: the firmware has no other",
+)
 EFFECTOR_MM = 86.603  # the firmware's default
 SIZES = ("crank_mm", "linkage_mm", "base_triangle_mm", "end_effector_triangle_mm")
 UP, UP_DEGREES = f"{DELTA}/up_degrees", -30.0
@@ -57,7 +62,7 @@ CORNERS = tuple(f"/maslow_{corner}{axis}" for corner in ("tl", "tr", "bl", "br")
 # From the end of a belt to its arm, and from there to the middle of the sled.
 EXTENSION, ARM = "/maslow_beltendextension", "/maslow_armlength"
 EXTENSION_MM, ARM_MM = 30.0, 123.4
-KINDS = "ParallelDelta, WallPlotter, or the anchors Maslow_tlX ... Maslow_brY"
+KINDS = "parallel_delta, WallPlotter, or the anchors Maslow_tlX ... Maslow_brY"
 REVERSED = deltas.ANGLES_UP.format("FluidNC")
 LEFT_IS_REVERSED = (
     "the model's readings are the lengths of the left and the right line that are let out from the "
@@ -164,6 +169,8 @@ def _read(paths: Sequence[Path]) -> Settings:
 
 def kinematics(stated: Settings) -> Shoulders | PlotterLines | MaslowBelts:
     """Return the machine that a configuration describes."""
+    for field in (field for field in stated.texts if field.startswith(MISNAMED)):
+        raise stated.error(field, NAME)
     if any(field.startswith(f"{DELTA}/") for field in stated.texts):
         return _shoulders(stated)
     if any(field.startswith(f"{PLOTTER}/") for field in stated.texts):
