@@ -12,7 +12,7 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.base.units import DEGREE
 from parallel_cal.mechanisms._controller import read_one_per_joint, read_scale
 from parallel_cal.mechanisms._size import read_numbers, read_point, read_points
-from parallel_cal.mechanisms.tripod_struts import strut_parameters, travel
+from parallel_cal.mechanisms.tripod_struts import lengths_at_zero, strut_parameters, travel
 from parallel_cal.model.drawing import Line
 from parallel_cal.model.drawing import ring as closed
 from parallel_cal.model.mechanism import POSE, Home, Mechanism, Workspace
@@ -80,10 +80,7 @@ class Pentapod(Mechanism):
                 f"{radii[short]:g} m at home {tip.tolist()}: expected base points further from the "
                 "spindle's axis"
             )
-        zero = lengths
-        if retracted is not None:
-            whole = read_numbers({"retracted": retracted}, {"retracted"})["retracted"]
-            zero = np.full(5, whole)
+        zero = lengths_at_zero(retracted, lengths)
         table = list[Parameter]()
         for i, leg in enumerate(LEGS):
             table += strut_parameters(leg, C[i], float(zero[i]), size["tolerance"])

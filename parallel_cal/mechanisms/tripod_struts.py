@@ -62,10 +62,7 @@ class TripodStruts(Mechanism):
                 f"home {point.tolist()} is in the plane of the base points {C.tolist()}, or these "
                 "are on one line: expected a point on one side of three points that span a plane"
             )
-        zero = lengths
-        if retracted is not None:
-            whole = read_numbers({"retracted": retracted}, {"retracted"})["retracted"]
-            zero = np.full(3, whole)
+        zero = lengths_at_zero(retracted, lengths)
         self.parameters = ParameterTable(
             p
             for leg, c, L0 in zip(self.joints, C, zero, strict=True)
@@ -134,6 +131,13 @@ def strut_parameters(leg: str, foot: np.ndarray, zero: float, tolerance: float) 
         for a, v in zip("xyz", foot, strict=True)
     ]
     return [*balls, Parameter(f"{leg}.L0", "m", zero, tolerance, label="length at reading zero")]
+
+
+def lengths_at_zero(retracted: float | None, lengths: np.ndarray) -> np.ndarray:
+    """Return the lengths (n,) m of struts at reading zero; without the option, those at home."""
+    if retracted is None:
+        return lengths
+    return np.full(len(lengths), read_numbers({"retracted": retracted}, {"retracted"})["retracted"])
 
 
 def travel(
