@@ -463,8 +463,8 @@ def test_what_a_target_cannot_hold_is_refused_and_targets_that_can_are_named(tmp
         (
             "linear_delta",
             "grblhal",
-            "c, cpp, klipper, linuxcnc, marlin, marlin_equal_rods, mk4duo, moveit, richcattell, "
-            "ros2_control, rrf, smoothieware, table can",
+            "c, cpp, klipper, linuxcnc, marlin, marlin_equal_rods, mk4duo, moveit, repetier, "
+            "richcattell, ros2_control, rrf, smoothieware, table, ucnc can",
         ),
         ("argos27", "rrf", "c, cpp, linuxcnc, moveit, ros2_control, table can represent it"),
     ):

@@ -175,7 +175,11 @@ def test_leans_that_klipper_cannot_represent_are_reported_as_loss(tmp_path):
             "print_width: 2000",
             r"print_width is '2000', .* 0 to 112, Klipper's",
         ),
-        ("deltesian", "deltesion", r"is 'deltesion', expected delta, rotary_delta or deltesian"),
+        (
+            "deltesian",
+            "deltesion",
+            r"is 'deltesion', expected delta, rotary_delta, deltesian or winch",
+        ),
     ],
 )
 def test_settings_that_cannot_be_are_named(old, new, message, tmp_path):

@@ -7,7 +7,8 @@ from test_export_firmware import moved
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.exporting.export import export, export_into
-from parallel_cal.importing.controller_files import configured
+from parallel_cal.identification.fit import fit
+from parallel_cal.importing.controller_files import configured, samples
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import new_model
@@ -17,7 +18,7 @@ MM, DEGREE = 1e-3, np.pi / 180
 DELTA = """\
 board: 6 Pack
 kinematics:
-  ParallelDelta:   # mine
+  parallel_delta:   # mine
     crank_mm: 70.0
     base_triangle_mm: 179.437 # by the drawing
     linkage_mm: 133.50
@@ -183,7 +184,7 @@ def test_what_was_exported_is_read_again(tmp_path):
 @pytest.mark.parametrize(
     ("text", "old", "new", "message"),
     [
-        (DELTA, "crank_mm: 70.0", "", "no kinematics/paralleldelta/crank_mm, expected a length"),
+        (DELTA, "crank_mm: 70.0", "", "no kinematics/parallel_delta/crank_mm, expected a length"),
         (DELTA, "133.50", "30", r":6: kinematics/.*/linkage_mm is '30', expected mm that reach"),
         (DELTA, "-20.0", "20", r":8: kinematics/.*/up_degrees is '20', expected degrees from -90"),
         (DELTA, "crank_mm: 70", "crank_mm: 49", "crank_mm is '49.0', .* in mm from 50 to 500"),
@@ -191,7 +192,8 @@ def test_what_was_exported_is_read_again(tmp_path):
         (DELTA, "up_degrees: -20", "homing_mpos_radians: 0", "radians is '0.0', .* FluidNC 4.0"),
         (DELTA, "board", "  \tboard", r"config.yaml:1: the indentation is '  \\tboard: 6 Pack'"),
         (PLOTTER, "-267", "300", "left_anchor_x is '300.0', expected mm, left of the right"),
-        (PLOTTER, "WallPlotter", "CoreXY", "no /maslow_tlx, expected ParallelDelta, WallPlotter"),
+        (DELTA, "parallel_delta", "ParallelDelta", "expected the section parallel_delta: the firm"),
+        (PLOTTER, "WallPlotter", "CoreXY", "no /maslow_tlx, expected parallel_delta, WallPlotter"),
         (DELTA, "kinematics", "kin", "config.yaml: not a configuration that can be read"),
     ],
 )
@@ -245,3 +247,70 @@ def test_a_cable_robot_that_fluidnc_cannot_move_is_refused(tmp_path):
     three = load_mechanism("cable", anchors=[[0, 1], [1, -1], [-1, -1]])
     with pytest.raises(ParallelCalError, match=r"3 lines that count from .*expected two lines"):
         export(new_model(three), "fluidnc", tmp_path)
+
+
+# ------------------------------------------------------------ the log of a Maslow's calibration
+
+# Lengths of bl, br, tr and tl in mm that a page of Maslow's documents states as an example.
+CLBM = (
+    "[MSG:INFO: Measured waypoint 0]\n"
+    "CLBM:[{bl:2960.58,   br:3150.08,   tr:3067.72,   tl:3049.85},]\n"
+    "CLBM:[{bl:2960.58,   br:3150.08,   tr:3067.72,   tl:3049.85},"
+    "{bl:3066.96,   br:3042.59,   tr:2957.53,   tl:3158.38},]\n"
+)
+ANCHORS = np.array([(-27.6, 2064.9), (2924.3, 2066.5), (0, 0), (2953.2, 0)])  # mm, of MASLOW
+
+
+def maslow_files(folder, log=CLBM, setup=MASLOW):
+    (folder / "serial.log").write_text(log)
+    (folder / "maslow.yaml").write_text(setup)
+    return [folder / "serial.log", folder / "maslow.yaml"]
+
+
+def test_waypoints_are_lengths_of_belt_that_count_once(tmp_path):
+    """A belt is measured 30 + 123.4 mm from the middle of the sled, to which the log's lengths
+    lead."""
+    data = samples("fluidnc", maslow_files(tmp_path))
+    expected = np.array(
+        [[3049.85, 3067.72, 2960.58, 3150.08], [3158.38, 2957.53, 3066.96, 3042.59]]
+    )
+    np.testing.assert_allclose(data.q, (expected - 153.4) * MM, atol=1e-12)
+    assert data.joint_names == configured([tmp_path / "maslow.yaml"]).model.joints
+    assert not data.measured.any()
+    longer = MASLOW.replace("Maslow_tlZ: 100", "Maslow_beltEndExtension: 40")
+    other = samples("fluidnc", maslow_files(tmp_path, setup=longer))
+    np.testing.assert_allclose(other.q - data.q, -10 * MM, atol=1e-12)
+
+
+def test_the_belts_alone_tell_how_far_the_anchors_are_apart(tmp_path):
+    """Anchors up to 13 mm from the file, lengths from right triangles, rounded as in a log."""
+    true = ANCHORS + [[6, -9], [-11, 7], [0, 0], [4, 0]]
+    at = np.array([[x, y] for x in np.linspace(600, 2300, 5) for y in np.linspace(400, 1700, 5)])
+    belts = np.hypot(*(at[:, None] - true).transpose(2, 0, 1))
+    rows = "".join(f"{{bl:{c:.2f}, br:{d:.2f}, tr:{b:.2f}, tl:{a:.2f}}}," for a, b, c, d in belts)
+    files = maslow_files(tmp_path, f"CLBM:[{rows}]\n")
+    model = fit(configured(files[1:]).model, samples("fluidnc", files)).model
+    found = np.array([[model.value(f"line{i}.A_{axis}") for axis in "xy"] for i in range(1, 5)])
+
+    def apart(points):
+        return np.array([np.hypot(*(points[i] - points[j])) for i in range(4) for j in range(i)])
+
+    assert np.abs(apart(ANCHORS) - apart(true)).max() > 15
+    np.testing.assert_allclose(apart(found / MM), apart(true), atol=0.2)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("bl:2960.58", "bl:2960.5B", r"serial.log:2: bl is '2960.5B', expected a length in mm"),
+        (
+            "bl:2960.58",
+            "b:2960.58",
+            r"serial.log:2: a waypoint is 'b:2960.58, .* expected the four",
+        ),
+        ("CLBM", "CLB", r"serial.log: no waypoints, expected lines 'CLBM:\[\{bl:2960.58, br"),
+    ],
+)
+def test_a_broken_log_is_named_with_line_and_belt(old, new, message, tmp_path):
+    with pytest.raises(ParallelCalError, match=message):
+        samples("fluidnc", maslow_files(tmp_path, CLBM.replace(old, new)))

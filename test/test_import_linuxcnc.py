@@ -6,6 +6,7 @@ import virtual_firmware as vf
 from scipy.optimize import fsolve
 
 from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.exporting.export import export, export_into
 from parallel_cal.identification.fit import fit
 from parallel_cal.importing.controller_files import configured, samples
@@ -14,6 +15,7 @@ from parallel_cal.importing.touch_samples import touches_in
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import load_mechanism
 
 HAL = """\
 loadrt lineardeltakins
@@ -109,12 +111,12 @@ sets tl 10
 sets sl 18
 sets fr 5 # of the foot
 """
-HOMED = "[JOINT_{}]\nHOME_OFFSET = {}\nMAX_LIMIT = 90.0\n"
+HOMED = "[JOINT_{}]\nHOME_OFFSET = {}\n"
 
 
-def machine(folder, hal, unit, homed):
+def machine(folder, hal, unit, homed, limit="MAX_LIMIT = 90.0\n"):
     """Both files of a machine whose joints are homed at these positions."""
-    joints = "".join(HOMED.format(i, at) for i, at in enumerate(homed))
+    joints = "".join(HOMED.format(i, at) + limit for i, at in enumerate(homed))
     (folder / "machine.hal").write_text(hal)
     (folder / "machine.ini").write_text(f"[TRAJ]\nLINEAR_UNITS = {unit}\n{joints}")
     return [folder / "machine.hal", folder / "machine.ini"]
@@ -461,6 +463,131 @@ def test_limits_that_no_strut_can_reach_are_none(tmp_path, limits):
     np.testing.assert_allclose(bounds[:, 1], expected)
 
 
+# Pins of LinuxCNC's example configs/sim/axis/pentapod (5c41560ebb), mm: x y z of the base, r and z
+# of the effector.
+PENTAPOD = (
+    (-418, 500, -140, 80.3, 87),
+    (418, 500, -140, 80.3, 114.5),
+    (0, 500, -310, 80.3, 140.5),
+    (418, 500, 510, 80.3, 232.5),
+    (-418, 500, 510, 80.3, 258.5),
+)
+# X Y Z A B in mm and degrees, and the struts in mm that its pentakins.c computed for them.
+BY_PENTAKINS = (
+    ((0, 0, 0, 0, 0), (614.846892386, 625.522142755, 615.709623118, 635.227479787, 624.307577302)),
+    (
+        (20, -30, 40, 8, -5),
+        (668.912761846, 675.557057987, 685.776818500, 661.849477251, 656.523630804),
+    ),
+    (
+        (-55.5, 61.25, -18, -12, 10),
+        (525.063237974, 577.584027674, 527.046854824, 601.824831029, 554.828415713),
+    ),
+)
+# Likewise Bx, Cx, Cy in inches of lib/hallib/tripodsim.hal; X Y Z and the struts by tripodkins.c.
+TRIPOD = "setp tripodkins.Bx 10\nsetp tripodkins.Cx 5\nsetp tripodkins.Cy 7.071\n"
+BY_TRIPODKINS = (
+    ((1, 2, 3), (3.741657387, 9.695359715, 7.121449361)),
+    ((4, 2.5, 3.5), (5.873670062, 7.382411530, 5.843290255)),
+)
+
+
+def pentapod_pins():
+    names = ("base.{}.x", "base.{}.y", "base.{}.z", "effector.{}.r", "effector.{}.z")
+    return "".join(
+        f"setp pentakins.{name.format(k)} {value}\n"
+        for k, row in enumerate(PENTAPOD)
+        for name, value in zip(names, row, strict=True)
+    )
+
+
+def about(axis, degrees):
+    w = np.zeros(3)
+    w["xy".index(axis)] = np.radians(degrees)
+    return rotation_matrix(w[None])[0]
+
+
+@pytest.mark.parametrize("home", [0, 1])
+def test_a_pentapod_moves_as_pentakins_computes(tmp_path, home):
+    """From any home; its rotation is Ry(B) Rx(A)."""
+    hal = pentapod_pins()
+    found = configured(machine(tmp_path, hal, "mm", BY_PENTAKINS[home][1], ""))
+    assert found.model.mechanism.name == "pentapod"
+    at = [pose for pose, _ in BY_PENTAKINS]
+    r = np.array([pose[:3] for pose in at]) * 1e-3
+    R = np.array([about("y", pose[4]) @ about("x", pose[3]) for pose in at])
+    joints = np.array([struts for _, struts in BY_PENTAKINS]) * 1e-3
+    solved = Kinematics(found.model)
+    np.testing.assert_allclose(solved.inverse(r, R).joints, joints, atol=1e-12)
+    poses = solved.direct(joints)
+    np.testing.assert_allclose(poses.position, r, atol=1e-11)
+    np.testing.assert_allclose(poses.rotation, R, atol=1e-10)
+    np.testing.assert_allclose(found.model.mechanism.home.position, r[home], atol=1e-9)
+
+
+def test_a_tripod_moves_as_tripodkins_computes(tmp_path):
+    found = configured(machine(tmp_path, TRIPOD, "inch", BY_TRIPODKINS[1][1]))
+    assert found.model.mechanism.name == "tripod_struts"
+    r, joints = (np.array([row[k] for row in BY_TRIPODKINS]) * INCH * 1e-3 for k in (0, 1))
+    solved = Kinematics(found.model)
+    np.testing.assert_allclose(solved.inverse(r).joints, joints, atol=1e-11)
+    np.testing.assert_allclose(solved.direct(joints).position, r, atol=1e-10)
+    np.testing.assert_allclose(found.model.mechanism.home.position, r[1], atol=1e-10)
+
+
+def test_lengths_of_a_pentapod_that_do_not_meet_leave_home_at_zero(tmp_path):
+    """Those of LinuxCNC's own example: they miss each other by 22 mm."""
+    homed = [598.5792, 697.1982, 682.785, 787.9175, 806.0397]
+    found = configured(machine(tmp_path, pentapod_pins(), "mm", homed, ""))
+    assert any(
+        r"where they are 614.8469, 625.5221, 615.7096, 635.2275, 624.3076 long" in remark
+        for remark in found.remarks
+    )
+    assert found.model.mechanism.home.position == (0, 0, 0)
+
+
+@pytest.mark.parametrize("kind", ["pentapod", "tripod"])
+def test_struts_that_are_longer_and_elsewhere_go_back_into_the_files(kind, tmp_path):
+    """The numbers in the files are those of the changed robot, and a second export changes none."""
+    hal, homed, unit = (
+        (pentapod_pins(), BY_PENTAKINS[0][1], "mm")
+        if kind == "pentapod"
+        else (TRIPOD, BY_TRIPODKINS[1][1], "inch")
+    )
+    files = machine(tmp_path, hal, unit, homed, "")
+    model = configured(files).model
+    rng = np.random.default_rng(4)
+    moved = model.with_values(model.values + 1e-3 * rng.standard_normal(len(model.values)))
+    done = export_into(moved, "linuxcnc", files)
+    assert done.before["position_max"] > 1e-3
+    assert done.loss["position_max"] < 0.1e-6
+    again = export_into(moved, "linuxcnc", files)
+    assert again.before["position_max"] < 0.1e-6
+    text = files[0].read_text()
+    if kind == "pentapod":
+        value = moved.value("leg3.B_r") * 1e3
+        assert f"setp pentakins.effector.2.r {value:.5f}" in text
+    else:
+        A, B = ([moved.value(f"leg{i}.C_{axis}") for axis in "xyz"] for i in (1, 2))
+        side = np.linalg.norm(np.subtract(B, A)) / (INCH * 1e-3)
+        assert f"setp tripodkins.Bx {side:.7f}" in text
+
+
+def test_a_tripod_may_hang_and_lean(tmp_path):
+    """Its base leans in the model's frame; LinuxCNC's frame lies on the base, the tool above it."""
+    base = [[0.1, 0.2, 1.0], [0.15, -0.3, 1.1], [-0.4, 0.1, 0.9]]
+    mechanism = load_mechanism("tripod_struts", base=base, home=[0, 0, 0.4], retracted=0)
+    done = export(new_model(mechanism), "linuxcnc", tmp_path)
+    assert done.loss["position_max"] < 0.1e-6
+    pins = dict(
+        line.split()[1:3]
+        for line in (tmp_path / "tripodkins/machine.hal").read_text().splitlines()
+        if line.startswith("setp")
+    )
+    side = np.linalg.norm(np.subtract(base[1], base[0])) * 1e3
+    assert float(pins["tripodkins.Bx"]) == pytest.approx(side, abs=1e-5)
+
+
 def test_what_is_wrong_in_files_of_its_own_kinematics_is_said(tmp_path):
     pins, lengths = hexapod_pins()
     for hal, unit, homed, message in (
@@ -469,7 +596,16 @@ def test_what_is_wrong_in_files_of_its_own_kinematics_is_said(tmp_path):
         (pins, "inch", [0.0] * 6, "HOME_OFFSET is '0.0', expected"),
         (pins, "inch", [10.0] * 6, "struts of 254 mm do not reach"),
         (pins.replace("base.3.y", "base.3.q"), "mm", lengths, "no genhexkins.base.3.y, expected"),
-        ("loadrt trivkins\n", "mm", [0], "no genhexkins.base.0.x, expected pins of genhexkins, l"),
+        ("loadrt trivkins\n", "mm", [0], "no genhexkins.base.0.x, expected pins of genhexkins, p"),
+        (
+            pentapod_pins().replace("effector.2.r", "q"),
+            "mm",
+            [600] * 5,
+            "no pentakins.effector.2.r",
+        ),
+        (TRIPOD.replace("Bx 10", "Bx 0"), "mm", [9] * 3, "tripodkins.Bx is '0', expected a length"),
+        (TRIPOD.replace("Cy", "Cz"), "mm", [9] * 3, "no tripodkins.Cy, expected setp, a length"),
+        (TRIPOD, "mm", [1, 9, 9], "HOME_OFFSET is '1', expected lengths at which the struts meet"),
     ):
         with pytest.raises(ParallelCalError) as error:
             configured(machine(tmp_path, hal, unit, homed))

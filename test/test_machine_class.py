@@ -7,8 +7,10 @@ from dataclasses import replace
 import pytest
 import test_export_heights
 import test_import_fluidnc
+import test_import_repetier
 import test_import_smoothieware
 import test_import_tower_words
+import test_import_ucnc
 import virtual_printer as vp
 from datasets import measured
 
@@ -173,6 +175,8 @@ def test_a_printers_configuration_makes_a_hobby_machine_unless_a_class_is_stated
         "smoothieware",
         "mk4duo",
         "richcattell",
+        "repetier",
+        "ucnc",
         "fluidnc",
     ],
 )
@@ -185,6 +189,8 @@ def test_the_firmware_of_printers_has_the_class_of_printers(kind, tmp_path):
         "fluidnc": ("config.yaml", test_import_fluidnc.DELTA),
         "mk4duo": ("printer.log", test_import_tower_words.MK4DUO),
         "richcattell": ("printer.log", test_import_tower_words.RICHCATTELL),
+        "repetier": ("printer.log", test_import_repetier.REPORT),
+        "ucnc": ("settings.txt", test_import_ucnc.SETTINGS),
         "smoothieware": ("config", test_import_smoothieware.LINEAR),
         "linuxcnc": ("machine.hal", "setp lineardeltakins.R 100\nsetp lineardeltakins.L 250\n"),
     }

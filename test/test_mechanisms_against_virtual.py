@@ -94,6 +94,8 @@ CASES = [
     Case("tripod_prs", vf.TripodPrs),
     Case("tripod_prs", lambda p: vf.TripodPrs(p, 0.3), (("inclination", 0.3),)),
     Case("plate_rrs", vf.PlateRrs),
+    Case("tripod_struts", vf.TripodStruts),
+    Case("pentapod", vf.Pentapod),
     Case("palletizer", vf.Palletizer),
     Case("palletizer", lambda p: vf.Palletizer(p, False), (("flange", False),)),
 ]
@@ -162,10 +164,10 @@ def test_direct_and_inverse_problem_are_solved_as_the_virtual_robot_stands(case,
 
 CLOSED = [  # where the documents give one, or geometry at once does
     *[("direct", n) for n in ("slider_crank", "rssr", "parallelogram", "parallelogram_simple")],
-    *[("direct", n) for n in ("scara16", "cable", "five_bar")],
+    *[("direct", n) for n in ("scara16", "cable", "five_bar", "tripod_struts")],
     *[("inverse", n) for n in ("slider_crank", "rssr", "argos_nominal", "argos9")],
     *[("inverse", n) for n in ("stewart42", "planar_stewart", "cable", "five_bar")],
-    *[("inverse", n) for n in ("stewart_rss", "hexaglide", "quattro")],
+    *[("inverse", n) for n in ("stewart_rss", "hexaglide", "quattro", "tripod_struts")],
 ]
 
 

@@ -17,6 +17,8 @@ REFUSED = {
     **{("cascaded", robot): "no constant factor to eliminate" for robot in NO_CONSTANT},
     ("cascaded", "scara16"): "cannot be separated: CasADi.* use the implicit method",
     ("semiparametric", "scara16"): "cannot be separated: CasADi.* use the implicit method",
+    ("cascaded", "pentapod"): "cannot be separated: a root is within .* use the implicit method",
+    ("semiparametric", "pentapod"): "cannot be separated: a root is within .* use the implicit",
     **{
         (method, robot): "cannot be separated: CasADi.* use the implicit method"
         for method in ("cascaded", "semiparametric")

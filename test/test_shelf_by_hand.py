@@ -505,3 +505,74 @@ def test_a_bed_whose_way_rises_lifts_the_plate_and_with_it_the_point():
 def test_rods_too_short_for_a_deltesian_are_refused():
     with pytest.raises(ModelError, match=r"rod is 0.1 m: too short for rails 0.15 m away"):
         load_mechanism("deltesian", rod=0.1)
+
+
+# ------------------------------------------------------------------ struts to a point or to rings
+
+# From (1, 2, 4) to the point (4, 5, 14) are (3, 3, 10), 118 = 10.86^2.
+STRUT = {"C_x": 1, "C_y": 2, "C_z": 4, "L0": 10}
+STRUT_BY_HAND = {
+    "": (0, np.sqrt(118) - 10),
+    "q": (3, np.sqrt(118) - 13),
+    "L0": (12, np.sqrt(118) - 12),
+    "C_x": (2, np.sqrt(113) - 10),
+    "C_y": (3, np.sqrt(113) - 10),
+    "C_z": (6, np.sqrt(82) - 10),
+}
+# Seen from a spindle turned by CYCLE at (4, 5, 14), its foot (-3, -3, -10) is at (-3, -10, -3):
+# 10.44 from its axis. A ring of 2 at the height 1 is (8.44, 4) away.
+OUT = np.sqrt(109)
+RING = STRUT | {"B_r": 2, "B_z": 1}
+RING_BY_HAND = {
+    "": (0, np.hypot(OUT - 2, 4) - 10),
+    "q": (3, np.hypot(OUT - 2, 4) - 13),
+    "L0": (12, np.hypot(OUT - 2, 4) - 12),
+    "B_r": (4, np.hypot(OUT - 4, 4) - 10),
+    "B_z": (-3, OUT - 2 - 10),
+    "C_x": (2, np.hypot(OUT - 2, 3) - 10),  # along z of the spindle
+    "C_y": (3, np.hypot(np.hypot(2, 10) - 2, 4) - 10),
+    "C_z": (6, np.hypot(np.hypot(3, 8) - 2, 4) - 10),
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "part", "changed"),
+    [("tripod_struts", STRUT, c) for c in STRUT_BY_HAND]
+    + [("pentapod", RING, c) for c in RING_BY_HAND],
+)
+@pytest.mark.parametrize("i", [0, 2])
+def test_a_strut_is_what_paper_and_pencil_say(name, part, changed, i):
+    value, expected = (STRUT_BY_HAND if part is STRUT else RING_BY_HAND)[changed]
+    model = new_model(name, numbers_with(part, changed, value, f"leg{i + 1}"))
+    q = np.full(len(model.joints), value if changed == "q" else 0)
+    assert phi(model, q, POSITION, CYCLE)[i] == pytest.approx(expected, abs=1e-12)
+    assert {n for n in model.table.names if n.startswith("leg1.")} == {f"leg1.{n}" for n in part}
+
+
+def test_the_last_row_of_a_pentapod_says_how_far_its_spindle_turned_about_itself():
+    """QUARTER turns x of the platform to y: by the whole characteristic length."""
+    model = new_model("pentapod")
+    q = np.zeros(5)
+    assert phi(model, q, POSITION, QUARTER)[5] == pytest.approx(model.mechanism.length)
+    assert phi(model, q, POSITION, EYE)[5] == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("tripod_struts", {"base": [[0, 0, 0]]}, r"base is \[\[0, 0, 0\]\]: expected 3 points"),
+        ("tripod_struts", {"home": [0.2, 0.12, 0.0]}, r"is in the plane of the base points"),
+        ("tripod_struts", {"home": [0.2, 0.12]}, r"home is \[0.2, 0.12\]: expected a point"),
+        ("tripod_struts", {"retracted": -1}, r"retracted is -1: expected one number, at least 0"),
+        ("pentapod", {"radius": 0.6}, r"of leg5 is within the ring of 0.6 m at home"),
+        (
+            "pentapod",
+            {"heights": [0.1]},
+            r"heights is \[0.1\]: expected 5 numbers, one for each leg",
+        ),
+        ("pentapod", {"limits": [1, 0]}, r"limits is \[1, 0\]: expected two numbers in m"),
+    ],
+)
+def test_struts_that_cannot_be_built_are_refused(name, options, message):
+    with pytest.raises(ModelError, match=message):
+        load_mechanism(name, **options)

@@ -32,6 +32,8 @@ TWINS = {
     "tripod_prs": vf.TripodPrs,
     "plate_rrs": vf.PlateRrs,
     "palletizer": vf.Palletizer,
+    "tripod_struts": vf.TripodStruts,
+    "pentapod": vf.Pentapod,
 }
 
 
@@ -117,7 +119,7 @@ def test_a_fit_to_the_twins_measurements_ends_at_the_noise_floor_at_poses_not_se
     before, after = misses(session.model, session.unseen), misses(result.model, session.unseen)
     # The truth has no noise: the model predicts better than one measurement of 0.1 mm.
     assert after[0] < min(POSITION, before[0])
-    assert after[1] < before[1] / 3
+    assert after[1] <= before[1] / 3  # both are 0 of a point
 
 
 HIDDEN = [  # robot, effect in the twin, payload up to (kg), its name in the catalogue

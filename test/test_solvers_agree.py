@@ -24,8 +24,9 @@ SMALL = {
     "parallelogram_simple",
     "rssr",
     "slider_crank",
+    "tripod_struts",
 }
-SHELF = {"stewart_rss", "hexaglide", "quattro"}
+SHELF = {"stewart_rss", "hexaglide", "quattro", "pentapod"}
 SERVED = {  # solver: mechanisms whose direct, and whose inverse problem it solves
     "closed_form": (
         SMALL | {"argos_nominal", "parallelogram", "scara16"},

@@ -1,5 +1,5 @@
 """Robots of the shelf from points, axes and passive joints: servo Stewart, hexaglide, ankle,
-four-armed Delta, 3-PRS, 3-RRS and palletizer.
+four-armed Delta, 3-PRS, 3-RRS, palletizer, and the struts of tripods and pentapods.
 
 Unlike the closures, these robots keep their passive joints: a hinged rod has a swing, a linkage has
 the angle of every lever, a universal joint its two angles. They use no room but `virtual/`.
@@ -11,6 +11,7 @@ from parallel_cal.virtual.robot import apply, axis_rotation, stack, turn
 from parallel_cal.virtual.stewart import Assembly, column, numbered, vectors
 
 CHAINS, LEGS = numbered("chain", 3), numbered("leg", 6)
+TRIPOD_LEGS = numbered("leg", 3)
 THIRDS = np.arange(3) * 2 * np.pi / 3
 
 
@@ -343,3 +344,56 @@ class Palletizer(Assembly):
             np.abs(at["V"] - at["T"]) - p["level.rod2"],
         ]
         return np.concatenate([end - r, rotation_gap(built, R), stack(rods)], -1)
+
+
+class TripodStruts(Assembly):
+    """Three struts to one point, as in a surveyor's tripod."""
+
+    moves = controls = "x y z"
+    home = (0.2, 0.12, 0.4)
+    home_joints = (0.0,) * 3
+
+    def __init__(self, parameters):
+        super().__init__(parameters)
+        self.feet = vectors(parameters, ["C_x", "C_y", "C_z"], TRIPOD_LEGS)
+        self.zero = column(parameters, "L0", TRIPOD_LEGS)
+
+    def gaps(self, q, r, R, hidden):
+        """How far a strut that points to the tool ends before it."""
+        away = r[..., None, :] - self.feet
+        ends = self.feet + away * ((q + self.zero) / np.linalg.norm(away, axis=-1))[..., None]
+        return np.sum((r[..., None, :] - ends) * away, axis=-1) / np.linalg.norm(away, axis=-1)
+
+
+class Pentapod(Assembly):
+    """Five struts to rings on a spindle; the angle of each ring is a passive joint.
+
+    A ring turns until its strut lies in the plane of the spindle's axis: its tangent is square to
+    the strut.
+    """
+
+    controls = "x y z rx ry"
+    home = (0.0, 0.0, 0.0)
+    home_joints = (0.0,) * 5
+
+    def __init__(self, parameters):
+        super().__init__(parameters)
+        legs = numbered("leg", 5)
+        self.feet = vectors(parameters, ["C_x", "C_y", "C_z"], legs)
+        self.zero, self.radius, self.height = (
+            column(parameters, name, legs) for name in ("L0", "B_r", "B_z")
+        )
+
+    def gaps(self, q, r, R, hidden):
+        out = direction(hidden, 0 * hidden)
+        across = direction(hidden + np.pi / 2, 0 * hidden)
+        ring = self.radius[:, None] * out + self.height[:, None] * np.array([0.0, 0.0, 1.0])
+        strut = self.feet - r[..., None, :] - apply(R[..., None, :, :], ring)
+        short = np.linalg.norm(strut, axis=-1) - q - self.zero
+        aside = np.sum(strut * apply(R[..., None, :, :], across), axis=-1)
+        return np.concatenate([short, aside, R[..., 1, :1]], axis=-1)
+
+    def hidden(self, q, r, R):
+        """The rings' angles: towards the feet, as seen from the spindle."""
+        seen = apply(np.swapaxes(R, -1, -2)[..., None, :, :], self.feet - r[..., None, :])
+        return np.arctan2(seen[..., 1], seen[..., 0])

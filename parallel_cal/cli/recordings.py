@@ -75,12 +75,20 @@ def import_csv(
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="samples to write (.json)")],
     columns: Annotated[
-        Path,
+        Path | None,
         typer.Option(
             help="file that maps columns to quantities (YAML); the other commands read a table "
             "without such a file if its header names all columns"
         ),
-    ],
+    ] = None,
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MAKER",
+            help="in place of --columns: the maker of an arm (abb, fanuc, kawasaki, kuka, staubli, "
+            "ur), if the columns have the maker's names",
+        ),
+    ] = None,
     data: Data = None,
     as_json: Json = False,
 ) -> None:
@@ -89,7 +97,7 @@ def import_csv(
     from parallel_cal.recordings import csv_import
     from parallel_cal.recordings.info import info_of
 
-    dataset = csv_import.import_csv(tables, columns, data_options(data))
+    dataset = csv_import.import_csv(tables, columns, data_options(data), robot)
     dataset.to_json(output)
     document = info_of(dataset)
     show_info(document | {"output": str(output)} if as_json else document, as_json)

@@ -235,17 +235,21 @@ def shoulders(
 
 
 def fit_equal_towers(
-    model: Model, places: Array, present: Refinement | None = None
+    model: Model, places: Array, present: Refinement | None = None, one_stop: bool = False
 ) -> tuple[Towers, Machine]:
-    """Fit equal towers at `places`, an end-stop for each, and the origin."""
+    """Fit equal towers at `places`, an end-stop for each, and the origin.
+
+    With `one_stop`, all end-stops are at one height.
+    """
     c = chains_of(model, places)
 
     def machine(v: Array) -> Machine:
         same = np.ones(3)
-        delta = Towers(v[0] * same, v[1] * same, 0 * same, v[2:5], first=float(places[0]))
-        return c.machine(delta, np.array([v[5], v[6], 0.0]))
+        delta = Towers(v[0] * same, v[1] * same, 0 * same, v[4:] * same, first=float(places[0]))
+        return c.machine(delta, np.array([v[2], v[3], 0.0]))
 
-    start = np.array([c.radius.mean(), c.rods.mean(), *c.homed, 0.0, 0.0])
+    tops = [c.homed.mean()] if one_stop else c.homed
+    start = np.array([c.radius.mean(), c.rods.mean(), 0.0, 0.0, *tops])
     found = machine(fit_numbers(model, start, machine, c.bed, present))
     return found.firmware, found  # type: ignore[return-value]
 

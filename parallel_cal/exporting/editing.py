@@ -34,7 +34,7 @@ def format_settings(settings: Mapping[str, str]) -> str:
     found = []
     for head, group in groupby(settings, _head):
         fields = list(group)
-        if re.fullmatch(r"[GM]\d+", head):
+        if re.fullmatch(r"[GM]\d+.*", head):
             found.append(" ".join([head, *(_line(f, settings[f]) for f in fields)]))
         elif "/" in head:
             names = head.split("/")
@@ -109,12 +109,12 @@ def _is_of_yaml(field: str) -> bool:
 
 
 def _head(field: str) -> str:
-    """Return the group of a field: `M665`, `[section]`, `$`, `DELTA_` (C), the component of a pin,
-    the sections of YAML, or nothing for all keys of a file of `key value`."""
+    """Return the group of a field: `M665`, `M206 T3 P881`, `[section]`, `$`, `DELTA_` (C), the
+    component of a pin, the sections of YAML, or nothing for all keys of a file of `key value`."""
     if _is_of_yaml(field):
         return field.rpartition("/")[0]
     defined = "|".join(DEFINITIONS)
-    return re.match(rf"\[[^\]]*\]|[GM]\d+(?= )|\$|{defined}|[^.]*(?=\.)|", field)[0]  # type: ignore[index]
+    return re.match(rf"\[[^\]]*\]|[GM]\d+(?: T\d P\d+)?(?= )|\$|{defined}|[^.]*(?=\.)|", field)[0]  # type: ignore[index]
 
 
 def sets_stored_value(field: str) -> bool:

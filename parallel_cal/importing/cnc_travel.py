@@ -67,18 +67,18 @@ def _describe_assumed(limits: Array) -> list[str]:
 def strut_limits(
     stated: Settings, home: Array, switches: Array, unit: float
 ) -> tuple[Array, list[str]]:
-    """Return limits (6, 2) m of struts, and remarks on what is assumed.
+    """Return limits (n, 2) m of struts, and remarks on what is assumed.
 
     A strut is longer than 0. Where MIN_LIMIT says otherwise, nobody has set the limits, and a
     MAX_LIMIT of more than twice the length at home is none. Struts are assumed to reach as far
     beyond home as their switches are before it.
     """
-    limits = _read_all_limits(stated, 6, unit, 0.0, np.inf)
+    limits = _read_all_limits(stated, len(home), unit, 0.0, np.inf)
     unset = np.isinf(limits[:, 0]) & (limits[:, 1] > 2 * home)
     limits[unset, 1] = np.inf
     remarks = _describe_assumed(limits)
     beyond = np.where(switches < home, 2 * home - switches, np.maximum(switches, 1.5 * home))
-    assumed = np.column_stack([np.full(6, float(home.min()) / 2), beyond])
+    assumed = np.column_stack([np.full(len(home), float(home.min()) / 2), beyond])
     return np.where(np.isfinite(limits), limits, assumed), remarks
 
 

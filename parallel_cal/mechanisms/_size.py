@@ -37,3 +37,25 @@ def read_limits(given: Sequence[float], unit: str) -> tuple[float, float]:
             f"limits is {given!r}: expected two numbers in {unit}, the lower one first"
         )
     return low, high
+
+
+def read_points(name: str, given: Sequence[Sequence[float]], n: int) -> np.ndarray:
+    """Return an option that is n points [x, y, z] as an array (n, 3) in m."""
+    try:
+        points = np.array(given, dtype=float)
+    except (TypeError, ValueError):
+        points = np.empty(0)
+    if points.shape != (n, 3) or not np.isfinite(points).all():
+        raise ModelError(f"{name} is {given!r}: expected {n} points [x, y, z] in m")
+    return points
+
+
+def read_point(name: str, given: Sequence[float]) -> np.ndarray:
+    """Return an option that is a point [x, y, z] as an array (3,) in m."""
+    try:
+        point = np.array(given, dtype=float)
+    except (TypeError, ValueError):
+        point = np.empty(0)
+    if point.shape != (3,) or not np.isfinite(point).all():
+        raise ModelError(f"{name} is {given!r}: expected a point [x, y, z] in m")
+    return point

@@ -19,6 +19,7 @@ from parallel_cal.model.file.schema import NoisePart, Part, sentence
 from parallel_cal.model.file.yamltext import parse_yaml
 from parallel_cal.recordings.channels import list_channels
 from parallel_cal.recordings.joint_names import match_numbered_names, rename_conditions
+from parallel_cal.recordings.robot_conventions import complete_map
 from parallel_cal.recordings.samples import READING
 from parallel_cal.recordings.table import Table, split_condition, split_unit
 
@@ -215,7 +216,8 @@ class ColumnMap(Part):
     or a constant number. Rows of equal `group` are visits of one pose. The column `name` has a name
     of each row, such as the number of a shot. `visits` states whether the
     robot visited the poses in the order of the rows. `noise` is 1 sigma as the manufacturers state
-    it (SI; for a motor's angle without `per_rev`, of this angle).
+    it (SI; for a motor's angle without `per_rev`, of this angle). `robot` is the maker of an arm,
+    whose conventions complete the map.
     """
 
     joints: Annotated[dict[str, JointColumn], Field(min_length=1)]
@@ -233,6 +235,12 @@ class ColumnMap(Part):
     join: Join | None = None
     log: Log | None = None
     noise: NoisePart = NoisePart()
+    robot: str | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _complete_by_robot(cls, given: Any) -> Any:
+        return complete_map(given)
 
     @property
     def joint_columns(self) -> list[str]:

@@ -1,16 +1,17 @@
-"""Klipper: the numbers of `kinematics: delta`, `rotary_delta` and `deltesian` in printer.cfg.
+"""Klipper: the numbers of `kinematics: delta`, `rotary_delta`, `deltesian` and `winch`.
 
-The steppers may be at any angle, but must be counter-clockwise seen from above. Only then does
-Klipper's forward kinematics find the lower of the two points where the rods meet
+The steppers of a Delta may be at any angle, but must be counter-clockwise seen from above. Only
+then does Klipper's forward kinematics find the lower of the two points where the rods meet
 (klippy/mathutil.py, trilateration). The axes are those of {B}, turned by 180 degrees about x if z
 of {B} points down. Sources: Klipper documentation, "Configuration reference" and "Delta
-calibration".
+calibration"; importing/winches.py.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -38,11 +39,17 @@ from parallel_cal.importing.deltesian import DeltesianArms
 from parallel_cal.importing.importers import klipper
 from parallel_cal.importing.importers.klipper import STEPPERS
 from parallel_cal.importing.settings import Settings
+from parallel_cal.importing.winches import Winches
+from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model
 
-HOLDS = (*LINEAR, *ROTARY, klipper.DELTESIAN)
+HOLDS = (*LINEAR, *ROTARY, klipper.DELTESIAN, "cable")
 FILE = "printer.cfg"
 DECIMALS = 6  # of mm and degrees, as SAVE_CONFIG writes them
+START = (
+    "Klipper takes the point to be at the origin when it starts and at G28: move it there first. "
+    "With the settings of the recording, the steppers are at {} mm there"
+)
 
 
 def settings(paths: Sequence[Path], texts: Mapping[Path, str] | None = None) -> Settings:
@@ -62,6 +69,8 @@ def project(
 ) -> Projection:
     if model.mechanism.name == klipper.DELTESIAN:
         return _deltesian(model, stated)
+    if model.mechanism.name == "cable":
+        return _winches(model)
     remarks, scale = list[str](), None
     if model.mechanism.name in LINEAR:
         has_scale = stated is not None and klipper.scale(stated) is not None
@@ -144,6 +153,34 @@ def _deltesian(model: Model, stated: Settings | None) -> Projection:
                 "that Klipper accepts with the new arms"
             )
     return Projection({FILE: found}, frame, stops, tuple(remarks))
+
+
+def _winches(model: Model) -> Projection:
+    """Fit the anchors; the steppers count from the origin, where the robot reads what it reads."""
+    cable: Any = model.mechanism
+    n = len(model.joints)
+    if len(cable.moves) != 3 or cable.spools or any(cable.moving_pulleys) or not cable.whole:
+        raise ModelError(
+            "klipper: expected a cable robot in space whose readings are whole lengths of line "
+            "from the anchors (option zero: anchors, no spools) and whose lines end at the point. "
+            "rrf has the spools of a Hangprinter"
+        )
+    if n > len(klipper.LINES):
+        raise ModelError(f"klipper: {n} lines, expected {klipper.MIN_LINES} to 26")
+    start = np.array([[model.value(f"line{i + 1}.A_{a}") for a in "xyz"] for i in range(n)])
+    stops = Kinematics(model).inverse(np.zeros((1, 3))).joints[0]
+
+    def machine(v: np.ndarray) -> Machine:
+        return Machine(Winches(v.reshape(n, 3)), Frame(tuple(range(n)), np.ones(n)), stops)
+
+    found = Winches(fit_numbers(model, start.ravel(), machine).reshape(n, 3))
+    numbers = {klipper.KINEMATICS: klipper.WINCH}
+    for line, anchor in zip(klipper.LINES, found.anchors, strict=False):
+        for axis, value in zip("xyz", anchor, strict=True):
+            numbers[klipper.ANCHOR.format(line, axis)] = format_number(value / MM, DECIMALS)
+    lengths = ", ".join(f"{length / MM:.3f}" for length in stops)
+    remarks = (START.format(lengths), *found.describe_mirror())
+    return Projection({FILE: numbers}, Frame(tuple(range(n)), np.ones(n)), stops, remarks)
 
 
 def adapt(stated: Settings, numbers: Mapping[str, str]) -> dict[str, str]:

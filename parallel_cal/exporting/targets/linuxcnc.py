@@ -1,10 +1,11 @@
 """LinuxCNC: a kinematics component of any model, and numbers for its own kinematics.
 
-Its own kinematics are genhexkins for hexapods, and lineardeltakins and rotarydeltakins for Deltas
-with equal chains. The numbers are pins in a .hal file and HOME_OFFSET in the .ini file, in mm and
-degrees. Source: LinuxCNC documentation,
-kins(9), lineardeltakins(9), "INI configuration" ([JOINT_n] HOME_OFFSET is the position of the joint
-at its switch, SCALE its counts or steps per machine unit), and src/emc/kinematics.
+Its own kinematics are genhexkins for hexapods, pentakins for pentapods, tripodkins for tripods of
+three struts, and lineardeltakins and rotarydeltakins for Deltas with equal chains. The numbers are
+pins in a .hal file and HOME_OFFSET in the .ini file, in mm and degrees. Source: LinuxCNC
+documentation, kins(9), lineardeltakins(9), "INI configuration" ([JOINT_n] HOME_OFFSET is the
+position of the joint at its switch, SCALE its counts or steps per machine unit), and
+src/emc/kinematics.
 
 The component and the built-in kinematics go to separate folders: the component contains the zero
 corrections of the joints, and the HOME_OFFSET for the built-in kinematics contains them, too.
@@ -33,13 +34,24 @@ from parallel_cal.exporting.projection import (
 from parallel_cal.exporting.targets import c
 from parallel_cal.importing.deltas import HANGING_ANGLES, Towers
 from parallel_cal.importing.importers import linuxcnc
-from parallel_cal.importing.importers.linuxcnc import HEXAPOD, HOMED, ROTARY_PINS
+from parallel_cal.importing.importers.linuxcnc import (
+    HEXAPOD,
+    HOMED,
+    PENTAPOD,
+    ROTARY_PINS,
+    TRIPOD_PINS,
+)
 from parallel_cal.importing.settings import Settings
-from parallel_cal.importing.struts import Struts
+from parallel_cal.importing.struts import Hexapod, Pentapod, Struts, Tripod
 from parallel_cal.model.model import Model
 from parallel_cal.model.region import IdentifiedRegion
 
-HOLDS = ("stewart42", *LINEAR, *ROTARY)
+STRUTS = {  # the numbers of a leg, by mechanism
+    "stewart42": ("C_x", "C_y", "C_z", "B_x", "B_y", "B_z"),
+    "pentapod": ("C_x", "C_y", "C_z", "B_r", "B_z"),
+    "tripod_struts": ("C_x", "C_y", "C_z"),
+}
+HOLDS = (*STRUTS, *LINEAR, *ROTARY)
 CLEARED = tuple(f"lineardeltakins.J{i}off" for i in range(3))  # the offsets of older versions
 COMPONENT = "component"  # folder of the component
 HAL, INI = "machine.hal", "machine.ini"
@@ -47,7 +59,7 @@ INCH_DECIMALS = 7  # as fine as the digits of mm
 SCALE_DIGITS = 10  # 0.1 um in 100 m
 MARGIN = MM  # by which samples may be outside the workspace without a remark
 LEAD = f"{HEXAPOD}.screw-lead"
-STRUTS = 6  # of genhexkins
+HEXAPOD_LEGS = 6  # of genhexkins
 PLATE = "probe.plate.z"
 SWITCHES = (
     "HOME_OFFSET assumes switches at the joints' upper limits in the model "
@@ -146,7 +158,8 @@ def complete(read: Firmware, model: Model) -> Firmware:
     if read.scale is None:
         raise ModelError(
             f"the model file states the scale of its legs, but the .ini file has no "
-            f"{linuxcnc.SCALE.format(0)} to {STRUTS - 1}: state it as it was in the recording"
+            f"{linuxcnc.SCALE.format(0)} to {len(read.base) - 1}: state it as it was in the "
+            "recording"
         )
     if (np.sign(scale) != np.sign(read.scale)).any():
         raise ModelError(
@@ -201,12 +214,7 @@ def project(model: Model, present: Refinement | None = None) -> Projection:
         homed = -turned.homed / DEGREE
     else:
         struts, found = _struts(model)
-        pins = {
-            f"{HEXAPOD}.{kind}.{k}.{axis}": float(points[k, i])
-            for kind, points in (("base", struts.base), ("platform", struts.platform))
-            for k in range(6)
-            for i, axis in enumerate("xyz")
-        }
+        pins = _strut_pins(struts)
         homed, scale, remarks = struts.switches / MM, struts.scale, _remarks(model)
         expressed = ("backlash",)  # by BACKLASH, which a remark proposes
     written = {field: f"{float(size) / MM + 0.0:.5f}" for field, size in pins.items()}
@@ -280,30 +288,69 @@ def _describe_unfitted_region(model: Model) -> str:
 
 
 def _struts(model: Model) -> tuple[Struts, Machine]:
-    """Fit both hexagons, the lengths at the switches, and SCALE if the model states it.
+    """Fit the ends of the struts, the lengths at the switches, and SCALE if the model states it.
 
     SCALE expresses errors that grow with the length of a strut, such as a wrong pitch. A model
     without effects has none, and keeps its SCALE.
     """
-    if len(model.joints) != STRUTS:
+    m, n = model.mechanism, len(model.joints)
+    if m.name == "stewart42" and n != HEXAPOD_LEGS:
         raise ModelError(
-            f"{HEXAPOD} has {STRUTS} struts, this robot {len(model.joints)}: leave out the "
+            f"{HEXAPOD} has {HEXAPOD_LEGS} struts, this robot {n}: leave out the "
             "settings, and export writes a component of its own"
         )
-    legs = [f"{leg}." for leg in model.joints]
-    ends = [[[model.value(f"{leg}{end}_{a}") for a in "xyz"] for leg in legs] for end in "CB"]
-    m = model.mechanism
+    ends = np.array([[model.value(f"{leg}.{name}") for name in STRUTS[m.name]] for leg in m.joints])
     stops = np.array(getattr(m, "switches", None) or [high for _, high in m.joint_limits], float)
     scale = getattr(m, "scale", None)
-    counts = np.ones(STRUTS) if scale is None else np.array(scale)
-    lengths = stops + [model.value(f"{leg}L0") for leg in legs]
+    counts = np.ones(n) if scale is None else np.array(scale)
+    lengths = stops + [model.value(f"{leg}.L0") for leg in m.joints]
 
     def machine(v: np.ndarray) -> Machine:
-        parts = v[42:] if len(v) > 42 else np.ones(STRUTS)
-        written = None if scale is None else counts * parts
-        struts = Struts(v[:18].reshape(6, 3), v[18:36].reshape(6, 3), v[36:42], written)
-        return Machine(struts, Frame(tuple(range(6)), 1 / counts), stops)
+        points, at_switches, parts = np.split(v, [ends.size, ends.size + n])
+        written = None if scale is None else counts * (parts if len(parts) else 1.0)
+        robot, frame = _strut_robot(model, points.reshape(ends.shape), at_switches, written)
+        return Machine(robot, replace(frame, signs=1 / counts), stops)
 
-    fitted = np.ones(STRUTS if scale is not None and model.effects else 0)
-    found = machine(fit_numbers(model, np.array([*np.ravel(ends), *lengths, *fitted]), machine))
+    fitted = np.ones(n if scale is not None and model.effects else 0)
+    found = machine(fit_numbers(model, np.array([*ends.ravel(), *lengths, *fitted]), machine))
     return found.firmware, found  # type: ignore[return-value]
+
+
+def _strut_robot(
+    model: Model, ends: np.ndarray, lengths: np.ndarray, scale: np.ndarray | None
+) -> tuple[Struts, Frame]:
+    """Return LinuxCNC's robot with the ends (n, k) of the struts in {B}, and its frame."""
+    n, C = len(ends), ends[:, :3]
+    here = Frame(tuple(range(n)), np.ones(n))
+    if model.mechanism.name == "stewart42":
+        return Hexapod(C, lengths, scale, ends[:, 3:]), here
+    if model.mechanism.name == "pentapod":
+        return Pentapod(C, lengths, scale, ends[:, 3], ends[:, 4]), here
+    # The first base point is the origin, the second one on x, and the tool above all three.
+    x = (C[1] - C[0]) / np.linalg.norm(C[1] - C[0])
+    up = np.cross(x, C[2] - C[0])
+    up *= np.sign(up @ (model.mechanism.home.position - C[0])) / np.linalg.norm(up)
+    axes = np.column_stack([x, np.cross(up, x), up])
+    return Tripod((C - C[0]) @ axes, lengths, scale), replace(
+        here, origin=C[0], axes=axes, turn=axes
+    )
+
+
+def _strut_pins(struts: Struts) -> dict[str, float]:
+    """Return the lengths (m) that the pins of a robot with struts state."""
+    if isinstance(struts, Tripod):
+        return {pin: float(struts.base[at]) for at, pin in TRIPOD_PINS.items()}
+    groups = [("base", "xyz", struts.base)]
+    if isinstance(struts, Hexapod):
+        name = HEXAPOD
+        groups.append(("platform", "xyz", struts.platform))
+    else:
+        assert isinstance(struts, Pentapod)
+        name = PENTAPOD
+        groups.append(("effector", "rz", np.column_stack([struts.radii, struts.heights])))
+    return {
+        f"{name}.{kind}.{k}.{axis}": float(points[k, i])
+        for kind, axes, points in groups
+        for k in range(len(points))
+        for i, axis in enumerate(axes)
+    }

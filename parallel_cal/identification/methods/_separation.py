@@ -115,6 +115,8 @@ class Separation:
         if op in (ca.OP_CONSTPOW, ca.OP_POW) and float(b[()]) == 2:
             return self._product(a, a)
         if op == ca.OP_SQRT and set(a) - {()}:
+            if any(atom in self._roots for m in a for atom in m):
+                raise _inseparable("a root is within another one")
             name = f"root{len(self._roots)}"
             self._roots[name] = a
             return {(name,): ca.SX(1)}

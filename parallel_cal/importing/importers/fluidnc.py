@@ -1,10 +1,17 @@
-"""FluidNC: the configuration (`config.yaml`) of a ParallelDelta or a WallPlotter, and Maslow's.
+"""FluidNC: the configuration (`config.yaml`) of a ParallelDelta or a WallPlotter, and Maslow's with
+the log of its calibration.
 
-A ParallelDelta has equal chains and counts its angles down from the horizontal. Its sizes are sides
-of triangles, as in grblHAL. When homed, all arms are at up_degrees, and the position is then
-mpos_mm. Source: bdring/FluidNC e952f33f, FluidNC/src/Kinematics/ParallelDelta.cpp
+A ParallelDelta (`parallel_delta:`) has equal chains and counts its angles down from the horizontal.
+Its sizes are sides of triangles, as in grblHAL. When homed, all arms are at up_degrees, and the
+position is then mpos_mm. Source: bdring/FluidNC e952f33f, FluidNC/src/Kinematics/ParallelDelta.cpp
 (group, motors_to_cartesian, set_homed_mpos) and .h (defaults); importing/wall_lines.py for the
 others, whose numbers have no range. The keys before release 4.0: ParallelDelta.cpp in 049719e2.
+
+A Maslow (version 4) pulls its four belts tight at each waypoint of a calibration and lists them as
+`CLBM:[{bl:2960.58, br:3150.08, tr:3067.72, tl:3049.85},...]`: lengths in the plane from the anchors
+to the middle of the sled, mm. Two belts more than it needs determine the anchors. Source:
+BarbourSmith/FluidNC 10d7de0b, FluidNC/src/Maslow/Maslow.cpp (measurementToXYPlane,
+print_calibration_data).
 """
 
 from __future__ import annotations
@@ -16,20 +23,27 @@ from pathlib import Path
 
 import numpy as np
 
+from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.importing import deltas
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.deltas import HANGING_ANGLES, SIDE, Shoulders
-from parallel_cal.importing.settings import Settings, SourceLine, read_lines
+from parallel_cal.importing.settings import Settings, SourceLine, read_lines, sha256
 from parallel_cal.importing.wall_lines import MaslowBelts, PlotterLines
 from parallel_cal.model.machine_class import MachineClass
 from parallel_cal.model.model import new_model
+from parallel_cal.recordings.dataset import Dataset
 
 CONFIGURATION = (".yaml", ".yml")
 MACHINE_CLASS: MachineClass = "hobby"  # belts, printed parts, open loop
 LINE = re.compile(r"(\s*)([\w/-]+)\s*:\s*([^#]*)")
 TAB = re.compile(r" *\t")
-DELTA, PLOTTER = "kinematics/paralleldelta", "kinematics/wallplotter"
+DELTA, PLOTTER = "kinematics/parallel_delta", "kinematics/wallplotter"
+# What its source and documents call it, but not what the firmware reads.
+MISNAMED, NAME = (
+    "kinematics/paralleldelta/",
+    "the section parallel_delta: the firmware has no other",
+)
 EFFECTOR_MM = 86.603  # the firmware's default
 SIZES = ("crank_mm", "linkage_mm", "base_triangle_mm", "end_effector_triangle_mm")
 UP, UP_DEGREES = f"{DELTA}/up_degrees", -30.0
@@ -48,7 +62,7 @@ CORNERS = tuple(f"/maslow_{corner}{axis}" for corner in ("tl", "tr", "bl", "br")
 # From the end of a belt to its arm, and from there to the middle of the sled.
 EXTENSION, ARM = "/maslow_beltendextension", "/maslow_armlength"
 EXTENSION_MM, ARM_MM = 30.0, 123.4
-KINDS = "ParallelDelta, WallPlotter, or the anchors Maslow_tlX ... Maslow_brY"
+KINDS = "parallel_delta, WallPlotter, or the anchors Maslow_tlX ... Maslow_brY"
 REVERSED = deltas.ANGLES_UP.format("FluidNC")
 LEFT_IS_REVERSED = (
     "the model's readings are the lengths of the left and the right line that are let out from the "
@@ -59,6 +73,51 @@ IN_THE_PLANE = (
     "height Maslow_tlZ ... + z of each belt. They are those of the belts {}, in this order"
 )
 BELTS = "tl, tr, bl, br"
+WAYPOINT = re.compile(r"\{([^{}]*)\}")
+NO_WAYPOINTS = (
+    "{}: no waypoints, expected lines 'CLBM:[{{bl:2960.58, br:3150.08, tr:3067.72, tl:3049.85}},"
+    "...]' of a calibration, as the serial log of the web page has them"
+)
+
+
+def samples(paths: Sequence[Path]) -> Dataset:
+    """Read the belts at the waypoints of a calibration, and where a belt is measured from.
+
+    A log lists waypoints again as the calibration goes on; equal ones are taken once.
+    """
+    setups = [path for path in paths if path.suffix.lower() in CONFIGURATION]
+    logs = [path for path in paths if path not in setups]
+    offset, found = read_belt_offset(_read(setups)), list[tuple[float, ...]]()
+    for path in logs:
+        for place, line in read_lines(path):
+            if "CLBM:" in line:
+                found += [_belts(place, each) for each in WAYPOINT.findall(line)]
+    if not found:
+        raise DatasetError(NO_WAYPOINTS.format(", ".join(map(str, logs or paths))))
+    q = np.array([*dict.fromkeys(found)]) * MM - offset
+    return Dataset.from_arrays(
+        [f"line{i}" for i in range(1, 5)],
+        q,
+        np.zeros((len(q), 3)),
+        measured=np.zeros(6, bool),
+        source=", ".join(map(str, paths)),
+        sha256=sha256(paths),
+    )
+
+
+def _belts(place: SourceLine, text: str) -> tuple[float, ...]:
+    """Return the belts (4,) mm of a waypoint, in the order of BELTS."""
+    words = dict(re.findall(r"(\w+)\s*:\s*([^,\s]+)", text))
+    names = BELTS.split(", ")
+    if {*words} != {*names}:
+        raise place.error("a waypoint", text, f"the four belts {BELTS}")
+    expected = "a length in mm, more than 0"
+    return tuple(place.number(name, words[name], expected, 1.0, 1e5) for name in names)
+
+
+def read_belt_offset(stated: Settings) -> float:
+    """Return how far (m) the end of a belt is from the middle of the sled."""
+    return (stated.number(EXTENSION, "mm", EXTENSION_MM) + stated.number(ARM, "mm", ARM_MM)) * MM
 
 
 def recognizes(path: Path) -> bool:
@@ -110,6 +169,8 @@ def _read(paths: Sequence[Path]) -> Settings:
 
 def kinematics(stated: Settings) -> Shoulders | PlotterLines | MaslowBelts:
     """Return the machine that a configuration describes."""
+    for field in (field for field in stated.texts if field.startswith(MISNAMED)):
+        raise stated.error(field, NAME)
     if any(field.startswith(f"{DELTA}/") for field in stated.texts):
         return _shoulders(stated)
     if any(field.startswith(f"{PLOTTER}/") for field in stated.texts):
@@ -120,8 +181,7 @@ def kinematics(stated: Settings) -> Shoulders | PlotterLines | MaslowBelts:
         return PlotterLines(anchors)
     stated.text(CORNERS[0], KINDS)
     corners = np.array([stated.number(key, "mm") for key in CORNERS]).reshape(4, 2) * MM
-    offset = stated.number(EXTENSION, "mm", EXTENSION_MM) + stated.number(ARM, "mm", ARM_MM)
-    return MaslowBelts(corners, offset * MM)
+    return MaslowBelts(corners, read_belt_offset(stated))
 
 
 def _shoulders(stated: Settings) -> Shoulders:

@@ -24,13 +24,14 @@ from parallel_cal.model.model import new_model
 CONFIGURATION = (".txt", ".settings")
 MACHINE_CLASS: MachineClass = "hobby"  # belts, printed parts, open loop
 SETTING = re.compile(r"\s*(\$\d+)\s*=\s*([^\s;(]*)")
-ROD = "$641"
+ROD, UCNC = "$641", "$106"
 REVERSED = deltas.ANGLES_UP.format("grblHAL")
 
 
 def recognizes(path: Path) -> bool:
-    """Whether a file lists settings; logs of Marlin have the same ending."""
-    return any(SETTING.match(line) for _, line in read_lines(path))
+    """Whether a file lists settings, and not those of uCNC; logs of Marlin have the same ending."""
+    stated = settings([path])
+    return bool(stated.texts) and not (UCNC in stated and ROD not in stated)
 
 
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:

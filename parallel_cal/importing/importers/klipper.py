@@ -1,5 +1,5 @@
-"""Klipper: `printer.cfg` of linear and rotary Deltas, with the results of DELTA_CALIBRATE, and of
-deltesian printers.
+"""Klipper: `printer.cfg` of linear and rotary Deltas, with the results of DELTA_CALIBRATE, of
+deltesian printers and of cable winches.
 
 A stored position counts a motor's steps from its end-stop, so it stays valid if the configuration
 changes. A stored height is the nozzle's height above the bed at this position. Sources: Klipper
@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from parallel_cal.base.errors import ModelError
 from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.importing import deltas
 from parallel_cal.importing.controller_files import ConfiguredRobot
@@ -28,6 +29,7 @@ from parallel_cal.importing.touch_samples import (
     make_joint_samples,
     make_printed_ends,
 )
+from parallel_cal.importing.winches import Winches
 from parallel_cal.model.machine_class import MachineClass
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
@@ -45,7 +47,9 @@ STEP_DISTANCE = "step_distance"
 MAX_HEIGHTS_MM = {"height": 50.0, "manual_height": 500.0}
 LINEAR_OR_ROTARY = ("delta", "rotary_delta")
 KINDS = " or ".join(LINEAR_OR_ROTARY)
-KINEMATICS, DELTESIAN = "[printer] kinematics", "deltesian"
+KINEMATICS, DELTESIAN, WINCH = "[printer] kinematics", "deltesian", "winch"
+LINES = [f"[stepper_{chr(code)}]" for code in range(ord("a"), ord("z") + 1)]
+MIN_LINES, ANCHOR = 3, "{} anchor_{}"
 SIDES = [f"[stepper_{side}]" for side in ("left", "right")]
 BED = "[stepper_y]"
 ENDSTOP, BED_RANGE = f"{BED} position_endstop", (f"{BED} position_min", f"{BED} position_max")
@@ -176,6 +180,12 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     remarks = [*_describe_missing_steps(stated, printer), *stated.describe_unused()]
     if isinstance(printer, DeltesianArms):
         return ConfiguredRobot(new_model(printer.mechanism()), (LEANS_NOT_STATED, *remarks))
+    if isinstance(printer, Winches):
+        try:
+            lines = printer.model()
+        except ModelError as error:
+            raise stated.error(ANCHOR.format(LINES[0], "x"), f"other anchors: {error}") from None
+        return ConfiguredRobot(lines, (*printer.describe_mirror(), *remarks))
     if isinstance(printer, Shoulders):
         deltas.check_reach(printer, stated, "[printer] shoulder_height")
     found = deltas.make_configured_robot(printer, _probe(stated), remarks=remarks)
@@ -185,9 +195,13 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     return replace(found, model=found.model.with_sensors((*found.model.sensors, sensor)))
 
 
-def _describe_missing_steps(stated: Settings, printer: Delta | DeltesianArms) -> list[str]:
+def _describe_missing_steps(
+    stated: Settings, printer: Delta | DeltesianArms | Winches
+) -> list[str]:
     """Name steppers without the length of a step, without which Klipper does not start."""
-    steppers = (*SIDES, BED) if isinstance(printer, DeltesianArms) else STEPPERS
+    steppers = [*SIDES, BED] if isinstance(printer, DeltesianArms) else STEPPERS
+    if isinstance(printer, Winches):
+        steppers = LINES[: len(printer.anchors)]
     key = GEAR_RATIO if isinstance(printer, Shoulders) else ROTATION_DISTANCE
     fields = [
         f"{stepper} {key}" for stepper in steppers if f"{stepper} {STEP_DISTANCE}" not in stated
@@ -282,12 +296,14 @@ def _kind(stated: Settings) -> str:
     return text
 
 
-def kinematics(stated: Settings) -> Delta | DeltesianArms:
+def kinematics(stated: Settings) -> Delta | DeltesianArms | Winches:
     """Return the printer that a configuration describes."""
-    expected = f"{KINDS.replace(' or', ',')} or {DELTESIAN}"
+    expected = f"{KINDS.replace(' or', ',')}, {DELTESIAN} or {WINCH}"
     text, place = stated.text(KINEMATICS, expected)
     if text in LINEAR_OR_ROTARY:
         return delta(stated)
+    if text == WINCH:
+        return _winches(stated)
     if text != DELTESIAN:
         raise place.error(KINEMATICS, text, expected)
     widths = _read_pair(stated, "arm_x_length", "mm", 1e-3)
@@ -307,6 +323,16 @@ def kinematics(stated: Settings) -> Delta | DeltesianArms:
     widest = max_print_width(stated, arms)
     stated.number(WIDTH, f"mm from 0 to {widest:g}, Klipper's limit with these arms", 0, 0, widest)
     return arms
+
+
+def _winches(stated: Settings) -> Winches:
+    """Return the winches; as in Klipper, the first stepper without a section ends their list."""
+    anchors = []
+    for i, line in enumerate(LINES):
+        if i >= MIN_LINES and not any(field.startswith(f"{line} ") for field in stated.texts):
+            break
+        anchors.append([stated.number(ANCHOR.format(line, axis), "mm") for axis in "xyz"])
+    return Winches(np.array(anchors) * MM)
 
 
 def max_print_width(stated: Settings, arms: DeltesianArms) -> float:

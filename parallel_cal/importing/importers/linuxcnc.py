@@ -1,9 +1,9 @@
 """LinuxCNC: a probe log of a linear Delta, and the files that configure its own kinematics.
 
-Its own kinematics are lineardeltakins, rotarydeltakins and genhexkins. Their pins are set in a HAL
-file; the .ini file has their unit (LINEAR_UNITS), where the joints are homed (HOME_OFFSET:
-the position of a joint at its switch), their range (MIN_LIMIT, MAX_LIMIT), their counts or steps
-per unit (SCALE), and the range of the end point ([AXIS_Z] MIN_LIMIT).
+Its own kinematics are lineardeltakins, rotarydeltakins, genhexkins, pentakins and tripodkins. Their
+pins are set in a HAL file; the .ini file has their unit (LINEAR_UNITS), where the joints are homed
+(HOME_OFFSET: the position of a joint at its switch), their range (MIN_LIMIT, MAX_LIMIT), their
+counts or steps per unit (SCALE), and the range of the end point ([AXIS_Z] MIN_LIMIT).
 
 A log that (PROBEOPEN) opened contains X Y Z A B C U V W of each touch, one touch per line, in the
 program's coordinates and units. So no offsets may be active while probing. Sources: LinuxCNC
@@ -27,7 +27,7 @@ from parallel_cal.importing.cnc_travel import HOMED, strut_limits, with_arm_trav
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.deltas import Shoulders, Towers
 from parallel_cal.importing.settings import Settings, SourceLine, read_lines
-from parallel_cal.importing.struts import Struts
+from parallel_cal.importing.struts import CLOSED_M, Hexapod, Pentapod, Struts, Tripod
 from parallel_cal.importing.touch_samples import make_printed_ends, make_touch_samples
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
@@ -35,7 +35,9 @@ from parallel_cal.recordings.dataset import Dataset
 CONFIGURATION = (".hal", ".ini")
 AXES = "XYZABCUVW"
 KINS, HEXAPOD, ROTARY = "lineardeltakins.", "genhexkins", "rotarydeltakins"
-ANY = "pins of genhexkins, lineardeltakins or rotarydeltakins"
+PENTAPOD, TRIPOD = "pentakins", "tripodkins"
+ANY = f"pins of {HEXAPOD}, {PENTAPOD}, {TRIPOD}, lineardeltakins or {ROTARY}"
+TRIPOD_PINS = {(1, 0): f"{TRIPOD}.Bx", (2, 0): f"{TRIPOD}.Cx", (2, 1): f"{TRIPOD}.Cy"}
 ROTARY_PINS = {"platformradius": "R", "thighlength": "U", "shinlength": "L", "footradius": "E"}
 HOME = "[JOINT_{}] HOME"  # where the joint goes when it is homed
 SCALE = "[JOINT_{}] SCALE"  # counts or steps per unit of the joint's position
@@ -43,10 +45,14 @@ UNIT = "[TRAJ] LINEAR_UNITS"
 LINEAR_UNITS = {"mm": "mm", "metric": "mm", "inch": "in", "in": "in", "imperial": "in"}
 INI_VALUE = re.compile(r"\[(\w+)\]\(?(\w+)\)?")  # in a .hal file
 BEYOND_LIMITS = (
-    "at HOME a strut is outside MIN_LIMIT and MAX_LIMIT: the platform cannot be "
-    "parallel to the base at these lengths; correct the joint limits or home in the model file"
+    "at HOME a strut is outside MIN_LIMIT and MAX_LIMIT: the robot cannot have its home pose "
+    "at these lengths; correct the joint limits or home in the model file"
 )
-OFFSETS = (f"{HEXAPOD}.spindle-offset", f"{HEXAPOD}.tool-offset")
+NO_HOME = (
+    "struts of the lengths {} and so on do not meet near X0 Y0 Z0 A0 B0, so home of the model is "
+    "there, where they are {} long: correct HOME or the pins, if one of them is wrong"
+)
+OFFSETS = (f"{HEXAPOD}.spindle-offset", f"{HEXAPOD}.tool-offset", f"{PENTAPOD}.tool-offset")
 NO_PROBE = np.zeros(3)
 
 
@@ -103,7 +109,7 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     for pin in OFFSETS:
         if stated.number(pin, "a length", 0.0):
             remarks.append(f"{pin} is not used: poses in the model are those with {pin} 0")
-    home = _joints_at(stated, HOME, 6, unit, machine.switches)
+    home = _joints_at(stated, HOME, len(machine.base), unit, machine.switches)
     shortest = (HOME if HOME.format(0) in stated else HOMED).format(int(home.argmin()))
     if (home <= 0).any():
         raise stated.error(shortest, "the length of a strut, more than 0")
@@ -112,8 +118,11 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     try:
         mechanism = machine.mechanism(home, limits)
     except ModelError as error:
-        raise stated.error(shortest, f"a longer strut: {error}") from None
+        raise stated.error(shortest, f"lengths at which the struts meet: {error}") from None
     at_home = np.array(mechanism.home.joints)
+    if isinstance(machine, Pentapod) and np.abs(at_home - home).max() > CLOSED_M:
+        at = ", ".join(f"{length / unit:.4f}" for length in at_home)
+        remarks.append(NO_HOME.format(HOME.format(0), at))
     if ((at_home < limits[:, 0]) | (at_home > limits[:, 1])).any():
         remarks.append(BEYOND_LIMITS)
     return ConfiguredRobot(new_model(mechanism), tuple(remarks))
@@ -142,27 +151,48 @@ def kinematics(stated: Settings) -> Towers | Shoulders | Struts:
         size = {short: pin(f"{ROTARY}.{name}", 0.0) for name, short in ROTARY_PINS.items()}
         radius, homed = size["R"] - size["E"], 0.0 - _joints_at(stated, HOMED, 3, DEGREE)
         return deltas.hang_shoulders(radius, size["U"], size["L"], homed, _short_shins(stated))
-    stated.text(f"{HEXAPOD}.base.0.x", ANY)
-    base, platform = (
-        np.array([[pin(f"{HEXAPOD}.{ends}.{k}.{a}") for a in "xyz"] for k in range(6)])
-        for ends in ("base", "platform")
-    )
-    return Struts(base, platform, _joints_at(stated, HOMED, 6, unit), _scale(stated, unit))
+    if any(field.startswith(f"{TRIPOD}.") for field in stated.texts):
+        return _tripod(stated, unit)
+    pentapod = any(field.startswith(f"{PENTAPOD}.") for field in stated.texts)
+    name = PENTAPOD if pentapod else HEXAPOD
+    stated.text(f"{name}.base.0.x", "setp, a length" if pentapod else ANY)
+    n = 5 if name == PENTAPOD else 6
+
+    def ends(which: str, axes: str) -> np.ndarray:
+        return np.array([[pin(f"{name}.{which}.{k}.{a}") for a in axes] for k in range(n)])
+
+    base, homed, scale = ends("base", "xyz"), _joints_at(stated, HOMED, n, unit), _scale(stated, n)
+    scale = None if scale is None else scale / unit
+    if name == HEXAPOD:
+        return Hexapod(base, homed, scale, ends("platform", "xyz"))
+    radii, heights = ends("effector", "rz").T
+    return Pentapod(base, homed, scale, radii, heights)
+
+
+def _tripod(stated: Settings, unit: float) -> Tripod:
+    base = np.zeros((3, 3))
+    for (row, column), field in TRIPOD_PINS.items():
+        base[row, column] = stated.number(field, "setp, a length", None, -1e5, 1e5) * unit
+    for i, field in ((0, f"{TRIPOD}.Bx"), (1, f"{TRIPOD}.Cy")):
+        if not base[1 + i, i]:
+            raise stated.error(field, "a length other than 0: three base points not on one line")
+    scale = _scale(stated, 3)
+    return Tripod(base, _joints_at(stated, HOMED, 3, unit), None if scale is None else scale / unit)
 
 
 def _short_shins(stated: Settings) -> DatasetError:
     return stated.error(f"{ROTARY}.shinlength", "a length that reaches the middle")
 
 
-def _scale(stated: Settings, unit: float) -> np.ndarray | None:
-    """Return SCALE of the six joints (6,), counts per m, or None if a joint has none."""
-    fields = [SCALE.format(i) for i in range(6)]
+def _scale(stated: Settings, n: int) -> np.ndarray | None:
+    """Return SCALE of the joints (n,), counts per unit, or None if a joint has none."""
+    fields = [SCALE.format(i) for i in range(n)]
     if not all(field in stated for field in fields):
         return None
     scale = np.array([stated.number(field, "counts per unit of the joint") for field in fields])
     for field in (fields[int(i)] for i in np.flatnonzero(scale == 0)):
         raise stated.error(field, "counts per unit of the joint, not 0")
-    return scale / unit
+    return scale
 
 
 def _joints_at(
