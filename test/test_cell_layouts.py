@@ -18,7 +18,7 @@ from parallel_cal.recordings.loading import load_dataset
 pytestmark = pytest.mark.wide
 BASE = [350.0, 10.0, 110.0, 130.0, 230.0, 250.0]  # degrees
 PLATFORM = [310.0, 50.0, 70.0, 170.0, 190.0, 290.0]
-JOINT_SIGMA, SIGMA = 5e-6, 1e-5  # m
+JOINT_SIGMA, SIGMA, TURN_SIGMA = 5e-6, 1e-5, 2e-5  # m, m, rad
 
 
 def ring(radius, degrees):
@@ -52,7 +52,8 @@ def write(tmp_path, names, columns, column_map):
     """A table and its column map."""
     head = ",".join(names)
     np.savetxt(tmp_path / "data.csv", columns, delimiter=",", header=head, comments="")
-    noise = f"noise: {{joint: {JOINT_SIGMA:.1e}, position: {SIGMA:.1e}}}\n"
+    turn = f", orientation: {TURN_SIGMA:.1e}" if "qw" in names else ""
+    noise = f"noise: {{joint: {JOINT_SIGMA:.1e}, position: {SIGMA:.1e}{turn}}}\n"
     (tmp_path / "data.columns.yaml").write_text(column_map + noise)
     return tmp_path / "data.csv"
 
@@ -93,6 +94,7 @@ def test_winches_may_ride_on_the_platform(tmp_path):
     rng = np.random.default_rng(5)
     q, r, R = platform_on_lines(80, rng)
     seen = r + rng.normal(0, SIGMA, r.shape)
+    R = Rotation.from_rotvec(rng.normal(0, TURN_SIGMA, r.shape)) * R
     names = [*(f"winch{k}" for k in range(1, 7)), "x [m]", "y [m]", "z [m]", "qx", "qy", "qz", "qw"]
     column = "{{column: winch{0}, unit: rev, per_rev: -70 mm}}"
     legs = ", ".join(f"leg{k}: {column.format(k)}" for k in range(1, 7))
