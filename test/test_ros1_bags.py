@@ -5,10 +5,12 @@ import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from test_tf_chain import messages as chain_messages
 
 import parallel_cal as pc
 from parallel_cal.base.errors import BagError
 from parallel_cal.recordings.bag import read_bag
+from parallel_cal.recordings.options import ReadOptions
 
 ROS_1 = get_typestore(Stores.ROS1_NOETIC)
 ROBOT = bw.Session([[0.1, 0.2], [0.4, 0.0], [0.2, 0.5]])
@@ -67,3 +69,19 @@ def test_a_cut_bag_of_ros_1_is_called_damaged_with_the_cure(tmp_path):
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     with pytest.raises(BagError, match=r"a\.bag: damaged or truncated.*rosbag reindex"):
         read_bag(path)
+
+
+def test_tf_of_ros_1_is_that_of_ros_2(tmp_path):
+    # Old recordings hold tf/tfMessage; ROS 2 has tf2_msgs/TFMessage with the same fields.
+    text = "geometry_msgs/TransformStamped[] transforms\n"
+    ROS_1.register(get_types_from_msg(text, "tf/msg/tfMessage"))
+    moving = [m for m in chain_messages() if m[0] in ("tf", "tf_static")]
+    old = [
+        (topic, "tf/msg/tfMessage", log, ROS_1.types["tf/msg/tfMessage"](as_ros1(m.transforms)))
+        for topic, _, log, m in moving
+    ]
+    path = write_ros1(tmp_path / "a.bag", [*bw.joint_states(ROBOT), *old])
+    topics = {"measured_pose": "/tf:world->tool"}
+    new = bw.write_bag(tmp_path / "b", [*bw.joint_states(ROBOT), *moving])
+    first, second = (read_bag(p, ReadOptions(topics=topics)).pose for p in (path, new))
+    np.testing.assert_array_equal(first.position, second.position)
