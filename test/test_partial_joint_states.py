@@ -1,13 +1,16 @@
 """Publishers that each state some of the joints: their messages are merged at one time."""
 
+from itertools import count
+
 import bag_writing as bw
 import numpy as np
 import pytest
 
 import parallel_cal as pc
 from parallel_cal.base.errors import BagError
+from parallel_cal.nodes.inbox import Inbox, Snapshot
 from parallel_cal.recordings.bag import read_bag
-from parallel_cal.recordings.options import ReadOptions
+from parallel_cal.recordings.options import ReadOptions, SampleOptions
 
 STOPS = [[0.1, 0.2, 0.3, 0.4], [0.4, 0.0, 0.1, 0.2], [0.2, 0.5, 0.2, 0.1], [0.3, 0.1, 0.4, 0.3]]
 ROBOT = bw.Session(STOPS, jitter=0.0)
@@ -61,3 +64,17 @@ def test_a_time_at_which_one_publisher_was_silent_has_no_reading(tmp_path):
 def test_a_joint_that_nobody_publishes_is_named(tmp_path):
     with pytest.raises(BagError, match="not found: joint9"):
         read(tmp_path, [*halves(), *bw.poses(ROBOT)], (*NAMES, "joint9"))
+
+
+def test_a_node_makes_the_same_samples_of_halves_that_it_receives():
+    inbox = Inbox({}, count())
+    for topic, _, log, message in sorted([*halves(), *bw.poses(ROBOT)], key=lambda m: m[2]):
+        if topic == "joint_states":
+            row = (tuple(message.name), message.position, message.effort)
+        else:
+            p, q = message.pose.pose.position, message.pose.pose.orientation
+            row = ("base", (p.x, p.y, p.z), (q.x, q.y, q.z, q.w), message.pose.covariance)
+        inbox.raws[topic].append(log, log, row)
+    found = Snapshot(inbox, 0, inbox.raws, NAMES, SampleOptions()).make_samples()
+    assert found.trouble == ""
+    np.testing.assert_allclose(found.dataset.q, STOPS, atol=1e-9)

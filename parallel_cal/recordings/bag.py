@@ -1,5 +1,5 @@
-"""Read a recording on disk (rosbag2: mcap or sqlite3; a `.bag` of ROS 1); the only module that
-opens a bag."""
+"""Read a recording on disk: rosbag2 (mcap or sqlite3), or a `.bag` of ROS 1. Other modules read
+bags through this one."""
 
 from __future__ import annotations
 
