@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parents[1] / "parallel_cal"
-MAY_USE_ROSBAGS = {"bag.py", "writer.py", "replay_node.py", "recorder.py"}
+MAY_USE_ROSBAGS = {"bag.py", "ros1_files.py", "writer.py", "replay_node.py", "recorder.py"}
 
 # The rooms, each importing only from those before it; CONTRIBUTING draws them.
 ROOMS = (

@@ -110,7 +110,7 @@ def test_a_missing_file_is_named(tmp_path):
 
 def test_a_file_that_is_not_a_recording_is_refused(tmp_path):
     (tmp_path / "a.txt").write_text("hello")
-    with pytest.raises(BagError, match="not a rosbag2 recording"):
+    with pytest.raises(BagError, match="not a recording; expected a bag directory"):
         read_bag(tmp_path / "a.txt")
 
 

@@ -140,10 +140,7 @@ def test_a_file_renamed_in_its_folder_is_read_with_a_note(sqlite, tmp_path):
     assert any("without metadata.yaml" in note for note in recording.notes)
 
 
-def test_a_ros_1_bag_and_a_compressed_file_are_named_with_the_command_that_helps(tmp_path):
-    (tmp_path / "a.bag").write_bytes(b"#ROSBAG V2.0\nrest")
-    with pytest.raises(BagError, match=r"ROS 1.*rosbags-convert --src a\.bag --dst a"):
-        read_bag(tmp_path / "a.bag")
+def test_a_compressed_file_is_named_with_the_command_that_helps(tmp_path):
     (tmp_path / "a.mcap.zstd").write_bytes(b"\x28\xb5\x2f\xfdrest")
     with pytest.raises(BagError, match=r"compressed as a whole.*zstd -d a\.mcap\.zstd"):
         read_bag(tmp_path / "a.mcap.zstd")

@@ -5,6 +5,7 @@ reaches 1.91 mm with geometry, 1.05 mm with a gain for each leg, and 0.68 mm wit
 for each leg, too. It finds 71.09 mm per revolution for the first leg, stated as 75.69 mm.
 """
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from parallel_cal.cli import main as cli
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.drive import Drive
 from parallel_cal.model.file.modelfile import read_model, write_model
-from parallel_cal.model.model import new_model
+from parallel_cal.model.model import Noise, new_model
 from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.session.steps import add
 
@@ -42,6 +43,25 @@ def held_out_mm(result):
 
 def test_geometry_reaches_the_error_of_the_separate_fit(hexapod):
     assert held_out_mm(fit(*hexapod)) == pytest.approx(1.91, abs=0.1)
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("joint", [None, 3e-4], ids=["unknown", "guessed"])
+def test_lengths_in_m_without_a_drive_give_the_same_geometry(tmp_path, joint):
+    """Described otherwise: lengths by the stated travels, tolerances of 5 mm, and noise guessed as
+    0.3 mm and 1 mrad, which is several times too small."""
+    columns = {f"leg{i}": f"leg_length_{i}" for i in range(1, 7)}
+    legs = json.loads(column_map(columns))
+    for mm, leg in zip(STATED_MM, legs["joints"].values(), strict=True):
+        leg |= {"unit": "rev", "per_rev": f"{mm} mm"}
+    (tmp_path / "map.yaml").write_text(json.dumps(legs))
+    table = jugglebot().mechanism.parameters
+    small = tuple(replace(one, tolerance=5e-3) for one in table)
+    mechanism = jugglebot().mechanism
+    mechanism.parameters = type(table)(small)
+    model = replace(new_model(mechanism), noise=Noise(joint, 3e-4, 1e-3))
+    data = load_dataset(JUGGLEBOT, mechanism=mechanism, columns=str(tmp_path / "map.yaml"))
+    assert held_out_mm(fit(model, data)) == pytest.approx(1.91, abs=0.1)
 
 
 @pytest.mark.wide

@@ -1,4 +1,5 @@
-"""Read a recording on disk (rosbag2: mcap or sqlite3); the only module that opens a bag."""
+"""Read a recording on disk: rosbag2 (mcap or sqlite3), or a `.bag` of ROS 1. Other modules read
+bags through this one."""
 
 from __future__ import annotations
 
@@ -25,7 +26,9 @@ from parallel_cal.recordings.pose_messages import (
     stamp_of,
 )
 from parallel_cal.recordings.recording import Raw, Recording, TopicInfo
+from parallel_cal.recordings.ros1_files import Ros1File
 from parallel_cal.recordings.standard_types import DEFINITIONS, collect_definitions
+from parallel_cal.recordings.tf_chain import TF_TYPE, Transforms
 from parallel_cal.recordings.topics import choose_topics
 
 DATA_FILES = (".mcap", ".db3", ".zstd")
@@ -146,6 +149,8 @@ class _Bag:
         """Open the storage of a directory or data file; BagError if it is damaged."""
         from rosbags.rosbag2 import Reader
 
+        if file.is_file() and find_kind(file) == ".bag":
+            return self._open_ros1(file)
         try:
             storage: Any = Reader.STORAGE_PLUGINS["dir" if file.is_dir() else find_kind(file)](file)
             storage.open()
@@ -172,6 +177,15 @@ class _Bag:
         if file.is_dir():
             reason = str(why).rstrip(".")
             self.notes.append(f"{file}: its data files are read without metadata.yaml ({reason})")
+        return storage
+
+    def _open_ros1(self, file: Path) -> Any:
+        """Open a bag of ROS 1; BagError if it is damaged."""
+        storage = Ros1File(file)
+        try:
+            storage.open()
+        except Exception as error:  # a damaged file fails in any layer
+            raise self._damaged(error, "'rosbag reindex' of ROS 1") from error
         return storage
 
     def _openable(self) -> Path:
@@ -201,22 +215,16 @@ class _Bag:
     def _require_data(self, file: Path) -> Path:
         """Return a data file that can be opened by itself; BagError if it is another file."""
         kind = find_kind(file)
-        if kind in (".mcap", ".db3"):
+        if kind in (".mcap", ".db3", ".bag"):
             return file
-        if kind == ".bag":
-            raise BagError(
-                f"{file}: a recording of ROS 1. Convert it to ROS 2 with "
-                f"'rosbags-convert --src {file.name} --dst {file.stem}', and give the folder "
-                f"{file.stem}"
-            )
         if kind == ".zstd":
             raise BagError(
                 f"{file}: compressed as a whole. Give the folder of the recording with its "
                 f"metadata.yaml, or decompress the file with 'zstd -d {file.name}'"
             )
         raise BagError(
-            f"{file}: not a rosbag2 recording; expected a bag directory, or an MCAP (.mcap) or "
-            "SQLite (.db3) file"
+            f"{file}: not a recording; expected a bag directory, or an MCAP (.mcap), SQLite (.db3) "
+            "or ROS 1 (.bag) file"
         )
 
     def messages(self, connections: list[Any]) -> Iterator[tuple[Any, int, bytes]]:
@@ -228,12 +236,13 @@ class _Bag:
         except Exception as error:
             raise self._damaged(error) from error
 
-    def _damaged(self, error: Exception) -> BagError:
+    def _damaged(
+        self, error: Exception, tool: str = "'mcap recover' or 'ros2 bag reindex'"
+    ) -> BagError:
         why = str(error).rstrip(".") or type(error).__name__
         return BagError(
-            f"{self.path}: damaged or truncated ({why}). Recover it with 'mcap "
-            "recover' or 'ros2 bag reindex', or record again and stop the recorder "
-            "with Ctrl-C."
+            f"{self.path}: damaged or truncated ({why}). Recover it with {tool}, or record again "
+            "and stop the recorder with Ctrl-C."
         )
 
 
@@ -259,10 +268,22 @@ def _read_messages(
             progress(f"reading {bag.path.name}", i / total)
     for decoder in decoders.values():
         decoder.read_waiting()
+        if decoder.needs_chain:
+            _compose_chain(bag, decoder)
         decoder.require_body()
     if progress:
         progress(f"read {bag.path.name}", 1.0)
     return raws
+
+
+def _compose_chain(bag: _Bag, decoder: _Decoder) -> None:
+    """Compose poses of `PARENT->CHILD` that no message states directly, over the frames between."""
+    connections = [c for c in bag.connections if c.msgtype == TF_TYPE]
+    store, found = _type_store(connections), Transforms()
+    for connection, log, data in bag.messages(connections):
+        found.take(store.deserialize_cdr(data, TF_TYPE), log, connection.topic)
+    parent, _, child = decoder.body.partition("->")
+    bag.notes.append(found.compose(parent.strip("/"), child.strip("/"), decoder.raw))
 
 
 def _add_images(
@@ -368,6 +389,12 @@ class _Decoder:
         self.raw.rows += rows
         self.raw.origins += [self.frame] * len(rows)
         self.waiting.clear()
+
+    @property
+    def needs_chain(self) -> bool:
+        """Whether the body is a frame in another one that no message states directly."""
+        named = self.raw.type == TF_TYPE and "->" in self.body
+        return self.channel.kind == "poses" and named and not self.raw.rows
 
     def require_body(self) -> None:
         """Raise BagError if no message had the named body, or any pose at all."""

@@ -17,6 +17,7 @@ from parallel_cal.recordings.channels import Kind, list_channels
 from parallel_cal.recordings.clocks import require_overlap
 from parallel_cal.recordings.joint_stream import clean_joints, order_readings, split_passive
 from parallel_cal.recordings.options import ReadOptions
+from parallel_cal.recordings.partial_states import merge_partial_states
 from parallel_cal.recordings.pose_stream import clean_poses, pose_values
 from parallel_cal.recordings.publishers import keep_one_publisher, separate_publishers
 from parallel_cal.recordings.recording import (
@@ -56,6 +57,7 @@ def assemble(
     for raw in streams:
         require_messages(raw)
     encoders = split_passive(streams[0], options.passive_joints)
+    streams[0] = merge_partial_states(streams[0], options.joints, options.stamps == "log", said)
     readings = order_readings(streams[0], options.joints, said, options.passive_joints)
     contents = [readings.q, *map(pose_values, streams[1:])]
     kept = [

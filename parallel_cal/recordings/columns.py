@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError, field_validator, model_validator
 
 from parallel_cal.base.errors import DatasetError, ModelFileError, format_suggestion
@@ -290,6 +291,14 @@ PARTS: dict[str, type[Part]] = {
 SAMPLE_NAMES = ("shot", "id", "name", "label")  # usual names of the column of a row's name
 ORIENTATIONS = ("orientation", "angles", "rotation_vector", "matrix")
 POSITION, QUATERNION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")  # names without a column map
+# Quaternions as trackers export them (x y z w): Leica's T-Mac and T-Probe have the scalar first.
+EXPORTED_QUATERNIONS = (
+    QUATERNION,
+    ("q1", "q2", "q3", "q0"),
+    ("quaternion1", "quaternion2", "quaternion3", "quaternion0"),
+    ("dquaternion1", "dquaternion2", "dquaternion3", "dquaternion0"),
+)
+MAX_NORM_ERROR = 0.01  # of a quaternion; four other columns q0 to q3 are none
 MAX_SHOWN_HEADER = 400  # characters of a table's header in a message
 
 
@@ -298,6 +307,7 @@ def map_by_names(table: Table, joints: Sequence[str], beside: Path) -> ColumnMap
     qy, qz, qw, of readings (`reading.CHANNEL`) and of conditions. DatasetError with the columns
     that are missing; the map can be stated in the file `beside`."""
     missing = [joint for joint in joints if table.find(joint) is None]
+    turned = find_quaternion(table, joints)
     columns = {joint: joint for joint in joints}
     words = [split_unit(word)[0] for word in table.header]
     if missing and (alike := match_numbered_names(joints, words)):
@@ -308,17 +318,33 @@ def map_by_names(table: Table, joints: Sequence[str], beside: Path) -> ColumnMap
         for names in (POSITION, QUATERNION)
     )
     readings = find_readings(table)
-    measured = len(position) == 3 or len(orientation) == 4 or readings
+    orientation = orientation if len(orientation) == 4 else turned or []
+    measured = len(position) == 3 or orientation or readings
     if missing or not joints or not measured:
         raise DatasetError(_explain_missing(table, joints, missing, beside))
     return ColumnMap(
         joints={joint: JointColumn(column=columns[joint]) for joint in joints},
         position=PositionColumns(columns=position) if len(position) == 3 else None,
-        orientation=orientation if len(orientation) == 4 else None,
+        orientation=orientation or None,
         readings=readings,
         conditions=rename_conditions(find_conditions(table, [*names]), names),
         name=find_names(table),
     )
+
+
+def find_quaternion(table: Table, joints: Sequence[str]) -> list[str] | None:
+    """Return the columns x y z w of a quaternion by the names that trackers export, in capitals or
+    not; None if there are none, if they are joints, or if their norm is not 1."""
+    words = {split_unit(word)[0].lower(): word for word in table.header if word}
+    for names in EXPORTED_QUATERNIONS:
+        if not all(name in words and words[name] not in joints for name in names):
+            continue
+        columns = [words[name] for name in names]
+        norm = np.linalg.norm([table.column(name) for name in columns], axis=0)
+        norm = norm[np.isfinite(norm)]
+        if len(norm) and (np.abs(norm - 1) < MAX_NORM_ERROR).all():
+            return columns
+    return None
 
 
 def find_names(table: Table) -> str | None:
@@ -370,7 +396,9 @@ def find_conditions(table: Table, joints: Sequence[str]) -> dict[str, str | floa
         name, unit = split_condition(word)
         bracketed = re.fullmatch(r"(.+?)\s*[\[(](.+)[\])]", word)
         name = bracketed[1] if bracketed else name
-        kind, _, part = name.partition(".")
+        kind, dot, part = name.partition(".")
+        kind = kind.lower()  # devices write Temperature
+        name = f"{kind}{dot}{part}"
         if kind not in CONDITIONS:
             continue
         per_joint = CONDITIONS[kind][2]

@@ -1,6 +1,8 @@
-"""Positions of a laser tracker or a measuring machine, and a log of joints.
+"""Positions or poses of a laser tracker or a measuring machine, and a log of joints.
 
-One table contains points with the columns x, y and z, and another one joint readings. Any lines may
+One table contains points with the columns x, y and z, and another one joint readings. Columns Q0 to
+Q3 beside x, y and z (scalar first, as a Leica T-Mac or T-Probe) or qx to qw are the orientation.
+Columns with the name of a condition (`temperature [degC]`) and times are conditions. Any lines may
 precede the header. Commas, semicolons, tabs or spaces separate the cells. A column that both have
 joins their rows: a point's name or number, or the time. Tables of equal length without such a
 column are matched row by row. The unit is in the header (`X [mm]`), in a
@@ -19,7 +21,14 @@ from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.units import UNIT_ALIASES, UNITS
 from parallel_cal.importing.settings import SourceLine, read_lines
 from parallel_cal.model.file.schema import NoisePart
-from parallel_cal.recordings.columns import ColumnMap, Join, JointColumn, PositionColumns
+from parallel_cal.recordings.columns import (
+    ColumnMap,
+    Join,
+    JointColumn,
+    PositionColumns,
+    find_conditions,
+    find_quaternion,
+)
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.table import Table, read_table, split_unit
 from parallel_cal.recordings.table_samples import make_dataset
@@ -27,6 +36,7 @@ from parallel_cal.recordings.table_samples import make_dataset
 XYZ = ("x", "y", "z")
 ROW = "row"  # joins tables line by line
 TIMES = ("t", "time", "timestamp", "stamp", "datetime")
+TIME = "time since the first point [s]"  # the name of a converted column
 EPOCH = date(1970, 1, 1)
 CLOCK = re.compile(
     r"(?:(\d{4}-\d\d-\d\d)[T ])?(\d{1,2}):(\d\d):(\d\d(?:\.\d*)?)(Z|[+-]\d\d:?\d\d)?"
@@ -69,7 +79,10 @@ def samples(
             "(--option within=SECONDS)"
         )
     columns: list[str] = []
-    taken = {*(name.lower() for name in (*where, key)), *TIMES}
+    turned = find_quaternion(points, joints)
+    conditions = _find_conditions(points, logs, key)
+    others = (*where, key, *(turned or ()), *conditions.values())
+    taken = {*(name.lower() for name in others), *TIMES}
     for log in logs:
         if joints:
             columns += [word for name in joints if (word := _find_column(log, name)) is not None]
@@ -77,10 +90,16 @@ def samples(
             words = [word for word in log.header if word]
             columns += [w for w in words if not {w.lower(), split_unit(w)[0].lower()} & taken]
     units = dict.fromkeys(where, unit) | dict.fromkeys(columns, joint_unit)
+    if clock := conditions.pop("time", ""):
+        timed = _convert_times(points, str(clock))
+        read = [(timed if table is points else table, said) for table, said in read]
+        conditions |= {"time": TIME} if timed is not points else {}
     tables = [_add_units(table, said, units, key, within) for table, said in read]
     wanted = ColumnMap(
         joints={split_unit(word)[0]: JointColumn(column=split_unit(word)[0]) for word in columns},
         position=PositionColumns(columns=[split_unit(word)[0] for word in where]),
+        orientation=turned,
+        conditions=conditions,
         join=Join(by=key, within=within, offset=offset) if len(tables) > 1 and key else None,
         noise=NoisePart(position=sigma, joint=joint_sigma),
     )
@@ -151,6 +170,40 @@ def _find_common_column(points: Table, logs: Sequence[Table], where: Sequence[st
         f"{files}: columns that all tables have: {has}; state which one joins "
         "them (--option by=...)"
     )
+
+
+def _find_conditions(points: Table, logs: Sequence[Table], key: str) -> dict[str, str | float]:
+    """Return the columns of conditions: of the first table that has one, the time of the points
+    alone. The column that joins the tables is none."""
+    found: dict[str, str | float] = {}
+    for table in (points, *logs):
+        own = {name: word for name, word in find_conditions(table, ()).items() if name != "time"}
+        found = own | found
+    word = next((w for name in TIMES if (w := _find_column(points, name))), None)
+    if word and key.lower() not in TIMES:
+        found["time"] = word
+    return {name: word for name, word in found.items() if word != key}
+
+
+def _convert_times(table: Table, column: str) -> Table:
+    """Return the table with the times of a column as s since the first one, in the column TIME; the
+    table itself if some are no times."""
+    at = table.header.index(column)
+    rows = [[*row] for row in table.rows]
+    filled = [i for i, row in enumerate(rows) if len(row) > at and row[at].strip()]
+    try:
+        seconds = [
+            float(
+                _seconds(rows[i][at].strip(), SourceLine(table.path, 0), column).replace(",", ".")
+            )
+            for i in filled
+        ]
+    except DatasetError:
+        return table
+    for i, value in zip(filled, seconds, strict=True):
+        rows[i][at] = repr(value - min(seconds)).replace(".", table.decimal)
+    header = [TIME if k == at else word for k, word in enumerate(table.header)]
+    return replace(table, header=header, rows=rows)
 
 
 def _add_units(
