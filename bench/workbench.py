@@ -49,7 +49,7 @@ WATCH = """() => {
 # Notes when the numbers of the verdict are first painted, in ms: while figures are drawn, which
 # comes next, the page answers nobody.
 NUMBERS = """new MutationObserver((changes, observer) => {
-  if (!document.querySelector('[aria-label="Errors"] .text-lg')?.innerText) return;
+  if (!document.querySelector('[aria-label="Errors"] dd')?.innerText) return;
   observer.disconnect();
   requestAnimationFrame(() => setTimeout(() => { window.painted = Date.now() }));
 }).observe(document, { subtree: true, childList: true, characterData: true })"""

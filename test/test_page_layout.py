@@ -62,7 +62,7 @@ def test_the_falling_error_begins_before_the_calibration_and_shows_every_branch(
     assert "before calibration 606 µm, fit 37.0 µm, add backlash 32.0 µm" in words
     assert words.endswith("noise floor 30.0 µm")
     figure = draw_steps(found)
-    assert "noise floor 30.0 µm" in str(figure["layout"]["annotations"])
+    assert figure["layout"]["title"]["text"].endswith("[µm]; grey: noise floor 30.0")
     assert "<b>other</b>" in str(figure["data"])
 
 
