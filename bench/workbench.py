@@ -108,11 +108,10 @@ def time_page(browser: Any, session: Path, recordings: list[Path]) -> Iterator[R
 
 
 def _time_step(page: Any, button: str, name: str, verdict: str) -> Iterator[Row]:
-    """Time a step: numbers of a part of many samples, then of all, then the verdict."""
+    """Time a step: numbers of a part of many samples, then the verdict, of a part and of all."""
     begin = time.perf_counter()
     page.get_by_role("button", name=button, exact=True).click()
     yield _until(f"{name} to the first numbers", page, f"preliminary {name}|{name}:", begin)
-    yield _until(f"{name} to the numbers of all samples", page, f"^{name}:", begin)
     yield _until(f"{name} to the verdict", page, verdict, begin)
     page.locator("#stage").wait_for(state="hidden")
     yield Row(f"{name} to the verdict of all samples", time.perf_counter() - begin)

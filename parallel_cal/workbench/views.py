@@ -76,23 +76,25 @@ NUMBERS_ONLY: View = {
     "candidates": [],
     "offered": None,
     "untested": [],
+    "knocked": {},
 }
 FIT_TILES = ("before this step", "now", "noise floor")
 
 
-def fit_some_samples(session: Session) -> View | None:
-    """Make a preliminary view of a fit from a part of many samples; None if there are few.
-
-    It has the numbers of the fit only. The fit of all samples takes minutes.
-    """
+def fit_some_samples(session: Session) -> Iterator[View]:
+    """Make preliminary views of a fit from a part of many samples: its numbers, then its verdict
+    with all pictures; none if there are few. The fit of all samples takes minutes."""
     if (some := session.dataset_of_some(MAX_PRELIMINARY_SAMPLES)) is None:
-        return None
-    step = fitted(session.model, some, True, options=session.options)
-    result = step.result
-    words = f"preliminary fit of {_describe_part(len(some), session)}; fitting all samples"
+        return
+    how = session.options
+    step = fitted(session.model, some, True, options=how)
+    result, part = step.result, _describe_part(len(some), session)
     known = (step.errors_to_beat, result.held_out.summary, result.noise_floor)
-    sigmas = result.rms_sigmas(result.held_out)
-    return NUMBERS_ONLY | _make_numbers(words, dict(zip(FIT_TILES, known, strict=True)), sigmas)
+    errors, sigmas = dict(zip(FIT_TILES, known, strict=True)), result.rms_sigmas(result.held_out)
+    words = f"preliminary fit of {part}; fitting all samples"
+    yield NUMBERS_ONLY | _make_numbers(words, errors, sigmas)
+    made = _make_report_view(report(result.model, some, options=how, hold_out=how.hold_out))
+    yield _mark_preliminary(made, part)
 
 
 def view_some_samples(session: Session) -> View | None:
@@ -104,8 +106,13 @@ def view_some_samples(session: Session) -> View | None:
         made = _make_report_view(report(session.model, some, options=how, hold_out=how.hold_out))
     else:
         made = _make_comparison_view(compare(session.model, some, how.joint_sigma))
+    return _mark_preliminary(made, _describe_part(len(some), session))
+
+
+def _mark_preliminary(made: View, part: str) -> View:
+    """Say in the verdict that a view is preliminary; nothing is offered before it is final."""
     verdict = made["verdict"]
-    words = f"preliminary, from {_describe_part(len(some), session)}: {verdict['words']}"
+    words = f"preliminary, from {part}: {verdict['words']}"
     return made | {"verdict": verdict | {"words": words}}
 
 
