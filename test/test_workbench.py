@@ -53,7 +53,7 @@ def test_a_bench_takes_steps_beside_and_shows_what_came_out(folder):
     assert bench.version > version
     verdict = bench.view["verdict"]
     assert (verdict["word"], verdict["label"]) == ("explained", "explained, not yet in the model")
-    assert verdict["words"].startswith("backlash or hysteresis accounts for")
+    assert verdict["words"].startswith("Backlash or hysteresis accounts for")
     state = bench.session.state
     assert state.verdict == "explained"
     # The page and the history have the same sentences.

@@ -13,7 +13,6 @@ from parallel_cal.reporting.markup import (
     as_html,
     chip,
     items,
-    micro,
     paragraph,
     sentence,
     tiles,
@@ -45,7 +44,7 @@ def verdict(report: Report) -> str:
     """Render the verdict as a badge and its sentences."""
     diagnosis = report.diagnosis
     found, caution = describe_verdict(diagnosis), ""
-    words = f'<p class="verdict">{chip(found)} {escape(micro(found.summary))}</p>'
+    words = f'<p class="verdict">{chip(found)} {escape(sentence(found.summary))}</p>'
     words += items(map(sentence, found.remarks))
     if aside := [one.title for one in diagnosis.knocked]:
         names = ", ".join(aside)

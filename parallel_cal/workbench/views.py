@@ -391,7 +391,7 @@ def _verdict(found: Report) -> View:
     return {
         "word": said.word,
         "label": said.label,
-        "words": name_effects(write_micro(said.summary)),
+        "words": name_effects(sentence(said.summary)),
         "remarks": [name_effects(sentence(words)) for words in said.remarks],
     }
 
