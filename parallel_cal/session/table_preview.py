@@ -113,7 +113,7 @@ def _find_last_map(folder: Path, table: Table) -> dict[str, Any] | None:
     columns; of an earlier one otherwise."""
     files = (folder / "imports").glob(f"*/*{MAP_SUFFIX}")
     for file in sorted(files, key=lambda file: file.stat().st_mtime_ns, reverse=True):
-        if all(map(table.find, read_column_map(file).columns)):
+        if set(read_column_map(file).columns) <= set(table.header):
             found: dict[str, Any] = json.loads(read_text(file))
             return found
     return None
