@@ -17,7 +17,7 @@ from parallel_cal.reporting.readable import (
     format_judged_error,
     write_micro,
 )
-from parallel_cal.workbench.bench import Bench
+from parallel_cal.workbench.bench import CERTIFICATE_FILE, Bench
 from parallel_cal.workbench.first_screen import (
     MachineCard,
     Strip,
@@ -303,6 +303,7 @@ class Window:
                 if len(session.record.branches) > 1:
                     ui.button("Compare", on_click=self._compare).props("dense outline")
             with ui.row().classes("items-center"):
+                ui.button("Certificate", on_click=self._certify).props("dense outline")
                 for words, as_pdf in (("Report", False), ("Report as PDF", True)):
                     make = ui.button(words, on_click=partial(bench.make_report, as_pdf))
                     make.props("dense outline").set_enabled(bench.has_samples and not bench.busy)
@@ -331,6 +332,14 @@ class Window:
                     branches,
                     "branches",
                 )
+
+    def _certify(self) -> None:
+        from parallel_cal.workbench.certificate_dialog import (
+            CertificateDialog,  # imports NumPy, which nothing else here needs
+        )
+
+        with self.layer:
+            CertificateDialog(self.bench.session.folder / CERTIFICATE_FILE)
 
     async def _compare(self) -> None:
         from parallel_cal.workbench.branch_comparison import (
