@@ -468,11 +468,11 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
 
         number = Session(folder).state.number
         page.get_by_role("button", name="Certificate", exact=True).click()
-        page.get_by_label("Limit of the position error [µm]").fill("fifty")
+        page.get_by_label("Limit of position [µm]").fill("fifty")
         page.get_by_label("Serial number of the robot").fill("D-0042")
         page.get_by_role("button", name="Save fields").click()
         page.locator("#certificate-problem").get_by_text("expected a positive number").wait_for()
-        page.get_by_label("Limit of the position error [µm]").fill("50")
+        page.get_by_label("Limit of position [µm]").fill("50")
         page.get_by_role("button", name="Save fields").click()
         page.get_by_label("Serial number of the robot").wait_for(state="hidden")
         page.get_by_role("button", name="Report", exact=True).click()

@@ -58,5 +58,5 @@ def _name(field: str, metadata: Mapping[str, str]) -> str:
     """Name a field for people: its words, or the limit of an error with its unit."""
     if field in LIMITS:
         unit = field.removeprefix("limit_").replace("um", "µm")
-        return f"Limit of the {LIMITS[field]} error [{unit}]"
+        return f"Limit of {LIMITS[field]} [{unit}]"
     return metadata["words"]
