@@ -359,7 +359,7 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
         # What the samples do not tell stays on the page, in the verdict and beside the effect.
         verdict = page.locator("#verdict-words").text_content()
         assert re.search(
-            r"backlash or hysteresis: .* \d+ planned poses would (not yet )?tell", verdict
+            r"Backlash or hysteresis: .* \d+ planned poses would (not yet )?tell", verdict
         )
         assert page.locator(".ambiguous").inner_text() == "or hysteresis: the samples do not tell"
         page.get_by_role("button", name="Save", exact=True).click()
