@@ -49,7 +49,7 @@ WATCH = """() => {
 # Notes when the numbers of the verdict are first painted, in ms: while figures are drawn, which
 # comes next, the page answers nobody.
 NUMBERS = """new MutationObserver((changes, observer) => {
-  if (!document.querySelector('[aria-label="Errors"] .text-lg')?.innerText) return;
+  if (!document.querySelector('[aria-label="Errors"] dd')?.innerText) return;
   observer.disconnect();
   requestAnimationFrame(() => setTimeout(() => { window.painted = Date.now() }));
 }).observe(document, { subtree: true, childList: true, characterData: true })"""
@@ -108,11 +108,10 @@ def time_page(browser: Any, session: Path, recordings: list[Path]) -> Iterator[R
 
 
 def _time_step(page: Any, button: str, name: str, verdict: str) -> Iterator[Row]:
-    """Time a step: numbers of a part of many samples, then of all, then the verdict."""
+    """Time a step: numbers of a part of many samples, then the verdict, of a part and of all."""
     begin = time.perf_counter()
     page.get_by_role("button", name=button, exact=True).click()
     yield _until(f"{name} to the first numbers", page, f"preliminary {name}|{name}:", begin)
-    yield _until(f"{name} to the numbers of all samples", page, f"^{name}:", begin)
     yield _until(f"{name} to the verdict", page, verdict, begin)
     page.locator("#stage").wait_for(state="hidden")
     yield Row(f"{name} to the verdict of all samples", time.perf_counter() - begin)

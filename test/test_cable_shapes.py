@@ -98,9 +98,9 @@ def test_a_stated_home_is_where_readings_are_zero():
     assert not model.mechanism.remarks
 
 
-def test_the_page_on_cable_robots_states_the_sign_of_an_offset():
+def test_the_page_on_belts_states_the_sign_of_an_offset():
     """A line of 1.7651 m that reads 0.1391 m less, as on the page, has a positive offset."""
-    page = (Path(__file__).parents[1] / "docs" / "cable_robot.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[1] / "docs" / "belts.md").read_text(encoding="utf-8")
     stated = re.search(r"is (\S+) m long and reads\s+(\S+) m has the offset (\S+) m", page)
     length, reading, offset = map(float, stated.groups())
     anchors = np.array([[-1.4478, 1.0096], [1.4478, 1.0096]])

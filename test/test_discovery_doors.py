@@ -183,7 +183,7 @@ def test_the_page_finds_a_law_under_an_unexplained_verdict_and_adds_it(fitted, t
             region.get_by_role("button", name="Add joints by next_joint").click()
             history = window.get_by_role("region", name="History")
             history.get_by_text(f"add {file.stem} (found in data, cause unknown)").wait_for()
-            window.locator("#verdict").get_by_text("its physical cause is unknown").wait_for()
+            window.locator("#verdict-words").get_by_text("its physical cause is unknown").wait_for()
             until(lambda: region.count() == 0, "the end of the search that this step answered")
 
             window.get_by_role("button", name="Undo", exact=True).click()

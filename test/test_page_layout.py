@@ -62,7 +62,7 @@ def test_the_falling_error_begins_before_the_calibration_and_shows_every_branch(
     assert "before calibration 606 µm, fit 37.0 µm, add backlash 32.0 µm" in words
     assert words.endswith("noise floor 30.0 µm")
     figure = draw_steps(found)
-    assert "noise floor 30.0 µm" in str(figure["layout"]["annotations"])
+    assert figure["layout"]["title"]["text"].endswith("[µm]; grey: noise floor 30.0")
     assert "<b>other</b>" in str(figure["data"])
 
 
@@ -195,6 +195,21 @@ def test_the_numbers_of_a_fit_of_many_samples_are_shown_before_its_residuals(fol
     assert part["tiles"] == whole["tiles"]
 
 
+def test_while_a_step_runs_the_pictures_before_it_stay_but_not_what_was_judged():
+    from parallel_cal.workbench.kept_pictures import EARLIER, keep_pictures
+
+    before = {"residuals": 1, "machine": 2, "shown": "", "answers": 3, "tiles": [4], "budget": 5}
+    numbers = {"tiles": [6], "verdict": 7}
+    assert keep_pictures(numbers, before) == numbers | {
+        "residuals": 1,
+        "machine": 2,
+        "shown": EARLIER,
+    }
+    assert keep_pictures(numbers, None) == numbers
+    whole = numbers | {"residuals": 8}
+    assert keep_pictures(whole, before) is whole
+
+
 def test_a_mean_along_many_samples_is_given_at_few_points_and_shows_a_small_course():
     rng = np.random.default_rng(1)
     values = rng.uniform(0, 1, 100_000)
@@ -228,17 +243,20 @@ def test_a_page_shows_a_part_of_many_samples_first_and_says_so(folder, monkeypat
 
     session = Session(folder)
     assert views.view_some_samples(session) is None
-    assert views.fit_some_samples(session) is None
+    assert not list(views.fit_some_samples(session))
     monkeypatch.setattr(views, "MAX_PRELIMINARY_SAMPLES", 60)
-    numbers = views.fit_some_samples(session)
+    numbers, judged = views.fit_some_samples(session)
     assert "residuals" not in numbers
     count = len(session.dataset.thinned(60))
     part = f"{count} of 94 samples, evenly spread over the recording"
     assert numbers["verdict"]["words"] == f"preliminary fit of {part}; fitting all samples"
     assert [tile["name"] for tile in numbers["tiles"]] == list(views.FIT_TILES)
+    assert judged["verdict"]["words"].startswith(f"preliminary, from {part}: ")
+    assert judged["answers"]["missing"].startswith("Backlash")
+    assert len(judged["samples"]["rows"]) == count
     seen = views.view_some_samples(session)
     assert seen["verdict"]["words"].startswith(f"preliminary, from {part}: ")
-    assert "backlash" in seen["verdict"]["words"]
+    assert "Backlash" in seen["verdict"]["words"]
     assert len(seen["samples"]["rows"]) == count
     assert Session(folder).state.verdict == session.state.verdict  # only the whole is recorded
 
@@ -258,7 +276,7 @@ def test_of_many_samples_a_part_is_diagnosed_and_the_numbers_are_those_of_all(fo
     assert part["verdict"]["words"].endswith(
         f"(diagnosis of {count} of 94 samples, evenly spread over the recording)"
     )
-    assert "backlash" in part["verdict"]["words"]
+    assert "Backlash" in part["verdict"]["words"]
     assert len(part["samples"]["rows"]) == count
     by_name = {tile["name"]: tile["values"] for tile in whole["tiles"]}
     assert [tile["values"] for tile in part["tiles"] if tile["name"] == "now"] == [by_name["now"]]

@@ -283,7 +283,7 @@ def test_a_wrist_that_was_flipped_when_measured_is_no_joint_error():
     assert np.abs(errors(model, observe(model, data)).joint).max() < 1e-9
 
 
-DOCS = (Path(__file__).parents[1] / "docs/serial_arm.md").read_text(encoding="utf-8")
+DOCS = (Path(__file__).parents[1] / "docs/serial_links.md").read_text(encoding="utf-8")
 DESCRIBED = [yaml.safe_load(block) for block in re.findall(r"```yaml\n(.*?)```", DOCS, flags=re.S)]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -14,7 +13,7 @@ from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.units import ARCMIN
 from parallel_cal.cli.arguments import Json, ModelFile
 from parallel_cal.reporting import console
-from parallel_cal.reporting.readable import format_fixed_vector, value_unit
+from parallel_cal.reporting.readable import format_fixed, format_fixed_vector, value_unit
 
 if TYPE_CHECKING:
     import numpy as np
@@ -219,11 +218,9 @@ def _print_solutions(
         known = {key: value for key, value in about.items() if value is not None}
         return console.emit({"solutions": rows, **known})
     name, factor = _joint_unit(model)
+    residuals = ("residual [um]",) if explained is None else ("residual [um]", "explained [um]")
     console.table(
-        (
-            *("status", "position [mm]", "quaternion x y z w", f"joints [{name}]", "residual [m]"),
-            *(() if explained is None else ("explained [m]",)),
-        ),
+        ("status", "position [mm]", "quaternion x y z w", f"joints [{name}]", *residuals),
         [
             (
                 r["status"],
@@ -231,7 +228,7 @@ def _print_solutions(
                 format_fixed_vector(r["quaternion"], 1, 7),
                 format_fixed_vector(r["joints"], factor, 5),
                 *(
-                    f"{r[key]:.1e}" if math.isfinite(r[key]) else "-"
+                    format_fixed(r[key], 1e6, 3)
                     for key in ("residual", "explained_residual")
                     if key in r
                 ),
@@ -282,7 +279,7 @@ def _output_table(answer: Answer, output: Path | None, as_json: bool) -> None:
     elif as_json:
         console.emit({"output": str(output), "rows": len(found), "statuses": statuses, **said})
     elif output is None:
-        console.say(text.rstrip("\n"))
+        console.write(text.rstrip("\n"))
         console.note(summary)
     else:
         console.say(f"{output}: {len(found)} rows, {summary}")

@@ -280,7 +280,7 @@ def mechanisms(
     rows = _rows("mechanisms", _mechanism_row)
     if as_json:
         return console.emit({"mechanisms": rows})
-    header = ("mechanism", "joints", "parameters", "moves", "controls", "description")
+    header = ("mechanism", "joints", "parameters", "controls", "description")
     console.table(
         header,
         [
@@ -288,7 +288,6 @@ def mechanisms(
                 r["name"],
                 str(len(r["joints"]) or "-"),
                 str(r["parameters"] or "-"),
-                " ".join(r["moves"]),
                 " ".join(r["controls"]),
                 r["description"],
             )
@@ -321,6 +320,7 @@ def _print_mechanism(name: str, options: list[str], as_json: bool) -> None:
     _print_description(name, type(m))
     joints = zip(m.joints, m.joint_units, strict=True)
     console.say("joints: " + ", ".join(f"{joint} [{unit}]" for joint, unit in joints))
+    console.say(f"moves {' '.join(m.moves)}; controls {' '.join(m.controls)}")
     rows = []
     for p in m.parameters:
         value, unit = in_unit(p.nominal, p.unit)

@@ -31,4 +31,4 @@ def record_topics(
     words = make_record_command(topics, output)
     if as_json:
         return console.emit({"topics": topics, "command": words})
-    console.say(shlex.join(words) if command else "\n".join(topics))
+    console.write(shlex.join(words) if command else "\n".join(topics))

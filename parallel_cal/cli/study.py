@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -74,7 +75,7 @@ def tolerance(
         _write(output, "tolerance", found.document(), tolerances_page(found))
     if as_json:
         return console.emit(found.document())
-    console.say(format_tolerances(found))
+    console.write(format_tolerances(found, console.width(sys.stdout)))
     if output is not None:
         console.say(f"written: {output / 'tolerance.html'}")
 
@@ -139,7 +140,7 @@ def power(
     _write(output, "power", found.document(), power_page(found))
     if as_json:
         return console.emit(found.document())
-    console.say(format_power(found))
+    console.write(format_power(found, console.width(sys.stdout)))
     console.say(f"written: {output / 'power.html'}")
 
 

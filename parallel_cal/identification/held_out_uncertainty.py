@@ -81,24 +81,26 @@ class FoldedErrors:
             return None
         U = np.linalg.inv(np.eye(n_free) - shares)
 
-        pairs = np.column_stack([self.fold, self.group])
-        cells, at, counts = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
-        at, fold = at.reshape(-1), cells[:, 0]
-        each = self.J.transpose(0, 2, 1) @ self.J
-        cell_G = _sum_by(at, each, len(cells))
-        G = _sum_by(fold, cell_G, len(U))
-
         P_a = U @ self.P
-        from_parameters = np.einsum("nij,nij->n", each, P_a[self.fold])
-        expected = np.trace(self.S, axis1=1, axis2=2) + from_parameters
-        mean = float(expected.mean())
-        J_S_J = self.J.transpose(0, 2, 1) @ self.S @ self.J
-        own = np.sum(self.S**2, axis=(1, 2)) + 2 * np.einsum("nij,nij->n", J_S_J, P_a[self.fold])
-        in_cells = _trace_of_square(P_a[fold] @ cell_G)
-        uneven = np.bincount(at, expected) - counts * mean
-        within = 2 * own.sum() + np.sum(2 * in_cells + uneven**2)
+        JP = np.empty_like(self.J)  # J_i P_a of the sample's fold a
+        G = np.zeros_like(U)
+        for a in range(len(U)):
+            own_J = self.J[self.fold == a]
+            JP[self.fold == a] = own_J @ P_a[a]
+            G[a] = np.tensordot(own_J, own_J, ((0, 1), (0, 1)))
+        pairs = np.column_stack([self.fold, self.group])
+        _, at, counts = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
+        at = at.reshape(-1)
 
-        in_folds = _trace_of_square(P_a @ G).sum() - in_cells.sum()
+        C = JP @ self.J.transpose(0, 2, 1)  # J_i P_a J_i^T
+        expected = np.trace(self.S + C, axis1=1, axis2=2)
+        mean = float(expected.mean())
+        own = np.sum(self.S * (self.S + 2 * C), axis=(1, 2))
+        in_cells = self._sum_squares_of_cells(at, counts, JP)
+        uneven = np.bincount(at, expected) - counts * mean
+        within = 2 * (own.sum() + in_cells) + np.sum(uneven**2)
+
+        in_folds = _trace_of_square(P_a @ G).sum() - in_cells
         # tr(U_a P U_b^T G_b U_b P U_a^T G_a) = tr(P H_b P H_a), summed over all a and b but a = b
         H = U.transpose(0, 2, 1) @ G @ U
         between = _trace_of_square(self.P @ H.sum(axis=0)) - _trace_of_square(self.P @ H).sum()
@@ -108,6 +110,23 @@ class FoldedErrors:
         ratio = found / mean if mean > 0 else 1.0
         within = max(min(ratio, 1.0) ** 2 * within / len(squares) ** 2, np.nan_to_num(scatter**2))
         return float(within + ratio**2 * max(shared, 0.0) / len(squares) ** 2)
+
+    def _sum_squares_of_cells(self, at: np.ndarray, counts: np.ndarray, JP: np.ndarray) -> float:
+        """Sum of the squares |J_i P_a J_j^T|^2 of all samples i and j of one cell, over all cells.
+
+        `at` (N,) is the cell of a sample, `counts` the number of samples of each cell. The smaller
+        of two products is made: that of the samples, or tr((P_a G)^2) with G = sum J_i^T J_i.
+        """
+        total, order = 0.0, np.argsort(at, kind="stable")
+        starts = np.cumsum(counts) - counts
+        for count in np.unique(counts):
+            own = order[starts[counts == count][:, None] + np.arange(count)]  # cells x samples
+            left, right = (one[own].reshape(len(own), -1, len(self.P)) for one in (JP, self.J))
+            if left.shape[1] <= len(self.P):
+                total += float(np.sum((left @ right.transpose(0, 2, 1)) ** 2))
+            else:
+                total += float(_trace_of_square(left.transpose(0, 2, 1) @ right).sum())
+        return total
 
 
 def compute_held_out_sigmas(
@@ -174,13 +193,6 @@ def _compute_size(kind: str, one: ErrorJacobian) -> np.ndarray:
     if kind != "pixel":
         return np.ones(len(one.known))
     return np.asarray(1 / np.sqrt(np.maximum(one.known.sum(axis=1), 2) / 2))
-
-
-def _sum_by(at: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-    """Sums (count, ...) of the values (N, ...) with the numbers `at` (N,)."""
-    sums = np.zeros((count, *values.shape[1:]))
-    np.add.at(sums, at, values)
-    return sums
 
 
 def _trace_of_square(M: np.ndarray) -> np.ndarray:

@@ -44,7 +44,7 @@ class Ramp:
         return f"rgb({r:.0f},{g:.0f},{b:.0f})"
 
     def bar(self, kind: str) -> Spec:
-        """Make an invisible trace whose colour bar explains the colours, at the upper left."""
+        """Make an invisible trace whose colour bar explains the colours, at the top left."""
         unit, factor = error_unit(ERROR_SI_UNITS[kind])
         ends = [factor * self.low, factor * self.high]
         ticks = list_round_ticks(*ends)
@@ -67,8 +67,10 @@ class Ramp:
                 ],
                 "showscale": True,
                 "colorbar": {
+                    # Above the picture: beside it, it would cover an axis of a narrow window.
+                    "orientation": "h",
                     "thickness": 8,
-                    "len": 0.5,
+                    "len": 0.4,
                     "x": 0.0,
                     "xanchor": "left",
                     "y": 1.0,

@@ -1,11 +1,14 @@
 """Blocks: what a result shows, described once for the terminal, the report and the workbench.
 
 `results.py` and `studies.py` have one function for each kind of result. It describes the result
-as blocks: tables, and sentences (`str`). Three renderers show them:
+as blocks: tables, sentences (`str`), a judgement and tiles. Three renderers show them:
 
 - `as_text` for the command line: ASCII, fixed decimals, no columns that are for pages only;
 - `markup.as_html` for reports and notebooks: significant digits, sortable, with small lines;
 - `as_rows` for the workbench, whose page gets plain data from another process.
+
+The judgement and the tiles look the same in the report and on the page: both use `markup` and the
+style `blocks.css`.
 
 A `Number` keeps its value until it is rendered, because a terminal and a page show different
 digits. Texts are ASCII; a page writes um as µm.
@@ -131,6 +134,35 @@ class Detail:
 
 
 Block = Table | Detail | str
+MAX_REMARKS = 3  # about a verdict, before the details
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """A verdict: its `word` is a style of the page, its `label` is for people, the `summary` are at
+    most two sentences. Each of the `remarks` is a sentence of its own."""
+
+    word: str
+    label: str
+    summary: str
+    remarks: Sequence[str] = ()
+
+    def blocks(self) -> Iterator[Block]:
+        """Yield a line for the verdict and one for each remark; after the third, as details."""
+        yield f"{self.word}: {self.summary}"
+        lines = [f"- {words}" for words in self.remarks]
+        yield from lines[:MAX_REMARKS]
+        yield from map(Detail, lines[MAX_REMARKS:])
+
+
+@dataclass(frozen=True)
+class Tile:
+    """The rms errors of one model in large digits: (value, unit, kind) of each kind of error."""
+
+    name: str
+    values: Sequence[tuple[str, str, str]]
+    about: str = "validation error"
+    mark: str = ""
 
 
 def as_cell(cell: Cell | Number | PValue | str) -> Cell:

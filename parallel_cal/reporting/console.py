@@ -55,18 +55,28 @@ def emit(document: Any) -> None:
 
 
 def say(text: str) -> None:
-    """Write a line of the answer to stdout."""
+    """Write lines of the answer to stdout; a terminal gets long ones wrapped."""
+    if (columns_of_line := width(sys.stdout)) is not None:
+        text = "\n".join(
+            "\n".join(wrap(line, columns_of_line, "  ")) if len(line) > columns_of_line else line
+            for line in text.split("\n")
+        )
+    write(text)
+
+
+def write(text: str) -> None:
+    """Write lines to stdout as they are: tables, files, and commands to copy."""
     sys.stdout.write(text + "\n")
 
 
 def show(blocks: Iterable[Block], options: Collection[str] = ()) -> None:
     """Write blocks to stdout, with the details of these options."""
-    say(as_text(blocks, options, width(sys.stdout), paint(sys.stdout)))
+    write(as_text(blocks, options, width(sys.stdout), paint(sys.stdout)))
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     """Write a short table without frames, with numbers aligned to the right."""
-    say(columns(header, rows, width(sys.stdout), paint(sys.stdout)))
+    write(columns(header, rows, width(sys.stdout), paint(sys.stdout)))
 
 
 def note(text: str, mark: str = "") -> None:

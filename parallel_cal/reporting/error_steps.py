@@ -62,14 +62,15 @@ def draw_steps(found: FallingError) -> dict[str, Any]:
     values = [factor * step.error for step in found.steps]
     noise = factor * found.noise if found.noise else None
     ends = [-0.4, len(values) - 0.4]
-    floor = draw_noise_floor(noise, ends, unit) if noise else ()
+    # The label of the floor stands in the title: in a low figure, the band has no room for it.
+    title = f"{found.words} [{unit}]{f'; grey: noise floor {number(noise)}' if noise else ''}"
     axis = log_axis([noise, *values])
     bottom = 10 ** axis["range"][0]
     return {
         "data": [
             *_draw_bars(found.steps, values),
             *([_draw_band(ends, bottom, noise)] if noise else []),
-            *floor[:1],
+            *([draw_noise_floor(noise, ends, unit)[0]] if noise else []),
             *_draw_lines(found.steps, values),
             *_draw_points(found, values, unit),
         ],
@@ -77,7 +78,7 @@ def draw_steps(found: FallingError) -> dict[str, Any]:
             "height": HEIGHT_OF_MANY if len(values) > MANY_STEPS else HEIGHT,
             # An upright title would be longer than an axis above upright labels.
             "title": {
-                "text": f"{escape(found.words)} [{unit}]",
+                "text": escape(title),
                 "font": {"size": 12},
                 "x": 0,
                 "xanchor": "left",
@@ -101,7 +102,6 @@ def draw_steps(found: FallingError) -> dict[str, Any]:
                 "automargin": True,
             },
             "yaxis": axis,
-            "annotations": [*floor[1:]],
         },
         "config": {"displaylogo": False, "displayModeBar": False},
     }

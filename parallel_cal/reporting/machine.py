@@ -13,7 +13,7 @@ from parallel_cal.model.model import Model
 from parallel_cal.model.words import join_words
 from parallel_cal.reporting.arrows import Ramp, round_below, scale_of, typical
 from parallel_cal.reporting.axes import name_axis, space
-from parallel_cal.reporting.colours import QUIET
+from parallel_cal.reporting.colours import MEASURED, QUIET
 from parallel_cal.reporting.contents import DescribedParameter
 from parallel_cal.reporting.drawings import DrawnLine, flat, lines, trace_lines
 from parallel_cal.reporting.figures import Spec
@@ -29,7 +29,8 @@ DEVICE_NEAR = 2.2  # half extents of the robot within which the device is drawn 
 GLOW_WIDTH, GLOW_COLOUR = 16, "#f08c2e"
 LABEL = {"bgcolor": "rgba(160,160,160,0.6)", "font": {"size": 12}}
 ARROW_RATIO = 0.06  # least length of a typical large arrow, as a share of the robot
-CLOSER = 0.95  # than other figures in space is the camera
+LOWER = -0.08  # than other figures in space is the middle, so that no label at the bottom is cut
+SCENE_TOP = 0.92  # of the picture; the colour bar is above
 NO_PLACES, NO_NUMBERS = np.empty((0, 3)), np.empty(0, int)
 NUMBERED = re.compile(r"([a-z_]*[a-z])(\d+)")
 
@@ -159,6 +160,33 @@ def draw_machine(
     }
 
 
+def draw_poses(model: Model, measured: np.ndarray, predicted: np.ndarray) -> Spec | None:
+    """Draw the robot at home with measured positions (N, 3), as they stand in the table, and the
+    positions (M, 3) of the model at the same joint readings. None if the mechanism draws nothing.
+    """
+    parts = lines(model)
+    if not parts:
+        return None
+    clouds = (("by the model", predicted, QUIET), ("measured", measured, MEASURED))
+    points = 1e3 * np.vstack([*[part.points for part in parts], measured, predicted])
+    traces = [
+        trace_lines(kind, [p for p in parts if p.kind == kind])
+        for kind in dict.fromkeys(p.kind for p in parts)
+    ]
+    shown = [trace | {"showlegend": False} for trace in traces]
+    for name, places, colour in clouds:
+        if len(places):
+            coordinates = {a: np.round(1e3 * places[:, k], 3) for k, a in enumerate("xyz")}
+            marker = {"size": 5 if name == "measured" else 3, "color": colour}
+            shown.append(
+                {"type": "scatter3d", "mode": "markers", "name": name, "marker": marker}
+                | coordinates
+            )
+    layout = _layout(parts, points.min(axis=0), points.max(axis=0), (), ())
+    legend = {"orientation": "h", "x": 0, "y": 1, "yanchor": "top"}
+    return {"data": shown, "layout": layout | {"height": 300, "showlegend": True, "legend": legend}}
+
+
 def _choose_samples(places: np.ndarray, stage: Stage) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The samples (indices) that a stage judges, their places and their errors."""
     which = np.flatnonzero(np.isfinite(stage.field).all(axis=1))
@@ -248,7 +276,7 @@ def _layout(
         axes["zaxis"]["visible"] = False
         camera = {"eye": {"x": 0, "y": 0, "z": 1.6}, "up": {"x": 0, "y": 1, "z": 0}}
     else:
-        camera = camera | {"eye": {axis: CLOSER * v for axis, v in camera["eye"].items()}}
+        camera = camera | {"center": {"x": 0, "y": 0, "z": LOWER}}
     labels = [
         dict(zip("xyz", (1e3 * found[0].middle).round(3).tolist(), strict=True))
         | {"text": one.text, "showarrow": False, **LABEL}
@@ -260,5 +288,6 @@ def _layout(
         # The camera stays while the slider is moved, and while steps are made.
         "scene": axes
         | {"aspectmode": "data", "camera": camera, "annotations": labels}
+        | {"domain": {"x": [0, 1], "y": [0, SCENE_TOP]}}
         | {"uirevision": "machine"},
     }

@@ -11,9 +11,11 @@ from parallel_cal.reporting.blocks import (
     Block,
     Cell,
     Column,
+    Judgement,
     Number,
     Row,
     Table,
+    Tile,
     as_cell,
     uncover,
 )
@@ -83,6 +85,24 @@ def _render_cell(cell: Cell, column: Column) -> str:
         text = f"{text} {escape(cell.content.unit)}"
     text = f'<a href="{escape(cell.link)}">{text}</a>' if cell.link else text
     return f'<td data-label="{escape(label)}"{key}{mark}>{text}{bar}{under}</td>'
+
+
+def chip(judgement: Judgement) -> str:
+    """Render the word of a verdict on a colour of its own."""
+    return f'<span class="badge {escape(judgement.word)}">{escape(judgement.label)}</span>'
+
+
+def tiles(shown: Iterable[Tile]) -> str:
+    """Render errors in large digits, side by side."""
+    return f'<div class="tiles">{"".join(map(_render_tile, shown))}</div>'
+
+
+def _render_tile(tile: Tile) -> str:
+    values = "".join(
+        f"<dd>{escape(value)}<span>{escape(unit)}</span><em>{escape(kind)}</em></dd>"
+        for value, unit, kind in tile.values
+    )
+    return f'<dl class="{tile.mark}"><dt>{escape(tile.name)}</dt>{values}</dl>'
 
 
 def section(title: str, content: str, about: str = "", closed: bool = False) -> str:

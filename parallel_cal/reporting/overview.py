@@ -4,19 +4,26 @@ from __future__ import annotations
 
 from html import escape
 
-from parallel_cal.diagnosis.verdict_words import VERDICT_LABELS
 from parallel_cal.identification.given_model import was_fitted
 from parallel_cal.reporting import figures
 from parallel_cal.reporting.blocks import Block
 from parallel_cal.reporting.error_steps import DOTTED, draw_steps
-from parallel_cal.reporting.markup import Plot, as_html, items, micro, paragraph, sentence
+from parallel_cal.reporting.markup import (
+    Plot,
+    as_html,
+    chip,
+    items,
+    paragraph,
+    sentence,
+    tiles,
+)
 from parallel_cal.reporting.readable import unit_of
 from parallel_cal.reporting.report import Report
 from parallel_cal.reporting.results import (
-    Tile,
     budget_sentence,
     budget_table,
     describe_counts,
+    describe_verdict,
     error_tiles,
     iso_sentence,
 )
@@ -35,21 +42,13 @@ REFITTED = (
 
 def verdict(report: Report) -> str:
     """Render the verdict as a badge and its sentences."""
-    found = report.diagnosis.verdict
-    badge = f'<span class="badge {escape(found.word)}">{escape(VERDICT_LABELS[found.word])}</span>'
-    words = f'<p class="verdict">{badge} {escape(micro(found.summary))}</p>'
-    words += items(map(sentence, [*found.against, *found.remarks]))
-    laws = "".join(
-        paragraph(
-            f"The effect {name} of this model was found in data; its physical cause is unknown.",
-            "note",
-        )
-        for name in report.provenance.found_in_data
-    )
     diagnosis = report.diagnosis
+    found, caution = describe_verdict(diagnosis), ""
+    words = f'<p class="verdict">{chip(found)} {escape(sentence(found.summary))}</p>'
+    words += items(map(sentence, found.remarks))
     if aside := [one.title for one in diagnosis.knocked]:
         names = ", ".join(aside)
-        laws += paragraph(
+        caution = paragraph(
             f"All numbers are those of a fit without {names}. If the model was fitted with it, "
             "exclude it and fit again before you use the model.",
             "caution",
@@ -57,12 +56,12 @@ def verdict(report: Report) -> str:
     advice = (f"measure next: {words}" for words in diagnosis.measure_next.advice)
     steps = items(map(sentence, [*diagnosis.next_steps, *advice]))
     following = f'<div class="next"><h3>Next steps</h3>{steps}</div>' if steps else ""
-    return f'<section id="verdict">{words}{laws}{following}</section>'
+    return f'<section id="verdict">{words}{caution}{following}</section>'
 
 
 def numbers(report: Report) -> str:
     """Render the errors before, now and with the effects found, and the noise floor, as tiles."""
-    tiles = error_tiles(report.errors, report.diagnosis.effects, report.provenance.joint_units)
+    shown = error_tiles(report.errors, report.diagnosis.effects, report.provenance.joint_units)
     errors, certified = report.errors, report.certified
     counts = describe_counts(errors.samples, errors.poses, True)
     refitted = was_fitted(report.diagnosis.model) and not certified.identified_here
@@ -72,16 +71,7 @@ def numbers(report: Report) -> str:
         f"{KEPT_SENSORS if errors.keeps_sensors else ''}{REFITTED if refitted else ''}",
         "note",
     )
-    shown = "".join(map(_tile, tiles))
-    return f'<section id="numbers"><div class="tiles">{shown}</div>{note}</section>'
-
-
-def _tile(tile: Tile) -> str:
-    values = "".join(
-        f"<dd>{value}<span>{escape(unit)}</span><em>{escape(kind)}</em></dd>"
-        for value, unit, kind in tile.values
-    )
-    return f'<dl class="{tile.mark}"><dt>{escape(tile.name)}</dt>{values}</dl>'
+    return f'<section id="numbers">{tiles(shown)}{note}</section>'
 
 
 def budget(report: Report) -> str:

@@ -92,7 +92,7 @@ class PageBuilder:
         return Template(_text("page.html")).substitute(
             title=escape(title),
             made=escape(made),
-            style=_text("page.css") + _print_on_each_sheet(footer),
+            style=_text("blocks.css") + _text("page.css") + _print_on_each_sheet(footer),
             body=content,
             figures=figures.replace("<", "\\u003c"),  # cannot end the script element
             plotly=f'<script src="{library}"></script>'

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any, TypeGuard
 
 from parallel_cal.base.units import ERROR_SI_UNITS, LARGE_UNITS, SMALL_UNITS
@@ -213,7 +213,9 @@ def columns(
             for size, word, numbers in zip(widths, words, right, strict=True)
         ]
         widths = _narrow(widths, texts, width)
-        widths = _narrow(widths, words, width)  # at last, vectors between their numbers
+        # At last, vectors between their numbers.
+        cells = [{line[k] for line in lines} for k in range(len(header))]
+        widths = _break_evenly(cells, widths, words, width)
     shown = []
     for line, of_line in zip(lines, [heads, *(marks or blank)], strict=True):
         if not any(line):  # a table without headings
@@ -260,6 +262,28 @@ def _narrow(widths: Sequence[int], floors: Sequence[int], width: int) -> list[in
         if not loose:
             break
         found[max(loose, key=lambda k: found[k])] -= 1
+    return found
+
+
+def _break_evenly(
+    cells: Sequence[Collection[str]], widths: Sequence[int], floors: Sequence[int], width: int
+) -> list[int]:
+    """Narrow columns (sets of cells) until the table fits: each time the one that then has the
+    fewest lines, so that no cell becomes much higher than its neighbours."""
+    found = list(widths)
+
+    def count_lines(k: int, size: int) -> int:
+        return max(len(wrap(cell, size)) for cell in cells[k])
+
+    while (excess := sum(found) + 2 * (len(found) - 1) - width) > 0:
+        loose = [k for k, floor in enumerate(floors) if found[k] > floor]
+        if not loose:
+            break
+        k = min(loose, key=lambda k: (count_lines(k, found[k]), -found[k]))
+        most = count_lines(k, found[k]) + 1
+        sizes = range(floors[k], found[k])
+        enough = [size for size in sizes if count_lines(k, size) <= most and size <= found[k] - 1]
+        found[k] = max(min(enough, default=floors[k]), found[k] - excess)
     return found
 
 

@@ -1,4 +1,5 @@
-"""The contents of a recording as short tables; `recordings.info` makes the document."""
+"""The contents of a recording as short tables (`recordings.info` makes the document), and what was
+measured as short lines for a page."""
 
 from __future__ import annotations
 
@@ -9,9 +10,20 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.units import ARCMIN
+from parallel_cal.identification.observations import Observations, list_noise
+from parallel_cal.identification.registration import SENSOR, frames_of
+from parallel_cal.model.model import Model
 from parallel_cal.recordings.channels import find_channel, list_channels
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.recording import COORDINATES
 from parallel_cal.reporting.blocks import Block, Table
-from parallel_cal.reporting.readable import format_fixed_vector
+from parallel_cal.reporting.readable import (
+    error_unit,
+    format_fixed_vector,
+    number,
+    vector,
+    write_micro,
+)
 
 
 def describe_info(document: dict[str, Any]) -> Iterator[Block]:
@@ -100,3 +112,27 @@ def _reading_words(readings: dict[str, int]) -> list[str]:
         f"{camera} ({sum(counts)} readings of {len(counts)} corners)"
         for camera, counts in corners.items()
     ]
+
+
+def describe_measurement(
+    model: Model, dataset: Dataset, observations: Observations
+) -> dict[str, str]:
+    """Describe in a line each: the samples, what the device measured and where it is, the noise."""
+    samples = f"{len(dataset)} at {len(np.unique(dataset.pose_id))} poses"
+    if dataset.excluded:
+        samples += f", {len(dataset.excluded)} excluded"
+    axes = np.array(COORDINATES)[dataset.measured.any(axis=0)]
+    device = [f"{' '.join(axes)} in frame {dataset.frame}"] if len(axes) else []
+    if SENSOR in (sensor.name for sensor in model.sensors):
+        at = vector(frames_of(model).f, "m", 1)
+        device.append(f"registered at ({at}) mm in the frame of the base")
+    device += [sensor.name.replace("_", " ") for sensor in model.sensors if sensor.name != SENSOR]
+    noise = []
+    for one in list_noise(model, observations):
+        unit, factor = error_unit(one.unit)
+        noise.append(f"{one.name} {number(one.value, factor)} {unit} ({one.source})")
+    return {
+        "samples": samples,
+        "device": "; ".join(device) or "no pose was measured",
+        "noise": write_micro(", ".join(noise)),
+    }

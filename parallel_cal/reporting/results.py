@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +11,7 @@ import numpy as np
 from parallel_cal.base.arguments import describe_argument
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.units import ARCMIN
+from parallel_cal.diagnosis.verdict_words import VERDICT_LABELS
 from parallel_cal.identification.acceptance import format_errors
 from parallel_cal.identification.budget import Budget, Iso9283
 from parallel_cal.identification.fit import FitResult, ParameterEstimate
@@ -19,19 +19,23 @@ from parallel_cal.identification.prediction_errors import ERRORS, Summary
 from parallel_cal.model.model import Model
 from parallel_cal.model.region import describe_workspace_excess
 from parallel_cal.reporting.blocks import (
+    MAX_REMARKS,
     Block,
     Cell,
     Column,
     Detail,
+    Judgement,
     Number,
     PValue,
     Row,
     Table,
+    Tile,
 )
 from parallel_cal.reporting.contents import DescribedParameter, HeldOutErrors, JudgedSample
 from parallel_cal.reporting.contents import parameters as describe_parameters
 from parallel_cal.reporting.figures import MAX_MOVED_TOLERANCES
 from parallel_cal.reporting.images import describe_images
+from parallel_cal.reporting.names import title_of
 from parallel_cal.reporting.readable import (
     error_unit,
     format_fixed,
@@ -63,7 +67,6 @@ if TYPE_CHECKING:
 MAX_CANDIDATES = 8
 MAX_SAMPLES = 5
 MAX_PATTERNS = 5
-MAX_REMARKS = 3  # about a verdict, on a terminal
 MAX_ESTIMATES = 4  # parameters of an effect that are shown; gears have a dozen
 PATTERN_SIGNIFICANCE_LEVEL = 0.05  # below it a terminal shows an effect or a pattern of the errors
 # How a model and the samples of a figure are related.
@@ -381,17 +384,26 @@ def _worst_samples(comparison: Comparison) -> Table:
     return Table(tuple(shown), list(zip(*shown.values(), strict=True)))
 
 
+def describe_verdict(diagnosis: Diagnosis) -> Judgement:
+    """Describe the verdict, with what speaks against it and what else is to know."""
+    verdict = diagnosis.verdict
+    laws = [
+        f"{effect.name} was found in data; its physical cause is unknown"
+        for effect in diagnosis.model.effects
+        if effect.found_in_data
+    ]
+    remarks = (*verdict.against, *verdict.remarks, *laws)
+    return Judgement(verdict.word, VERDICT_LABELS[verdict.word], verdict.summary, remarks)
+
+
 def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
     """Describe the verdict, validation errors, the candidates, and what to measure next."""
     judged = {
         "held-out, as it is": diagnosis.base.fitted.held_out.summary,
         "held-out, with it": diagnosis.best.fitted.held_out.summary,
     }
-    verdict = diagnosis.verdict
-    yield f"{verdict.word}: {verdict.summary}"
-    details = [f"- {words}" for words in (*verdict.against, *verdict.remarks)]
-    yield from details[:MAX_REMARKS]
-    yield from map(Detail, details[MAX_REMARKS:])
+    judgement = describe_verdict(diagnosis)
+    yield from judgement.blocks()
     yield errors_table(judged, diagnosis.best.fitted.noise_floor, diagnosis.model)
     tested = [e for e in diagnosis.entries if e.candidate.testable][:MAX_CANDIDATES]
     likely = [e for e in tested if e.probable or e.name in diagnosis.effects]
@@ -411,7 +423,7 @@ def describe_diagnosis(diagnosis: Diagnosis) -> Iterator[Block]:
         if entry.confused_with:
             words = f"{entry.name} is confused with {', '.join(entry.confused_with)}"
             yield words if entry.name in diagnosis.effects else Detail(words)
-    more = max(len(details) - MAX_REMARKS, 0)
+    more = max(len(judgement.remarks) - MAX_REMARKS, 0)
     hidden = [
         *([f"{more} more about the verdict"] if more else []),
         *([f"{len(others)} improbable effects"] if others else []),
@@ -597,16 +609,6 @@ def sample_table(
     return Table(columns, rows, "sortable", "sigmas")
 
 
-@dataclass(frozen=True)
-class Tile:
-    """The rms errors of one model in large digits: (value, unit, kind) of each kind of error."""
-
-    name: str
-    values: Sequence[tuple[str, str, str]]
-    about: str = "validation error"
-    mark: str = ""
-
-
 def make_tile(
     name: str,
     errors: Summary,
@@ -637,7 +639,7 @@ def error_tiles(
     yield tile(errors.before_name, errors.before, errors.sigmas["before"])
     yield tile("now", errors.now, errors.sigmas["now"])
     if errors.found:
-        added = f"with {' and '.join(effects)} added"
+        added = f"with {' and '.join(map(title_of, effects))} added"
         yield tile(added, errors.found, errors.sigmas["found"], "found")
     if errors.noise.is_known:
         yield tile("noise floor", errors.noise, errors.sigmas["noise"])

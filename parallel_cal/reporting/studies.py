@@ -9,7 +9,7 @@ from html import escape
 import numpy as np
 
 from parallel_cal.base.units import ERROR_SI_UNITS, ERROR_UNITS
-from parallel_cal.reporting.blocks import Cell, Column, Number, Row, Table, as_text
+from parallel_cal.reporting.blocks import Block, Cell, Column, Number, Row, Table, as_text
 from parallel_cal.reporting.colours import ACCENT, MEASURED, QUIET, WARNING
 from parallel_cal.reporting.figures import LEGEND, Spec
 from parallel_cal.reporting.markup import Plot, as_html, paragraph, section, sentence
@@ -33,11 +33,12 @@ MIN_MISNAMED_SHARE = 0.2  # share of an effect's sessions from which a wrong nam
 MIN_BUDGET_SHARE = 1e-3  # smaller shares of the budget are not shown
 
 
-def format_tolerances(found: Tolerances) -> str:
-    """Format the errors, the budget and the remarks for a terminal."""
+def format_tolerances(found: Tolerances, width: int | None = None) -> str:
+    """Format the errors, the budget and the remarks for a terminal of a width."""
     robots, poses = found.errors[found.kind].shape
     tables = (_error_table(found), _budget_table(found))
-    return as_text([f"{robots} robots, {poses} poses each", *tables, *remarks(found)])
+    blocks: list[Block] = [f"{robots} robots, {poses} poses each", *tables, *remarks(found)]
+    return as_text(blocks, width=width)
 
 
 def _error_table(found: Tolerances) -> Table:
@@ -201,15 +202,17 @@ def _distribution(found: Tolerances, kind: str, plot: Plot) -> str:
     return plot({"data": traces, "layout": layout})
 
 
-def format_power(found: Power) -> str:
-    """Format the detectable sizes, the effects that cannot be found, and the false alarms."""
+def format_power(found: Power, width: int | None = None) -> str:
+    """Format the detectable sizes, the effects that cannot be found, and the false alarms, for a
+    terminal of a width."""
     sizes = _size_table(found)
     return as_text(
         [
             f"{len(found.question.planned)} poses, {found.sessions} sessions",
             *([sizes] if sizes.rows else []),
             *power_remarks(found),
-        ]
+        ],
+        width=width,
     )
 
 

@@ -3,12 +3,25 @@ mean."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.base.files import read_text, write_atomically
 from parallel_cal.model.file.modelfile import read_model
-from parallel_cal.recordings.columns import find_conditions, find_names, find_readings
+from parallel_cal.model.model import Model
+from parallel_cal.recordings.columns import (
+    find_conditions,
+    find_names,
+    find_readings,
+    read_column_map,
+)
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.joint_names import match_numbered_names, rename_conditions
+from parallel_cal.recordings.loading import MAP_SUFFIX, load_sessions
+from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.table import Table, read_table, split_condition, split_unit
 from parallel_cal.session.history import History
 
@@ -16,46 +29,91 @@ MAX_SHOWN_ROWS = 4
 POSITION, QUATERNION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
 # Usual names of the columns of three angles, in small letters.
 ANGLES = (("rx", "ry", "rz"), ("roll", "pitch", "yaw"), ("a", "b", "c"))
-# Conditions that people often record; their names count in small letters, too.
-USUAL_CONDITIONS = ("time", "temperature", "payload")
+# Conditions that people often record, with other usual names; all count in small letters, too.
+USUAL_CONDITIONS = {
+    "time": ("timestamp",),
+    "temperature": ("temp",),
+    "payload": ("load", "mass"),
+}
 
 
 def preview_table(file: Path, folder: Path) -> dict[str, Any]:
     """Read a table for the session in `folder`; `error` says why it cannot be read, empty if it
     can. `joints` are the units (rad or m) of the model's joints by name. `columns`, `conditions`
     and `readings` (those of the model's sensors) name the column of a quantity, `angles` those of
-    three angles, `name` that of a name of each row."""
+    three angles, `name` that of a name of each row. `with_unit` lists the columns that state their
+    unit. `remembered` is the column map of the last
+    table whose columns this one has, too."""
     try:
         session = History(folder)
         model = read_model(folder / session.state.model)
         mechanism = model.mechanism
         table = read_table(file).drop_empty_rows()
-        conditions = find_conditions(table, mechanism.joints)
+        joints = _find_joints(table, mechanism.joints)
+        names = {split_unit(word)[0]: joint for joint, word in joints.items() if word}
+        conditions = rename_conditions(find_conditions(table, [*mechanism.joints, *names]), names)
     except ParallelCalError as error:
         return {"error": str(error)}
-    usual = {name: _find(table, name) for name in USUAL_CONDITIONS}
+    usual = {name: _find(table, name, *more) for name, more in USUAL_CONDITIONS.items()}
     angles = [[_find(table, name) for name in names] for names in ANGLES]
     return {
         "error": "",
         "header": table.header,
         "rows": table.rows[:MAX_SHOWN_ROWS],
         "count": len(table.rows),
-        "columns": {
-            name: _find(table, name) for name in (*mechanism.joints, *POSITION, *QUATERNION)
-        },
+        "columns": joints | {name: _find(table, name) for name in (*POSITION, *QUATERNION)},
         "angles": next((names for names in angles if all(names)), [None] * 3),
         "conditions": usual | conditions,
         "name": find_names(table),
-        "readings": dict.fromkeys(model.structure.channels)
-        | {name: one.column for name, one in find_readings(table).items()},
+        "readings": {
+            channel: _find(table, channel, channel.rpartition(".")[2])
+            for channel in model.structure.channels
+        }
+        | {name: table.find(one.column) for name, one in find_readings(table).items()},
         "joints": dict(zip(mechanism.joints, mechanism.joint_units, strict=True)),
+        "with_unit": [word for word in table.header if split_unit(word)[1]],
+        "remembered": _find_last_map(folder, table),
     }
 
 
-def _find(table: Table, name: str) -> str | None:
-    """Find the column of a quantity by its name, in small letters if need be."""
-    if (word := table.find(name)) is not None:
-        return word
-    split = split_condition if name in USUAL_CONDITIONS else split_unit
-    small = {split(word)[0].lower(): word for word in table.header}
-    return small.get(name.lower())
+def read_samples(file: Path, folder: Path, columns: Mapping[str, Any]) -> tuple[Model, Dataset]:
+    """Read a table as an import into the session in `folder` would; ParallelCalError says why it
+    cannot be read."""
+    session = History(folder)
+    model = read_model(folder / session.state.model)
+    write_atomically(file.with_suffix(MAP_SUFFIX), json.dumps(columns))  # JSON is YAML
+    reading = ReadOptions(**session.record.reading)
+    return model, load_sessions([file], reading, mechanism=model.mechanism)
+
+
+def _find_joints(table: Table, joints: Sequence[str]) -> dict[str, str | None]:
+    """Find the columns of the joints: by their names, or all by their numbers, such as A1 to A6."""
+    found = {joint: _find(table, joint) for joint in joints}
+    if all(found.values()):
+        return found
+    words = {split_unit(word)[0]: word for word in table.header}
+    alike = match_numbered_names(joints, [*words])
+    return {joint: words[name] for joint, name in alike.items()} or found
+
+
+def _find(table: Table, *names: str) -> str | None:
+    """Find the column of a quantity by one of its names, in small letters if need be."""
+    for name in names:
+        if (word := table.find(name)) is not None:
+            return word
+        splits = (split_condition, split_unit)
+        small = {split(word)[0].lower(): word for split in splits for word in table.header}
+        if (word := small.get(name.lower())) is not None:
+            return word
+    return None
+
+
+def _find_last_map(folder: Path, table: Table) -> dict[str, Any] | None:
+    """Return the column map of the last table that the session imported, if this table has its
+    columns; of an earlier one otherwise."""
+    files = (folder / "imports").glob(f"*/*{MAP_SUFFIX}")
+    for file in sorted(files, key=lambda file: file.stat().st_mtime_ns, reverse=True):
+        if set(read_column_map(file).columns) <= set(table.header):
+            found: dict[str, Any] = json.loads(read_text(file))
+            return found
+    return None

@@ -15,6 +15,7 @@ from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.files import read_text, write_atomically
 from parallel_cal.base.worker import WorkCancelled, Worker, WorkError
 from parallel_cal.session.history import History
+from parallel_cal.workbench.kept_pictures import keep_pictures
 
 if TYPE_CHECKING:
     from parallel_cal.session.session import Session
@@ -271,7 +272,7 @@ class Bench:
         self.stage, self.fraction = stage, fraction
         if view is not None and not self._cancelled:
             self._refresh_session()
-            self.view, self.seen = view, self.seen + 1
+            self.view, self.seen = keep_pictures(view, self.view), self.seen + 1
             if self._looking:
                 self._preliminary[self.session.state.number] = view
         self._mark_changed()
@@ -304,7 +305,7 @@ class Bench:
 
 # Views kept in memory for undo and redo. That of many samples takes 20 MB, and 0.05 s to parse.
 MAX_LOADED_VIEWS = 6
-VIEW_VERSION = 18  # of the stored views; a view of another version is computed again
+VIEW_VERSION = 19  # of the stored views; a view of another version is computed again
 
 
 def view_path(session: History, state: int | None = None) -> Path:
@@ -389,20 +390,27 @@ def _work(
 
     session = _open_session(folder)
     session.refresh()
-    done = None
+    done, preliminary = None, None
     if step == EXAMPLE:
         tell("simulating poses", 0.0)
         session.take(partial(simulate_example, session.model))
     if step == "fit":
-        tell("fitting", 0.0, fit_some_samples(session))
+        tell("fitting", 0.0)
+        for preliminary in fit_some_samples(session):
+            tell("fitting", 0.0, preliminary)
     if step in STEPS:
         try:
             done = getattr(session, step)(*given, progress=tell, **options)
         except UnprovenStepError as refused:
             return Done("", _ask_to_force(session, refused.against, step, *given))
     if load_view(session) is None:
-        tell("running the diagnosis", 0.0, glance(session))
-        tell("running the diagnosis", 0.0, view_some_samples(session))
+        numbers = glance(session)
+        if preliminary is not None and numbers is not None:
+            # Its verdict stays, with the errors of all samples, until all are diagnosed.
+            tell("running the diagnosis", 0.0, preliminary | {"tiles": numbers["tiles"]})
+        else:
+            tell("running the diagnosis", 0.0, numbers)
+            tell("running the diagnosis", 0.0, view_some_samples(session))
         _store_view(view_path(session), view(session, tell))
     return Done(f"written: {done}" if isinstance(done, Path) else session.state.against)
 

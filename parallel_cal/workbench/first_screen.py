@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from nicegui import ui
 
+from parallel_cal.reporting.blocks import MAX_REMARKS
 from parallel_cal.reporting.error_steps import (
     DOTTED,
     FallingError,
@@ -19,7 +20,7 @@ from parallel_cal.reporting.readable import write_micro
 from parallel_cal.workbench.bench import Bench
 from parallel_cal.workbench.error_steps import find_steps
 from parallel_cal.workbench.next_step import NextStep, find_next_step
-from parallel_cal.workbench.widgets import card, draw_figure
+from parallel_cal.workbench.widgets import Chip, card, draw_figure
 
 WELCOME = (
     "This page finds how your robot differs from its model, names the physical effect that the "
@@ -116,7 +117,11 @@ class VerdictCard:
                 self.next = ui.button(on_click=self._begin).props("no-caps id=next")
                 self.saved = ui.label().props("id=saved")
                 self.why = ui.button("Why?", on_click=self._prove).props("flat no-caps dense")
-            self.words = ui.label().classes("text-sm quiet").props("id=verdict-words")
+            with ui.column().classes("gap-1 w-full text-sm").props("id=verdict-words"):
+                with ui.row().classes("items-center gap-0"):
+                    self.chip = Chip()
+                    self.words = ui.label()
+                self.remarks = ui.column().classes("gap-1 w-full")
             self.included = ui.label().props("id=included").classes("text-xs quiet")
 
     def show(self, view: dict[str, Any]) -> None:
@@ -125,7 +130,7 @@ class VerdictCard:
         for key, label in (("missing", self.missing), ("sizes", self.sizes), ("left", self.left)):
             label.set_text(answers[key])
             label.set_visibility(bool(answers[key]))
-        self.words.set_text(name_effects(write_micro(view["verdict"]["words"])))
+        self._show_verdict(view["verdict"])
         found = find_steps(self.bench.session)
         if found is not None:
             found = _with_proposal(found, view)
@@ -146,6 +151,18 @@ class VerdictCard:
         )
         self.why.set_visibility(_find_proof(view) is not None)
         self.show_next()
+
+    def _show_verdict(self, verdict: dict[str, Any]) -> None:
+        """Show its word, at most two sentences, and a list, of which three lines are open."""
+        self.chip.show(verdict)
+        self.words.set_text(name_effects(write_micro(verdict["words"])))
+        self.remarks.clear()
+        remarks = verdict.get("remarks", ())
+        with self.remarks:
+            _list(remarks[:MAX_REMARKS])
+            if more := remarks[MAX_REMARKS:]:
+                with ui.expansion(f"{len(more)} more").props("dense").classes("w-full"):
+                    _list(more)
 
     def show_next(self) -> None:
         """Show the step that follows from the state; it waits while another one runs."""
@@ -181,6 +198,43 @@ class VerdictCard:
             ).classes("text-sm")
             draw_figure(picture["figure"], f"proof: {name_effects(picture['words'])}")
             ui.button("Close", on_click=dialog.close).props("dense outline")
+
+
+class Strip:
+    """The strip below the first screen: samples, knocked samples, device and noise."""
+
+    def __init__(self, exclude: Callable[[Mapping[int, str]], None]) -> None:
+        self._exclude = exclude
+        self.row = ui.element().classes("strip text-sm").props("id=strip")
+
+    def show(self, view: dict[str, Any]) -> None:
+        self.row.clear()
+        self.row.set_visibility("measured" in view)
+        with self.row:
+            for name, words in view.get("measured", {}).items():
+                with ui.row().classes("items-center gap-x-2 gap-y-0"):
+                    ui.label(name).classes("font-bold")
+                    ui.label(words)
+                    if name == "samples":
+                        self._offer_exclusion(view.get("knocked") or {})
+
+    def _offer_exclusion(self, knocked: Mapping[str, str]) -> None:
+        """Offer to exclude the samples that the verdict sets aside, all at once."""
+        if not knocked:
+            return
+        names = ", ".join(knocked)
+        is_one = len(knocked) == 1
+        ui.label(f"sample {names} is knocked" if is_one else f"samples {names} are knocked")
+        words = "Exclude" if is_one else f"Exclude {len(knocked)}"
+        reasons = {int(number): explain_exclusion(size) for number, size in knocked.items()}
+        button = ui.button(words, on_click=lambda: self._exclude(reasons))
+        button.props(f'dense outline aria-label="exclude knocked: {names}"')
+        button.tooltip("far from what all others show; Undo includes it again")
+
+
+def explain_exclusion(size: str) -> str:
+    """Say why a sample is excluded of which an owner says nothing else."""
+    return f"far from what all others show ({size})"
 
 
 class WelcomeCard:
@@ -225,6 +279,14 @@ class WelcomeCard:
             button.set_enabled(not self.bench.busy)
         if step is not None:
             self.next.set_text(step.words)
+
+
+def _list(sentences: Sequence[str]) -> None:
+    if sentences:
+        with ui.element("ul").classes("remarks"):
+            for words in sentences:
+                with ui.element("li"):
+                    ui.label(words)
 
 
 def _with_proposal(found: FallingError, view: dict[str, Any]) -> FallingError:

@@ -8,21 +8,17 @@ from typing import Any
 
 from nicegui import ui
 
+from parallel_cal.reporting.blocks import Tile
+from parallel_cal.reporting.markup import tiles
 from parallel_cal.reporting.names import name_effects
 from parallel_cal.reporting.readable import write_micro
 from parallel_cal.workbench.bench import Bench
 from parallel_cal.workbench.campaign_card import CampaignBar
-from parallel_cal.workbench.widgets import COLOURS, card, table
+from parallel_cal.workbench.widgets import Chip, card, table
 
-READING = {
-    "colour": "grey",
-    "words": "Reading the measurements. This takes a few seconds.",
-}
-NOTHING = {"colour": "grey", "words": "no samples in this session yet"}
-CAMPAIGN_RUNS = {
-    "colour": "grey",
-    "words": "The campaign is measuring. Press Take samples to see its samples here.",
-}
+READING = {"words": "Reading the measurements. This takes a few seconds."}
+NOTHING = {"words": "no samples in this session yet"}
+CAMPAIGN_RUNS = {"words": "The campaign is measuring. Press Take samples to see its samples here."}
 
 
 class Header:
@@ -43,8 +39,10 @@ class Header:
                 header.on("vue:mounted", js_handler="() => followHeaderHeight()")
                 self.campaign = CampaignBar(bench.live)
             with ui.row().classes("w-full no-wrap items-center gap-3"):
-                self.verdict = ui.label().classes("grow shrink basis-0 min-w-0 truncate font-bold")
-                self.verdict.props("id=verdict role=status aria-live=polite")
+                with ui.row().classes("grow basis-0 min-w-0 no-wrap items-center gap-0") as said:
+                    said.props("id=verdict role=status aria-live=polite")
+                    self.chip = Chip()
+                    self.verdict = ui.label().classes("truncate sentence")
                 with self.verdict:
                     self.whole = ui.tooltip()
                 with ui.row().classes("headline items-center no-wrap gap-2 shrink-0") as row:
@@ -91,10 +89,9 @@ class Header:
         empty = READING if self.bench.view is None else CAMPAIGN_RUNS if runs else NOTHING
         verdict = (self.bench.view or {}).get("verdict", empty)
         words = name_effects(write_micro(verdict["words"]))
+        self.chip.show(verdict)
         self.verdict.set_text(words)
         self.whole.set_text(words)
-        colour = COLOURS[verdict["colour"]]
-        self.verdict.style(f"border-left: 6px solid {colour}; padding-left: 8px")
 
 
 class Notice:
@@ -170,18 +167,16 @@ class ErrorsCard:
 
     def __init__(self) -> None:
         with card("Errors") as self.card:
-            self.numbers = ui.row().classes("items-start gap-x-4 gap-y-1")
+            self.numbers = ui.column().classes("w-full gap-1")
 
     def show(self, view: dict[str, Any]) -> None:
         self.numbers.clear()
         with self.numbers:
-            for tile in view.get("tiles", []):
-                with ui.column().classes("gap-0"):
-                    ui.label(name_effects(tile["name"])).classes("text-xs quiet")
-                    for value, unit, kind in tile["values"]:
-                        ui.label(f"{value} {unit}").classes("text-lg leading-tight").tooltip(
-                            f"{kind}: {tile['about']}, rms"
-                        )
+            shown = [
+                Tile(**tile | {"name": name_effects(tile["name"])})
+                for tile in view.get("tiles", ())
+            ]
+            ui.html(tiles(shown), sanitize=False).classes("w-full")
             if budget := view.get("budget"):
                 with ui.column().classes("gap-0 w-full"):
                     ui.label(budget["title"]).classes("text-xs quiet")

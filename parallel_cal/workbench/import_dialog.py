@@ -1,4 +1,8 @@
-"""The dialog that imports a table: which column is which joint or coordinate, and in which unit."""
+"""The dialog that imports a table: which column is which joint or coordinate, and in which unit.
+
+What the header states is folded. Only the fields of which something is doubtful are open, and the
+poses are drawn on the robot.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +13,9 @@ from typing import Any
 
 from nicegui import events, run, ui
 
-from parallel_cal.base.units import ANGLES, LENGTHS
+from parallel_cal.base.units import ANGLES, LENGTHS, PIXEL
 from parallel_cal.workbench.bench import Bench
+from parallel_cal.workbench.widgets import draw_figure
 
 NONE = "none"
 IN_HEADER = "as in the header"
@@ -46,7 +51,10 @@ class ImportDialog:
         self._file: Path | None = None
         self._asked = ""  # what is missing of the columns, once a person pressed Import
         self._awaits_result = False
-        with ui.dialog(value=True) as self._dialog, ui.card().classes("w-full max-w-5xl gap-2"):
+        self._drawn: dict[str, Any] = {}  # the column map whose poses are drawn
+        # A click beside a dialog that is persistent loses nothing.
+        dialog = ui.dialog(value=True).props("persistent")
+        with dialog as self._dialog, ui.card().classes("w-full max-w-5xl gap-2"):
             ui.label("Import a table").classes("text-base font-bold").props(
                 "role=heading aria-level=2"
             )
@@ -61,16 +69,20 @@ class ImportDialog:
                 on_upload=self._receive,
             ).props(f'flat bordered accept="{SUFFIXES}"').classes("w-full")
             self._form = ui.column().classes("w-full gap-2")
+            self._counts = ui.label().props("id=import-counts role=status").classes("text-sm")
+            self._poses = ui.element().classes("w-full")
             self._answer = ui.label().props("id=import-answer role=alert").classes("text-sm")
             with ui.row():
                 self._import = ui.button("Import", on_click=self._begin).props("dense")
                 self._import.set_enabled(False)
                 ui.button("Close", on_click=self._dialog.close).props("dense outline")
-            timer = ui.timer(POLL_INTERVAL_S, self._follow)
-        self._dialog.on_value_change(lambda: self._end(timer))
+            # Drawing takes seconds, during which the page still follows an import.
+            timers = [ui.timer(POLL_INTERVAL_S, act) for act in (self._follow, self._draw_poses)]
+        self._dialog.on_value_change(lambda: self._end(timers))
 
-    def _end(self, timer: ui.timer) -> None:
-        timer.cancel()
+    def _end(self, timers: Sequence[ui.timer]) -> None:
+        for timer in timers:
+            timer.cancel()
         self._folder.cleanup()
 
     async def _receive(self, event: events.UploadEventArguments) -> None:
@@ -81,6 +93,9 @@ class ImportDialog:
         await event.file.save(file)
         found = await run.cpu_bound(preview_table, file, self._bench.session.folder) or {}
         self._form.clear()
+        self._poses.clear()
+        self._counts.set_text("")
+        self._drawn = {}
         self._answer.set_text(found.get("error", "the table cannot be read"))
         self._file, self._asked = (None if self._answer.text else file), ""
         if self._file is not None:
@@ -97,6 +112,26 @@ class ImportDialog:
         self._answer.set_text("")
         self._awaits_result = True
         self._bench.begin("import_table", self._file, self._columns.document())
+
+    async def _draw_poses(self) -> None:
+        """Draw the poses on the robot whenever all needed columns are chosen anew."""
+        if self._file is None or self._columns.find_problem():
+            return
+        if (document := self._columns.document()) == self._drawn:
+            return
+        from parallel_cal.workbench.import_preview import preview_samples  # imports NumPy
+
+        self._drawn = document
+        found = await run.cpu_bound(
+            preview_samples, self._file, self._bench.session.folder, document
+        )
+        if found is None or document != self._drawn:
+            return
+        self._counts.set_text(found["error"] or found["words"])
+        self._poses.clear()
+        if figure := found.get("figure"):
+            with self._poses:
+                draw_figure(figure, "poses of the table on the robot, in the table's frame")
 
     def _follow(self) -> None:
         """Show what became of the import; close after a success."""
@@ -119,22 +154,28 @@ class ColumnForm:
 
     def __init__(self, found: Mapping[str, Any]):
         """`found` is the preview of the table."""
-        self._header = found["header"]
+        self._header, self._with_unit = found["header"], set(found["with_unit"])
         guessed: dict[str, str | None] = found["columns"]
-        self._show_rows(found)
+        known = found["remembered"] is not None  # the last table had these columns
+        self._doubtful = ui.column().classes("w-full gap-2")
+        with ui.expansion().classes("w-full").props("dense id=understood") as self._folded:
+            self._show_rows(found)
         self._joints = {
-            name: self._pick_joint(name, unit, guessed[name])
+            name: self._pick_joint(name, unit, guessed[name], known)
             for name, unit in found["joints"].items()
         }
-        with _row("position"):
+        place = [guessed[axis] for axis in "xyz"]
+        turned = all(guessed[name] for name in ORIENTATIONS[QUATERNION])
+        other = any(found["readings"].values()) or turned
+        unclear = not self._are_clear(place) if any(place) else not other
+        with self._row("position", unclear and not known):
             self._position = [self._pick(axis, guessed[axis]) for axis in "xyz"]
             self._position_unit = self._pick_unit("unit of x, y, z", LENGTHS)
-        with _row("orientation"):
+        with self._row("orientation", all(found["angles"]) and not (turned or known)):
             guesses = {QUATERNION: [guessed[name] for name in ORIENTATIONS[QUATERNION]]}
             guesses |= dict.fromkeys((ANGLE_KIND, VECTOR), found["angles"])
-            known = all(guesses[QUATERNION])
             self._kind = ui.select(
-                list(ORIENTATIONS), value=QUATERNION if known else NONE, label="orientation"
+                list(ORIENTATIONS), value=QUATERNION if turned else NONE, label="orientation"
             ).classes("w-48")
             self._orientations = {
                 kind: list(map(self._pick, ORIENTATIONS[kind], guess))
@@ -151,11 +192,11 @@ class ColumnForm:
             )
         given: dict[str, str | None] = found["conditions"]
         sides = [f"direction.{joint}" for joint in found["joints"]]
-        with _row("sides"):
+        with self._row("sides"):
             self._conditions = {name: self._pick(name, given.get(name)) for name in sides}
             for one in self._conditions.values():
                 one.tooltip("1 if the reading of the joint rose before the stop, -1 if it fell")
-        with _row("conditions"):
+        with self._row("conditions"):
             others = [name for name in given if name not in sides]
             self._conditions |= {
                 name: self._pick(f"{name} [{UNITS[name]}]" if name in UNITS else name, given[name])
@@ -168,7 +209,7 @@ class ColumnForm:
                 "Without columns of the sides, the sides from which the joints came then follow "
                 "from the order of the rows."
             )
-        with _row("noise, 1 sigma"):
+        with self._row("noise, 1 sigma"):
             moves = set(found["joints"].values())
             units = {"joint": moves.pop() if len(moves) == 1 else "m or rad"}
             units |= {"position": "m", "orientation": "rad"}
@@ -177,22 +218,41 @@ class ColumnForm:
                 unit, factor = NOISE_UNITS[si]
                 entry = ui.number(f"{name} [{unit}]", min=0, format="%.3g").classes("w-40")
                 self._noise[name] = (entry, factor)
-        self._readings: dict[str, Any] = {}
+        self._readings: dict[str, tuple[Any, Any]] = {}
         if found["readings"]:
-            with _row("sensor readings"):
-                self._readings = {
-                    name: self._pick(name, column) for name, column in found["readings"].items()
-                }
+            doubts = [c for c in found["readings"].values() if not self._are_clear([c])]
+            with self._row("sensor readings", bool(doubts) and not known):
+                for name, column in found["readings"].items():
+                    unit = self._pick_unit(f"unit of {name}", (*LENGTHS, *ANGLES, PIXEL))
+                    self._readings[name] = self._pick(name, column), unit
         ui.label().classes("text-sm").props("id=unused").bind_text_from(self, "unused")
+        self._folded.bind_text_from(self, "understood")
+        if known:
+            self._fill(found["remembered"])
+
+    @property
+    def understood(self) -> str:
+        """How many of the columns the map names, in words."""
+        names = [word for word in self._header if word]
+        said = f"{len(names) - len(self._list_unused())} of {len(names)} columns understood"
+        return f"{said}: see and change them"
 
     @property
     def unused(self) -> str:
         """The columns that the map does not name, in words."""
+        left = self._list_unused()
+        return f"not used: {', '.join(left)}" if left else ""
+
+    def _list_unused(self) -> list[str]:
         chosen = [column for column, _, _ in self._joints.values()]
         chosen += [*self._position, *self._chosen_orientation, *self._conditions.values()]
-        used = {one.value for one in (*chosen, *self._readings.values(), self._group, self._name)}
-        left = [word for word in self._header if word not in used]
-        return f"not used: {', '.join(left)}" if left else ""
+        chosen += [column for column, _ in self._readings.values()]
+        used = {one.value for one in (*chosen, self._group, self._name)}
+        return [word for word in self._header if word and word not in used]
+
+    def _are_clear(self, columns: Sequence[str | None]) -> bool:
+        """Whether all columns were found, and state their units."""
+        return all(word in self._with_unit for word in columns)
 
     @property
     def _chosen_orientation(self) -> list[Any]:
@@ -240,9 +300,13 @@ class ColumnForm:
                 found["angles"] = {"columns": columns, "axes": self._axes.value} | unit
             else:
                 found["rotation_vector"] = {"columns": columns} | unit
-        readings = {k: one.value for k, one in self._readings.items() if one.value}
+        readings = {
+            name: {"column": column.value} | _without_empty({"unit": _stated(unit.value)})
+            for name, (column, unit) in self._readings.items()
+            if column.value
+        }
         if readings:
-            found["readings"] = {k: {"column": column} for k, column in readings.items()}
+            found["readings"] = readings
         found["conditions"] = {k: c.value for k, c in self._conditions.items() if c.value}
         if self._group.value:
             found["group"] = self._group.value
@@ -255,6 +319,38 @@ class ColumnForm:
         found["noise"] = si
         return found
 
+    def _fill(self, document: Mapping[str, Any]) -> None:
+        """Choose as for the last table: the inverse of `document`."""
+        for name, (column, unit, travel) in self._joints.items():
+            stated = document["joints"][name]
+            column.value, unit.value = stated["column"], stated.get("unit", IN_HEADER)
+            if travel:
+                travel.value = stated.get("per_rev", "")
+        position = document.get("position", {"columns": [None] * 3})
+        _choose(self._position, position["columns"])
+        self._position_unit.value = position.get("unit", IN_HEADER)
+        self._kind.value = NONE
+        keys = {QUATERNION: "orientation", ANGLE_KIND: "angles", VECTOR: "rotation_vector"}
+        for kind, key in keys.items():
+            if key in document:
+                stated = document[key]
+                self._kind.value = kind
+                columns = stated if kind == QUATERNION else stated["columns"]
+                _choose(self._orientations[kind], columns)
+                if kind != QUATERNION:
+                    self._angle_unit.value = stated.get("unit", IN_HEADER)
+                    self._axes.value = stated.get("axes", self._axes.value)
+        for name, (column, unit) in self._readings.items():
+            stated = document.get("readings", {}).get(name, {})
+            column.value, unit.value = stated.get("column"), stated.get("unit", IN_HEADER)
+        for name, column in self._conditions.items():
+            column.value = document["conditions"].get(name)
+        self._group.value, self._name.value = document.get("group"), document.get("name")
+        self._in_order.value = document["visits"] == "in order"
+        for name, (entry, factor) in self._noise.items():
+            sigma = document["noise"].get(name)
+            entry.value = None if sigma is None else sigma / factor
+
     def _show_rows(self, found: Mapping[str, Any]) -> None:
         ui.label(f"{found['count']} rows; the first ones:").classes("text-sm")
         columns = [
@@ -265,9 +361,11 @@ class ColumnForm:
         shown = ui.table(columns=columns, rows=rows)
         shown.classes("w-full one-line-rows wide-table").props("dense flat")
 
-    def _pick_joint(self, name: str, unit: str, guess: str | None) -> tuple[Any, Any, Any]:
+    def _pick_joint(
+        self, name: str, unit: str, guess: str | None, known: bool
+    ) -> tuple[Any, Any, Any]:
         """Pick the column of a joint, its unit, and the travel per turn of a joint that slides."""
-        with _row(name):
+        with self._row(name, not (known or self._are_clear([guess]))):
             column = self._pick(f"column of {name}", guess)
             units = LENGTHS | ANGLES if unit == "m" else ANGLES | LENGTHS
             chosen = self._pick_unit(f"unit of {name}", units)
@@ -277,6 +375,16 @@ class ColumnForm:
                 travel.tooltip("only if the column contains the angle of a motor")
         return column, chosen, travel
 
+    def _row(self, title: str, is_doubtful: bool = False) -> Any:
+        """Return a row behind a title, folded if it is not doubtful; what does not fit into a line
+        continues under its start."""
+        with (
+            self._doubtful if is_doubtful else self._folded,
+            ui.row().classes("items-center gap-x-3 w-full no-wrap"),
+        ):
+            ui.label(title).classes("w-28 shrink-0 text-sm font-bold")
+            return ui.row().classes("items-center gap-x-3 gap-y-0 grow")
+
     def _pick(self, label: str, guess: str | None) -> Any:
         return ui.select(self._header, value=guess, label=label, clearable=True).classes("w-48")
 
@@ -284,11 +392,9 @@ class ColumnForm:
         return ui.select([IN_HEADER, *units], value=IN_HEADER, label=label).classes("w-36")
 
 
-def _row(title: str) -> Any:
-    """Return a row behind a title; what does not fit into a line continues under its start."""
-    with ui.row().classes("items-center gap-x-3 w-full no-wrap"):
-        ui.label(title).classes("w-28 shrink-0 text-sm font-bold")
-        return ui.row().classes("items-center gap-x-3 gap-y-0 grow")
+def _choose(fields: Sequence[Any], values: Sequence[str | None]) -> None:
+    for field, value in zip(fields, values, strict=True):
+        field.value = value
 
 
 def _stated(unit: str) -> str:

@@ -11,7 +11,7 @@ from nicegui import run, ui
 from parallel_cal.reporting.colours import MEASURED, QUIET
 from parallel_cal.workbench.bench import Bench, Live
 from parallel_cal.workbench.campaign_card import CampaignCard
-from parallel_cal.workbench.widgets import COLOURS, card, draw_figure, make_chart, table
+from parallel_cal.workbench.widgets import AMBER, card, draw_figure, make_chart, table
 
 POLL_INTERVAL_S = 1.0  # s between two polls of the nodes
 ERROR_WINDOW_S = 60  # s of errors that are shown
@@ -36,16 +36,14 @@ class LiveCard:
         self.bench, self.live, self._follow = bench, live, follow
         self.campaign = CampaignCard(live)
         with card("Live"):
-            self.trouble = (
-                ui.label().props("id=trouble role=alert").style(f"color: {COLOURS['amber']}")
-            )
+            self.trouble = ui.label().props("id=trouble role=alert").style(f"color: {AMBER}")
             self.model = ui.label().props("id=served")
             with ui.row().classes("items-center"):
                 self.samples = ui.label().props("id=collected aria-live=polite")
                 self.take = ui.button("Take samples", on_click=self._take).props("dense outline")
                 with self.take:
                     ui.tooltip("add the samples that calibration_node has collected to the session")
-            self.warnings = ui.label().classes("text-sm").style(f"color: {COLOURS['amber']}")
+            self.warnings = ui.label().classes("text-sm").style(f"color: {AMBER}")
             self.streams = table([*COLUMNS.items()], [], "name").props("aria-label=streams")
             figure = make_chart(
                 {"title": {"text": "time [s]"}, "range": [-ERROR_WINDOW_S, 0]},

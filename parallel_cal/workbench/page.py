@@ -17,8 +17,14 @@ from parallel_cal.reporting.readable import (
     format_judged_error,
     write_micro,
 )
-from parallel_cal.workbench.bench import Bench
-from parallel_cal.workbench.first_screen import MachineCard, VerdictCard, WelcomeCard
+from parallel_cal.workbench.bench import CERTIFICATE_FILE, Bench
+from parallel_cal.workbench.first_screen import (
+    MachineCard,
+    Strip,
+    VerdictCard,
+    WelcomeCard,
+    explain_exclusion,
+)
 from parallel_cal.workbench.fixing import ask_where_to_fix
 from parallel_cal.workbench.header import READING, ErrorsCard, Header, Notice
 from parallel_cal.workbench.import_dialog import ImportDialog
@@ -28,6 +34,7 @@ from parallel_cal.workbench.marking import SCRIPT, FigureSlot, Marking
 from parallel_cal.workbench.plan_card import draw_plan_card
 from parallel_cal.workbench.residuals_card import ResidualsCard
 from parallel_cal.workbench.widgets import (
+    BLOCKS,
     CSS,
     HEAD,
     HEADER_HEIGHT,
@@ -73,7 +80,7 @@ class Window:
         ui.dark_mode(None)  # use the setting of the browser
         ui.colors(primary=MEASURED)
         ui.add_head_html(HEAD + HEADER_HEIGHT + SCRIPT)
-        ui.add_css(UTILITIES + CSS)
+        ui.add_css(UTILITIES + BLOCKS + CSS)
         self.header, self.notice = Header(bench), Notice(bench)
         with ui.column().classes("w-full mx-auto gap-3") as content:
             content.props("id=content tabindex=-1")
@@ -84,6 +91,7 @@ class Window:
                 self.machine = MachineCard()
                 self.verdict = VerdictCard(bench, self._import)
                 self.welcome = WelcomeCard(bench, self._import)
+                self.strip = Strip(partial(bench.begin, "exclude"))
             with ui.element().classes("columns") as self.work:
                 with ui.column().classes("w-full gap-3"):
                     self.errors = ErrorsCard()
@@ -146,8 +154,8 @@ class Window:
         if "machine" in view:  # a preliminary view of many samples leaves the picture before it
             self.machine.show(view["machine"])
         has_samples = self.bench.has_samples
-        for one in (self.verdict, self.errors):
-            one.card.set_visibility(has_samples)
+        for one in (self.verdict.card, self.errors.card, self.strip.row):
+            one.set_visibility(has_samples)
         complete = "residuals" in view  # a preliminary view of many samples has only numbers
         self.right.set_visibility(complete)
         self.missing.clear()
@@ -155,6 +163,7 @@ class Window:
         self.work.classes(**{"add" if complete else "remove": "paired"})
         if has_samples:
             self.verdict.show(view)
+            self.strip.show(view)
             self.errors.show(view)
             with self.missing:
                 self._missing(view)
@@ -294,6 +303,7 @@ class Window:
                 if len(session.record.branches) > 1:
                     ui.button("Compare", on_click=self._compare).props("dense outline")
             with ui.row().classes("items-center"):
+                ui.button("Certificate", on_click=self._certify).props("dense outline")
                 for words, as_pdf in (("Report", False), ("Report as PDF", True)):
                     make = ui.button(words, on_click=partial(bench.make_report, as_pdf))
                     make.props("dense outline").set_enabled(bench.has_samples and not bench.busy)
@@ -322,6 +332,14 @@ class Window:
                     branches,
                     "branches",
                 )
+
+    def _certify(self) -> None:
+        from parallel_cal.workbench.certificate_dialog import (
+            CertificateDialog,  # imports NumPy, which nothing else here needs
+        )
+
+        with self.layer:
+            CertificateDialog(self.bench.session.folder / CERTIFICATE_FILE)
 
     async def _compare(self) -> None:
         from parallel_cal.workbench.branch_comparison import (
@@ -403,7 +421,7 @@ class Window:
 
     def _offer_exclusion(self, number: int, size: str) -> None:
         """Offer to exclude a sample that the verdict set aside: no view shows it."""
-        why = f"far from what all others show ({size})"
+        why = explain_exclusion(size)
         with ui.row().classes("items-center"):
             ui.label(f"sample {self._title(number)} is {why}; the verdict does not use it")
             button = ui.button(f"Exclude sample {number}").props("dense outline")

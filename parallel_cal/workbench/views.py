@@ -15,8 +15,6 @@ from parallel_cal.diagnosis.entries import Entry
 from parallel_cal.diagnosis.patterns import ResidualProfile
 from parallel_cal.diagnosis.signature import Signature, signature
 from parallel_cal.diagnosis.thresholds import LEVELS
-from parallel_cal.diagnosis.verdict import AMBER_VERDICTS
-from parallel_cal.diagnosis.verdict_words import describe_verdict
 from parallel_cal.identification.budget import NOISE, REST, Budget, Iso9283
 from parallel_cal.identification.fit import FitResult, summarise_parameters
 from parallel_cal.identification.fit_warnings import chi2_band
@@ -47,8 +45,16 @@ from parallel_cal.reporting.machine import (
     draw_machine,
     find_erring_parts,
 )
-from parallel_cal.reporting.names import title_of
-from parallel_cal.reporting.readable import error_unit, number, value_unit, with_sigma, write_micro
+from parallel_cal.reporting.markup import sentence
+from parallel_cal.reporting.names import name_effects, title_of
+from parallel_cal.reporting.readable import (
+    error_unit,
+    number,
+    value_unit,
+    with_sigma,
+    write_micro,
+)
+from parallel_cal.reporting.recorded import describe_measurement
 from parallel_cal.reporting.report import Report, report
 from parallel_cal.reporting.summary import describe_left, describe_missing
 from parallel_cal.session.history import State
@@ -70,24 +76,25 @@ NUMBERS_ONLY: View = {
     "candidates": [],
     "offered": None,
     "untested": [],
+    "knocked": {},
 }
 FIT_TILES = ("before this step", "now", "noise floor")
-AMBER, GREEN, GREY = "amber", "green", "grey"
 
 
-def fit_some_samples(session: Session) -> View | None:
-    """Make a preliminary view of a fit from a part of many samples; None if there are few.
-
-    It has the numbers of the fit only. The fit of all samples takes minutes.
-    """
+def fit_some_samples(session: Session) -> Iterator[View]:
+    """Make preliminary views of a fit from a part of many samples: its numbers, then its verdict
+    with all pictures; none if there are few. The fit of all samples takes minutes."""
     if (some := session.dataset_of_some(MAX_PRELIMINARY_SAMPLES)) is None:
-        return None
-    step = fitted(session.model, some, True, options=session.options)
-    result = step.result
-    words = f"preliminary fit of {_describe_part(len(some), session)}; fitting all samples"
+        return
+    how = session.options
+    step = fitted(session.model, some, True, options=how)
+    result, part = step.result, _describe_part(len(some), session)
     known = (step.errors_to_beat, result.held_out.summary, result.noise_floor)
-    sigmas = result.rms_sigmas(result.held_out)
-    return NUMBERS_ONLY | _make_numbers(words, dict(zip(FIT_TILES, known, strict=True)), sigmas)
+    errors, sigmas = dict(zip(FIT_TILES, known, strict=True)), result.rms_sigmas(result.held_out)
+    words = f"preliminary fit of {part}; fitting all samples"
+    yield NUMBERS_ONLY | _make_numbers(words, errors, sigmas)
+    made = _make_report_view(report(result.model, some, options=how, hold_out=how.hold_out))
+    yield _mark_preliminary(made, part)
 
 
 def view_some_samples(session: Session) -> View | None:
@@ -99,8 +106,13 @@ def view_some_samples(session: Session) -> View | None:
         made = _make_report_view(report(session.model, some, options=how, hold_out=how.hold_out))
     else:
         made = _make_comparison_view(compare(session.model, some, how.joint_sigma))
+    return _mark_preliminary(made, _describe_part(len(some), session))
+
+
+def _mark_preliminary(made: View, part: str) -> View:
+    """Say in the verdict that a view is preliminary; nothing is offered before it is final."""
     verdict = made["verdict"]
-    words = f"preliminary, from {_describe_part(len(some), session)}: {verdict['words']}"
+    words = f"preliminary, from {part}: {verdict['words']}"
     return made | {"verdict": verdict | {"words": words}}
 
 
@@ -138,7 +150,7 @@ def _make_numbers(words: str, errors: Mapping[str, Summary], sigmas: Mapping[str
         for name, one in errors.items()
     ]
     return {
-        "verdict": {"colour": GREY, "words": words},
+        "verdict": {"words": words},
         "tiles": to_json_value(tiles),
         "advice": [],
     }
@@ -238,13 +250,14 @@ def _make_comparison_view(found: Comparison) -> View:
     residuals, shown = _select_shown(contents.Residuals.of(found.scene, found.field), samples)
     return {
         "shown": shown,
-        "verdict": {"colour": GREY, "words": _compared_words(found)},
+        "verdict": {"words": _compared_words(found)},
         "tiles": to_json_value(tiles),
         "counts": counts,
         "budget": None,
         "iso": _iso(found.iso_9283),
         "chi2": "",
         "warnings": [write_micro(words) for words in found.dataset.warnings],
+        "measured": describe_measurement(found.scene.model, found.dataset, found.observations),
         "machine": _machine(
             found.model, found.scene, residuals, [_Stage("now", found.errors, found.errors.summary)]
         ),
@@ -296,6 +309,7 @@ def _make_report_view(found: Report) -> View:
         "iso": [*map(write_micro, images.describe_robot_error(now)), *_iso(now.iso_9283)],
         "chi2": _chi2(now),
         "warnings": [write_micro(words) for words in dict.fromkeys(now.warnings)],
+        "measured": describe_measurement(now.model, diagnosis.dataset, now.observations),
         "machine": _machine_of(found, residuals, erring),
         "answers": _answers(diagnosis, erring),
         "field": _field(residuals),
@@ -372,16 +386,14 @@ def _select_shown(
 
 
 def _verdict(found: Report) -> View:
-    """Describe the verdict; it is green only if the data show no missing effect."""
-    verdict = found.diagnosis.verdict
-    words = describe_verdict(verdict.word, verdict.text)
-    if verdict.word == "at_noise":
-        laws = "".join(
-            f" {name} was found in data; its physical cause is unknown."
-            for name in found.provenance.found_in_data
-        )
-        return {"colour": GREEN, "words": f"{words}{laws}"}
-    return {"colour": AMBER if verdict.word in AMBER_VERDICTS else GREY, "words": words}
+    """Describe the verdict: its word, its sentences, and what else is to know."""
+    said = results.describe_verdict(found.diagnosis)
+    return {
+        "word": said.word,
+        "label": said.label,
+        "words": name_effects(sentence(said.summary)),
+        "remarks": [name_effects(sentence(words)) for words in said.remarks],
+    }
 
 
 def _samples(

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
+from importlib.resources import files
 from typing import Any
 
 from nicegui import ui
 
-from parallel_cal.reporting.blocks import DIGITS
+from parallel_cal.reporting.blocks import DIGITS, Judgement
 from parallel_cal.reporting.colours import BAND, QUIET
+from parallel_cal.reporting.markup import chip
 from parallel_cal.reporting.readable import MISSING
 
-COLOURS = {"green": "#1a7f37", "amber": "#9a6700", "grey": "#57606a"}
+AMBER = "#9a6700"
 AXIS = {"gridcolor": BAND, "zerolinecolor": QUIET}
 FIGURE_LAYOUT = {
     "paper_bgcolor": "rgba(0,0,0,0)",
@@ -30,6 +32,7 @@ FIGURE_LAYOUT = {
 # Width [px] from which the page has two columns, and width up to which the header omits numbers
 # and figures stand one below the other.
 TWO_COLUMNS_PX, NARROW_PX = 1600, 767
+CHIP_ONLY_PX = 1023  # width up to which the header shows the chip without its sentence
 STACKED_PX = 839  # width up to which the verdict is below the machine
 # The utility classes that the page uses, with Tailwind's names and values. Tailwind itself rewrites
 # its style sheet whenever an element appears, and the browser then computes all styles again.
@@ -84,6 +87,8 @@ UTILITIES = """
   .truncate { overflow: hidden; text-overflow: ellipsis; white-space: nowrap }
 }
 """
+# The style of the chip and the tiles, which the report has, too.
+BLOCKS = files("parallel_cal.reporting").joinpath("blocks.css").read_text(encoding="utf-8")
 CSS = f"""
 :root {{ --nicegui-default-gap: 0.75rem }}
 .q-header, .q-footer {{ background: #fff; color: #1f2328 }}
@@ -93,11 +98,18 @@ CSS = f"""
 .nicegui-content {{ padding: 12px 16px }}
 .first {{ display: grid; grid-template-columns: minmax(0, 3fr) minmax(0, 2fr); gap: 12px;
   width: 100%; align-items: stretch }}
-.machine {{ width: 100%; height: clamp(220px, calc(100vh - 260px), 640px) }}
+.machine {{ width: 100%; height: clamp(220px, calc(100vh - 290px), 640px) }}
 .falling {{ width: 100%; flex: 1 1 160px; min-height: 160px; position: relative }}
 .machine > *, .falling > * {{ height: 100% }}
 .falling > * {{ position: absolute }}
 .stages {{ padding: 0 8px }}
+.strip {{ grid-column: 1 / -1; display: flex; flex-wrap: wrap; gap: 2px 24px }}
+.remarks {{ margin: 0; padding-left: 1.5em; list-style: disc }}
+.chip .badge {{ font-size: 0.875rem; margin-right: 8px }}
+.tiles {{ gap: 8px; grid-template-columns: repeat(auto-fit, minmax(150px, 1fr)) }}
+.tiles dl {{ padding: 8px 12px }}
+.tiles dd {{ font-size: 20px }}
+.tiles dd + dd {{ font-size: 16px }}
 .steps {{ margin: 0; padding-left: 1.5em; list-style: decimal }}
 @media (max-width: {STACKED_PX}px) {{
   .first {{ grid-template-columns: minmax(0, 1fr) }}
@@ -112,6 +124,7 @@ CSS = f"""
   .columns.paired > .right, .columns.paired > .rest > :nth-child(even) {{ float: right;
     clear: right }} }}
 @media (max-width: {TWO_COLUMNS_PX - 1}px) {{ .headline-about {{ display: none }} }}
+@media (max-width: {CHIP_ONLY_PX}px) {{ .chip:not(.hidden) + .sentence {{ display: none }} }}
 @media (max-width: {NARROW_PX}px) {{
   .headline {{ display: none }}
   .side-by-side {{ flex-wrap: wrap }} }}
@@ -127,7 +140,7 @@ CSS = f"""
 .q-btn {{ text-transform: none }}
 .q-btn--dense {{ padding: 2px 8px }}
 .q-btn--standard.disabled {{ --q-primary: #6e7781 }}
-.amber {{ color: {COLOURS["amber"]} }}
+.amber {{ color: {AMBER} }}
 .body--dark .amber {{ color: #d29922 }}
 .js-plotly-plot :is([class$=tick], .textpoint, .infolayer, .legend) text {{
   fill: currentColor !important }}
@@ -171,6 +184,21 @@ def card(title: str) -> Any:
     with made:
         ui.label(title).classes("text-base font-bold").props("role=heading aria-level=2")
     return made
+
+
+class Chip:
+    """The word of a verdict on a colour of its own, as in the report; hidden if there is none."""
+
+    def __init__(self) -> None:
+        self._place = ui.element().classes("chip shrink-0")
+
+    def show(self, verdict: dict[str, Any]) -> None:
+        self._place.clear()
+        self._place.set_visibility("word" in verdict)
+        if "word" in verdict:
+            with self._place:
+                said = Judgement(verdict["word"], verdict["label"], verdict["words"])
+                ui.html(chip(said), sanitize=False)
 
 
 # A number without its last zeros sorts; the digits that it was rounded to are shown.
