@@ -19,8 +19,8 @@ from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.effects.backlash import Backlash
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import new_model
-from parallel_cal.posterior.blocks import EFFECT, Block
-from parallel_cal.posterior.evidence import LOG_WEIGHTS, SIZES, STATED, Choice, Evidence
+from parallel_cal.posterior.blocks import EFFECT, LOG_ODDS, Block
+from parallel_cal.posterior.evidence import LOG_WEIGHTS, SIZES, STATED, UNKNOWN, Choice, Evidence
 from parallel_cal.posterior.search import Sum
 from parallel_cal.virtual import robot as vr
 
@@ -134,6 +134,15 @@ def test_a_smooth_function_has_variance_one_and_the_stated_correlation():
     np.testing.assert_allclose(
         covariance, np.exp(-((z[:, None] - z) ** 2) / (2 * 0.8**2)), atol=5e-3
     )
+
+
+def test_doubt_of_a_stated_noise_costs_as_much_as_a_cause():
+    """Noise that a fit estimated itself is not doubted again."""
+    residual, blocks = drawn(0)
+    for nu, price in ((STATED, LOG_ODDS), (20.0, 0.0)):
+        made = Sum(residual, blocks, nu)
+        assert made.total((), UNKNOWN) - made.evidence((), UNKNOWN).log_p == pytest.approx(price)
+        assert made.total((), nu) == made.evidence((), nu).log_p
 
 
 @pytest.fixture(scope="module")
