@@ -154,6 +154,8 @@ def make_mechanism(
 def advise_points(linkage: Linkage, base: str, platform: str, driven: Sequence[str]) -> list[str]:
     """Say if loops that close nowhere would close with points in place of full poses."""
     poses = [loop.name for loop in linkage.loops if loop.kind == "pose"]
+    if not poses:
+        return []
     points = [replace(one, kind="point") if one.name in poses else one for one in linkage.loops]
     try:
         looser, place = cut_out(replace(linkage, loops=tuple(points)), base, platform, driven)
@@ -162,7 +164,7 @@ def advise_points(linkage: Linkage, base: str, platform: str, driven: Sequence[s
         return []
     except ParallelCalError:
         pass  # it closes, and lacks something else
-    return poses and [
+    return [
         "The loops do close if those that state a full pose (6d of a URDF, weld of an MJCF) join "
         "points only (3d, connect). A rod that has a ball at its end needs this type: check "
         f"{', '.join(poses)}"

@@ -312,7 +312,7 @@ class Chain(Mechanism):
         x, left = self._close_near(survey, guess, every[n:])
         if np.linalg.norm(left) < CLOSED * self.length:
             return x
-        open_at_home = self._describe_open(left, survey)
+        open_at_home = self._describe_open(left)
         x, left = self._close_near(survey, guess, every)
         if np.linalg.norm(left) < CLOSED * self.length:
             at = Configuration.from_rows(x, len(self.passive))
@@ -329,7 +329,7 @@ class Chain(Mechanism):
             )
         raise OpenLoopsError(
             f"the loops do not close at home: {open_at_home} with the driven joints at their home, "
-            f"and {self._describe_open(left, survey)} if these may move, too, from {TRIES} starts. "
+            f"and {self._describe_open(left)} if these may move, too, from {TRIES} starts. "
             "Correct the home of joints and platform, the geometry, or a joint or loop whose type "
             f"is too stiff{ROUNDED if np.abs(left).max() < MAX_ROUNDED_M else ''}"
         )
@@ -343,7 +343,7 @@ class Chain(Mechanism):
         A configuration beyond the limits of the joints counts only if there is no other one.
         """
         rng, (low, high) = np.random.default_rng(0), np.array(self.joint_limits).T
-        start, beyond, best = guess, None, (np.inf, guess, np.zeros(0))
+        start, beyond, open_ones = guess, None, list[tuple[float, np.ndarray, np.ndarray]]()
         for k in range(TRIES):
             x, left = survey.close(start, columns)
             size, q = float(np.linalg.norm(left)), x[: len(self.joints)]
@@ -351,14 +351,14 @@ class Chain(Mechanism):
                 if np.all((low <= q) & (q <= high)):
                     return x, left
                 beyond = beyond or (x, left)
-            best = min(best, (size, x, left), key=lambda one: one[0])
+            open_ones.append((size, x, left))
             change = np.zeros(len(survey.scale))
             change[columns] = rng.uniform(-1, 1, len(columns)) * self.length * (k + 1) / TRIES
             at = Configuration.from_rows(guess, len(self.passive))
             start = at.apply_change(2 * change / survey.scale).rows
-        return beyond or best[1:]
+        return beyond or min(open_ones, key=lambda one: one[0])[1:]
 
-    def _describe_open(self, left: np.ndarray, survey: Survey) -> str:
+    def _describe_open(self, left: np.ndarray) -> str:
         """Say which loop is widest open, from the rows in metres."""
         worst = int(np.argmax(np.abs(left)))
         return f"'{self._owners()[worst]}' stays {1e3 * abs(left[worst]):.3g} mm open"
