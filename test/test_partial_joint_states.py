@@ -61,6 +61,14 @@ def test_a_time_at_which_one_publisher_was_silent_has_no_reading(tmp_path):
     assert not ((q.time > 2.25) & (q.time < 2.95)).any()
 
 
+def test_a_reading_that_is_not_finite_is_counted(tmp_path):
+    content = halves()
+    content[200][3].position[0] = np.nan
+    found = read(tmp_path, [*content, *bw.poses(ROBOT)])
+    assert any("not finite" in one.reason for one in found.dropped)
+    assert np.isfinite(found.joints.position).all()
+
+
 def test_a_joint_that_nobody_publishes_is_named(tmp_path):
     with pytest.raises(BagError, match="not found: joint9"):
         read(tmp_path, [*halves(), *bw.poses(ROBOT)], (*NAMES, "joint9"))

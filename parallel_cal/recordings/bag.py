@@ -3,6 +3,7 @@ bags through this one."""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -281,7 +282,8 @@ def _compose_chain(bag: _Bag, decoder: _Decoder) -> None:
     connections = [c for c in bag.connections if c.msgtype == TF_TYPE]
     store, found = _type_store(connections), Transforms()
     for connection, log, data in bag.messages(connections):
-        found.take(store.deserialize_cdr(data, TF_TYPE), log, connection.topic)
+        with contextlib.suppress(Exception):  # no message; `decoder` has counted it
+            found.take(store.deserialize_cdr(data, TF_TYPE), log, connection.topic)
     parent, _, child = decoder.body.partition("->")
     bag.notes.append(found.compose(parent.strip("/"), child.strip("/"), decoder.raw))
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parallel_cal.base.keyed_warning import KeyedWarning
-from parallel_cal.recordings.recording import Array, Raw
+from parallel_cal.recordings.recording import Array, Bools, Raw
 
 MAX_GAP_PERIODS = 5.0  # usual periods of a publisher over which its readings are interpolated
 
@@ -58,8 +58,8 @@ def merge_partial_states(
         _interpolate(raw, time, groups[present], present.index(joint), at)
         for joint, present in parts.items()
     ]
-    q, effort = (np.stack([column[k] for column in columns], axis=1) for k in (0, 1))
-    usable = np.flatnonzero(np.isfinite(q).all(axis=1))
+    q, effort, silent = (np.stack([column[k] for column in columns], axis=1) for k in range(3))
+    usable = np.flatnonzero(~silent.any(axis=1))
     if not len(usable):
         return raw
     merged = raw.select(at[usable].tolist())
@@ -67,8 +67,8 @@ def merge_partial_states(
     listed = "; ".join(", ".join(present) for present in dict.fromkeys(parts.values()))
     text = (
         f"{raw.topic}: no message has all joints, so the messages of several publishers were "
-        f"merged ({listed}): {len(usable)} readings of all joints, at the times of "
-        f"{', '.join(slowest)}"
+        f"merged ({listed}): {len(usable)} readings of all joints, at the {len(at)} times of "
+        f"{', '.join(slowest)} where none was silent"
     )
     notes.append(KeyedWarning(text, "merged joint states", raw.topic))
     return merged
@@ -89,8 +89,8 @@ def _choose_groups(groups: Groups, joints: Sequence[str]) -> dict[str, tuple[str
 
 def _interpolate(
     raw: Raw, time: NDArray[np.int64], own: Sequence[int], column: int, at: NDArray[np.intp]
-) -> tuple[Array, Array]:
-    """Return positions and efforts of a joint at the times of the messages `at`; NaN where its
+) -> tuple[Array, Array, Bools]:
+    """Return positions and efforts of a joint at the times of the messages `at`, and where its
     publisher was silent."""
     order = np.array(own)[np.argsort(time[own], kind="stable")]
     known, asked = (time[order] - time[0]) * 1e-9, (time[at] - time[0]) * 1e-9
@@ -104,7 +104,8 @@ def _interpolate(
     found = []
     for k in (1, 2):
         values = np.array(
-            [raw.rows[i][k][column] if len(raw.rows[i][k]) else np.nan for i in order], float
+            [raw.rows[i][k][column] if len(raw.rows[i][k]) > column else np.nan for i in order],
+            float,
         )
-        found.append(np.where(silent, np.nan, np.interp(asked, known, values)))
-    return found[0], found[1]
+        found.append(np.interp(asked, known, values))
+    return found[0], found[1], silent

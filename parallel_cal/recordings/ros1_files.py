@@ -51,7 +51,7 @@ class Ros1File:
         """Yield (connection, log time in ns, bytes of the message in ROS 2)."""
         wanted = [one for one in self._reader.connections if self._found[one.id] in connections]
         for connection, time, data in self._reader.messages(connections=wanted):
-            # Bytes that are no message stay as they are: the decoder counts them.
+            # Of bytes that are no message, none are left: the decoder counts them.
             try:
                 data = bytes(self._converters[connection.msgtype](data))
             except Exception:
