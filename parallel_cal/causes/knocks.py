@@ -24,7 +24,7 @@ def list_knock_blocks(scene: Scene, chosen: Sequence[Choice] = ()) -> list[Block
     """One block for each of the samples without which the residual falls most beside the chosen
     causes: such a sample shows anything.
 
-    What is known of a sample without sides, from which its joints came, is wrong for every effect
+    A sample that does not state from which sides its joints came is wrong for every effect
     that depends on them. A sample of a continuous motion is not disturbed alone.
     """
     dataset = scene.dataset

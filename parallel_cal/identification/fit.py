@@ -34,8 +34,7 @@ from parallel_cal.identification.checks import (
     chosen_parameters,
     explain_too_few_poses,
 )
-from parallel_cal.identification.common_scale import CommonScale
-from parallel_cal.identification.estimators import Estimator, check_convergent_method, estimator
+from parallel_cal.identification.estimators import check_convergent_method, estimator
 from parallel_cal.identification.fit_warnings import (
     DownWeightedSample,
     chi2_band,
@@ -51,7 +50,7 @@ from parallel_cal.identification.fit_warnings import (
 )
 from parallel_cal.identification.given_model import Folds, GivenModel
 from parallel_cal.identification.held_out_uncertainty import compute_held_out_sigmas
-from parallel_cal.identification.image_poses import measure_image_noise
+from parallel_cal.identification.identified import Identification, Identified
 from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.identification.noise_floor import (
     NoiseFloor,
@@ -70,7 +69,6 @@ from parallel_cal.identification.prediction_errors import (
     improvement,
 )
 from parallel_cal.identification.predictions import predict_positions
-from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.refit import add_consider_covariance
 from parallel_cal.identification.registration import (
     DevicePoses,
@@ -84,14 +82,9 @@ from parallel_cal.identification.registration import (
     shows_pose,
 )
 from parallel_cal.identification.thresholds import (
-    CONTRADICTED_SIGMAS,
-    LOOSENING,
-    MAX_LOOSENINGS,
-    MAX_NOISE_ROUNDS,
     MAX_REGION_SAMPLES,
 )
 from parallel_cal.identification.unusual import UnusualSize, describe_by_effect
-from parallel_cal.identification.variance_components import estimate_noise
 from parallel_cal.model.model import Model
 from parallel_cal.model.region import IdentifiedRegion
 from parallel_cal.recordings.dataset import Dataset
@@ -575,150 +568,131 @@ def fit_unjudged(
     `compared_only` may have a geometry that no robot has.
     """
     given = given or GivenModel(model, model, dataset, options.joint_sigma, options.insist)
-    report = progress or ignore_progress
     mask, is_partial = chosen_parameters(model, options)
-    estimate_with = estimator(options.method, options.prior, options.loss)
+    identify = Identification(
+        model, mask, estimator(options.method, options.prior, options.loss), options.prior
+    )
     if is_partial:
         check_convergent_method(options.method, "a partial re-calibration")
-    if noise is None:
-        observations = given.observe(model, dataset, options.joint_sigma, options.insist)
-    else:
-        observations = observe(
-            model, dataset, options.joint_sigma, options.insist, noise.doubts
-        ).with_noise_of(noise)
+    observations = _observe(model, dataset, options, given, noise)
     if words := explain_too_few_poses(model, observations, mask, options.prior):
         raise FitError(words)
-
-    def judged(train: np.ndarray, test: np.ndarray) -> Errors | None:
-        """Errors at poses that the fit did not use; None if the others are too few."""
-        kept = observations.select(train)
-        if explain_too_few_poses(model, kept, mask, options.prior):
-            return None
-        # Start at the fit to all poses: the solution is near, unless only held-out poses determine
-        # a direction. The implicit method has linearised the closure there; a plugin may not.
-        system = estimate.system if options.method == "implicit" else None
-        begin = system and system.select(train)
-        known = {"begin": begin} if begin else {}
-        found = estimate_with(model.with_values(estimate.values), kept, mask, **known)
-        if found.spectrum.rank < estimate.spectrum.rank:
-            found = estimate_with(model, kept, mask)
-        return errors(model.with_values(found.values), observations.select(test))
-
-    report("identifying", 0.0)
-    identify = partial(_identify, estimate_with, mask, options.prior)
-    usual, (model, estimate) = model, identify(model, observations, model.values)
-    measured = measure_image_noise(model.with_values(estimate.values), observations)
-    if measured is not observations:
-        observations = measured
-        model, estimate = identify(usual, observations, estimate.values)
-    inseparable: tuple[tuple[str, ...], ...] = ()
-    if observations.unknown and noise is None:
-        guessed, last = observations, None
-        for _ in range(MAX_NOISE_ROUNDS):
-            one = estimate_noise(model, guessed, mask, estimate, options.prior is not False, last)
-            if last is not None and not one.differs_from(last):
-                break
-            last, observations, inseparable = one, one.observations, one.inseparable
-            model, estimate = identify(usual, observations, estimate.values)
-    if observations.noise_assumed:
-        estimate = scale_covariance(estimate)
+    (progress or ignore_progress)("identifying", 0.0)
+    found = identify.with_noise(observations, noise_is_known=noise is not None)
     if is_partial:
-        estimate = add_consider_covariance(model, observations, mask, estimate)
-    fitted = usual.with_values(estimate.values, estimate.covariance)
-    scaled = CommonScale.find(fitted, observations, mask)
+        found = replace(
+            found,
+            estimate=add_consider_covariance(found.model, found.observations, mask, found.estimate),
+        )
+    fitted, unusual, insisted = _check(found, options, compared_only)
+    after = errors(fitted, found.observations)
+    check_joint_errors(fitted, after)
+    result = FitResult(
+        model=replace(fitted, fixed=model.fixed if is_partial else ~mask),
+        start=model,
+        options=options,
+        estimate=replace(found.estimate, system=None),  # of the size of the data
+        free=mask,
+        after=after,
+        held_out=after.blank(),
+        observations=found.observations,
+        dataset=dataset,
+        warnings=(
+            *dataset.warnings,
+            *_list_forced(found.observations, given),
+            *describe_by_effect(unusual.values()).values(),
+            *insisted,
+            *_list_warnings(found, fitted, after),
+            *list_sample_warnings(found.estimate, dataset, options.loss),
+        ),
+        given=given,
+        unusual=unusual,
+    )
+    return UnjudgedFit(result, partial(_judge_fold, identify, found, options))
+
+
+def _observe(
+    model: Model,
+    dataset: Dataset,
+    options: FitOptions,
+    given: GivenModel,
+    noise: Observations | None,
+) -> Observations:
+    """The samples of a fit, with the noise of another one if it is given."""
+    if noise is None:
+        return given.observe(model, dataset, options.joint_sigma, options.insist)
+    observations = observe(model, dataset, options.joint_sigma, options.insist, noise.doubts)
+    return observations.with_noise_of(noise)
+
+
+def _check(
+    found: Identified, options: FitOptions, compared_only: bool
+) -> tuple[Model, Mapping[str, UnusualSize], Sequence[str]]:
+    """The fitted model if it is plausible, its parameters of unusual size, and what was insisted
+    on; FitError otherwise."""
+    scaled = found.scaled
     try:
-        fitted, unusual, insisted = check_plausible(
-            fitted,
-            estimate,
-            mask,
+        return check_plausible(
+            found.fitted,
+            found.estimate,
+            found.free,
             options.insist,
             options.usual_only,
             # A scale that all lengths share, such as mm for m, leaves only noise, too.
-            leaves_noise=scaled is None and leaves_only_noise(usual, estimate, observations),
+            leaves_noise=scaled is None
+            and leaves_only_noise(found.usual, found.estimate, found.observations),
             compared_only=compared_only and scaled is None,
         )
     except ImplausibleGeometryError as error:
         if scaled is None:
             raise
         raise ImplausibleGeometryError(f"{scaled}. {error}", error.chi2_per_dof) from None
-    after = errors(fitted, observations)
-    check_joint_errors(fitted, after)
-    result = FitResult(
-        model=replace(fitted, fixed=usual.fixed if is_partial else ~mask),
-        start=usual,
-        options=options,
-        estimate=replace(estimate, system=None),  # of the size of the data
-        free=mask,
-        after=after,
-        held_out=after.blank(),
-        observations=observations,
-        dataset=dataset,
-        warnings=(
-            *dataset.warnings,
-            *[
-                f"{doubts}: accepted because of --force (in Python: insist)"
-                for doubts in (observations.doubts, given.doubted_columns)
-                if doubts
-            ],
-            *describe_by_effect(unusual.values()).values(),
-            *insisted,
-            *([] if scaled is None else [str(scaled)]),
-            *list_setting_warnings(fitted),
-            *list_parameter_warnings(fitted, estimate, mask),
-            *on_priors(fitted, estimate),
-            *list_noise_warnings(fitted, estimate, observations, inseparable),
-            *list_held_coordinate_warnings(
-                fitted, after.summary, lambda: noise_floor(fitted, observations)
-            ),
-            *list_sample_warnings(estimate, dataset, options.loss),
+
+
+def _list_warnings(found: Identified, fitted: Model, after: Errors) -> list[str]:
+    """What is doubtful in the parameters that were identified, and in the noise."""
+    estimate, observations = found.estimate, found.observations
+    return [
+        *([] if found.scaled is None else [str(found.scaled)]),
+        *list_setting_warnings(fitted),
+        *list_parameter_warnings(fitted, estimate, found.free),
+        *on_priors(fitted, estimate),
+        *list_noise_warnings(fitted, estimate, observations, found.inseparable),
+        *list_held_coordinate_warnings(
+            fitted, after.summary, lambda: noise_floor(fitted, observations)
         ),
-        given=given,
-        unusual=unusual,
-    )
-    return UnjudgedFit(result, judged)
+    ]
 
 
-def _identify(
-    estimate_with: Estimator,
-    free: np.ndarray,
-    prior: bool | Prior | None,
-    model: Model,
-    observations: Observations,
-    start: np.ndarray,
-) -> tuple[Model, Estimate]:
-    """Identify the free parameters, starting at `start`; the model gets larger tolerances where the
-    data contradict those of effects."""
-    estimate = estimate_with(model.with_values(start), observations, free)
-    for _ in range(MAX_LOOSENINGS if prior is None else 0):
-        loosened = _loosen_contradicted_tolerances(model, estimate, free)
-        if loosened is None:
-            break
-        try:
-            freer = estimate_with(loosened.with_values(estimate.values), observations, free)
-        except FitError:
-            break  # without the usual size the data determine no solution
-        if freer.chi2 > estimate.chi2:
-            break
-        model, estimate = loosened, freer
-    return model, estimate
+def _list_forced(observations: Observations, given: GivenModel) -> list[str]:
+    """What was doubted and accepted because the user insisted."""
+    return [
+        f"{doubts}: accepted because of --force (in Python: insist)"
+        for doubts in (observations.doubts, given.doubted_columns)
+        if doubts
+    ]
 
 
-def _loosen_contradicted_tolerances(
-    model: Model, estimate: Estimate, free: np.ndarray
-) -> Model | None:
-    """The model with larger tolerances of effects whose usual size the data contradict; None if
-    they contradict none.
-
-    Where the data tell little, the usual size of an effect acts as a prior. It must not hold an
-    effect that the data move by several of its standard deviations.
-    """
-    table, found = model.table, dict[str, float]()
-    away = np.abs(estimate.values - table.nominal) / table.prior_sigma
-    for effect in model.effects if estimate.spectrum.held else ():
-        own = [i for i, p in enumerate(table) if free[i] and p.name.startswith(f"{effect.name}.")]
-        if np.max(away[own], initial=0.0) > CONTRADICTED_SIGMAS:
-            found |= {table[i].name: LOOSENING * table[i].tolerance for i in own}
-    return replace(model, tolerances={**model.tolerances, **found}) if found else None
+def _judge_fold(
+    identify: Identification,
+    found: Identified,
+    options: FitOptions,
+    train: np.ndarray,
+    test: np.ndarray,
+) -> Errors | None:
+    """Errors at poses that the fit did not use; None if the others are too few."""
+    model, estimate, kept = found.model, found.estimate, found.observations.select(train)
+    if explain_too_few_poses(model, kept, found.free, options.prior):
+        return None
+    # Start at the fit to all poses: the solution is near, unless only held-out poses determine
+    # a direction. The implicit method has linearised the closure there; a plugin may not.
+    system = estimate.system if options.method == "implicit" else None
+    begin = system and system.select(train)
+    known = {"begin": begin} if begin else {}
+    fold = identify.estimate_with(model.with_values(estimate.values), kept, found.free, **known)
+    if fold.spectrum.rank < estimate.spectrum.rank:
+        fold = identify.estimate_with(model, kept, found.free)
+    return errors(model.with_values(fold.values), found.observations.select(test))
 
 
 def _folds(dataset: Dataset, options: FitOptions) -> Folds:
@@ -743,11 +717,3 @@ def _cross_validate(folds: Folds, judged: Judged, like: Errors, report: Progress
             for name, array in unseen.parts().items():
                 parts[name][test] = array
     return Errors(**parts)
-
-
-def scale_covariance(estimate: Estimate) -> Estimate:
-    """The estimate with covariance * chi2/dof: sigmas from the residuals, because only the
-    proportions of the noise are known."""
-    if estimate.dof <= 0:
-        return estimate
-    return replace(estimate, covariance=estimate.covariance * estimate.chi2_per_dof)
