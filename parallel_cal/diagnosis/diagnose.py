@@ -361,88 +361,134 @@ def diagnose(
     >>> diagnosis.verdict.word, diagnosis.effects
     ('explained', ('backlash',))
     """
-    report = progress or ignore_progress
     options = with_changes(options, FitOptions, changes, FitError)
-    # The search refits with unusual sizes in any case: they are evidence against other effects.
-    usual_only, options = options.usual_only, replace(options, usual_only=False)
-    asked, recorded = model, dataset
-    given = GivenModel.of(model, dataset, options.joint_sigma, options.insist)
-    dataset = given.dataset
-    model, registration = prepared_for_fit(given.start, given.registration, dataset, options)
-    dataset = add_registration_warning(dataset, registration)
-    names = list_effects_to_test(model, also, effects)
+    setup = _Setup.of(model, dataset, effects, also, options, progress or ignore_progress)
+    with proposing_first_effect(setup.model, setup.dataset, setup.options, effects, setup.report):
+        if options.loss == "linear":
+            return setup.diagnose_all()
+        return setup.diagnose_without_mistrusted()
 
-    from_any_geometry = False
-    report("identifying the geometry", 0.0)
 
-    def without(aside: list[int], why: str = "", seen: Observations | None = None) -> Diagnosis:
-        """Diagnose without these samples, and without those that were disturbed alone; name them if
-        it is known how all were `seen`."""
-        why = why or f"because it is {explain_exclusion(dataset, aside)}"
-        kept, least_squares = dataset.excluding(aside, why), replace(options, loss="linear")
-        judged = given.with_dataset(kept)
-        refit = refit_with_equal_weights(model, judged, least_squares)
+@dataclass(frozen=True)
+class _Setup:
+    """What is asked about which samples.
 
-        def search_from(smaller: Model) -> Search:
-            return Search(smaller, refit, report, usual_only, from_any_geometry)
+    `recorded` are the samples as given for the model that was `asked`; `dataset` those of the
+    `model` with the device in its place, and `given` is that model before any fit. `names` are the
+    effects to test. With `from_any_geometry`, the geometry alone may be what no robot has.
+    """
 
-        def may_set_aside(more: Sequence[int]) -> bool:
-            return options.loss == "linear" and are_few([*aside, *more], dataset)
+    asked: Model
+    recorded: Dataset
+    given: GivenModel
+    model: Model
+    dataset: Dataset
+    registration: Registration | None
+    names: list[str]
+    options: FitOptions
+    usual_only: bool
+    report: Progress
+    from_any_geometry: bool = False
 
-        def find(text: str, base: FitResult, result: FitResult | None) -> Addition:
-            as_add = replace(least_squares, usual_only=usual_only)
-            samples = recorded.excluding(aside, why)
-            return find_addition(asked, text, samples, as_add, knocked=(), known=(base, result))
-
-        search = search_from(model)
-        explanation = Explanation.of(search, names, may_set_aside)
-        if more := explanation.knocked:
-            seen = seen or search.fit().fitted.observations
-            return without(sorted([*aside, *more]), seen=seen)
-        found = _diagnose_trusted(
-            judged, search, search_from, explanation, names, registration, report, find
+    @classmethod
+    def of(
+        cls,
+        asked: Model,
+        recorded: Dataset,
+        effects: Iterable[str],
+        also: Iterable[str],
+        options: FitOptions,
+        report: Progress,
+    ) -> _Setup:
+        """Place the device, and list the effects to test."""
+        # The search refits with unusual sizes in any case: they are evidence against other effects.
+        usual_only, options = options.usual_only, replace(options, usual_only=False)
+        given = GivenModel.of(asked, recorded, options.joint_sigma, options.insist)
+        dataset = given.dataset
+        model, registration = prepared_for_fit(given.start, given.registration, dataset, options)
+        dataset = add_registration_warning(dataset, registration)
+        names = list_effects_to_test(model, also, effects)
+        return cls(
+            asked,
+            recorded,
+            given,
+            model,
+            dataset,
+            registration,
+            names,
+            options,
+            usual_only,
+            report,
         )
-        if seen is None:
-            return found
-        best = found.best.fitted.model
-        return _with_samples_aside(found, list_samples_far_from(best, dataset, seen, aside))
 
-    def suspects(judged: Model) -> list[int]:
-        return find_mistrusted_samples(fit(judged, dataset, options, hold_out=0))
-
-    def without_outliers() -> Diagnosis:
-        """If no plausible geometry describes all samples, exclude those that contradict all others;
-        if there are none, look for what the implausible geometry imitates."""
-        nonlocal from_any_geometry
+    def diagnose_all(self) -> Diagnosis:
+        """Diagnose all samples. If no plausible geometry describes them, exclude those that
+        contradict all others; if there are none, look for what the implausible geometry
+        imitates."""
+        model, dataset, options = self.model, self.dataset, self.options
         try:
-            return without([])
+            return self.diagnose_without([])
         except ImplausibleGeometryError as error:
-            observations = given.observe(model, dataset, options.joint_sigma, options.insist)
+            observations = self.given.observe(model, dataset, options.joint_sigma, options.insist)
             outliers = search_outliers(model, dataset, observations, options)
             if outliers is None:
                 check_columns(model, dataset, options, error)
                 check_motion(model, dataset, options, error)
-                from_any_geometry = True
-                found = without([])
+                found = replace(self, from_any_geometry=True).diagnose_without([])
                 if not found.effects:
                     raise
                 return found
             if not are_few(outliers.numbers, dataset):
                 raise outliers.put_before(error) from None
-        return without([*outliers.numbers], seen=observations)
+        return self.diagnose_without([*outliers.numbers], seen=observations)
 
-    with proposing_first_effect(model, dataset, options, effects, report):
-        if options.loss == "linear":
-            return without_outliers()
-        by_loss = f"by --loss {options.loss}"
-        aside = suspects(model)
-        found = without(aside, by_loss)
-    # A good pose may look bad only for as long as the effect is not in the model.
-    try:
-        again = suspects(found.best.fitted.model) if found.effects else aside
-    except FitError:  # with all samples an effect may be out of its range
-        return found
-    return found if again == aside else without(again, by_loss)
+    def diagnose_without_mistrusted(self) -> Diagnosis:
+        """Diagnose without the samples that a robust fit trusts least."""
+        why, aside = f"by --loss {self.options.loss}", self._find_mistrusted(self.model)
+        found = self.diagnose_without(aside, why)
+        # A good pose may look bad only for as long as the effect is not in the model.
+        try:
+            again = self._find_mistrusted(found.best.fitted.model) if found.effects else aside
+        except FitError:  # with all samples an effect may be out of its range
+            return found
+        return found if again == aside else self.diagnose_without(again, why)
+
+    def diagnose_without(
+        self, aside: list[int], why: str = "", seen: Observations | None = None
+    ) -> Diagnosis:
+        """Diagnose without these samples, and without those that were disturbed alone; name them if
+        it is known how all were `seen`."""
+        why = why or f"because it is {explain_exclusion(self.dataset, aside)}"
+        kept = self.dataset.excluding(aside, why)
+        judged = self.given.with_dataset(kept)
+        least_squares = replace(self.options, loss="linear")
+        refit = refit_with_equal_weights(self.model, judged, least_squares)
+
+        def search_from(smaller: Model) -> Search:
+            return Search(smaller, refit, self.report, self.usual_only, self.from_any_geometry)
+
+        def may_set_aside(more: Sequence[int]) -> bool:
+            return self.options.loss == "linear" and are_few([*aside, *more], self.dataset)
+
+        def find(text: str, base: FitResult, result: FitResult | None) -> Addition:
+            as_add = replace(least_squares, usual_only=self.usual_only)
+            samples, known = self.recorded.excluding(aside, why), (base, result)
+            return find_addition(self.asked, text, samples, as_add, knocked=(), known=known)
+
+        search = search_from(self.model)
+        self.report("identifying the geometry", 0.0)
+        explanation = Explanation.of(search, self.names, may_set_aside)
+        if more := explanation.knocked:
+            seen = seen or search.fit().fitted.observations
+            return self.diagnose_without(sorted([*aside, *more]), seen=seen)
+        found = _diagnose_trusted(self, kept, search, search_from, explanation, find)
+        if seen is None:
+            return found
+        best = found.best.fitted.model
+        return _with_samples_aside(found, list_samples_far_from(best, self.dataset, seen, aside))
+
+    def _find_mistrusted(self, model: Model) -> list[int]:
+        return find_mistrusted_samples(fit(model, self.dataset, self.options, hold_out=0))
 
 
 def find_mistrusted_samples(robust: FitResult) -> list[int]:
@@ -482,18 +528,15 @@ def refit_with_equal_weights(model: Model, given: GivenModel, options: FitOption
 
 
 def _diagnose_trusted(
-    given: GivenModel,
+    setup: _Setup,
+    dataset: Dataset,
     search: Search,
     search_from: Callable[[Model], Search],
     found: Explanation,
-    names: list[str],
-    registration: Registration | None,
-    report: Progress,
     find: FindAddition,
 ) -> Diagnosis:
     """Diagnose samples of which none is set aside; `find` returns what `add` makes of effects."""
-    dataset, base = given.dataset, search.fit()
-    model = base.fitted.start
+    base, names, report = search.fit(), setup.names, setup.report
     catalogue = _Catalogue(names, report)
     ranked = catalogue.rank(base)
     against = {**dict.fromkeys(found.like_drift, LIKE_DRIFT), **found.refuted}
@@ -508,7 +551,7 @@ def _diagnose_trusted(
     noise = NoiseLevel.of(best.scene, residual_field, structure.has_structure, shape.correlated)
     remaining = find_remaining_condition(best.scene, shape)
     ambiguous = find_ambiguous_effects(
-        model,
+        setup.model,
         best,
         search_from,
         lambda effect: _Catalogue([effect, *names], report).rank,
@@ -551,7 +594,7 @@ def _diagnose_trusted(
         laws=found.laws,
     )
     return Diagnosis(
-        model=model,
+        model=setup.model,
         dataset=dataset,
         base=base,
         best=best,
@@ -568,7 +611,7 @@ def _diagnose_trusted(
         robot_or_device=robot_or_device,
         unusual=findings.unusual,
         suspected=tuple(confirmed.against),
-        registration=registration,
+        registration=setup.registration,
         measure_next=measure_next,
         ambiguous=ambiguous,
         unseparated=tuple(find_large_device_effects(best.fitted.model))
