@@ -781,7 +781,7 @@ def test_look_prints_what_a_recording_holds(document, run):
     both = ("--data", "exclude=3", "--data", "exclude=7")
     assert document("look", BAG, *both)["samples"] == 92
     fails(run("look", BAG, "--data", "mood=good"), "expected KEY=VALUE", "measured_pose")
-    fails(run("look", ROOT / "setup.cfg"), "not a rosbag2 recording")
+    fails(run("look", ROOT / "setup.cfg"), "not a recording")
 
 
 def test_topics_can_be_named(run, document):

@@ -53,6 +53,7 @@ def live(tmp_path, dataset):
     settings = SimpleNamespace(
         joints=lambda: collector.joints,
         sample_options=lambda: collector.options,
+        passive=(),
         get=lambda name: True,
     )
     queue = SimpleNamespace(take_all=lambda: [])

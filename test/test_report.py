@@ -267,16 +267,22 @@ def test_residuals_are_measured_minus_predicted_and_shrink_with_the_effect(data,
     np.testing.assert_allclose(predicted, data.r[order], atol=1e-12)
 
 
-def test_samples_come_worst_first_and_a_planted_outlier_is_marked(data):
+def test_samples_come_worst_first_and_planted_outliers_are_marked(data):
     r = np.array(data.r)
-    r[17] += [1.5e-3, 0.0, 0.0]
+    r[[5, 17, 30, 44, 60, 70, 80, 90]] += [[1.5e-3, 0.0, 0.0]]  # too many to exclude
     document, text = shown(new_model("delta54"), replace(data, r=r), effects=["zero_shift"])
-    first = document["samples"][0]
-    assert first["sample"] == 17
-    assert first["odd"] == "outlier"
+    assert document["samples"][0]["odd"] == "outlier"
     assert "17 (outlier)" in section(text, "samples")
     sigmas = [row["now"]["sigmas"] for row in document["samples"]]
     assert sigmas == sorted(sigmas, reverse=True)
+
+
+def test_a_planted_outlier_is_excluded_and_named(data):
+    r = np.array(data.r)
+    r[17] += [1.5e-3, 0.0, 0.0]
+    document, text = shown(new_model("delta54"), replace(data, r=r), effects=["zero_shift"])
+    assert 17 not in [row["sample"] for row in document["samples"]]
+    assert re.search(r"17 \(\d+ sigmas of the noise", section(text, "samples"))
 
 
 @pytest.mark.parametrize("recorded", [True, False])
