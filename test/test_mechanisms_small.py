@@ -976,3 +976,13 @@ def test_a_hexapod_from_a_drawing_can_move_to_both_sides_of_home(height):
     assert high == pytest.approx(0.1 * height / 0.3)
     measured = load_mechanism("stewart42", retracted=0.25)
     assert measured.joint_limits[0] == (0.0, 0.2)
+
+
+@pytest.mark.parametrize("name", ["five_bar", "slider_crank"])
+def test_zeros_of_encoders_have_a_tolerance_of_their_own_unit(name):
+    """A degree of an angle, or a millimetre of a length: of these, no one stands for the other."""
+    model = new_model(name)
+    zeros = [one for one in model.table if one.name.split(".")[-1] == "q0"]
+    assert zeros
+    for one in zeros:
+        assert one.tolerance == pytest.approx(np.radians(1) if one.unit == "rad" else 1e-3)
