@@ -4,7 +4,7 @@ Robots, sessions, physics and noise come from the independent virtual robots. A 
 `diagnose`, and, where it names something, `add` on the command line; the truth is the error of
 the served robot at poses that nobody measured, before and after. With `--results` every outcome is
 kept as a line of a file, and a case that stands there already is not run again: a long study can
-be made in slices (`--minutes`). `--page` only writes the table of docs/judge_your_calibration.md
+be made in slices (`--minutes`). `--page` only writes the table of docs/validation.md
 from docs/blind_study.jsonl, to which such lines are added. Usage: `PYTHONPATH=. python
 bench/blind.py [--draws N] [--first SEED] [--jobs N] [--see WHAT,WHAT] [--results FILE]
 [--minutes M] [--page] [FAMILY ...]`; WHAT is pose, position, orientation, plane or ball_bar.
@@ -41,7 +41,7 @@ from parallel_cal.fleet.cluster import cluster, run_each
 from parallel_cal.virtual import robot as vr
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE, STUDY = ROOT / "docs" / "judge_your_calibration.md", ROOT / "docs" / "blind_study.jsonl"
+PAGE, STUDY = ROOT / "docs" / "validation.md", ROOT / "docs" / "blind_study.jsonl"
 START, END = "<!-- study: written by bench/blind.py --page -->", "<!-- end of study -->"
 HIDDEN = {  # family -> what the page calls it, and what it counts as correct
     "null": ("nothing", "no effect named"),

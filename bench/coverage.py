@@ -7,7 +7,7 @@ parameter of each session counts, drawn by the seed, so that the sessions are in
 The interval of the error at held-out poses must hold the error at 2,000 further poses. Every
 session is kept as a line of docs/coverage_study.jsonl, and one that stands there is not run again.
 Usage: `python -m bench.coverage [--minutes M] [--sessions N] [CASE ...]`; `--page` only writes the
-table of docs/judge_your_calibration.md. Session k of a case has the seed [5102, k].
+table of docs/validation.md. Session k of a case has the seed [5102, k].
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.simulate import simulate
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE, STUDY = ROOT / "docs" / "judge_your_calibration.md", ROOT / "docs" / "coverage_study.jsonl"
+PAGE, STUDY = ROOT / "docs" / "validation.md", ROOT / "docs" / "coverage_study.jsonl"
 START, END = "<!-- coverage: written by bench/coverage.py --page -->", "<!-- end of coverage -->"
 SEED = 5102
 JOINT_SIGMA, POSITION_SIGMA = 2e-5, 5e-6  # rad, m

@@ -6,7 +6,7 @@ of it. A case is a diagnosis and, if it names something, `add`. It is judged by 
 error at 150 other poses, beside that of the best possible model: the fit of the true effect, with
 its true constants. With `--results` every outcome becomes a line of a file, and a case that stands
 there already is not run again: a long study can be made in slices (`--minutes`). `--page` only
-writes the table of docs/judge_your_calibration.md from docs/blind_effects.jsonl.
+writes the table of docs/validation.md from docs/blind_effects.jsonl.
 Usage: `PYTHONPATH=. python bench/new_effects.py [--draws N] [--results FILE] [--minutes M]
 [--page] [ROW ...]`; a ROW is a part of the name of a row, such as `creep on four`.
 """
@@ -52,7 +52,7 @@ from parallel_cal.virtual import robot as vr
 from parallel_cal.virtual.linear_delta import LinearDelta
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE, STUDY = ROOT / "docs" / "judge_your_calibration.md", ROOT / "docs" / "blind_effects.jsonl"
+PAGE, STUDY = ROOT / "docs" / "validation.md", ROOT / "docs" / "blind_effects.jsonl"
 START = "<!-- study of effects: written by bench/new_effects.py --page -->"
 END = "<!-- end of the study of effects -->"
 SIZE = 1.0  # sigmas of the residual that the geometry leaves of an effect

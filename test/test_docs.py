@@ -1,7 +1,7 @@
 """The tutorial quotes only what its commands print, the page on Python what its lines do.
 
-Every command of a ```console block of docs/judge_your_calibration.md is run, in one folder, after
-those that write the files it reads. Each quoted line must be among those printed, numbers to 5 %
+Every command of a ```console block of the pages on judging is run, in one folder, after those that
+write the files it reads. Each quoted line must be among those printed, numbers to 5 %
 or a unit in the second decimal. A quoted `error:` is an expected refusal.
 """
 
@@ -29,7 +29,8 @@ from parallel_cal.base.rotation import quaternion_to_matrix
 from parallel_cal.cli import main as cli
 
 ROOT = Path(__file__).parents[1]
-TUTORIAL = (ROOT / "docs" / "judge_your_calibration.md").read_text(encoding="utf-8")
+JUDGING = "read_a_fit read_a_diagnosis judge_your_calibration own_effect plan_measurements".split()
+TUTORIAL = "".join((ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8") for name in JUDGING)
 TABLE = ROOT / "real/hangprinter_hp4/hp4_2021-12-14.csv"
 VERDICTS = ("at_noise", "explained", "partly_explained", "unexplained", "cannot_know")
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
