@@ -463,12 +463,10 @@ class DevicePoses:
         """Whether frames explain a significant part of the error and differ from the model's by
         more than a workshop calls aligned."""
         squares = [float(np.sum(self._residual(frames) ** 2)) for frames in (self.now, found)]
-        rows = int(self.measured.sum())
+        rows, logs = int(self.measured.sum()), np.log(np.maximum(squares, 1e-300))
         parameters = int(np.linalg.matrix_rank(self._jacobian(found).reshape(-1, 12)))
         share = MAX_REMAINING_SHARE_IDENTIFIED if identified else MAX_REMAINING_SHARE
-        significant = rows * np.log(squares[0] / max(squares[1], 1e-300)) > parameters * np.log(
-            rows
-        )
+        significant = rows * (logs[0] - logs[1]) > parameters * np.log(rows)
         displaced = identified or self.are_far_apart(found)
         return bool(significant and squares[1] < share * squares[0] and displaced)
 
