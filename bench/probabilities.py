@@ -60,7 +60,7 @@ def explain(model: Model, data: Dataset) -> Explanation:
         )
 
     search = Search(given.start, refit, lambda stage, share: None)
-    return Explanation.of(search, list_effects_to_test(given.start), lambda knocked: True)
+    return Explanation.of(search, list_effects_to_test(given.start), lambda knocked: knocked)
 
 
 def statements(found: Explanation) -> list[dict[str, Any]]:

@@ -16,7 +16,11 @@ from parallel_cal.causes.knocks import are_few
 from parallel_cal.diagnosis.catalogue import Candidate, candidate
 from parallel_cal.diagnosis.device import find_doubtful_effects
 from parallel_cal.diagnosis.explanation import Causes
-from parallel_cal.diagnosis.patterns import explain_exclusion
+from parallel_cal.diagnosis.patterns import (
+    explain_exclusion,
+    find_innocent_samples,
+    list_samples_far_from,
+)
 from parallel_cal.diagnosis.search import is_superfluous
 from parallel_cal.diagnosis.stations import exclude_device
 from parallel_cal.diagnosis.verdict import robot_or_device
@@ -180,7 +184,7 @@ def find_addition(
         result = with_given_model_of(result or fit_with(extended, base, is_plausible), base)
         return Addition(keep(aside), base, result, scene, tuple(added), effect, tuple(aside))
 
-    def fit_both(aside: Sequence[int]) -> Addition:
+    def fit_both(aside: Sequence[int], trusted: frozenset[int] = frozenset()) -> Addition:
         is_plausible = True
         try:
             base = fit(model, keep(aside), limited, progress)
@@ -192,9 +196,13 @@ def find_addition(
             base = fit(model, keep(aside), limited, progress, compared_only=True)
         if knocked is None and options.loss == "linear":
             names = list_effects_to_test(base.model, [name for name, _ in asked])
-            more = [*aside, *Causes.of(see(base), names).find_knocked_samples()]
-            if len(more) > len(aside) and are_few(more, dataset):
-                return fit_both(sorted(more))
+            more = {*Causes.of(see(base), names).find_knocked_samples()} - trusted
+            if more and are_few([*aside, *more], dataset):
+                others = fit_both(sorted([*aside, *more]), trusted)
+                model_found, seen = others.result.model, base.observations
+                far = list_samples_far_from(model_found, base.dataset, seen, more)
+                innocent = find_innocent_samples(far, more)
+                return fit_both(aside, trusted | innocent) if innocent else others
         return extend(base, aside, is_plausible=is_plausible)
 
     if known:

@@ -43,6 +43,7 @@ from parallel_cal.diagnosis.patterns import (
     OddSample,
     describe_knocked_samples,
     explain_exclusion,
+    find_innocent_samples,
     list_samples_far_from,
     odd_samples,
 )
@@ -454,10 +455,14 @@ class _Setup:
         return found if again == aside else self.diagnose_without(again, why)
 
     def diagnose_without(
-        self, aside: list[int], why: str = "", seen: Observations | None = None
+        self,
+        aside: list[int],
+        why: str = "",
+        seen: Observations | None = None,
+        trusted: frozenset[int] = frozenset(),
     ) -> Diagnosis:
-        """Diagnose without these samples, and without those that were disturbed alone; name them if
-        it is known how all were `seen`."""
+        """Diagnose without these samples, and without those that were disturbed alone, except the
+        `trusted` ones; name them if it is known how all were `seen`."""
         why = why or f"because it is {explain_exclusion(self.dataset, aside)}"
         kept = self.dataset.excluding(aside, why)
         judged = self.given.with_dataset(kept)
@@ -467,8 +472,10 @@ class _Setup:
         def search_from(smaller: Model) -> Search:
             return Search(smaller, refit, self.report, self.usual_only, self.from_any_geometry)
 
-        def may_set_aside(more: Sequence[int]) -> bool:
-            return self.options.loss == "linear" and are_few([*aside, *more], self.dataset)
+        def set_aside(knocked: Sequence[int]) -> list[int]:
+            more = [one for one in knocked if one not in trusted]
+            few = self.options.loss == "linear" and are_few([*aside, *more], self.dataset)
+            return more if few else []
 
         def find(text: str, base: FitResult, result: FitResult | None) -> Addition:
             as_add = replace(least_squares, usual_only=self.usual_only)
@@ -477,10 +484,13 @@ class _Setup:
 
         search = search_from(self.model)
         self.report("identifying the geometry", 0.0)
-        explanation = Explanation.of(search, self.names, may_set_aside)
+        explanation = Explanation.of(search, self.names, set_aside)
         if more := explanation.knocked:
-            seen = seen or search.fit().fitted.observations
-            return self.diagnose_without(sorted([*aside, *more]), seen=seen)
+            everything = seen or search.fit().fitted.observations
+            others = self.diagnose_without(sorted([*aside, *more]), "", everything, trusted)
+            if innocent := find_innocent_samples(others.knocked, more):
+                return self.diagnose_without(aside, why, seen, trusted | innocent)
+            return others
         found = _diagnose_trusted(self, kept, search, search_from, explanation, find)
         if seen is None:
             return found

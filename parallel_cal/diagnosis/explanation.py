@@ -69,11 +69,14 @@ class Explanation:
 
     @classmethod
     def of(
-        cls, search: Search, names: Sequence[str], may_set_aside: Callable[[Sequence[int]], bool]
+        cls,
+        search: Search,
+        names: Sequence[str],
+        set_aside: Callable[[Sequence[int]], Sequence[int]],
     ) -> Explanation:
         """Explain the residuals of the model that a search extends, by effects of these `names`,
         by what no effect describes, and by samples that were disturbed alone: the explanation ends
-        with those that `may_set_aside`."""
+        with those of them that `set_aside` returns."""
         base = search.fit()
         if search.from_any_geometry:
             base = _find_first(search, base, names)
@@ -82,8 +85,7 @@ class Explanation:
         causes, known = Causes.of(base.scene, names), list[frozenset[Chosen]]()
         while True:
             posterior, described, more = causes.explain(refuted)
-            knocked = posterior.knocked
-            if knocked and may_set_aside(knocked):
+            if knocked := tuple(set_aside(posterior.knocked)):
                 return cls(posterior, described, base, refuted, knocked=knocked)
             chosen = (*first, *more)
             tried = search.fit_as_shown(*chosen, judged=False)

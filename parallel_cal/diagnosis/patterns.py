@@ -215,6 +215,14 @@ def list_samples_far_from(
     return [one for one in odd if one.sample in numbers]
 
 
+def find_innocent_samples(far: Iterable[OddSample], numbers: Iterable[int]) -> frozenset[int]:
+    """Find those of the samples of these numbers that are no outliers of a model which was not
+    fitted to them: only about another model, without effects, they seemed to be disturbed. Of a
+    sample without sides, the model predicts nothing."""
+    guilty = {one.sample for one in far if one.outlier or one.sideless}
+    return frozenset(numbers) - guilty
+
+
 def describe_knocked_samples(knocked: Sequence[OddSample]) -> str:
     """Name the samples that a verdict leaves out, to be put behind it."""
 
