@@ -364,7 +364,7 @@ def diagnose(
     """
     options = with_changes(options, FitOptions, changes, FitError)
     setup = _Setup.of(model, dataset, effects, also, options, progress or ignore_progress)
-    with proposing_first_effect(setup.model, setup.dataset, setup.options, effects, setup.report):
+    with proposing_first_effect(setup.model, setup.dataset, setup.any_size, effects, setup.report):
         if options.loss == "linear":
             return setup.diagnose_all()
         return setup.diagnose_without_mistrusted()
@@ -387,7 +387,6 @@ class _Setup:
     registration: Registration | None
     names: list[str]
     options: FitOptions
-    usual_only: bool
     report: Progress
     from_any_geometry: bool = False
 
@@ -402,8 +401,6 @@ class _Setup:
         report: Progress,
     ) -> _Setup:
         """Place the device, and list the effects to test."""
-        # The search refits with unusual sizes in any case: they are evidence against other effects.
-        usual_only, options = options.usual_only, replace(options, usual_only=False)
         given = GivenModel.of(asked, recorded, options.joint_sigma, options.insist)
         dataset = given.dataset
         model, registration = prepared_for_fit(given.start, given.registration, dataset, options)
@@ -418,15 +415,20 @@ class _Setup:
             registration,
             names,
             options,
-            usual_only,
             report,
         )
+
+    @property
+    def any_size(self) -> FitOptions:
+        """The options of a fit with effects of any size: an unusual one is evidence against other
+        effects in any case."""
+        return replace(self.options, usual_only=False)
 
     def diagnose_all(self) -> Diagnosis:
         """Diagnose all samples. If no plausible geometry describes them, exclude those that
         contradict all others; if there are none, look for what the implausible geometry
         imitates."""
-        model, dataset, options = self.model, self.dataset, self.options
+        model, dataset, options = self.model, self.dataset, self.any_size
         try:
             return self.diagnose_without([])
         except ImplausibleGeometryError as error:
@@ -466,11 +468,12 @@ class _Setup:
         why = why or f"because it is {explain_exclusion(self.dataset, aside)}"
         kept = self.dataset.excluding(aside, why)
         judged = self.given.with_dataset(kept)
-        least_squares = replace(self.options, loss="linear")
+        least_squares = replace(self.any_size, loss="linear")
         refit = refit_with_equal_weights(self.model, judged, least_squares)
 
         def search_from(smaller: Model) -> Search:
-            return Search(smaller, refit, self.report, self.usual_only, self.from_any_geometry)
+            usual_only = self.options.usual_only
+            return Search(smaller, refit, self.report, usual_only, self.from_any_geometry)
 
         def set_aside(knocked: Sequence[int]) -> list[int]:
             more = [one for one in knocked if one not in trusted]
@@ -478,7 +481,7 @@ class _Setup:
             return more if few else []
 
         def find(text: str, base: FitResult, result: FitResult | None) -> Addition:
-            as_add = replace(least_squares, usual_only=self.usual_only)
+            as_add = replace(self.options, loss="linear")
             samples, known = self.recorded.excluding(aside, why), (base, result)
             return find_addition(self.asked, text, samples, as_add, knocked=(), known=known)
 
@@ -498,7 +501,7 @@ class _Setup:
         return _with_samples_aside(found, list_samples_far_from(best, self.dataset, seen, aside))
 
     def _find_mistrusted(self, model: Model) -> list[int]:
-        return find_mistrusted_samples(fit(model, self.dataset, self.options, hold_out=0))
+        return find_mistrusted_samples(fit(model, self.dataset, self.any_size, hold_out=0))
 
 
 def find_mistrusted_samples(robust: FitResult) -> list[int]:
