@@ -144,7 +144,7 @@ def test_a_law_that_a_session_finds_is_added_saved_and_reported_with_its_cause_u
     said = capsys.readouterr().out
     assert f"need {file.stem}.py on their Python path: add {folder / 'effects'}" in said
     found = report(session.model, session.dataset)
-    assert f"{file.stem} was found in data; its physical cause is unknown" in page(found)
+    assert f"The effect {file.stem} was found in data; its physical cause" in page(found)
     assert found.document()["provenance"]["found_in_data"] == [file.stem]
 
 

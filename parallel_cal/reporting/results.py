@@ -388,7 +388,7 @@ def describe_verdict(diagnosis: Diagnosis) -> Judgement:
     """Describe the verdict, with what speaks against it and what else is to know."""
     verdict = diagnosis.verdict
     laws = [
-        f"{effect.name} was found in data; its physical cause is unknown"
+        f"the effect {effect.name} was found in data; its physical cause is unknown"
         for effect in diagnosis.model.effects
         if effect.found_in_data
     ]
