@@ -424,7 +424,8 @@ not the poses for judging: `diagnose` holds them out of the poses for fitting, i
 of its own. Its errors therefore differ from those in the table.
 
 - **registered**: the dimensions that the maker states; only the frames of device and target are
-  estimated. For the printer: the values in its firmware configuration.
+  estimated, if it is proven that they are not where the model says (for the Hangprinter it is not:
+  other anchors explain as much). For the printer: the values in its firmware configuration.
 - **geometry**: `fit`.
 - **with effects**: `diagnose` and `add` until the diagnosis names no effect, or `add` refuses those
   that it names. An effect of the device (`device_field`) removes errors of the device, not of the
