@@ -69,13 +69,14 @@ class ImportDialog:
                 on_upload=self._receive,
             ).props(f'flat bordered accept="{SUFFIXES}"').classes("w-full")
             self._form = ui.column().classes("w-full gap-2")
-            self._counts = ui.label().props("id=import-counts role=status").classes("text-sm")
-            self._poses = ui.element().classes("w-full")
             self._answer = ui.label().props("id=import-answer role=alert").classes("text-sm")
             with ui.row():
                 self._import = ui.button("Import", on_click=self._begin).props("dense")
                 self._import.set_enabled(False)
                 ui.button("Close", on_click=self._dialog.close).props("dense outline")
+            # Below the buttons, which must not move away from under a click.
+            self._counts = ui.label().props("id=import-counts role=status").classes("text-sm")
+            self._poses = ui.element().classes("w-full")
             # Drawing takes seconds, during which the page still follows an import.
             timers = [ui.timer(POLL_INTERVAL_S, act) for act in (self._follow, self._draw_poses)]
         self._dialog.on_value_change(lambda: self._end(timers))
