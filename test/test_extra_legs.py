@@ -10,8 +10,12 @@ from scipy.optimize import least_squares
 
 from parallel_cal.base.errors import ModelError, SolveError
 from parallel_cal.cli.main import main
+from parallel_cal.diagnosis.addition import see
+from parallel_cal.diagnosis.field import Field
 from parallel_cal.exporting.targets import linuxcnc
 from parallel_cal.identification.fit import fit
+from parallel_cal.identification.linearisation import Linearisation
+from parallel_cal.identification.thresholds import MIN_SIGMAS_PER_TOLERANCE, RELATIVE_RANK
 from parallel_cal.kinematics.all_solutions import direct_all
 from parallel_cal.kinematics.answers import describe_disagreement
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
@@ -19,6 +23,7 @@ from parallel_cal.kinematics.solvers import homotopy
 from parallel_cal.model.file.modelfile import write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
+from parallel_cal.posterior.scene import compute_orthonormal_basis
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.virtual.robot import turn
 
@@ -129,6 +134,25 @@ def test_every_leg_of_seven_spans_the_distance_of_its_points():
     found = Kinematics(model).direct(q)
     np.testing.assert_allclose(found.position, r, atol=1e-9)
     np.testing.assert_allclose(found.rotation, R, atol=1e-9)
+
+
+def test_tests_for_structure_see_the_residual_of_each_leg():
+    """Six of seven rows say nothing and are left out of a scene; what is tested along the samples
+    are the rows of the legs, which mean alike at all samples."""
+    found = identified(7, 0)
+    scene = see(found)
+    linearise = Linearisation(found.model, found.observations, found.free, True)
+    every = linearise(found.model.values, scene.x)
+    columns = every.columns * found.model.table.prior_sigma[found.free]
+    basis = compute_orthonormal_basis(columns, RELATIVE_RANK, MIN_SIGMAS_PER_TOLERANCE)
+    r = every.residual.ravel()
+    left = (r - basis @ (basis.T @ r)).reshape(-1, 7)
+    assert scene.rows == 1
+    np.testing.assert_allclose(Field.of(scene).noise_units, left, atol=1e-6)
+    # By the rows of the scene alone, the sign of a residual would be arbitrary.
+    assert np.abs(scene.by_sample(scene.residual)).ravel() == pytest.approx(
+        np.linalg.norm(left, axis=1), abs=1e-6
+    )
 
 
 def test_six_rods_are_no_complete_method_for_seven():

@@ -68,7 +68,7 @@ class Field:
             noise_units = _in_noise_units(readings, total, np.isfinite(readings))
             error = np.nan_to_num(readings)
             return cls(pose, noise_units, measured, held, error, _sigma(total))
-        closure = scene.by_sample(scene.residual)
+        closure = scene.closure_residual
         return cls(pose, closure, measured, held, closure, np.ones_like(closure))
 
     @property

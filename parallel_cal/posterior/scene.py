@@ -58,7 +58,9 @@ class Scene:
     never at the measured pose: a noisy measurement would explain its own error. `by_measured` (N,
     rows, nq + 6 + nu) are the derivatives of the rows by (q, r, w, u) there. `whitener` (N, rows,
     rows of the closure) turns these into noise units, without unmeasured coordinates; `informative`
-    (N,) is the number of independent rows that remain for each sample, of at most `rows`.
+    (N,) is the number of independent rows that remain for each sample, of at most `rows`. Where
+    these are fewer than the rows of the closure, `turn` (N, rows, rows of the closure) are their
+    orthonormal directions among those.
     """
 
     model: Model
@@ -71,8 +73,8 @@ class Scene:
     informative: np.ndarray = field(repr=False)
     residual: np.ndarray = field(repr=False)
     basis: np.ndarray = field(repr=False)
-    rows: int
     dof: int
+    turn: np.ndarray | None = field(default=None, repr=False)
     shared: SharedDerivatives | None = field(default=None, repr=False)
 
     @classmethod
@@ -91,6 +93,7 @@ class Scene:
         C = np.empty((len(x), model.structure.rows.shape[0], len(model.structure.scale)))
         system = linearise(model.values, x, by_measured=C)
         whitener, r, J = linearise.whiten(C), system.residual[:, :, None], system.jacobian
+        turn: np.ndarray | None = None
         rows = int(system.informative.max(initial=0))
         if rows < r.shape[1]:  # along the directions of their whitener, fewer say as much as all
             turn = np.linalg.svd(whitener)[0][:, :, :rows].transpose(0, 2, 1)
@@ -113,8 +116,8 @@ class Scene:
             system.informative,
             residual,
             basis,
-            rows,
             dof,
+            turn,
             shared,
         )
 
@@ -124,6 +127,18 @@ class Scene:
             return self
         scale = variance**-0.5
         return replace(self, residual=scale * self.residual, whitener=scale * self.whitener)
+
+    @property
+    def rows(self) -> int:
+        """Number of rows of each sample."""
+        return int(self.whitener.shape[1])
+
+    @property
+    def closure_residual(self) -> np.ndarray:
+        """The residual (N, rows of the closure) along the rows of the closure, which mean alike at
+        all samples, in noise units."""
+        residual = self.by_sample(self.residual)
+        return residual if self.turn is None else np.einsum("nr,nrk->nk", residual, self.turn)
 
     @property
     def chi2_per_dof(self) -> float:
