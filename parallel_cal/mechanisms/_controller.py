@@ -26,3 +26,14 @@ def read_scale(given: Sequence[float], n: int, part: str = "joint") -> tuple[flo
     if not all(scale):
         raise ModelError(f"scale {scale}: expected numbers other than 0")
     return scale
+
+
+def read_controller(
+    scale: Sequence[float] | None, switches: Sequence[float] | None, n: int, part: str
+) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
+    """Return the options `scale` and `switches`, one number for each `part` of n; None if not
+    stated."""
+    return (
+        None if scale is None else read_scale(scale, n, part),
+        None if switches is None else read_one_per_joint("switches", switches, n, part),
+    )

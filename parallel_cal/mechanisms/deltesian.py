@@ -12,7 +12,7 @@ import numpy as np
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import rot_x, rot_z
 from parallel_cal.base.units import DEGREE, MM
-from parallel_cal.mechanisms._controller import read_one_per_joint, read_scale
+from parallel_cal.mechanisms._controller import read_controller
 from parallel_cal.mechanisms._size import read_limits, read_numbers
 from parallel_cal.model.closed_form import two_circles
 from parallel_cal.model.drawing import Line
@@ -64,10 +64,7 @@ class Deltesian(Mechanism):
                 f"rod is {size['rod']:g} m: too short for rails {size['width']:g} m away; "
                 "expected a longer rod"
             )
-        self.scale = None if scale is None else read_scale(scale, 3)
-        self.switches = (
-            None if switches is None else read_one_per_joint("switches", switches, 3, "joint")
-        )
+        self.scale, self.switches = read_controller(scale, switches, 3, "joint")
         rows = [
             row
             for side, sign in SIDES.items()

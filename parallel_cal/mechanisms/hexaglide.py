@@ -11,7 +11,7 @@ import numpy as np
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import rot_x, rot_y
 from parallel_cal.base.units import DEGREE
-from parallel_cal.mechanisms._controller import read_one_per_joint, read_scale
+from parallel_cal.mechanisms._controller import read_controller
 from parallel_cal.mechanisms._servo_legs import rod_length_errors
 from parallel_cal.mechanisms._size import read_limits, read_numbers
 from parallel_cal.mechanisms.stewart42 import Points, read_ends, ring
@@ -99,10 +99,7 @@ class Hexaglide(Mechanism):
             high=(*map(float, middle + reach), *turn),
         )
         self.joint_limits = (read_limits(limits, "m"),) * n
-        self.switches = (
-            None if switches is None else read_one_per_joint("switches", switches, n, "leg")
-        )
-        self.scale = None if scale is None else read_scale(scale, n, "leg")
+        self.scale, self.switches = read_controller(scale, switches, n, "leg")
         self.length = round(float(np.sqrt(np.mean(np.sum((B - B.mean(axis=0)) ** 2, axis=1)))), 13)
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:

@@ -10,7 +10,7 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.units import DEGREE
-from parallel_cal.mechanisms._controller import read_one_per_joint, read_scale
+from parallel_cal.mechanisms._controller import read_controller, read_one_per_joint
 from parallel_cal.mechanisms._size import read_numbers, read_point, read_points
 from parallel_cal.mechanisms.tripod_struts import lengths_at_zero, strut_parameters, travel
 from parallel_cal.model.drawing import Line
@@ -104,10 +104,7 @@ class Pentapod(Mechanism):
         self.workspace = Workspace(
             (*map(float, tip - reach), -TURN, -TURN), (*map(float, tip + reach), TURN, TURN)
         )
-        self.scale = None if scale is None else read_scale(scale, 5, "leg")
-        self.switches = (
-            None if switches is None else read_one_per_joint("switches", switches, 5, "leg")
-        )
+        self.scale, self.switches = read_controller(scale, switches, 5, "leg")
         self.length = round(float(np.sqrt(np.mean(radii**2 + (level - level.mean()) ** 2))), 13)
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:

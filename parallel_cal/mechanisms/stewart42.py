@@ -11,7 +11,7 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.units import DEGREE
-from parallel_cal.mechanisms._controller import read_one_per_joint, read_scale
+from parallel_cal.mechanisms._controller import read_controller
 from parallel_cal.model.drawing import Line
 from parallel_cal.model.drawing import ring as closed
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
@@ -186,10 +186,7 @@ class Stewart42(Mechanism):
             high=(*(float(v) for v in middle + reach), *turn),
         )
         self.joint_limits = ((low, high),) * n
-        self.switches = (
-            None if switches is None else read_one_per_joint("switches", switches, n, "leg")
-        )
-        self.scale = None if scale is None else read_scale(scale, n, "leg")
+        self.scale, self.switches = read_controller(scale, switches, n, "leg")
         # Rounded as the lengths are: the last bit of a root depends on the machine.
         self.length = round(float(np.sqrt(np.mean(np.sum((B - B.mean(axis=0)) ** 2, axis=1)))), 13)
 

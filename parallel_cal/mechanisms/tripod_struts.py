@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
-from parallel_cal.mechanisms._controller import read_one_per_joint, read_scale
+from parallel_cal.mechanisms._controller import read_controller
 from parallel_cal.mechanisms._size import read_limits, read_numbers, read_point, read_points
 from parallel_cal.model.closed_form import three_spheres
 from parallel_cal.model.drawing import Line
@@ -76,10 +76,7 @@ class TripodStruts(Mechanism):
         self.workspace = Workspace(
             tuple(map(float, point - reach)), tuple(map(float, point + reach))
         )
-        self.scale = None if scale is None else read_scale(scale, 3, "leg")
-        self.switches = (
-            None if switches is None else read_one_per_joint("switches", switches, 3, "leg")
-        )
+        self.scale, self.switches = read_controller(scale, switches, 3, "leg")
         self.length = round(float(lengths.min()), 13)
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
