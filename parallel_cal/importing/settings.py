@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -110,6 +111,17 @@ class Settings:
             raise place.error(field, text, f"{expected}: 1 or {count} numbers")
         values = [place.number(field, word, expected, low) for word in words]
         return np.array(values * count if len(values) == 1 else values)
+
+
+def read_fields(paths: Sequence[Path], pattern: re.Pattern[str]) -> Settings:
+    """Read the lines that a pattern matches, with groups for the field and its text; the last text
+    of each field counts."""
+    texts: dict[str, tuple[str, SourceLine]] = {}
+    for path in paths:
+        for place, line in read_lines(path):
+            if found := pattern.match(line):
+                texts[found[1]] = (found[2], place)
+    return Settings(texts, paths)
 
 
 def read_lines(path: Path, text: str | None = None) -> list[tuple[SourceLine, str]]:

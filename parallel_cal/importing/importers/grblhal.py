@@ -17,7 +17,7 @@ from parallel_cal.base.units import DEGREE, MM
 from parallel_cal.importing import deltas
 from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.deltas import Shoulders
-from parallel_cal.importing.settings import Settings, SourceLine, read_lines
+from parallel_cal.importing.settings import Settings, read_fields
 from parallel_cal.model.machine_class import MachineClass
 from parallel_cal.model.model import new_model
 
@@ -42,12 +42,7 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
 
 def settings(paths: Sequence[Path]) -> Settings:
     """Read settings such as `$641=250.000`; the last value of each counts."""
-    texts: dict[str, tuple[str, SourceLine]] = {}
-    for path in paths:
-        for place, line in read_lines(path):
-            if found := SETTING.match(line):
-                texts[found[1]] = (found[2], place)
-    return Settings(texts, paths)
+    return read_fields(paths, SETTING)
 
 
 def shoulders(stated: Settings) -> Shoulders:

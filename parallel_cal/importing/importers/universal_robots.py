@@ -20,7 +20,7 @@ import numpy as np
 
 from parallel_cal.importing.chain import MAX_PARALLEL_SINE, chain_links
 from parallel_cal.importing.controller_files import ConfiguredRobot
-from parallel_cal.importing.settings import Settings, SourceLine, read_lines
+from parallel_cal.importing.settings import Settings, read_fields
 from parallel_cal.model.machine_class import MachineClass
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
@@ -95,12 +95,7 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
 
 def settings(paths: Sequence[Path]) -> Settings:
     """Read lists by their names."""
-    texts: dict[str, tuple[str, SourceLine]] = {}
-    for path in paths:
-        for place, line in read_lines(path):
-            if found := LINE.match(line):
-                texts[found[1]] = (found[2], place)
-    return Settings(texts, paths)
+    return read_fields(paths, LINE)
 
 
 def read_rows(stated: Settings) -> Array:
