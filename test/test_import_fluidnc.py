@@ -292,11 +292,11 @@ def test_the_belts_alone_tell_how_far_the_anchors_are_apart(tmp_path):
     model = fit(configured(files[1:]).model, samples("fluidnc", files)).model
     found = np.array([[model.value(f"line{i}.A_{axis}") for axis in "xy"] for i in range(1, 5)])
 
-    def apart(points):
+    def compute_distances(points):
         return np.array([np.hypot(*(points[i] - points[j])) for i in range(4) for j in range(i)])
 
-    assert np.abs(apart(ANCHORS) - apart(true)).max() > 15
-    np.testing.assert_allclose(apart(found / MM), apart(true), atol=0.2)
+    assert np.abs(compute_distances(ANCHORS) - compute_distances(true)).max() > 15
+    np.testing.assert_allclose(compute_distances(found / MM), compute_distances(true), atol=0.2)
 
 
 @pytest.mark.parametrize(

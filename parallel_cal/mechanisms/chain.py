@@ -45,7 +45,7 @@ PLACES = {"position", "quaternion", "rpy"}
 EXAMPLE = "{name: hip, type: revolute, parent: base, child: leg, axis: [0, 0, 1], driven: true}"
 PREFERENCE = {"zero": 4.0, "length": 4.0} | dict.fromkeys(SHIFTS, 1.0) | dict.fromkeys(TURNS, 0.5)
 SHARE_OF_LIMITS = 0.3  # of the range of a joint, for the motion around home
-MAX_ROUNDED_M = 1e-6  # that numbers with few digits leave open
+MAX_ROUNDED_M = 1e-6  # of a loop that stays open because the file states few digits
 ROUNDED = (
     "; so little stays open if the geometry is stated with few digits and its loops are redundant: "
     "state more digits"

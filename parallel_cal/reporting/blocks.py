@@ -7,8 +7,7 @@ as blocks: tables, sentences (`str`), a judgement and tiles. Three renderers sho
 - `markup.as_html` for reports and notebooks: significant digits, sortable, with small lines;
 - `as_rows` for the workbench, whose page gets plain data from another process.
 
-The judgement and the tiles look the same in the report and on the page: both use `markup` and the
-style `blocks.css`.
+The report and the page render the judgement and the tiles with `markup` and `blocks.css`.
 
 A `Number` keeps its value until it is rendered, because a terminal and a page show different
 digits. Texts are ASCII; a page writes um as µm.
