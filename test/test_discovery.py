@@ -850,6 +850,23 @@ def _joints_by_reading(scene, each):
     return Hypothesis(Site("joints", tuple(places), each), (tuple(drivers),)), _leave(scene, laws)
 
 
+def test_a_member_that_the_samples_do_not_show_is_left_out(scene):
+    """A reflector near the axis of the last joint says nothing of its errors: any coefficient
+    would do, of radians where the others have tenths of a milliradian."""
+    places = [one for one in list_places(scene) if one.kind == "joint"]
+    unseen = replace(places[1], columns=1e-4 * places[1].columns)
+    drivers = [one for one in list_drivers(scene) if one.family == "reading"]
+    laws = [(places[k], 1e-3 * np.sin(7 * drivers[k].values)) for k in (0, 2)]
+    site = Site("joints", (places[0], unseen, places[2]), each=True)
+    found = find_formula(_leave(scene, laws), Hypothesis(site, (tuple(drivers),)))
+    assert [one.name for one in found.hypothesis.site.members] == ["joint1", "joint3"]
+    assert [[one.name for one in own] for own in found.hypothesis.drivers] == [["joint1", "joint3"]]
+    np.testing.assert_allclose(np.abs(found.coefficients[0]), 1e-3, rtol=0.1)
+    two = Site("joints", (unseen, places[2]), each=True)
+    found = find_formula(_leave(scene, laws[1:]), Hypothesis(two, (tuple(drivers[1:]),)))
+    assert found.hypothesis.key[0] == "joint3"  # a place of its own, not one of several joints
+
+
 @pytest.mark.wide
 @pytest.mark.parametrize("each", [False, True])
 def test_a_term_gains_what_least_squares_over_all_rows_explain(scene, each):

@@ -19,6 +19,7 @@ from parallel_cal.identification.estimate import NormalEquations
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.fit_warnings import chi2_band, list_parameter_warnings
 from parallel_cal.identification.linearisation import Linearisation
+from parallel_cal.identification.methods._descent import Damping
 from parallel_cal.identification.methods.implicit import estimate
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.prediction_errors import errors
@@ -451,8 +452,9 @@ def test_a_sign_that_physics_forbids_is_refused():
         match=r"^backlash.joint\d.width would have to be -0.00\d+ rad, but its physics allows no "
         r"negative value: check the recorded direction and travel of the joints \(their sign, the "
         r"order of the visits\), and whether the encoders sit behind the gears$",
-    ):
+    ) as refused:
         fit(new_model("delta54").with_effect("backlash"), wrong, hold_out=0)
+    assert refused.value.effect == "backlash"  # which a diagnosis then leaves out
 
 
 def test_a_covariance_that_no_noise_has_is_refused_with_its_sample():
@@ -519,6 +521,19 @@ def test_a_damped_step_is_not_taken_for_the_end():
     assert np.abs(step / tolerance).max() < 1e-8
     assert promised < 1e-10 * system.chi2
     assert not normal.has_converged
+
+
+def test_steps_that_fail_in_turn_raise_the_damping_ever_faster():
+    """From a step that hardly any damping shortens to one of a tenth in five trials."""
+    damping, tried = Damping(), []
+    while damping.size < 10:
+        damping = damping.after(fall=-1.0, promised=1.0)
+        tried.append(damping.size)
+    assert len(tried) == 5
+    assert np.all(np.diff(np.diff(np.log(tried))) > 0)
+    fell = damping.after(fall=0.4, promised=1.0)  # less than half: curvature
+    assert fell == Damping(3 * damping.size)
+    assert fell.after(fall=0.9, promised=1.0) == Damping(fell.size / 5)
 
 
 def test_worst_sample_comes_first_in_a_comparison():

@@ -19,7 +19,7 @@ from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.effects.backlash import Backlash
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import new_model
-from parallel_cal.posterior.blocks import EFFECT, LOG_ODDS, Block
+from parallel_cal.posterior.blocks import EFFECT, LOG_ODDS, Block, Stack
 from parallel_cal.posterior.evidence import LOG_WEIGHTS, SIZES, STATED, UNKNOWN, Choice, Evidence
 from parallel_cal.posterior.search import Sum
 from parallel_cal.virtual import robot as vr
@@ -92,7 +92,7 @@ def test_the_probabilities_are_those_of_counting_all_sets(seed):
             each = [Evidence(squares, scene.dof, STATED, one).log_p for one in product(*choices)]
             logs[frozenset(b.name for b in members)] = float(np.logaddexp.reduce(each))
     total = np.logaddexp.reduce(list(logs.values()))
-    found = Sum(scene, blocks, STATED).search()
+    found = Sum(scene, Stack.of_alike(blocks), STATED).search()
     for block in blocks:
         within = [v for members, v in logs.items() if block.name in members]
         expected = float(np.exp(np.logaddexp.reduce(within) - total))
@@ -115,7 +115,7 @@ def test_a_probability_is_the_share_of_true_statements():
             Block.of(scene, b.name, b.kind, np.log(0.1 / 0.9), list(b.columns), b.settings)
             for b in blocks
         ]
-        found = Sum(scene, again, STATED).search()
+        found = Sum(scene, Stack.of_alike(again), STATED).search()
         stated += [found.probability[block.name] for block in blocks]
     p, is_true = np.array(stated), np.array(true)
     for low, high in ((0.0, 0.05), (0.2, 0.8), (0.95, 1.01)):
@@ -140,7 +140,7 @@ def test_doubt_of_a_stated_noise_costs_as_much_as_a_cause():
     """Noise that a fit estimated itself is not doubted again."""
     residual, blocks = drawn(0)
     for nu, price in ((STATED, LOG_ODDS), (20.0, 0.0)):
-        made = Sum(residual, blocks, nu)
+        made = Sum(residual, Stack.of_alike(blocks), nu)
         assert made.total((), UNKNOWN) - made.evidence((), UNKNOWN).log_p == pytest.approx(price)
         assert made.total((), nu) == made.evidence((), nu).log_p
 

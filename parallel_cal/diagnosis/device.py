@@ -59,7 +59,7 @@ def _compute_probability(made: Sum, rest: Evidence, one: Choice, other: Sequence
     """
     from scipy.special import expit
 
-    both, stacks = made.evidence((*rest.chosen, one), made.nu), Stack.by_width(other)
+    both, stacks = made.evidence((*rest.chosen, one), made.nu), Stack.of_alike(other)
 
     def rank(beside: Evidence) -> list[float]:
         return [ranked.log_p for stack in stacks for ranked in beside.rank(stack)]

@@ -83,14 +83,16 @@ class Explanation:
         first, names = base.chosen, [name for name in names if name not in base.names]
         refuted, wrong = dict[str, str](), list[str]()
         causes, known = Causes.of(base.scene, names), list[frozenset[Chosen]]()
+        posterior: Posterior | None = None
         while True:
-            posterior, described, more = causes.explain(refuted)
+            near = posterior.chosen if posterior else ()
+            posterior, described, more = causes.explain(refuted, near)
             if knocked := tuple(set_aside(posterior.knocked)):
                 return cls(posterior, described, base, refuted, knocked=knocked)
             chosen = (*first, *more)
             tried = search.fit_as_shown(*chosen, judged=False)
             if tried.result is None and more:
-                name = _find_refuted(search, first, more)
+                name = tried.wrong_sign or _find_refuted(search, first, more)
                 refuted[name] = tried.reason
                 wrong += [tried.reason] if tried.wrong_sign else []
                 continue
@@ -217,9 +219,9 @@ class Causes:
         unknown = [*list_unknown_blocks(scene), *list_knock_blocks(scene)]
         return cls(scene, [*larger, *effects, *unknown], nu, variance)
 
-    @property
+    @cached_property
     def sum(self) -> Sum:
-        return Sum(self.scene, self.blocks, self.nu)
+        return Sum(self.scene, Stack.of_alike(self.blocks), self.nu)
 
     def agree_with(self, fit: Trial, described: Posterior, effects: Collection[Chosen]) -> bool:
         """Whether a fit with these effects leaves the chi2 that the linear problem predicts."""
@@ -231,9 +233,12 @@ class Causes:
         left = r - C @ np.linalg.lstsq(C, r, rcond=None)[0]
         return bool(abs(fit.fitted.estimate.chi2 / self.variance - left @ left) < MAX_LINEAR_ERROR)
 
-    def explain(self, refuted: Collection[str]) -> tuple[Posterior, Posterior, tuple[Chosen, ...]]:
-        """Sum over all sets of causes, and over those without unknown laws of the robot; return
-        the effects that describe the residual best, too.
+    def explain(
+        self, refuted: Collection[str] = (), near: Sequence[Choice] = ()
+    ) -> tuple[Posterior, Posterior, tuple[Chosen, ...]]:
+        """Sum over all sets of causes, and over those without unknown laws of the robot, beginning
+        with what was found `near` this problem; return the effects that describe the residual
+        best, too.
 
         Where an unknown law of the robot is likely, known effects imitate it at best. They are
         chosen as if there were no such law, since the error may fall with them; their probability
@@ -241,13 +246,17 @@ class Causes:
         takes an error of the robot away from it: they must be likely beside the law. Beside noise
         that drifts, an effect of time is not told from it.
         """
-
-        possible = [one for one in self.blocks if one.name not in refuted]
-        posterior, blocks = self._search_with_knocks(possible)
+        possible = replace(self.sum, left_out=frozenset(refuted))
+        there = {block.name: block for block in possible.blocks}
+        names = [one.block.name for one in near if one.block.name in there]
+        start = possible.choose([there[name] for name in names])
+        posterior, possible = self._search_with_knocks(possible, start)
         described = posterior
         likely = {one.block.name for one in posterior.chosen}
         if any(posterior.kinds[name] == LAW for name in likely):
-            described = self._search([one for one in blocks if one.kind != LAW], posterior.chosen)
+            laws = {block.name for block in possible.blocks if block.kind == LAW}
+            without = replace(possible, left_out=laws | {*refuted})
+            described = self._search(without, posterior.chosen)
         drifts = any(one.block.kind == DRIFT for one in described.chosen)
 
         def is_named(one: Choice) -> bool:
@@ -267,33 +276,35 @@ class Causes:
 
     def find_knocked_samples(self) -> tuple[int, ...]:
         """Find the samples that were disturbed alone, whatever else is missing."""
-        return self._search_with_knocks(self.blocks)[0].knocked
+        return self._search_with_knocks(self.sum)[0].knocked
 
-    def _search(self, blocks: Sequence[Block], start: Sequence[Choice] = ()) -> Posterior:
+    def _search(self, possible: Sum, start: Sequence[Choice] = ()) -> Posterior:
         """Sum over the sets of some causes, from a set that may be near."""
-        names = {block.name for block in blocks}
-        made = replace(self.sum, blocks=blocks, refine=partial(refine_setting, self.scene))
-        return made.search(tuple(one for one in start if one.block.name in names))
+        names = {block.name for block in possible.blocks}
+        refined = replace(possible, refine=partial(refine_setting, self.scene))
+        return refined.search(tuple(one for one in start if one.block.name in names))
 
-    def _search_with_knocks(self, blocks: Sequence[Block]) -> tuple[Posterior, Sequence[Block]]:
+    def _search_with_knocks(
+        self, possible: Sum, start: Sequence[Choice] = ()
+    ) -> tuple[Posterior, Sum]:
         """Sum over the sets of these causes, and of further samples that may have been disturbed;
         return all of these causes, too."""
-        found = self._search(blocks)
+        found = self._search(possible, start)
         while are_few(found.knocked, self.scene.dataset) and (
-            more := self._find_hidden_knocks(blocks, found)
+            more := self._find_hidden_knocks(possible, found)
         ):
-            blocks = [*blocks, *more]
-            found = self._search(blocks, found.chosen)
-        return found, blocks
+            possible = replace(possible, stacks=[*possible.stacks, *more])
+            found = self._search(possible, found.chosen)
+        return found, possible
 
-    def _find_hidden_knocks(self, blocks: Sequence[Block], found: Posterior) -> list[Block]:
+    def _find_hidden_knocks(self, possible: Sum, found: Posterior) -> list[Stack]:
         """Further samples that may have been disturbed, if one of them makes what was found
         likelier: what is known now may have hidden it."""
-        known = {block.name for block in blocks}
+        known = {block.name for block in possible.blocks}
         more = [one for one in list_knock_blocks(self.scene, found.chosen) if one.name not in known]
-        now = self.sum.evidence(found.chosen, found.nu)
-        ranked = (one for stack in Stack.by_width(more) for one in now.rank(stack))
-        return more if any(one.log_p > now.log_p for one in ranked) else []
+        now, stacks = possible.evidence(found.chosen, found.nu), Stack.of_alike(more)
+        ranked = (one for stack in stacks for one in now.rank(stack))
+        return stacks if any(one.log_p > now.log_p for one in ranked) else []
 
 
 def _find_noise(scene: Scene) -> tuple[float, float]:
@@ -344,7 +355,7 @@ def _scene_about(base: Trial, best: Trial) -> Scene:
 def _find_first(search: Search, base: Trial, names: Sequence[str]) -> Trial:
     """The fit with that cause of what `base` shows with which a plausible geometry describes the
     samples best; `base` if there is none."""
-    _, _, chosen = Causes.of(base.scene, names).explain(())
+    _, _, chosen = Causes.of(base.scene, names).explain()
     trials = [search.fit_as_shown(one) for one in chosen]
     fitted = [one for one in trials if one.result is not None]
     return min(fitted, key=lambda one: one.fitted.estimate.chi2, default=base)

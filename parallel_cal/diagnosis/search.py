@@ -60,17 +60,17 @@ class Chosen:
 
 @dataclass(frozen=True)
 class Trial:
-    """A refit of the model with some effects, or the reason why it has none; `wrong_sign` if the
-    reason is a sign that physics forbids, `contradicts` if it is a contradiction that a caller may
-    insist on, `unsolved` if the refit found no solution. `implausible` is the chi2/dof of a refit
-    whose geometry no robot has. `scenes` keeps the scene once it is made; it shares derivatives
+    """A refit of the model with some effects, or the reason why it has none; `wrong_sign` is the
+    effect whose sign physics forbids, if that is the reason, `contradicts` if it is a contradiction
+    that a caller may insist on, `unsolved` if the refit found no solution. `implausible` is the
+    chi2/dof of a refit whose geometry no robot has. `scenes` keeps the scene once it is made; it shares derivatives
     with other trials. `unjudged` is the fit if its validation errors are not computed yet.
     """
 
     chosen: tuple[Chosen, ...]
     result: FitResult | None
     reason: str = ""
-    wrong_sign: bool = False
+    wrong_sign: str = ""
     contradicts: bool = False
     unsolved: bool = False
     implausible: float | None = None
@@ -108,7 +108,7 @@ class Trial:
 
 def _fail(chosen: tuple[Chosen, ...], error: FitError) -> Trial:
     """Make the trial of a refit that failed."""
-    wrong_sign = isinstance(error, WrongSignError)
+    wrong_sign = error.effect if isinstance(error, WrongSignError) else ""
     contradicts = isinstance(error, ContradictionError)
     unsolved = isinstance(error, NoSolutionError)
     absurd = error.chi2_per_dof if isinstance(error, ImplausibleGeometryError) else None

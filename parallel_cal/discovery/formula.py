@@ -215,8 +215,32 @@ def find_formula(targets: Targets, hypothesis: Hypothesis) -> Formula | None:
     term describes the residual.
 
     Terms are added while each makes the data clearly likelier, and removed if later ones make them
-    superfluous, or if their sign changes with the choice of the poses.
+    superfluous, or if their sign changes with the choice of the poses. Members that the samples do
+    not show are left out.
     """
+    found = _find_formula_of_all(targets, hypothesis)
+    shown = [] if found is None else _list_shown_members(targets, found)
+    if found is None or not 0 < len(shown) < found.coefficients.shape[1]:
+        return found
+    return find_formula(targets, hypothesis.of_members(shown))
+
+
+def _list_shown_members(targets: Targets, formula: Formula) -> list[int]:
+    """Numbers of the members that move the residual by a standard deviation of its noise, if a
+    coefficient of theirs has the size that it has among all members. Of others, any value would
+    describe the samples as well."""
+    Q, r, c = targets.directions, targets.residuals[:, 0], formula.coefficients
+    B = formula.columns - Q @ (Q.T @ formula.columns)
+    left = r - B @ np.linalg.lstsq(B, r, rcond=MIN_COLUMN_REMAINDER)[0]
+    noise = np.sqrt(left @ left / targets.dof)
+    weight = 1 / np.maximum(formula.sigma, 1e-300) ** 2
+    size = np.sqrt(np.sum(weight * c**2, axis=1) / np.sum(weight, axis=1))
+    moved = size[:, None] * np.linalg.norm(B, axis=0).reshape(c.shape)
+    return np.flatnonzero(np.any(moved > noise, axis=0)).tolist()
+
+
+def _find_formula_of_all(targets: Targets, hypothesis: Hypothesis) -> Formula | None:
+    """Find the formula of all members of a hypothesis."""
     groups = list(_iterate_groups(hypothesis, len(targets.residuals) // targets.rows))
     search = _Selection(targets, hypothesis, groups)
     chosen = search.forward()

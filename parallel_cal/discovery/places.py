@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import casadi as ca
@@ -68,6 +69,11 @@ class Site:
     @property
     def key(self) -> tuple[str, bool]:
         return self.name, self.each
+
+    def of_members(self, numbers: Sequence[int]) -> Site:
+        """This site with some of its members."""
+        left = tuple(self.members[number] for number in numbers)
+        return replace(self, members=left) if len(left) > 1 else Site(left[0].name, left)
 
 
 def list_places(scene: Scene, stations: Stations | None = None) -> list[Place]:

@@ -77,6 +77,11 @@ class Hypothesis:
         """The number of time constants that were searched for."""
         return sum(own[0].family == LAGGED for own in self.drivers)
 
+    def of_members(self, numbers: Sequence[int]) -> Hypothesis:
+        """The same about some members of the site."""
+        drivers = tuple(tuple(own[number] for number in numbers) for own in self.drivers)
+        return replace(self, site=self.site.of_members(numbers), drivers=drivers)
+
 
 @dataclass(frozen=True)
 class Targets:

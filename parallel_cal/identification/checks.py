@@ -96,7 +96,11 @@ class UnexplainedMotionError(FitError):
 
 
 class WrongSignError(FitError):
-    """An effect fits only with a sign that its physics forbids."""
+    """An `effect` (its name) fits only with a sign that its physics forbids."""
+
+    def __init__(self, words: str, effect: str):
+        super().__init__(words)
+        self.effect = effect
 
 
 def check_plausible(
@@ -186,7 +190,8 @@ def check_plausible(
             side = "negative" if value < p.nominal else "positive"
             raise WrongSignError(
                 f"{p.name} would have to be {_show(p, value)}, but its physics allows no {side} "
-                f"value: {_advise_on_sign(model, p)}"
+                f"value: {_advise_on_sign(model, p)}",
+                p.name.split(".")[0],
             )
         tolerances[p.name] = 1.2 * p.tolerance * (value - p.nominal) / (bound - p.nominal)
         usual_tolerances.setdefault(p.name, p.tolerance)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -90,10 +92,12 @@ class Stack:
     blocks: tuple[Block, ...]
 
     @classmethod
-    def by_width(cls, blocks: Sequence[Block]) -> list[Stack]:
-        """Stack the blocks that have equally many columns."""
-        widths = sorted({block.columns.shape[2] for block in blocks})
-        return [cls(tuple(b for b in blocks if b.columns.shape[2] == k)) for k in widths]
+    def of_alike(cls, blocks: Sequence[Block]) -> list[Stack]:
+        """Stack the blocks of one kind that have equally many columns."""
+        alike = defaultdict[tuple[int, str], list[Block]](list)
+        for block in blocks:
+            alike[block.columns.shape[2], block.kind].append(block)
+        return [cls(tuple(alike[key])) for key in sorted(alike)]
 
     @cached_property
     def first(self) -> np.ndarray:
@@ -112,6 +116,11 @@ class Stack:
         """Of each setting."""
         priors = [block.log_prior - np.log(block.tried) for block in self.blocks]
         return np.repeat(priors, [len(block.columns) for block in self.blocks])
+
+    @cached_property
+    def known(self) -> dict[Hashable, Any]:
+        """What is known of these blocks beside chosen causes, for searches that share them."""
+        return {}
 
     @cached_property
     def _products(self) -> dict[tuple[int, int], tuple[Block, np.ndarray]]:

@@ -139,7 +139,14 @@ class Evidence:
         return np.asarray(log_p + self.log_prior + stack.log_prior[:, None] + LOG_WEIGHTS)
 
     def rank(self, stack: Stack) -> list[Ranked]:
-        """One more cause beside the chosen ones, for each block of a stack."""
+        """One more cause beside the chosen ones, for each block of a stack, computed once."""
+        key = frozenset(self.chosen), self.nu
+        if key not in stack.known:
+            stack.known[key] = self._rank(stack)
+        known: list[Ranked] = stack.known[key]
+        return known
+
+    def _rank(self, stack: Stack) -> list[Ranked]:
         log_p = self.weigh(stack)
         found = []
         for block, own in zip(stack.blocks, np.split(log_p, stack.first[1:]), strict=True):

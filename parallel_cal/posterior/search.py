@@ -58,20 +58,23 @@ class Posterior:
 @dataclass(frozen=True)
 class Sum:
     """All sets of causes about one residual. `nu` are the degrees of freedom of what is known of
-    the noise; where it is stated, the sum doubts it, too."""
+    the noise; where it is stated, the sum doubts it, too. Causes that are `left_out` by name are
+    not there; sums over the same `stacks` share what they compute."""
 
     scene: Scene
-    blocks: Sequence[Block]
+    stacks: Sequence[Stack]
     nu: float
     refine: Refine | None = field(default=None, repr=False)
+    left_out: Collection[str] = ()
 
     @cached_property
     def _squares(self) -> float:
         return float(self.scene.residual @ self.scene.residual)
 
     @cached_property
-    def _stacks(self) -> list[Stack]:
-        return Stack.by_width(self.blocks)
+    def blocks(self) -> list[Block]:
+        every = (block for stack in self.stacks for block in stack.blocks)
+        return [block for block in every if block.name not in self.left_out]
 
     def evidence(self, chosen: Sequence[Choice], nu: float) -> Evidence:
         return Evidence(self._squares, self.scene.dof, nu, tuple(chosen))
@@ -86,8 +89,10 @@ class Sum:
 
     def rank(self, evidence: Evidence, taken: Collection[str] = ()) -> list[Ranked]:
         """Every other cause beside the chosen ones, the likeliest first."""
-        ranked = (one for stack in self._stacks for one in evidence.rank(stack))
-        left = (one for one in ranked if one.best.block.name not in taken)
+        out = {*taken, *self.left_out}
+        stacks = (stack for stack in self.stacks if any(b.name not in out for b in stack.blocks))
+        ranked = (one for stack in stacks for one in evidence.rank(stack))
+        left = (one for one in ranked if one.best.block.name not in out)
         return sorted(left, key=lambda one: -one.log_p)
 
     def search(self, chosen: tuple[Choice, ...] = ()) -> Posterior:
@@ -126,9 +131,10 @@ class Sum:
             if one.block.kind == KNOCK:  # it imitates nothing
                 continue
             rest = now.chosen[:k] + now.chosen[k + 1 :]
-            ranked = self.rank(self.evidence(rest, nu), names)
+            without = self.evidence(rest, nu)
+            ranked = [other for other in self.rank(without, names) if other.log_p > without.log_p]
             effects = [other for other in ranked if other.best.block.kind == EFFECT]
-            for first in effects[:MAX_FIRST]:
+            for first in effects[:MAX_FIRST]:  # each explains part of what the one imitates
                 beside = self.evidence((*rest, first.best), nu)
                 seconds = self.rank(beside, {*names, first.best.block.name})
                 if seconds and seconds[0].log_p > now.log_p:

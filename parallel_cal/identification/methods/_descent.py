@@ -63,6 +63,24 @@ class _Point:
         return self.system.chi2 + self.known - self.system.chi2_of(other.system) - other.known
 
 
+@dataclass(frozen=True)
+class Damping:
+    """The damping of a step, and how many steps in turn have failed: each raises it by more than
+    the last one, so that few are tried where only a short step helps (H. B. Nielsen, Damping
+    parameter in Marquardt's method, IMM-REP-1999-05, Technical University of Denmark)."""
+
+    size: float = 1e-6
+    failed: int = 0
+
+    def after(self, fall: float, promised: float) -> Damping:
+        """The damping of the next step, after one that fell by `fall` instead of `promised`."""
+        failed = 0 if fall > 0 else self.failed + 1
+        if fall > promised / 2:
+            return Damping(max(self.size / 5, 1e-12))
+        # A fall below half of the predicted one shows curvature: longer steps would oscillate.
+        return Damping(max(self.size * 3.0 ** max(failed, 1), 1e-6), failed)
+
+
 def minimise(sought: EstimationProblem, reach: Reach, advice: str, near: bool = False) -> Estimate:
     """Levenberg-Marquardt (C.4) on whitened residuals, for every iterative method.
 
@@ -92,7 +110,7 @@ def minimise(sought: EstimationProblem, reach: Reach, advice: str, near: bool = 
         raise FitError("the starting model has no solution at some samples: start nearer")
     known, choices = sought.make_knowledge(first), 1
     here, costs = held(np.array(sought.model.values), first), [np.inf]
-    damping, promised, settled = 1e-6, np.inf, False
+    damping, promised, settled = Damping(), np.inf, False
     for k in range(ITERATIONS):
         last = near and k > 0 and here.normal.will_converge(promised)
         if (k > 0 and here.normal.has_converged) or last or _gain_nothing(costs):
@@ -103,15 +121,14 @@ def minimise(sought: EstimationProblem, reach: Reach, advice: str, near: bool = 
                 values[free] += here.normal.step(0.0)[0] if last else 0.0
                 found = make_estimate(sought, values, here.system, k, seen)
                 return replace(found, system=here.system)
-            known, choices, damping, costs = better, choices + 1, 1e-6, [np.inf]
+            known, choices, damping, costs = better, choices + 1, Damping(), [np.inf]
             here = held(here.values, here.system)
-        tried, promised = ahead(here, damping)
+        tried, promised = ahead(here, damping.size)
         if tried is not None and here.fall_to(tried) < 0:
             # A step along a curved valley ends on its slope; a second one leads to its floor.
-            tried, _ = ahead(tried, damping)
+            tried, _ = ahead(tried, damping.size)
         fall = -np.inf if tried is None else here.fall_to(tried)
-        # A fall below half of the predicted one shows curvature: longer steps would oscillate.
-        damping = max(damping / 5, 1e-12) if fall > promised / 2 else max(damping * 3, 1e-6)
+        damping = damping.after(fall, promised)
         nothing = 1e-9 * (here.system.chi2 + here.known)
         if tried is not None and fall >= -nothing:
             here, settled = tried, False
@@ -120,7 +137,7 @@ def minimise(sought: EstimationProblem, reach: Reach, advice: str, near: bool = 
             before, here = here, at(here.values, here.system, stay) or here
             settled = abs(before.system.chi2 - here.system.chi2) <= nothing
         costs.append(here.system.chi2 + here.known)
-        if damping > 1e12:
+        if damping.size > 1e12:
             break
     raise NoSolutionError(
         f"identification did not converge in {ITERATIONS} iterations (chi2 "
