@@ -63,8 +63,9 @@ class Trial:
     """A refit of the model with some effects, or the reason why it has none; `wrong_sign` is the
     effect whose sign physics forbids, if that is the reason, `contradicts` if it is a contradiction
     that a caller may insist on, `unsolved` if the refit found no solution. `implausible` is the
-    chi2/dof of a refit whose geometry no robot has. `scenes` keeps the scene once it is made; it shares derivatives
-    with other trials. `unjudged` is the fit if its validation errors are not computed yet.
+    chi2/dof of a refit whose geometry no robot has. `scenes` keeps the scene once it is made; it
+    shares derivatives with other trials. `unjudged` is the fit if its validation errors are not
+    computed yet.
     """
 
     chosen: tuple[Chosen, ...]
