@@ -54,7 +54,7 @@ def explain(model: Model, data: Dataset) -> Explanation:
     options = FitOptions(hold_out=0.0)
     given = GivenModel.of(model, data, options.joint_sigma, True)
 
-    def refit(extended: Model, insist: bool, compared_only: bool) -> Any:
+    def refit(extended: Model, insist: bool, compared_only: bool, near: Any) -> Any:
         return fit_unjudged(
             extended, given.dataset, options, given=given, compared_only=compared_only
         )

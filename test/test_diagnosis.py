@@ -17,10 +17,12 @@ import parallel_cal.diagnosis.separate as separate
 import parallel_cal.identification.fit as fitting
 import parallel_cal.identification.given_model as given_model
 from parallel_cal.base.errors import FitError
-from parallel_cal.diagnosis.diagnose import diagnose
-from parallel_cal.diagnosis.search import Chosen
+from parallel_cal.base.progress import ignore_progress
+from parallel_cal.diagnosis.diagnose import diagnose, refit_with_equal_weights
+from parallel_cal.diagnosis.search import Chosen, Search
 from parallel_cal.diagnosis.separate import NextMeasurement
 from parallel_cal.identification.fit import fit
+from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.model import Noise
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting.text import show
@@ -39,6 +41,23 @@ def play():
 
 def entry(document, name):
     return next(c for c in document["candidates"] if c["effect"] == name)
+
+
+def test_a_single_step_shows_what_a_whole_fit_of_one_effect_would_find(play):
+    _, data = play
+    given = given_model.GivenModel.of(MODEL, data, None, False)
+    search = Search(MODEL, refit_with_equal_weights(MODEL, given, FitOptions()), ignore_progress)
+    one = Chosen("backlash")
+    step = search.fit(one, once=True)
+    whole = search.fit(one)
+    assert step.fitted.estimate.iterations == 1 < whole.fitted.estimate.iterations
+    assert step.fitted.estimate.chi2 == pytest.approx(whole.fitted.estimate.chi2, rel=1e-3)
+    errors = [t.fitted.held_out.summary.position_rms for t in (search.fit(), step, whole)]
+    assert errors[1] == pytest.approx(errors[2], rel=0.004)
+    assert errors[2] < 0.9 * errors[0]
+    widths = [t.fitted.parameters()["backlash.joint1.width"] for t in (step, whole)]
+    assert widths[0].value == pytest.approx(widths[1].value, abs=0.05 * widths[1].sigma)
+    assert search.fit(one, once=True).fitted is whole.fitted  # the better one, once it is known
 
 
 # ------------------------------------------------------------------------- what it says

@@ -529,11 +529,15 @@ def refit_with_equal_weights(model: Model, given: GivenModel, options: FitOption
     first fit estimates: only with equal weights can the residuals of two models be compared."""
     noise: Observations | None = None
 
-    def refit(extended: Model, insist: bool, compared_only: bool) -> UnjudgedFit:
+    def refit(
+        extended: Model, insist: bool, compared_only: bool, near: FitResult | None
+    ) -> UnjudgedFit:
         nonlocal noise
         asked = replace(options, insist=insist or options.insist)
         asked = limit_patterns(asked, extended, model)
-        unjudged = fit_unjudged(extended, given.dataset, asked, None, given, noise, compared_only)
+        unjudged = fit_unjudged(
+            extended, given.dataset, asked, None, given, noise, compared_only, near
+        )
         noise = noise or unjudged.result.observations
         return unjudged
 

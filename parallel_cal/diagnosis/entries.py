@@ -105,8 +105,8 @@ def entries(
     """Make one entry for each candidate, the most probable first: evidence if it is testable, else
     a reason.
 
-    Probable ones are fitted, each alone; those that `best` chose as large as the data show, even if
-    that is unusual.
+    Probable ones are fitted, each alone by a single step; those that `best` chose as large as the
+    data show, even if that is unusual.
     """
     named, probable = set(best.names), explanation.probable
     alike = defaultdict[str, tuple[str, ...]](tuple)
@@ -127,7 +127,7 @@ def entries(
         likely = one.testable and one.name in probable
         if likely and rank <= MAX_REFITTED_CANDIDATES:
             fit = search.fit_as_shown if one.name in named else search.fit
-            trial = fit(Chosen.of(one))
+            trial = fit(Chosen.of(one), once=True)
             reason = trial.reason or reason
             alone = _summarise_single_fit(one, base, trial, noise) if trial.result else None
         p = probability.get(one.name)

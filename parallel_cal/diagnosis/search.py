@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 
@@ -30,8 +31,9 @@ from parallel_cal.identification.unusual import describe_by_effect
 from parallel_cal.model.model import Model
 from parallel_cal.posterior.scene import Scene, SharedDerivatives
 
-# Of a model; whether contradictions are accepted, and whether the fit is only compared with others.
-Refit = Callable[[Model, bool, bool], UnjudgedFit]
+# Of a model; whether contradictions are accepted, whether the fit is only compared with others, and
+# the fit near which a single step is enough.
+Refit = Callable[[Model, bool, bool, FitResult | None], UnjudgedFit]
 
 
 @dataclass(frozen=True)
@@ -146,12 +148,15 @@ class Search:
         self.from_any_geometry = from_any_geometry
         self._usual_only = usual_only
         self._shared = SharedDerivatives()
-        self._known: dict[tuple[Collection[Chosen], bool], Trial] = {}
+        self._known: dict[tuple[Collection[Chosen], bool, bool], Trial] = {}
 
-    def fit(self, *chosen: Chosen, insist: bool = False, judged: bool = True) -> Trial:
+    def fit(
+        self, *chosen: Chosen, insist: bool = False, judged: bool = True, once: bool = False
+    ) -> Trial:
         """Fit the baseline with these effects on all poses and, if `judged`, judge it at held-out
-        poses; with `insist`, unusual sizes and contradictions are accepted."""
-        trial = self._fit_any_size(chosen, False, judged)
+        poses; with `insist`, unusual sizes and contradictions are accepted. With `once`, a single
+        step from the baseline is enough: for what is shown, and decides nothing."""
+        trial = self._fit_any_size(chosen, False, judged, once)
         if trial.result is None:
             again = insist and trial.contradicts
             return self._fit_any_size(chosen, True, judged) if again else trial
@@ -161,23 +166,25 @@ class Search:
                 return Trial(chosen, None, words)
         return trial
 
-    def fit_as_shown(self, *chosen: Chosen, judged: bool = True) -> Trial:
+    def fit_as_shown(self, *chosen: Chosen, judged: bool = True, once: bool = False) -> Trial:
         """Fit with these effects, each as large as the data show, unless only usual sizes are
-        accepted: `add` would accept it with a warning."""
-        trial = self._fit_any_size(chosen, False, judged)
+        accepted: `add` would accept it with a warning. `once` is as in `fit`."""
+        trial = self._fit_any_size(chosen, False, judged, once)
         if self._usual_only or trial.result is None:
-            return self.fit(*chosen, judged=judged)
+            return self.fit(*chosen, judged=judged, once=once)
         larger = describe_by_effect(trial.result.unusual.values())
         return replace(
             trial,
             chosen=tuple(replace(c, unusual=c.unusual or c.name in larger) for c in chosen),
         )
 
-    def _fit_any_size(self, chosen: tuple[Chosen, ...], insist: bool, judged: bool) -> Trial:
+    def _fit_any_size(
+        self, chosen: tuple[Chosen, ...], insist: bool, judged: bool, once: bool = False
+    ) -> Trial:
         """Fit once for all callers, whatever size the effects turn out to have, and in whatever
-        order they were chosen."""
+        order they were chosen; a whole fit that is known is better than a single step."""
         ordered = tuple(replace(one, unusual=False) for one in chosen)
-        for key in ((frozenset(ordered), insist), (ordered, insist)):
+        for key in product((frozenset(ordered), ordered), (insist,), sorted({False, once})):
             if (known := self._known.get(key)) is None:
                 continue
             if judged and known.unjudged is not None:
@@ -185,15 +192,15 @@ class Search:
             return replace(known, chosen=chosen)
         names = ", ".join(c.name for c in chosen)
         self._progress(f"refitting with {names}" if names else "refitting the geometry", 0.5)
-        key = frozenset(ordered), insist
-        model = self._model
+        key = frozenset(ordered), insist, once
+        model, near = self._model, self.fit(judged=False).result if once else None
         try:
             for one in chosen:
                 model = model.with_effect(one.name, one.settings)
-            unjudged = self._refit(model, insist, self.from_any_geometry and not chosen)
+            unjudged = self._refit(model, insist, self.from_any_geometry and not chosen, near)
             trial = Trial(chosen, unjudged.result, shared=self._shared, unjudged=unjudged)
         except ModelError as error:  # an effect of the larger model, before it: the order matters
-            key, trial = (ordered, insist), Trial(chosen, None, str(error))
+            key, trial = (ordered, insist, once), Trial(chosen, None, str(error))
         except FitError as error:
             trial = _fail(chosen, error)
         self._known[key] = _judge(trial) if judged and trial.unjudged is not None else trial

@@ -560,25 +560,31 @@ def fit_unjudged(
     given: GivenModel | None = None,
     noise: Observations | None = None,
     compared_only: bool = False,
+    near: FitResult | None = None,
 ) -> UnjudgedFit:
     """Fit a model that describes where its device stands; leave the validation errors for later.
 
     `given` is the model to compare with, by default the model itself. `noise` are the same samples
     with noise that another fit estimated, if this fit must use the same weights. A fit that is
-    `compared_only` may have a geometry that no robot has.
+    `compared_only` may have a geometry that no robot has. From one that is `near`, to the same
+    samples, a single step is made.
     """
     given = given or GivenModel(model, model, dataset, options.joint_sigma, options.insist)
     mask, is_partial = chosen_parameters(model, options)
-    identify = Identification(
-        model, mask, estimator(options.method, options.prior, options.loss), options.prior
-    )
+    estimate_with = estimator(options.method, options.prior, options.loss)
+    begin = model.values
+    if near is not None and (options.method, options.loss) == ("implicit", "linear"):
+        known = near.model.table.mapping(near.model.values)
+        begin = np.array([known.get(n, v) for n, v in zip(model.table.names, begin, strict=True)])
+        estimate_with = partial(estimate_with, once=True)
+    identify = Identification(model, mask, estimate_with, options.prior)
     if is_partial:
         check_convergent_method(options.method, "a partial re-calibration")
     observations = _observe(model, dataset, options, given, noise)
     if words := explain_too_few_poses(model, observations, mask, options.prior):
         raise FitError(words)
     (progress or ignore_progress)("identifying", 0.0)
-    found = identify.with_noise(observations, noise_is_known=noise is not None)
+    found = identify.with_noise(observations, begin, noise_is_known=noise is not None)
     if is_partial:
         found = replace(
             found,

@@ -57,10 +57,12 @@ class Identification:
     estimate_with: Estimator = field(repr=False)
     prior: bool | Prior | None
 
-    def with_noise(self, observations: Observations, noise_is_known: bool) -> Identified:
-        """Identify the parameters; where no noise is stated, the samples tell it, and the
-        parameters are identified again with it, until both stay."""
-        model, estimate = self(observations, self.usual.values)
+    def with_noise(
+        self, observations: Observations, begin: np.ndarray, noise_is_known: bool
+    ) -> Identified:
+        """Identify the parameters, starting at `begin`; where no noise is stated, the samples tell
+        it, and the parameters are identified again with it, until both stay."""
+        model, estimate = self(observations, begin)
         measured = measure_image_noise(model.with_values(estimate.values), observations)
         if measured is not observations:
             observations = measured

@@ -81,13 +81,19 @@ class Damping:
         return Damping(max(self.size * 3.0 ** max(failed, 1), 1e-6), failed)
 
 
-def minimise(sought: EstimationProblem, reach: Reach, advice: str, near: bool = False) -> Estimate:
+def minimise(
+    sought: EstimationProblem,
+    reach: Reach,
+    advice: str,
+    near: bool = False,
+    steps: int = ITERATIONS,
+) -> Estimate:
     """Levenberg-Marquardt (C.4) on whitened residuals, for every iterative method.
 
     The tolerances are priors of the directions that the data determine weakly. These directions are
     chosen at the start, and again at every minimum until they stay the same. If `near` a solution,
-    the last step is applied without an evaluation if it is predicted to converge. FitError with
-    `advice` if the descent does not converge.
+    the last step is applied without an evaluation if it is predicted to converge. After so many
+    `steps` it ends, converged or not. FitError with `advice` if it does not converge in ITERATIONS.
     """
     free, stay = sought.free, np.zeros(int(sought.free.sum()))
 
@@ -112,11 +118,12 @@ def minimise(sought: EstimationProblem, reach: Reach, advice: str, near: bool = 
     here, costs = held(np.array(sought.model.values), first), [np.inf]
     damping, promised, settled = Damping(), np.inf, False
     for k in range(ITERATIONS):
-        last = near and k > 0 and here.normal.will_converge(promised)
-        if (k > 0 and here.normal.has_converged) or last or _gain_nothing(costs):
+        ends = k == steps
+        last = near and (ends or (k > 0 and here.normal.will_converge(promised)))
+        if (k > 0 and here.normal.has_converged) or last or ends or _gain_nothing(costs):
             seen = sought.compute_spectrum(here.system)
             better = sought.make_knowledge(here.system, seen)
-            if choices >= MAX_DIRECTION_CHOICES or known.is_close_to(better):
+            if ends or choices >= MAX_DIRECTION_CHOICES or known.is_close_to(better):
                 values = here.values.copy()
                 values[free] += here.normal.step(0.0)[0] if last else 0.0
                 found = make_estimate(sought, values, here.system, k, seen)

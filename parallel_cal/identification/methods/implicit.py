@@ -25,6 +25,7 @@ def estimate(
     prior: bool | Prior | None = False,
     weighted: bool = True,
     begin: System | None = None,
+    once: bool = False,
 ) -> Estimate:
     """Estimate the parameters by Levenberg-Marquardt (C.4) on whitened closure residuals.
 
@@ -32,7 +33,8 @@ def estimate(
     nominal value, a Prior adds its mean and covariance, and None adds the tolerances only along
     directions that the data determine weakly. `weighted=False` is the merit function of the thesis
     (eq. 5.6): chains decouple, but sigma and chi2 lose their meaning. `begin` is the closure
-    linearised at the model's parameters, if it is known. FitError without convergence.
+    linearised at the model's parameters, if it is known. With `once`, a single step is made: near
+    the solution, it is as good. FitError without convergence.
     """
     linearise = Linearisation(model, observations, free, weighted)
 
@@ -44,4 +46,6 @@ def estimate(
 
     sought = EstimationProblem(model, free, prior, observations.noise_assumed)
     advice = "is the starting model of the right robot?"
-    return minimise(sought, reach, advice, near=begin is not None)
+    near = begin is not None
+    steps = {"steps": 0 if near else 1} if once else {}
+    return minimise(sought, reach, advice, near, **steps)
