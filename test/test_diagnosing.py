@@ -333,7 +333,7 @@ def test_a_scan_that_shares_derivatives_finds_the_same_setting():
     data = measured(0, effects=[vr.Backlash((3e-4, 2.5e-4, 2e-4))])
     search = Search(
         new_model("delta54"),
-        lambda model, insist, _: fit_unjudged(model, data, FitOptions()),
+        lambda model, insist, *_: fit_unjudged(model, data, FitOptions()),
         lambda *_: None,
     )
     candidate(search.fit(judged=False).scene, "gear_transmission_error")
@@ -363,7 +363,7 @@ def test_a_fit_whose_validation_fails_is_no_trial(monkeypatch):
 
     search = Search(
         new_model("delta54"),
-        lambda model, insist, _: fit_unjudged(model, data, FitOptions()),
+        lambda model, insist, *_: fit_unjudged(model, data, FitOptions()),
         lambda *_: None,
     )
     assert search.fit(judged=False).result is not None

@@ -407,7 +407,7 @@ def test_an_effect_that_only_the_larger_model_can_have_fails_without_it_and_says
     data = measured(0, effects=[PLAY])
     search = Search(
         new_model("delta24"),
-        lambda model, insist, _: fit_unjudged(model, data, FitOptions(insist=insist)),
+        lambda model, insist, *_: fit_unjudged(model, data, FitOptions(insist=insist)),
         lambda stage, fraction: None,
     )
     both = search.fit(Chosen("parallelogram_errors"), Chosen("target_offset"))

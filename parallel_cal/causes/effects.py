@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from parallel_cal.model.effect import parse_part
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import list_plugins, load_effect
 from parallel_cal.posterior.blocks import EFFECT, LOG_ODDS, Block
-from parallel_cal.posterior.evidence import Choice, Evidence
+from parallel_cal.posterior.evidence import UNKNOWN, Choice, Evidence
 from parallel_cal.posterior.scene import Scene, columns
 from parallel_cal.recordings.dataset import Dataset
 
@@ -79,55 +80,110 @@ def widen_scene(scene: Scene, wide: Model) -> tuple[Scene, np.ndarray]:
     return wider, columns(wide, wider, new)
 
 
-def refine_setting(scene: Scene, beside: Evidence, best: Choice) -> Choice:
-    """The choice of an effect with its continuous settings refined between their scanned
-    neighbours, each in turn, where the evidence is highest."""
-    from scipy.optimize import minimize_scalar
+@dataclass(frozen=True)
+class Scan:
+    """The settings of one effect, weighed beside other causes: those that were scanned, as its
+    block has them, and others between them."""
 
-    block = best.block
-    if block.kind != EFFECT or not block.settings[best.setting]:
-        return best
-    effect = load_effect(block.name)
-    if not effect.refines:
-        return best
-    plain = scene.model.with_effect(block.name)
-    a, setting = conditions(plain, scene.dataset), dict(block.settings[best.setting])
+    scene: Scene
+    beside: Evidence
+    block: Block
 
-    def refined(values: Mapping[str, float]) -> Block:
-        own = [compute_effect_columns(scene, plain, values, a)]
-        more = Block.of(scene, block.name, EFFECT, block.log_prior, own, [values], block.tried)
+    @cached_property
+    def _plain(self) -> tuple[Model, np.ndarray]:
+        """The model with the effect, and its conditions."""
+        plain = self.scene.model.with_effect(self.block.name)
+        return plain, conditions(plain, self.scene.dataset)
+
+    def at(self, values: Mapping[str, float]) -> Block:
+        """The effect with one setting."""
+        (plain, a), block = self._plain, self.block
+        own = [compute_effect_columns(self.scene, plain, values, a)]
+        more = Block.of(self.scene, block.name, EFFECT, block.log_prior, own, [values], block.tried)
         return block if more is None else more
 
-    def cost(values: Mapping[str, float]) -> float:
-        return -float(beside.weigh(refined(values).alone).max())
+    def weigh(self, values: Mapping[str, float]) -> float:
+        """The log posterior of the effect with one setting, at its likeliest size."""
+        return float(self.beside.weigh(self.at(values).alone).max())
 
-    def find_best(key: str, start: Mapping[str, float]) -> dict[str, float]:
-        """The best value of one number between the neighbours of its start in the scan."""
+    def neighbours(self, setting: Mapping[str, float], key: str) -> list[float]:
+        """The scanned values of one number, with all others as the setting has them, in order;
+        none if they are too few to look between them."""
+        others = setting.items() - {(key, setting[key])}
+        values = sorted({one[key] for one in self.block.settings if others <= one.items()})
+        return values if len(values) >= MIN_SCANNED else []
+
+    def find_best(
+        self, key: str, scanned: Sequence[float], start: Mapping[str, float]
+    ) -> tuple[float, dict[str, float]]:
+        """The log posterior at the best value of one number between the scanned ones on both sides
+        of its start, and the setting with it."""
+        from scipy.optimize import minimize_scalar
+
         at = int(np.argmin(np.abs(np.array(scanned) - start[key])))
         low, high = scanned[max(at - 1, 0)], scanned[min(at + 1, len(scanned) - 1)]
         optimum = minimize_scalar(
-            lambda value: cost({**start, key: value}),
+            lambda value: -self.weigh({**start, key: value}),
             bounds=(low, high),
             method="bounded",
             options={"xatol": 1e-3 * (high - low)},
         )
-        found = {**start, key: float(optimum.x)}
-        return found if optimum.fun < cost(start) else dict(start)
+        found, before = {**start, key: float(optimum.x)}, self.weigh(start)
+        return (-float(optimum.fun), found) if -optimum.fun > before else (before, dict(start))
 
-    for key in setting:
-        others = setting.items() - {(key, setting[key])}
-        scanned = sorted({one[key] for one in block.settings if others <= one.items()})
-        if len(scanned) < MIN_SCANNED:
-            continue
-        starts = (setting, *({**setting, **one} for one in effect.multiples(setting)))
-        peaks = [(cost(peak), peak) for peak in (find_best(key, start) for start in starts)]
-        least = min(peaks, key=lambda one: one[0])[0]
-        # The last of those that fit as well as the best.
-        setting = [peak for value, peak in peaks if value < least + EQUAL_EVIDENCE][-1]
-    if setting == block.settings[best.setting]:
+    def refine(self, best: Choice) -> tuple[Choice, dict[str, float]]:
+        """The choice with its continuous numbers refined between their scanned neighbours, each in
+        turn, where the posterior is highest; and the standard deviation of each that was refined.
+
+        One standard deviation away, the logarithm of the posterior is lower by a half.
+        """
+        scanned_setting = self.block.settings[best.setting]
+        effect = load_effect(self.block.name)
+        setting, sigma = dict(scanned_setting), dict[str, float]()
+        for key in scanned_setting if effect.refines else ():
+            scanned = self.neighbours(scanned_setting, key)
+            if not scanned:
+                continue
+            starts = (setting, *({**setting, **one} for one in effect.multiples(setting)))
+            peaks = [self.find_best(key, scanned, start) for start in starts]
+            most = max(value for value, _ in peaks)
+            # The last of those that fit as well as the best.
+            setting = [found for value, found in peaks if value > most - EQUAL_EVIDENCE][-1]
+            step = float(np.diff(scanned).min()) / 20
+            near = [self.weigh({**setting, key: setting[key] + away}) for away in (-step, 0, step)]
+            bend = float(2 * near[1] - near[0] - near[2]) / step**2
+            if bend > 0:
+                sigma[key] = bend**-0.5
+        if setting == scanned_setting:
+            return best, sigma
+        more = self.at(setting)
+        return Choice(more, 0, int(np.argmax(self.beside.weigh(more.alone)[0]))), sigma
+
+
+def refine_setting(scene: Scene, beside: Evidence, best: Choice) -> Choice:
+    """The choice of an effect with its continuous settings refined; of another cause, itself."""
+    if best.block.kind != EFFECT or not best.block.settings[best.setting]:
         return best
-    more = refined(setting)
-    return Choice(more, 0, int(np.argmax(beside.weigh(more.alone)[0])))
+    return Scan(scene, beside, best.block).refine(best)[0]
+
+
+def choose_setting(
+    scene: Scene, name: str, settings: Sequence[Mapping[str, float]]
+) -> tuple[Mapping[str, float], Mapping[str, float]]:
+    """The likeliest of the scanned settings of an effect beside no other cause, refined if the
+    effect is likelier than none, with the standard deviations of the refined numbers."""
+    plain = scene.model.with_effect(name)
+    a = conditions(plain, scene.dataset)
+    each = [compute_effect_columns(scene, plain, one, a, True) for one in settings]
+    block = Block.of(scene, name, EFFECT, LOG_ODDS, each, settings)
+    if block is None:  # the geometry imitates it
+        return settings[0], {}
+    nothing = Evidence(float(scene.residual @ scene.residual), scene.dof, UNKNOWN)
+    [ranked] = nothing.rank(block.alone)
+    if ranked.log_p <= nothing.log_p:
+        return settings[ranked.best.setting], {}
+    best, sigma = Scan(scene, nothing, block).refine(ranked.best)
+    return best.block.settings[best.setting], sigma
 
 
 def list_effects_to_test(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -10,16 +10,16 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.causes.effects import (
+    choose_setting,
     collect_recorded_values,
     compute_effect_columns,
     find_missing_conditions,
     widen_scene,
 )
-from parallel_cal.diagnosis.scoring import Score, quick_log_p, score
+from parallel_cal.diagnosis.scoring import Score, score
 from parallel_cal.diagnosis.thresholds import (
     EFFECT_SIGNIFICANCE_LEVEL,
     EQUAL_FIT_LOG_P,
-    MAX_LOG_P_TO_REFINE,
     MIN_SLOW_CORRELATION,
     MIN_VISIBLE_SIGMAS,
 )
@@ -122,17 +122,8 @@ def candidate(scene: Scene, name: str, scored: Iterable[Candidate] = ()) -> Cand
     if not settings:
         reason = f"cannot be tested: {', '.join(effect.needs)} never changed"
         return Candidate(name, effect, reason=reason)
-    many = [0.0]
-    if len(settings) > 1:
-        many = [
-            quick_log_p(scene, compute_effect_columns(scene, plain, setting, a, share=True))
-            for setting in settings
-        ]
-    best = int(np.argmin(many))
-    setting = settings[best]
-    sigma: Mapping[str, float] = {}
-    if effect.refines and many[best] < MAX_LOG_P_TO_REFINE:
-        setting, sigma = _refine(scene, plain, effect, settings, best, a)
+    several = len(settings) > 1
+    setting, sigma = choose_setting(scene, name, settings) if several else (settings[0], {})
     highest = score(scene, compute_effect_columns(scene, plain, setting, a))
     reason = _explain_invisible(highest, len(settings))
     found = Candidate(name, effect, setting, highest, scene, len(settings), (), reason, sigma)
@@ -141,73 +132,6 @@ def candidate(scene: Scene, name: str, scored: Iterable[Candidate] = ()) -> Cand
             reason = f"explains no more than {one.name}, a special case of it"
             return Candidate(name, effect, reason=reason)
     return found
-
-
-def _refine(
-    scene: Scene,
-    plain: Model,
-    effect: Effect,
-    settings: Sequence[Mapping[str, float]],
-    best: int,
-    a: np.ndarray,
-) -> tuple[dict[str, float], dict[str, float]]:
-    """Refine the best of the scanned settings, with the sigma of each refined parameter.
-
-    One parameter after the other is refined between its neighbours in the scan, if the scan varied
-    it while the others stayed."""
-    scanned = settings[best]
-    setting, sigma = dict(scanned), {}
-    for key in scanned:
-        others = scanned.items() - {(key, scanned[key])}
-        tried = [one for one in settings if others <= one.items()]
-        if len(tried) == 1:
-            continue
-        at = tried.index(scanned)
-        step = float(np.ptp([one[key] for one in tried[max(at - 1, 0) : at + 2]]) / 2)
-        near = (setting, *effect.multiples(setting))
-        peaks = [_peak(scene, plain, {**setting, **one}, key, step, a) for one in near]
-        # Select the last of those that fit as well as the best.
-        limit = min(peak.log_p for peak in peaks) + EQUAL_FIT_LOG_P
-        peak = [peak for peak in peaks if peak.log_p < limit][-1]
-        setting[key] = peak.value
-        if peak.sigma is not None:
-            sigma[key] = peak.sigma
-    return setting, sigma
-
-
-@dataclass(frozen=True)
-class Peak:
-    """A value of a parameter that fits best among its neighbours, its log p and its sigma."""
-
-    value: float
-    log_p: float
-    sigma: float | None
-
-
-def _peak(
-    scene: Scene, plain: Model, setting: Mapping[str, float], key: str, step: float, a: np.ndarray
-) -> Peak:
-    """The best value of one parameter of a setting within a step: log p falls by a half where chi2
-    rises by one, and one sigma away it does."""
-    from scipy.optimize import minimize_scalar
-
-    def log_p(value: float) -> float:
-        changed = {**setting, key: value}
-        return quick_log_p(scene, compute_effect_columns(scene, plain, changed, a))
-
-    near, table = setting[key], plain.table
-    lowest = table[f"{plain.effects[-1].name}.{key}"].low
-    optimum = minimize_scalar(
-        log_p,
-        bounds=(max(near - step, lowest), near + step),
-        method="bounded",
-        options={"xatol": 1e-3 * step},
-    )
-    value = min((near, float(optimum.x)), key=log_p)
-    apart = step / 20
-    below, at, above = (log_p(value + away) for away in (-apart, 0.0, apart))
-    bend = (below - 2 * at + above) / apart**2
-    return Peak(value, at, bend**-0.5 if bend > 0 else None)
 
 
 def _explain_invisible(score: Score, tried: int) -> str:

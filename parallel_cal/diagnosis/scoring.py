@@ -50,19 +50,6 @@ def score(scene: Scene, B: np.ndarray) -> Score:
     return Score(F, log_p, U.shape[1], remaining, size, U)
 
 
-def quick_log_p(scene: Scene, B: np.ndarray) -> float:
-    """`score(scene, B).log_p` from the columns' Gram matrix alone, for scans: a third of the work,
-    equal to rounding."""
-    gram, along, onto = B.T @ B, scene.basis.T @ B, B.T @ scene.residual
-    lengths = np.sqrt(gram.diagonal())
-    seen = lengths > 1e-9
-    left = (gram - along.T @ along)[np.ix_(seen, seen)] / np.outer(lengths[seen], lengths[seen])
-    squares, directions = np.linalg.eigh(left)
-    visible = squares > MIN_COLUMN_REMAINDER**2
-    g = (directions[:, visible].T @ (onto[seen] / lengths[seen])) / np.sqrt(squares[visible])
-    return _f_of(float(g @ g), scene.residual, len(g), scene.dof)[1]
-
-
 def f_test(r: np.ndarray, U: np.ndarray, dof: int) -> tuple[float, float]:
     """F and the logarithm of its p-value for orthonormal U (n, q); (0, 0) where q = 0."""
     g = U.T @ r

@@ -1,7 +1,5 @@
 """Limits that decide in a diagnosis, each with its meaning."""
 
-from math import log
-
 from parallel_cal.base.confidence import SIGNIFICANCE_LEVEL
 
 # Significance
@@ -39,7 +37,6 @@ MAX_HELD_COORDINATE_SIGMAS = (
 MAX_REFITTED_CANDIDATES = (
     5  # best significant candidates that are refitted and judged at held-out poses
 )
-MAX_LOG_P_TO_REFINE = log(1e-3)  # log p: a scanned setting is refined between its neighbours
 EQUAL_FIT_LOG_P = 4.5  # of log p, three sigmas: closer settings of a scan fit equally well
 MAX_MISTRUSTED_SHARE = 0.25  # of the samples: a robust loss excludes at most so many
 MIN_SLOW_CORRELATION = (
