@@ -11,6 +11,7 @@ import pytest
 from parallel_cal.base.errors import ModelError, ModelFileError
 from parallel_cal.exporting.targets.c import files
 from parallel_cal.kinematics.kinematics import Kinematics, Status
+from parallel_cal.kinematics.problem import Problem
 from parallel_cal.kinematics.singularity import distances
 from parallel_cal.kinematics.solving import direct
 from parallel_cal.model.file.modelfile import parse_model
@@ -66,6 +67,22 @@ def test_a_rotary_delta_stays_on_the_side_of_its_elbows_on_which_home_lies(home,
     assert found.ok[exists].all()
     np.testing.assert_allclose(found.position[exists], expected, atol=1e-9)
     assert (found.status[~exists] == Status.UNREACHABLE).all()
+
+
+def test_iterations_that_end_on_the_other_side_of_a_singularity_do_not_settle():
+    """A linear Delta with carriages at one height: its platform hangs below them, and the mirrored
+    pose above them solves the closure just as well."""
+    model = new_model("linear_delta")  # offset 100 mm, rods 250 mm
+    height = np.sqrt(0.25**2 - 0.1**2)
+    problem, conditions = Problem(model, "direct", compile=False), np.array([])
+    below, above = (
+        np.array([0.08, 0.08, 0.08, 0.0, 0.0, z, *np.eye(3).ravel()])
+        for z in (0.08 - height, 0.08 + height)
+    )
+    np.testing.assert_allclose(problem.settle(below, conditions), below, atol=1e-12)
+    closure = model.structure.closure
+    np.testing.assert_allclose(closure(above, conditions, model.values)[0], 0, atol=1e-12)
+    assert problem.settle(above, conditions) is None
 
 
 def test_a_linear_deltas_platform_stays_below_its_carriages():

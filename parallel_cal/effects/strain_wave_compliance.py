@@ -66,10 +66,10 @@ class StrainWaveCompliance(Effect):
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         load, gears = joint_forces(seen, e, at, mechanism), _find_gears(mechanism)
+        # y + y^3 = u has the real root 2 / sqrt(3) sinh(asinh(1.5 sqrt(3) u) / 3).
+        roots = 2 / np.sqrt(3) * ca.sinh(ca.asinh(1.5 * np.sqrt(3) * load / e.torque) / 3)
         twists = [
-            e[joint].compliance * e.torque * _solve_cubic(load[i] / e.torque)
-            if joint in gears
-            else 0
+            e[joint].compliance * e.torque * roots[i] if joint in gears else 0
             for i, joint in enumerate(mechanism.joints)
         ]
         return seen.with_q(seen.q + ca.vertcat(*twists))
@@ -89,8 +89,3 @@ def _find_gears(mechanism: Mechanism) -> list[str]:
     """Return the revolute joints that carry weight of the payload."""
     units = dict(zip(mechanism.joints, mechanism.joint_units, strict=True))
     return [joint for joint in find_loaded_joints(mechanism) if units[joint] == "rad"]
-
-
-def _solve_cubic(u: Any) -> Any:
-    """Return the real y with y + y^3 = u."""
-    return 2 / np.sqrt(3) * ca.sinh(ca.asinh(1.5 * np.sqrt(3) * u) / 3)

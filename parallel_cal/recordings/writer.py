@@ -17,7 +17,7 @@ from parallel_cal.base.errors import BagError
 from parallel_cal.recordings.channels import CHANNELS
 
 if TYPE_CHECKING:
-    from parallel_cal.recordings.recording import JointStream, PoseStream, ScalarStream
+    from parallel_cal.recordings.recording import PoseStream, ScalarStream
     from parallel_cal.recordings.simulate import Simulation
 
 START = 1_767_225_600_000_000_000  # ns, 2026-01-01 00:00:00 UTC: equal seeds give equal files
@@ -176,10 +176,14 @@ class _Session(Messages):
         """Return the messages of each topic, in the order of their stamps."""
         recording, frames = session.recording, session.model.frames
         payload, temperature = (recording.conditions[name] for name in ("payload", "temperature"))
+        joints = recording.joints
         return [
             self._payloads(payload, frames["platform"]),
             self._temperatures(temperature),
-            self._joint_states(recording.joints),
+            (
+                (time, "joint_states", self.joint_state(time, joints.names, q))
+                for time, q in zip(_stamps(joints.time), joints.position, strict=True)
+            ),
             self._poses(recording.pose),
             *(self._readings(name, stream) for name, stream in recording.distances.items()),
         ]
@@ -201,10 +205,6 @@ class _Session(Messages):
         for time, value in zip(_stamps(stream.time), stream.value, strict=True):
             header = self.header(time, channel)
             yield time, "distance", kind(header, 0, 0.0, -np.inf, np.inf, float(value), 0.0)
-
-    def _joint_states(self, joints: JointStream) -> Iterator[tuple[int, str, Any]]:
-        for time, q in zip(_stamps(joints.time), joints.position, strict=True):
-            yield time, "joint_states", self.joint_state(time, joints.names, q)
 
     def _poses(self, pose: PoseStream) -> Iterator[tuple[int, str, Any]]:
         kind, stamped = (

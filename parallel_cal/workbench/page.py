@@ -136,9 +136,6 @@ class Window:
         with self.layer:
             ImportDialog(self.bench)
 
-    def _import_button(self) -> None:
-        ui.button("Import a table", on_click=self._import).props("dense outline")
-
     def _draw(self) -> None:
         afresh = self.seen != self.bench.seen
         self.version, self.seen = self.bench.version, self.bench.seen
@@ -372,7 +369,7 @@ class Window:
                 self.exclude.props("dense outline")
                 self.open = ui.button("Open", on_click=self._open).props("dense outline")
                 self.open.tooltip("show the readings that the first marked sample averages")
-                self._import_button()
+                ui.button("Import a table", on_click=self._import).props("dense outline")
             ui.label(ABOUT_SAMPLES).classes("quiet")
             self._show_count(set())
             for number, size in view["knocked"].items():

@@ -101,18 +101,15 @@ def package(
         "test/configurations.hpp": "configurations.hpp",
         **{f"{include}/{robot}_{header}": header for header in plugin.headers},
     }
+    folder = resources(__package__).joinpath("_ros")
     written = {
-        file: c.fill_template(_read_template(template), words)
+        file: c.fill_template(folder.joinpath(template).read_text(encoding="utf-8"), words)
         for file, template in templates.items()
     }
     return written | {
         f"{include}/{robot}.hpp": made[f"{robot}.hpp"],
         "test/configurations.csv": _format_table(model, found),
     }
-
-
-def _read_template(name: str) -> str:
-    return resources(__package__).joinpath("_ros", name).read_text(encoding="utf-8")
 
 
 def _check_link(option: str, link: str) -> str:

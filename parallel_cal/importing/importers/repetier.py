@@ -13,7 +13,7 @@ repetier/Repetier-Firmware 7cb37413 (1.0.4), src/ArduinoAVR/Repetier: Eeprom.h a
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -127,7 +127,7 @@ def read_defined(stated: Settings) -> Settings:
     if "ROD_RADIUS" not in stated and PARTS_OF_RADIUS[0] in stated:
         outer, *inner = (stated.number(name, "mm, a plain number") for name in PARTS_OF_RADIUS)
         texts[RADIUS] = (repr(outer - sum(inner)), stated.texts[PARTS_OF_RADIUS[0]][1])
-    if not _is_number(texts, STEPS):
+    if STEPS not in texts or not re.fullmatch(r"[\d.]+", texts[STEPS][0]):
         texts.pop(STEPS, None)
         if all(name in stated for name in PARTS_OF_STEPS):
             micro, turn, pitch, teeth = (
@@ -137,10 +137,6 @@ def read_defined(stated: Settings) -> Settings:
             texts[STEPS] = (repr(micro * turn / (pitch * teeth)), place)
     texts |= {field: value for field, value in stated.texts.items() if field.startswith("M206")}
     return Settings(texts, stated.paths)
-
-
-def _is_number(texts: Mapping[str, tuple[str, SourceLine]], field: str) -> bool:
-    return field in texts and re.fullmatch(r"[\d.]+", texts[field][0]) is not None
 
 
 def towers(stated: Settings) -> Towers:
