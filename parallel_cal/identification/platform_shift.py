@@ -14,7 +14,6 @@ from parallel_cal.identification.predictions import condition_columns
 from parallel_cal.identification.registration import (
     IDENTITY_FRAMES,
     DevicePoses,
-    Frames,
     shows_pose,
 )
 from parallel_cal.identification.thresholds import (
@@ -67,7 +66,8 @@ def compute_platform_shift(before: FitResult, after: FitResult) -> PlatformShift
         poses = _compare_poses(*reached)
         frames = poses.descend(frames, poses.placed)
     measured, workspace = (
-        _compute_rms_distance(_compare_poses(*pair), frames) for pair in (reached, anywhere)
+        poses.compute_position_rms(frames) if poses.placed.any() else None
+        for poses in (_compare_poses(*pair) for pair in (reached, anywhere))
     )
     neutral: dict[str, tuple[float, str]] = {}
     units = dict(zip(new.joints, new.mechanism.joint_units, strict=True))
@@ -135,8 +135,3 @@ def _compare_poses(one: Solutions, other: Solutions) -> DevicePoses:
         now=IDENTITY_FRAMES,
         expected=np.zeros(2),
     )
-
-
-def _compute_rms_distance(poses: DevicePoses, frames: Frames) -> float | None:
-    """Rms distance (m) of the poses that both models reach, after motions of the frames."""
-    return poses.compute_position_rms(frames) if poses.placed.any() else None

@@ -25,9 +25,9 @@ from parallel_cal.base.rotation import (
 )
 from parallel_cal.base.units import MM
 from parallel_cal.identification.checks import free_mask
-from parallel_cal.identification.image_poses import move_parts_to_shown_poses
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.methods import implicit
+from parallel_cal.identification.methods.forward import minimise_pose_errors
 from parallel_cal.identification.observability import find_independent_columns
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.options import FitOptions
@@ -178,7 +178,7 @@ def register_observed(
     plain = elsewhere or there.exceeds_tolerances(found)
     if not (plain or there.is_misplaced(found, is_identified(model), stated)):
         return model, None
-    placed = _with_fitted_frames(model, observations, there, found)
+    placed = _with_fitted_frames(model, observations, there)
     if not (plain or is_identified(model) or _stays_displaced(placed, observations, there)):
         return model, None
     why = "the poses are in another frame" if elsewhere else "the poses did not fit without it"
@@ -201,8 +201,7 @@ def _stays_displaced(placed: Model, observations: Observations, there: DevicePos
     """
     own = np.array([there.is_free(name) for name in placed.table.names])
     free = (~np.asarray(placed.fixed) & (placed.table.tolerance > 0)) | own
-    sigma = np.where(own, UNKNOWN_FRAME_TOLERANCES, 1.0) * placed.table.tolerance
-    prior = Prior(placed.table.nominal, np.diag(sigma**2))
+    prior = _prior_without(placed, own)
     near = observations.select(there.find_near(frames_of(placed)))
     try:
         values = implicit.estimate(placed, near, free, prior).values
@@ -212,10 +211,8 @@ def _stays_displaced(placed: Model, observations: Observations, there: DevicePos
 
 
 def registered_by(model: Model, observations: Observations) -> Model | None:
-    """The model with the frames that fit these samples best, None if they are too few.
-
-    Least squares in the noise metric of a fit; no other parameter changes.
-    """
+    """The model with the frames that leave the smallest errors of the poses, None if the samples
+    are too few. No other parameter changes."""
     return place_frames(model, observations, DevicePoses.of(model, observations))
 
 
@@ -225,7 +222,7 @@ def place_frames(
     """Fit the frames as `registered_by` does, from the poses of the same observations."""
     placed = model
     if there is not None:
-        placed = _with_fitted_frames(model, observations, there, there.frames)
+        placed = _with_fitted_frames(model, observations, there)
     elif not shows_pose(model):
         return None
     patterns = [f"{sensor.name}.*" for sensor in placed.sensors if sensor.shows_pose]
@@ -238,10 +235,12 @@ def place_frames(
         return placed
     try:
         values = implicit.estimate(placed, observations, own, prior=None).values
+        placed = placed.with_values(values, placed.covariance)
+        # In an image, a shift and a turn of the board nearly cancel. Least squares of pixels may
+        # leave millimetres that all poses share, although they are an error of where parts stand.
+        return minimise_pose_errors(placed, observations, parts) if parts.any() else placed
     except FitError:  # the search does not converge: the views stay
         return placed
-    placed = placed.with_values(values, placed.covariance)
-    return move_parts_to_shown_poses(placed, observations, parts) if shows_pose(model) else placed
 
 
 def is_registrable(model: Model, there: DevicePoses | None) -> bool:
@@ -710,22 +709,21 @@ def _with_frames(model: Model, frames: Frames) -> Model:
     return model.with_values(np.where(own, 0.0, model.values), model.covariance)
 
 
-def _with_fitted_frames(
-    model: Model, observations: Observations, there: DevicePoses, found: Frames
-) -> Model:
-    """The model with the frames that minimise chi2, starting at those found; the best found ones
-    if the search does not converge. Poses that are far off do not count."""
-    placed = _with_frames(model, found)
-    own = np.array([there.is_free(name) for name in placed.table.names])
-    station = [name.startswith(f"{STATION_EFFECT}.") for name in placed.table.names]
-    own |= np.array(station) & ~np.asarray(placed.fixed)
-    near = observations.select(there.find_near(found))
+def _with_fitted_frames(model: Model, observations: Observations, there: DevicePoses) -> Model:
+    """The model with the frames, and with the stations of later recordings, that leave the smallest
+    errors of the poses. Poses that are far off do not count."""
+    placed = _with_frames(model, there.frames)
+    stations = [name.startswith(f"{STATION_EFFECT}.") for name in placed.table.names]
+    free = np.array(stations) & ~np.asarray(placed.fixed)
+    if not free.any():
+        return placed
+    free |= np.array([there.is_free(name) for name in placed.table.names])
+    near = observations.select(there.find_near(there.frames))
     try:
-        values = implicit.estimate(placed, near, own, prior=None).values
+        fitted = minimise_pose_errors(placed, near, free)
     except FitError:
         return placed
-    fitted = placed.with_values(values, placed.covariance)
-    return _with_frames(fitted, _turn_target(fitted, observations))
+    return _with_frames(fitted, frames_of(fitted))
 
 
 def _turn_target(model: Model, observations: Observations) -> Frames:
@@ -785,7 +783,11 @@ def _fit_frames(model: Model, observations: Observations, options: FitOptions) -
         return model
     # Frames and robot are redundant. With every tolerance as a prior the solution is unique; with
     # priors on the weak directions only, the choice of these may change from step to step for ever.
-    found = implicit.estimate(model, observations, free, prior=_robot_prior(model))
+    # The origin of a device that stands a metre away moves by millimetres if {B} tilts about the
+    # robot: a tolerance of this origin would tilt {B} away from the drawing.
+    frame = np.array([name.startswith(f"{SENSOR}.frame.") for name in model.table.names])
+    frame |= model.table.matching(f"{s.name}.{s.base_part}" for s in model.sensors if s.base_part)
+    found = implicit.estimate(model, observations, free, prior=_prior_without(model, frame))
     views = model.table.matching(f"{s.name}.*" for s in model.sensors if s.shows_pose)
     if _device(model) is not None:
         model = _with_frames(model, _turn_target(model.with_values(found.values), observations))
@@ -812,15 +814,9 @@ def _fit_frames(model: Model, observations: Observations, options: FitOptions) -
     return replace(model, fixed=fixed)
 
 
-def _robot_prior(model: Model) -> Prior:
-    """The tolerances of the robot and of the target, and no knowledge of where the device stands.
-
-    The origin of a device that stands a metre away moves by millimetres if {B} tilts about the
-    robot. A tolerance of this origin would tilt {B} away from the drawing.
-    """
-    frame = np.array([name.startswith(f"{SENSOR}.frame.") for name in model.table.names])
-    frame |= model.table.matching(f"{s.name}.{s.base_part}" for s in model.sensors if s.base_part)
-    sigma = np.where(frame, UNKNOWN_FRAME_TOLERANCES, 1.0) * model.table.tolerance
+def _prior_without(model: Model, unknown: Array) -> Prior:
+    """The tolerances of all parameters, but no knowledge of those that are `unknown` (mask)."""
+    sigma = np.where(unknown, UNKNOWN_FRAME_TOLERANCES, 1.0) * model.table.tolerance
     return Prior(model.table.nominal, np.diag(sigma**2))
 
 
