@@ -10,19 +10,16 @@ import numpy as np
 
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.fit import FitResult
+from parallel_cal.identification.frames import IDENTITY_FRAMES, PosePairs
 from parallel_cal.identification.predictions import condition_columns
-from parallel_cal.identification.registration import (
-    IDENTITY_FRAMES,
-    DevicePoses,
-    shows_pose,
-)
+from parallel_cal.identification.registration import shows_pose
 from parallel_cal.identification.thresholds import (
     MAX_DEVICE_TOLERANCES,
     MAX_SHIFT_TO_SHOWN_RATIO,
 )
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.model.effect import CONDITIONS
-from parallel_cal.model.mechanism import POSE, poses_in_workspace
+from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Model
 
 
@@ -117,21 +114,16 @@ def explain_unseparated_device(before: FitResult, after: FitResult) -> str:
     )
 
 
-def _compare_poses(one: Solutions, other: Solutions) -> DevicePoses:
+def _compare_poses(one: Solutions, other: Solutions) -> PosePairs:
     """The positions that one model predicts, compared with those of another model at the same
     joints; both frames, {B} and {P}, may move."""
     both = one.solved & other.solved
-    return DevicePoses(
+    return PosePairs(
         other.position,
         other.rotation,
         one.position,
         one.rotation,
         measured=both[:, None] & (np.arange(6) < 3),
         length=1.0,
-        moves=POSE,
-        tilts=True,
-        target_known=False,
-        poses=int(both.sum()),
-        now=IDENTITY_FRAMES,
-        expected=np.zeros(2),
+        target_is_free=True,
     )
