@@ -19,10 +19,10 @@ from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.fleet import judging as fleet_judging
 from parallel_cal.identification import observations, registration
 from parallel_cal.identification.fit import fit
+from parallel_cal.identification.frames import IDENTITY_FRAMES
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.identification.registration import (
-    IDENTITY_FRAMES,
     DevicePoses,
     register_device,
 )
@@ -173,11 +173,9 @@ def test_frames_that_explain_an_error_of_few_poses_may_do_so_by_chance(poses, di
         seen_R=R,
         measured=np.tile(np.arange(6) < 3, (poses, 1)),
         length=0.1,
-        moves=("x", "y", "z", "rx", "ry", "rz"),
+        target_is_free=True,
         tilts=True,
-        target_known=False,
         poses=poses,
-        now=IDENTITY_FRAMES,
         expected=np.array([1e-3, 1e-3]),
     )
     shifted = replace(IDENTITY_FRAMES, f=shift)

@@ -25,7 +25,8 @@ IN_SAMPLE = (
 
 UNCHANGED = (
     ". But only the frames of the device explain this: before, they were fitted without these "
-    "poses. At all samples the error is the one before the fit, so the fit did not change the robot"
+    "poses. At all samples the error is not smaller than before, so the fit did not improve the "
+    "robot"
 )
 
 RIGHT_GEOMETRY = (
@@ -100,7 +101,7 @@ def acceptance(
     foreign = _describe_foreign_model(new, now)
     # The frames alone were fitted, before without the held-out poses: all samples tell that.
     was, total = (np.nansum(_squared(new, one)) for one in (new.before, new.after))
-    stuck = old is None and bool(np.isclose(was, total, rtol=1e-6, atol=0.0))
+    stuck = old is None and bool(total >= (1 - 1e-6) * was)
     if falls and clearly and not (risen or foreign or stuck):
         return Acceptance(then, now, True)
     if risen:

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.identification.frames import IDENTITY_FRAMES
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.predictions import condition_columns
-from parallel_cal.identification.registration import IDENTITY_FRAMES, DevicePoses
+from parallel_cal.identification.registration import DevicePoses
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model
 

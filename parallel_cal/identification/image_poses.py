@@ -25,10 +25,6 @@ from parallel_cal.identification.thresholds import (
 )
 from parallel_cal.model.model import Model
 
-PART_STEPS = 2  # of Gauss-Newton
-PART_DIFFERENCE = 1e-6  # m or rad, of a numerical derivative
-# Of singular values: where a part sits on a platform that turns by less is left as it is.
-MIN_PART_RANK = 1e-2
 IMAGE_SCATTER = "scatter within images"  # source of a noise that is not stated
 
 
@@ -96,45 +92,6 @@ def add_joint_noise(
         "nij,njk,nlk->nil", to_pose, observations.S[known, :n, :n], to_pose
     )
     return replace(shown, covariance=covariance)
-
-
-def move_parts_to_shown_poses(model: Model, observations: Observations, parts: np.ndarray) -> Model:
-    """Move cameras and boards until the poses that the images show are nearest to the predicted
-    ones. The lenses stay. `parts` masks the parameters that state where they are.
-
-    In an image, a shift and a turn of the board nearly cancel. Least squares of pixels may leave
-    millimetres that all poses share, although they are an error of where the parts stand.
-    """
-    own = np.flatnonzero(parts)
-    if not len(own):
-        return model
-    x = predict_configurations(model, observations)
-    scale = np.repeat([1.0, model.mechanism.length], 3)
-
-    def compute_errors(change: np.ndarray) -> np.ndarray:
-        """Compute the errors (N, 6) of the shown poses after a change of the parts (k,)."""
-        values = model.values.copy()
-        values[own] += change
-        shown = find_shown_poses(model.with_values(values), observations, x)
-        assert shown is not None
-        return shown.change * scale
-
-    change = np.zeros(len(own))
-    for _ in range(PART_STEPS):
-        errors = compute_errors(change)
-        columns = [
-            (compute_errors(change + step) - errors) / PART_DIFFERENCE
-            for step in PART_DIFFERENCE * np.eye(len(own))
-        ]
-        J = np.stack(columns, axis=2)
-        known = np.isfinite(J).all(axis=(1, 2))
-        if not known.any():
-            break
-        J, e = J[known].reshape(-1, len(own)), errors[known].ravel()
-        change -= np.linalg.lstsq(J, e, rcond=MIN_PART_RANK)[0]
-    values = model.values.copy()
-    values[own] += change
-    return model.with_values(values, model.covariance)
 
 
 def measure_image_noise(model: Model, observations: Observations) -> Observations:

@@ -12,9 +12,9 @@ import numpy as np
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import nearest_rotation, turns_from_mean
 from parallel_cal.base.units import MM
+from parallel_cal.identification.frames import PosePairs
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.predictions import condition_columns
-from parallel_cal.identification.registration import IDENTITY_FRAMES, DevicePoses
 from parallel_cal.identification.thresholds import (
     MIN_DOUBTFUL_SHARE,
     MIN_PLACEMENT_POSES,
@@ -23,7 +23,6 @@ from parallel_cal.identification.thresholds import (
 )
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.solutions import Solutions
-from parallel_cal.model.mechanism import POSE
 from parallel_cal.model.model import Model
 from parallel_cal.model.sensor import Sensor, View
 
@@ -74,10 +73,10 @@ def _place(
 
 def _fit_views(
     model: Model, sensor: Sensor, reading: np.ndarray, reached: Solutions
-) -> tuple[list[tuple[float, Sensor, DevicePoses]], int]:
+) -> tuple[list[tuple[float, Sensor, PosePairs]], int]:
     """Return the error (m) of each view with enough poses, its sensor and its poses; and how many
     samples show a pose."""
-    shown, found = 0, list[tuple[float, Sensor, DevicePoses]]()
+    shown, found = 0, list[tuple[float, Sensor, PosePairs]]()
     for view in sensor.views(reading):
         shown = max(shown, int(view.seen.sum()))
         if (there := _compare(model, view, reached)) is not None:
@@ -104,24 +103,19 @@ def _require_no_better_variant(
         )
 
 
-def _compare(model: Model, view: View, reached: Solutions) -> DevicePoses | None:
+def _compare(model: Model, view: View, reached: Solutions) -> PosePairs | None:
     """Poses of a sensor beside those that the robot predicts; None for too few of them."""
     used = view.seen & reached.solved & np.isfinite(view.r).all(axis=1)
     if used.sum() < MIN_PLACEMENT_POSES:
         return None
     away = turns_from_mean(reached.rotation[used])
     turned = float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
-    return DevicePoses(
+    return PosePairs(
         reached.position,
         reached.rotation,
         view.r,
         view.R,
         measured=np.repeat(used[:, None], 6, axis=1),
         length=model.mechanism.length,
-        moves=POSE,
-        tilts=turned > MIN_PLACEMENT_TILT_RAD,
-        target_known=False,
-        poses=int(used.sum()),
-        now=IDENTITY_FRAMES,
-        expected=np.zeros(2),
+        target_is_free=turned > MIN_PLACEMENT_TILT_RAD,
     )

@@ -10,20 +10,16 @@ import numpy as np
 
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.fit import FitResult
+from parallel_cal.identification.frames import IDENTITY_FRAMES, PosePairs
 from parallel_cal.identification.predictions import condition_columns
-from parallel_cal.identification.registration import (
-    IDENTITY_FRAMES,
-    DevicePoses,
-    Frames,
-    shows_pose,
-)
+from parallel_cal.identification.registration import shows_pose
 from parallel_cal.identification.thresholds import (
     MAX_DEVICE_TOLERANCES,
     MAX_SHIFT_TO_SHOWN_RATIO,
 )
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.model.effect import CONDITIONS
-from parallel_cal.model.mechanism import POSE, poses_in_workspace
+from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Model
 
 
@@ -67,7 +63,8 @@ def compute_platform_shift(before: FitResult, after: FitResult) -> PlatformShift
         poses = _compare_poses(*reached)
         frames = poses.descend(frames, poses.placed)
     measured, workspace = (
-        _compute_rms_distance(_compare_poses(*pair), frames) for pair in (reached, anywhere)
+        poses.compute_position_rms(frames) if poses.placed.any() else None
+        for poses in (_compare_poses(*pair) for pair in (reached, anywhere))
     )
     neutral: dict[str, tuple[float, str]] = {}
     units = dict(zip(new.joints, new.mechanism.joint_units, strict=True))
@@ -117,26 +114,16 @@ def explain_unseparated_device(before: FitResult, after: FitResult) -> str:
     )
 
 
-def _compare_poses(one: Solutions, other: Solutions) -> DevicePoses:
+def _compare_poses(one: Solutions, other: Solutions) -> PosePairs:
     """The positions that one model predicts, compared with those of another model at the same
     joints; both frames, {B} and {P}, may move."""
     both = one.solved & other.solved
-    return DevicePoses(
+    return PosePairs(
         other.position,
         other.rotation,
         one.position,
         one.rotation,
         measured=both[:, None] & (np.arange(6) < 3),
         length=1.0,
-        moves=POSE,
-        tilts=True,
-        target_known=False,
-        poses=int(both.sum()),
-        now=IDENTITY_FRAMES,
-        expected=np.zeros(2),
+        target_is_free=True,
     )
-
-
-def _compute_rms_distance(poses: DevicePoses, frames: Frames) -> float | None:
-    """Rms distance (m) of the poses that both models reach, after motions of the frames."""
-    return poses.compute_position_rms(frames) if poses.placed.any() else None

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from parallel_cal.identification.image_poses import find_shown_poses
+from parallel_cal.identification.image_poses import ShownPoses, find_shown_poses
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.predictions import (
     axes_of_device,
@@ -171,29 +171,49 @@ def compute_rms_sigmas(found: Errors, groups: np.ndarray) -> dict[str, float]:
     return sigmas
 
 
+@dataclass(frozen=True)
+class PoseErrors:
+    """Measured minus predicted `position` (N, 3) m and `orientation` (N, 3) rad as in `Errors`,
+    with the predicted poses in {B} (`reached`) and as the device shows them (`pose`), the
+    configurations (N, nq+12+nu) with the latter, and the poses that images show."""
+
+    position: np.ndarray
+    orientation: np.ndarray
+    reached: Solutions
+    pose: Solutions
+    configurations: np.ndarray
+    shown: ShownPoses | None
+
+    @classmethod
+    def of(cls, model: Model, observations: Observations) -> PoseErrors:
+        n, m = len(model.joints), model.mechanism
+        seen = model.configuration(observations.x)
+        measured = observations.measured[:, : n + 6]
+        reached, pose = predict_poses(model, observations)
+        turn = turns_between(seen.R, pose.rotation)
+        placed, orientation = (
+            find_judgeable_samples(model, measured[:, n:], part) for part in (range(3), range(3, 6))
+        )
+        apart = np.where(measured[:, n : n + 3], seen.r - pose.position, 0.0)
+        apart = keep_moved_coordinates(model, apart, range(3))
+        turn = np.where(measured[:, n + 3 :], turn, 0.0)
+        turn = keep_moved_coordinates(model, turn, range(3, 6))
+        predicted = Configuration(seen.q, pose.position, pose.rotation, pose.passive).rows
+        position = where_known(placed & pose.solved, apart)
+        turned = where_known(orientation & pose.solved, turn)
+        if shown := find_shown_poses(model, observations, predicted):
+            judged = [any(i in m.moved for i in part) for part in (range(3), range(3, 6))]
+            position = np.where(shown.known[:, None] & judged[0], shown.change[:, :3], position)
+            turned = np.where(shown.known[:, None] & judged[1], shown.change[:, 3:], turned)
+        return cls(position, turned, reached, pose, predicted, shown)
+
+
 def errors(model: Model, observations: Observations) -> Errors:
     """Compare measured and predicted values at every sample: the pose and the readings predicted
     from the joints, and the joints from the pose."""
-    n, m = len(model.joints), model.mechanism
-    seen = model.configuration(observations.x)
-    measured = observations.measured[:, : n + 6]
-    reached, pose = predict_poses(model, observations)
-    turn = turns_between(seen.R, pose.rotation)
-    placed, orientation = (
-        find_judgeable_samples(model, measured[:, n:], part) for part in (range(3), range(3, 6))
-    )
-    apart = np.where(measured[:, n : n + 3], seen.r - pose.position, 0.0)
-    apart = keep_moved_coordinates(model, apart, range(3))
-    turn = np.where(measured[:, n + 3 :], turn, 0.0)
-    turn = keep_moved_coordinates(model, turn, range(3, 6))
-    predicted = Configuration(seen.q, pose.position, pose.rotation, pose.passive).rows
+    found = PoseErrors.of(model, observations)
+    reached, pose, predicted = found.reached, found.pose, found.configurations
     closure = _compute_closure(model, observations, pose)
-    position = where_known(placed & pose.solved, apart)
-    turned = where_known(orientation & pose.solved, turn)
-    if shown := find_shown_poses(model, observations, predicted):
-        judged = [any(i in m.moved for i in part) for part in (range(3), range(3, 6))]
-        position = np.where(shown.known[:, None] & judged[0], shown.change[:, :3], position)
-        turned = np.where(shown.known[:, None] & judged[1], shown.change[:, 3:], turned)
     residuals = where_known(pose.solved, reading_residuals(model, observations, predicted))
     relative = [c for sensor in model.sensors if sensor.relative for c in sensor.channels]
     for k in np.flatnonzero(np.isin(model.structure.channels, relative)):
@@ -202,8 +222,8 @@ def errors(model: Model, observations: Observations) -> Errors:
             residuals[known, k] -= residuals[known, k].mean()
     in_pixels = model.structure.channel_units == "px"
     return Errors(
-        position,
-        turned,
+        found.position,
+        found.orientation,
         _compute_joint_errors(Kinematics(model), observations, reached, pose),
         residuals * model.structure.reading_lengths,
         where_known(find_fully_measured_samples(model, observations), closure),

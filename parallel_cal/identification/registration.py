@@ -1,15 +1,12 @@
 """Estimate from poses where a pose device stands and where its target sits.
 
-Measured and predicted poses differ by the frames: r + R t = F r' + f, R T = F R'. A linear start
-and a descent over rotations find them (Kabsch's problem with an unknown target; AX = YB). The
-errors of the robot remain.
+The frames of device and target are those for which measured poses are nearest to the predicted
+ones (`frames.py`). The errors of the robot remain.
 """
 
 from __future__ import annotations
 
-import warnings
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,17 +14,17 @@ import numpy as np
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import (
     matrix_to_quaternion,
-    nearest_rotation,
     quaternion_to_matrix,
     rotation_matrix,
     rotation_vector,
     turns_from_mean,
 )
-from parallel_cal.base.units import MM
 from parallel_cal.identification.checks import free_mask
-from parallel_cal.identification.image_poses import move_parts_to_shown_poses
+from parallel_cal.identification.frames import IDENTITY_FRAMES, Frames, PosePairs
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.methods import implicit
+from parallel_cal.identification.methods.forward import minimise_pose_errors
+from parallel_cal.identification.moved_frames import describe_what_moved
 from parallel_cal.identification.observability import find_independent_columns
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.options import FitOptions
@@ -40,13 +37,10 @@ from parallel_cal.identification.thresholds import (
     MAX_REMAINING_SHARE,
     MAX_REMAINING_SHARE_IDENTIFIED,
     MAX_UNCERTAIN_TILT_RAD,
-    MIN_CLEAR_BIC_GAIN,
     MIN_EXPLAINED_ERROR_RATIO,
     MIN_FRAME_COLUMN_REMAINDER,
     MIN_REGISTRATION_POSES,
     MIN_UNREGISTERED_ERROR_RATIO,
-    NEWTON_STEP,
-    OUTLIER_DISTANCE_RATIO,
 )
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.mechanism import POSE, list_shown_displacements
@@ -59,50 +53,10 @@ FRAME_PARAMETERS = ("device_frame.frame.", "device_frame.target.")
 # Of the effect that describes a station for each of several recordings
 STATION_EFFECT = "parallel_cal.identification.stations"
 TARGET_EFFECT = "target_offset"  # an effect that states where the target sits
-STEPS = 60
 UNKNOWN_FRAME_TOLERANCES = 1e3  # sigma of a frame's parameter of which nothing is known
 TOLERANCE_SAMPLE_SIZE = 24  # poses for the median error that tolerances explain
-ZERO_STEPS = 3  # of Gauss-Newton: zeros shift by little
-ZERO_DIFFERENCE = 1e-6  # rad or m, of a numerical derivative
 
-DEVICE = "the device, or the base under the robot, moved"
-TARGET = "the target moved"
-BOTH = "device and target moved"
-ZEROS = "the zeros of the joints changed"
 Array = np.ndarray
-
-
-@dataclass(frozen=True)
-class Frames:
-    """{B} -> {device} (f, F) and {P} -> {target} (t, T): positions (3,) m, rotations (3, 3)."""
-
-    f: Array
-    F: Array
-    t: Array
-    T: Array
-
-    def see(self, r: Array, R: Array) -> tuple[Array, Array]:
-        """The poses (N, 3), (N, 3, 3) of the target in the frame of the device, of {P} in {B}."""
-        return (r + R @ self.t - self.f) @ self.F, self.F.T @ R @ self.T
-
-    def to_base(self, r: Array) -> Array:
-        """Positions (N, 3) in the frame of the device, in {B}."""
-        return r @ self.F.T + self.f
-
-    def describe_move(self, other: Frames) -> str:
-        """`its device stands 812.3 mm and 12.30 deg, its target 0.1 mm`, seen by this device."""
-        shift = 1e3 * np.linalg.norm(other.f - self.f)
-        angle = np.degrees(np.linalg.norm(rotation_vector(self.F.T @ other.F)))
-        target = 1e3 * np.linalg.norm(other.t - self.t)
-        return f"its device stands {shift:.1f} mm and {angle:.2f} deg, its target {target:.1f} mm"
-
-    def moved(self, step: Array) -> Frames:
-        """After a small step (12,) of f, F (a left turn), t, T (a left turn)."""
-        F, T = rotation_matrix(step[3:6]) @ self.F, rotation_matrix(step[9:]) @ self.T
-        return Frames(self.f + step[:3], F, self.t + step[6:9], T)
-
-
-IDENTITY_FRAMES = Frames(np.zeros(3), np.eye(3), np.zeros(3), np.eye(3))
 
 
 @dataclass(frozen=True)
@@ -178,7 +132,7 @@ def register_observed(
     plain = elsewhere or there.exceeds_tolerances(found)
     if not (plain or there.is_misplaced(found, is_identified(model), stated)):
         return model, None
-    placed = _with_fitted_frames(model, observations, there, found)
+    placed = _with_fitted_frames(model, observations, there)
     if not (plain or is_identified(model) or _stays_displaced(placed, observations, there)):
         return model, None
     why = "the poses are in another frame" if elsewhere else "the poses did not fit without it"
@@ -201,8 +155,7 @@ def _stays_displaced(placed: Model, observations: Observations, there: DevicePos
     """
     own = np.array([there.is_free(name) for name in placed.table.names])
     free = (~np.asarray(placed.fixed) & (placed.table.tolerance > 0)) | own
-    sigma = np.where(own, UNKNOWN_FRAME_TOLERANCES, 1.0) * placed.table.tolerance
-    prior = Prior(placed.table.nominal, np.diag(sigma**2))
+    prior = _prior_without(placed, own)
     near = observations.select(there.find_near(frames_of(placed)))
     try:
         values = implicit.estimate(placed, near, free, prior).values
@@ -212,10 +165,8 @@ def _stays_displaced(placed: Model, observations: Observations, there: DevicePos
 
 
 def registered_by(model: Model, observations: Observations) -> Model | None:
-    """The model with the frames that fit these samples best, None if they are too few.
-
-    Least squares in the noise metric of a fit; no other parameter changes.
-    """
+    """The model with the frames that leave the smallest errors of the poses, None if the samples
+    are too few. No other parameter changes."""
     return place_frames(model, observations, DevicePoses.of(model, observations))
 
 
@@ -225,7 +176,7 @@ def place_frames(
     """Fit the frames as `registered_by` does, from the poses of the same observations."""
     placed = model
     if there is not None:
-        placed = _with_fitted_frames(model, observations, there, there.frames)
+        placed = _with_fitted_frames(model, observations, there)
     elif not shows_pose(model):
         return None
     patterns = [f"{sensor.name}.*" for sensor in placed.sensors if sensor.shows_pose]
@@ -238,10 +189,12 @@ def place_frames(
         return placed
     try:
         values = implicit.estimate(placed, observations, own, prior=None).values
+        placed = placed.with_values(values, placed.covariance)
+        # In an image, a shift and a turn of the board nearly cancel. Least squares of pixels may
+        # leave millimetres that all poses share, although they are an error of where parts stand.
+        return minimise_pose_errors(placed, observations, parts) if parts.any() else placed
     except FitError:  # the search does not converge: the views stay
         return placed
-    placed = placed.with_values(values, placed.covariance)
-    return move_parts_to_shown_poses(placed, observations, parts) if shows_pose(model) else placed
 
 
 def is_registrable(model: Model, there: DevicePoses | None) -> bool:
@@ -303,28 +256,18 @@ def add_registration_warning(dataset: Dataset, registration: Registration | None
 
 
 @dataclass(frozen=True)
-class DevicePoses:
+class DevicePoses(PosePairs):
     """Predicted poses in {B} and poses as the device shows them.
 
-    `measured` (N, 6) marks the coordinates x y z rx ry rz that the device measured, in its axes.
-    `moves` are the coordinates in which the robot moves. `tilts` is whether the platform turned
-    further than its tolerances explain, or so far that no robot's errors explain it: otherwise no
-    pose determines where the target sits. `target_known` is whether an effect of the model states
-    it. `poses` counts different poses. Angles are multiplied by `length`.
+    `tilts` is whether the platform turned further than its tolerances explain, or so far that no
+    robot's errors explain it: otherwise no pose determines where the target sits. The target is
+    not free if an effect of the model states it. `poses` counts different poses.
     """
 
-    r: Array
-    R: Array
-    seen_r: Array
-    seen_R: Array
-    measured: Array
-    length: float
-    moves: tuple[str, ...]
-    tilts: bool
-    target_known: bool
-    poses: int
-    now: Frames  # as the model has them
-    expected: Array  # rms (2,) of position and `length` times orientation that tolerances allow
+    tilts: bool = field(kw_only=True)
+    poses: int = field(kw_only=True)
+    expected: Array = field(kw_only=True)  # rms (2,) that tolerances allow, of position and of
+    # `length` times orientation
 
     @classmethod
     def of(
@@ -375,28 +318,13 @@ class DevicePoses:
             seen.R,
             measured,
             m.length,
+            tilts and all(effect.name != TARGET_EFFECT for effect in model.effects),
             m.moves,
-            tilts,
-            any(effect.name == TARGET_EFFECT for effect in model.effects),
-            len(np.unique(observations.group[placed | turned])),
             frames_of(model),
-            np.array([sizes[0], m.length * sizes[1]]),
+            tilts=tilts,
+            poses=len(np.unique(observations.group[placed | turned])),
+            expected=np.array([sizes[0], m.length * sizes[1]]),
         )
-
-    @property
-    def placed(self) -> Array:
-        """Mask (N,) of the samples of which a coordinate of the position was measured."""
-        return np.asarray(self.measured[:, :3].any(axis=1))
-
-    @property
-    def turned(self) -> Array:
-        """Mask (N,) of the samples of which a coordinate of the orientation was measured."""
-        return np.asarray(self.measured[:, 3:].any(axis=1))
-
-    @property
-    def turns(self) -> bool:
-        """Whether the platform can turn."""
-        return any(c.startswith("r") for c in self.moves)
 
     @property
     def held(self) -> tuple[str, ...]:
@@ -407,32 +335,6 @@ class DevicePoses:
             return self._hidden
         seen = np.any(self.measured[:, :3], axis=0)
         return tuple(axis for axis, shown in zip(POSE, seen, strict=False) if not shown)
-
-    @property
-    def _hidden(self) -> tuple[str, ...]:
-        """Coordinates in {B} of the device's frame that no sample shows."""
-        if self._fully_placed.sum() >= 3:
-            return ()
-        frame = POSE if set(POSE[:3]) & set(self.moves) else POSE[3:]
-        return tuple(c for c in frame if c not in list_shown_displacements(self.moves))
-
-    @property
-    def _fully_placed(self) -> Array:
-        return np.asarray(self.measured[:, :3].all(axis=1))
-
-    @property
-    def _fully_turned(self) -> Array:
-        return np.asarray(self.measured[:, 3:].all(axis=1))
-
-    @cached_property
-    def frames(self) -> Frames:
-        """The frames that minimise the distance of measured and predicted poses; the last step
-        ignores the worst tenth."""
-        everything = np.ones(len(self.r), dtype=bool)
-        ends = [self.descend(start, everything) for start in self._starts()]
-        best = min(ends, key=lambda end: float(np.median(self._sizes(end))))
-        sizes = self._sizes(best)
-        return self.descend(best, sizes <= OUTLIER_DISTANCE_RATIO * np.median(sizes[self._used]))
 
     @property
     def determines_target(self) -> bool:
@@ -482,55 +384,6 @@ class DevicePoses:
             or max(np.linalg.norm(v) for v in turns) > MAX_DISPLACEMENT_RAD
         )
 
-    def find_near(self, frames: Frames) -> Array:
-        """Indices of the measured poses without those that are far off with these frames."""
-        sizes = self._sizes(frames)
-        near = sizes <= OUTLIER_DISTANCE_RATIO * np.median(sizes[self._used])
-        return np.flatnonzero(near & self._used)
-
-    def start_of_device(self) -> Frames:
-        """The frame of the device that fits the positions best, or else the orientations, if the
-        target sits where the model has it."""
-        now, near = self.now, self.now
-        if self.placed.sum() >= 3:
-            near = self._from_positions(now.t)
-        elif self.turned.any():
-            ours, seen = self.R[self.turned] @ now.T, self.seen_R[self.turned]
-            near = replace(now, F=nearest_rotation((ours @ seen.transpose(0, 2, 1)).sum(axis=0)))
-        return replace(near, t=now.t, T=now.T)
-
-    def count_free(self, frames: Frames, free: Array) -> int:
-        """How many of the coordinates that are `free` the poses determine."""
-        return int(np.linalg.matrix_rank((self._jacobian(frames) * free).reshape(-1, 12)))
-
-    def compute_errors(self, frames: Frames) -> Array:
-        """Errors of the measured coordinates (rows,): of positions (m), and of orientations times
-        length."""
-        return np.asarray(self._residual(frames)[self.measured])
-
-    def compute_rms(self, frames: Frames) -> float:
-        """Rms error of the positions (m), or of the orientations (rad) if no position was
-        measured."""
-        errors = self._residual(frames)
-        kept = errors[self.placed, :3] if self.placed.any() else errors[self.turned, 3:]
-        scale = 1.0 if self.placed.any() else self.length
-        return float(np.sqrt(np.mean(np.sum(kept**2, axis=1)))) / scale
-
-    @property
-    def _target_is_free(self) -> bool:
-        return self.tilts and not self.target_known
-
-    @property
-    def _target_turn_is_free(self) -> bool:
-        """Whether the orientations tell how the target is turned: on a platform that never turns,
-        only if the positions tell how the device's frame is turned."""
-        return self.turns or int(self.placed.sum()) >= 3
-
-    def find_target_turn(self, F: Array, used: Array) -> Array:
-        """Rotation of the target on the platform that fits the orientations of the `used` poses."""
-        R, seen = self.R[used], self.seen_R[used]
-        return nearest_rotation((R.transpose(0, 2, 1) @ F @ seen).sum(axis=0))
-
     def is_free(self, name: str) -> bool:
         """Whether a parameter of the sensor can be fitted: the closure holds only the coordinates
         in which the robot moves, no pose determines the target of a platform that does not tilt,
@@ -541,152 +394,6 @@ class DevicePoses:
         if part == "frame":
             return coordinate in list_shown_displacements(self.moves)
         return coordinate in POSE[3:] or bool(self._free[6 + POSE.index(coordinate)])
-
-    @property
-    def _used(self) -> Array:
-        return np.asarray(self.placed | self.turned)
-
-    def compute_median_errors(self, frames: Frames) -> Array:
-        """Median (2,) of position, and of length times orientation; 0 where not measured."""
-        sizes = np.linalg.norm(self._residual(frames).reshape(-1, 2, 3), axis=2)
-        masks = (self.placed, self.turned)
-        return np.array([np.median(sizes[k, i]) if k.any() else 0.0 for i, k in enumerate(masks)])
-
-    def find_unexplained_share(self) -> float:
-        """Return the rms error of the registered positions, or of the orientations without any,
-        divided by how far they scatter (rms); 0 if nothing moved."""
-        if self.placed.any():
-            seen = self.seen_r[self.placed]
-            spread = float(np.sqrt(np.mean(np.sum((seen - seen.mean(axis=0)) ** 2, axis=1))))
-        else:
-            away = turns_from_mean(self.seen_R[self.turned])
-            spread = float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
-        return self.compute_rms(self.frames) / spread if spread > 0 else 0.0
-
-    def compute_position_rms(self, frames: Frames) -> float:
-        """Rms distance (m) of the measured positions from the predicted ones."""
-        away = self._residual(frames)[self.placed, :3]
-        return float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
-
-    def closed_form_frames(self) -> Frames:
-        """The best of the frames from which `frames` descends."""
-        return min(self._starts(), key=self.compute_median_error)
-
-    def compute_median_error(self, frames: Frames) -> float:
-        """Median distance of the poses (m), with orientations times length."""
-        return float(np.median(self._sizes(frames)[self._used]))
-
-    def _sizes(self, frames: Frames) -> Array:
-        return np.asarray(np.linalg.norm(self._residual(frames), axis=1))
-
-    def _residual(self, frames: Frames) -> Array:
-        """(N, 6) in axes of the device: position (m), then orientation times length; zero where not
-        measured."""
-        place = self.seen_r @ frames.F.T + frames.f - self.r - self.R @ frames.t
-        turn = rotation_vector(frames.F @ self.seen_R @ (self.R @ frames.T).transpose(0, 2, 1))
-        apart = np.hstack([place @ frames.F, self.length * turn @ frames.F])
-        return np.nan_to_num(np.where(self.measured, apart, 0.0))
-
-    def descend(self, frames: Frames, used: Array, free: Array | None = None) -> Frames:
-        """Gauss-Newton over the frames, or over those of their 12 coordinates that are `free`;
-        directions that no pose determines stay unchanged."""
-        for _ in range(STEPS):
-            residual = self._residual(frames)[used].ravel()
-            J = self._jacobian(frames)[used].reshape(len(residual), 12)
-            J = J if free is None else J * free
-            step = -np.linalg.lstsq(J, residual, rcond=LSTSQ_RANK_TOLERANCE)[0]
-            frames = frames.moved(np.clip(step, -1, 1))
-            if np.abs(step).max() < NEWTON_STEP:
-                break
-        return frames
-
-    @property
-    def _free(self) -> Array:
-        """Mask (12,) of the coordinates of f, F, t, T that the measured coordinates show."""
-        axes = "xyz"
-        frame = [c not in self._hidden for c in POSE]
-        turns = {c[1] for c in self.moves if c.startswith("r")}
-        # A turn about an axis does not move the points on it.
-        target = [self._target_is_free and bool(turns - {axis}) for axis in axes]
-        seen = list_shown_displacements(tuple(c for c in self.moves if c.startswith("r")))
-        everything = not self.turns or self._fully_turned.any()
-        turn = [self._target_turn_is_free and (everything or f"r{axis}" in seen) for axis in axes]
-        return np.array([*frame, *target, *turn])
-
-    def _jacobian(self, frames: Frames) -> Array:
-        """d residual / d (f, F, t, T): (N, 6, 12)."""
-        J, R = np.zeros((len(self.r), 6, 12)), np.nan_to_num(self.R)
-        J[:, :3, :3] = np.eye(3)
-        x, y, z = (np.nan_to_num(self.r) + R @ frames.t - frames.f).T
-        zero = np.zeros(len(x))
-        # With v = r + R t - f, the columns of [v]x are those of w -> v x w.
-        cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
-        J[:, :3, 3:6] = -np.moveaxis(cross, -1, 0)
-        J[:, :3, 6:9] = -R
-        J[:, 3:, 3:6] = self.length * np.eye(3)
-        J[:, 3:, 9:] = -self.length * R
-        J = np.concatenate([frames.F.T @ J[:, :3], frames.F.T @ J[:, 3:]], axis=1)
-        return np.asarray(J * self.measured[:, :, None] * self._free)
-
-    def _starts(self) -> list[Frames]:
-        """Starts of the descent: the frames of the model; frames from positions, with the target of
-        the model and with an unknown one; frames from orientations."""
-        starts = [self.now]
-        if self.placed.sum() >= 3:
-            starts.append(self._from_positions(self.now.t))
-            if self._target_is_free and self._fully_placed.sum() >= 3:
-                starts.append(self._from_positions(self._linear_target()))
-        if self.turns and self._fully_turned.sum() >= 3:
-            R, seen = self.R[self._fully_turned], self.seen_R[self._fully_turned]
-            # The sum of tr(F R' T^T R^T) is vec(F)^T K vec(T): the singular vectors of the largest
-            # singular value of K maximise it.
-            K = np.einsum("nac,nbd->abcd", R, seen).reshape(9, 9)
-            left = np.linalg.svd(K)[0]
-            for sign in (1, -1):
-                F = nearest_rotation(sign * left[:, 0].reshape(3, 3))
-                starts.append(self._complete_frames(F))
-        return starts
-
-    def _from_positions(self, t: Array) -> Frames:
-        """Frames with Kabsch's rotation for a target at t in {P}, from the measured coordinates."""
-        ours = (self.r + self.R @ t)[self.placed]
-        theirs = np.where(self.measured[:, :3], self.seen_r, np.nan)[self.placed]
-        with warnings.catch_warnings(action="ignore"):  # of a coordinate that was never measured
-            theirs = np.nan_to_num(theirs - np.nanmean(theirs, axis=0))
-        H = (ours - ours.mean(axis=0)).T @ theirs
-        # Points on a line leave a turn about it open: it stays as the model has it.
-        U, sizes, V = np.linalg.svd(H)
-        unknown = sizes <= LSTSQ_RANK_TOLERANCE * sizes[0]
-        P, Q = U[:, unknown] @ U[:, unknown].T, V[unknown].T @ V[unknown]
-        open_turn = LSTSQ_RANK_TOLERANCE * sizes[0] * (P @ self.now.F @ Q)
-        return self._complete_frames(nearest_rotation(H + open_turn), t)
-
-    def _linear_target(self) -> Array:
-        """Solve M r' + f = r + R t for the 15 numbers of M, f and t, with M any matrix; return
-        t."""
-        ours, theirs, R = (a[self._fully_placed] for a in (self.r, self.seen_r, self.R))
-        n = len(ours)
-        A = np.zeros((n, 3, 15))
-        for i in range(3):
-            A[:, i, 3 * i : 3 * i + 3] = theirs
-        A[:, :, 9:12], A[:, :, 12:] = np.eye(3), -R
-        return np.asarray(
-            np.linalg.lstsq(A.reshape(-1, 15), ours.ravel(), rcond=LSTSQ_RANK_TOLERANCE)[0][12:]
-        )
-
-    def _complete_frames(self, F: Array, t: Array | None = None) -> Frames:
-        """Complete the frames for a given F (and t)."""
-        T = np.eye(3)
-        if self.turned.any() and self._target_turn_is_free:
-            T = self.find_target_turn(F, self.turned)
-        if not self.placed.any():
-            return Frames(np.zeros(3), F, np.zeros(3), T)
-        start = Frames(self.now.f, F, self.now.t if t is None else t, T)
-        # The positions are linear in f and t.
-        linear = np.repeat([True, False, t is None, False], 3)
-        J = (self._jacobian(start) * linear)[:, :3].reshape(-1, 12)
-        away = self._residual(start)[:, :3].ravel()
-        return start.moved(-np.linalg.lstsq(J, away, rcond=LSTSQ_RANK_TOLERANCE)[0])
 
 
 def _with_frames(model: Model, frames: Frames) -> Model:
@@ -710,22 +417,21 @@ def _with_frames(model: Model, frames: Frames) -> Model:
     return model.with_values(np.where(own, 0.0, model.values), model.covariance)
 
 
-def _with_fitted_frames(
-    model: Model, observations: Observations, there: DevicePoses, found: Frames
-) -> Model:
-    """The model with the frames that minimise chi2, starting at those found; the best found ones
-    if the search does not converge. Poses that are far off do not count."""
-    placed = _with_frames(model, found)
-    own = np.array([there.is_free(name) for name in placed.table.names])
-    station = [name.startswith(f"{STATION_EFFECT}.") for name in placed.table.names]
-    own |= np.array(station) & ~np.asarray(placed.fixed)
-    near = observations.select(there.find_near(found))
+def _with_fitted_frames(model: Model, observations: Observations, there: DevicePoses) -> Model:
+    """The model with the frames, and with the stations of later recordings, that leave the smallest
+    errors of the poses. Poses that are far off do not count."""
+    placed = _with_frames(model, there.frames)
+    stations = [name.startswith(f"{STATION_EFFECT}.") for name in placed.table.names]
+    free = np.array(stations) & ~np.asarray(placed.fixed)
+    if not free.any():
+        return placed
+    free |= np.array([there.is_free(name) for name in placed.table.names])
+    near = observations.select(there.find_near(there.frames))
     try:
-        values = implicit.estimate(placed, near, own, prior=None).values
+        fitted = minimise_pose_errors(placed, near, free)
     except FitError:
         return placed
-    fitted = placed.with_values(values, placed.covariance)
-    return _with_frames(fitted, _turn_target(fitted, observations))
+    return _with_frames(fitted, frames_of(fitted))
 
 
 def _turn_target(model: Model, observations: Observations) -> Frames:
@@ -785,7 +491,11 @@ def _fit_frames(model: Model, observations: Observations, options: FitOptions) -
         return model
     # Frames and robot are redundant. With every tolerance as a prior the solution is unique; with
     # priors on the weak directions only, the choice of these may change from step to step for ever.
-    found = implicit.estimate(model, observations, free, prior=_robot_prior(model))
+    # The origin of a device that stands a metre away moves by millimetres if {B} tilts about the
+    # robot: a tolerance of this origin would tilt {B} away from the drawing.
+    frame = np.array([name.startswith(f"{SENSOR}.frame.") for name in model.table.names])
+    frame |= model.table.matching(f"{s.name}.{s.base_part}" for s in model.sensors if s.base_part)
+    found = implicit.estimate(model, observations, free, prior=_prior_without(model, frame))
     views = model.table.matching(f"{s.name}.*" for s in model.sensors if s.shows_pose)
     if _device(model) is not None:
         model = _with_frames(model, _turn_target(model.with_values(found.values), observations))
@@ -812,15 +522,9 @@ def _fit_frames(model: Model, observations: Observations, options: FitOptions) -
     return replace(model, fixed=fixed)
 
 
-def _robot_prior(model: Model) -> Prior:
-    """The tolerances of the robot and of the target, and no knowledge of where the device stands.
-
-    The origin of a device that stands a metre away moves by millimetres if {B} tilts about the
-    robot. A tolerance of this origin would tilt {B} away from the drawing.
-    """
-    frame = np.array([name.startswith(f"{SENSOR}.frame.") for name in model.table.names])
-    frame |= model.table.matching(f"{s.name}.{s.base_part}" for s in model.sensors if s.base_part)
-    sigma = np.where(frame, UNKNOWN_FRAME_TOLERANCES, 1.0) * model.table.tolerance
+def _prior_without(model: Model, unknown: Array) -> Prior:
+    """The tolerances of all parameters, but no knowledge of those that are `unknown` (mask)."""
+    sigma = np.where(unknown, UNKNOWN_FRAME_TOLERANCES, 1.0) * model.table.tolerance
     return Prior(model.table.nominal, np.diag(sigma**2))
 
 
@@ -848,110 +552,7 @@ def frames_of(model: Model) -> Frames:
 def _registration(
     model: Model, frame: str, why: str, told: bool, held: tuple[str, ...]
 ) -> Registration:
-    sensor: Any = _device(model)
-    base, platform = model.frames["base"], model.frames["platform"]
-    return Registration(
-        frame,
-        base,
-        platform,
-        why,
-        sensor.position,
-        sensor.quaternion,
-        sensor.target_position,
-        sensor.target_quaternion,
-        told,
-        held,
-    )
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """What may have moved between two recordings: its number of parameters, the rms error that
-    remains (m; rad if only orientations were measured), and its information criterion."""
-
-    what: str
-    parameters: int
-    rms: float
-    criterion: float
-
-
-def describe_what_moved(model: Model, observations: Observations, there: DevicePoses) -> str:
-    """Say what is likeliest to have moved since the frames `there.now` were found, with the errors
-    that each explanation leaves, and which measurement decides."""
-    best, *others = rank_what_moved(model, observations, there)
-    unit, scale = ("mm", 1 / MM) if there.placed.any() else ("mrad", 1e3)
-
-    def show(one: Explanation) -> str:
-        error = one.rms * scale
-        return f"{f'{error:.0f}' if error >= 100 else f'{error:.3g}'} {unit}"
-
-    left = ", ".join(f"{show(one)} if {one.what}" for one in others)
-    clear = others[0].criterion - best.criterion > MIN_CLEAR_BIC_GAIN
-    return (
-        f"likeliest{'' if clear else ', but not clearly'}, {best.what} (rms error {show(best)}; "
-        f"{left}). To be sure, measure three fixed points of the base in every recording: if they "
-        "stay where they were, the target moved or the zeros of the joints changed"
-    )
-
-
-def rank_what_moved(
-    model: Model, observations: Observations, there: DevicePoses
-) -> list[Explanation]:
-    """Rank what may have moved since the frames `there.now` were found, the likeliest first.
-
-    Each is fitted alone, with the robot and all the rest as they were. The Bayesian information
-    criterion ranks them.
-    """
-    everything = np.ones(len(there.r), dtype=bool)
-    device, target = np.arange(12) < 6, np.arange(12) >= 6
-    near = there.start_of_device()
-    fits: list[tuple[str, np.ndarray, Frames]] = [
-        (DEVICE, device, there.descend(near, everything, device)),
-        (TARGET, target, there.descend(there.now, everything, target)),
-        (BOTH, device | target, there.frames),
-    ]
-    found = [
-        _explain(what, there, frames, there.count_free(frames, free)) for what, free, frames in fits
-    ]
-    with_zeros, zeros = _with_other_zeros(model, observations, there)
-    found.append(_explain(ZEROS, with_zeros, there.now, zeros))
-    return sorted(found, key=lambda one: one.criterion)
-
-
-def _explain(what: str, there: DevicePoses, frames: Frames, parameters: int) -> Explanation:
-    errors = there.compute_errors(frames)
-    rows = errors.size
-    squares = max(float(np.sum(errors**2)), 1e-300)
-    criterion = rows * float(np.log(squares / rows)) + parameters * float(np.log(rows))
-    return Explanation(what, parameters, there.compute_rms(frames), criterion)
-
-
-def _with_other_zeros(
-    model: Model, observations: Observations, there: DevicePoses
-) -> tuple[DevicePoses, int]:
-    """The poses that the robot predicts with the zeros of its joints that fit best, and how many
-    zeros the poses determine. Zeros shift by no more than the range of a joint."""
-    q = observations.x[:, : len(model.joints)]
-    solver, at = Kinematics(model), condition_columns(model, observations)
-    span = np.ptp(np.array(model.mechanism.joint_limits), axis=1)
-
-    def predicted(zeros: np.ndarray) -> DevicePoses:
-        reached = solver.direct(q + zeros, at)
-        return replace(there, r=reached.position, R=reached.rotation)
-
-    zeros, rank = np.zeros(q.shape[1]), 0
-    here = there
-    for _ in range(ZERO_STEPS):
-        errors = here.compute_errors(there.now)
-        columns = [
-            (predicted(zeros + step).compute_errors(there.now) - errors) / ZERO_DIFFERENCE
-            for step in ZERO_DIFFERENCE * np.eye(len(zeros))
-        ]
-        change, _, rank, _ = np.linalg.lstsq(
-            np.stack(columns, axis=1), -errors, rcond=LSTSQ_RANK_TOLERANCE
-        )
-        if np.any(np.abs(zeros + change) > span):  # no zeros: the robot could not be there
-            break
-        zeros = zeros + change
-        here = predicted(zeros)
-    return here, int(rank)
+    sensor, frames = _device(model), model.frames
+    place = (sensor.position, sensor.quaternion)
+    target = (sensor.target_position, sensor.target_quaternion)
+    return Registration(frame, frames["base"], frames["platform"], why, *place, *target, told, held)

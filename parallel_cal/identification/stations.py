@@ -18,12 +18,12 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import cayley
+from parallel_cal.identification.frames import Frames
+from parallel_cal.identification.moved_frames import describe_what_moved
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.registration import (
     STATION_EFFECT,
     DevicePoses,
-    Frames,
-    describe_what_moved,
     is_identified,
 )
 from parallel_cal.identification.thresholds import MIN_REGISTRATION_POSES

@@ -1,0 +1,309 @@
+"""Find the frames of device and target for which two sets of poses are nearest to each other.
+
+Measured and predicted poses differ by the frames: r + R t = F r' + f, R T = F R'. A linear start
+and a descent over rotations find them (Kabsch's problem with an unknown target; AX = YB).
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from parallel_cal.base.rotation import (
+    nearest_rotation,
+    rotation_matrix,
+    rotation_vector,
+    turns_from_mean,
+)
+from parallel_cal.identification.thresholds import (
+    LSTSQ_RANK_TOLERANCE,
+    NEWTON_STEP,
+    OUTLIER_DISTANCE_RATIO,
+)
+from parallel_cal.model.mechanism import POSE, list_shown_displacements
+
+STEPS = 60
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Frames:
+    """{B} -> {device} (f, F) and {P} -> {target} (t, T): positions (3,) m, rotations (3, 3)."""
+
+    f: Array
+    F: Array
+    t: Array
+    T: Array
+
+    def see(self, r: Array, R: Array) -> tuple[Array, Array]:
+        """The poses (N, 3), (N, 3, 3) of the target in the frame of the device, of {P} in {B}."""
+        return (r + R @ self.t - self.f) @ self.F, self.F.T @ R @ self.T
+
+    def to_base(self, r: Array) -> Array:
+        """Positions (N, 3) in the frame of the device, in {B}."""
+        return r @ self.F.T + self.f
+
+    def describe_move(self, other: Frames) -> str:
+        """`its device stands 812.3 mm and 12.30 deg, its target 0.1 mm`, seen by this device."""
+        shift = 1e3 * np.linalg.norm(other.f - self.f)
+        angle = np.degrees(np.linalg.norm(rotation_vector(self.F.T @ other.F)))
+        target = 1e3 * np.linalg.norm(other.t - self.t)
+        return f"its device stands {shift:.1f} mm and {angle:.2f} deg, its target {target:.1f} mm"
+
+    def moved(self, step: Array) -> Frames:
+        """After a small step (12,) of f, F (a left turn), t, T (a left turn)."""
+        F, T = rotation_matrix(step[3:6]) @ self.F, rotation_matrix(step[9:]) @ self.T
+        return Frames(self.f + step[:3], F, self.t + step[6:9], T)
+
+
+IDENTITY_FRAMES = Frames(np.zeros(3), np.eye(3), np.zeros(3), np.eye(3))
+
+
+@dataclass(frozen=True)
+class PosePairs:
+    """Poses r (N, 3), R (N, 3, 3) of {P} in {B}, and the same as `seen` from a device's frame.
+
+    `measured` (N, 6) marks the coordinates x y z rx ry rz that were seen, in axes of the device.
+    Angles are multiplied by `length`. `target_is_free` is whether the position of the target on
+    the platform is to be found. `moves` are the coordinates in which the robot moves. `now` are
+    the frames from which a search starts.
+    """
+
+    r: Array
+    R: Array
+    seen_r: Array
+    seen_R: Array
+    measured: Array
+    length: float
+    target_is_free: bool
+    moves: tuple[str, ...] = POSE
+    now: Frames = IDENTITY_FRAMES
+
+    @property
+    def placed(self) -> Array:
+        """Mask (N,) of the samples of which a coordinate of the position was measured."""
+        return np.asarray(self.measured[:, :3].any(axis=1))
+
+    @property
+    def turned(self) -> Array:
+        """Mask (N,) of the samples of which a coordinate of the orientation was measured."""
+        return np.asarray(self.measured[:, 3:].any(axis=1))
+
+    @property
+    def turns(self) -> bool:
+        """Whether the platform can turn."""
+        return any(c.startswith("r") for c in self.moves)
+
+    @property
+    def _hidden(self) -> tuple[str, ...]:
+        """Coordinates in {B} of the device's frame that no sample shows."""
+        if self._fully_placed.sum() >= 3:
+            return ()
+        frame = POSE if set(POSE[:3]) & set(self.moves) else POSE[3:]
+        return tuple(c for c in frame if c not in list_shown_displacements(self.moves))
+
+    @property
+    def _fully_placed(self) -> Array:
+        return np.asarray(self.measured[:, :3].all(axis=1))
+
+    @property
+    def _fully_turned(self) -> Array:
+        return np.asarray(self.measured[:, 3:].all(axis=1))
+
+    @cached_property
+    def frames(self) -> Frames:
+        """The frames that minimise the distance of measured and predicted poses; the last step
+        ignores the worst tenth."""
+        everything = np.ones(len(self.r), dtype=bool)
+        ends = [self.descend(start, everything) for start in self._starts()]
+        best = min(ends, key=lambda end: float(np.median(self._sizes(end))))
+        sizes = self._sizes(best)
+        return self.descend(best, sizes <= OUTLIER_DISTANCE_RATIO * np.median(sizes[self._used]))
+
+    def find_near(self, frames: Frames) -> Array:
+        """Indices of the measured poses without those that are far off with these frames."""
+        sizes = self._sizes(frames)
+        near = sizes <= OUTLIER_DISTANCE_RATIO * np.median(sizes[self._used])
+        return np.flatnonzero(near & self._used)
+
+    def start_of_device(self) -> Frames:
+        """The frame of the device that fits the positions best, or else the orientations, if the
+        target sits where the model has it."""
+        now, near = self.now, self.now
+        if self.placed.sum() >= 3:
+            near = self._from_positions(now.t)
+        elif self.turned.any():
+            ours, seen = self.R[self.turned] @ now.T, self.seen_R[self.turned]
+            near = replace(now, F=nearest_rotation((ours @ seen.transpose(0, 2, 1)).sum(axis=0)))
+        return replace(near, t=now.t, T=now.T)
+
+    def count_free(self, frames: Frames, free: Array) -> int:
+        """How many of the coordinates that are `free` the poses determine."""
+        return int(np.linalg.matrix_rank((self._jacobian(frames) * free).reshape(-1, 12)))
+
+    def compute_errors(self, frames: Frames) -> Array:
+        """Errors of the measured coordinates (rows,): of positions (m), and of orientations times
+        length."""
+        return np.asarray(self._residual(frames)[self.measured])
+
+    def compute_rms(self, frames: Frames) -> float:
+        """Rms error of the positions (m), or of the orientations (rad) if no position was
+        measured."""
+        errors = self._residual(frames)
+        kept = errors[self.placed, :3] if self.placed.any() else errors[self.turned, 3:]
+        scale = 1.0 if self.placed.any() else self.length
+        return float(np.sqrt(np.mean(np.sum(kept**2, axis=1)))) / scale
+
+    @property
+    def _target_turn_is_free(self) -> bool:
+        """Whether the orientations tell how the target is turned: on a platform that never turns,
+        only if the positions tell how the device's frame is turned."""
+        return self.turns or int(self.placed.sum()) >= 3
+
+    def find_target_turn(self, F: Array, used: Array) -> Array:
+        """Rotation of the target on the platform that fits the orientations of the `used` poses."""
+        R, seen = self.R[used], self.seen_R[used]
+        return nearest_rotation((R.transpose(0, 2, 1) @ F @ seen).sum(axis=0))
+
+    @property
+    def _used(self) -> Array:
+        return np.asarray(self.placed | self.turned)
+
+    def compute_median_errors(self, frames: Frames) -> Array:
+        """Median (2,) of position, and of length times orientation; 0 where not measured."""
+        sizes = np.linalg.norm(self._residual(frames).reshape(-1, 2, 3), axis=2)
+        masks = (self.placed, self.turned)
+        return np.array([np.median(sizes[k, i]) if k.any() else 0.0 for i, k in enumerate(masks)])
+
+    def find_unexplained_share(self) -> float:
+        """Return the rms error of the registered positions, or of the orientations without any,
+        divided by how far they scatter (rms); 0 if nothing moved."""
+        if self.placed.any():
+            seen = self.seen_r[self.placed]
+            spread = float(np.sqrt(np.mean(np.sum((seen - seen.mean(axis=0)) ** 2, axis=1))))
+        else:
+            away = turns_from_mean(self.seen_R[self.turned])
+            spread = float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
+        return self.compute_rms(self.frames) / spread if spread > 0 else 0.0
+
+    def compute_position_rms(self, frames: Frames) -> float:
+        """Rms distance (m) of the measured positions from the predicted ones."""
+        away = self._residual(frames)[self.placed, :3]
+        return float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
+
+    def closed_form_frames(self) -> Frames:
+        """The best of the frames from which `frames` descends."""
+        return min(self._starts(), key=self.compute_median_error)
+
+    def compute_median_error(self, frames: Frames) -> float:
+        """Median distance of the poses (m), with orientations times length."""
+        return float(np.median(self._sizes(frames)[self._used]))
+
+    def _sizes(self, frames: Frames) -> Array:
+        return np.asarray(np.linalg.norm(self._residual(frames), axis=1))
+
+    def _residual(self, frames: Frames) -> Array:
+        """(N, 6) in axes of the device: position (m), then orientation times length; zero where not
+        measured."""
+        place = self.seen_r @ frames.F.T + frames.f - self.r - self.R @ frames.t
+        turn = rotation_vector(frames.F @ self.seen_R @ (self.R @ frames.T).transpose(0, 2, 1))
+        apart = np.hstack([place @ frames.F, self.length * turn @ frames.F])
+        return np.nan_to_num(np.where(self.measured, apart, 0.0))
+
+    def descend(self, frames: Frames, used: Array, free: Array | None = None) -> Frames:
+        """Gauss-Newton over the frames, or over those of their 12 coordinates that are `free`;
+        directions that no pose determines stay unchanged."""
+        for _ in range(STEPS):
+            residual = self._residual(frames)[used].ravel()
+            J = self._jacobian(frames)[used].reshape(len(residual), 12)
+            J = J if free is None else J * free
+            step = -np.linalg.lstsq(J, residual, rcond=LSTSQ_RANK_TOLERANCE)[0]
+            frames = frames.moved(np.clip(step, -1, 1))
+            if np.abs(step).max() < NEWTON_STEP:
+                break
+        return frames
+
+    @property
+    def _free(self) -> Array:
+        """Mask (12,) of the coordinates of f, F, t, T that the measured coordinates show."""
+        axes = "xyz"
+        frame = [c not in self._hidden for c in POSE]
+        turns = {c[1] for c in self.moves if c.startswith("r")}
+        # A turn about an axis does not move the points on it.
+        target = [self.target_is_free and bool(turns - {axis}) for axis in axes]
+        seen = list_shown_displacements(tuple(c for c in self.moves if c.startswith("r")))
+        everything = not self.turns or self._fully_turned.any()
+        turn = [self._target_turn_is_free and (everything or f"r{axis}" in seen) for axis in axes]
+        return np.array([*frame, *target, *turn])
+
+    def _jacobian(self, frames: Frames) -> Array:
+        """d residual / d (f, F, t, T): (N, 6, 12)."""
+        J, R = np.zeros((len(self.r), 6, 12)), np.nan_to_num(self.R)
+        J[:, :3, :3] = np.eye(3)
+        x, y, z = (np.nan_to_num(self.r) + R @ frames.t - frames.f).T
+        zero = np.zeros(len(x))
+        # With v = r + R t - f, the columns of [v]x are those of w -> v x w.
+        cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
+        J[:, :3, 3:6] = -np.moveaxis(cross, -1, 0)
+        J[:, :3, 6:9] = -R
+        J[:, 3:, 3:6] = self.length * np.eye(3)
+        J[:, 3:, 9:] = -self.length * R
+        J = np.concatenate([frames.F.T @ J[:, :3], frames.F.T @ J[:, 3:]], axis=1)
+        return np.asarray(J * self.measured[:, :, None] * self._free)
+
+    def _starts(self) -> list[Frames]:
+        """Starts of the descent: the frames of the model; frames from positions, with the target of
+        the model and with an unknown one; frames from orientations."""
+        starts = [self.now]
+        if self.placed.sum() >= 3:
+            starts.append(self._from_positions(self.now.t))
+            if self.target_is_free and self._fully_placed.sum() >= 3:
+                # Solve M r' + f = r + R t for the 15 numbers of M, f and t, with M any matrix.
+                ours, theirs, R = (a[self._fully_placed] for a in (self.r, self.seen_r, self.R))
+                A = np.zeros((len(ours), 3, 15))
+                for i in range(3):
+                    A[:, i, 3 * i : 3 * i + 3] = theirs
+                A[:, :, 9:12], A[:, :, 12:] = np.eye(3), -R
+                found = np.linalg.lstsq(A.reshape(-1, 15), ours.ravel(), rcond=LSTSQ_RANK_TOLERANCE)
+                starts.append(self._from_positions(found[0][12:]))
+        if self.turns and self._fully_turned.sum() >= 3:
+            R, seen = self.R[self._fully_turned], self.seen_R[self._fully_turned]
+            # The sum of tr(F R' T^T R^T) is vec(F)^T K vec(T): the singular vectors of the largest
+            # singular value of K maximise it.
+            K = np.einsum("nac,nbd->abcd", R, seen).reshape(9, 9)
+            left = np.linalg.svd(K)[0]
+            for sign in (1, -1):
+                F = nearest_rotation(sign * left[:, 0].reshape(3, 3))
+                starts.append(self._complete_frames(F))
+        return starts
+
+    def _from_positions(self, t: Array) -> Frames:
+        """Frames with Kabsch's rotation for a target at t in {P}, from the measured coordinates."""
+        ours = (self.r + self.R @ t)[self.placed]
+        theirs = np.where(self.measured[:, :3], self.seen_r, np.nan)[self.placed]
+        with warnings.catch_warnings(action="ignore"):  # of a coordinate that was never measured
+            theirs = np.nan_to_num(theirs - np.nanmean(theirs, axis=0))
+        H = (ours - ours.mean(axis=0)).T @ theirs
+        # Points on a line leave a turn about it open: it stays as the model has it.
+        U, sizes, V = np.linalg.svd(H)
+        unknown = sizes <= LSTSQ_RANK_TOLERANCE * sizes[0]
+        P, Q = U[:, unknown] @ U[:, unknown].T, V[unknown].T @ V[unknown]
+        open_turn = LSTSQ_RANK_TOLERANCE * sizes[0] * (P @ self.now.F @ Q)
+        return self._complete_frames(nearest_rotation(H + open_turn), t)
+
+    def _complete_frames(self, F: Array, t: Array | None = None) -> Frames:
+        """Complete the frames for a given F (and t)."""
+        T = np.eye(3)
+        if self.turned.any() and self._target_turn_is_free:
+            T = self.find_target_turn(F, self.turned)
+        if not self.placed.any():
+            return Frames(np.zeros(3), F, np.zeros(3), T)
+        start = Frames(self.now.f, F, self.now.t if t is None else t, T)
+        # The positions are linear in f and t.
+        linear = np.repeat([True, False, t is None, False], 3)
+        J = (self._jacobian(start) * linear)[:, :3].reshape(-1, 12)
+        away = self._residual(start)[:, :3].ravel()
+        return start.moved(-np.linalg.lstsq(J, away, rcond=LSTSQ_RANK_TOLERANCE)[0])
