@@ -15,6 +15,7 @@ from parallel_cal.model.model import Noise, new_model
 from parallel_cal.model.shelf import load_mechanism, load_sensor
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.sensors.straight_edge import StraightEdge
+from parallel_cal.session.steps import fitted
 from parallel_cal.virtual.stewart import Stewart
 
 RING = tuple((0.05 * np.cos(a), 0.05 * np.sin(a), 0.0) for a in np.arange(8) * np.pi / 4)
@@ -260,3 +261,65 @@ def test_an_update_needs_a_calibration():
     model = new_model("delta24")
     with pytest.raises(FitError, match="no covariance"):
         pc.fit(model, pc.simulate(model, 10).dataset(), update=True)
+
+
+def test_sockets_that_tell_a_delta_nothing_give_no_new_model():
+    robot, rng = random_delta(3), np.random.default_rng(8)
+    seats = np.array([(0.03, 0.0, 0.2), (-0.02, 0.03, 0.21), (0.0, -0.03, 0.19)])
+    which = np.arange(45) % 3
+    q = robot.inverse(seats[which] + rng.normal(0, 20e-6, (45, 3)))[0]
+    model = new_model("delta24", sensors=[load_sensor("sockets", n=3, sigma=20e-6)])
+    data = touched(model, q, 2e-5, [f"socket{k + 1}" for k in which])
+    # Only the places of the sockets would explain the touches better.
+    with pytest.raises(FitError, match="does not fall"):
+        fitted(model, data)
+
+
+def drifted_delta(seed):
+    """Samples of a tracker before and after a Delta's zeros have drifted by 0.5 mrad."""
+    robot, rng = random_delta(seed), np.random.default_rng([seed, 1])
+    drift = rng.normal(0, 0.5e-3, 3)
+    model = replace(new_model("delta24"), noise=Noise(2e-5, 30e-6))
+
+    def session(n, drift):
+        r = rng.uniform((-0.06, -0.06, 0.14), (0.06, 0.06, 0.26), (n, 3))
+        q = robot.inverse(r)[0] + drift + rng.normal(0, 2e-5, (n, 3))
+        seen = r + rng.normal(0, 30e-6, (n, 3))
+        return Dataset.from_arrays(
+            model.joints,
+            q,
+            seen,
+            pose_cov=np.diag([30e-6**2] * 3 + [1e6] * 3),
+            joint_sigma=[2e-5] * 3,
+            pose_id=np.arange(n),
+            source="virtual tracker",
+        )
+
+    joints, where = workspace(robot)
+    return model, session(80, 0.0), session(10, drift), joints + drift, where
+
+
+def test_ten_touches_update_a_calibration_better_than_they_make_one():
+    rows = []
+    for seed in range(3):
+        model, before, today, joints, where = drifted_delta(seed)
+        last = pc.fit(model, before, hold_out=0.0).model
+        update = pc.fit(last, today, hold_out=0.0, update=True)
+        models = last, update.model, pc.fit(model, today, hold_out=0.0).model
+        found = [pc.Kinematics(m).direct(joints).position for m in models]
+        rows.append([np.sqrt(np.mean(np.sum((r - where) ** 2, axis=1))) for r in found])
+        assert update.document()["priors"] == "last calibration"
+    unchanged, updated, scratch = np.sqrt(np.mean(np.square(rows), axis=0))
+    assert updated < 0.5 * unchanged
+    assert updated < 0.6 * scratch
+
+
+def test_a_plan_for_an_update_names_how_few_poses_show_a_drift():
+    model, before, *_ = drifted_delta(0)
+    last = pc.fit(model, before, hold_out=0.0).model
+    found = pc.plan(last, 8, pool=100, update=True)
+    assert found.update.enough <= 5
+    assert found.update.invisible == ("temperature",)  # 60 ppm: 12 um of 0.2 m
+    assert (np.diff(found.update.information) > 0).all()
+    with pytest.raises(FitError, match="no covariance"):
+        pc.plan(model, 8, pool=100, update=True)

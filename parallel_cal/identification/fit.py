@@ -81,6 +81,7 @@ from parallel_cal.identification.registration import (
     registered_by,
     shows_pose,
 )
+from parallel_cal.identification.set_up import place_set_up
 from parallel_cal.identification.thresholds import (
     MAX_REGION_SAMPLES,
 )
@@ -511,6 +512,7 @@ def fit(
     options = with_changes(options, FitOptions, changes, FitError)
     if not dataset.sha256:  # so that another fit of these samples knows that the first used them
         dataset = replace(dataset, sha256=fingerprint(dataset))
+    model = place_set_up(model, dataset, options)
     given = GivenModel.of(model, dataset, options.joint_sigma, options.insist)
     dataset = given.dataset
     start = add_effects(given.start, effects, dataset)

@@ -16,7 +16,8 @@ from parallel_cal.kinematics.kinematics import Solutions
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.mechanism import POSE, list_shown_displacements
 from parallel_cal.model.model import Model
-from parallel_cal.model.words import direction_in_words
+from parallel_cal.identification.thresholds import MAX_NAMED_DIRECTIONS
+from parallel_cal.model.words import direction_in_words, parameters_in_words
 from parallel_cal.planning.indices import Indices, indices, prediction_rms
 from parallel_cal.planning.posepool import Pool
 from parallel_cal.planning.selection import SelectionProblem
@@ -138,9 +139,15 @@ class View:
             unseen = seen.directions[seen.rank :] * (table.prior_sigma / table.tolerance)[free]
             moved = np.abs(np.einsum("nik,jk->jni", self._G, unseen)).max(axis=(1, 2), initial=0.0)
             matters = moved > MIN_SHOWN_MOTION_M
-        for parts, named in zip(seen.unidentifiable, matters, strict=True):
-            if not named:
-                continue
+        unknown = [d for d, m in zip(seen.unidentifiable, matters, strict=True) if m]
+        if self.is_without_device and len(unknown) > MAX_NAMED_DIRECTIONS:
+            part_of = {name for parts in unknown for name in parts}
+            together = parameters_in_words((n for n in table.names if n in part_of), table)
+            return [
+                f"no pose determines {len(unknown)} combinations of {together}: there a fit keeps "
+                "the drawing"
+            ]
+        for parts in unknown:
             them = "it" if len(parts) == 1 else "one of them"
             words.append(f"no pose determines {direction_in_words(parts, table)}: fix {them}")
         return words
@@ -190,10 +197,13 @@ def remove_base_motion(model: Model, G: np.ndarray, pool: Pool) -> np.ndarray:
     held = np.setdiff1d(np.arange(6), model.mechanism.moved)
     moves[:, held] = 0.0
     # A displacement that would move a coordinate that the mechanism holds is none of the robot.
-    shown = list_shown_displacements(model.mechanism.moves)
-    D = moves.reshape(6 * n, 6)[:, [POSE.index(c) for c in shown]]
-    flat = G.reshape(6 * n, -1)
-    return np.asarray(flat - D @ np.linalg.lstsq(D, flat, rcond=None)[0]).reshape(G.shape)
+    shown = [POSE.index(c) for c in list_shown_displacements(model.mechanism.moves)]
+    left = G.copy()
+    for part in (slice(0, 3), slice(3, 6)):  # {B} is placed by positions, or by orientations
+        D = moves[:, part][:, :, shown].reshape(3 * n, -1)
+        flat = G[:, part].reshape(3 * n, -1)
+        left[:, part] = (flat - D @ np.linalg.lstsq(D, flat, rcond=None)[0]).reshape(n, 3, -1)
+    return left
 
 
 def as_observations(

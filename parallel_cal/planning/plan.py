@@ -302,9 +302,9 @@ def plan(
         pool=pool.groups.size,
         update=update,
         warnings=(
+            *_list_blind_warnings(expected, view, pool.rows(rows)),
             *view.warnings(),
             *_list_sensor_warnings(model),
-            *_list_blind_warnings(expected, view, pool.rows(rows)),
             *_list_region_warnings(model, pool.poses[rows]),
             *filter(None, [describe_untested_conditions(model, pool.a[rows])]),
         ),

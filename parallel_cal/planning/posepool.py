@@ -77,7 +77,8 @@ def make_pool(
     if in_contact:
         poses = poses[np.flatnonzero(poses.ok)]
         poses = spread_over_contacts(model, poses, model.condition_rows(None, len(poses)))[0]
-    good = find_usable_poses(model, poses, reach)
+    # Something on the table may stand beside the workspace: joint limits decide.
+    good = find_usable_poses(model, poses, np.inf if in_contact else reach)
     approach = None
     if needs_approach(model):
         approach = approaches(model, poses, rng, reach, good, least_travels)
