@@ -121,7 +121,7 @@ def arm_in_sockets(seed, centres, n=80, seat=50e-6):
         start = home + rng.uniform(-0.7, 0.7, 6)
         q.append(
             least_squares(
-                lambda x: np.append(1e3 * (forward(x) - goal), 1e-6 * (x - start)), start
+                lambda x, g=goal, s=start: np.append(1e3 * (forward(x) - g), 1e-6 * (x - s)), start
             ).x
         )
     links = [{"joint": None, "axes": "coincident"}]

@@ -12,11 +12,11 @@ from parallel_cal.identification.observability import Spectrum, spectrum
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Knowledge, Prior
 from parallel_cal.identification.registration import frames_of
+from parallel_cal.identification.thresholds import MAX_NAMED_DIRECTIONS
 from parallel_cal.kinematics.kinematics import Solutions
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.mechanism import POSE, list_shown_displacements
 from parallel_cal.model.model import Model
-from parallel_cal.identification.thresholds import MAX_NAMED_DIRECTIONS
 from parallel_cal.model.words import direction_in_words, parameters_in_words
 from parallel_cal.planning.indices import Indices, indices, prediction_rms
 from parallel_cal.planning.posepool import Pool
@@ -112,7 +112,7 @@ class View:
             for part in (range(3), range(3, 6), range(6))
         ]
         errors[1] /= self._sought.model.mechanism.length
-        return Expectation(counted, sigma, *errors[:3], undetermined_rms=undetermined)
+        return Expectation(counted, sigma, errors[0], errors[1], errors[2], undetermined)
 
     @property
     def sees_size(self) -> bool:
