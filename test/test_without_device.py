@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arms import AXES, ROWS
+from chains import five_bar, make_chain
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from virtual_setups import random_delta, workspace
@@ -323,3 +324,38 @@ def test_a_plan_for_an_update_names_how_few_poses_show_a_drift():
     assert (np.diff(found.update.information) > 0).all()
     with pytest.raises(FitError, match="no covariance"):
         pc.plan(model, 8, pool=100, update=True)
+
+
+def test_two_arms_that_hold_one_another_are_a_chain_with_more_drives_than_motions():
+    """Two planar arms of two joints, pinned at their tips; the true arms are numpy."""
+    rng = np.random.default_rng(3)
+
+    def tip(base, links, first, second):
+        angles = np.array([first, first + second])
+        return np.array([base + links @ np.cos(angles), links @ np.sin(angles)])
+
+    def held(start, links, zeros):
+        """Joints (left, right, left_elbow, right_elbow) at which both tips meet at `start`'s."""
+
+        def gap(x):
+            a = tip(-0.05, links[0], *(x + zeros)[[0, 2]])
+            b = tip(0.05, links[1], *(x + zeros)[[1, 3]])
+            return np.concatenate([1e3 * (a - b), 1e-6 * (x - start)])
+
+        return least_squares(gap, start, xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+
+    ideal = np.array([[0.1, 0.15], [0.1, 0.15]])
+    home = held(np.array([2.2, 1.09, -1.35, 1.28]), ideal, 0.0)
+    options = five_bar()
+    order = ["left", "right", "left_elbow", "right_elbow"]
+    for joint in options["joints"]:
+        at = float(home[order.index(joint["name"])])
+        joint.update(driven=True, home=at, limits=[at - 1.0, at + 1.0])
+    model = make_chain(options)
+    links, zeros = ideal + rng.normal(0, 0.3e-3, (2, 2)), rng.normal(0, 3e-3, 4)
+    q = [held(home + rng.uniform(-0.4, 0.4, 4), links, zeros) for _ in range(80)]
+    q = np.array(q)[:, [order.index(name) for name in model.joints]]
+    result = pc.fit(model, touched(model, q + rng.normal(0, 2e-5, q.shape), 2e-5))
+    assert 0.7 < result.estimate.chi2_per_dof < 1.3
+    assert result.held_out.summary.joint_rms < 0.05 * result.before.summary.joint_rms
+    assert result.estimate.spectrum.unidentifiable  # among them the size of both arms
