@@ -151,6 +151,11 @@ def test_the_page_on_export_shows_what_its_commands_print(tmp_path):
     assert in_order("export.md", tmp_path) == 3
 
 
+@pytest.mark.wide
+def test_the_page_on_calibrations_without_a_device_shows_what_its_commands_print(tmp_path):
+    assert in_order("without_a_device.md", tmp_path) == 8
+
+
 def test_the_page_on_export_converts_poses_of_the_device(tmp_path, monkeypatch):
     random = np.random.default_rng(2)
     turns = [tuple(q / np.linalg.norm(q)) for q in random.normal(size=(2, 4))]

@@ -47,7 +47,7 @@ def fit(
     effect: AddedEffects = None,
     output: OptionalOut = None,
     force: ForceFit = False,
-    options: Annotated[FitOptions, ("method", *FIT, "refit")],
+    options: Annotated[FitOptions, ("method", *FIT, "refit", "update")],
     data: Data = None,
     parameters: Parameters = False,
     details: Details = False,

@@ -61,7 +61,11 @@ def plan(
     console.show([shown, *plans.describe_plan(found, document)], list_options(details))
     if output is not None:
         console.say(f"{output}: {len(found)} poses")
-    fit = f"measure these poses, then parallel-cal fit {shlex.quote(str(model))} RECORDING -o FILE"
+    update = " --update" if options.update else ""
+    fit = (
+        f"measure these poses, then parallel-cal fit {shlex.quote(str(model))} RECORDING{update} "
+        "-o FILE"
+    )
     following = fit if output else "the same command with -o FILE, which writes the poses"
     console.show([plans.summarize_plan(found, document, following)])
 

@@ -90,8 +90,18 @@ def summarize_plan(found: Plan, document: dict[str, Any], following: str) -> Tab
         return ", ".join(parts) or "not known"
 
     about = f"expected after a fit to these {len(found)} poses (rms, noise not included)"
+    update = []
+    if found.update is not None:
+        k, rest = found.update.enough, found.update.invisible
+        words = f"the first {k} of these poses show every usual drift at 3 sigma"
+        if k is None:
+            words = f"{len(found)} poses show no usual drift at 3 sigma: plan more"
+        elif rest:
+            words += f", except {', '.join(rest)}, which {len(found)} poses do not show"
+        update = [Line("update:", words, FOUND)]
     return summary_table(
         [
+            *update,
             Line("planned:", f"{write(document['expected'])} {about}", FOUND),
             Line("random:", f"{write(document['random']['expected'])} at random poses"),
             Line("next:", following),

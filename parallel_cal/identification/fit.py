@@ -81,10 +81,12 @@ from parallel_cal.identification.registration import (
     registered_by,
     shows_pose,
 )
+from parallel_cal.identification.set_up import place_set_up
 from parallel_cal.identification.thresholds import (
     MAX_REGION_SAMPLES,
 )
 from parallel_cal.identification.unusual import UnusualSize, describe_by_effect
+from parallel_cal.identification.update import DRIFT_SCALES, Drift, log_evidence, update_prior
 from parallel_cal.model.model import Model
 from parallel_cal.model.region import IdentifiedRegion
 from parallel_cal.recordings.dataset import Dataset
@@ -413,6 +415,7 @@ class FitResult(ShownInNotebook):
         held_before, held_after = self.held_out_before.summary, self.held_out.summary
         assumed = self.observations.noise_assumed  # then no band of chi2 is known
         weak_or_none = "weak" if self.estimate.spectrum.held else "none"
+        last = "last calibration" if self.options.update else "all"
         return self.history_entry() | {
             "parameters": to_json_value(self.parameters()),
             "as_given": self.given.errors_as_given.summary.document(),
@@ -426,7 +429,7 @@ class FitResult(ShownInNotebook):
                 self.estimate.spectrum.unidentifiable, self.model.table
             ),
             "weak": directions_in_words(self.estimate.spectrum.weak, self.model.table),
-            "priors": "all" if self.options.prior else weak_or_none,
+            "priors": last if self.options.prior else weak_or_none,
             "budget": to_json_value(self.budgets),
             "iso_9283": to_json_value(self.iso_9283),
             "noise_floor": self.noise_floor.document(),
@@ -509,12 +512,16 @@ def fit(
     options = with_changes(options, FitOptions, changes, FitError)
     if not dataset.sha256:  # so that another fit of these samples knows that the first used them
         dataset = replace(dataset, sha256=fingerprint(dataset))
+    model = place_set_up(model, dataset, options)
     given = GivenModel.of(model, dataset, options.joint_sigma, options.insist)
     dataset = given.dataset
     start = add_effects(given.start, effects, dataset)
     dataset = add_lagged_conditions(start.conditions, dataset)
     start, registration = prepared_for_fit(start, given.registration, dataset, options)
     dataset = add_registration_warning(dataset, registration)
+    if options.update:
+        drift, options = weigh_drift(start, dataset, options, given)
+        dataset = replace(dataset, warnings=(*dataset.warnings, *drift.warnings))
     try:
         unjudged = fit_unjudged(
             start, dataset, options, progress, given, compared_only=compared_only
@@ -534,6 +541,28 @@ def fit(
     motion = compute_base_motion(result.model, result.observations)
     warnings = (*result.warnings, *([motion.description] if motion else []))
     return replace(result, registration=registration, base_motion=motion, warnings=warnings)
+
+
+def weigh_drift(
+    start: Model, dataset: Dataset, options: FitOptions, given: GivenModel
+) -> tuple[Drift, FitOptions]:
+    """Return by how much the robot drifted, in usual drifts, and the options with the prior that
+    follows. The data decide: the drift with the largest evidence."""
+    free, _ = chosen_parameters(start, options)
+    found = []
+    for scale in DRIFT_SCALES:
+        prior = update_prior(start, scale)
+        how = replace(options, prior=prior, update=False, hold_out=0.0, insist=True)
+        result = fit_unjudged(start, dataset, how, given=given, compared_only=True).result
+        estimate = result.estimate
+        if result.observations.noise_assumed:  # chi2 has no size then
+            return Drift(1.0), replace(options, prior=update_prior(start))
+        evidence = log_evidence(
+            prior, start, free, estimate.values, estimate.chi2, estimate.covariance
+        )
+        found.append((evidence, scale, prior))
+    _, scale, prior = max(found, key=lambda one: one[0])
+    return Drift(scale), replace(options, prior=prior)
 
 
 @dataclass(frozen=True)

@@ -406,6 +406,16 @@ def _readings(model: Model, dataset: Dataset) -> np.ndarray:
     names = [k for k in dataset.conditions if k.startswith(READING)]
     read = [k.removeprefix(READING) for k in names if np.isfinite(dataset.conditions[k]).any()]
     channels = model.structure.channels
+    # A recording may name a contact, such as a ball in a socket, in place of its coordinates.
+    contact_of = {
+        channel: contact
+        for sensor in model.sensors
+        for contact, held in sensor.contacts.items()
+        for channel in held
+        if contact in read and channel not in read
+    }
+    read = [c for c in read if c not in contact_of.values() or c in channels]
+    read += contact_of
     missing = [c for s in model.sensors for c in _list_missing_channels(s, read)]
     if missing:
         raise FitError(
@@ -425,7 +435,7 @@ def _readings(model: Model, dataset: Dataset) -> np.ndarray:
             "set-up in the model file"
         )
     none = np.full(len(dataset.q), np.nan)
-    columns = [dataset.conditions.get(READING + c, none) for c in channels]
+    columns = [dataset.conditions.get(READING + contact_of.get(c, c), none) for c in channels]
     return np.stack(columns, axis=1) if columns else np.zeros((len(dataset.q), 0))
 
 

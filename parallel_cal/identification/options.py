@@ -57,6 +57,9 @@ class FitOptions:
         False uses none. None uses them only for parameters, or combinations of
         parameters, that the data determine weakly. A Prior states mean and covariance.
         Default None.
+    update : bool
+        Whether the last calibration is the prior: the covariance that the model has, widened by the
+        usual drift since. A few touches are then enough. Default False.
     loss : str
         Loss function of scipy, such as `huber`. The result lists samples with a low weight.
         Default `linear`.
@@ -105,6 +108,13 @@ class FitOptions:
         default="linear",
         metadata=option("linear, or robust to outliers: huber, soft_l1, cauchy, arctan"),
     )
+    update: bool = field(
+        default=False,
+        metadata=option(
+            "update the last calibration: its covariance in the model file, widened by the usual "
+            "drift since, is the prior; a few samples are enough"
+        ),
+    )
     usual_only: bool = field(
         default=False,
         metadata=option(
@@ -121,6 +131,11 @@ class FitOptions:
         require_fields(self, FitError)
         if not self.hold_out >= 0:
             raise FitError(f"hold_out {self.hold_out}: expected 0 (no validation) to 0.5")
+        if self.update and (self.refit or self.prior is True):
+            raise FitError(
+                "update has the last calibration as its prior: do not combine it with prior or "
+                "refit"
+            )
 
 
 class FitKeywords(TypedDict, total=False):
@@ -133,6 +148,7 @@ class FitKeywords(TypedDict, total=False):
     hold_out: float
     joint_sigma: float | None
     prior: bool | Prior | None
+    update: bool
     loss: str
     usual_only: bool
     seed: int

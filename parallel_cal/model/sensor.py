@@ -99,6 +99,12 @@ class Sensor(ABC):
         """Names of its channels, one row each; the recorded topic `constraint` uses these names."""
         return ()
 
+    @property
+    def contacts(self) -> Mapping[str, tuple[str, ...]]:
+        """Contacts of the platform with something on the base, by name: while a contact is made,
+        its channels read zero. Recordings name the contact. Default: none."""
+        return {}
+
     def readings(self, r: Any, R: Any, s: Named) -> Any:
         """Return the reading of each channel at the pose (r, R) of {P} in {B}, a column."""
         return ca.SX(0, 1)

@@ -30,6 +30,7 @@ class PlanKeywords(TypedDict, total=False):
     free: Sequence[str]
     fix: Sequence[str]
     prior: bool
+    update: bool
     seed: int
 
 
@@ -56,6 +57,9 @@ class PlanOptions:
         As in FitOptions. Default none.
     prior : bool
         As in FitOptions. Default False.
+    update : bool
+        As in FitOptions: the last calibration is the prior. The poses are then in the order of
+        their information about the drift since. Default False.
     seed : int
         Seed of the draws. Default 0.
 
@@ -89,6 +93,13 @@ class PlanOptions:
     free: Sequence[str] = field(default=(), metadata=FREE)
     fix: Sequence[str] = field(default=(), metadata=FIX)
     prior: bool = field(default=False, metadata=PRIOR)
+    update: bool = field(
+        default=False,
+        metadata=option(
+            "plan for fit --update: the last calibration is the prior; the poses are in the order "
+            "of what they tell about the drift since, and the fewest that suffice are named"
+        ),
+    )
     seed: int = field(default=0, metadata=option("seed of the candidates", min=0))
 
     def __post_init__(self) -> None:

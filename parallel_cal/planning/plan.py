@@ -16,6 +16,8 @@ from parallel_cal.base.threads import single_threaded
 from parallel_cal.base.units import ERROR_UNITS
 from parallel_cal.identification.checks import free_mask
 from parallel_cal.identification.estimate import EstimationProblem
+from parallel_cal.identification.update import update_prior
+from parallel_cal.kinematics.contacts import find_nearest_contacts, list_contacts
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.kinematics.solutions import concatenate_solutions
 from parallel_cal.model.model import Model
@@ -26,6 +28,7 @@ from parallel_cal.planning.options import PlanKeywords, PlanOptions
 from parallel_cal.planning.pose_table import format_pose_table
 from parallel_cal.planning.posepool import Pool, given_pool, make_pool
 from parallel_cal.planning.selection import anneal, exchange
+from parallel_cal.planning.update import UpdatePlan
 from parallel_cal.planning.visibility import (
     find_seen_poses,
     list_planned_sensors,
@@ -37,6 +40,7 @@ if TYPE_CHECKING:
 
 N_VALIDATION_POSES = 200
 RANDOM_SETS = 21
+MIN_BLIND_SHARE = 0.1  # of the expected error
 MAX_NAMED_PARAMETERS = 5  # of the least certain ones
 
 
@@ -65,6 +69,8 @@ class Plan:
         Number of poses from which these were chosen.
     warnings : tuple of str
         What the plan does not achieve.
+    update : UpdatePlan or None
+        How few of the poses show the usual drifts, with the option `update`.
     """
 
     model: Model
@@ -77,6 +83,7 @@ class Plan:
     random: Expectation
     pool: int
     warnings: tuple[str, ...]
+    update: UpdatePlan | None = None
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -111,6 +118,7 @@ class Plan:
             "expected": {**_errors(self.expected), "parameters": parameters},
             "noise": vars(self.model.noise),
             "warnings": list(self.warnings),
+            **({} if self.update is None else {"update": self.update.document()}),
         }
 
     def csv(self) -> str:
@@ -228,18 +236,25 @@ def plan(
     options = with_changes(options, PlanOptions, changes, FitError)
     model = stand_in_pose_device(model)
     measured = _measured(model)
-    sought = EstimationProblem(model, free_mask(model, options.free, options.fix), options.prior)
-    _check_enough(model, n, sought.free)
+    last = update_prior(model) if options.update else None
+    sought = EstimationProblem(
+        model, free_mask(model, options.free, options.fix), last or options.prior
+    )
+    if last is None:
+        _check_enough(model, n, sought.free)
     rng = np.random.default_rng(options.seed)
 
     def report(fraction: float) -> None:
         if progress:
             progress("selecting poses", fraction)
 
+    contacts = list_contacts(model)
+    if contacts and options.symmetric:
+        raise FitError("symmetric sets of poses do not keep a contact: plan without --symmetric")
     if isinstance(options.pool, Solutions):
         pool = given_pool(model, options.pool, rng)
     else:
-        pool = make_pool(model, options.pool, rng, options.symmetric)
+        pool = make_pool(model, options.pool, rng, options.symmetric, in_contact=bool(contacts))
     pool = _keep_seen_groups(model, pool)
     size = pool.groups.shape[1]
     if n % size:
@@ -270,7 +285,11 @@ def plan(
     random = view.expectation(view.rows(middle))
     rows = view.rows(chosen)
     expected = view.expectation(rows)
-    _check_determined(expected, view.rank, options.prior)
+    if not (view.is_without_device or last):
+        _check_determined(expected, view.rank, options.prior)
+    update = None if last is None else view.order_for_update(rows, last)
+    if update is not None:
+        rows = rows[list(update.order)]
     return Plan(
         model=model,
         poses=pool.poses[rows],
@@ -281,7 +300,9 @@ def plan(
         expected=expected,
         random=random,
         pool=pool.groups.size,
+        update=update,
         warnings=(
+            *_list_blind_warnings(expected, view, pool.rows(rows)),
             *view.warnings(),
             *_list_sensor_warnings(model),
             *_list_region_warnings(model, pool.poses[rows]),
@@ -340,8 +361,8 @@ def _keep_seen_groups(model: Model, pool: Pool) -> Pool:
     seen = find_seen_poses(model, pool.poses)[pool.groups].all(axis=1)
     if not seen.any():
         raise FitError(
-            f"no camera sees its board at any of {len(pool.poses)} poses in the workspace: check "
-            "the place of camera and board in the model file"
+            f"at none of {len(pool.poses)} poses in the workspace a camera sees its board, or a "
+            "contact is made: check the places of camera, board and sockets in the model file"
         )
     return replace(pool, groups=pool.groups[seen])
 
@@ -352,6 +373,33 @@ def _list_sensor_warnings(model: Model) -> list[str]:
     return [f"planned for the pose device only: readings of {channels} are ignored"] * bool(
         channels
     )
+
+
+def _list_blind_warnings(expected: Expectation, view: View, chosen: Pool) -> list[str]:
+    """Say what no pose can show, before anybody measures: the size of the robot, and how large an
+    error remains if the robot is as far from its drawing as its tolerances state. Name contacts
+    that no planned pose makes, too."""
+    words, model = [], view.model
+    if contacts := list(list_contacts(model)):
+        used = {contacts[k] for k in find_nearest_contacts(model, chosen.poses, chosen.a)}
+        if unused := [name for name in contacts if name not in used]:
+            words.append(
+                f"no planned pose touches {', '.join(unused)}: remove it from the sensor in the "
+                "model file"
+            )
+    if not view.sees_size:
+        words.append(
+            "no reading contains a known length: a robot all of whose lengths are longer by the "
+            "same factor would give the same readings. Measure one length and fix it, or use "
+            "sockets with known distances"
+        )
+    if expected.undetermined_rms > MIN_BLIND_SHARE * expected.position_rms:
+        error = f"{expected.undetermined_rms * 1e6:.3g} um"
+        words.append(
+            f"what no pose can show leaves a position error of {error} rms, if the robot is as far "
+            "from its drawing as its tolerances state"
+        )
+    return words
 
 
 def _list_region_warnings(model: Model, poses: Solutions) -> list[str]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import rotation_matrix
+from parallel_cal.kinematics.contacts import spread_over_contacts
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.kinematics.singularity import distances
 from parallel_cal.model.mechanism import poses_in_workspace
@@ -60,6 +61,7 @@ def make_pool(
     symmetric: bool,
     reach: float = 1.0,
     least_travels: np.ndarray | float = 0.0,
+    in_contact: bool = False,
 ) -> Pool:
     """Draw about n poses in the workspace, or in a box `reach` times as large; keep the usable
     ones. Each joint approaches over more than `least_travels` (nq,), if the model needs an
@@ -72,7 +74,11 @@ def make_pool(
         r, R = rotate_about_z(r[: -(-n // FOLD)], R[: -(-n // FOLD)])
     # Quick: the pool is large, so a pose that is not solved at the first attempt is dropped.
     poses = Kinematics(model, quick=True).inverse(r, R)
-    good = find_usable_poses(model, poses, reach)
+    if in_contact:
+        poses = poses[np.flatnonzero(poses.ok)]
+        poses = spread_over_contacts(model, poses, model.condition_rows(None, len(poses)))[0]
+    # Something on the table may stand beside the workspace: joint limits decide.
+    good = find_usable_poses(model, poses, np.inf if in_contact else reach)
     approach = None
     if needs_approach(model):
         approach = approaches(model, poses, rng, reach, good, least_travels)

@@ -14,6 +14,12 @@ from parallel_cal.base.rotation import matrix_to_quaternion, rotation_matrix
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.base.units import ARCSEC
 from parallel_cal.kinematics.answers import select_rows
+from parallel_cal.kinematics.contacts import (
+    find_nearest_contacts,
+    list_contacts,
+    make_contact,
+    spread_over_contacts,
+)
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.effect import parse_effect
 from parallel_cal.model.mechanism import poses_in_workspace
@@ -21,7 +27,14 @@ from parallel_cal.model.model import Model, Noise
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import fingerprint
 from parallel_cal.recordings.loading import dataset_from_recording
-from parallel_cal.recordings.recording import JointStream, PoseStream, Recording, ScalarStream
+from parallel_cal.recordings.recording import (
+    Array,
+    JointStream,
+    PoseStream,
+    Recording,
+    ScalarStream,
+    TextStream,
+)
 
 MOVE, DWELL = 0.5, 1.0  # s per motion and per dwell
 JOINT_RATE, POSES_EVERY = 100, 5  # Hz; the device reports at every fifth joint reading, 20 Hz
@@ -99,6 +112,7 @@ def simulate(
     replicates: int = 0,
     quiet: bool = False,
     targets: np.ndarray | None = None,
+    with_device: bool | None = None,
 ) -> Simulation:
     """Simulate a recording of a robot.
 
@@ -120,7 +134,11 @@ def simulate(
         covariances nevertheless.
     targets : ndarray (poses, nq), optional
         Joint positions (rad or m) of the poses, in the order of the visits. They replace the
-        random poses and `replicates`.
+        random poses and `replicates`. If a sensor of the model has contacts, each target is moved
+        into the nearest one.
+    with_device : bool, optional
+        Whether a device measures the poses. Default: only if no sensor of the model has contacts,
+        such as sockets for a ball on the platform.
 
     Returns
     -------
@@ -148,12 +166,16 @@ def simulate(
         raise SolveError(f"{replicates} replicates of {poses} poses: expected at most one each")
     model = with_effects(model, map(parse_effect, effects))
     rng = np.random.default_rng(seed)
+    contacts = list(list_contacts(model))
     if targets is None:
         targets = _targets(model, poses, rng)
-        targets = _separate_neighbours(
-            np.vstack([targets, targets[rng.permutation(poses)[:replicates]]])
-        )
+        targets = np.vstack([targets, targets[rng.permutation(poses)[:replicates]]])
+        if not contacts:  # between two contacts, the tip lifts off
+            targets = _separate_neighbours(targets)
     motion = _motion(model, targets)
+    touch = None
+    if contacts:
+        motion, touch = _touch(model, motion, targets, rng, quiet)
     if model.structure.equations > len(model.mechanism.moves):
         # With more lines than coordinates, the joints depend on each other, and an effect changes
         # how. Use the joints of the same poses under the conditions at the end of each dwell.
@@ -170,7 +192,9 @@ def simulate(
         errors.add_to_joints(motion.joints, motion.dwell),
         np.full_like(motion.joints, np.nan),
     )
-    measured = _measure_poses(model, motion, errors, np.diag(_pose_sigma(stated) ** 2))
+    if with_device is None:
+        with_device = not contacts
+    measured = _measure_poses(model, motion, errors, np.diag(_pose_sigma(stated) ** 2), with_device)
     slow, payload = np.arange(0.0, motion.time[-1], 1.0), motion.at["payload"]
     changes = np.flatnonzero(np.diff(payload, prepend=np.nan) != 0)
     conditions = {
@@ -179,8 +203,33 @@ def simulate(
     }
     read = _read_sensors(model, motion, rng, quiet)
     return Simulation(
-        model, Recording("simulated", 0, joints, measured, conditions, distances=read)
+        model,
+        Recording("simulated", 0, joints, measured, conditions, constraint=touch, distances=read),
     )
+
+
+def _touch(
+    model: Model, motion: _Motion, targets: np.ndarray, rng: np.random.Generator, quiet: bool
+) -> tuple[_Motion, TextStream]:
+    """Return the motion that ends in the contact nearest to each target (N, nq), to within the
+    seating error, and the names of the contacts over time."""
+    contacts = list_contacts(model)
+    last = np.searchsorted(motion.dwell, np.arange(len(targets)), side="right") - 1
+    at = {key: column[last] for key, column in motion.at.items()}
+    a = model.condition_rows(at, len(targets))
+    poses = Kinematics(model).direct(targets, at)
+    which = find_nearest_contacts(model, poses, a)
+    held = np.array(list(contacts.values()))[which]
+    seat = model.structure.standard_uncertainty * rng.standard_normal(held.shape)
+    found = make_contact(model, poses, held, np.zeros(held.shape) if quiet else seat, a)
+    if missed := int((~found.solved).sum()):
+        raise SolveError(
+            f"{missed} of {len(targets)} poses reach no contact of {', '.join(contacts)}: state "
+            "its place in the model file, inside the workspace"
+        )
+    names = tuple(np.array(list(contacts))[which].tolist())
+    start: Array = np.arange(len(targets), dtype=float) * (MOVE + DWELL)
+    return _motion(model, found.joints), TextStream("constraint", start, names)
 
 
 def _read_sensors(
@@ -213,10 +262,11 @@ def _read_sensors(
 
 
 def _measure_poses(
-    model: Model, motion: _Motion, errors: _Errors, covariance: np.ndarray
+    model: Model, motion: _Motion, errors: _Errors, covariance: np.ndarray, with_device: bool
 ) -> PoseStream:
-    """Return the poses that the device reports, with the covariance (6, 6) that it states."""
-    seen = slice(None, None, POSES_EVERY)
+    """Return the poses that the device reports, with the covariance (6, 6) that it states; none
+    without a device."""
+    seen = slice(None, None if with_device else 0, POSES_EVERY)
     at = {key: column[seen] for key, column in motion.at.items()}
     answer = Kinematics(model).direct(motion.joints[seen], at)
     # On its straight path between two poses, a robot may pass configurations without a solution.
@@ -224,7 +274,7 @@ def _measure_poses(
     position, rotation = errors.add_to_pose(answer.position, answer.rotation, motion.dwell[seen])
     m = int(solved.sum())
     return PoseStream(
-        "measured_pose",
+        "measured_pose" if with_device else "",
         model.frames["base"],
         motion.time[seen][solved],
         position[solved],
@@ -250,14 +300,19 @@ def _separate_neighbours(targets: np.ndarray) -> np.ndarray:
 
 
 def _targets(model: Model, n: int, rng: np.random.Generator) -> np.ndarray:
-    """Draw joints (n, nq) of poses in the workspace that the robot reaches within its limits."""
+    """Draw joints (n, nq) of poses in the workspace that the robot reaches within its limits; in
+    its contacts in turn if sensors of the model have some."""
     kinematics, found = Kinematics(model), np.empty((0, len(model.joints)))
+    has_contacts = bool(list_contacts(model))
     for _ in range(MAX_DRAWS):
         r, R = poses_in_workspace(model.mechanism, n, rng)
         joints = kinematics.inverse(r, R)
         reached = joints.joints[joints.ok]
         if len(reached):
             reached = reached[kinematics.direct(reached).ok]
+        if has_contacts:
+            start, a = kinematics.direct(reached), model.condition_rows(None, len(reached))
+            reached = spread_over_contacts(model, start, a)[0].joints
         found = np.vstack([found, reached])
         if len(found) >= n:
             return np.asarray(found[:n])

@@ -17,7 +17,7 @@ from parallel_cal.base.errors import BagError
 from parallel_cal.recordings.channels import CHANNELS
 
 if TYPE_CHECKING:
-    from parallel_cal.recordings.recording import PoseStream, ScalarStream
+    from parallel_cal.recordings.recording import PoseStream, ScalarStream, TextStream
     from parallel_cal.recordings.simulate import Simulation
 
 START = 1_767_225_600_000_000_000  # ns, 2026-01-01 00:00:00 UTC: equal seeds give equal files
@@ -54,12 +54,16 @@ def write_bag(session: Simulation, path: str | Path, storage: str = "mcap") -> N
     if storage not in STORAGES:
         raise BagError(f"storage '{storage}' unknown; expected {' or '.join(STORAGES)}")
     messages = _Session()
-    written = [*WRITTEN_CHANNELS, *(["distance"] if session.recording.distances else [])]
+    others = {
+        "distance": bool(session.recording.distances),
+        "constraint": session.recording.constraint is not None,
+    }
+    written = [*WRITTEN_CHANNELS, *(name for name, is_written in others.items() if is_written)]
     kinds = {name: CHANNELS[name].types[0] for name in written}
     # A long session has millions of messages: make each when it is written.
     stream = merge(*messages.streams(session), key=lambda m: m[0])
     data = ((n, t, messages.store.serialize_cdr(m, kinds[n])) for t, n, m in stream)
-    latched = {name for name in WRITTEN_CHANNELS if CHANNELS[name].latched}
+    latched = {name for name in written if CHANNELS[name].latched}
     _write(Path(path), kinds, data, latched, storage, lambda folder: folder)
 
 
@@ -186,6 +190,7 @@ class _Session(Messages):
             ),
             self._poses(recording.pose),
             *(self._readings(name, stream) for name, stream in recording.distances.items()),
+            *([] if recording.constraint is None else [self._contacts(recording.constraint)]),
         ]
 
     def _payloads(self, payload: ScalarStream, frame: str) -> Iterator[tuple[int, str, Any]]:
@@ -205,6 +210,11 @@ class _Session(Messages):
         for time, value in zip(_stamps(stream.time), stream.value, strict=True):
             header = self.header(time, channel)
             yield time, "distance", kind(header, 0, 0.0, -np.inf, np.inf, float(value), 0.0)
+
+    def _contacts(self, contacts: TextStream) -> Iterator[tuple[int, str, Any]]:
+        kind = self.kind("std_msgs/String")
+        for time, name in zip(_stamps(contacts.time), contacts.value, strict=True):
+            yield time, contacts.topic, kind(name)
 
     def _poses(self, pose: PoseStream) -> Iterator[tuple[int, str, Any]]:
         kind, stamped = (

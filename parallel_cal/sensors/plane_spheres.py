@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,6 +50,10 @@ class PlaneSpheres(Sensor):
     @property
     def channels(self) -> tuple[str, ...]:
         return ("plane", *(f"sphere{i + 1}" for i in range(len(self.holes))))
+
+    @property
+    def contacts(self) -> Mapping[str, tuple[str, ...]]:
+        return {channel: (channel,) for channel in self.channels}
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         plane = [

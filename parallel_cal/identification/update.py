@@ -1,0 +1,129 @@
+"""Update a calibration: the result of the last one, and the usual drift since, are the prior."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from parallel_cal.base.errors import FitError
+from parallel_cal.identification.prior import Knowledge, Prior
+from parallel_cal.model.mechanism import poses_in_workspace
+from parallel_cal.model.model import Model
+from parallel_cal.model.shelf import load_effect
+
+# Usual drift between two calibrations, 1 sigma. Zeros drift as reference switches repeat: the
+# tolerance of the effect zero_shift. Lengths grow with the workshop's temperature: steel and
+# aluminium expand by 12e-6 and 23e-6 per degC (ISO 1 refers lengths to 20 degC).
+EXPANSION_PER_DEGC = 12e-6
+TEMPERATURE_SIGMA_DEGC = 5.0
+LOOSENING_SHARE = 0.1  # of a tolerance, for each parameter: a joint that settled, a rod that turned
+DRIFT_SCALES = (1 / 3, 1.0, 3.0, 10.0, 30.0)  # of the usual drift, among which the data decide
+MAX_USUAL_SCALE = 3.0
+SHOWN_SIGMAS = 3.0  # a drift of one sigma that moves the touches by so much is shown
+PROBE_POSES = 40
+RIDGE = 1e-6  # of the largest singular value, columns in tolerances
+
+
+@dataclass(frozen=True)
+class Culprit:
+    """A usual drift: its name, and the change (n_parameters,) of the parameters by one sigma."""
+
+    name: str
+    change: np.ndarray
+
+
+def list_culprits(model: Model) -> list[Culprit]:
+    """List the usual drifts of a robot: the zero of each joint, and warm lengths."""
+    table = model.table
+    found = []
+    zero = load_effect("zero_shift").table(model.mechanism)
+    shifts = _express_joint_shifts(model)
+    for joint, shift in zip(model.joints, shifts, strict=True):
+        size = zero[f"zero_shift.{joint}.since1"].tolerance
+        found.append(Culprit(f"zero of {joint}", size * shift))
+    lengths = np.array([p.unit == "m" and p.group not in ("effect", "sensor") for p in table])
+    growth = EXPANSION_PER_DEGC * TEMPERATURE_SIGMA_DEGC
+    return [*found, Culprit("temperature", np.where(lengths, growth * model.values, 0.0))]
+
+
+def _express_joint_shifts(model: Model) -> np.ndarray:
+    """Return the changes (nq, n_parameters) of the geometry that act as a unit shift of each joint
+    reading, as well as parameters can."""
+    from parallel_cal.kinematics.kinematics import Kinematics
+
+    r, R = poses_in_workspace(model.mechanism, PROBE_POSES, np.random.default_rng(0))
+    poses = Kinematics(model).inverse(r, R)
+    poses = poses[np.flatnonzero(poses.ok)]
+    s, table = model.structure, model.table
+    J_x, J_v = s.jacobians(
+        poses.configuration.rows, model.condition_rows(None, len(poses)), model.values
+    )
+    geometry = np.array([p.group not in ("effect", "sensor") for p in table])
+    tolerance = np.where(geometry, table.tolerance, 0.0)
+    columns = (J_v * tolerance).reshape(-1, len(table))
+    n = len(model.joints)
+    wanted = J_x[:, :, :n].reshape(-1, n)
+    return np.asarray((np.linalg.lstsq(columns, wanted, rcond=RIDGE)[0].T) * tolerance)
+
+
+def update_prior(model: Model, scale: float = 1.0) -> Prior:
+    """Return the knowledge of today: the last calibration, widened by `scale` times the usual
+    drift. Parts of a measuring set-up stand somewhere else every day: only their tolerance counts.
+
+    Raises
+    ------
+    FitError
+        If the model has no covariance from an earlier fit.
+    """
+    if model.covariance is None or not np.diag(model.covariance).any():
+        raise FitError(
+            "--update starts from the last calibration, but the model has no covariance of one: "
+            "fit it without --update first, and give the written model"
+        )
+    table = model.table
+    last = Prior.from_model(model).covariance
+    sensor = np.array([p.group == "sensor" for p in table])
+    last[sensor] = 0.0
+    last[:, sensor] = 0.0
+    last[sensor, sensor] = table.tolerance[sensor] ** 2
+    settled = np.where(sensor, 0.0, LOOSENING_SHARE * table.tolerance)
+    changes = np.array([c.change for c in list_culprits(model)])
+    drift = np.diag(settled**2) + changes.T @ changes
+    return Prior(model.values, last + scale**2 * drift)
+
+
+@dataclass(frozen=True)
+class Drift:
+    """How far a robot has drifted since its last calibration, in usual drifts."""
+
+    scale: float
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What to check if the robot drifted further than usual."""
+        if self.scale <= MAX_USUAL_SCALE:
+            return ()
+        return (
+            f"since the last calibration the robot moved about {self.scale:.3g} times as far as "
+            "usual (zeros, temperature, loose parts): check what happened to it; with so large a "
+            "drift, more samples or a complete calibration are worthwhile",
+        )
+
+
+def log_evidence(
+    prior: Prior,
+    model: Model,
+    free: np.ndarray,
+    values: np.ndarray,
+    chi2: float,
+    covariance: np.ndarray,
+) -> float:
+    """Return the log evidence of a linearised fit with a prior, up to a constant: half of
+    -chi2 - d^T P0^-1 d - log det P0 + log det P, d the distance of `values` from the prior, P0 and
+    P the covariances of the free parameters before and after."""
+    known = Knowledge.of(prior, model.table, free)
+    scale = np.outer(known.tolerance, known.tolerance)
+    before = np.linalg.slogdet(prior.covariance[np.ix_(free, free)] / scale)[1]
+    after = np.linalg.slogdet(covariance[np.ix_(free, free)] / scale)[1]
+    return float(-chi2 - known.cost(values) - before + after) / 2
