@@ -21,7 +21,8 @@ With V the covariance of p given all recordings and h their pull,
     u = sum_k c_k g_k - A1 V h,      m = A2_ii - (A1 V A1)_ii,      A_j = sum_k c_k^j A_k,
     log B = -log(1 + z^2 m) / 2 - D/2 log(1 - z^2 u^2 / ((1 + z^2 m) C)),
 
-where C = nu + the squares that no change explains, with D - nu residuals (Gelman et al., Bayesian
+A part that scatters from sample to sample explains another part of the squares (`compare_scatter`).
+Here C = nu + the squares that no change explains, with D - nu residuals (Gelman et al., Bayesian
 Data Analysis, 3rd ed., section 14.2).
 
 The statistic is that of Shiryaev and Roberts for recordings at any times, as a mixture over
@@ -43,13 +44,14 @@ from functools import cached_property
 import numpy as np
 
 from parallel_cal.model.model import Model
-from parallel_cal.watch.visit import SIZES, Visit, calibration_priors
+from parallel_cal.watch.visit import SIZES, Expected, Visit, calibration_priors
 
 STEP, DRIFT, WARM, LOOSE = "step", "drift", "temperature", "scatter"
 KINDS = {STEP: 0.4, DRIFT: 0.2, WARM: 0.2, LOOSE: 0.2}  # how probable before anything is measured
 MONTH = 30 * 86400.0  # s: a drift is in tolerances per month
+CHANGES = SIZES[::2]  # sizes of steps and drifts: each is a standard deviation
 # Scatter between recordings, in tolerances: most machines have none that shows.
-SCATTERS = np.array([0.0, *SIZES[:-4:2]])
+SCATTERS = np.array([0.0, *CHANGES[:-2]])
 LOG_SCATTERS = np.log([0.5, *[0.5 / (len(SCATTERS) - 1)] * (len(SCATTERS) - 1)])
 NOISE = "noise of all readings"  # the last candidate that scatters
 
@@ -111,6 +113,7 @@ class Fit:
     C: float
     D: float
     log_p: float
+    scatter: float
 
     @classmethod
     def of(cls, series: Series, scatter: float, prior: np.ndarray) -> Fit:
@@ -136,7 +139,7 @@ class Fit:
         nu = visits[0].noise_weight
         C = nu + sum(visit.squares for visit in visits) - explained - float(h @ V @ h)
         D = nu + sum(visit.rows for visit in visits)
-        return cls(A, g, V, h, C, D, -log_det / 2 - D / 2 * np.log(C))
+        return cls(A, g, V, h, C, D, -log_det / 2 - D / 2 * np.log(C), scatter)
 
     def score(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Score u and information m (T, n) of changes in proportion to weights (T, K)."""
@@ -148,7 +151,7 @@ class Fit:
 
     def log_bayes(self, u: np.ndarray, m: np.ndarray) -> np.ndarray:
         """Log Bayes factors (T, n, sizes)."""
-        z = SIZES**2
+        z = CHANGES**2
         gain = 1 + z * m[..., None]
         explained = z * u[..., None] ** 2 / gain / self.C
         return np.asarray(
@@ -196,14 +199,13 @@ def weigh(series: Series) -> Weights:
     for kind, prior in kinds.items():
         if kind == LOOSE:
             own = np.append(~warm, True)
-            each = np.array([visit.loose for visit in series.visits])
-            log_b = np.cumsum(each[::-1], axis=0)[::-1]
+            log_b = weigh_scatter(fits, series)
             value = np.broadcast_to(SIZES, log_b.shape)
             sigma = np.zeros(log_b.shape)
         else:
             own = warm if kind == WARM else ~warm
             log_b, value, sigma = _average(fits, weights_of(kind, series))
-        log_prior = np.log(prior / sum(kinds.values()) / max(own.sum(), 1) / len(SIZES))
+        log_prior = np.log(prior / sum(kinds.values()) / max(own.sum(), 1) / log_b.shape[2])
         log_b = np.where(own[:, None], log_b + log_prior, -np.inf) + log_began[:, None, None]
         if kind != WARM:  # what was so from the beginning is no change
             log_b[0] = -np.inf
@@ -218,6 +220,29 @@ def weigh(series: Series) -> Weights:
     return Weights(log_r, shares)
 
 
+def predict_parameters(series: Series) -> Expected:
+    """What recordings leave of the parameters of the next one, if nothing has changed, with the
+    most probable scatter between them."""
+    fits = null_fits(series)
+    best = int(np.argmax([log_p for _, log_p in fits]))
+    fit = fits[best][0]
+    scatter = np.where(series.is_warmth, 0.0, fit.scatter)
+    return Expected(series.names, fit.V @ fit.h, fit.V + np.diag(scatter**2), best)
+
+
+def weigh_scatter(fits: Sequence[tuple[Fit, float]], series: Series) -> np.ndarray:
+    """Log Bayes factors (T, n + 1, sizes) of parts that scatter from recording tau on: they explain
+    a part of the squares of the innovations, whose sum is C, and enlarge their covariance (see
+    `compare_scatter`). They count as much as the fit that these innovations are beside."""
+    visits = series.visits
+    each = [(visit.explained, visit.log_det) for visit in visits]
+    explained, log_det = np.cumsum(np.array(each)[::-1], axis=0)[::-1].transpose(1, 0, 2, 3)
+    C = visits[0].noise_weight + sum(visit.innovation for visit in visits)
+    D = visits[0].noise_weight + sum(visit.innovation_rows for visit in visits)
+    log_p = np.array([fits[visit.fit][1] for visit in visits])[:, None, None]
+    return np.asarray(log_p - D / 2 * np.log1p(-explained / C) - log_det / 2)
+
+
 def _average(
     fits: Sequence[tuple[Fit, float]], weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -226,7 +251,7 @@ def _average(
     log_b, mean, square = [], [], []
     for fit, log_p in fits:
         u, m = fit.score(weights)
-        gain = SIZES**2 / (1 + SIZES**2 * m[..., None])
+        gain = CHANGES**2 / (1 + CHANGES**2 * m[..., None])
         log_b.append(fit.log_bayes(u, m) + log_p)
         mean.append(gain * u[..., None])
         square.append(gain * fit.C / fit.D + mean[-1] ** 2)
@@ -257,7 +282,7 @@ def smallest_steps(series: Series, following: Visit, share: float) -> np.ndarray
         )
         total = np.logaddexp(total, np.logaddexp.reduce(log_b, axis=2) + log_p)
     kinds = {kind: p for kind, p in KINDS.items() if kind != WARM or series.is_warmth.any()}
-    prior_step = KINDS[STEP] / sum(kinds.values()) / (~series.is_warmth).sum() / len(SIZES)
+    prior_step = KINDS[STEP] / sum(kinds.values()) / (~series.is_warmth).sum() / len(CHANGES)
     seen = total + np.log(prior_step * share) >= 0
     found = np.where(seen.any(axis=1), steps[np.argmax(seen, axis=1)], np.inf)
     return np.where(series.is_warmth, np.inf, found)

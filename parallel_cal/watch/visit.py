@@ -26,6 +26,7 @@ WARMTH = ("thermal_expansion",)  # effects of the temperature
 SIZES = 10.0 ** np.arange(-3, 1.01, 0.25)
 # The error of a calibration in sigmas of its covariance: a model that is not complete has more.
 CALIBRATION_FACTORS = (1.0, 10.0, 3.0)  # the last one counts where a loose part is sought
+MIN_NOISE_RESIDUALS = 8  # that show a noise which is not stated: its sigma to 25 %
 MAX_SCATTER_ROWS = 150  # rows of the residual in which it is sought: singular values of n^3
 
 
@@ -49,15 +50,18 @@ class Visit:
     pull : array (n,)
     squares : float
         Sum of squares of the residuals, in units of the noise.
-    left : float
-        Sum of squares of `left_rows` residuals, each in units of the noise and the error of the
-        calibration.
-    left_rows : int
-    loose : array (n + 1, sizes)
-        Log likelihood ratio of a part that scatters from sample to sample, by this size; the last
-        row is for noise of all readings.
+    explained, log_det : array (n + 1, sizes)
+        The part of the squares that a part explains which scatters from sample to sample, by this
+        size, and the logarithm of the determinant of its covariance; the last row is for noise of
+        all readings.
+    innovation, innovation_rows : float, int
+        Sum of squares, and number, of the residuals beside what earlier recordings let expect.
+    fit : int
+        The number of the fit that let it expect so.
     known_noise : bool
         Whether the noise was stated or measured.
+    noise : float
+        Its variance, in units of that of the guess where it was not stated.
     """
 
     name: str
@@ -69,10 +73,13 @@ class Visit:
     information: np.ndarray
     pull: np.ndarray
     squares: float
-    left: float
-    left_rows: int
-    loose: np.ndarray
+    explained: np.ndarray
+    log_det: np.ndarray
+    innovation: float
+    innovation_rows: int
+    fit: int
     known_noise: bool
+    noise: float = 1.0
 
     @property
     def noise_weight(self) -> float:
@@ -83,7 +90,8 @@ class Visit:
         """Both recordings as one, which shows no change between them."""
         names = tuple(dict.fromkeys((*self.names, *later.names)))
         one, two = self.select(names), later.select(names)
-        added = ("samples", "rows", "information", "pull", "squares", "left", "left_rows", "loose")
+        likelihood = ("samples", "rows", "information", "pull", "squares")
+        added = (*likelihood, "explained", "log_det", "innovation", "innovation_rows")
         return replace(two, **{key: getattr(one, key) + getattr(two, key) for key in added})
 
     def select(self, names: tuple[str, ...]) -> Visit:
@@ -95,9 +103,17 @@ class Visit:
         information, pull = np.zeros((n, n)), np.zeros(n)
         information[np.ix_(to, to)] = self.information[np.ix_(of, of)]
         pull[to] = self.pull[of]
-        loose = np.zeros((n + 1, len(SIZES)))
-        loose[[*to, n]] = self.loose[[*of, len(self.names)]]
-        return replace(self, names=names, information=information, pull=pull, loose=loose)
+        scatter = np.zeros((2, n + 1, len(SIZES)))
+        of_all = [*of, len(self.names)]
+        scatter[0, [*to, n]], scatter[1, [*to, n]] = self.explained[of_all], self.log_det[of_all]
+        return replace(
+            self,
+            names=names,
+            information=information,
+            pull=pull,
+            explained=scatter[0],
+            log_det=scatter[1],
+        )
 
     def document(self) -> dict[str, Any]:
         """The visit as JSON data; of the symmetric information, the lower triangle."""
@@ -113,9 +129,31 @@ class Visit:
         information[np.tril_indices(n)] = np.array(given["information"], float)
         information += np.tril(information, -1).T
         pull = np.array(given["pull"], float).reshape(n)
-        loose = np.array(given["loose"], float).reshape(n + 1, len(SIZES))
-        arrays = {"information": information, "pull": pull, "loose": loose}
+        arrays = {"information": information, "pull": pull}
+        for key in ("explained", "log_det"):
+            arrays[key] = np.array(given[key], float).reshape(n + 1, len(SIZES))
         return cls(**given | {"names": names} | arrays)
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What earlier recordings leave of parameters: mean (n,) and covariance (n, n), in tolerances
+    and, for the covariance, in units of the variance of the noise. `fit` is the number of the
+    scatter and the prior that it is for."""
+
+    names: tuple[str, ...]
+    mean: np.ndarray
+    covariance: np.ndarray
+    fit: int = 0
+
+    def select(self, names: tuple[str, ...]) -> Expected:
+        """Of these parameters; those that it does not contain are known to their tolerances."""
+        own = [name for name in names if name in self.names]
+        to, of = [names.index(x) for x in own], [self.names.index(x) for x in own]
+        mean, covariance = np.zeros(len(names)), np.eye(len(names))
+        mean[to] = self.mean[of]
+        covariance[np.ix_(to, to)] = self.covariance[np.ix_(of, of)]
+        return Expected(names, mean, covariance, self.fit)
 
 
 def extend_model(model: Model, dataset: Dataset) -> Model:
@@ -138,7 +176,8 @@ def visit_of(
     time: float,
     *,
     joint_sigma: float | None = None,
-    variance: float = 1.0,
+    expected: Expected | None = None,
+    noise: float | None = None,
 ) -> Visit:
     """Linearise a recording about a calibrated model.
 
@@ -152,14 +191,17 @@ def visit_of(
         When they were recorded, s since 1970.
     joint_sigma : float, optional
         Standard deviation of joint readings, rad or m. Default: that of the recording or the model.
-    variance : float
-        Variance of the residuals, in units of that of the stated noise, as earlier recordings show
-        it; a part that scatters is sought above it.
+    expected : Expected, optional
+        What earlier recordings leave of the parameters. Default: nothing was recorded before.
+    noise : float, optional
+        Variance of the noise in units of a guess, where it is not stated, as an earlier recording
+        showed it. Default: this recording shows it.
 
     Raises
     ------
     FitError
-        If the samples hold no more than what forward kinematics needs: no residual remains.
+        If the samples hold no more than what forward kinematics needs: no residual remains. If the
+        noise is not stated, and they are too few to show it.
     """
     extended = extend_model(model, dataset)
     observations = observe(extended, dataset, joint_sigma, insist=True)
@@ -185,7 +227,13 @@ def visit_of(
     names = tuple(np.array(extended.table.names)[free].tolist())
     every = -(-r.size // MAX_SCATTER_ROWS)
     prior = calibration_priors(model, names)[-1]
-    loose, left = compare_scatter(r[::every], J[::every], prior, variance)
+    if not observations.noise_assumed:
+        noise = 1.0
+    elif noise is None:
+        noise = estimate_noise(r[::every], J[::every], prior, dataset.source)
+    flat, columns, r, J = (one / noise**0.5 for one in (flat, columns, r, J))
+    expected = expected or Expected(names, np.zeros(len(names)), prior)
+    scatter = compare_scatter(r[::every], J[::every], expected.select(names))
     return Visit(
         dataset.source,
         dataset.sha256,
@@ -196,10 +244,10 @@ def visit_of(
         columns.T @ columns,
         -columns.T @ flat,
         float(flat @ flat),
-        left,
-        int(system.informative[::every].sum()),
-        loose,
+        *scatter,
+        expected.fit,
         not observations.noise_assumed,
+        noise,
     )
 
 
@@ -225,36 +273,63 @@ def calibration_priors(model: Model, names: Sequence[str]) -> tuple[np.ndarray, 
     return tuple(priors)
 
 
+def estimate_noise(r: np.ndarray, J: np.ndarray, prior: np.ndarray, source: str) -> float:
+    """The most likely variance v of residuals r (N, rows) ~ N(0, v + J P J'), with the prior P of
+    the error of the calibration. FitError if too few residuals depend on it."""
+    from scipy.optimize import minimize_scalar
+
+    columns = J.reshape(r.size, -1)
+    squares, axes = np.linalg.eigh(columns @ prior @ columns.T)
+    z, squares = (axes.T @ r.reshape(-1)) ** 2, np.maximum(squares, 0.0)
+    real = (z > NO_COLUMN**2) | (squares > NO_COLUMN)
+    z, squares = z[real], squares[real]
+
+    def cost(log_v: float) -> float:
+        total = np.exp(log_v) + squares
+        return float(np.sum(np.log(total) + z / total))
+
+    v = float(np.exp(minimize_scalar(cost, bounds=(-25.0, 25.0), method="bounded").x))
+    if (count := float(np.sum(v / (v + squares)))) < MIN_NOISE_RESIDUALS:
+        raise FitError(
+            f"{source}: the noise of the joint readings is not stated, and {count:.1f} residuals "
+            f"show it, {MIN_NOISE_RESIDUALS} are needed. State it (noise: joint in the model "
+            "file, or --joint-sigma), or record more samples"
+        )
+    return v
+
+
 def compare_scatter(
-    r: np.ndarray, J: np.ndarray, prior: np.ndarray, variance: float
-) -> tuple[np.ndarray, float]:
-    """Log likelihood ratios (n + 1, sizes) of parts that scatter from sample to sample, and the sum
-    of squares of the residuals (N, rows) in units of their standard deviation.
+    r: np.ndarray, J: np.ndarray, expected: Expected
+) -> tuple[np.ndarray, np.ndarray, float, int]:
+    """What parts that scatter from sample to sample explain (n + 1, sizes), their log determinants
+    (n + 1, sizes), and the squares of the innovation with their number.
 
-    With the columns J (N, rows, n), the prior P of the error of the calibration and the variance v
-    of the noise, the residual is N(0, v (1 + J P J')). In its principal axes, divided by its
-    standard deviation without v, it is y. In sample k, a loose part is off by w u_k with
-    u_k ~ N(0, 1), so that y ~ N(0, v + w^2 F F') with the column of the part in sample k as column
-    k of F, in the same axes. With the singular values l_j of F, y in its directions and
-    g_j = w^2 l_j^2 / v:
+    With the columns J (N, rows, n) and the parameters p ~ N(m, s^2 P) that earlier recordings
+    leave, the residual is N(-J m, s^2 (1 + J P J')), with the noise s. The innovation y is the
+    residual plus J m in the principal axes, divided by its standard deviation without s. In sample
+    k, a loose part is off by w s u_k with u_k ~ N(0, 1), so that y ~ N(0, s^2 (1 + w^2 F F')) with
+    the column of the part in sample k as column k of F, in the same axes. With the singular values
+    l_j of F and y in its directions, it explains
 
-        log LR = sum_j (g_j / (1 + g_j) y_j^2 / v - log(1 + g_j)) / 2
+        sum_j w^2 l_j^2 / (1 + w^2 l_j^2) y_j^2
 
-    The last row is for noise of all readings, F = 1.
+    of the squares, and the log determinant is sum_j log(1 + w^2 l_j^2). The last row is for noise
+    of all readings, F = 1.
     """
     n, columns = J.shape[2], J.reshape(r.size, -1)
-    squares, axes = np.linalg.eigh(columns @ prior @ columns.T)
-    sigma = np.sqrt(1 + np.maximum(squares, 0.0))
-    y, ratio = axes.T @ r.reshape(-1) / sigma, SIZES[:, None] ** 2 / variance
-    found = np.zeros((n + 1, len(SIZES)))
-    of_sample = (axes / sigma).reshape(*r.shape, -1)
+    squares, axes = np.linalg.eigh(columns @ expected.covariance @ columns.T)
+    sigma, of_sample = np.sqrt(1 + np.maximum(squares, 0.0)), axes.reshape(*r.shape, -1)
+    y = axes.T @ (r.reshape(-1) + columns @ expected.mean) / sigma
+    # Rows of a sample with fewer residuals than others are zero.
+    real = (squares > NO_COLUMN) | (np.abs(y) > NO_COLUMN)
+    explained, log_det = np.zeros((2, n + 1, len(SIZES)))
     for k in range(n + 1):
+        size, along = 1 / sigma[real], y[real]
         if k < n:
-            F = np.einsum("nr,nrq->qn", J[:, :, k], of_sample)
+            F = np.einsum("nr,nrq->qn", J[:, :, k], of_sample) / sigma[:, None]
             left, size, _ = np.linalg.svd(F, full_matrices=False)
-            gain, along = ratio * size**2, left.T @ y
-        else:  # rows of a sample with fewer residuals than others are zero
-            real = (squares > NO_COLUMN) | (np.abs(y) > NO_COLUMN)
-            gain, along = ratio / sigma[real] ** 2, y[real]
-        found[k] = np.sum(gain / (1 + gain) * along**2 / variance - np.log1p(gain), axis=1) / 2
-    return found, float(y @ y)
+            along = left.T @ y
+        gain = (SIZES[:, None] * size) ** 2
+        explained[k] = np.sum(gain / (1 + gain) * along**2, axis=1)
+        log_det[k] = np.sum(np.log1p(gain), axis=1)
+    return explained, log_det, float(y @ y), int(real.sum())

@@ -17,6 +17,7 @@ from parallel_cal.watch.changes import (
     Series,
     Weights,
     null_fits,
+    predict_parameters,
     smallest_steps,
     weigh,
 )
@@ -102,18 +103,6 @@ class Watch:
                 f"false alarms every {self.false_alarm_days} days: expected a number above 0"
             )
 
-    @property
-    def variance(self) -> float:
-        """Variance of the residuals, in units of that of the stated noise, in the recordings before
-        an alarm."""
-        if not self.visits:
-            return 1.0
-        times = [visit.time for visit in self.visits]
-        count = sum(t < self.alarm.time for t in times) if self.alarm else len(times)
-        before, nu = self.visits[:count], self.visits[0].noise_weight
-        left = nu + sum(visit.left for visit in before)
-        return float(left / (nu + sum(visit.left_rows for visit in before)))
-
     def add(
         self, dataset: Dataset, time: float, joint_sigma: float | None = None, name: str = ""
     ) -> Watch:
@@ -148,7 +137,14 @@ class Watch:
                 f"{self.visits[-1].name}, which was taken before: give the recordings in order of "
                 "time"
             )
-        visit = visit_of(self.model, dataset, time, joint_sigma=joint_sigma, variance=self.variance)
+        visit = visit_of(
+            self.model,
+            dataset,
+            time,
+            joint_sigma=joint_sigma,
+            expected=predict_parameters(self.series) if self.visits else None,
+            noise=self.visits[-1].noise if self.visits else None,
+        )
         visits = (*self.visits, replace(visit, name=name))
         if len(visits) > MAX_VISITS:
             visits = (visits[0].merge(visits[1]), *visits[2:])
