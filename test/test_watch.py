@@ -83,7 +83,9 @@ def series_of(*visits):
 def test_the_bayes_factor_is_that_of_a_calculation_by_hand():
     """A = 1 in both recordings, pulls 0 and 6, prior variance 1: V = 1 / (1 + 2) = 1/3, so
     u = 6 - 6/3 = 4 and m = 1 - 1/3 = 2/3; C = 200 + 100 + 36 - 6^2/3 = 324, D = 300."""
-    fit = Fit.of(series_of(bare_visit(0, 0), bare_visit(DAY, 6, squares=86.0)), 0.0, np.eye(1))
+    fit = Fit.of(
+        series_of(bare_visit(0, 0), bare_visit(DAY, 6, squares=86.0)).absorb(0.0), np.eye(1)
+    )
     u, m = fit.score(np.array([[0.0, 1.0]]))
     assert (u.item(), m.item()) == pytest.approx((4.0, 2 / 3))
     assert fit.D == 300
@@ -95,7 +97,7 @@ def test_the_bayes_factor_is_that_of_a_calculation_by_hand():
 
 def test_scatter_between_recordings_is_that_of_larger_noise():
     """One parameter with information 1: scatter w leaves 1 / (1 + w^2) of it."""
-    fit = Fit.of(series_of(bare_visit(0, 2), bare_visit(DAY, 6)), 3.0, np.eye(1))
+    fit = Fit.of(series_of(bare_visit(0, 2), bare_visit(DAY, 6)).absorb(3.0), np.eye(1))
     assert fit.information.ravel() == pytest.approx([0.1, 0.1])
     assert fit.pull.ravel() == pytest.approx([0.2, 0.6])
 
@@ -103,7 +105,7 @@ def test_scatter_between_recordings_is_that_of_larger_noise():
 def test_the_statistic_is_a_likelihood_ratio(monkeypatch):
     """With L = R(t) / t, the mean of 1 / L is 1 if everything unknown, and a change, is drawn from
     its prior. It means that the mean of L is 1 without a change, which is hard to see: most of that
-    mean comes from rare events. For parts that scatter it is a lower bound, so they are left out."""
+    mean comes from rare events. Parts that scatter are left out: theirs is a lower bound."""
     monkeypatch.setattr(changes, "KINDS", {STEP: 2 / 3, DRIFT: 1 / 3})
     rng, days, A, inverse = np.random.default_rng(1), 4, 20.0, []
     for _ in range(800):

@@ -92,9 +92,37 @@ class Series:
         """Candidates (n,) that the calibration took to be zero: the expansions."""
         return np.diag(self.priors[0]) == 0
 
-    def head(self, count: int) -> Series:
-        """The first recordings of the series."""
-        return replace(self, visits=self.visits[:count])
+    def absorb(self, scatter: float) -> Absorbed:
+        """Integrate out a scatter between the recordings, in tolerances."""
+        visits = self.visits
+        A = np.array([visit.information for visit in visits])
+        g = np.array([visit.pull for visit in visits])
+        squares, log_det = sum(visit.squares for visit in visits), 0.0
+        if scatter:
+            L = scatter * ~self.is_warmth
+            LA, Lg = L[:, None] * A, L * g
+            K = np.eye(len(L)) + LA * L
+            log_det = float(np.linalg.slogdet(K)[1].sum())
+            solved = np.linalg.solve(K, np.concatenate([LA, Lg[:, :, None]], axis=2))
+            squares -= float(np.sum(Lg * solved[:, :, -1]))
+            taken = LA.transpose(0, 2, 1) @ solved
+            A, g = A - taken[:, :, :-1], g - taken[:, :, -1]
+        nu = visits[0].noise_weight
+        D = nu + sum(visit.rows for visit in visits)
+        return Absorbed(A, g, nu + squares, D, log_det, scatter)
+
+
+@dataclass(frozen=True)
+class Absorbed:
+    """All recordings under one scatter between them: information (K, n, n) and pull (K, n) of each,
+    squares with their degrees of freedom, and the log determinant of the scatter."""
+
+    information: np.ndarray
+    pull: np.ndarray
+    squares: float
+    dof: float
+    log_det: float
+    scatter: float
 
 
 @dataclass(frozen=True)
@@ -116,37 +144,23 @@ class Fit:
     scatter: float
 
     @classmethod
-    def of(cls, series: Series, scatter: float, prior: np.ndarray) -> Fit:
-        visits = series.visits
-        A = np.array([visit.information for visit in visits])
-        g = np.array([visit.pull for visit in visits])
-        L, log_det, explained = scatter * ~series.is_warmth, 0.0, 0.0
-        if scatter:
-            K = np.eye(len(L)) + L[:, None] * A * L
-            LA = L[:, None] * A
-            log_det = float(np.linalg.slogdet(K)[1].sum())
-            Lg = L * g
-            solved = np.linalg.solve(K, np.concatenate([LA, Lg[:, :, None]], axis=2))
-            explained = float(np.sum(Lg * solved[:, :, -1]))
-            g = g - np.einsum("knm,kn->km", LA, solved[:, :, -1])
-            A = A - np.einsum("knm,knl->kml", LA, solved[:, :, :-1])
+    def of(cls, recordings: Absorbed, prior: np.ndarray) -> Fit:
+        A, g = recordings.information, recordings.pull
         S, h = A.sum(axis=0), g.sum(axis=0)
         squares, turn = np.linalg.eigh(prior)
         F = turn * np.sqrt(np.maximum(squares, 0.0))  # prior = F F'
         inner = np.eye(len(S)) + F.T @ S @ F
         V = F @ np.linalg.solve(inner, F.T)
-        log_det += float(np.linalg.slogdet(inner)[1])
-        nu = visits[0].noise_weight
-        C = nu + sum(visit.squares for visit in visits) - explained - float(h @ V @ h)
-        D = nu + sum(visit.rows for visit in visits)
-        return cls(A, g, V, h, C, D, -log_det / 2 - D / 2 * np.log(C), scatter)
+        log_det = recordings.log_det + float(np.linalg.slogdet(inner)[1])
+        C, D = recordings.squares - float(h @ V @ h), recordings.dof
+        return cls(A, g, V, h, C, D, -log_det / 2 - D / 2 * np.log(C), recordings.scatter)
 
     def score(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Score u and information m (T, n) of changes in proportion to weights (T, K)."""
         first = np.tensordot(weights, self.information, 1)
-        second = np.einsum("tk,kii->ti", weights**2, self.information)
+        second = weights**2 @ np.diagonal(self.information, axis1=1, axis2=2)
         u = weights @ self.pull - first @ (self.V @ self.h)
-        m = second - np.einsum("tij,tij->ti", first @ self.V, first)
+        m = second - np.sum((first @ self.V) * first, axis=2)
         return u, np.maximum(m, 0.0)
 
     def log_bayes(self, u: np.ndarray, m: np.ndarray) -> np.ndarray:
@@ -272,10 +286,11 @@ def smallest_steps(series: Series, following: Visit, share: float) -> np.ndarray
     last = np.zeros((1, len(more.visits)))
     last[0, -1] = 1.0
     steps = 10.0 ** np.arange(-4, np.log10(SIZES[-1]) + 0.01, 0.02)
-    pairs = [(scatter, prior) for prior in series.priors for scatter in SCATTERS]
+    absorbed_by = [more.absorb(scatter) for scatter in SCATTERS]
+    pairs = [(one, prior) for prior in series.priors for one in absorbed_by]
     total = np.full((len(series.names), len(steps)), -np.inf)
-    for (fit, log_p), (scatter, prior) in zip(own, pairs, strict=True):
-        m = Fit.of(more, scatter, prior).score(last)[1][0]
+    for (fit, log_p), (absorbed, prior) in zip(own, pairs, strict=True):
+        m = Fit.of(absorbed, prior).score(last)[1][0]
         known = replace(fit, C=fit.C + following.rows, D=fit.D + following.rows)
         log_b = known.log_bayes(
             steps[None] * m[:, None], np.broadcast_to(m[:, None], (len(m), len(steps)))
@@ -290,6 +305,7 @@ def smallest_steps(series: Series, following: Visit, share: float) -> np.ndarray
 
 def null_fits(series: Series) -> list[tuple[Fit, float]]:
     """Every scatter and prior, with its log probability if nothing has changed."""
-    fits = [Fit.of(series, scatter, prior) for prior in series.priors for scatter in SCATTERS]
+    absorbed = [series.absorb(scatter) for scatter in SCATTERS]
+    fits = [Fit.of(one, prior) for prior in series.priors for one in absorbed]
     log_p = np.array([fit.log_p for fit in fits]) + np.tile(LOG_SCATTERS, len(series.priors))
     return list(zip(fits, (log_p - np.logaddexp.reduce(log_p)).tolist(), strict=True))
