@@ -12,12 +12,12 @@ from parallel_cal.reporting.figures import Spec
 from parallel_cal.reporting.markup import Plot, as_html, paragraph, section
 from parallel_cal.reporting.page import PageBuilder
 from parallel_cal.reporting.readable import error_unit
-from parallel_cal.reporting.watching import describe_watch, iso
+from parallel_cal.reporting.watching import describe_watch, iso, say_statistic
 from parallel_cal.watch.changes import LOOSE
 from parallel_cal.watch.confirmation import Confirmation
 from parallel_cal.watch.watch import DAY, Watch
 
-MIN_SHOWN_DAYS = 1e-3  # R is 0 after the first recording
+SHOWN_FACTOR = 300.0  # of the limit: R is 0 after the first recording, and grows without bounds
 
 
 def watch_page(watch: Watch, confirmation: Confirmation | None, robot: str) -> str:
@@ -36,7 +36,8 @@ def _draw_statistic(watch: Watch, plot: Plot) -> str:
     """Draw R after each recording, and the mean time between false alarms."""
     limit = watch.false_alarm_days
     time = [iso(point.time) for point in watch.trend]
-    value = [max(point.statistic / DAY, MIN_SHOWN_DAYS) for point in watch.trend]
+    low, high = limit / SHOWN_FACTOR, limit * SHOWN_FACTOR
+    value = [min(max(point.statistic / DAY, low), high) for point in watch.trend]
     above = [v >= limit for v in value]
     traces: list[Spec] = [
         {
@@ -46,15 +47,19 @@ def _draw_statistic(watch: Watch, plot: Plot) -> str:
             "y": value,
             "line": {"color": QUIET, "width": 1},
             "marker": {"color": [WARNING if one else ACCENT for one in above]},
-            "hovertext": [escape(point.recording) for point in watch.trend],
-            "hovertemplate": "%{hovertext}: R = %{y:.3g} days<extra></extra>",
+            "hovertext": [
+                f"{escape(point.recording)}: R = {say_statistic(point.statistic)}"
+                for point in watch.trend
+            ],
+            "hovertemplate": "%{hovertext}<extra></extra>",
         },
         _dashed(time, limit),
     ]
     layout = {"height": 300, "showlegend": False, "yaxis": log_axis([*value, limit], "R [days]")}
     note = (
         "R sums the evidence of all changes. Without a change it exceeds the dashed line, the mean "
-        "time between false alarms, no more often than once in that time."
+        "time between false alarms, no more often than once in that time. Very small and large "
+        "values are drawn at the edge."
     )
     return paragraph(note, "note") + plot({"data": traces, "layout": layout})
 

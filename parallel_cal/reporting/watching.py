@@ -153,10 +153,7 @@ def describe_sight(watch: Watch) -> Iterator[Block]:
         return
     seen = [one for one in watch.sights if np.isfinite(one.step)]
     blind = [one.parameter for one in watch.sights if not np.isfinite(one.step)]
-    yield (
-        f"the next recording would show a jump of {len(seen)} of {len(watch.sights)} parameters"
-        + (" (--details lists the sizes)" if seen else "")
-    )
+    yield f"the next recording would show a jump of {len(seen)} of {len(watch.sights)} parameters"
     rows = []
     for one in seen:
         unit, factor = small_unit(one.unit)
