@@ -16,12 +16,12 @@ MAY_USE_ROSBAGS = {"bag.py", "ros1_files.py", "writer.py", "replay_node.py", "re
 ROOMS = (
     "base imaging virtual model mechanisms effects sensors kinematics recordings importing "
     "exporting identification planning posterior causes diagnosis short_cut session discovery "
-    "campaign fleet study reporting workbench nodes cli"
+    "campaign fleet study watch reporting workbench nodes cli"
 ).split()
 # Between rooms; a new one needs a reason, and this number says so. The last ones: blocks of causes
 # (causes, posterior) stand between identification and diagnosis, and whoever draws a residual sees
-# its scene there.
-ARROWS = 144
+# its scene there. A watch linearises recordings, plans what confirms an alarm, and is shown.
+ARROWS = 154
 
 
 def imports(path):

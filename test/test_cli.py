@@ -178,6 +178,7 @@ def test_help_names_the_commands_that_exist_and_no_other():
         "calibrate",
         "workbench",
         "fleet",
+        "watch",
         "demo",
         "bench",
         "board",

@@ -7,6 +7,7 @@ or a unit in the second decimal. A quoted `error:` is an expected refusal.
 
 import os
 import re
+import runpy
 import shlex
 import shutil
 import sys
@@ -241,6 +242,17 @@ def test_the_page_on_fleets_shows_what_its_commands_print(tmp_path):
     for name in ("fleet.html", "rows.parquet", "seconds.parquet", "fleet.json", "reports"):
         assert (tmp_path / "fleet" / name).exists()
     assert len(list((tmp_path / "fleet" / "reports").glob("robot*.html"))) == 7
+
+
+@pytest.mark.wide
+def test_the_page_on_watching_shows_what_its_commands_print(tmp_path):
+    script = ROOT / "examples" / "watch_a_robot.py"
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(StringIO()):
+        patch.chdir(tmp_path)
+        runpy.run_path(str(script))  # it writes the model and the recordings
+    assert in_order("watch.md", tmp_path) == 2
+    for name in ("watch.html", "poses.csv", "belts.watch.json"):
+        assert (tmp_path / name).exists()
 
 
 @pytest.mark.slow

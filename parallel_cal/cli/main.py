@@ -42,6 +42,7 @@ COMMANDS = {
     "calibrate": "calibrating",
     "workbench": "workbench",
     "fleet": "fleet",
+    "watch": "watching",
     "demo": "showing",
     "bench": "showing",
     "session": "session:app",

@@ -18,11 +18,10 @@ from parallel_cal.identification.evidence import Evidence
 from parallel_cal.model.file.modelfile import model_text, parse_model
 from parallel_cal.model.model import Model
 from parallel_cal.posterior.scene import Scene, columns
-from parallel_cal.recordings.loading import load_stamped
+from parallel_cal.recordings.loading import find_start_time, load_stamped
 
 Row = dict[str, Any]  # the JSON document of a recording
 Page = Callable[[Diagnosis], str]
-MIN_ABSOLUTE_TIME_S = 1e9  # s: a smaller time counts from the recording's start, not from 1970
 
 
 @single_threaded()
@@ -45,8 +44,7 @@ def judge_recording(
             )
             when = job.time
             if when is None:
-                first = 1e-9 * start_ns or float(dataset.time.min())
-                when = first if first > MIN_ABSOLUTE_TIME_S else None
+                when = find_start_time(dataset, start_ns)
             row |= _make_row(found) | {"time": when, "reason": ""}
             shown = page(found) if page else ""
         except Exception as error:

@@ -39,6 +39,7 @@ from parallel_cal.nodes.parameters import (
     declare,
 )
 from parallel_cal.nodes.requests import Budget, answer, warm_up
+from parallel_cal.nodes.robot_watch import ROBOT_WATCH, RobotWatch
 from parallel_cal.nodes.run import WorkerThreadGroup, create_steady_timer, foreign_publishers, run
 from parallel_cal.nodes.stream_memory import Memory
 from parallel_cal.nodes.streams import Streams
@@ -62,6 +63,7 @@ PARAMETERS = {
     "request_time": Setting(5.0, "maximum time for a request, s", (0.01, 3600)),
     "request_memory": Setting(2048, "maximum memory for requests, MB", (64, 10**6), fixed=True),
     "direction_threshold": Setting(5e-4, "smallest motion that has a direction, rad or m", (0, 1)),
+    **ROBOT_WATCH,
     **LINK_TRANSFORMS,
     **TRAJECTORY_ACTION,
     **SECURITY,
@@ -105,6 +107,9 @@ class KinematicsNode(ManagedNode):
         # The streams must answer at once, so only they are in this group (see FrontExecutor).
         self._front = MutuallyExclusiveCallbackGroup()
         self._streams = Streams(self, self._server, self._memory, self._tally, self._front)
+        self._robot_watch = (
+            RobotWatch(self, self._server, self._memory) if self._parameter("watch") else None
+        )
         self._serve(Trigger, "stop", self._stop)
         create_steady_timer(1.0, self, self._tick)
         self.start()
@@ -248,6 +253,7 @@ class KinematicsNode(ManagedNode):
                 model_diagnostics(name, served, self._server.last, self._failure),
                 traffic_diagnostics(name, self._tally, unheard, foreign_publishers(self)),
                 *self._streams.diagnoses(name),
+                *([self._robot_watch.diagnose(name)] if self._robot_watch else []),
             ]
         )
         message.header.stamp = self.get_clock().now().to_msg()
@@ -256,6 +262,8 @@ class KinematicsNode(ManagedNode):
     def end_work(self) -> None:
         """Stop the streams and the worker process."""
         self._streams.end()
+        if self._robot_watch:
+            self._robot_watch.end()
         self._worker.end()
 
     def destroy_node(self) -> None:

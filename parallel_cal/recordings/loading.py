@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from parallel_cal.model.mechanism import Mechanism
 
 MAX_POSITION_M = 10.0  # m from the origin; positions that are mostly further out look like mm
+MIN_ABSOLUTE_TIME_S = 1e9  # s: a smaller time counts from the recording's start, not from 1970
 MAP_SUFFIX = ".columns.yaml"  # of the column map beside a table
 UNIT_WORDS = {"m": "a length", "rad": "an angle"}
 MOTOR_CURE = (
@@ -123,6 +124,13 @@ def load_stamped(
     if options.mechanism is not None:
         dataset = match_joint_units(dataset, options.mechanism)
     return select_samples(dataset, options), start
+
+
+def find_start_time(dataset: Dataset, start_ns: int) -> float | None:
+    """Find when a recording began (s since 1970), by its stamp (ns) or the times of its samples;
+    None if they count from its start."""
+    first = 1e-9 * start_ns or float(dataset.time.min())
+    return first if first > MIN_ABSOLUTE_TIME_S else None
 
 
 def load_table(path: Path, options: ReadOptions) -> Dataset:

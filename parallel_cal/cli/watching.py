@@ -1,0 +1,124 @@
+"""The command that follows a calibrated robot through its recordings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from parallel_cal.base.errors import DatasetError, ParallelCalError
+from parallel_cal.cli.arguments import Data, Details, JointSigma, Json, ModelFile
+from parallel_cal.cli.calibration import list_options
+from parallel_cal.cli.recordings import data_options
+from parallel_cal.reporting import console
+
+STATE_SUFFIX = ".watch.json"
+
+
+def watch(
+    model: ModelFile,
+    recordings: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            help="recordings of ordinary motion since the last call, in order of time; without "
+            "one, the state is shown"
+        ),
+    ] = None,
+    state: Annotated[
+        Path | None,
+        typer.Option(
+            help=f"file in which the watch continues [default: MODEL{STATE_SUFFIX}, beside "
+            "the model]"
+        ),
+    ] = None,
+    time: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="YYYY-MM-DDTHH:MM",
+            help="time of a recording that states none, such as a table (repeat for each "
+            "recording; UTC if no zone is given)",
+        ),
+    ] = None,
+    false_alarm_days: Annotated[
+        float, typer.Option(help="mean time between false alarms, days", min=1e-6)
+    ] = 30.0,
+    joint_sigma: JointSigma = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="page to write (.html), with the trend")
+    ] = None,
+    confirm: Annotated[
+        Path | None,
+        typer.Option(help="file for the poses (.csv) that would confirm an alarm"),
+    ] = None,
+    data: Data = None,
+    details: Details = False,
+    as_json: Json = False,
+) -> None:
+    """Find which part of a calibrated robot has changed. Ordinary recordings are enough, if they
+    hold more readings than the robot has degrees of freedom. The answer says since when, by how
+    much, and what else it could be."""
+    from parallel_cal.base.files import write_atomically
+    from parallel_cal.model.file.modelfile import read_model
+    from parallel_cal.recordings.bag import data_hash
+    from parallel_cal.recordings.loading import find_start_time, load_stamped
+    from parallel_cal.reporting.watching import describe_watch, document_watch
+    from parallel_cal.watch.confirmation import plan_confirmation
+    from parallel_cal.watch.state import continue_watch, write_state
+
+    robot, paths, options = read_model(model), recordings or [], data_options(data)
+    file = state or model.with_name(model.stem + STATE_SUFFIX)
+    if time and len(time) != len(paths):
+        raise ParallelCalError(f"{len(time)} times for {len(paths)} recordings: give one for each")
+    found, anew = continue_watch(file, robot, false_alarm_days)
+    if anew:
+        console.note(f"{file} is of another model: the watch of {model} starts anew")
+    known = {visit.sha256 for visit in found.visits}
+    for k, path in enumerate(paths):
+        console.progress(f"reading {path.name}", k / len(paths))
+        if (content := data_hash(path)) in known:
+            console.note(f"{path} was taken before; it counts once")
+            continue
+        dataset, stamp = load_stamped(path, options, console.progress, mechanism=robot.mechanism)
+        console.warn(dataset.warnings, brief=not details)
+        when = parse_time(time[k]) if time else find_start_time(dataset, stamp)
+        if when is None:
+            raise DatasetError(
+                f"{path} does not state when it was recorded: give --time for each recording"
+            )
+        found = found.add(replace(dataset, sha256=content), when, joint_sigma, str(path))
+        known.add(content)
+    console.progress("", 1.0)
+    if not found.visits:
+        raise ParallelCalError(f"{file} has no recordings yet: give at least one")
+    if anew or paths:
+        write_state(found, file)
+    confirmation = None
+    if found.alarm:
+        try:
+            confirmation = plan_confirmation(found)
+        except ParallelCalError as error:
+            console.note(f"no measurement was planned that would confirm it: {error}")
+    if output is not None:
+        from parallel_cal.reporting.watch_page import watch_page
+
+        write_atomically(output, watch_page(found, confirmation, model.stem))
+    if confirm is not None and confirmation is not None:
+        write_atomically(confirm, confirmation.plan.csv())
+    if as_json:
+        return console.emit(document_watch(found, confirmation) | {"state": str(file)})
+    console.show(describe_watch(found, confirmation), list_options(details))
+    for written in (output, confirm if confirmation is not None else None):
+        if written is not None:
+            console.say(f"written: {written}")
+
+
+def parse_time(text: str) -> float:
+    """Return the s since 1970 of an ISO 8601 date or time, UTC if it names no zone."""
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        raise ParallelCalError(f"--time {text}: expected a time such as 2026-05-31T14:00") from None
+    return (moment if moment.tzinfo else moment.replace(tzinfo=timezone.utc)).timestamp()

@@ -1,0 +1,1 @@
+"""Follow a calibrated robot through ordinary recordings, and say which part has changed."""
