@@ -19,9 +19,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
-from parallel_cal.kinematics.solvers import ipr_compensation
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.model.shelf import load_mechanism
+from parallel_cal.thesis.solvers import ipr_compensation
 from parallel_cal.virtual.robot import TABLE_5_18
 
 SPREADS = (0.125, 0.25, 0.5, 1.0, 2.0)  # in tolerances

@@ -25,10 +25,10 @@ import virtual_day as vd
 from parallel_cal.base.compiled import Batch
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
-from parallel_cal.kinematics.solvers.cascaded import PERFECT, direct_function, inverse_function
-from parallel_cal.kinematics.solvers.fixed_newton import newton_steps
 from parallel_cal.kinematics.solvers.homotopy import direct_all
 from parallel_cal.model.model import Model, new_model
+from parallel_cal.thesis.solvers.cascaded import PERFECT, direct_function, inverse_function
+from parallel_cal.thesis.solvers.fixed_newton import newton_steps
 from parallel_cal.virtual import robot as vr
 
 N = 1000

@@ -433,6 +433,20 @@ MUTANTS = (
         "the page does not offer the effect that is missing",
         "test_workbench.py test_first_screen.py",
     ),
+    Mutant(
+        "watch/changes.py",
+        "    after = t[None, :] >= t[:, None]\n",
+        "    after = t[None, :] > t[:, None]\n",
+        "a change begins one recording after the one that shows it first",
+        "test_watch.py",
+    ),
+    Mutant(
+        "thesis/methods/linear.py",
+        "    values[free] += step\n",
+        "    values[free] -= step\n",
+        "linear calibration steps away from the solution",
+        "test_methods.py",
+    ),
 )
 
 

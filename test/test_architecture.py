@@ -9,19 +9,22 @@ from pathlib import Path
 
 import pytest
 
+from parallel_cal.model.shelf import list_plugins, load_module
+
 PACKAGE = Path(__file__).parents[1] / "parallel_cal"
 MAY_USE_ROSBAGS = {"bag.py", "ros1_files.py", "writer.py", "replay_node.py", "recorder.py"}
 
 # The rooms, each importing only from those before it; CONTRIBUTING draws them.
 ROOMS = (
     "base imaging virtual model mechanisms effects sensors kinematics recordings importing "
-    "exporting identification planning posterior causes diagnosis short_cut session discovery "
-    "campaign fleet study watch reporting workbench nodes cli"
+    "exporting identification thesis planning posterior causes diagnosis short_cut session "
+    "discovery campaign fleet study watch reporting workbench nodes cli"
 ).split()
 # Between rooms; a new one needs a reason, and this number says so. The last ones: blocks of causes
 # (causes, posterior) stand between identification and diagnosis, and whoever draws a residual sees
-# its scene there. A watch linearises recordings, plans what confirms an alarm, and is shown.
-ARROWS = 154
+# its scene there. A watch linearises recordings, plans what confirms an alarm, and is shown. What
+# only the tables of the documents need stands on kinematics and identification, and nobody on it.
+ARROWS = 158
 
 
 def imports(path):
@@ -55,6 +58,19 @@ def test_the_mathematics_loads_without_scipy_rosbags_or_ros():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_what_only_the_tables_of_the_documents_need_is_in_a_room_that_no_other_imports():
+    """It is found by its name on the shelf, as all solvers and methods are."""
+    users = {file for file, others in GRAPH.items() if any(room(o) == "thesis" for o in others)}
+    assert {room(file) for file in users} == {"thesis"}
+    for shelf, names in {
+        "kinematics.solvers": ("cascaded", "cascaded_circles", "fixed_newton", "ipr_compensation"),
+        "identification.methods": ("cascaded", "linear", "semiparametric", "sensitivity"),
+    }.items():
+        for name in names:
+            assert name in list_plugins(shelf)
+            assert load_module(shelf, name).__name__.startswith("parallel_cal.thesis.")
 
 
 def test_the_virtual_robots_share_nothing_with_the_other_rooms():

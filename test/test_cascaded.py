@@ -7,8 +7,8 @@ import virtual_day as vd
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.kinematics.kinematics import Kinematics, Status
-from parallel_cal.kinematics.solvers import cascaded, fixed_newton
 from parallel_cal.model.model import new_model
+from parallel_cal.thesis.solvers import cascaded, fixed_newton
 from parallel_cal.virtual import robot as vr
 
 ARCSECOND = np.pi / 180 / 3600

@@ -8,9 +8,10 @@ from parallel_cal.base.rotation import rotation_matrix, rotation_vector
 from parallel_cal.kinematics import solving
 from parallel_cal.kinematics.all_solutions import direct_all
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
-from parallel_cal.kinematics.solvers import cascaded_circles, three_circles
+from parallel_cal.kinematics.solvers import three_circles
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import new_model
+from parallel_cal.thesis.solvers import cascaded_circles
 
 
 def strayed(seed):

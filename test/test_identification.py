@@ -15,11 +15,11 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.identification.checks import WrongSignError
+from parallel_cal.identification.descent import Damping
 from parallel_cal.identification.estimate import NormalEquations
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.fit_warnings import chi2_band, list_parameter_warnings
 from parallel_cal.identification.linearisation import Linearisation
-from parallel_cal.identification.methods._descent import Damping
 from parallel_cal.identification.methods.implicit import estimate
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.prediction_errors import errors

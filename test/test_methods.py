@@ -22,13 +22,14 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.estimators import load_method
-from parallel_cal.identification.methods import implicit, semiparametric
-from parallel_cal.identification.methods._factors import separate_factors
-from parallel_cal.identification.methods._separation import Separation
+from parallel_cal.identification.methods import implicit
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.robust import estimate_robustly
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.mechanisms.delta24 import Delta24
+from parallel_cal.thesis.methods import semiparametric
+from parallel_cal.thesis.methods._factors import separate_factors
+from parallel_cal.thesis.methods._separation import Separation
 
 MM, DEGREE = 1e-3, np.pi / 180
 CRANK = {"a": 80.2 * MM, "b": 50.1 * MM, "q0": 1 * DEGREE}

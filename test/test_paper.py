@@ -8,9 +8,9 @@ from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.kinematics.all_solutions import direct_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
-from parallel_cal.kinematics.solvers import ipr_compensation
 from parallel_cal.mechanisms.delta51 import RODS, from_delta54, to_delta54
 from parallel_cal.model.model import new_model
+from parallel_cal.thesis.solvers import ipr_compensation
 from parallel_cal.virtual import robot as vr
 
 MM, DEGREE = 1e-3, np.pi / 180

@@ -10,11 +10,11 @@ from test_unmeasured import only
 
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.comparison import compare
+from parallel_cal.identification.descent import minimise
 from parallel_cal.identification.estimate import EstimationProblem
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.linearisation import System
-from parallel_cal.identification.methods._descent import minimise
 from parallel_cal.identification.methods.implicit import estimate
 from parallel_cal.identification.observations import ASSUMED, observe
 from parallel_cal.identification.prior import Prior

@@ -24,11 +24,12 @@ from bench.tables.common import (
     plain_inverse,
 )
 from parallel_cal.base.errors import FitError
-from parallel_cal.identification.methods import implicit, semiparametric
+from parallel_cal.identification.methods import implicit
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model, new_model
+from parallel_cal.thesis.methods import semiparametric
 from parallel_cal.virtual import robot as vr
 
 POSES = 74

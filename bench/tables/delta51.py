@@ -11,12 +11,13 @@ import virtual_paper as vp
 from bench.tables import parallelogram
 from bench.tables.common import MM, UM, distribution
 from bench.tables.parallelogram import WHOLE, dataset, label
-from parallel_cal.identification.methods import implicit, sensitivity
+from parallel_cal.identification.methods import implicit
 from parallel_cal.identification.observations import observe
 from parallel_cal.kinematics.kinematics import Kinematics
-from parallel_cal.kinematics.solvers import ipr_compensation
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.thesis.methods import sensitivity
+from parallel_cal.thesis.solvers import ipr_compensation
 
 NOMINAL = new_model("delta51")
 TOOLS = (0.0, 100 * MM, 200 * MM)

@@ -14,13 +14,13 @@ import numpy as np
 import virtual_paper as vp
 
 from bench.tables.common import DEGREE, MM, UM, distribution
-from parallel_cal.identification.methods import sensitivity
-from parallel_cal.identification.methods._explicit import Prediction
+from parallel_cal.identification.explicit import Prediction
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.kinematics.kinematics import Kinematics
-from parallel_cal.kinematics.solvers import ipr_compensation
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.thesis.methods import sensitivity
+from parallel_cal.thesis.solvers import ipr_compensation
 from parallel_cal.virtual import robot as vr
 
 NOISE = vr.Noise(joint=1e-9, position=3 * UM, orientation=0.003 * DEGREE)

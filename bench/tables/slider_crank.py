@@ -24,10 +24,11 @@ from bench.tables.common import (
     plain_forward,
     plain_inverse,
 )
-from parallel_cal.identification.methods import cascaded, implicit, linear, semiparametric
+from parallel_cal.identification.methods import implicit
 from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.identification.observations import Observations
 from parallel_cal.model.model import Model, new_model
+from parallel_cal.thesis.methods import cascaded, linear, semiparametric
 
 TRUTH = np.array([80.2 * MM, 50.1 * MM, 1 * DEGREE])  # a, b, q0 (eq. 5.13)
 SIGMA_X, SIGMA_Q = 0.02 * MM, 2 * ARCMIN  # eq. 5.14

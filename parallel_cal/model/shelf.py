@@ -25,6 +25,11 @@ from parallel_cal.model.effect import Effect
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.sensor import Sensor
 
+# Shelves that go on in another room: what only the tables of the documents need.
+CONTINUED = {
+    "kinematics.solvers": "thesis.solvers",
+    "identification.methods": "thesis.methods",
+}
 _own_allowed = True
 _own_folders: list[Path] = []  # with plug-ins of the user, besides those on the Python path
 
@@ -114,7 +119,9 @@ def load_class(shelf: str, name: str, base: type) -> type:
 def load_module(shelf: str, name: str, error: type[ParallelCalError] = ModelError) -> ModuleType:
     """Load parallel_cal/<shelf>/<name>.py, the module at a Python path, or a file NAME.py on the
     Python path or in a folder of `add_plugin_folder`; `error` for none of them."""
-    path = name if "." in name else f"parallel_cal.{shelf}.{name}"
+    more = CONTINUED.get(shelf)
+    place = more if more and name in _list_files(more) else shelf
+    path = name if "." in name else f"parallel_cal.{place}.{name}"
     require_allowed(path, error)
     try:
         if path.startswith(".") or name.startswith("_"):  # a path of files; no public name
@@ -182,10 +189,16 @@ def wrap_plugin_function(name: str, function: Callable[..., Any]) -> Callable[..
 
 def list_plugins(shelf: str) -> list[str]:
     """The public names on a shelf: its file names."""
+    more = CONTINUED.get(shelf)
+    return sorted(_list_files(shelf) | (_list_files(more) if more else set()))
+
+
+def _list_files(shelf: str) -> set[str]:
+    """The public names of one folder of a shelf."""
     from pkgutil import iter_modules
 
     package = import_module(f"parallel_cal.{shelf}")
-    return sorted(m.name for m in iter_modules(package.__path__) if not m.name.startswith("_"))
+    return {m.name for m in iter_modules(package.__path__) if not m.name.startswith("_")}
 
 
 def options_of(cls: type) -> list[str]:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from parallel_cal.identification.descent import PredictedSystem, minimise
 from parallel_cal.identification.error_jacobians import differentiate_errors
 from parallel_cal.identification.estimate import Estimate, EstimationProblem
+from parallel_cal.identification.explicit import Prediction
 from parallel_cal.identification.linearisation import Linearisation, System
-from parallel_cal.identification.methods._descent import PredictedSystem, minimise
-from parallel_cal.identification.methods._explicit import Prediction
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prediction_errors import PoseErrors
 from parallel_cal.identification.prior import Prior

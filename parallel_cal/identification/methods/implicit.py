@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from parallel_cal.identification.descent import minimise
 from parallel_cal.identification.estimate import Estimate, EstimationProblem
 from parallel_cal.identification.linearisation import Linearisation, System
-from parallel_cal.identification.methods._descent import minimise
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
 from parallel_cal.model.model import Model

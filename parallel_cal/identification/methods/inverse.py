@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from parallel_cal.identification.estimate import Estimate
-from parallel_cal.identification.methods._explicit import Prediction
+from parallel_cal.identification.explicit import Prediction
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
 from parallel_cal.model.model import Model

@@ -14,13 +14,7 @@ import numpy as np
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import quaternion_to_matrix
-from parallel_cal.kinematics.solutions import (
-    MAX_CLOSED_RESIDUAL_M,
-    Solutions,
-    make_unsolved,
-    stack_solutions,
-)
-from parallel_cal.kinematics.solvers._common import (
+from parallel_cal.kinematics.evaluating import (
     get_kinematics,
     joint_candidates,
     order_from_home,
@@ -28,6 +22,12 @@ from parallel_cal.kinematics.solvers._common import (
     select_conditions,
     solve_on_home_branch,
     with_status,
+)
+from parallel_cal.kinematics.solutions import (
+    MAX_CLOSED_RESIDUAL_M,
+    Solutions,
+    make_unsolved,
+    stack_solutions,
 )
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.mechanism import poses_in_workspace

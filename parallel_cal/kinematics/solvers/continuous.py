@@ -14,6 +14,7 @@ import numpy as np
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
 from parallel_cal.kinematics.branch import MIN_STEP_FRACTION, is_short_step
+from parallel_cal.kinematics.evaluating import get_kinematics, select_conditions
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.singularity import distances
 from parallel_cal.kinematics.solutions import (
@@ -22,7 +23,6 @@ from parallel_cal.kinematics.solutions import (
     concatenate_solutions,
     stack_solutions,
 )
-from parallel_cal.kinematics.solvers._common import get_kinematics, select_conditions
 from parallel_cal.model.model import Model
 
 MIN_SAFE_DISTANCE = 0.02  # scaled singular value; below it the assembly mode is in danger

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import SolveError
-from parallel_cal.kinematics.kinematics import Solutions
-from parallel_cal.kinematics.solvers._common import (
+from parallel_cal.kinematics.evaluating import (
     get_kinematics,
     is_pose_unaffected,
     order_from_home,
     parts,
     solve_on_home_branch,
 )
+from parallel_cal.kinematics.kinematics import Solutions
 from parallel_cal.kinematics.solvers._platform import PoseSet, all_poses
 from parallel_cal.model.model import Model
 

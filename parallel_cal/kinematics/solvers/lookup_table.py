@@ -18,8 +18,8 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.errors import SolveError
+from parallel_cal.kinematics.evaluating import match_shape, with_status
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
-from parallel_cal.kinematics.solvers._common import match_shape, with_status
 from parallel_cal.model.model import Model
 
 BUILDS = "a table of the whole workspace"

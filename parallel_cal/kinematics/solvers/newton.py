@@ -13,6 +13,12 @@ import numpy as np
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import rotation_matrix
+from parallel_cal.kinematics.evaluating import (
+    get_kinematics,
+    joint_candidates,
+    pose_candidates,
+    residuals,
+)
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.problem import Problem
 from parallel_cal.kinematics.rows import joint_rows, pose_rows
@@ -22,12 +28,6 @@ from parallel_cal.kinematics.solutions import (
     Solutions,
     Status,
     concatenate_solutions,
-)
-from parallel_cal.kinematics.solvers._common import (
-    get_kinematics,
-    joint_candidates,
-    pose_candidates,
-    residuals,
 )
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model

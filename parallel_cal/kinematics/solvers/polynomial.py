@@ -18,13 +18,13 @@ import numpy as np
 
 from parallel_cal.base.compiled import Single, dense
 from parallel_cal.base.errors import SolveError
-from parallel_cal.kinematics.kinematics import Solutions
-from parallel_cal.kinematics.rows import joint_rows
-from parallel_cal.kinematics.solvers._common import (
+from parallel_cal.kinematics.evaluating import (
     order_from_home,
     solve_on_home_branch,
     with_status,
 )
+from parallel_cal.kinematics.kinematics import Solutions
+from parallel_cal.kinematics.rows import joint_rows
 from parallel_cal.kinematics.solvers._orientation import orientations
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model

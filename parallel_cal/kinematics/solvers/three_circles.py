@@ -18,14 +18,14 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.rotation import nearest_rotation
-from parallel_cal.kinematics.solutions import Solutions, Status, stack_solutions
-from parallel_cal.kinematics.solvers._common import (
+from parallel_cal.kinematics.evaluating import (
     get_kinematics,
     is_pose_unaffected,
     order_from_home,
     parts,
     solve_on_home_branch,
 )
+from parallel_cal.kinematics.solutions import Solutions, Status, stack_solutions
 from parallel_cal.model.model import Model
 
 RESULTANT_DEGREE = 16

@@ -13,11 +13,11 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.rotation import rotation_matrix
-from parallel_cal.identification.methods._separation import Separation
 from parallel_cal.identification.observability import find_independent_columns
 from parallel_cal.identification.thresholds import DRAWS, MIN_COLUMN_REMAINDER
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
+from parallel_cal.thesis.methods._separation import Separation
 
 
 @dataclass(frozen=True)

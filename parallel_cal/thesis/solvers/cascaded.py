@@ -18,15 +18,15 @@ import numpy as np
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import cayley, left_generators
-from parallel_cal.kinematics.kinematics import Solutions
-from parallel_cal.kinematics.rows import joint_rows, pose_rows
-from parallel_cal.kinematics.solvers._common import (
+from parallel_cal.kinematics.evaluating import (
     check_step_count,
     evaluate_solver,
     half_step_function,
     is_pose_unaffected,
     match_shape,
 )
+from parallel_cal.kinematics.kinematics import Solutions
+from parallel_cal.kinematics.rows import joint_rows, pose_rows
 from parallel_cal.model.closed_form import joint_angles, positions
 from parallel_cal.model.effect import Seen
 from parallel_cal.model.mechanism import POSE, nearest

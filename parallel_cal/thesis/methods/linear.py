@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from parallel_cal.identification.descent import make_estimate_at, propagate_covariance
 from parallel_cal.identification.estimate import (
     Estimate,
     EstimationProblem,
@@ -11,7 +12,6 @@ from parallel_cal.identification.estimate import (
     make_estimate,
 )
 from parallel_cal.identification.linearisation import Linearisation
-from parallel_cal.identification.methods._descent import make_estimate_at, propagate_covariance
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Knowledge, Prior
 from parallel_cal.model.model import Model

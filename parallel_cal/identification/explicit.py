@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from parallel_cal.base.errors import FitError
+from parallel_cal.identification.descent import PredictedSystem, check_measured, minimise
 from parallel_cal.identification.estimate import Estimate, EstimationProblem
 from parallel_cal.identification.linearisation import Linearisation
-from parallel_cal.identification.methods._descent import PredictedSystem, check_measured, minimise
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.thresholds import (

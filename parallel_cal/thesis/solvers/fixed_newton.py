@@ -17,10 +17,10 @@ import numpy as np
 
 from parallel_cal.base.compiled import dense
 from parallel_cal.base.errors import SolveError
+from parallel_cal.kinematics.evaluating import check_step_count, evaluate_solver, match_shape
 from parallel_cal.kinematics.kinematics import Solutions
 from parallel_cal.kinematics.newton import Elimination, apply_change, row_order, split
 from parallel_cal.kinematics.rows import joint_rows, pose_rows
-from parallel_cal.kinematics.solvers._common import check_step_count, evaluate_solver, match_shape
 from parallel_cal.model.model import Model
 from parallel_cal.model.structure import Structure
 

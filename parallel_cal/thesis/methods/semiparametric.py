@@ -17,21 +17,21 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.identification.estimate import Estimate, EstimationProblem
-from parallel_cal.identification.linearisation import Linearisation
-from parallel_cal.identification.methods import implicit
-from parallel_cal.identification.methods._descent import (
+from parallel_cal.identification.descent import (
     check_measured,
     make_estimate_at,
     propagate_covariance,
 )
-from parallel_cal.identification.methods._factors import Row, separate_factors
+from parallel_cal.identification.estimate import Estimate, EstimationProblem
+from parallel_cal.identification.linearisation import Linearisation
+from parallel_cal.identification.methods import implicit
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.thresholds import FACTOR_STEP
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
+from parallel_cal.thesis.methods._factors import Row, separate_factors
 
 ITERATIONS = 20
 

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import SolveError
+from parallel_cal.kinematics.evaluating import match_shape, with_status
 from parallel_cal.kinematics.kinematics import MAX_CLOSED_RESIDUAL_M, Kinematics, Solutions, Status
-from parallel_cal.kinematics.solvers._common import match_shape, with_status
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 

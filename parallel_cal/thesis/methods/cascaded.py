@@ -12,15 +12,15 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.estimate import Estimate, EstimationProblem
-from parallel_cal.identification.methods.semiparametric import (
+from parallel_cal.identification.observations import Observations
+from parallel_cal.identification.prior import Prior
+from parallel_cal.model.model import Model
+from parallel_cal.thesis.methods.semiparametric import (
     FactorMechanism,
     closure_rows,
     extract_parameters,
     make_factor_model,
 )
-from parallel_cal.identification.observations import Observations
-from parallel_cal.identification.prior import Prior
-from parallel_cal.model.model import Model
 
 
 def estimate(

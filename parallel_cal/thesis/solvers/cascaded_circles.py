@@ -18,14 +18,14 @@ import numpy as np
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import cayley
-from parallel_cal.kinematics.rows import joint_rows, pose_rows
-from parallel_cal.kinematics.solutions import Solutions
-from parallel_cal.kinematics.solvers._common import (
+from parallel_cal.kinematics.evaluating import (
     check_step_count,
     evaluate_solver,
     half_step_function,
     match_shape,
 )
+from parallel_cal.kinematics.rows import joint_rows, pose_rows
+from parallel_cal.kinematics.solutions import Solutions
 from parallel_cal.model.closed_form import joint_angles, positions
 from parallel_cal.model.mechanism import POSE, Mechanism, nearest
 from parallel_cal.model.model import Model

@@ -12,7 +12,7 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.estimate import Estimate, EstimationProblem, make_estimate
-from parallel_cal.identification.methods._explicit import Prediction
+from parallel_cal.identification.explicit import Prediction
 from parallel_cal.identification.observability import find_independent_columns
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior

@@ -1,0 +1,1 @@
+"""Solvers and methods of the documents that only their tables need; selected by name as others."""

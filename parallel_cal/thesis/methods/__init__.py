@@ -1,0 +1,1 @@
+"""Methods that the documents compare: the shelf identification.methods goes on here."""
