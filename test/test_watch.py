@@ -14,6 +14,7 @@ from parallel_cal.cli.main import main
 from parallel_cal.model.file.modelfile import write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.reporting.watching import describe_watch, document_watch
 from parallel_cal.watch import changes
 from parallel_cal.watch.changes import (
     CHANGES,
@@ -147,6 +148,21 @@ def test_without_a_change_there_is_no_alarm():
     watch = followed([recording(day) for day in range(12)])
     assert watch.alarm is None
     assert watch.trend[-1].statistic < 30 * DAY
+
+
+def test_residuals_larger_than_the_stated_noise_make_the_answer_doubtful():
+    """Alarms are as rare as stated only if the model describes the robot down to its noise."""
+    assert followed([recording(day) for day in range(3)]).misfit is None
+    larger = []
+    for day in range(3):
+        one, rng = recording(day), np.random.default_rng([day, 77])
+        larger.append(replace(one, q=one.q + rng.normal(0, 2 * hexapod.SIGMA, one.q.shape)))
+    watch = followed(larger)
+    assert watch.misfit.ratio == pytest.approx(5**0.5, rel=0.35)
+    assert watch.misfit.p_value < 1e-6
+    [doubt] = [b for b in describe_watch(watch) if isinstance(b, str) and "doubtful" in b]
+    assert "the noise is stated too small" in doubt
+    assert document_watch(watch)["misfit"]["ratio"] == watch.misfit.ratio
 
 
 def test_noise_that_is_not_stated_is_learned_from_the_first_recording():

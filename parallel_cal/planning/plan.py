@@ -360,9 +360,15 @@ def _keep_seen_groups(model: Model, pool: Pool) -> Pool:
     """Keep the groups of poses at which a camera sees its board; FitError without any."""
     seen = find_seen_poses(model, pool.poses)[pool.groups].all(axis=1)
     if not seen.any():
+        sensors = model.sensors
+        what = {
+            "no camera sees its board": any(sensor.shows_pose for sensor in sensors),
+            f"no contact is made ({', '.join(list_contacts(model))})": any(list_contacts(model)),
+        }
         raise FitError(
-            f"at none of {len(pool.poses)} poses in the workspace a camera sees its board, or a "
-            "contact is made: check the places of camera, board and sockets in the model file"
+            f"{' and '.join(words for words, applies in what.items() if applies)} at any of "
+            f"{len(pool.poses)} poses in the workspace: check the places of "
+            f"{', '.join(sensor.name for sensor in sensors)} in the model file"
         )
     return replace(pool, groups=pool.groups[seen])
 

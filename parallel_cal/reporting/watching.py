@@ -33,6 +33,7 @@ def document_watch(watch: Watch, confirmation: Confirmation | None = None) -> di
         "alarm": None if alarm is None else {"recording": alarm.recording, "time": iso(alarm.time)},
         "statistic_days": watch.trend[-1].statistic / DAY if watch.trend else None,
         "false_alarm_days": watch.false_alarm_days,
+        "misfit": None if watch.misfit is None else vars(watch.misfit),
         "parts": [
             {"part": part, "probability": p, "since": [iso(t) for t in watch.since(part)]}
             for part, p in (watch.parts.items() if enough else ())
@@ -76,6 +77,13 @@ def iso(time: float) -> str:
 def describe_watch(watch: Watch, confirmation: Confirmation | None = None) -> list[Block]:
     """Describe a watch as blocks: the answer, the suspects, and what the recordings can show."""
     blocks: list[Block] = [*summarize_watch(watch)]
+    if (misfit := watch.misfit) is not None:
+        blocks.append(
+            f"doubtful: before any change the residuals are {misfit.ratio:.3g} times as large as "
+            f"noise and calibration let expect (p = {misfit.p_value:.1g}). The model is not "
+            "complete, the noise is stated too small, or the robot had changed before the first "
+            "recording: alarms may be false, and diagnose tells what is missing"
+        )
     if watch.alarm is not None:
         rows = []
         for one in watch.suspects[:MAX_SUSPECTS]:

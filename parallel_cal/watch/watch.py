@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from parallel_cal.base.confidence import SIGNIFICANCE_LEVEL
 from parallel_cal.base.errors import DatasetError, FitError
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
@@ -63,6 +64,15 @@ class Sight:
     parameter: str
     unit: str
     step: float
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """The rms of the residuals, in units of what noise and calibration let expect, and the
+    probability of a larger one by chance."""
+
+    ratio: float
+    p_value: float
 
 
 @dataclass(frozen=True)
@@ -248,6 +258,22 @@ class Watch:
                 found[:, i] = u / m, np.sqrt(fit.C / fit.D / m)
         value, sigma = self._table[parameter][0] * found
         return value, sigma
+
+    @cached_property
+    def misfit(self) -> Misfit | None:
+        """How much larger the residuals are than the stated noise and the calibration let expect,
+        before anything may have changed; None if the noise is not stated, or by chance."""
+        from scipy.stats import chi2
+
+        begin = self.since(next(iter(self.parts)))[0] if self.alarm else np.inf
+        before = [one for one in self.visits if one.time <= begin]
+        rows = sum(one.innovation_rows for one in before)
+        if not rows or not all(one.known_noise for one in before):
+            return None
+        squares = sum(one.innovation for one in before)
+        p_value = float(chi2.sf(squares, rows))
+        ratio = float(np.sqrt(squares / rows))
+        return Misfit(ratio, p_value) if p_value < SIGNIFICANCE_LEVEL else None
 
     @cached_property
     def sights(self) -> tuple[Sight, ...]:
