@@ -2,6 +2,7 @@
 seventh leg, made of points and distances (test_extra_legs)."""
 
 import json
+import os
 from dataclasses import replace
 from functools import cache
 
@@ -10,6 +11,7 @@ import pytest
 import test_extra_legs as hexapod
 
 from parallel_cal.base.errors import DatasetError, FitError
+from parallel_cal.base.files import open_locked
 from parallel_cal.cli.main import main
 from parallel_cal.model.file.modelfile import write_model
 from parallel_cal.model.model import new_model
@@ -144,6 +146,17 @@ def test_a_zero_that_jumps_is_named_with_its_size_and_its_day():
     assert np.abs(z).max() < 3.5
 
 
+def test_a_zero_that_the_fit_held_is_named_all_the_same():
+    """Its value stands for others only until it changes: then no other part explains it."""
+    model = calibrated()
+    held = np.array(model.fixed)
+    held[model.table.index_of("leg3.L0")] = True
+    days = [recording(day, 150e-6 * (day >= 6)) for day in range(8)]
+    watch = followed(days, replace(model, fixed=held))
+    assert watch.alarm.recording == "day6"
+    assert watch.parts["leg3"] > 0.95
+
+
 def test_without_a_change_there_is_no_alarm():
     watch = followed([recording(day) for day in range(12)])
     assert watch.alarm is None
@@ -212,6 +225,8 @@ def test_recordings_come_in_order_of_time():
     watch = followed([recording(0)])
     with pytest.raises(DatasetError, match="day1 was recorded 2 days before day0"):
         watch.add(recording(1), START - 2 * DAY)
+    with pytest.raises(DatasetError, match="day1 was recorded at the same time as day0"):
+        watch.add(recording(1), START)
 
 
 def test_a_state_continues_as_if_nothing_had_interrupted(tmp_path):
@@ -221,6 +236,10 @@ def test_a_state_continues_as_if_nothing_had_interrupted(tmp_path):
     last = recording(3), START + 3 * DAY
     assert again.add(*last).trend == half.add(*last).trend
     assert read_state(tmp_path / "state.json", hexapod.drawn(LEGS)) is None
+    assert write_state(half, tmp_path / "state.json") is None
+    kept = write_state(Watch(hexapod.drawn(LEGS)), tmp_path / "state.json")
+    assert kept == tmp_path / "state.1.json"  # of the other model: nothing is lost
+    assert len(read_state(kept, calibrated()).visits) == 3
     (tmp_path / "state.json").write_text('{"parallel_cal_watch": 1}')
     with pytest.raises(DatasetError, match=r"is not the state of a watch .*Remove it"):
         read_state(tmp_path / "state.json", calibrated())
@@ -232,10 +251,10 @@ def test_the_command_continues_from_day_to_day(tmp_path, capsys, monkeypatch):
     for day in range(6):
         recording(day, 200e-6 * (day >= 5)).to_json(tmp_path / f"day{day}.json")
 
-    def run(*words):
+    def run(*words, expected=0):
         with pytest.raises(SystemExit) as ended:
             main(["watch", "hexa.yaml", *words])
-        assert ended.value.code in (0, None), capsys.readouterr().err
+        assert ended.value.code in (expected, None), capsys.readouterr().err
         return capsys.readouterr()
 
     assert run("day0.json").out.startswith("no answer yet")
@@ -250,3 +269,9 @@ def test_the_command_continues_from_day_to_day(tmp_path, capsys, monkeypatch):
     answer = json.loads(run("--json").out)
     assert answer["alarm"]["recording"] == "day5.json"
     assert answer["parts"][0]["since"] == ["2023-11-18T22:13:20+00:00", "2023-11-19T22:13:20+00:00"]
+    wrong = run("day5.json", "--state", "new.json", "--time", "2099-01-01", expected=1).err
+    assert "states that it was recorded on 2023-11-19T22:13:20+00:00" in wrong
+    lock = open_locked(tmp_path / ".hexa.watch.json.lock")
+    assert "another watch uses" in run("day5.json", expected=1).err
+    os.close(lock)
+    assert "expected a name that ends with .html" in run("-o", "page.pdf", expected=1).err

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
@@ -16,6 +19,7 @@ from parallel_cal.cli.recordings import data_options
 from parallel_cal.reporting import console
 
 STATE_SUFFIX = ".watch.json"
+MAX_CLOCK_ERROR_S = 86400.0  # of a stated time: zones, and clocks that a battery keeps
 
 
 def watch(
@@ -64,37 +68,52 @@ def watch(
     from parallel_cal.model.file.modelfile import read_model
     from parallel_cal.recordings.bag import data_hash
     from parallel_cal.recordings.loading import find_start_time, load_stamped
-    from parallel_cal.reporting.watching import describe_watch, document_watch
+    from parallel_cal.reporting.watching import describe_watch, document_watch, iso
     from parallel_cal.watch.confirmation import plan_confirmation
     from parallel_cal.watch.state import continue_watch, write_state
 
     robot, paths, options = read_model(model), recordings or [], data_options(data)
+    if output is not None and output.suffix != ".html":
+        raise ParallelCalError(
+            f"-o {output}: the page is HTML, expected a name that ends with .html"
+        )
     file = state or model.with_name(model.stem + STATE_SUFFIX)
     if time and len(time) != len(paths):
-        raise ParallelCalError(f"{len(time)} times for {len(paths)} recordings: give one for each")
-    found, anew = continue_watch(file, robot, false_alarm_days)
-    if anew:
-        console.note(f"{file} is of another model: the watch of {model} starts anew")
-    known = {visit.sha256 for visit in found.visits}
-    for k, path in enumerate(paths):
-        console.progress(f"reading {path.name}", k / len(paths))
-        if (content := data_hash(path)) in known:
-            console.note(f"{path} was taken before; it counts once")
-            continue
-        dataset, stamp = load_stamped(path, options, console.progress, mechanism=robot.mechanism)
-        console.warn(dataset.warnings, brief=not details)
-        when = parse_time(time[k]) if time else find_start_time(dataset, stamp)
-        if when is None:
-            raise DatasetError(
-                f"{path} does not state when it was recorded: give --time for each recording"
+        raise ParallelCalError(
+            f"--time: {len(time)} given, {len(paths)} expected, one for each recording"
+        )
+    with hold(file):
+        found, anew = continue_watch(file, robot, false_alarm_days)
+        if anew:
+            console.note(f"{file} is of another model: the watch of {model} starts anew")
+        known = {visit.sha256 for visit in found.visits}
+        for k, path in enumerate(paths):
+            console.progress(f"reading {path.name}", k / len(paths))
+            if (content := data_hash(path)) in known:
+                console.note(f"{path} was taken before; it counts once")
+                continue
+            dataset, stamp = load_stamped(
+                path, options, console.progress, mechanism=robot.mechanism
             )
-        found = found.add(replace(dataset, sha256=content), when, joint_sigma, str(path))
-        known.add(content)
-    console.progress("", 1.0)
-    if not found.visits:
-        raise ParallelCalError(f"{file} has no recordings yet: give at least one")
-    if anew or paths:
-        write_state(found, file)
+            console.warn(dataset.warnings, brief=not details)
+            stated = find_start_time(dataset, stamp)
+            when = parse_time(time[k]) if time else stated
+            if when and stated and abs(when - stated) > MAX_CLOCK_ERROR_S:
+                raise DatasetError(
+                    f"{path} states that it was recorded on {iso(stated)}, and --time says "
+                    f"{iso(when)}: correct it, or leave it out"
+                )
+            if when is None:
+                raise DatasetError(
+                    f"{path} does not state when it was recorded: give --time for each recording"
+                )
+            found = found.add(replace(dataset, sha256=content), when, joint_sigma, str(path))
+            known.add(content)
+        console.progress("", 1.0)
+        if not found.visits:
+            raise ParallelCalError(f"{file} has no recordings yet: give at least one")
+        if (anew or paths) and (kept := write_state(found, file)):
+            console.note(f"the watch of the other model is kept in {kept}")
     confirmation = None
     if found.alarm:
         try:
@@ -113,6 +132,20 @@ def watch(
     for written in (output, confirm if confirmation is not None else None):
         if written is not None:
             console.say(f"written: {written}")
+
+
+@contextmanager
+def hold(state: Path) -> Iterator[None]:
+    """Hold a state file, so that no other watch writes it; ParallelCalError if another one does."""
+    from parallel_cal.base.files import open_locked
+
+    lock = open_locked(state.with_name(f".{state.name}.lock"))
+    if lock is None:
+        raise ParallelCalError(f"another watch uses {state} now: wait for its end")
+    try:
+        yield
+    finally:
+        os.close(lock)
 
 
 def parse_time(text: str) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import fields, replace
+from itertools import count
 from pathlib import Path
 
 from parallel_cal.base.documents import to_json_value
@@ -18,8 +19,13 @@ STATE_VERSION = 1
 MAX_STATE_MB = 256
 
 
-def write_state(watch: Watch, path: Path) -> None:
-    """Replace the state file in one step."""
+def write_state(watch: Watch, path: Path) -> Path | None:
+    """Replace the state file in one step. That of another model is kept beside it: its name is
+    returned; else None."""
+    kept = None
+    if path.exists() and read_state(path, watch.model) is None:
+        names = (path.with_name(f"{path.stem}.{k}{path.suffix}") for k in count(1))
+        kept = path.rename(next(name for name in names if not name.exists()))
     document = {
         "parallel_cal_watch": STATE_VERSION,
         "model": model_hash(watch.model),
@@ -28,6 +34,7 @@ def write_state(watch: Watch, path: Path) -> None:
         "visits": [to_json_value(visit.document()) for visit in watch.visits],
     }
     write_atomically(path, json.dumps(document) + "\n")
+    return kept
 
 
 def read_state(path: Path, model: Model) -> Watch | None:

@@ -11,7 +11,7 @@ import numpy as np
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.causes.effects import find_missing_conditions
 from parallel_cal.identification.linearisation import Linearisation
-from parallel_cal.identification.observations import observe
+from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.predictions import predict_configurations
 from parallel_cal.identification.prior import Prior
 from parallel_cal.model.model import Model
@@ -27,6 +27,7 @@ SIZES = 10.0 ** np.arange(-3, 1.01, 0.25)
 # The error of a calibration in sigmas of its covariance: a model that is not complete has more.
 CALIBRATION_FACTORS = (1.0, 10.0, 3.0)  # the last one counts where a loose part is sought
 MIN_NOISE_RESIDUALS = 8  # that show a noise which is not stated: its sigma to 25 %
+SAME_DIRECTION = 1 - 1e-9  # cosine of two columns: the rest is rounding
 MAX_SCATTER_ROWS = 150  # rows of the residual in which it is sought: singular values of n^3
 
 
@@ -170,6 +171,25 @@ def extend_model(model: Model, dataset: Dataset) -> Model:
     return model
 
 
+def list_candidates(model: Model, observations: Observations, x: np.ndarray) -> np.ndarray:
+    """The mask of the parameters that may change: what was identified, and the zero of each joint,
+    which changes as easily if a fit held it because others stand for it. A zero acts on the closure
+    at the configurations x (N, ...) as the reading of its joint does."""
+    candidates = ~np.asarray(model.fixed)
+    geometry = np.array([p.group not in ("effect", "sensor") for p in model.table])
+    held = ~candidates & geometry
+    _, C, J = Linearisation(model, observations, held, True).blocks(model.values, x)
+    by_joint = C[:, :, : len(model.joints)].reshape(-1, len(model.joints))
+    along = np.abs(_unit(J.reshape(len(by_joint), -1)).T @ _unit(by_joint))
+    candidates[held] = along.max(axis=1, initial=0.0) > SAME_DIRECTION
+    return candidates
+
+
+def _unit(columns: np.ndarray) -> np.ndarray:
+    """Columns (n, k) of length one; zero stays zero."""
+    return np.asarray(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
+
+
 def visit_of(
     model: Model,
     dataset: Dataset,
@@ -205,8 +225,8 @@ def visit_of(
     """
     extended = extend_model(model, dataset)
     observations = observe(extended, dataset, joint_sigma, insist=True)
-    free = ~np.asarray(extended.fixed)
     x = predict_configurations(extended, observations)
+    free = list_candidates(extended, observations, x)
     linearise = Linearisation(extended, observations, free, True)
     by_measured = np.empty(
         (len(x), extended.structure.rows.shape[0], len(extended.structure.scale))

@@ -142,10 +142,11 @@ class Watch:
         """
         name = name or dataset.source
         if self.visits and time <= self.visits[-1].time:
+            earlier = (self.visits[-1].time - time) / DAY
+            when = f"{earlier:.3g} days before" if earlier else "at the same time as"
             raise DatasetError(
-                f"{name} was recorded {(self.visits[-1].time - time) / DAY:.3g} days before "
-                f"{self.visits[-1].name}, which was taken before: give the recordings in order of "
-                "time"
+                f"{name} was recorded {when} {self.visits[-1].name}, which was taken before: give "
+                "the recordings in order of time"
             )
         visit = visit_of(
             self.model,
