@@ -12,6 +12,8 @@ from virtual_setups import random_delta, workspace
 
 import parallel_cal as pc
 from parallel_cal.base.errors import FitError, ModelError
+from parallel_cal.identification.acceptance import acceptance
+from parallel_cal.identification.update import Drift
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.model.shelf import load_mechanism, load_sensor
 from parallel_cal.recordings.dataset import Dataset
@@ -359,3 +361,43 @@ def test_two_arms_that_hold_one_another_are_a_chain_with_more_drives_than_motion
     assert 0.7 < result.estimate.chi2_per_dof < 1.3
     assert result.held_out.summary.joint_rms < 0.05 * result.before.summary.joint_rms
     assert result.estimate.spectrum.unidentifiable  # among them the size of both arms
+
+
+def test_a_drift_is_accepted_by_its_evidence_and_the_set_up_is_placed_alike():
+    """Ten touches hold too few poses out to prove a fall; sockets that nobody visited are no
+    error."""
+    assert Drift.of([0.0, -5.0, 3.0, 2.0, -9.0, -9.0]).scale == 1.0
+    assert Drift.of([0.0, -5.0, 3.0, 2.0, -9.0, -9.0]).is_shown
+    none = Drift.of([0.0, -1.0, -2.0, -3.0, -9.0, -9.0])
+    assert not none.is_shown
+    assert none.warnings == ("the samples show no drift since the last calibration",)
+    assert "3 times as far as usual" in Drift.of([0.0, 1.0, 2.0, 9.0, 2.0, 0.0]).warnings[0]
+    model, before, today, *_ = drifted_delta(0)
+    last = pc.fit(model, before, hold_out=0.0).model
+    update = pc.fit(last, today, update=True)
+    assert update.drift.is_shown
+    assert not acceptance(update).against
+    again = pc.fit(last, before.select(np.arange(10)), update=True)
+    assert not again.drift.is_shown
+
+
+def test_axes_along_which_a_robot_moves_nothing_are_refused():
+    with pytest.raises(ModelError, match=r"axes is xyz, but five_bar moves points along x, y only"):
+        new_model("five_bar", sensors=[load_sensor("sockets", n=2)])
+    for wrong, words in (
+        ({"holes": [(0.0, 0.0, 0.0)] * 2}, "two holes are at the same place"),
+        ({"holes": [(0, 0, 0), (0.1, 0, 0), (0.1, 0.1, 0)], "n": 5}, "n is 5 beside 3 holes"),
+        ({"rotation": (0.0, 0.0, 90.0)}, "expected a rotation vector in rad"),
+    ):
+        with pytest.raises(ModelError, match=words):
+            load_sensor("sockets", **wrong)
+
+
+def test_a_plan_says_which_socket_each_pose_touches():
+    plate = load_sensor("sockets", holes=((0, 0, 0), (0.05, 0, 0), (0, 0.05, 0)), sigma=2e-5)
+    model = replace(new_model("delta24", sensors=[plate]), noise=Noise(2e-5))
+    found = pc.plan(model, 12, pool=60, prior=True)
+    assert set(found.contacts) <= {"socket1", "socket2", "socket3"}
+    header, *rows = [line for line in found.csv().splitlines() if not line.startswith("#")]
+    assert header.endswith(",contact")
+    assert [row.rpartition(",")[2] for row in rows] == found.contacts

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL
 from parallel_cal.base.units import ERROR_UNITS
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.given_model import GivenModel
@@ -91,7 +92,11 @@ def acceptance(
     # The fall must exceed the uncertainty of its mean, pose by pose: a fall that half of the poses
     # contradict is chance.
     fall = np.bincount(blocks(new.dataset)[known], (squares[0] - squares[1])[known])
-    clearly = rise > 0 or fall.mean() > fall.std() / np.sqrt(len(fall))
+    uncertainty = fall.std() / np.sqrt(len(fall))
+    clearly = rise > 0 or fall.mean() > uncertainty
+    # A few samples prove a drift by their evidence, which the prior of the last calibration makes
+    # precise; at held-out poses they can only contradict it.
+    drifted = old is None and new.drift is not None and new.drift.is_shown
     risen = dict[str, float]()
     if now.pixel_rms is None and now.position_rms and now.orientation_rms:
         # A mean of both would let one error rise for the fall of the other.
@@ -103,6 +108,8 @@ def acceptance(
     was, total = (np.nansum(_squared(new, one)) for one in (new.before, new.after))
     stuck = old is None and bool(total >= (1 - 1e-6) * was)
     if falls and clearly and not (risen or foreign or stuck):
+        return Acceptance(then, now, True)
+    if drifted and fall.mean() > -SIGMAS_AT_SIGNIFICANCE_LEVEL * uncertainty and not foreign:
         return Acceptance(then, now, True)
     if risen:
         ratio = max(risen.values())

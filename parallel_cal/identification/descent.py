@@ -78,7 +78,7 @@ class Damping:
         if fall > promised / 2:
             return Damping(max(self.size / 5, 1e-12))
         # A fall below half of the predicted one shows curvature: longer steps would oscillate.
-        return Damping(max(self.size * 3.0 ** max(failed, 1), 1e-6), failed)
+        return Damping(min(max(self.size * 3.0 ** max(failed, 1), 1e-6), 1e12), failed)
 
 
 def minimise(
@@ -144,8 +144,6 @@ def minimise(
             before, here = here, at(here.values, here.system, stay) or here
             settled = abs(before.system.chi2 - here.system.chi2) <= nothing
         costs.append(here.system.chi2 + here.known)
-        if damping.size > 1e12:
-            break
     raise NoSolutionError(
         f"identification did not converge in {ITERATIONS} iterations (chi2 "
         f"{here.system.chi2:.3g} of {len(here.system.residual)} samples): {advice}"

@@ -131,6 +131,8 @@ class FitResult(ShownInNotebook):
     base_motion : BaseMotion, optional
         How far the identified geometry moves the base {B} and the platform {P} as a whole against
         those of the nominal robot; None without a registration.
+    drift : Drift, optional
+        Of an update: how far the robot has drifted since its last calibration.
     unusual : dict of str to UnusualSize
         Parameters of effects that are larger than usual for the machine's class, by name.
     """
@@ -149,6 +151,7 @@ class FitResult(ShownInNotebook):
     registration: Registration | None = None
     base_motion: BaseMotion | None = None
     unusual: Mapping[str, UnusualSize] = field(default_factory=dict)
+    drift: Drift | None = None
 
     def __repr__(self) -> str:
         return (
@@ -238,7 +241,8 @@ class FitResult(ShownInNotebook):
         elif self.given.known_samples.any():
             found = self._refitted_from_known_samples()
         else:
-            found = self.given.errors_at_held_out(_folds(self.dataset, self.options))
+            folds = _folds(self.dataset, self.options)
+            found = self.given.errors_at_held_out(folds, places_set_up=self.options.update)
         return found.only_at(self.held_out.judged)
 
     def _refitted_without_held_out(self) -> Errors:
@@ -519,6 +523,7 @@ def fit(
     dataset = add_lagged_conditions(start.conditions, dataset)
     start, registration = prepared_for_fit(start, given.registration, dataset, options)
     dataset = add_registration_warning(dataset, registration)
+    drift = None
     if options.update:
         drift, options = weigh_drift(start, dataset, options, given)
         dataset = replace(dataset, warnings=(*dataset.warnings, *drift.warnings))
@@ -526,7 +531,7 @@ def fit(
         unjudged = fit_unjudged(
             start, dataset, options, progress, given, compared_only=compared_only
         )
-        result = unjudged.judge(progress)
+        result = replace(unjudged.judge(progress), drift=drift)
     except ImplausibleGeometryError as error:
         observations = given.observe(start, dataset, options.joint_sigma, options.insist)
         outliers = search_outliers(start, dataset, observations, options)
@@ -557,12 +562,11 @@ def weigh_drift(
         estimate = result.estimate
         if result.observations.noise_assumed:  # chi2 has no size then
             return Drift(1.0), replace(options, prior=update_prior(start))
-        evidence = log_evidence(
-            prior, start, free, estimate.values, estimate.chi2, estimate.covariance
+        found.append(
+            log_evidence(prior, start, free, estimate.values, estimate.chi2, estimate.covariance)
         )
-        found.append((evidence, scale, prior))
-    _, scale, prior = max(found, key=lambda one: one[0])
-    return Drift(scale), replace(options, prior=prior)
+    drift = Drift.of(found)
+    return drift, replace(options, prior=update_prior(start, drift.scale))
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ from parallel_cal.identification.registration import (
     registered_by,
     shows_pose,
 )
+from parallel_cal.identification.set_up import find_set_up, place
 from parallel_cal.identification.stations import has_stations, register_recordings
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.configuration import explain_other_configuration
@@ -157,14 +158,20 @@ class GivenModel:
         """Errors at all samples."""
         return errors(self.model, self.observations)
 
-    def errors_at_held_out(self, folds: Folds) -> Errors:
+    def errors_at_held_out(self, folds: Folds, places_set_up: bool = False) -> Errors:
         """Errors at all samples, each registered by the folds that do not contain it; NaN if these
-        are too few to register the device."""
-        if not self.is_registered:
+        are too few to register the device. With `places_set_up`, they place sockets and edges,
+        too; by default all samples have placed them, which favours the given model."""
+        has_set_up = places_set_up and bool(find_set_up(self.model).any())
+        if not (self.is_registered or has_set_up):
             return self.errors
         parts = self.errors.blank().parts()
         for train, test in folds:
-            placed = registered_by(self.unregistered, self.observations.select(train))
+            kept = self.observations.select(train)
+            known = self.is_registered
+            placed = registered_by(self.unregistered, kept) if known else self.model
+            if placed is not None and has_set_up:
+                placed = place(placed, kept)
             if placed is not None:
                 unseen = errors(placed, self.observations.select(test))
                 for name, array in unseen.parts().items():

@@ -425,7 +425,9 @@ def _readings(model: Model, dataset: Dataset) -> np.ndarray:
         )
     if strange := [c for c in read if c not in channels]:
         expected = ", ".join(  # those of an image by their range
-            f"{s.channels[0]} to {s.channels[-1]}" if s.shows_pose else ", ".join(s.channels)
+            f"{s.channels[0]} to {s.channels[-1]}"
+            if s.shows_pose
+            else ", ".join(s.contacts or s.channels)
             for s in model.sensors
             if s.channels
         )
@@ -440,8 +442,11 @@ def _readings(model: Model, dataset: Dataset) -> np.ndarray:
 
 
 def _list_missing_channels(sensor: Sensor, read: list[str]) -> list[str]:
-    """Channels of a sensor without a reading; if an image may lack some, only when all are."""
+    """Channels of a sensor without a reading; if an image may lack some, or a contact need not be
+    made, only when all are."""
     missing = [c for c in sensor.channels if c not in read]
+    if sensor.contacts and not sensor.needs_each_contact:
+        return [*sensor.contacts] if len(missing) == len(sensor.channels) else []
     if not sensor.shows_pose:
         return missing
     return [f"the corners of {sensor.name}"] if len(missing) == len(sensor.channels) else []

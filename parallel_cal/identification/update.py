@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,8 +20,9 @@ from parallel_cal.model.shelf import load_effect
 EXPANSION_PER_DEGC = 12e-6
 TEMPERATURE_SIGMA_DEGC = 5.0
 LOOSENING_SHARE = 0.1  # of a tolerance, for each parameter: a joint that settled, a rod that turned
-DRIFT_SCALES = (1 / 3, 1.0, 3.0, 10.0, 30.0)  # of the usual drift, among which the data decide
-MAX_USUAL_SCALE = 3.0
+# Of the usual drift, among which the data decide; the first one is none.
+DRIFT_SCALES = (0.0, 1 / 3, 1.0, 3.0, 10.0, 30.0)
+MIN_UNUSUAL_SCALE = 3.0
 SHOWN_SIGMAS = 3.0  # a drift of one sigma that moves the touches by so much is shown
 PROBE_POSES = 40
 RIDGE = 1e-6  # of the largest singular value, columns in tolerances
@@ -95,15 +98,33 @@ def update_prior(model: Model, scale: float = 1.0) -> Prior:
 
 @dataclass(frozen=True)
 class Drift:
-    """How far a robot has drifted since its last calibration, in usual drifts."""
+    """How far a robot has drifted since its last calibration, in usual drifts, and the logarithm of
+    how much likelier any of the drifts is than none; NaN if the noise is not known."""
 
     scale: float
+    log_odds: float = math.nan
+
+    @classmethod
+    def of(cls, evidences: Sequence[float]) -> Drift:
+        """The likeliest drift, by the log evidence of each of the `DRIFT_SCALES`."""
+        none, *some = evidences
+        together = float(np.logaddexp.reduce(some)) - math.log(len(some))
+        return cls(DRIFT_SCALES[1 + int(np.argmax(some))], together - none)
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether it is likelier that the robot has drifted than that it has not."""
+        return self.log_odds > 0
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What to check if the robot drifted further than usual."""
-        if self.scale <= MAX_USUAL_SCALE:
+        """How far the robot drifted, and what to check if it is further than usual."""
+        if math.isnan(self.log_odds):
             return ()
+        if not self.is_shown:
+            return ("the samples show no drift since the last calibration",)
+        if self.scale < MIN_UNUSUAL_SCALE:
+            return (f"the samples show a drift of about {self.scale:.2g} times the usual one",)
         return (
             f"since the last calibration the robot moved about {self.scale:.3g} times as far as "
             "usual (zeros, temperature, loose parts): check what happened to it; with so large a "

@@ -87,6 +87,7 @@ class Sensor(ABC):
     unit: ClassVar[str] = "m"
     shows_pose: ClassVar[bool] = False
     reads_always: ClassVar[bool] = False
+    needs_each_contact: ClassVar[bool] = True  # a recording that lacks one is refused
     stated_length: ClassVar[str] = ""
     scale_parameters: ClassVar[tuple[str, ...]] = ()
 

@@ -136,7 +136,16 @@ class Plan:
             conditions,
             stops,
             self.describe_expectation(),
+            self.contacts,
         )
+
+    @property
+    def contacts(self) -> list[str]:
+        """What each pose touches, such as `socket2`; empty for a model without contacts."""
+        names = list(list_contacts(self.model))
+        if not names:
+            return []
+        return [names[k] for k in find_nearest_contacts(self.model, self.poses, self.a)]
 
     def describe_expectation(self) -> list[str]:
         """Say in sentences what a calibration at these poses alone tells."""

@@ -35,11 +35,13 @@ def format_pose_table(
     conditions: Mapping[str, np.ndarray],
     waypoints: Sequence[np.ndarray] = (),
     remarks: Sequence[str] = (),
+    contacts: Sequence[str] = (),
 ) -> str:
     """Return the CSV text of N planned poses of a model.
 
     `position` (N, 3) in m, `quaternion` (N, 4) x y z w, `joints` (N, nq), `conditions` (N,) by
-    name, `waypoints` the joints (N, nq) at each of WAYPOINTS, or none.
+    name, `waypoints` the joints (N, nq) at each of WAYPOINTS, or none; `contacts` (N,) names what
+    each pose touches, or none.
     """
     units = dict(zip(model.joints, model.mechanism.joint_units, strict=True))
     stops = WAYPOINTS if len(waypoints) else ()
@@ -59,7 +61,10 @@ def format_pose_table(
     out = io.StringIO()
     out.writelines(f"# {line}\n" for line in about)
     rows = np.column_stack([position, quaternion, joints, *conditions.values(), *waypoints])
-    csv.writer(out, lineterminator="\n").writerows([header, *rows.tolist()])
+    words = [[name] for name in contacts] or [[]] * len(rows)
+    header += ["contact"] if len(contacts) else []
+    table = [[*row, *word] for row, word in zip(rows.tolist(), words, strict=True)]
+    csv.writer(out, lineterminator="\n").writerows([header, *table])
     return out.getvalue()
 
 

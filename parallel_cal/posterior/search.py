@@ -99,6 +99,9 @@ class Sum:
         """Add, exchange, split and remove causes until nothing is likelier, from a set that may be
         near; sum over the sets nearby."""
         nu = self.nu
+        for k, one in enumerate(chosen):
+            rest = self.evidence(chosen[:k] + chosen[k + 1 :], nu)
+            chosen = (*chosen[:k], self._refined(rest, one), *chosen[k + 1 :])
         if chosen:
             chosen = self._prune(self._polish(chosen, nu), nu)
         while sum(one.block.kind != KNOCK for one in chosen) < MAX_CAUSES:

@@ -22,6 +22,22 @@ def check_touch(sensor: Sensor, axes: str) -> None:
         raise ModelError(f"{sensor.name}: axes is {axes!r}, expected one of {', '.join(AXES)}")
 
 
+def check_axes(sensor: Sensor, axes: str, mechanism: Mechanism) -> None:
+    """Raise ModelError for an axis along which the robot moves no point: nothing is measured there.
+
+    A platform moves its points along an axis by a shift along it, or a turn about another one."""
+    able = "".join(
+        axis
+        for i, axis in enumerate("xyz")
+        if i in mechanism.moved or any(k >= 3 and k != 3 + i for k in mechanism.moved)
+    )
+    if set(axes) - set(able):
+        raise ModelError(
+            f"{sensor.name}: axes is {axes}, but {mechanism.name} moves points along "
+            f"{', '.join(able)} only: state axes: {able}"
+        )
+
+
 def spread_places(mechanism: Mechanism, n: int, tip: Sequence[float]) -> np.ndarray:
     """Return n places (n, 3) of the point `tip` of {P}, around the middle of the workspace."""
     low, high = np.array(mechanism.workspace.low), np.array(mechanism.workspace.high)

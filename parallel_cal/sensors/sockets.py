@@ -15,7 +15,7 @@ from parallel_cal.base.units import DEGREE
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 from parallel_cal.model.sensor import Sensor, point_on_platform, point_parameters
-from parallel_cal.sensors._places import check_touch, spread_places, workspace_radius
+from parallel_cal.sensors._places import check_axes, check_touch, spread_places, workspace_radius
 
 HOLE_TOLERANCE = 20e-6  # m, of the holes of a plate relative to each other
 COLLINEAR = 1e-9  # m
@@ -47,6 +47,7 @@ class Sockets(Sensor):
     physics = "a ball on the platform is seated in sockets on the table"
     source = "Franzese et al., arXiv 2503.12584: a printed ball and socket"
     guessed_sigma = 50e-6
+    needs_each_contact = False  # few touches do not visit every hole
 
     def __post_init__(self) -> None:
         check_touch(self, self.axes)
@@ -58,6 +59,14 @@ class Sockets(Sensor):
             )
         if not self.holes and self.n < 1:
             raise ModelError(f"{self.name}: n is {self.n}, expected at least one socket")
+        if self.holes and self.n not in (Sockets.n, len(self.holes)):
+            raise ModelError(f"{self.name}: n is {self.n} beside {len(self.holes)} holes: omit n")
+        if len(set(map(tuple, self.holes))) < len(self.holes):
+            raise ModelError(f"{self.name}: two holes are at the same place")
+        if not np.linalg.norm(self.rotation) <= 2 * np.pi:
+            raise ModelError(
+                f"{self.name}: rotation {self.rotation}, expected a rotation vector in rad"
+            )
         if len(self.holes) == 1:
             raise ModelError(f"{self.name}: one hole has no distance: state n: 1 instead of holes")
         if self._on_a_line and np.ptp(self.holes, axis=0)[1:].max() > COLLINEAR:
@@ -86,6 +95,7 @@ class Sockets(Sensor):
         return tuple(c for channels in self.contacts.values() for c in channels)
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        check_axes(self, self.axes, mechanism)
         radius, tip = workspace_radius(mechanism), point_parameters("tip", self.tip, 1e-3)
         if not self.holes:
             places = self.places or spread_places(mechanism, self.n, self.tip)

@@ -15,7 +15,7 @@ from parallel_cal.base.units import DEGREE
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 from parallel_cal.model.sensor import Sensor, point_on_platform, point_parameters
-from parallel_cal.sensors._places import check_touch, spread_places, workspace_radius
+from parallel_cal.sensors._places import check_axes, check_touch, spread_places, workspace_radius
 
 
 @dataclass(frozen=True)
@@ -68,6 +68,7 @@ class StraightEdge(Sensor):
         return {self.name: self.channels}
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        check_axes(self, self.axes, mechanism)
         [place] = [self.place] if self.place else spread_places(mechanism, 1, self.tip)
         radius, n = workspace_radius(mechanism), len(self._across)
         return [

@@ -157,7 +157,8 @@ def fitted(
         result = replace(result, warnings=(*result.warnings, IN_SAMPLE))
     added = "+".join(n for text in effects for n, _ in parse_effects(text))
     judged = acceptance(result)
-    may_help = judged.judged and not (how.prior or result.given.fits_of_these_samples)
+    has_prior = how.prior or how.update or result.given.fits_of_these_samples
+    may_help = judged.judged and not has_prior
     found = _check_proven(judged, force, PRIORS if may_help else "")
     return _step("fit", result, found, effect=added or None)
 
