@@ -275,3 +275,7 @@ def test_the_command_continues_from_day_to_day(tmp_path, capsys, monkeypatch):
     assert "another watch uses" in run("day5.json", expected=1).err
     os.close(lock)
     assert "expected a name that ends with .html" in run("-o", "page.pdf", expected=1).err
+    write_model(hexapod.drawn(LEGS), tmp_path / "drawn.yaml")
+    with pytest.raises(SystemExit):
+        main(["watch", "drawn.yaml", "day0.json", "--state", "drawn.json"])
+    assert "drawn.yaml was never fitted" in capsys.readouterr().err

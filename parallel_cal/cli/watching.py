@@ -77,6 +77,8 @@ def watch(
         raise ParallelCalError(
             f"-o {output}: the page is HTML, expected a name that ends with .html"
         )
+    if robot.covariance is None:
+        console.note(f"{model} was never fitted: its errors may hide a change; calibrate it first")
     file = state or model.with_name(model.stem + STATE_SUFFIX)
     if time and len(time) != len(paths):
         raise ParallelCalError(
