@@ -92,7 +92,7 @@ def positions(model: Model, q: np.ndarray) -> np.ndarray:
     return Kinematics(model).direct(q).position
 
 
-def left(found: np.ndarray, truth: np.ndarray) -> float:
+def compute_rms(found: np.ndarray, truth: np.ndarray) -> float:
     """Rms distance (m) after the best rigid displacement."""
     a, b = truth - truth.mean(axis=0), found - found.mean(axis=0)
     U, _, V = np.linalg.svd(b.T @ a)
@@ -138,8 +138,8 @@ def line(name: str, device: str, nominal: Model, robots: int) -> str:
         except ParallelCalError:
             failed += 1
             continue
-        before.append(left(positions(nominal, q), positions(robot, q)))
-        after.append(left(positions(result.model, q), positions(robot, q)))
+        before.append(compute_rms(positions(nominal, q), positions(robot, q)))
+        after.append(compute_rms(positions(result.model, q), positions(robot, q)))
         share.append(covered(result, robot, q))
     if not after:
         return f"| {name} | {device} | | {expected * 1e6:.0f} | no fit | | |"

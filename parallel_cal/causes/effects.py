@@ -131,40 +131,47 @@ class Scan:
         found, before = {**start, key: float(optimum.x)}, self.weigh(start)
         return (-float(optimum.fun), found) if -optimum.fun > before else (before, dict(start))
 
-    def refine(self, best: Choice) -> tuple[Choice, dict[str, float]]:
-        """The choice with its continuous numbers refined between their scanned neighbours, each in
-        turn, where the posterior is highest; and the standard deviation of each that was refined.
+    def list_refined(self, setting: Mapping[str, float]) -> dict[str, list[float]]:
+        """The continuous numbers of a scanned setting, with their scanned values."""
+        if not load_effect(self.block.name).refines:
+            return {}
+        near = {key: self.neighbours(setting, key) for key in setting}
+        return {key: scanned for key, scanned in near.items() if scanned}
 
-        One standard deviation away, the logarithm of the posterior is lower by a half.
-        """
+    def refine(self, best: Choice) -> Choice:
+        """The choice with its continuous numbers refined between their scanned neighbours, each in
+        turn, where the posterior is highest."""
         scanned_setting = self.block.settings[best.setting]
-        effect = load_effect(self.block.name)
-        setting, sigma = dict(scanned_setting), dict[str, float]()
-        for key in scanned_setting if effect.refines else ():
-            scanned = self.neighbours(scanned_setting, key)
-            if not scanned:
-                continue
+        effect, setting = load_effect(self.block.name), dict(scanned_setting)
+        for key, scanned in self.list_refined(scanned_setting).items():
             starts = (setting, *({**setting, **one} for one in effect.multiples(setting)))
             peaks = [self.find_best(key, scanned, start) for start in starts]
             most = max(value for value, _ in peaks)
             # The last of those that fit as well as the best.
             setting = [found for value, found in peaks if value > most - EQUAL_EVIDENCE][-1]
+        if setting == scanned_setting:
+            return best
+        more = self.at(setting)
+        return Choice(more, 0, int(np.argmax(self.beside.weigh(more.alone)[0])))
+
+    def compute_sigma(self, refined: Mapping[str, float], best: Choice) -> dict[str, float]:
+        """The standard deviation of each number that was refined from the best scanned setting: one
+        of them away, the logarithm of the posterior is lower by a half."""
+        sigma = {}
+        for key, scanned in self.list_refined(self.block.settings[best.setting]).items():
             step = float(np.diff(scanned).min()) / 20
-            near = [self.weigh({**setting, key: setting[key] + away}) for away in (-step, 0, step)]
+            near = [self.weigh({**refined, key: refined[key] + away}) for away in (-step, 0, step)]
             bend = float(2 * near[1] - near[0] - near[2]) / step**2
             if bend > 0:
                 sigma[key] = bend**-0.5
-        if setting == scanned_setting:
-            return best, sigma
-        more = self.at(setting)
-        return Choice(more, 0, int(np.argmax(self.beside.weigh(more.alone)[0]))), sigma
+        return sigma
 
 
 def refine_setting(scene: Scene, beside: Evidence, best: Choice) -> Choice:
     """The choice of an effect with its continuous settings refined; of another cause, itself."""
     if best.block.kind != EFFECT or not best.block.settings[best.setting]:
         return best
-    return Scan(scene, beside, best.block).refine(best)[0]
+    return Scan(scene, beside, best.block).refine(best)
 
 
 def choose_setting(
@@ -182,8 +189,10 @@ def choose_setting(
     [ranked] = nothing.rank(block.alone)
     if ranked.log_p <= nothing.log_p:
         return settings[ranked.best.setting], {}
-    best, sigma = Scan(scene, nothing, block).refine(ranked.best)
-    return best.block.settings[best.setting], sigma
+    scan = Scan(scene, nothing, block)
+    best = scan.refine(ranked.best)
+    refined = best.block.settings[best.setting]
+    return refined, scan.compute_sigma(refined, ranked.best)
 
 
 def list_effects_to_test(

@@ -216,7 +216,7 @@ def find_formula(targets: Targets, hypothesis: Hypothesis) -> Formula | None:
 
     Terms are added while each makes the data clearly likelier, and removed if later ones make them
     superfluous, or if their sign changes with the choice of the poses. Members that the samples do
-    not show are left out.
+    not show are not in the formula.
     """
     found = _find_formula_of_all(targets, hypothesis)
     shown = [] if found is None else _list_shown_members(targets, found)

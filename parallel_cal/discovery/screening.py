@@ -78,7 +78,7 @@ class Hypothesis:
         return sum(own[0].family == LAGGED for own in self.drivers)
 
     def of_members(self, numbers: Sequence[int]) -> Hypothesis:
-        """The same about some members of the site."""
+        """This hypothesis about some members of its site only."""
         drivers = tuple(tuple(own[number] for number in numbers) for own in self.drivers)
         return replace(self, site=self.site.of_members(numbers), drivers=drivers)
 

@@ -64,7 +64,7 @@ IDENTITY_FRAMES = Frames(np.zeros(3), np.eye(3), np.zeros(3), np.eye(3))
 
 @dataclass(frozen=True)
 class PosePairs:
-    """Poses r (N, 3), R (N, 3, 3) of {P} in {B}, and the same as `seen` from a device's frame.
+    """Poses r (N, 3), R (N, 3, 3) of {P} in {B}, and these poses as `seen` from a device's frame.
 
     `measured` (N, 6) marks the coordinates x y z rx ry rz that were seen, in axes of the device.
     Angles are multiplied by `length`. `target_is_free` is whether the position of the target on

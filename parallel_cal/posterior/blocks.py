@@ -119,7 +119,7 @@ class Stack:
 
     @cached_property
     def known(self) -> dict[Hashable, Any]:
-        """What is known of these blocks beside chosen causes, for searches that share them."""
+        """Rankings of these blocks beside chosen causes, for all searches that share them."""
         return {}
 
     @cached_property

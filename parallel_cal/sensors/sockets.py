@@ -102,7 +102,7 @@ class Sockets(Sensor):
             rows = [
                 point_parameters(f"place{k}", place, radius) for k, place in enumerate(places, 1)
             ]
-            return [*self._held(rows), *tip]
+            return [*self._select_held(rows), *tip]
         [place] = self.places or spread_places(mechanism, 1, self.tip)
         holes = [
             p
@@ -110,13 +110,13 @@ class Sockets(Sensor):
             for p in point_parameters(f"hole{k}", hole, HOLE_TOLERANCE)
         ]
         return [
-            *self._held([point_parameters("plate", place, radius)]),
+            *self._select_held([point_parameters("plate", place, radius)]),
             *[Parameter(f"plate.{a}", "rad", 0.0, 5 * DEGREE) for a in self._turns],
             *holes,
             *tip,
         ]
 
-    def _held(self, points: list[list[Parameter]]) -> list[Parameter]:
+    def _select_held(self, points: list[list[Parameter]]) -> list[Parameter]:
         """Return the coordinates that a seat holds; the others change nothing."""
         return [p for point in points for p in point if p.name[-1] in self.axes]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from parallel_cal.identification.descent import minimise
+from parallel_cal.identification.descent import ITERATIONS, minimise
 from parallel_cal.identification.estimate import Estimate, EstimationProblem
 from parallel_cal.identification.linearisation import Linearisation, System
 from parallel_cal.identification.observations import Observations
@@ -47,5 +47,5 @@ def estimate(
     sought = EstimationProblem(model, free, prior, observations.noise_assumed)
     advice = "is the starting model of the right robot?"
     near = begin is not None
-    steps = {"steps": 0 if near else 1} if once else {}
-    return minimise(sought, reach, advice, near, **steps)
+    steps = 0 if near else 1
+    return minimise(sought, reach, advice, near, steps if once else ITERATIONS)
