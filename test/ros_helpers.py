@@ -15,9 +15,9 @@ LONG = 240.0  # s that anything may take on a busy machine
 class NodeProcess:
     """A node in a process of its own; ends by its id, and says how it ended."""
 
-    def __init__(self, node, folder, namespace, *arguments, ros=(), **parameters):
+    def __init__(self, node, folder, namespace, *arguments, ros=(), before="", **parameters):
         self.node, self.log = node, folder / f"{node}{id(self)}.log"
-        code = f"import sys; from parallel_cal.nodes.{node} import main; sys.exit(main())"
+        code = f"{before}\nimport sys; from parallel_cal.nodes.{node} import main; sys.exit(main())"
         ros = ["-r", f"__ns:={namespace}", *ros]
         for name, value in parameters.items():
             ros += ["-p", f"{name}:={json.dumps(value)}"]

@@ -837,3 +837,29 @@ def test_a_signal_ends_the_node_within_two_seconds_whatever_runs(tmp_path):
     assert process.end(signal.SIGTERM) == 0
     assert time.monotonic() - begin < 2
     client.close()
+
+
+# The links are described once the node has been asked to end, and ROS has shut down.
+DESCRIBED_LATE = """
+import gc, os, signal, time
+import rclpy
+from parallel_cal.nodes import model_server
+describe = model_server.describe
+def late(model):
+    description = describe(model)
+    while not gc.get_freeze_count():  # it is frozen before the node spins
+        time.sleep(0.01)
+    os.kill(os.getpid(), signal.SIGINT)
+    while rclpy.ok():
+        time.sleep(1e-4)
+    return description
+model_server.describe = late
+"""
+
+
+@mock.patch.dict(os.environ)
+def test_a_node_that_ends_while_its_links_are_described_ends_quietly(tmp_path):
+    given = {"model_file": str(IDENTIFIED), "before": DESCRIBED_LATE}
+    process = NodeProcess(NODE, tmp_path, use_private_domain(), **given)
+    assert process.ended() == 0
+    assert process.end() == 0

@@ -3,6 +3,7 @@
 # ruff: noqa: E402 - what needs ROS is imported after the check that it is there
 
 import os
+from contextlib import ExitStack
 from pathlib import Path
 from unittest import mock
 
@@ -198,15 +199,17 @@ def test_the_launch_file_starts_the_cell_and_both_nodes_on_the_model_that_it_wri
         cell, wait = launched("cell.launch.py", **given)
         processes = [*started([cell], tmp_path)]
         client = Client("tester", namespace, processes)
-        try:
+        ended = []
+        with ExitStack() as at_the_end:  # each ends, also where another does not end well
+            at_the_end.callback(lambda: ended.append(processes[0].end()))
+            at_the_end.callback(client.close)
             client.wait(file.exists, "the model file")
             [nodes] = wait.actions[0].function(None)
             of_nodes = launched("calibration.launch.py", **dict(nodes.launch_arguments))
-            processes += started(of_nodes, tmp_path)
+            for process in started(of_nodes, tmp_path):
+                processes.append(process)
+                at_the_end.callback(lambda process=process: ended.append(process.end()))
             status = client.subscribe_latest(ModelStatus, "kinematics_node/model_status")
             client.wait(lambda: status and status[-1].mechanism == "delta54", "the model")
             client.wait(lambda: client.count_subscribers(["joint_states"]) == 2, "both listeners")
-        finally:
-            client.close()
-            ended = [process.end() for process in processes]
         assert ended == [0, 0, 0]

@@ -86,7 +86,9 @@ class KinematicsNode(ManagedNode):
         self._tally, self._failure, self._adopting = Tally(), "", False
         self._memory = Memory(self._parameter("direction_threshold"))
         self._urdf = self.create_publisher(String, "~/robot_description", LATCHED)
-        self._server = ModelServer(self._report, lambda urdf: self._urdf.publish(String(data=urdf)))
+        # Other threads only trigger: publishing would fail in them once ROS has shut down.
+        described = self.create_guard_condition(self._publish_description)
+        self._server = ModelServer(self._report, described.trigger)
         first = partial(prepare, self._parameter("allow_foreign_modules"))
         self._worker = Worker(self._parameter("request_memory"), first)
         self._status = self.create_publisher(ModelStatus, "~/model_status", LATCHED)
@@ -138,6 +140,11 @@ class KinematicsNode(ManagedNode):
             message.effects = [effect.name for effect in served.model.effects]
             message.model_file, message.hash = served.path, served.hash
         self._status.publish(message)
+
+    def _publish_description(self) -> None:
+        served = self._server.current
+        if served is not None and served.description is not None:
+            self._urdf.publish(String(data=served.description.urdf))
 
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         """Load a new model file, or reject the parameter with the reason."""
@@ -260,8 +267,9 @@ class KinematicsNode(ManagedNode):
         self._diagnostics.publish(message)
 
     def end_work(self) -> None:
-        """Stop the streams and the worker process."""
+        """Stop the streams, the threads and the worker process."""
         self._streams.end()
+        self._server.wait_until_compiled()
         if self._robot_watch:
             self._robot_watch.end()
         self._worker.end()

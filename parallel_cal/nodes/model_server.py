@@ -64,11 +64,11 @@ class ModelServer:
     def __init__(
         self,
         report: Callable[[Attempt], None] = lambda attempt: None,
-        publish_urdf: Callable[[str], None] = lambda urdf: None,
+        on_description: Callable[[], None] = lambda: None,
     ):
         self.current: ServedModel | None = None
         self.last = Attempt(False, "startup", "", "no model has been loaded")
-        self._report, self._publish_urdf = report, publish_urdf
+        self._report, self._on_description = report, on_description
         self._loading, self._exchange = Lock(), Lock()
         self._completion: Thread | None = None
 
@@ -126,7 +126,7 @@ class ModelServer:
         with self._exchange:
             if self.current is not None and self.current.hash == served.hash:
                 self.current = replace(self.current, description=description)
-                self._publish_urdf(description.urdf)
+                self._on_description()
 
     def _compile(self, served: ServedModel) -> None:
         try:
@@ -139,8 +139,8 @@ class ModelServer:
             if self.current is not None and self.current.hash == served.hash:
                 self.current = replace(self.current, kinematics=kinematics)
 
-    def wait_until_compiled(self, timeout: float) -> None:
-        """Wait for the compiler. Only tests and benchmarks do this; requests never wait."""
+    def wait_until_compiled(self, timeout: float | None = None) -> None:
+        """Wait for the compiler, s; requests never do."""
         if self._completion is not None:
             self._completion.join(timeout)
 

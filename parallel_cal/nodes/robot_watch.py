@@ -51,6 +51,8 @@ class RobotWatch:
         self._thread: Thread | None = None
         self._trouble = ""
         self._publisher = node.create_publisher(DiagnosticStatus, "~/watch", LATCHED)
+        # The thread only triggers: publishing would fail in it once ROS has shut down.
+        self._news = node.create_guard_condition(self._publish)
         node.create_subscription(
             JointState,
             "joint_states",
@@ -138,9 +140,12 @@ class RobotWatch:
         self._trouble = ""
         if watch.alarm and not before:
             self._node.get_logger().warning("; ".join(summarize_watch(watch)))
-        self._publisher.publish(self.diagnose(self._node.get_fully_qualified_name()))
+        self._news.trigger()
 
     def _report_trouble(self, error: Exception) -> None:
         self._trouble = f"the robot is not watched: {error}"
         self._node.get_logger().error(self._trouble)
+        self._news.trigger()
+
+    def _publish(self) -> None:
         self._publisher.publish(self.diagnose(self._node.get_fully_qualified_name()))
