@@ -150,7 +150,7 @@ def discover(
         if one.evidence > threshold
     ]
     nothing = np.zeros((len(scene.residual), 0))
-    proofs = [Proof(base.model, base.estimate.chi2_per_dof, nothing, [], [])]
+    proofs = [Proof(base.model, base, base.estimate.chi2_per_dof, nothing, [], [])]
     for k, (winner, threshold) in enumerate(real):
         report("testing a law at held-out poses", 0.8 + 0.2 * k / len(real))
         prove = partial(prove_all, proofs[-1], dataset=dataset, options=options, scene=scene)

@@ -293,6 +293,7 @@ class _Alike:
         ]
         every = np.array([[term.value(drivers) for term in group.terms] for group in groups])
         values = every.reshape(*every.shape[:2], -1, weights.shape[2]).transpose(2, 0, 1, 3)
+        values = np.ascontiguousarray(values)  # a product with all terms is then a single one
         values = np.broadcast_to(values, (members, *values.shape[1:]))
         _, g, terms, _ = values.shape
         products = np.empty((g, terms, members, terms, members))
@@ -309,10 +310,13 @@ class _Alike:
     def project(self, along: np.ndarray) -> np.ndarray:
         """Products (groups, k, p) of the columns with vectors, of which each member at each sample
         has `along` (members, N, p) in common with an error."""
-        by_member = [own @ part for own, part in zip(self.values, along, strict=True)]
+        members, groups, terms, n = self.values.shape
+        by_member = self.values.reshape(members, groups * terms, n) @ along
+        by_member = by_member.reshape(members, groups, terms, along.shape[2])
         if self.each:
-            return np.stack(by_member, axis=2).reshape(*self.gram.shape[:2], along.shape[2])
-        return np.asarray(sum(by_member))
+            by_group = by_member.transpose(1, 2, 0, 3)
+            return by_group.reshape(*self.gram.shape[:2], along.shape[2])
+        return by_member.sum(axis=0)
 
     def explain(self, along: np.ndarray, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Squares (groups,) that each group explains of a residual, and its rank, beside columns

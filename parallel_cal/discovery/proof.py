@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from parallel_cal.base.parallel import Runner
-from parallel_cal.diagnosis.addition import with_noise_of
+from parallel_cal.diagnosis.addition import find_addition, with_noise_of
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.verdict import share_explained
@@ -34,19 +34,22 @@ from parallel_cal.discovery.screening import Targets
 from parallel_cal.discovery.search import Winner
 from parallel_cal.discovery.shape import find_shape
 from parallel_cal.identification.checks import ImplausibleGeometryError
+from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.model import Model
 from parallel_cal.posterior.scene import Scene
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.session.steps import Step, add
+from parallel_cal.session.steps import Step, step_of
 
 
 @dataclass(frozen=True)
 class Proof:
-    """Laws that were judged one after the other: the model with those that were accepted, its
-    chi2/dof, and their columns (n, k) beside those of earlier laws."""
+    """Laws that were judged one after the other: the model with those that were accepted, its fit
+    with chi2/dof in units of the noise of the scene, and their columns (n, k) beside those of
+    earlier laws."""
 
     model: Model
+    fit: FitResult
     chi2_per_dof: float
     columns: np.ndarray
     laws: list[Law]
@@ -62,23 +65,29 @@ def prove_all(
     run: Runner,
 ) -> Proof:
     """Judge laws, each with its limit, beside those that were accepted before."""
-    model, chi2, columns, laws = before.model, before.chi2_per_dof, before.columns, list[Law]()
+    proof = replace(before, laws=[], winners=[winner for winner, _ in winners])
     for winner, threshold in winners:
-        targets = Targets.of(scene, scene.residual[:, None], columns)
+        targets = Targets.of(scene, scene.residual[:, None], proof.columns)
         choice = choose_in_folds(targets, winner.formula, run)
-        law, step, chi2_of_step = _prove(winner, threshold, choice, model, dataset, options, scene)
-        laws.append(law)
-        if not law.against:
-            model, chi2 = step.model, chi2_of_step
-            columns = np.hstack([columns, winner.formula.columns])
-    return Proof(model, chi2, columns, laws, [winner for winner, _ in winners])
+        law, step, chi2 = _prove(winner, threshold, choice, proof, dataset, options, scene)
+        proof.laws.append(law)
+        if law.against:
+            continue
+        columns = np.hstack([proof.columns, winner.formula.columns])
+        # The next fit starts at the values of this one, in the frames that were placed for it.
+        start = step.result.start.with_values(step.result.model.values)
+        fit = replace(step.result, start=start)
+        history = (*proof.model.history, step.model.history[-1])
+        model = replace(step.model, history=history)
+        proof = replace(proof, model=model, fit=fit, chi2_per_dof=chi2, columns=columns)
+    return proof
 
 
 def _prove(
     winner: Winner,
     threshold: float,
     choice: Choice,
-    model: Model,
+    proof: Proof,
     dataset: Dataset,
     options: FitOptions,
     scene: Scene,
@@ -93,22 +102,19 @@ def _prove(
     where = describe_data(dataset, tested)
     name = load_text(write_effect(formula, sentence, where))
     # With the samples in which the law was found.
-    judge = partial(add, model, name, dataset, force=True, knocked=())
+    find = partial(find_addition, proof.model, name, dataset, knocked=())
     try:
-        step = judge(options=options)
+        found = find(options, known=(proof.fit, None))
     except ImplausibleGeometryError:  # geometry imitates the law: known sizes decide how much
-        step = judge(options=replace(options, prior=True))
+        found = find(replace(options, prior=True))
+    step = step_of(found, force=True)
     refitted = step.result.parameters()
     coefficients = []
     for c in list_coefficients(formula):
         p = refitted[f"{name}.{c.name}"]
         coefficients.append(replace(c, value=p.value, sigma=None if c.scanned else p.sigma))
     own = {c.name: (c.value, c.sigma) for c in coefficients}
-    assert step.rival is not None
-    before, after = (
-        with_noise_of(found, scene.observations).estimate.chi2_per_dof
-        for found in (step.rival, step.result)
-    )
+    after = with_noise_of(step.result, scene.observations).estimate.chi2_per_dof
     noise = NoiseLevel.of(scene, Field.of(scene), structured=True).variance
     rivals: dict[str, str] = {}
     for one in winner.equal:
@@ -131,7 +137,7 @@ def _prove(
         formula=write_formula(formula),
         unit=hypothesis.site.unit,
         parameters=tuple(coefficients),
-        share=share_explained(before, after, noise),
+        share=share_explained(proof.chi2_per_dof, after, noise),
         before=step.acceptance.before,
         after=step.acceptance.after,
         noise_floor=step.result.noise_floor,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import combinations
 from typing import Any
 
@@ -131,7 +132,8 @@ class Screening:
         self._sites, self._drivers = sites, drivers
         # Where the device stood elsewhere, too, what moves the platform may be the robot's.
         self._has_stations = any(one.shown for one in drivers)
-        self._known: dict[tuple[Any, ...], np.ndarray] = {}  # bases, which sites share
+        # Bases, which sites share, and products of columns, which all residuals share.
+        self._known: dict[tuple[Any, ...], np.ndarray] = {}
         self._n, self._n_joints = len(scene.x), len(scene.model.joints)
 
     def list_hypotheses(self, driver: Driver) -> list[Hypothesis]:
@@ -162,7 +164,11 @@ class Screening:
     def _compute_once(
         self, own: DriverSet, kind: int | str, compute: Callable[[], np.ndarray]
     ) -> np.ndarray:
-        key = kind, *(one.name for one in own)
+        return self._compute_once_of((kind, *(one.name for one in own)), compute)
+
+    def _compute_once_of(
+        self, key: tuple[Any, ...], compute: Callable[[], np.ndarray]
+    ) -> np.ndarray:
         if key not in self._known:
             self._known[key] = compute()
         return self._known[key]
@@ -177,8 +183,10 @@ class Screening:
         """Score the hypotheses about one site."""
         total = np.sum(targets.residuals**2, axis=0)
         work, scored = _SiteWork(site, targets), list[Scored]()
-        for hypotheses, columns in self._iterate_bases(site):
-            explained, rank = work.explain(columns)
+        for number, (hypotheses, columns) in enumerate(self._iterate_bases(site)):
+            key = "products", *site.key, number
+            products = self._compute_once_of(key, partial(work.multiply, columns))
+            explained, rank = work.explain(columns, products)
             own = evidence(explained, total, rank[:, None], targets.dof)
             scored.append(Scored(hypotheses, own))
         return scored
@@ -342,11 +350,9 @@ class _SiteWork:
         self._along = np.einsum("jnr,nrm->jnm", J, by_sample, optimize=True)
         self._weights = np.einsum("inr,jnr->ijn", J, J, optimize=True)
 
-    def explain(self, W: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Explained sums of squares (h, m) and ranks (h,) of columns W (members, h, N, k)."""
-        members, h, n, k = W.shape
-        flat = W.transpose(0, 1, 3, 2).reshape(members, h * k, n)
-        onto = (flat @ self._along).reshape(members, h, k, -1)
+    def multiply(self, W: np.ndarray) -> np.ndarray:
+        """Products (h, s, s) of what columns W (members, h, N, k) change in the residuals."""
+        members, h, _, k = W.shape
         gram = np.empty((h, members, k, members, k))
         for i in range(members):
             for j in range(i, members):
@@ -354,12 +360,19 @@ class _SiteWork:
                 block = W[i].transpose(0, 2, 1) @ weighted
                 gram[:, i, :, j] = block
                 gram[:, j, :, i] = block.transpose(0, 2, 1)
+        size = members * k
+        return gram.reshape(h, size, size) if self._each else np.asarray(gram.sum(axis=(1, 3)))
+
+    def explain(self, W: np.ndarray, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Explained sums of squares (h, m) and ranks (h,) of columns W (members, h, N, k) with the
+        products G (h, s, s)."""
+        members, h, n, k = W.shape
+        flat = W.transpose(0, 1, 3, 2).reshape(members, h * k, n)
+        onto = (flat @ self._along).reshape(members, h, k, -1)
         if self._each:
-            size = members * k
-            B = onto.transpose(1, 0, 2, 3).reshape(h, size, -1)
-            G = gram.reshape(h, size, size)
+            B = onto.transpose(1, 0, 2, 3).reshape(h, members * k, -1)
         else:
-            B, G = onto.sum(axis=0), gram.sum(axis=(1, 3))
+            B = onto.sum(axis=0)
         along, onto = B[:, :, : self._p], B[:, :, self._p :]
         lengths = np.sqrt(np.maximum(np.diagonal(G, axis1=1, axis2=2), 0.0))
         scale = np.where(lengths > 1e-12, 1 / np.maximum(lengths, 1e-12), 0.0)

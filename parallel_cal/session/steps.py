@@ -15,7 +15,7 @@ from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis import fitting
-from parallel_cal.diagnosis.addition import find_addition, with_given_model_of
+from parallel_cal.diagnosis.addition import Addition, find_addition, with_given_model_of
 from parallel_cal.identification.acceptance import IN_SAMPLE, Acceptance, acceptance
 from parallel_cal.identification.added_effects import limit_patterns
 from parallel_cal.identification.fit import FitResult, fit
@@ -224,7 +224,11 @@ def add(
     'backlash'
     """
     how, progress = _collect_options(options)
-    found = find_addition(model, effect, dataset, how, progress, knocked)
+    return step_of(find_addition(model, effect, dataset, how, progress, knocked), force)
+
+
+def step_of(found: Addition, force: bool = False) -> Step:
+    """The step that adds effects whose fits are known; UnprovenStepError as `add` raises it."""
     accepted = _check_proven(found.acceptance, force)
     return _step("add", found.result, accepted, found.base, found.names, found.knocked)
 
