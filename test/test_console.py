@@ -4,6 +4,7 @@ import dataclasses
 import io
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -13,7 +14,7 @@ from parallel_cal.model.model import new_model
 from parallel_cal.reporting import console
 from parallel_cal.reporting.blocks import Cell, Detail, PValue, Table, as_text, uncover
 from parallel_cal.reporting.readable import COMMAND, FOUND, columns
-from parallel_cal.reporting.summary import summarize
+from parallel_cal.reporting.summary import describe_missing, summarize
 
 ROOT = Path(__file__).parents[1]
 COLOUR = re.compile(r"\x1b\[[0-9;]*m")
@@ -205,3 +206,18 @@ def test_a_noise_floor_above_the_error_is_named_as_that_of_the_stated_noise(fact
     lines = {line.label: line.text for line in summarize(pc.fit(model, data))}
     assert (" by the stated noise; that of the samples is smaller" in lines["noise:"]) == named
     assert lines["missing:"] == "nothing larger than the noise"
+
+
+@pytest.mark.parametrize(
+    ("each", "words"),
+    [
+        ({"backlash": 0.73, "hysteresis": 0.25}, "Backlash: 73 %, or hysteresis: 25 %."),
+        ({"backlash": 0.56, "hysteresis": 0.48}, "Backlash: 56 %, or hysteresis: 48 %, or both."),
+        (
+            {"backlash": 0.56, "hysteresis": 0.48, "latency": 0.2},
+            "Backlash: 56 %, or hysteresis: 48 %, or latency: 20 %, or several of these.",
+        ),
+    ],
+)
+def test_probabilities_of_rivals_that_exceed_one_are_said_to_overlap(each, words):
+    assert describe_missing(SimpleNamespace(missing=[{"each": each}])) == words

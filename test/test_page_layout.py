@@ -95,6 +95,17 @@ def test_no_line_crosses_the_label_of_a_step_and_the_title_is_above_the_axis():
     assert not figure["layout"]["yaxis"]["title"]["text"]
 
 
+def test_bars_stand_on_zero_unless_the_errors_differ_too_much_for_it():
+    for last, kind in ((23e-6, "linear"), (2e-6, "log")):
+        steps = [Step("before", 55e-6), Step("fit", last, 0)]
+        figure = draw_steps(FallingError("position", steps, noise=1e-6))
+        axis, [band] = figure["layout"]["yaxis"], [t for t in figure["data"] if t.get("fill")]
+        low, high = axis["range"]
+        assert axis["type"] == kind
+        assert min(band["y"]) == pytest.approx(0.0 if kind == "linear" else 10**low)
+        assert high > 55 if kind == "linear" else 10**high > 55
+
+
 def test_a_step_on_other_samples_is_joined_by_a_dotted_line():
     found = find_steps(
         history(

@@ -25,6 +25,7 @@ MAX_LABEL_WIDTH, MAX_LABEL_LINES = 14, 3  # of the name of a step below the axis
 MANY_STEPS, MAX_UPRIGHT_WIDTH = 6, 26
 HEIGHT, HEIGHT_OF_MANY = 230, 320
 BAR_WIDTH = 0.5  # of the distance between two steps
+MAX_LINEAR_RATIO = 20.0  # of two errors: the smaller one would be a bar of a few pixels
 MAX_LEVEL_RATIO = 1.05  # of two errors whose line is so flat that it crosses no label
 
 
@@ -57,15 +58,15 @@ class FallingError:
 
 
 def draw_steps(found: FallingError) -> dict[str, Any]:
-    """Draw the errors over the steps on a logarithmic axis, with the noise floor."""
+    """Draw the errors over the steps as bars from zero, with the noise floor."""
     unit, factor = error_unit(found.unit or ERROR_SI_UNITS[found.kind])
     values = [factor * step.error for step in found.steps]
     noise = factor * found.noise if found.noise else None
     ends = [-0.4, len(values) - 0.4]
     # The label of the floor stands in the title: in a low figure, the band has no room for it.
     title = f"{found.words} [{unit}]{f'; grey: noise floor {number(noise)}' if noise else ''}"
-    axis = log_axis([noise, *values])
-    bottom = 10 ** axis["range"][0]
+    axis = _make_axis(values, noise)
+    bottom = 10 ** axis["range"][0] if axis["type"] == "log" else 0.0
     return {
         "data": [
             *_draw_bars(found.steps, values),
@@ -113,6 +114,14 @@ def describe_steps(found: FallingError) -> str:
     steps = ", ".join(f"{step.name} {number(step.error, factor)} {unit}" for step in found.steps)
     floor = f"; noise floor {number(found.noise, factor)} {unit}" if found.noise else ""
     return f"{found.words} over the steps: {steps}{floor}"
+
+
+def _make_axis(values: Sequence[float], noise: float | None) -> dict[str, Any]:
+    """Make an axis from zero, or a logarithmic one if the errors differ too much for it."""
+    if max(values) > MAX_LINEAR_RATIO * min(values):
+        return log_axis([noise, *values])
+    top = 1.25 * max(noise or 0.0, *values)
+    return {"type": "linear", "range": [0.0, top], "nticks": 5, "title": {"text": ""}}
 
 
 def _draw_bars(steps: Sequence[Step], values: Sequence[float]) -> Iterator[dict[str, Any]]:

@@ -140,8 +140,7 @@ def _summarize_diagnosis(diagnosis: Diagnosis) -> Iterator[Line]:
     shown = write(noise, best.simulated_noise.sigmas)
     yield Line("noise:", shown + _name_noise(best, best.estimate))
     for cause in diagnosis.missing:
-        each = [f"{name} {format_percent(p)}" for name, p in cause["each"].items()]
-        yield Line("missing:", ", or ".join(each), ODD)
+        yield Line("missing:", _join_rivals(cause["each"], "{name} {percent}"), ODD)
     if not diagnosis.missing:
         yield Line("missing:", "no effect of the catalogue")
     laws = [f"{name} ({format_percent(p)})" for name, p in diagnosis.explanation.laws.items()]
@@ -158,12 +157,21 @@ def describe_missing(diagnosis: Diagnosis) -> str:
     """Say what is missing, with its probability, for people: the first answer of a page."""
     sentences = []
     for cause in diagnosis.missing:
-        each = [f"{title_of(name)}: {format_percent(p)}" for name, p in cause["each"].items()]
-        text = ", or ".join(each)
+        each = {title_of(name): p for name, p in cause["each"].items()}
+        text = _join_rivals(each, "{name}: {percent}")
         sentences.append(f"{text[0].upper()}{text[1:]}.")
     if not sentences:
         return "No known effect is missing."
     return " ".join(sentences)
+
+
+def _join_rivals(each: Mapping[str, float], form: str) -> str:
+    """Name what a cause may be, each with its probability; these exceed 100 % together if the robot
+    may have several."""
+    named = [form.format(name=name, percent=format_percent(p)) for name, p in each.items()]
+    if sum(round(100 * p) for p in each.values()) > 100:
+        named.append("both" if len(each) == 2 else "several of these")
+    return ", or ".join(named)
 
 
 def describe_left(diagnosis: Diagnosis) -> str:
