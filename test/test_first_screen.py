@@ -94,7 +94,8 @@ def test_the_part_that_errs_glows_with_its_size_and_no_other_part(model, owner):
 
     drawn = draw([1e-4], model, [ErringPart("backlash", owner, 53e-6, "m")])
     [glow] = [t for t in drawn["robot"] if t.get("line", {}).get("color") == GLOW_COLOUR]
-    assert [one["text"] for one in drawn["layout"]["scene"]["annotations"]] == ["53.0 µm"]
+    text = f"{owner[:-1]} {owner[-1]}: 53.0 µm"
+    assert [one["text"] for one in drawn["layout"]["scene"]["annotations"]] == [text]
     family = {"leg3": "leg3.", "joint2": "chain2."}[owner]
     driven = [part for part in lines(read_model(model)) if part.kind == "driven"]
     own = [part for part in driven if any(name.startswith(family) for name in part.parameters)]

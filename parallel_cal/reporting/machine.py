@@ -55,9 +55,11 @@ class ErringPart:
 
     @property
     def text(self) -> str:
-        """`24.3 µm`."""
+        """`leg 2: 24.3 µm`."""
         unit, factor = error_unit(self.unit)
-        return f"{number(self.size, factor)} {unit}"
+        name = NUMBERED.fullmatch(self.owner)
+        owner = f"{name[1]} {name[2]}" if name else self.owner
+        return f"{owner}: {number(self.size, factor)} {unit}"
 
 
 def find_erring_parts(
