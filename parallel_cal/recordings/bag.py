@@ -229,9 +229,23 @@ class _Bag:
         )
 
     def messages(self, connections: list[Any]) -> Iterator[tuple[Any, int, bytes]]:
-        """Yield (connection, log time in ns, bytes) of every message on some connections."""
+        """Yield (connection, log time in ns, bytes) of every message on some connections.
+
+        rosbags passes over the messages of a topic in a data file, without an error, if
+        metadata.yaml states another quality of service or hash of the type than the file. So the
+        connections of the files themselves are asked for.
+        """
+        stored = [
+            one for storage in getattr(self.reader, "storages", ()) for one in storage.connections
+        ]
+        asked = [
+            mine._replace(ext=own.ext, digest=own.digest)
+            for mine in connections
+            for own in stored
+            if (own.topic, own.msgtype) == (mine.topic, mine.msgtype)
+        ]
         try:
-            yield from self.reader.messages(connections=connections)
+            yield from self.reader.messages(connections=asked if stored else connections)
         except ParallelCalError:
             raise
         except Exception as error:
