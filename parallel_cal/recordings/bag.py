@@ -15,6 +15,7 @@ from parallel_cal.base.errors import BagError, ParallelCalError
 from parallel_cal.base.progress import Progress
 from parallel_cal.recordings.channels import Channel, find_channel
 from parallel_cal.recordings.cleaning import assemble
+from parallel_cal.recordings.foreign_files import describe_foreign
 from parallel_cal.recordings.joint_state_bytes import JointStateReader
 from parallel_cal.recordings.mcap_files import MAGIC, ROS_2, McapFiles
 from parallel_cal.recordings.options import ReadOptions
@@ -223,6 +224,8 @@ class _Bag:
                 f"{file}: compressed as a whole. Give the folder of the recording with its "
                 f"metadata.yaml, or decompress the file with 'zstd -d {file.name}'"
             )
+        if (foreign := describe_foreign(file)) is not None:
+            raise BagError(f"{file}: {foreign}")
         raise BagError(
             f"{file}: not a recording; expected a bag directory, or an MCAP (.mcap), SQLite (.db3) "
             "or ROS 1 (.bag) file"
