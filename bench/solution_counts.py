@@ -89,7 +89,7 @@ def _find_ends(
 def count_delta(number: int) -> Count:
     """Draw a Delta and a point, which it may not reach, and list all joint positions."""
     rng = np.random.default_rng([SEED, number])
-    base, platform, arm, rod = rng.uniform((0.08, 0.02, 0.1, 0.2), (0.15, 0.04, 0.15, 0.4))
+    base, platform, arm, rod = rng.uniform((0.08, 0.02, 0.1, 0.3), (0.15, 0.04, 0.15, 0.4))
     mechanism = load_mechanism("delta24", base=base, platform=platform, arm=arm, rod=rod)
     model, sizes = new_model(mechanism), (base, platform, arm, rod)
     x, y = rng.uniform(-0.15, 0.15, 2)

@@ -28,3 +28,8 @@ for kind in ("linear", "bspline"):
         assert (values == 0).all()
         assert float(slope(4.5)) == 0
 END
+# Seen:
+#   linear inside [ 2.425 64.    64.   ] outside [64.0, 85.125, -0.125]
+#     slope at 4.5: 42.25
+#   bspline inside [ 2.197 64.    64.   ] outside [0.0, 0.0, 0.0]
+#     slope at 4.5: 0.0

@@ -27,3 +27,7 @@ for weight in (1.0, 100.0):
     assert np.allclose(root, true * (10 if weight == 1 else 1), rtol=1e-3)
     assert np.allclose(found.sd_beta, true, rtol=0.2)
 END
+# Seen:
+#   true sigmas [0.0279 0.048 ]
+#   weight 1: sd_beta [0.024  0.0414], root of cov_beta [0.2787 0.4802]
+#   weight 100: sd_beta [0.024  0.0414], root of cov_beta [0.0279 0.048 ]

@@ -43,3 +43,6 @@ except ValueError as error:
 else:
     raise AssertionError("the follower m is read")
 END
+# Seen:
+#   follower z: 1.1 m
+#   follower m: The parent joint of the mimic joint is not in the kinematic tree

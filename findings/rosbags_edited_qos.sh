@@ -45,3 +45,6 @@ for plugin in (StoragePlugin.MCAP, StoragePlugin.SQLITE3):
     assert before == (100, 100)
     assert after == (100, 0)
 END
+# Seen:
+#   MCAP: stated and read (100, 100) before, (100, 0) after the change
+#   SQLITE3: stated and read (100, 100) before, (100, 0) after the change

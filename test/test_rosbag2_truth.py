@@ -1,4 +1,4 @@
-"""What `ros2 bag record` writes where readers differ: files, versions of its metadata, static frames.
+"""What `ros2 bag record` writes where readers differ: files, versions of metadata, static frames.
 
 The forms are those of rosbag2's own writer (64717ee8, Jazzy; `yaml.hpp`, `qos.cpp` and
 `sequential_writer.cpp` were read). Each recording must give the samples of the plain one.
@@ -126,5 +126,5 @@ def test_static_frames_of_the_first_file_serve_all_files_of_a_recording(tmp_path
 
 def test_a_later_file_alone_has_no_static_frames_and_says_so(tmp_path):
     bag = bw.split(tmp_path / "s", *split_chain(tmp_path))
-    with pytest.raises(BagError, match="no chain.*'world' to 'tool'"):
+    with pytest.raises(BagError, match=r"no chain.*'world' to 'tool'"):
         read_bag(bag / "part1.mcap", CHAIN)

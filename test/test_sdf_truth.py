@@ -19,7 +19,8 @@ X, Z = ("<axis><xyz>1 0 0</xyz></axis>", "<axis><xyz>0 0 1</xyz></axis>")
 FIXED = '<joint name="w" type="fixed"><parent>world</parent><child>a</child></joint>'
 TURNED = f"<pose>0 0 1 0 0 {QUARTER}</pose>"
 EIGHTH = f"<pose>0.1 0 0 0 0 {float(QUARTER) / 2!r}</pose>"
-ROOT = np.sqrt(0.5)
+ROOT = float(np.sqrt(0.5))
+HALF = repr(ROOT)
 
 
 def model(body, version="1.9", attributes=""):
@@ -80,7 +81,7 @@ CASES = {  # the file, the place of link b
             link("a")
             + link(
                 "b",
-                f'<pose rotation_format="quat_xyzw">0 0 1 0 0 {float(ROOT)!r} {float(ROOT)!r}</pose>',
+                f'<pose rotation_format="quat_xyzw">0 0 1 0 0 {HALF} {HALF}</pose>',
             )
             + joint(X)
         ),
