@@ -11,9 +11,10 @@ platform: the balls of Argos lie on circles, that is at given distances from two
 circle's axis. Newton's method closes the rods with MuJoCo's site positions and Jacobians. The
 geometry is that of the tests' virtual robots, so no formula of the package takes part.
 
-The arm is built in MuJoCo and Pinocchio from its rows of Denavit and Hartenberg. Pinocchio has no
-identification, and no direct problem of a closed chain. FIGAROH identifies serial chains: it fits
-the positions that a tracker saw of the arm, and must be as exact at poses of another session.
+The arm is built in MuJoCo and Pinocchio from its rows of Denavit and Hartenberg; Pinocchio also
+reads the URDF that this program exports of it. It has no identification, and no direct problem of a
+closed chain. FIGAROH identifies serial chains: from the exported URDF, it fits the positions that a
+tracker saw of the arm, and must be as exact at poses of another session.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ from parallel_cal.base.compiled import Single, compile_function
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.comparison import compare
+from parallel_cal.exporting.export import export
 from parallel_cal.identification.fit import fit
 from parallel_cal.kinematics import solving
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
@@ -303,9 +305,14 @@ def arm_rows() -> list[Row]:
             processor_each(lambda: kinematics.direct(q).position),
         ),
     ]
-    for name, build in (("Pinocchio", pinocchio_arm), ("MuJoCo", mujoco_arm)):
+    builders: dict[str, Callable[[], Any]] = {
+        "Pinocchio": lambda: pinocchio_arm(virtual_arm.UR5),
+        "Pinocchio, from the exported URDF": lambda: pinocchio_exported(model),
+        "MuJoCo": lambda: mujoco_arm(virtual_arm.UR5),
+    }
+    for name, build in builders.items():
         try:
-            peer = build(virtual_arm.UR5)
+            peer = build()
         except ModuleNotFoundError:
             rows.append(Row(name, None))
             continue
@@ -337,7 +344,7 @@ def arm_fit_rows() -> list[Row]:
         return [*rows, Row("FIGAROH", None)]
     with TemporaryDirectory() as folder, redirect_stdout(StringIO()), catch_warnings():
         simplefilter("ignore")
-        peer = figaroh_fit(Path(folder), known)
+        peer = figaroh_fit(Path(folder), model, known)
         theirs = peer()(unseen)
         assert 0.9 < theirs / error < 1.1, f"{theirs} m, ours {error} m"
         seconds = processor_each(peer, least=1, repeats=3)
@@ -345,19 +352,19 @@ def arm_fit_rows() -> list[Row]:
     return rows
 
 
-def figaroh_fit(folder: Path, session: virtual_arm.Session) -> Callable[[], Any]:
+def figaroh_fit(folder: Path, model: Model, session: virtual_arm.Session) -> Callable[[], Any]:
     """Return a function that calibrates the UR5 by FIGAROH. It returns a function of a session: the
     rms position error (m) of the calibrated arm."""
     import yaml
     from figaroh.calibration.base_calibration import BaseCalibration
     from figaroh.calibration.calibration_tools import calc_updated_fkm
 
-    names = ["x1", "y1", "z1", *(f"joint{k + 1}" for k in range(session.q.shape[1]))]
+    names = ["x1", "y1", "z1", *model.joints]
     table = np.hstack([session.r, session.q])
     np.savetxt(folder / "data.csv", table, delimiter=",", header=",".join(names), comments="")
     task = {
         "type": "kinematic_calibration",
-        "kinematics": {"base_frame": "universe", "tool_frame": "tool"},
+        "kinematics": {"base_frame": "universe", "tool_frame": model.frames["platform"]},
         "measurements": {"markers": [{"measurable_dof": [True] * 3 + [False] * 3}]},
         "data": {"source_file": str(folder / "data.csv"), "number_of_samples": len(table)},
     }
@@ -373,7 +380,7 @@ def figaroh_fit(folder: Path, session: virtual_arm.Session) -> Callable[[], Any]
             return np.asarray(self.PEE_measured - self.predict(var, self.q_measured))
 
     def calibrate() -> Callable[[virtual_arm.Session], float]:
-        calibration = Positions(pinocchio_robot(virtual_arm.UR5), str(folder / "config.yaml"))
+        calibration = Positions(exported_robot(model), str(folder / "config.yaml"))
         calibration.calib_config |= {"known_baseframe": False, "known_tipframe": False}
         calibration.initialize()
         found = calibration.solve(enable_logging=False).x
@@ -418,6 +425,35 @@ def pinocchio_arm(table: Sequence[tuple[float, float, float]]) -> Any:
     def solve(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         pin.forwardKinematics(model, data, q)
         found = pin.updateFramePlacement(model, data, tool)
+        return found.translation, found.rotation
+
+    return solve
+
+
+def exported_robot(model: Model) -> Any:
+    """Return the robot that Pinocchio reads from the exported URDF."""
+    import pinocchio as pin
+
+    with TemporaryDirectory() as folder:
+        export(model, "urdf", Path(folder))
+        (path,) = Path(folder).glob("*.urdf")
+        return pin.RobotWrapper.BuildFromURDF(str(path))
+
+
+def pinocchio_exported(model: Model) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Return a function q -> (position, rotation) of the exported URDF; joints go by name."""
+    import pinocchio as pin
+
+    robot = exported_robot(model)
+    peer, data = robot.model, robot.data
+    places = [peer.joints[peer.getJointId(name)].idx_q for name in model.joints]
+    base, platform = (peer.getFrameId(model.frames[end]) for end in ("base", "platform"))
+
+    def solve(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        stood = pin.neutral(peer)
+        stood[places] = q
+        pin.framesForwardKinematics(peer, data, stood)
+        found = data.oMf[base].inverse() * data.oMf[platform]
         return found.translation, found.rotation
 
     return solve

@@ -194,9 +194,9 @@ def split(path: Path, *parts: Iterable[Message]) -> Path:
     for other in rest:
         whole["message_count"] += other["message_count"]
         whole["files"] += other["files"]
-        topics = whole["topics_with_message_count"], other["topics_with_message_count"]
-        for topic, more in zip(*topics, strict=True):
-            topic["message_count"] += more["message_count"]
+        known = {one["topic_metadata"]["name"]: one for one in whole["topics_with_message_count"]}
+        for more in other["topics_with_message_count"]:
+            known[more["topic_metadata"]["name"]]["message_count"] += more["message_count"]
     whole["relative_file_paths"] = [file["path"] for file in whole["files"]]
     for bag in bags:
         data_file(bag).rename(path / data_file(bag).name)

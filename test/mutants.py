@@ -364,6 +364,27 @@ MUTANTS = (
         "test_bag.py test_dataset.py test_simulate.py test_properties.py",
     ),
     Mutant(
+        "recordings/bag.py",
+        "connections=asked if stored else connections",
+        "connections=connections",
+        "rosbags passes over a topic whose quality of service was edited",
+        "test_rosbag2_truth.py",
+    ),
+    Mutant(
+        "importing/sdf.py",
+        "if self.placement else placed",
+        "if False else placed",
+        "the placement_frame of an SDF is ignored",
+        "test_sdf_truth.py",
+    ),
+    Mutant(
+        "importing/importers/smoothieware.py",
+        "if path not in included:",
+        "if True:",
+        "a file that is given and included counts behind the keys of config",
+        "test_formats_truth.py::test_a_file_given_beside_the_config_that_includes_it_is_read_at_its_place",
+    ),
+    Mutant(
         "recordings/lagged.py",
         "behind = time_constant * (now - before) / step",
         "behind = 0.0",

@@ -674,6 +674,16 @@ def test_status_and_numbers_do_not_depend_on_the_options_of_the_compiler(options
     assert "rows 400 other_status 0" in run(["./check", "cable_vectors.csv"], tmp_path)
 
 
+@pytest.mark.skipif(shutil.which("tcc") is None, reason="no tcc")
+def test_tcc_gives_the_same_status_and_numbers(tmp_path):
+    """tcc takes -HUGE_VAL for no constant: joints without limits were an error."""
+    model = robot("cable")
+    assert np.isinf(model.mechanism.joint_limits).any()
+    export(model, "c:poses=50", tmp_path)
+    run(["tcc", "-std=c99", "cable_check.c", "cable.c", "-o", "check", "-lm"], tmp_path)
+    assert "rows 100 other_status 0" in run(["./check", "cable_vectors.csv"], tmp_path)
+
+
 def test_options_that_deny_nan_are_refused_with_the_cure(tmp_path):
     """With -Ofast of gcc, invalid input was reported as converged."""
     export(new_model("cable"), "c:poses=2", tmp_path)

@@ -212,6 +212,56 @@ def test_a_macro_that_is_missing_is_named(tmp_path):
     assert "the included files size.g, config-override.g were not found" in remark
 
 
+# --------------------------------------------------------------------------------- Smoothieware
+
+
+def smoothie(folder, text, **beside):
+    """The radius (mm) of a config of a linear Delta, and the remarks."""
+    for name, words in beside.items():
+        (folder / name).write_text(words)
+    path = folder / "config"
+    path.write_text(f"arm_solution linear_delta\narm_length 250\n{text}{SMOOTHIE_ENDS}")
+    found = configured([path])
+    return 1e3 * found.model.value("chain2.D_x"), found.remarks
+
+
+SMOOTHIE_ENDS = "delta_homing true\nalpha_max 0\nbeta_max 0\ngamma_max 300\n" + "".join(
+    f"{axis}_homing_direction home_to_max\n" for axis in ("alpha", "beta", "gamma")
+)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "arm_radius 140\narm_radius 150\n",
+        "  arm_radius\t150#wide\n",
+        "arm_radius 150 # wide\nARM_RADIUS 140\n",
+        "include size\narm_radius 150\n",
+        "include /sd/radius\n",
+        "arm_radius 140\ninclude outer\n",
+    ],
+)
+def test_the_last_of_equal_keys_counts_in_smoothieware_also_of_included_files(tmp_path, text):
+    inner = {"size": "arm_radius 140\n", "radius": "arm_radius 150\n"}
+    assert smoothie(tmp_path, text, outer="include radius\n", **inner)[0] == pytest.approx(150)
+
+
+def test_an_included_file_of_smoothieware_that_is_missing_is_named(tmp_path):
+    remarks = smoothie(tmp_path, "arm_radius 150\ninclude elsewhere\n")[1]
+    assert any("elsewhere" in text and "not" in text for text in remarks)
+
+
+def test_a_file_given_beside_the_config_that_includes_it_is_read_at_its_place(tmp_path):
+    smoothie(tmp_path, "include size\narm_radius 150\n", size="arm_radius 140\n")
+    found = configured([tmp_path / "config", tmp_path / "size"])
+    assert 1e3 * found.model.value("chain2.D_x") == pytest.approx(150)
+
+
+def test_files_of_smoothieware_that_include_each_other_are_refused(tmp_path):
+    with pytest.raises(DatasetError, match=r"size:1: include is 'config', expected a file that"):
+        smoothie(tmp_path, "include size\n", size="include config\n")
+
+
 # ------------------------------------------------------------------------------- URDF and MJCF
 
 

@@ -84,3 +84,11 @@ def test_a_take_and_a_log_of_joints_on_another_clock_make_samples(tmp_path):
     assert len(data) == len(STOPS)
     np.testing.assert_allclose(data.r, STOPS, atol=1e-6)
     np.testing.assert_allclose(data.q, STOPS, atol=1e-6)
+
+
+def test_a_take_that_states_no_unit_is_in_metres(tmp_path):
+    """Motive before version 2: its exports have no `Length Units`."""
+    (tmp_path / "take.csv").write_text(take("Meters", 1.0).replace(",Length Units,Meters", ""))
+    table = read_table(tmp_path / "take.csv")
+    assert table.header[6] == "platform.Position.X"
+    assert table.assumed_unit == "m"

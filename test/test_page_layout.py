@@ -13,6 +13,7 @@ from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.reporting.axes import log_axis
 from parallel_cal.reporting.error_steps import FallingError, Step, describe_steps, draw_steps
+from parallel_cal.reporting.page import PageBuilder
 from parallel_cal.session.history import Record, State, format_first_error
 from parallel_cal.session.session import Session
 from parallel_cal.workbench.error_steps import find_steps
@@ -219,6 +220,19 @@ def test_while_a_step_runs_the_pictures_before_it_stay_but_not_what_was_judged()
     assert keep_pictures(numbers, None) == numbers
     whole = numbers | {"residuals": 8}
     assert keep_pictures(whole, before) is whole
+
+
+def test_a_value_of_a_figure_that_is_not_a_number_is_a_gap():
+    """NumPy's values, too; 100,000 points take what their digits take."""
+    builder = PageBuilder()
+    y = np.arange(100_000) / 8.0
+    y[[1, 3]] = np.nan, np.inf
+    trace = {"type": "scatter", "y": y, "x": [np.float64(1), np.nan], "visible": np.bool_(True)}
+    builder.plot({"data": [trace], "layout": {"height": np.int64(200)}})
+    text = builder.page("t", "", "")
+    assert '"y":[0.0,null,0.25,null,0.5,' in text
+    assert '"x":[1.0,null],"visible":true' in text
+    assert "NaN" not in text[text.index('"y":[') : text.index('"x":[')]
 
 
 def test_a_mean_along_many_samples_is_given_at_few_points_and_shows_a_small_course():

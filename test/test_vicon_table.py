@@ -66,3 +66,13 @@ def test_a_capture_and_a_log_of_joints_make_samples(tmp_path):
     data = import_csv(tables, tmp_path / "columns.yaml")
     np.testing.assert_allclose(data.r, STOPS, atol=1e-6)
     np.testing.assert_allclose(data.q, STOPS, atol=1e-6)
+
+
+def test_the_table_of_force_plates_that_nexus_writes_in_front_is_passed_over(tmp_path):
+    plates = "Devices\n1000\n,,Force - Force,,\nFrame,Sub Frame,Fx,Fy,Fz\n,,N,N,N\n1,0,1,2,3\n\n"
+    (tmp_path / "plain.csv").write_text(capture("Trajectories"))
+    (tmp_path / "nexus.csv").write_text(plates + capture("Trajectories"))
+    plain, nexus = (read_table(tmp_path / name) for name in ("plain.csv", "nexus.csv"))
+    assert nexus.header == plain.header
+    assert nexus.rows == plain.rows
+    assert nexus.lines[0] == plain.lines[0] + 7

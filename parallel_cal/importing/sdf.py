@@ -60,11 +60,22 @@ class SdfModel:
             pose = (own or read_pose)(element) @ pose
         return pose
 
+    @property
+    def placement(self) -> str:
+        """The frame that the pose of the model places in the world; empty for that of the model."""
+        return self.element.get("placement_frame")
+
+    @property
+    def world(self) -> Array:
+        """The frame (4, 4) of the model in the world."""
+        placed = read_pose(self.element)
+        return placed @ np.linalg.inv(self.pose(self.placement)) if self.placement else placed
+
 
 def read_sdf(path: Path) -> Linkage:
     """Return the linkage of the model in a file; DatasetError names what is not understood."""
     model = read_model(path)
-    world = read_pose(model.element)
+    world = model.world
     links = [one.get("name") for one in model.element.all("link")]
     poses = {WORLD: np.eye(4)} | {name: world @ model.pose(name) for name in links}
     joints = tuple(read_joint(model, one, poses) for one in model.element.all("joint"))

@@ -15,6 +15,7 @@ from parallel_cal.base.errors import BagError, ParallelCalError
 from parallel_cal.base.progress import Progress
 from parallel_cal.recordings.channels import Channel, find_channel
 from parallel_cal.recordings.cleaning import assemble
+from parallel_cal.recordings.foreign_files import describe_foreign
 from parallel_cal.recordings.joint_state_bytes import JointStateReader
 from parallel_cal.recordings.mcap_files import MAGIC, ROS_2, McapFiles
 from parallel_cal.recordings.options import ReadOptions
@@ -223,15 +224,31 @@ class _Bag:
                 f"{file}: compressed as a whole. Give the folder of the recording with its "
                 f"metadata.yaml, or decompress the file with 'zstd -d {file.name}'"
             )
+        if (foreign := describe_foreign(file)) is not None:
+            raise BagError(f"{file}: {foreign}")
         raise BagError(
             f"{file}: not a recording; expected a bag directory, or an MCAP (.mcap), SQLite (.db3) "
             "or ROS 1 (.bag) file"
         )
 
     def messages(self, connections: list[Any]) -> Iterator[tuple[Any, int, bytes]]:
-        """Yield (connection, log time in ns, bytes) of every message on some connections."""
+        """Yield (connection, log time in ns, bytes) of every message on some connections.
+
+        rosbags passes over the messages of a topic in a data file, without an error, if
+        metadata.yaml states another quality of service or hash of the type than the file. So the
+        connections of the files themselves are asked for.
+        """
+        stored = [
+            one for storage in getattr(self.reader, "storages", ()) for one in storage.connections
+        ]
+        asked = [
+            mine._replace(ext=own.ext, digest=own.digest)
+            for mine in connections
+            for own in stored
+            if (own.topic, own.msgtype) == (mine.topic, mine.msgtype)
+        ]
         try:
-            yield from self.reader.messages(connections=connections)
+            yield from self.reader.messages(connections=asked if stored else connections)
         except ParallelCalError:
             raise
         except Exception as error:

@@ -27,6 +27,7 @@ from parallel_cal.base.units import (
     UNITS,
 )
 from parallel_cal.model.effect import CONDITIONS
+from parallel_cal.recordings.foreign_files import describe_foreign
 from parallel_cal.recordings.heading import (
     SPACE,
     find_heading,
@@ -37,11 +38,22 @@ from parallel_cal.recordings.heading import (
     split_cells,
 )
 from parallel_cal.recordings.motive import FIRST_CELL, is_motive, merge_header
-from parallel_cal.recordings.vicon import HEADER_LINES, KINDS, convert_rows, is_vicon
+from parallel_cal.recordings.vicon import (
+    HEADER_LINES,
+    KINDS,
+    OTHER_KINDS,
+    convert_rows,
+    find_first_table,
+    is_vicon,
+)
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
 MAX_TABLE_BYTES = 512 * MEGABYTE
-EXPORTED = (FIRST_CELL, *KINDS)  # the first cell of a table that a device's program wrote
+EXPORTED = (
+    FIRST_CELL,
+    *KINDS,
+    *OTHER_KINDS,
+)  # the first cell of a table that a device's program wrote
 
 
 @dataclass(frozen=True)
@@ -158,7 +170,8 @@ def read_table(path: Path) -> Table:
     DatasetError if the file is not such a table.
     """
     try:
-        text = read_foreign_text(path, MAX_TABLE_BYTES)
+        foreign = describe_foreign(path)
+        text = "" if foreign else read_foreign_text(path, MAX_TABLE_BYTES)
     except OSError as error:
         raise DatasetError(f"{path}: the table cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
@@ -166,6 +179,8 @@ def read_table(path: Path) -> Table:
             f"{path}: not a CSV table: it is not text (UTF-8, UTF-16 or Latin-1). Export it as CSV "
             "text"
         ) from None
+    if foreign:
+        raise DatasetError(f"{path}: {foreign}")
     lines = text.splitlines(keepends=True)
     try:
         return _parse(path, lines)
@@ -216,6 +231,7 @@ def _parse_export(path: Path, lines: list[str]) -> Table | None:
     remarks = next((k for k, line in enumerate(lines) if line.strip() and line[0] != "#"), None)
     if remarks is None or re.split(r"[,;\t]", lines[remarks])[0].strip('" \n') not in EXPORTED:
         return None
+    remarks = find_first_table(lines, remarks)
     separator = find_separator(lines[remarks:])
     found = [(remarks + line, row) for line, row in split_cells(lines[remarks:], separator)]
     cells = [row for _, row in found]

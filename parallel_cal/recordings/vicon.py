@@ -3,7 +3,8 @@
 The lines hold the kind of the table (`Objects`, `Segments` or `Trajectories`), the rate in Hz, the
 names of the bodies or markers, `Frame,Sub Frame,RX,RY,RZ,TX,TY,TZ` or `Frame,Sub Frame,X,Y,Z`, and
 the units (Konstanz's wiki on Vicon shows such a file; readers on GitHub assume the same lines). A
-file may hold several such tables, with an empty line between them.
+file may hold several such tables, with an empty line between them. The first one that holds poses
+is read: Nexus writes those of force plates (`Devices`, at another rate) in front.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import re
 from collections.abc import Sequence
 
 KINDS = ("Objects", "Segments", "Trajectories")
+OTHER_KINDS = ("Devices", "Joints", "Model Outputs")  # tables without poses, in front or behind
 HEADER_LINES = 5
 FRAME = ["Frame", "Sub Frame"]
 
@@ -25,6 +27,12 @@ def is_vicon(rows: Sequence[Sequence[str]]) -> bool:
         and [cell.strip() for cell in rows[3][:2]] == FRAME
         and _read_rate(rows[1]) > 0
     )
+
+
+def find_first_table(lines: Sequence[str], begin: int) -> int:
+    """Return the line at which the first table with poses begins; `begin` if there is none."""
+    kinds = (re.split(r"[,;\t]", line)[0].strip('" \r\n') for line in lines[begin:])
+    return next((k for k, kind in enumerate(kinds, start=begin) if kind in KINDS), begin)
 
 
 def convert_rows(rows: Sequence[Sequence[str]]) -> tuple[list[str], list[list[str]]]:

@@ -14,6 +14,7 @@ from typing import Any
 
 from parallel_cal import __version__
 from parallel_cal.base.arguments import check_arguments
+from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.reporting.identified import name_robot
@@ -80,8 +81,9 @@ class PageBuilder:
         self._figures: list[Mapping[str, Any]] = []
 
     def plot(self, figure: Mapping[str, Any]) -> str:
-        """Add a figure to the page; return the HTML of its place."""
-        self._figures.append(figure)
+        """Add a figure to the page; return the HTML of its place. NaN and infinity become null,
+        which Plotly draws as a gap, as in the workbench."""
+        self._figures.append(to_json_value(figure))
         number, height = len(self._figures) - 1, figure["layout"]["height"]
         return f'<div class="plot" data-figure="{number}" style="height:{height}px"></div>'
 

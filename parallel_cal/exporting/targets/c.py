@@ -251,7 +251,7 @@ def _lines(lines: Any, indent: int = 4) -> str:
 
 
 def _list(values: Any) -> str:
-    infinite = {np.inf: "HUGE_VAL", -np.inf: "-HUGE_VAL"}
+    infinite = {np.inf: "HUGE_VAL", -np.inf: "MINUS_HUGE_VAL"}
     return ", ".join(infinite.get(v) or repr(v) for v in np.asarray(values).tolist())
 
 

@@ -34,7 +34,7 @@ def edit(model: Model, files: Sequence[Path]) -> tuple[dict[Path, str], list[str
     if len(files) != 1:
         raise ModelError(f"found {len(files)} files after --into, expected one SDF")
     found, sdf = calibrated_linkage(model, files), read_model(files[0])
-    world = read_pose(sdf.element)
+    world = sdf.world
     new = {
         name: np.linalg.solve(world, pose)
         for name, pose in drawn_poses(model, found).items()
@@ -61,6 +61,8 @@ def edit(model: Model, files: Sequence[Path]) -> tuple[dict[Path, str], list[str
         if name in poses:
             base = poses.get(reference, np.eye(4) if reference == MODEL else sdf.pose(reference))
             _set_pose(change, element, np.linalg.solve(base, poses[name]))
+    if sdf.placement in poses:  # it may have moved, and the model must stay where it is
+        _set_pose(change, sdf.element, world @ poses[sdf.placement])
     for joint in sdf.element.all("joint"):
         for part in joint.all("axis", "axis2"):
             _set_axis(change, sdf, joint, part, poses)

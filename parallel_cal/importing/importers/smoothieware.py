@@ -110,10 +110,12 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
 
 
 def settings(paths: Sequence[Path]) -> Settings:
-    """Read the last value of each key of `config` and of each word of `config-override`."""
+    """Read the last value of each key of `config` and of each word of `config-override`; a file
+    that `include` names is read at its place."""
     texts: dict[str, tuple[str, SourceLine]] = {}
-    unread, remarks = [], list[str]()
-    for path in paths:
+    unread, remarks, included = list[str](), list[str](), list[Path]()
+
+    def read(path: Path, opened: tuple[Path, ...]) -> None:
         for place, line in read_lines(path):
             if COMMAND.match(line):
                 parse_settings_line(texts, place, line, CODES)
@@ -122,9 +124,26 @@ def settings(paths: Sequence[Path]) -> Settings:
                     texts[found[1]] = (found[2], place)
                 elif found[1] in OLD_TRIMS:
                     remarks.append(OLD_TRIM.format(place.path, place.line, found[1]))
-                elif found[1] == "include" and found[2] not in [each.name for each in paths]:
-                    unread.append(found[2])
-    return Settings(texts, paths, tuple(unread), tuple(remarks))
+                elif found[1] == "include":
+                    inner = path.with_name(
+                        Path(found[2]).name
+                    )  # on the card both lie in one folder
+                    if not inner.is_file():
+                        unread.append(found[2])
+                    elif inner in opened:
+                        raise place.error(
+                            "include", found[2], "a file that does not include this one"
+                        )
+                    else:
+                        included.append(inner)
+                        read(inner, (*opened, inner))
+
+    for path in paths:
+        if path not in included:
+            read(path, (path,))
+    return Settings(
+        texts, [*paths, *(p for p in included if p not in paths)], tuple(unread), tuple(remarks)
+    )
 
 
 def kind(stated: Settings) -> tuple[str, ...]:

@@ -10,6 +10,12 @@
 #error "@robot@ must know NaN: add -fno-finite-math-only behind -ffast-math or -Ofast, with MSVC /fp:precise"
 #endif
 
+#ifdef __TINYC__
+#define MINUS_HUGE_VAL (-1.0 / 0.0) /* -HUGE_VAL is no constant for tcc */
+#else
+#define MINUS_HUGE_VAL (-HUGE_VAL)
+#endif
+
 #define NQ @n_joints@       /* joints */
 #define NU @n_passive@       /* passive coordinates */
 #define NX (NQ + 12 + NU)   /* a configuration: joints, position, rotation, passive coordinates */
