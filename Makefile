@@ -1,4 +1,4 @@
-# make demo | test | check | wide | slow | bags | bench | faults | mutants | tables | gallery | real | docs | clean      (PYTHON=python3.12 make ... for another)
+# make demo | test | check | wide | slow | nightly | bags | bench | faults | mutants | tables | gallery | real | docs | clean      (PYTHON=python3.12 make ... for another)
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -16,7 +16,7 @@ endif
 # Nodes under test talk to this machine only.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
-.PHONY: venv demo test wide check lint types slow bags bench faults mutants tables gallery real docs maintainer clean
+.PHONY: venv demo test wide check lint types slow nightly bags bench faults mutants tables gallery real docs maintainer clean
 
 venv: $(STAMP)
 
@@ -83,6 +83,11 @@ wide: $(STAMP)
 
 slow: $(STAMP)
 	@$(BIN)/python -m pytest -q -m slow
+
+# Every test there is, with the most random examples: hours.
+nightly: lint types $(STAMP)
+	@$(PYTEST) -n 2 -m "not ros"
+	@$(PYTEST) -n 2 -m "ros"
 
 check: lint types test wide
 

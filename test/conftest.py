@@ -10,14 +10,19 @@ import tempfile
 import pytest
 from hypothesis import settings
 
-# The same examples in every run, and nothing stored on disk; more of them where wide tests run.
+# The same examples in every run, and nothing stored on disk; more of them where wide tests run,
+# and most in `make nightly`.
 settings.register_profile("quick", deadline=None, derandomize=True, database=None, max_examples=30)
-settings.register_profile("wide", settings.get_profile("quick"), max_examples=400)
+settings.register_profile("wide", settings.get_profile("quick"), max_examples=200)
+settings.register_profile("nightly", settings.get_profile("quick"), max_examples=1000)
 
 
 def pytest_configure(config):
     marks = config.getoption("markexpr", "")
-    settings.load_profile("quick" if not marks or "not wide" in marks else "wide")
+    if not marks or "not wide" in marks:
+        settings.load_profile("quick")
+    else:
+        settings.load_profile("wide" if "wide" in marks else "nightly")
 
 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):

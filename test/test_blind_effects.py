@@ -57,8 +57,17 @@ def test_the_first_round_has_five_draws_of_every_row_before_the_sixth_of_any():
     assert [c.seed for c in cases] == [*range(5), *range(5), 5, 5]
 
 
+# One of each robot, of the robot or of its device; the others are checked at night.
+TYPICAL = (
+    *("cross-talk", "refraction", "leaning base", "twisted struts", "pulleys"),
+    *("heavy links", "late drives", "warm rods", "probe beside"),
+)
+
+
 @pytest.mark.wide
-@pytest.mark.parametrize("name", ne.KINDS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[] if n in TYPICAL else pytest.mark.slow) for n in ne.KINDS]
+)
 def test_what_hides_moves_the_robot_unless_only_the_device_errs(name):
     kind = ne.KINDS[name]
     robot = ne.ROBOTS[kind.robots[0]]

@@ -171,11 +171,12 @@ def test_the_share_of_a_law_is_judged_with_the_same_noise_without_and_with_it(sp
 @pytest.mark.parametrize(
     ("name", "sigmas", "seed"),
     [
-        ("rod_compliance", 1.0, 0),
+        # Rods, and the platform under a payload, are among the laws above.
+        pytest.param("rod_compliance", 1.0, 0, marks=pytest.mark.slow),
         pytest.param("thermal_expansion", 1.0, 0, marks=pytest.mark.slow),
         pytest.param("thermal_expansion", 2.0, 0, marks=pytest.mark.slow),
         pytest.param("spool_buildup", 1.0, 0, marks=pytest.mark.slow),
-        ("payload_sag", 2.0, 0),
+        pytest.param("payload_sag", 2.0, 0, marks=pytest.mark.slow),
         ("line_stretch", 1.0, 0),
         # Several laws describe these better, but `add` refuses one of them.
         ("joint_compliance", 1.0, 5004),
@@ -277,7 +278,13 @@ def test_noise_that_is_not_as_stated_has_no_law(kind):
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("device", list(vb.DEVICE))
+@pytest.mark.parametrize(
+    "device",  # one that the pose tells, and one that the time tells
+    [
+        pytest.param(name, marks=[] if name in ("refraction", "bump") else pytest.mark.slow)
+        for name in vb.DEVICE
+    ],
+)
 def test_an_error_of_the_device_is_not_learned_by_the_robot(device):
     day = vf.session(2)
     effect = vb.DEVICE[device](4e-5, np.random.default_rng(2))

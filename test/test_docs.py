@@ -232,7 +232,7 @@ def test_the_page_on_discovery_shows_what_its_commands_print(tmp_path, monkeypat
     sys.modules.pop("wires")
 
 
-@pytest.mark.wide
+@pytest.mark.slow  # test_fleet.py and test_fleet_page.py study smaller ones
 def test_the_page_on_fleets_shows_what_its_commands_print(tmp_path):
     pytest.importorskip("distributed")
     members = virtual_fleet.drawn(8)

@@ -67,9 +67,13 @@ def run(words, folder):
     return done.stdout
 
 
-@cache
 def folder(name, poses=1000):
     """What was exported, its check compiled strictly and with sanitizers, and a library."""
+    return _folder(name, poses)
+
+
+@cache  # which would keep (name) and (name, 1000) apart
+def _folder(name, poses):
     kept = TemporaryDirectory(prefix="exported")
     export(robot(name), f"c:poses={poses}", kept.name)
     source = [f"{name}_check.c", f"{name}.c"]
@@ -78,13 +82,15 @@ def folder(name, poses=1000):
 
 
 @cache
-def library(name, nominal=False):
+def library(name, *, nominal):
+    """The library of a robot. The optimiser needs half a minute for the elastic rods of one."""
     if nominal:
         kept = f"{folder('delta54').name}/nominal_{name}"
         export(new_model(name), "c:poses=2", kept)
     else:
         kept = folder(name).name
-    run([*STRICT, "-O1", "-fPIC", "-c", f"{name}.c", "-o", "robot.o"], kept)
+    level = "-O0" if name == "linear_delta" else "-O1"
+    run([*STRICT, level, "-fPIC", "-c", f"{name}.c", "-o", "robot.o"], kept)
     run(["gcc", "-shared", "robot.o", "-o", "robot.so", "-lm"], kept)
     return ctypes.CDLL(f"{kept}/robot.so")
 
@@ -217,7 +223,7 @@ def test_the_check_fails_where_a_number_differs(tmp_path):
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_the_object_has_no_state_and_only_its_own_names(name):
-    library(name)
+    library(name, nominal=False)
     symbols = [line.split()[-2:] for line in run(["nm", "robot.o"], folder(name).name).splitlines()]
     assert not [s for s in symbols if s[0] in "dDbBC"]
     public = {symbol for kind, symbol in symbols if kind == "T"}
@@ -260,7 +266,7 @@ class Exported:
 
     def __init__(self, name, nominal=False):
         self.model = new_model(name) if nominal else robot(name)
-        self._name, self._library = name, library(name, nominal)
+        self._name, self._library = name, library(name, nominal=nominal)
         self.kind = structure(self.model)
 
     def _call(self, function, *arguments):

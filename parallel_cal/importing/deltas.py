@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -127,7 +128,7 @@ class Towers:
         """The heights (m) that `of` takes."""
         return self.end_stops - np.sqrt(self.rods**2 - self.radius**2)
 
-    @property
+    @cached_property
     def readings_per_height(self) -> Array:
         """Readings (3,) of the recording per height of a carriage."""
         if self.scale is None or self.recorded is None:
@@ -138,7 +139,7 @@ class Towers:
     def homed(self) -> Array:
         return self.end_stops * self.readings_per_height
 
-    @property
+    @cached_property
     def towers(self) -> Array:
         """Positions (3, 2) of the towers, m."""
         around = self.first + np.arange(3) * 120 * DEGREE + self.trim
@@ -285,17 +286,14 @@ def compute_positions(formula: Formula, motors: Array, near: Array) -> Array:
 
     `near` (N, 3) are starting values. NaN if the formula has no solution for these motors.
     """
-    r, R = np.array(near, float), np.broadcast_to(np.eye(3), (len(near), 3, 3))
+    aside = DIFFERENCE * np.vstack([np.eye(3), -np.eye(3)])[:, None]
+    r, turns = np.array(near, float), np.broadcast_to(np.eye(3), (6 * len(near), 3, 3))
+    R = turns[: len(near)]
     for k in range(MAX_STEPS):
         off = formula.joints(r, R) - motors
         if k % STEPS_PER_SLOPES == 0:
-            slopes = np.stack(
-                [
-                    (formula.joints(r + d, R) - formula.joints(r - d, R)) / (2 * DIFFERENCE)
-                    for d in DIFFERENCE * np.eye(3)
-                ],
-                axis=2,
-            )
+            ahead, back = formula.joints((r + aside).reshape(-1, 3), turns).reshape(2, 3, -1, 3)
+            slopes = ((ahead - back) / (2 * DIFFERENCE)).transpose(1, 2, 0)
             bad = ~np.isfinite(slopes).all(axis=(1, 2))
             slopes[bad] = np.eye(3)
             inverse = np.linalg.inv(slopes)

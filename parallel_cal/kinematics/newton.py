@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, reduce
 from operator import mul
@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.compiled import dense
-from parallel_cal.base.rotation import cayley
+from parallel_cal.base.rotation import cayley, exponential
 from parallel_cal.kinematics.solutions import MIN_REGULAR_SINGULAR_VALUE
 from parallel_cal.kinematics.start import start_function, unknown_columns
 from parallel_cal.model.structure import Structure
@@ -145,15 +145,29 @@ def _square(J: Any) -> Any:
     return J if rows == unknowns else J.T @ J if rows > unknowns else J @ J.T
 
 
-def apply_change(s: Structure, x: Any, columns: list[int], scaled: Any) -> Any:
+def apply_change(
+    s: Structure,
+    x: Any,
+    columns: list[int],
+    scaled: Any,
+    rotation: Callable[[Any], Any] = cayley,
+) -> Any:
     """Apply a change of the unknown coordinates, in metres, to a configuration."""
     change = ca.SX.zeros(len(s.scale))
     change[columns] = scaled / ca.DM(s.scale[columns])
     n = len(s.mechanism.joints)
     R9 = x[n + 3 : n + 12]
     if any(n + 3 <= c < n + 6 for c in columns):
-        R9 = ca.vec((cayley(change[n + 3 : n + 6]) @ ca.reshape(R9, 3, 3).T).T)
+        R9 = ca.vec((rotation(change[n + 3 : n + 6]) @ ca.reshape(R9, 3, 3).T).T)
     return ca.vertcat(x[: n + 3] + change[: n + 3], R9, x[n + 12 :] + change[n + 6 :])
+
+
+def change_function(s: Structure, columns: list[int]) -> ca.Function:
+    """(configuration, change of the unknown coordinates in metres) -> configuration, with the
+    rotation exp(w) also of a large change."""
+    change = ca.SX.sym("change", len(columns))
+    changed = apply_change(s, s.configuration, columns, change, exponential)
+    return dense("change", [s.configuration, change], [changed])
 
 
 def find_home_sign(s: Structure, J: Any) -> float:

@@ -7,7 +7,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from parallel_cal.base.compiled import Batch, Single
-from parallel_cal.kinematics.newton import newton_functions
+from parallel_cal.kinematics.newton import change_function, newton_functions
 from parallel_cal.kinematics.solutions import (
     MAX_CLOSED_RESIDUAL_M,
     MAX_SETTLED_STEP_M,
@@ -26,12 +26,16 @@ class _Calls:
         functions = newton_functions(structure, name)
         self._refine, self._compile = functions.refine, compile
         self.columns, self.tables = functions.columns, Single(functions.tables)
-        self.home_sign = functions.home_sign
+        self.home_sign, self._structure = functions.home_sign, structure
         self.many = Batch(functions.solve, compile)
 
     @cached_property
     def refine(self) -> Batch:
         return Batch(self._refine, self._compile)
+
+    @cached_property
+    def change(self) -> Single:
+        return Single(change_function(self._structure, self.columns))
 
 
 _calls = lru_cache(maxsize=256)(_Calls)
@@ -165,18 +169,16 @@ class Problem:
 
     def _descend(self, x: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, float, Status]:
         phi, J = self._phi_and_jacobian(x, a)
-        damping, size = 1e-3, float(np.linalg.norm(phi))
+        damping, size, identity = 1e-3, float(np.linalg.norm(phi)), np.eye(J.shape[1])
         for _ in range(100):
             gradient, normal = J.T @ phi, J.T @ J
             try:
-                step = -np.linalg.solve(normal + damping * np.eye(len(normal)), gradient)
+                step = -np.linalg.solve(normal + damping * identity, gradient)
             except np.linalg.LinAlgError:  # a start that blew up
                 return x, size, Status.NOT_CONVERGED
             if np.linalg.norm(step) < 1e-15:
                 break
-            change = np.zeros(len(self.model.structure.scale))
-            change[self.columns] = step / self.model.structure.scale[self.columns]
-            candidate = self.model.configuration(x).apply_change(change).rows
+            (candidate,) = self.calls.change(x, step)
             new_phi, new_J = self._phi_and_jacobian(candidate, a)
             new_size = float(np.linalg.norm(new_phi))
             if new_size < size:

@@ -84,14 +84,25 @@ def stack(values: Iterable[ArrayLike]) -> Array:
 
 
 def solve(gap: Callable[[Array], Array], u: Array, step: float = 1e-6) -> Array:
-    """Find a root of `gap` near `u` by Newton's method with central differences."""
+    """Find a root of `gap` near `u` by Newton's method with central differences.
+
+    Near the root, the slopes are kept as long as every step is a tenth of the last one or less.
+    """
+    inverse: Array | None = None
+    last = np.inf
     for _ in range(50):
-        slopes = [(gap(u + e) - gap(u - e)) / (2 * step) for e in step * np.eye(u.shape[-1])]
-        move = apply(np.linalg.inv(np.stack(slopes, -1)), -gap(u))
-        size = np.linalg.norm(move, axis=-1, keepdims=True)
-        u = u + move * np.minimum(1, 0.1 / np.maximum(size, 1e-300))
-        if np.max(size, initial=0) < 1e-12:
+        if inverse is None:
+            slopes = [(gap(u + e) - gap(u - e)) / (2 * step) for e in step * np.eye(u.shape[-1])]
+            inverse = np.linalg.inv(np.stack(slopes, -1))
+        move = apply(inverse, -gap(u))
+        sizes = np.linalg.norm(move, axis=-1, keepdims=True)
+        u = u + move * np.minimum(1, 0.1 / np.maximum(sizes, 1e-300))
+        size = np.max(sizes, initial=0)
+        if size < 1e-12:
             return u
+        if not size < min(0.01, 0.1 * last):
+            inverse = None
+        last = size
     raise ValueError("the robot cannot be assembled there: its rods do not meet")
 
 
@@ -118,8 +129,11 @@ class RodRobot:
 
     def gaps(self, q: ArrayLike, r: ArrayLike, R: ArrayLike) -> Array:
         """Compute by how much each rod is too short to reach from ball to ball, m."""
-        rods = self.platform_points(r, R) - self.joint_points(q)
-        return np.linalg.norm(rods, axis=-1) - self.lengths(q)
+        return self._gaps(self.joint_points(q), self.lengths(q), r, R)
+
+    def _gaps(self, driven: Array, lengths: Array, r: ArrayLike, R: ArrayLike) -> Array:
+        """Compute the gaps of rods of these lengths from these balls on the driven side, m."""
+        return np.linalg.norm(self.platform_points(r, R) - driven, axis=-1) - lengths
 
     def forward(
         self, q: ArrayLike, start: tuple[Array, Array] | None = None
@@ -129,7 +143,8 @@ class RodRobot:
         r0, R0 = start or (self.home, np.eye(3))
         u = np.zeros((*q.shape[:-1], 6))
         u[..., :3] = r0
-        u = solve(lambda u: self.gaps(q, u[..., :3], turn(u[..., 3:]) @ R0), u)
+        driven, lengths = self.joint_points(q), self.lengths(q)
+        u = solve(lambda u: self._gaps(driven, lengths, u[..., :3], turn(u[..., 3:]) @ R0), u)
         return u[..., :3], turn(u[..., 3:]) @ R0
 
     def inverse(
