@@ -6,6 +6,7 @@ those of the others are zero where it is drawn.
 """
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 LEFT, RIGHT = np.radians([120.0, 60.0]).tolist()
 CRANK, ROD, HALF = 0.1, 0.15, 0.05
@@ -109,6 +110,56 @@ CONSTRAINT = f"""  <constraint name="pin" type="revolute">
   </constraint>
 """
 LOOP_FILE = "closed_loop: [[left_pin, right_pin]]\ntype: [3d]\nname_mot: [left, right]\n"
+
+
+SPATIAL_URDF = """<robot name="two_arms">
+  <link name="base"/><link name="left_crank"/><link name="knuckle"/><link name="plate"/>
+  <link name="right_crank"/><link name="cup"/><link name="tip"/><link name="seat"/>
+  <link name="socket"/>
+  <joint name="left" type="revolute"><origin xyz="0.1 0 0" rpy="0.2 0 0.3"/>
+    <parent link="base"/><child link="left_crank"/><axis xyz="0 0 1"/></joint>
+  <joint name="left_elbow" type="revolute"><origin xyz="0 0.3 0.02" rpy="0 0.1 0"/>
+    <parent link="left_crank"/><child link="knuckle"/><axis xyz="0 0 1"/></joint>
+  <joint name="tilt" type="revolute"><origin xyz="0.03 0 0.01" rpy="0 1.4 0"/>
+    <parent link="knuckle"/><child link="plate"/><axis xyz="0 0 1"/></joint>
+  <joint name="right" type="revolute"><origin xyz="-0.1 0 0"/>
+    <parent link="base"/><child link="right_crank"/><axis xyz="0 0.1 1"/></joint>
+  <joint name="right_elbow" type="revolute"><origin xyz="-0.02 0.28 0"/>
+    <parent link="right_crank"/><child link="forearm"/><axis xyz="0 0 1"/></joint>
+  <joint name="ball" type="revolute"><origin xyz="0.1 0.12 0.02" rpy="0.1 0 0"/>
+    <parent link="forearm"/><child link="cup"/><axis xyz="0 0 1"/></joint>
+  <joint name="seat_fixed" type="fixed"><origin xyz="0.04 0.01 0.03"/>
+    <parent link="cup"/><child link="seat"/></joint>
+  <joint name="socket_fixed" type="fixed"><origin xyz="{xyz}" rpy="{rpy}"/>
+    <parent link="plate"/><child link="socket"/></joint>
+  <joint name="tip_fixed" type="fixed"><origin xyz="0.05 0.1 0.02"/>
+    <parent link="plate"/><child link="tip"/></joint>
+  <link name="forearm"/>
+</robot>
+"""
+SPATIAL_LOOP = (
+    "closed_loop: [[seat, socket]]\ntype: [6d]\nname_mot: [left, right]\n"
+    "joint_name: [ball]\njoint_type: [SPHERICAL]\n"
+)
+
+
+def spatial_urdf():
+    """Return a URDF of two arms that a pose of two links joins, drawn closed: its ball is where the
+    arms meet, so that it closes the loop."""
+
+    def frame(xyz, rpy=(0, 0, 0)):
+        placed = np.eye(4)
+        placed[:3, :3] = Rotation.from_euler("xyz", rpy).as_matrix()
+        placed[:3, 3] = xyz
+        return placed
+
+    left = frame([0.1, 0, 0], [0.2, 0, 0.3]) @ frame([0, 0.3, 0.02], [0, 0.1, 0])
+    plate = left @ frame([0.03, 0, 0.01], [0, 1.4, 0])
+    cup = frame([-0.1, 0, 0]) @ frame([-0.02, 0.28, 0]) @ frame([0.1, 0.12, 0.02], [0.1, 0, 0])
+    socket = np.linalg.solve(plate, cup @ frame([0.04, 0.01, 0.03]))
+    turn = Rotation.from_matrix(socket[:3, :3]).as_euler("xyz")
+    words = [" ".join(repr(float(v)) for v in part) for part in (socket[:3, 3], turn)]
+    return SPATIAL_URDF.format(xyz=words[0], rpy=words[1])
 
 
 def five_bar_sdf():

@@ -89,6 +89,25 @@ def test_identified_numbers_go_into_the_file_and_nothing_else_changes(tmp_path, 
     assert "changed" in done.remarks[0]
 
 
+def test_a_ball_that_closes_a_loop_of_a_urdf_is_written_into_both_of_its_links(tmp_path):
+    """A link has the frame of its joint: what else is on it moves the other way."""
+    path = written(tmp_path, "robot.urdf", own.spatial_urdf(), own.SPATIAL_LOOP)
+    model = chain([path], "base", "tip").model
+    assert "ball.b_x" in model.table.names
+    changes = {f"ball.{side}_{axis}": value for side, axis, value in (
+        ("a", "x", 0.004), ("a", "z", -0.002), ("b", "x", 0.003), ("b", "y", 0.002),
+        ("b", "z", -0.005))}  # fmt: skip
+    values = {name: model.value(name) + change for name, change in changes.items()}
+    better = model.with_values(model.table.vector(values))
+    export_into(better, "urdf", [path])
+    again = chain([path], "base", "tip").model
+    one, other, before = (Kinematics(each).direct(0.3 * ANGLES) for each in (better, again, model))
+    assert one.ok.all()
+    assert np.abs(one.position - other.position).max() < 1e-11
+    assert np.abs(one.rotation - other.rotation).max() < 1e-10
+    assert np.abs(one.position - before.position).max() > 1e-3
+
+
 def foot_by_hand(left, right):
     """Solve both rod lengths of the ankle for pitch and roll; return the toe in the shank."""
 

@@ -36,7 +36,8 @@ class Calibrated:
 
     `between` is the linkage between base and platform with the identified numbers, `at` has the
     joined body of every body, and `halves` the shifts of halves of rods, by body. `target` is the
-    frame of {P} in the body of the file that carries it.
+    frame of {P} in the body of the file that carries it. In a file of which a body has the frame of
+    its joint (`at_joints`), `shifts` has how far a ball moved in its second body, by body.
     """
 
     linkage: Linkage
@@ -45,6 +46,8 @@ class Calibrated:
     halves: dict[str, Array]
     base: str
     platform: Place
+    at_joints: bool = False
+    shifts: dict[str, Array] = field(default_factory=dict)
     origins: dict[str, Array] = field(default_factory=dict)
     anchors: dict[str, Array] = field(default_factory=dict)
     ends: dict[tuple[str, str], Array] = field(default_factory=dict)
@@ -60,9 +63,10 @@ class Calibrated:
         return next(one for one in self.linkage.loops if plain_name(one.name) == name)
 
 
-def calibrated_linkage(model: Model, files: Sequence[Path]) -> Calibrated:
+def calibrated_linkage(model: Model, files: Sequence[Path], at_joints: bool = False) -> Calibrated:
     """Return the identified numbers for the file from which a chain was made.
 
+    `at_joints`: the file draws a body in the frame of its joint, as a URDF does.
     ModelError if the file describes another linkage, or has no place for a number.
     """
     if model.mechanism.name != "chain":
@@ -72,12 +76,16 @@ def calibrated_linkage(model: Model, files: Sequence[Path]) -> Calibrated:
         )
     base, end = (model.frames[name] for name in ("base", "platform"))
     linkage, between, place = match_model(read_linkage(files), model)
-    found = Calibrated(linkage, between, joined_bodies(linkage, base), {}, base, place)
+    found = Calibrated(linkage, between, joined_bodies(linkage, base), {}, base, place, at_joints)
     joints = [identified_joint(model, joint) for joint in between.joints]
     loops = [identified_loop(model, loop) for loop in between.loops]
     found.between = replace(between, joints=tuple(joints), loops=tuple(loops))
     for old, new in zip(between.joints, joints, strict=True):
-        _set_joint(found, old, new.origin @ np.linalg.inv(old.origin))
+        if closes_loop(model, old):
+            in_parent = (new.origin @ _point(new.anchor) - old.origin @ _point(old.anchor))[:3]
+            _move_ball(found, old, in_parent, new.anchor - old.anchor)
+        else:
+            _set_joint(found, old, new.origin @ np.linalg.inv(old.origin))
     for was, loop in zip(between.loops, loops, strict=True):
         if was.rod is None:
             for side, one in (("a", loop.a), ("b", loop.b)):
@@ -127,6 +135,14 @@ def match_model(linkage: Linkage, model: Model) -> tuple[Linkage, Linkage, Place
 
 def identified_joint(model: Model, joint: LinkageJoint) -> LinkageJoint:
     """Return a joint with the identified place and direction; its encoder's zero is in them."""
+    if closes_loop(model, joint):
+        a, b = (
+            np.array([model.value(f"{joint.name}.{side}_{axis}") for axis in "xyz"])
+            for side in "ab"
+        )
+        origin = joint.origin.copy()
+        origin[:3, 3] = a - origin[:3, :3] @ b
+        return replace(joint, origin=origin, anchor=b)
     values = {key: model.value(f"{joint.name}.{key}") for key in ("x", "y", "z", "rx", "ry", "rz")}
     shift, turn, placed = motion_of("P", joint.anchor, 1.0), np.eye(4), joint.origin.copy()
     turn[:3, :3] = rotation_matrix(np.array([values[key] for key in ("rx", "ry", "rz")]))
@@ -137,6 +153,11 @@ def identified_joint(model: Model, joint: LinkageJoint) -> LinkageJoint:
         zero = motion_of("R" if joint.kind == "revolute" else "P", joint.axes[0], change)
         origin = origin @ shift @ zero @ np.linalg.inv(shift)
     return replace(joint, origin=origin)
+
+
+def closes_loop(model: Model, joint: LinkageJoint) -> bool:
+    """Return whether a joint is a ball that closes a loop: a point in each of its bodies."""
+    return f"{joint.name}.a_x" in model.table.names
 
 
 def identified_loop(model: Model, loop: LinkageLoop) -> LinkageLoop:
@@ -270,6 +291,9 @@ def _move_ball(found: Calibrated, ball: LinkageJoint, in_parent: Array, in_child
         return _set_joint(found, ball, motion_of("P", in_parent, 1.0))
     last = (ball.parts or (ball,))[-1]
     own = found.joint(last.name)
+    if found.at_joints and last.child == ball.child and own.child != found.base:
+        found.shifts[own.child] = found.at[own.child].frame[:3, :3].T @ in_child
+        return _set_joint(found, ball, motion_of("P", in_parent, 1.0))
     if ball.parts:
         raise ModelError(
             f"{last.where}: the joints {', '.join(part.name for part in ball.parts)} act as one "
@@ -280,6 +304,10 @@ def _move_ball(found: Calibrated, ball: LinkageJoint, in_parent: Array, in_child
     moved = motion_of("P", in_parent, 1.0) @ ball.origin @ motion_of("P", -in_child, 1.0)
     _set_joint(found, ball, moved @ np.linalg.inv(ball.origin))
     return None
+
+
+def _point(vector: Array) -> Array:
+    return np.append(vector, 1.0)
 
 
 def describe_changes(found: Calibrated) -> list[str]:

@@ -20,6 +20,8 @@ from parallel_cal.exporting.calibrated_linkage import (
     describe_target,
 )
 from parallel_cal.exporting.editing import read_verbatim
+from parallel_cal.importing.chain import motion_of
+from parallel_cal.importing.linkage import Linkage
 from parallel_cal.importing.located_xml import Element, XmlEdit, parse_xml
 from parallel_cal.importing.urdf_loops import read_origin
 from parallel_cal.model.model import Model
@@ -29,7 +31,7 @@ Array = np.ndarray
 
 def edit_urdf(model: Model, files: Sequence[Path]) -> tuple[dict[Path, str], list[str]]:
     """Return the text of a URDF with the identified numbers of a chain, and what changed."""
-    path, found = files[0], calibrated_linkage(model, files)
+    path, found = files[0], calibrated_linkage(model, files, at_joints=True)
     text = read_verbatim(path)
     root = parse_xml(path, text, "URDF")
     elements = {one.get("name"): one for one in root.all("joint", "constraint")}
@@ -57,6 +59,8 @@ def edit_urdf(model: Model, files: Sequence[Path]) -> tuple[dict[Path, str], lis
             f"{path}: '{end}' is the platform and the end of a loop, which are {apart:.3g} mm "
             "apart now: give the platform a link of its own with a fixed joint"
         )
+    if end in found.shifts:
+        found.target = motion_of("P", -found.shifts[end], 1.0) @ target
     if found.target is not None:
         frames[end] = found.target
     for link, frame in frames.items():
@@ -71,6 +75,8 @@ def edit_urdf(model: Model, files: Sequence[Path]) -> tuple[dict[Path, str], lis
         else:
             joint = holder.get("name")
             placed[joint] = placed.get(joint, read_origin(holder.find("origin"))) @ frame
+    for link, shift in found.shifts.items():
+        place_around(found.linkage, link, shift, placed)
     for name, origin in placed.items():
         element = elements[name]
         if element.tag == "constraint":  # its child's side stays: the parent's takes the change
@@ -80,6 +86,22 @@ def edit_urdf(model: Model, files: Sequence[Path]) -> tuple[dict[Path, str], lis
         else:
             set_origin(edit, element, "origin", origin)
     return {path: edit.apply(text)}, remarks
+
+
+def place_around(linkage: Linkage, link: str, shift: Array, placed: dict[str, Array]) -> None:
+    """Place the ball by which a link hangs elsewhere in it: a link has the frame of its joint, so
+    that all other joints on it, and the ends of loops, move the other way."""
+    ends = {loop.name: {loop.a.body, loop.b.body} for loop in linkage.loops}
+    ends |= {one.name: {one.child} for one in linkage.joints if "constraint" in one.where}
+    for name, links in ends.items():
+        if link in links:
+            raise ModelError(
+                f"{linkage.path}: the ball of '{link}' moved in it, which is an end of the loop "
+                f"{name}: give this end a link of its own with a fixed joint"
+            )
+    for joint in linkage.joints:
+        if joint.parent == link:
+            placed[joint.name] = motion_of("P", -shift, 1.0) @ placed.get(joint.name, joint.origin)
 
 
 def set_origin(edit: XmlEdit, owner: Element, tag: str, frame: Array) -> None:
