@@ -61,7 +61,8 @@ class Robot:
     locked: Sequence[str] = ()
     body: str = ""
     parallel: Sequence[str] = ()  # axes that are not tilted: plane loops do not close otherwise
-    length_tolerance: float = 5e-4
+    length_tolerance: float = 5e-4  # m
+    angle_tolerance: float = float(np.radians(0.5))
 
     def read(self, path: Path) -> Model:
         """Make the model of a file of this robot."""
@@ -69,6 +70,7 @@ class Robot:
             "driven": self.driven,
             "locked": self.locked,
             "length_tolerance": self.length_tolerance,
+            "angle_tolerance": self.angle_tolerance,
         }
         return chain([path], self.base, self.platform, **more).model
 
@@ -100,12 +102,18 @@ ROBOTS = {
         ("talos_like", "buste", "foot", ()),
         ("battobot_6d", "hip_z_axis_2_leg_assembly", "foot_left", ()),
         ("digit_like_2legs", "torso", "foot", ()),
-        ("wl16_like", "hip_part", "foot", ()),
         ("disney_like", "hip_part", "foot", ("free_universal4",)),
         ("disney_robot", "torso", "right_foot", ()),
         ("kangaroo_like_2legs", "center_hip", "foot_right", ()),
     )
 } | {
+    "wl16_like": Robot(  # nearly singular at home
+        f"{GEPETTO}/wl16_like/robot.urdf",
+        "hip_part",
+        "foot",
+        length_tolerance=1e-5,
+        angle_tolerance=2e-4,
+    ),
     "robot_delta": Robot(
         f"{GEPETTO}/robot_delta/robot.urdf", "built", "eff", parallel=("",), length_tolerance=1e-4
     ),
