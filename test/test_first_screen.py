@@ -17,7 +17,7 @@ from parallel_cal.reporting.machine import (
     draw_machine,
     find_erring_parts,
 )
-from parallel_cal.reporting.names import TITLES, name_effects, title_of
+from parallel_cal.reporting.names import TITLES, name_effects, name_step, title_of
 from parallel_cal.session.session import Session
 from parallel_cal.workbench.next_step import find_next_step
 
@@ -310,3 +310,9 @@ def test_a_stranger_is_led_from_an_empty_page_to_a_saved_model(tmp_path):
         finally:
             if served.process.poll() is None:
                 served.end()
+
+
+def test_a_step_is_named_without_the_settings_with_which_its_effect_began():
+    assert name_step("add hysteresis:*.width=0.0003") == "add hysteresis"
+    assert name_step("add backlash and encoder_gain") == "add backlash and gain of the drives"
+    assert name_step("import 3 samples of C:table.csv") == "import 3 samples of C:table.csv"

@@ -10,7 +10,7 @@ import numpy as np
 from nicegui import run, ui
 
 from parallel_cal.diagnosis.verdict_words import describe_verdict
-from parallel_cal.reporting.names import name_effects
+from parallel_cal.reporting.names import name_effects, name_step
 from parallel_cal.reporting.readable import MISSING, format_judged_error, write_micro
 from parallel_cal.reporting.spaces import sides
 from parallel_cal.session.history import History, format_first_error
@@ -34,7 +34,7 @@ class BranchComparison:
             rows = [
                 {
                     "branch": name,
-                    "step": name_effects(s.step),
+                    "step": name_step(s.step),
                     "out": len(s.excluded),
                     "verdict": name_effects(write_micro(describe_verdict(s.verdict, s.summary))),
                     "after": format_judged_error(s.errors, s.sigmas),

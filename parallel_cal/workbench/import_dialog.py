@@ -93,15 +93,28 @@ class ImportDialog:
         file = Path(self._folder.name) / Path(event.file.name).name
         await event.file.save(file)
         found = await run.cpu_bound(preview_table, file, self._bench.session.folder) or {}
-        self._form.clear()
         self._poses.clear()
         self._counts.set_text("")
         self._drawn = {}
         self._answer.set_text(found.get("error", "the table cannot be read"))
         self._file, self._asked = (None if self._answer.text else file), ""
-        if self._file is not None:
-            with self._form:
-                self._columns = ColumnForm(found)
+        self._show_form(found)
+
+    def _show_form(self, found: Mapping[str, Any]) -> None:
+        """Show the form of a table; say from which earlier table its entries are, if any."""
+        self._form.clear()
+        if self._file is None:
+            return
+        with self._form:
+            if found["remembered"] is not None:
+                with ui.row().classes("items-center gap-x-3 gap-y-0"):
+                    words = f"Columns, units and noise as in {found['remembered_from']}."
+                    ui.label(words).classes("text-sm").props("id=remembered")
+                    afresh = {**found, "remembered": None}
+                    ui.button(
+                        "Read the header instead", on_click=lambda: self._show_form(afresh)
+                    ).props("dense flat no-caps")
+            self._columns = ColumnForm(found)
 
     def _begin(self) -> None:
         if self._file is None:
@@ -132,7 +145,7 @@ class ImportDialog:
         self._poses.clear()
         if figure := found.get("figure"):
             with self._poses:
-                draw_figure(figure, "poses of the table on the robot, in the table's frame")
+                draw_figure(figure, "poses of the table on the robot")
 
     def _follow(self) -> None:
         """Show what became of the import; close after a success."""
