@@ -91,7 +91,7 @@ def test_no_line_crosses_the_label_of_a_step_and_the_title_is_above_the_axis():
         "top center",
     ]
     # An upright title is longer than a low axis, and would be cut off.
-    assert figure["layout"]["title"]["text"] == "orientation, rms [arcmin]"
+    assert figure["layout"]["title"]["text"] == "orientation, rms [arcmin]; noise floor not known"
     assert not figure["layout"]["yaxis"]["title"]["text"]
 
 
@@ -486,8 +486,11 @@ def test_the_curve_of_a_campaign_begins_at_the_initial_model_and_names_what_was_
 
 @pytest.mark.wide
 @pytest.mark.parametrize("theme", ["light", "dark"])
-def test_the_page_has_no_fault_of_access(page, theme):
+@pytest.mark.parametrize("size", SIZES)
+def test_the_page_has_no_fault_of_access(page, theme, size):
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    width, height = SIZES[size]
+    page.set_viewport_size({"width": width, "height": height})
     page.emulate_media(color_scheme=theme)
     page.locator(f"body.body--{theme}").wait_for()
     page.wait_for_timeout(1000)  # the colours change slowly

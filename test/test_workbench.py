@@ -982,6 +982,19 @@ def test_the_sides_of_a_table_and_its_angles_reach_the_samples(browser, tmp_path
         unused.get_by_text("not used: Remark", exact=True).wait_for()
     finally:
         served.end()
+    # So are they in another session, and one click takes the header alone.
+    served = Served(MODEL, "--session", tmp_path / "other")
+    try:
+        page.goto(served.url)
+        page.get_by_role("button", name="Import a table", exact=True).first.click()
+        page.locator("input[type=file]").set_input_files(table)
+        page.get_by_text("13 of 14 columns understood").wait_for()
+        page.locator("#remembered").get_by_text("as in sides.csv, imported on").wait_for()
+        page.get_by_role("button", name="Read the header instead", exact=True).click()
+        page.get_by_text("10 of 14 columns understood").wait_for()
+        page.locator("#remembered").wait_for(state="hidden")
+    finally:
+        served.end()
     found = Session(folder).samples
     for k in (1, 2, 3):
         np.testing.assert_array_equal(found.conditions[f"direction.joint{k}"], sides[:, k - 1])

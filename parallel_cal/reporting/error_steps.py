@@ -63,7 +63,8 @@ def draw_steps(found: FallingError) -> dict[str, Any]:
     noise = factor * found.noise if found.noise else None
     ends = [-0.4, len(values) - 0.4]
     # The label of the floor stands in the title: in a low figure, the band has no room for it.
-    title = f"{found.words} [{unit}]{f'; grey: noise floor {number(noise)}' if noise else ''}"
+    floor = f"grey: noise floor {number(noise)}" if noise else "noise floor not known"
+    title = f"{found.words} [{unit}]; {floor}"
     axis = log_axis([noise, *values])
     bottom = 10 ** axis["range"][0]
     return {
@@ -111,8 +112,8 @@ def describe_steps(found: FallingError) -> str:
     """Describe the picture for a screen reader."""
     unit, factor = error_unit(found.unit or ERROR_SI_UNITS[found.kind])
     steps = ", ".join(f"{step.name} {number(step.error, factor)} {unit}" for step in found.steps)
-    floor = f"; noise floor {number(found.noise, factor)} {unit}" if found.noise else ""
-    return f"{found.words} over the steps: {steps}{floor}"
+    floor = f"{number(found.noise, factor)} {unit}" if found.noise else "not known"
+    return f"{found.words} over the steps: {steps}; noise floor {floor}"
 
 
 def _draw_bars(steps: Sequence[Step], values: Sequence[float]) -> Iterator[dict[str, Any]]:
