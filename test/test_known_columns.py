@@ -74,9 +74,7 @@ def test_the_last_import_of_the_same_columns_counts(user, preview, tmp_path):
         lambda known: known | {"columns": {k: v for k, v in COLUMNS.items() if k != "noise"}},
     ],
 )
-def test_a_damaged_file_is_as_none_and_the_next_import_replaces_it(
-    user, preview, tmp_path, damage
-):
+def test_a_damaged_file_is_as_none_and_the_next_import_replaces_it(user, preview, tmp_path, damage):
     remember_columns(DELTA.mechanism, tmp_path / "first.csv", COLUMNS)
     (file,) = user.iterdir()
     if callable(damage):

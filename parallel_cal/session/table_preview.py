@@ -113,4 +113,3 @@ def _find(table: Table, *names: str) -> str | None:
         if (word := small.get(name.lower())) is not None:
             return word
     return None
-
