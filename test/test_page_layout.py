@@ -502,6 +502,21 @@ def test_the_page_has_no_fault_of_access(page, theme, size):
 
 
 @pytest.mark.wide
+@pytest.mark.parametrize("name", ["Import a table", "Certificate"])
+def test_a_dialog_has_no_fault_of_access(page, name):
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    page.get_by_role("button", name=name, exact=True).last.click()
+    dialog = page.get_by_role("dialog", name=name, exact=True)
+    dialog.get_by_role("heading", name=name).wait_for()
+    # axe takes the backdrop for the ground of a dialog, whose colours are those of the page.
+    rules = {"rules": {"color-contrast": {"enabled": False}}}
+    found = axe.run(page, options=rules).response["violations"]
+    dialog.get_by_role("button", name="Close", exact=True).click()
+    dialog.wait_for(state="hidden")
+    assert [(one["id"], one["nodes"][0]["html"][:200]) for one in found] == []
+
+
+@pytest.mark.wide
 def test_the_text_of_figures_in_space_has_the_colour_of_the_page(page):
     """A style sheet does not reach it."""
     colours = """() => [...document.querySelectorAll(".js-plotly-plot")]

@@ -827,7 +827,7 @@ def test_a_table_is_imported_with_its_columns_named_on_the_page(browser, tmp_pat
         page.get_by_text(f"{count} rows; the first ones:").wait_for()
         # Where the columns need more room than there is, a scrollbar is always in view.
         page.set_viewport_size({"width": 420, "height": 900})
-        preview = page.locator(".q-dialog .q-table__middle")
+        preview = page.locator(".q-dialog .wide-table")
         assert preview.evaluate("e => e.scrollWidth > e.clientWidth")
         bar = "e => getComputedStyle(e, '::-webkit-scrollbar').height"
         assert preview.evaluate(bar) == "12px"

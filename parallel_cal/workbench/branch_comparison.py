@@ -28,7 +28,8 @@ class BranchComparison:
         views = {name: load_view(session, state.number) or {} for name, state in states.items()}
         fields = {name: v["field"] for name, v in views.items() if v.get("field")}
         # A dialog that grows from nothing has no size by which Plotly could draw in space.
-        dialog = ui.dialog(value=True).props("maximized transition-show=fade")
+        dialog = ui.dialog(value=True)
+        dialog.props('maximized transition-show=fade aria-label="Compare branches"')
         with dialog, ui.card():
             ui.label("Compare branches").classes("text-lg font-bold")
             rows = [

@@ -465,7 +465,12 @@ class Window:
 
         sample = min(self.marking.numbers)
         shown = await run.cpu_bound(signals, self.bench.session.folder, sample) or {}
-        with self.layer, ui.dialog(value=True) as dialog, ui.card().classes("w-full max-w-4xl"):
+        name = f'aria-label="Readings of sample {sample}"'
+        with (
+            self.layer,
+            ui.dialog(value=True).props(name) as dialog,
+            ui.card().classes("w-full max-w-4xl"),
+        ):
             ui.label(f"Sample {sample}: readings minus their means").classes("font-bold")
             ui.label(shown.get("words", ""))
             if figure := shown.get("figure"):
