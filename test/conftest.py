@@ -1,6 +1,7 @@
 """One BLAS thread in every test: results do not change, and workers do not fight for cores.
 
-Nodes keep their journals out of the home folder. Ctrl-C reaches the tests however they are started.
+Nodes keep their journals out of the home folder, and the page what it remembers of its user. Ctrl-C
+reaches the tests however they are started.
 """
 
 import os
@@ -49,3 +50,4 @@ def run_cli(capsys):
 
 
 os.environ["ROS_HOME"] = tempfile.mkdtemp(prefix="ros_home")
+os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="state")

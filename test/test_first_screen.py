@@ -1,6 +1,7 @@
 """The first screen of the page: the machine, the answers, one next step, and words for people."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,8 @@ from parallel_cal.reporting.machine import (
     draw_machine,
     find_erring_parts,
 )
-from parallel_cal.reporting.names import TITLES, name_effects, title_of
+from parallel_cal.reporting.names import TITLES, name_effects, name_step, title_of
+from parallel_cal.reporting.summary import describe_left
 from parallel_cal.session.session import Session
 from parallel_cal.workbench.next_step import find_next_step
 
@@ -311,3 +313,23 @@ def test_a_stranger_is_led_from_an_empty_page_to_a_saved_model(tmp_path):
         finally:
             if served.process.poll() is None:
                 served.end()
+
+
+def test_a_step_is_named_without_the_settings_with_which_its_effect_began():
+    assert name_step("add hysteresis:*.width=0.0003") == "add hysteresis"
+    assert name_step("add backlash and encoder_gain") == "add backlash and gain of the drives"
+    assert name_step("import 3 samples of C:table.csv") == "import 3 samples of C:table.csv"
+
+
+@pytest.mark.parametrize(
+    ("left", "is_assumed", "words"),
+    [
+        ("no", False, "Nothing is left: the rest is noise."),
+        ("no", True, "Nothing shows in the errors. How large the noise is was not stated."),
+        ("unknown", True, "Whether anything is left is not known."),
+    ],
+)
+def test_only_a_stated_noise_lets_the_rest_be_called_noise(left, is_assumed, words):
+    fitted = SimpleNamespace(observations=SimpleNamespace(noise_assumed=is_assumed))
+    diagnosis = SimpleNamespace(left=left, missing=[], best=SimpleNamespace(fitted=fitted))
+    assert describe_left(diagnosis) == words

@@ -19,6 +19,7 @@ import virtual_findings as vf
 from findings import hiding
 from workbench_page import LONG, Served, beside_a_played_robot, command, opened, until
 
+from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.model import new_model
@@ -826,7 +827,7 @@ def test_a_table_is_imported_with_its_columns_named_on_the_page(browser, tmp_pat
         page.get_by_text(f"{count} rows; the first ones:").wait_for()
         # Where the columns need more room than there is, a scrollbar is always in view.
         page.set_viewport_size({"width": 420, "height": 900})
-        preview = page.locator(".q-dialog .q-table__middle")
+        preview = page.locator(".q-dialog .wide-table")
         assert preview.evaluate("e => e.scrollWidth > e.clientWidth")
         bar = "e => getComputedStyle(e, '::-webkit-scrollbar').height"
         assert preview.evaluate(bar) == "12px"
@@ -884,6 +885,33 @@ def test_a_table_with_the_documented_names_is_previewed_as_the_command_line_read
     assert found["name"] == "Shot"
     table.write_text("joint1 [deg],temperature [Pa]\n1,2\n")
     assert "'Pa' is no unit of temperature" in preview_table(table, folder)["error"]
+
+
+def test_the_poses_of_a_table_are_drawn_on_the_robot_wherever_the_device_stands(folder):
+    from parallel_cal.workbench.import_preview import preview_samples
+
+    data, table = load_dataset(BAG), folder / "table.csv"
+    columns = {
+        "joints": {f"joint{k}": {"column": f"joint{k}", "unit": "rad"} for k in (1, 2, 3)},
+        "position": {"columns": ["x", "y", "z"], "unit": "m"},
+    }
+
+    def preview(places):
+        rows = np.column_stack([data.q, places]).tolist()
+        lines = [",".join(map(repr, row)) for row in rows]
+        table.write_text("\n".join(["joint1,joint2,joint3,x,y,z", *lines]))
+        found = preview_samples(table, folder, columns)
+        cloud = next(t for t in found["figure"]["data"] if t.get("name") == "measured")
+        difference = float(re.search(r"differ by (\S+) mm rms", found["words"])[1])
+        return np.column_stack([cloud[axis] for axis in "xyz"]), difference
+
+    turn = rotation_matrix(np.array([0.4, -1.1, 2.0]))
+    there, difference = preview(data.r @ turn.T + [2.0, -1.0, 0.5])
+    here, same = preview(data.r)
+    np.testing.assert_allclose(there, here, atol=2e-3)
+    np.testing.assert_allclose(there, 1e3 * data.r, atol=3.0)  # the model errs by 0.6 mm
+    assert difference == same < 0.7
+    assert preview(1.1 * data.r)[1] > 3  # a wrong length shows
 
 
 @pytest.mark.parametrize("family", ["A", "J", "axis "])
@@ -952,6 +980,19 @@ def test_the_sides_of_a_table_and_its_angles_reach_the_samples(browser, tmp_path
         page.locator("input[type=file]").set_input_files(table)
         page.get_by_text("13 of 14 columns understood").wait_for()
         unused.get_by_text("not used: Remark", exact=True).wait_for()
+    finally:
+        served.end()
+    # So are they in another session, and one click takes the header alone.
+    served = Served(MODEL, "--session", tmp_path / "other")
+    try:
+        page.goto(served.url)
+        page.get_by_role("button", name="Import a table", exact=True).first.click()
+        page.locator("input[type=file]").set_input_files(table)
+        page.get_by_text("13 of 14 columns understood").wait_for()
+        page.locator("#remembered").get_by_text("as in sides.csv, imported on").wait_for()
+        page.get_by_role("button", name="Read the header instead", exact=True).click()
+        page.get_by_text("10 of 14 columns understood").wait_for()
+        page.locator("#remembered").wait_for(state="hidden")
     finally:
         served.end()
     found = Session(folder).samples

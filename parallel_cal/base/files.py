@@ -144,6 +144,12 @@ def cache_folder() -> Path:
     return Path(base) / "parallel_cal"
 
 
+def state_folder() -> Path:
+    """Return the folder for what the program remembers of a user from session to session."""
+    base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(base) / "parallel_cal"
+
+
 def load_or_compute(sources: Iterable[Path], make: Callable[[], Any]) -> Any:
     """Return the JSON document of `make`, or the stored one if these files have not changed."""
     digest = hashlib.sha256()

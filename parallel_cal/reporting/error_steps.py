@@ -64,7 +64,8 @@ def draw_steps(found: FallingError) -> dict[str, Any]:
     noise = factor * found.noise if found.noise else None
     ends = [-0.4, len(values) - 0.4]
     # The label of the floor stands in the title: in a low figure, the band has no room for it.
-    title = f"{found.words} [{unit}]{f'; grey: noise floor {number(noise)}' if noise else ''}"
+    floor = f"grey: noise floor {number(noise)}" if noise else "noise floor not known"
+    title = f"{found.words} [{unit}]; {floor}"
     axis = _make_axis(values, noise)
     bottom = 10 ** axis["range"][0] if axis["type"] == "log" else 0.0
     return {
@@ -112,8 +113,8 @@ def describe_steps(found: FallingError) -> str:
     """Describe the picture for a screen reader."""
     unit, factor = error_unit(found.unit or ERROR_SI_UNITS[found.kind])
     steps = ", ".join(f"{step.name} {number(step.error, factor)} {unit}" for step in found.steps)
-    floor = f"; noise floor {number(found.noise, factor)} {unit}" if found.noise else ""
-    return f"{found.words} over the steps: {steps}{floor}"
+    floor = f"{number(found.noise, factor)} {unit}" if found.noise else "not known"
+    return f"{found.words} over the steps: {steps}; noise floor {floor}"
 
 
 def _make_axis(values: Sequence[float], noise: float | None) -> dict[str, Any]:

@@ -49,6 +49,8 @@ TITLES = {
     "universal_joint_offset": "offset of the universal joints",
     "zero_shift": "shift of the zeros",
 }
+# The settings with which an effect begins, such as "backlash:*.width=0.0003".
+_SETTINGS = re.compile(r"(?<=\w):\S+=\S+")
 _NAMES = re.compile(rf"\b({'|'.join(sorted(TITLES, key=len, reverse=True))})\b(?!\.)")
 
 
@@ -60,3 +62,8 @@ def title_of(effect: str) -> str:
 def name_effects(text: str) -> str:
     """Replace the names of effects in a text by those for people."""
     return _NAMES.sub(lambda match: TITLES[match[1]], text)
+
+
+def name_step(step: str) -> str:
+    """Name a step of a session for people: without the settings with which an effect began."""
+    return name_effects(_SETTINGS.sub("", step))

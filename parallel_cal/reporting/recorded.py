@@ -122,7 +122,8 @@ def describe_measurement(
     if dataset.excluded:
         samples += f", {len(dataset.excluded)} excluded"
     axes = np.array(COORDINATES)[dataset.measured.any(axis=0)]
-    device = [f"{' '.join(axes)} in frame {dataset.frame}"] if len(axes) else []
+    frame = f"frame {dataset.frame}" if dataset.frame else "the frame of the device"
+    device = [f"{' '.join(axes)} in {frame}"] if len(axes) else []
     if SENSOR in (sensor.name for sensor in model.sensors):
         at = vector(frames_of(model).f, "m", 1)
         device.append(f"registered at ({at}) mm in the frame of the base")

@@ -177,6 +177,8 @@ def _join_rivals(each: Mapping[str, float], form: str) -> str:
 def describe_left(diagnosis: Diagnosis) -> str:
     """Say whether an error is left that no effect found describes: the second answer of a page."""
     else_ = " else" if diagnosis.missing else ""
+    if diagnosis.left == "no" and diagnosis.best.fitted.observations.noise_assumed:
+        return f"Nothing{else_} shows in the errors. How large the noise is was not stated."
     return {
         "no": f"Nothing{else_} is left: the rest is noise.",
         "yes": f"Something{else_} is left that no known effect describes.",

@@ -5,18 +5,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.base.files import read_text, write_atomically
+from parallel_cal.base.files import write_atomically
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.columns import (
     find_conditions,
     find_names,
     find_readings,
-    read_column_map,
 )
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joint_names import match_numbered_names, rename_conditions
@@ -24,6 +24,7 @@ from parallel_cal.recordings.loading import MAP_SUFFIX, load_sessions
 from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.table import Table, read_table, split_condition, split_unit
 from parallel_cal.session.history import History
+from parallel_cal.session.known_columns import KnownColumns, recall_columns
 
 MAX_SHOWN_ROWS = 4
 POSITION, QUATERNION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
@@ -42,8 +43,8 @@ def preview_table(file: Path, folder: Path) -> dict[str, Any]:
     can. `joints` are the units (rad or m) of the model's joints by name. `columns`, `conditions`
     and `readings` (those of the model's sensors) name the column of a quantity, `angles` those of
     three angles, `name` that of a name of each row. `with_unit` lists the columns that state their
-    unit. `remembered` is the column map of the last
-    table whose columns this one has, too."""
+    unit. `remembered` is the column map of the last table whose columns this one has, too, and
+    `remembered_from` says which table that was, and when."""
     try:
         session = History(folder)
         model = read_model(folder / session.state.model)
@@ -55,6 +56,7 @@ def preview_table(file: Path, folder: Path) -> dict[str, Any]:
     except ParallelCalError as error:
         return {"error": str(error)}
     usual = {name: _find(table, name, *more) for name, more in USUAL_CONDITIONS.items()}
+    known = recall_columns(folder, mechanism, table.header)
     angles = [[_find(table, name) for name in names] for names in ANGLES]
     return {
         "error": "",
@@ -72,7 +74,8 @@ def preview_table(file: Path, folder: Path) -> dict[str, Any]:
         | {name: table.find(one.column) for name, one in find_readings(table).items()},
         "joints": dict(zip(mechanism.joints, mechanism.joint_units, strict=True)),
         "with_unit": [word for word in table.header if split_unit(word)[1]],
-        "remembered": _find_last_map(folder, table),
+        "remembered": known and known[0].columns,
+        "remembered_from": known and _describe_import(*known),
     }
 
 
@@ -84,6 +87,10 @@ def read_samples(file: Path, folder: Path, columns: Mapping[str, Any]) -> tuple[
     write_atomically(file.with_suffix(MAP_SUFFIX), json.dumps(columns))  # JSON is YAML
     reading = ReadOptions(**session.record.reading)
     return model, load_sessions([file], reading, mechanism=model.mechanism)
+
+
+def _describe_import(known: KnownColumns, seconds: float) -> str:
+    return f"{known.table}, imported on {datetime.fromtimestamp(seconds):%Y-%m-%d at %H:%M}"
 
 
 def _find_joints(table: Table, joints: Sequence[str]) -> dict[str, str | None]:
@@ -105,15 +112,4 @@ def _find(table: Table, *names: str) -> str | None:
         small = {split(word)[0].lower(): word for split in splits for word in table.header}
         if (word := small.get(name.lower())) is not None:
             return word
-    return None
-
-
-def _find_last_map(folder: Path, table: Table) -> dict[str, Any] | None:
-    """Return the column map of the last table that the session imported, if this table has its
-    columns; of an earlier one otherwise."""
-    files = (folder / "imports").glob(f"*/*{MAP_SUFFIX}")
-    for file in sorted(files, key=lambda file: file.stat().st_mtime_ns, reverse=True):
-        if set(read_column_map(file).columns) <= set(table.header):
-            found: dict[str, Any] = json.loads(read_text(file))
-            return found
     return None

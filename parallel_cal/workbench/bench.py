@@ -385,12 +385,13 @@ def _work(
 ) -> Done:
     """Run one step of the session in `folder` and write its view to a file (in the worker)."""
     from parallel_cal.session.example import simulate_example
+    from parallel_cal.session.known_columns import remember_columns
     from parallel_cal.session.steps import UnprovenStepError
     from parallel_cal.workbench.views import fit_some_samples, glance, view, view_some_samples
 
     session = _open_session(folder)
     session.refresh()
-    done, preliminary = None, None
+    done, preliminary, remark = None, None, ""
     if step == EXAMPLE:
         tell("simulating poses", 0.0)
         session.take(partial(simulate_example, session.model))
@@ -403,6 +404,8 @@ def _work(
             done = getattr(session, step)(*given, progress=tell, **options)
         except UnprovenStepError as refused:
             return Done("", _ask_to_force(session, refused.against, step, *given))
+    if step == "import_table":
+        remark = remember_columns(session.model.mechanism, *given)
     if load_view(session) is None:
         numbers = glance(session)
         if preliminary is not None and numbers is not None:
@@ -412,7 +415,7 @@ def _work(
             tell("running the diagnosis", 0.0, numbers)
             tell("running the diagnosis", 0.0, view_some_samples(session))
         _store_view(view_path(session), view(session, tell))
-    return Done(f"written: {done}" if isinstance(done, Path) else session.state.against)
+    return Done(f"written: {done}" if isinstance(done, Path) else session.state.against or remark)
 
 
 def _ask_to_force(session: Session, against: str, step: str, effect: str) -> Question:

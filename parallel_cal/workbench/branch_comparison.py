@@ -10,7 +10,7 @@ import numpy as np
 from nicegui import run, ui
 
 from parallel_cal.diagnosis.verdict_words import describe_verdict
-from parallel_cal.reporting.names import name_effects
+from parallel_cal.reporting.names import name_effects, name_step
 from parallel_cal.reporting.readable import MISSING, format_judged_error, write_micro
 from parallel_cal.reporting.spaces import sides
 from parallel_cal.session.history import History, format_first_error
@@ -28,13 +28,14 @@ class BranchComparison:
         views = {name: load_view(session, state.number) or {} for name, state in states.items()}
         fields = {name: v["field"] for name, v in views.items() if v.get("field")}
         # A dialog that grows from nothing has no size by which Plotly could draw in space.
-        dialog = ui.dialog(value=True).props("maximized transition-show=fade")
+        dialog = ui.dialog(value=True)
+        dialog.props('maximized transition-show=fade aria-label="Compare branches"')
         with dialog, ui.card():
             ui.label("Compare branches").classes("text-lg font-bold")
             rows = [
                 {
                     "branch": name,
-                    "step": name_effects(s.step),
+                    "step": name_step(s.step),
                     "out": len(s.excluded),
                     "verdict": name_effects(write_micro(describe_verdict(s.verdict, s.summary))),
                     "after": format_judged_error(s.errors, s.sigmas),

@@ -25,7 +25,8 @@ class CertificateDialog:
             stated, problem = CertificateFields.read(file if file.exists() else None), ""
         except ParallelCalError as error:  # of a file that a person wrote
             stated, problem = CertificateFields(), str(error)
-        with ui.dialog(value=True).props("persistent") as self._dialog, ui.card():
+        dialog = ui.dialog(value=True).props("persistent aria-label=Certificate")
+        with dialog as self._dialog, ui.card():
             ui.label("Certificate").classes("text-base font-bold").props(
                 "role=heading aria-level=2"
             )

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from parallel_cal.base.units import ERROR_UNITS
 from parallel_cal.reporting.error_steps import BEFORE, FallingError, Step
-from parallel_cal.reporting.names import name_effects
+from parallel_cal.reporting.names import name_step
 from parallel_cal.session.history import History, State
 
 
@@ -40,7 +40,7 @@ def find_steps(history: History) -> FallingError | None:
             before = shown[0] if shown else None
             count = len(state.excluded)
             about = f"{count} excluded sample{'' if count == 1 else 's'}" if count else ""
-            steps.append(Step(name_effects(state.step), error, before, branch, same, about))
+            steps.append(Step(name_step(state.step), error, before, branch, same, about))
             drawn[state.number] = len(steps) - 1
             shown = len(steps) - 1, state
     noise = next((n for s in reversed(paths[0]) if (n := s.noise.get(f"{kind}_rms"))), None)

@@ -185,9 +185,10 @@ class VerdictCard:
         if (proof := _find_proof(self._view)) is None:
             return
         effect, picture = proof
-        dialog = ui.dialog(value=True).props("maximized transition-show=fade")
+        title = title_of(effect)
+        dialog = ui.dialog(value=True)
+        dialog.props(f'maximized transition-show=fade aria-label="Why {title}?"')
         with self.card, dialog, ui.card():
-            title = title_of(effect)
             ui.label(f"Why {title}?").classes("text-base font-bold").props(
                 "role=heading aria-level=2"
             )

@@ -26,7 +26,8 @@ def ask_where_to_fix(
 ) -> None:
     """Show the marked parameters (rows of the page's table); the answer calls `fix` with whether
     they get their nominal values, and with their measured values in SI units, if stated."""
-    with ui.dialog(value=True) as dialog, ui.card().classes("max-w-2xl"):
+    dialog = ui.dialog(value=True).props('aria-label="Fix parameters"')
+    with dialog, ui.card().classes("max-w-2xl"):
         ui.label("Fix parameters").classes("text-lg font-bold")
         columns = ("name", "value", "sigma", "nominal", "unit")
         names = {"name": "parameter", "value": "present value"}

@@ -40,6 +40,19 @@ UNITS = {"time": "s", "temperature": "degC", "payload": "kg"}
 NOISE_UNITS = {"m": ("µm", 1e-6), "rad": ("mrad", 1e-3), "m or rad": ("m or rad", 1.0)}
 SUFFIXES = ".csv,.tsv,.txt"
 POLL_INTERVAL_S = 0.1
+# The buttons that Quasar draws in their place have no names for screen readers.
+UPLOAD_HEADER = """
+<div class="row no-wrap items-center q-pa-sm">
+  <label class="col relative-position q-uploader__title">
+    Drop a table here (.csv, .tsv, .txt)
+    <q-uploader-add-trigger v-if="props.canAddFiles" />
+  </label>
+  <q-btn v-if="props.canAddFiles" dense flat label="Choose a file" @click="props.pickFiles" />
+</div>
+"""
+UPLOAD_LIST = """
+<div v-for="file in props.files" :key="file.__key">{{ file.name }}, {{ file.__sizeLabel }}</div>
+"""
 
 
 class ImportDialog:
@@ -53,7 +66,7 @@ class ImportDialog:
         self._awaits_result = False
         self._drawn: dict[str, Any] = {}  # the column map whose poses are drawn
         # A click beside a dialog that is persistent loses nothing.
-        dialog = ui.dialog(value=True).props("persistent")
+        dialog = ui.dialog(value=True).props('persistent aria-label="Import a table"')
         with dialog as self._dialog, ui.card().classes("w-full max-w-5xl gap-2"):
             ui.label("Import a table").classes("text-base font-bold").props(
                 "role=heading aria-level=2"
@@ -62,12 +75,10 @@ class ImportDialog:
                 "A table has a header and one row per measured pose. Its samples are added to "
                 "those of the session; Undo reverses that."
             ).classes("text-sm")
-            ui.upload(
-                label="Drop a table here (.csv, .tsv, .txt)",
-                auto_upload=True,
-                max_files=1,
-                on_upload=self._receive,
-            ).props(f'flat bordered accept="{SUFFIXES}"').classes("w-full")
+            upload = ui.upload(auto_upload=True, max_files=1, on_upload=self._receive)
+            upload.props(f'flat bordered accept="{SUFFIXES}"').classes("w-full")
+            upload.add_slot("header", UPLOAD_HEADER)
+            upload.add_slot("list", UPLOAD_LIST)
             self._form = ui.column().classes("w-full gap-2")
             self._answer = ui.label().props("id=import-answer role=alert").classes("text-sm")
             with ui.row():
@@ -93,15 +104,28 @@ class ImportDialog:
         file = Path(self._folder.name) / Path(event.file.name).name
         await event.file.save(file)
         found = await run.cpu_bound(preview_table, file, self._bench.session.folder) or {}
-        self._form.clear()
         self._poses.clear()
         self._counts.set_text("")
         self._drawn = {}
         self._answer.set_text(found.get("error", "the table cannot be read"))
         self._file, self._asked = (None if self._answer.text else file), ""
-        if self._file is not None:
-            with self._form:
-                self._columns = ColumnForm(found)
+        self._show_form(found)
+
+    def _show_form(self, found: Mapping[str, Any]) -> None:
+        """Show the form of a table; say from which earlier table its entries are, if any."""
+        self._form.clear()
+        if self._file is None:
+            return
+        with self._form:
+            if found["remembered"] is not None:
+                with ui.row().classes("items-center gap-x-3 gap-y-0"):
+                    words = f"Columns, units and noise as in {found['remembered_from']}."
+                    ui.label(words).classes("text-sm").props("id=remembered")
+                    afresh = {**found, "remembered": None}
+                    ui.button(
+                        "Read the header instead", on_click=lambda: self._show_form(afresh)
+                    ).props("dense flat no-caps")
+            self._columns = ColumnForm(found)
 
     def _begin(self) -> None:
         if self._file is None:
@@ -132,7 +156,7 @@ class ImportDialog:
         self._poses.clear()
         if figure := found.get("figure"):
             with self._poses:
-                draw_figure(figure, "poses of the table on the robot, in the table's frame")
+                draw_figure(figure, "poses of the table on the robot")
 
     def _follow(self) -> None:
         """Show what became of the import; close after a success."""
@@ -360,7 +384,8 @@ class ColumnForm:
         ]
         rows = [{str(k): cell for k, cell in enumerate(row)} for row in found["rows"]]
         shown = ui.table(columns=columns, rows=rows)
-        shown.classes("w-full one-line-rows wide-table").props("dense flat")
+        shown.classes("w-full one-line-rows wide-table").props("dense flat tabindex=0 role=region")
+        shown.props('aria-label="first rows of the table"')
 
     def _pick_joint(
         self, name: str, unit: str, guess: str | None, known: bool

@@ -11,7 +11,7 @@ from nicegui import run, ui
 from parallel_cal.base.sample_names import format_sample
 from parallel_cal.diagnosis.verdict_words import describe_verdict
 from parallel_cal.reporting.colours import MEASURED
-from parallel_cal.reporting.names import name_effects, title_of
+from parallel_cal.reporting.names import name_effects, name_step, title_of
 from parallel_cal.reporting.readable import (
     ABOUT_SAMPLES,
     format_judged_error,
@@ -260,7 +260,7 @@ class Window:
         with card("History"):
             rows = [
                 {
-                    "step": name_effects(state.step),
+                    "step": name_step(state.step),
                     "samples": state.samples,
                     "before": format_judged_error(state.before, state.sigmas_before),
                     "after": format_judged_error(state.errors, state.sigmas),
@@ -313,7 +313,7 @@ class Window:
                 branches = [
                     {
                         "branch": k,
-                        "step": name_effects(s.step),
+                        "step": name_step(s.step),
                         "after": format_judged_error(s.errors, s.sigmas),
                         "out": len(s.excluded),
                     }
@@ -465,7 +465,12 @@ class Window:
 
         sample = min(self.marking.numbers)
         shown = await run.cpu_bound(signals, self.bench.session.folder, sample) or {}
-        with self.layer, ui.dialog(value=True) as dialog, ui.card().classes("w-full max-w-4xl"):
+        name = f'aria-label="Readings of sample {sample}"'
+        with (
+            self.layer,
+            ui.dialog(value=True).props(name) as dialog,
+            ui.card().classes("w-full max-w-4xl"),
+        ):
             ui.label(f"Sample {sample}: readings minus their means").classes("font-bold")
             ui.label(shown.get("words", ""))
             if figure := shown.get("figure"):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -46,7 +48,7 @@ from parallel_cal.reporting.machine import (
     find_erring_parts,
 )
 from parallel_cal.reporting.markup import sentence
-from parallel_cal.reporting.names import name_effects, title_of
+from parallel_cal.reporting.names import name_effects, name_step, title_of
 from parallel_cal.reporting.readable import (
     error_unit,
     number,
@@ -132,7 +134,7 @@ def glance(session: Session) -> View | None:
     shown = NUMBERS_ONLY
     if len(dataset) <= MAX_SHOWN_SAMPLES:
         shown = _make_comparison_view(compare(session.model, dataset, session.options.joint_sigma))
-    words = f"{state.step}: running the diagnosis"
+    words = f"{name_step(state.step)}: running the diagnosis"
     return shown | _make_numbers(words, _known_errors(state), state.sigmas)
 
 
@@ -185,9 +187,13 @@ def view(session: Session, progress: Progress) -> View:
 
 def _make_empty_view(model: Model) -> View:
     """Make the view of a session without samples: the robot that it is about."""
-    joints = len(model.joints)
+    mechanism = model.mechanism
+    # "Delta robot, complete calibration model with ..." describes delta54.
+    described = inspect.getmodule(type(mechanism)).__doc__ or ""
+    kind = " ".join(re.split(r" \(|[,.:]", described.strip(), maxsplit=1)[0].split())
+    name = f"{kind} ({mechanism.name})" if kind else mechanism.name
     return {
-        "robot": f"Robot of this session: {model.mechanism.name}, {joints} joints.",
+        "robot": f"Robot of this session: {name}, {len(model.joints)} joints.",
         "machine": to_json_value(draw_machine(model)),
     }
 

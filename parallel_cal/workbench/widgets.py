@@ -132,8 +132,10 @@ CSS = f"""
   align-items: start; width: 100% }}
 .candidate > .wide {{ grid-column: 1 / -1 }}
 .one-line-rows td {{ white-space: nowrap }}
-.wide-table .q-table__middle::-webkit-scrollbar {{ height: 12px }}
-.wide-table .q-table__middle::-webkit-scrollbar-thumb {{ background: {QUIET}; border-radius: 6px }}
+.wide-table {{ overflow-x: auto }}
+.wide-table .q-table__middle {{ overflow: visible }}
+.wide-table::-webkit-scrollbar {{ height: 12px }}
+.wide-table::-webkit-scrollbar-thumb {{ background: {QUIET}; border-radius: 6px }}
 .q-table--dense :is(th, td) {{ padding: 4px 6px; font-variant-numeric: tabular-nums }}
 .q-table th {{ vertical-align: bottom; position: relative }}
 .q-table th .q-table__sort-icon--left {{ position: absolute }}
