@@ -61,9 +61,12 @@ def plan(
     console.show([shown, *plans.describe_plan(found, document)], list_options(details))
     if output is not None:
         console.say(f"{output}: {len(found)} poses")
-    update = " --update" if options.update else ""
+    # Touches that do not determine all parameters leave the others to the tolerances.
+    sigmas = [one["sigma_tolerances"] for one in document["expected"]["parameters"].values()]
+    relies = options.prior or (bool(own.structure.channels) and None in sigmas)
+    how = " --update" if options.update else " --prior" if relies else ""
     fit = (
-        f"measure these poses, then parallel-cal fit {shlex.quote(str(model))} RECORDING{update} "
+        f"measure these poses, then parallel-cal fit {shlex.quote(str(model))} RECORDING{how} "
         "-o FILE"
     )
     following = fit if output else "the same command with -o FILE, which writes the poses"
