@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.age import Age, predict_age
 from parallel_cal.identification.drift_estimate import Session, estimate_drift, pool_drifts
 from parallel_cal.identification.drift_rate import DriftRate
+from parallel_cal.model.file.modelfile import write_model
 from parallel_cal.model.model import Model, Noise, new_model
 
 DAY = 86400.0
@@ -113,6 +115,17 @@ def measure(p: np.ndarray, rng: np.random.Generator, n: int) -> pc.Dataset:
 
 def nominal() -> Model:
     return replace(new_model("five_bar"), noise=Noise(NOISE_Q, NOISE_R))
+
+
+def write_sessions(folder: Path) -> None:
+    """Write the drawing of a five-bar and its sessions, a month apart, for docs/age.md."""
+    rng = np.random.default_rng(3)
+    robot = Robot(rng, "wear", 1.0)
+    for k in range(SESSIONS):
+        time = START + k * EVERY
+        data = measure(robot.at(time), rng, CALIBRATION if k == SESSIONS - 1 else POSES)
+        replace(data, time=time + 10.0 * np.arange(len(data))).to_json(folder / f"month{k}.json")
+    write_model(nominal(), folder / "drawn.yaml")
 
 
 @dataclass(frozen=True)

@@ -162,39 +162,56 @@ def test_an_age_that_cannot_be_read_is_refused(wrong):
         Age.of_model(model)
 
 
-def refuse(words):
-    with pytest.raises(SystemExit) as stopped:
-        main(words)
-    assert stopped.value.code == 1
+def call(*words, code=0):
+    with pytest.raises(SystemExit) as ended:
+        main(list(words))
+    assert ended.value.code in (code, None)
 
 
 def test_the_command_dates_a_model_by_its_recordings(tmp_path, capsys):
-    rng = np.random.default_rng(3)
-    robot, files = fleet.Robot(rng, "wear", 1.0), []
-    for k in range(3):
-        time = fleet.START + k * fleet.EVERY
-        data = fleet.measure(robot.at(time), rng, 20 + 10 * (k == 2))
-        data = replace(data, conditions=data.conditions | {"time": data.time + time})
-        data.to_json(tmp_path / f"s{k}.json")
-        files.append(str(tmp_path / f"s{k}.json"))
-    write_model(fleet.nominal(), tmp_path / "drawn.yaml")
+    fleet.write_sessions(tmp_path)
+    files = [str(tmp_path / f"month{k}.json") for k in (0, 2, 4)]
     model, aged = str(tmp_path / "m.yaml"), str(tmp_path / "aged.yaml")
-    refuse(["drift", str(tmp_path / "drawn.yaml"), *files])
+    call("drift", str(tmp_path / "drawn.yaml"), *files, code=1)
     assert "never fitted" in capsys.readouterr().err
-    main(["fit", str(tmp_path / "drawn.yaml"), files[2], "-o", model])
+    call("fit", str(tmp_path / "drawn.yaml"), files[2], "-o", model)
     capsys.readouterr()
-    main(["drift", model, *files, "--limit-um", "400", "-o", aged, "--json"])
+    call("drift", model, *files, "--limit-um", "400", "-o", aged, "--json")
     found = json.loads(capsys.readouterr().out)
-    assert found["calibrated"] == "2024-01-13T22:13:20+00:00"
-    assert found["rate"]["span"] == pytest.approx(60 * DAY)
+    assert found["calibrated"] == "2024-03-13T22:13:20+00:00"
+    assert found["rate"]["span"] == pytest.approx(120 * DAY)
     assert found["trusted"][0]["limit"] == pytest.approx(400e-6)
     age = Age.of_model(read_model(aged))
-    assert age.calibrated == pytest.approx(fleet.START + 2 * fleet.EVERY)
+    assert age.calibrated == pytest.approx(fleet.START + 4 * fleet.EVERY)
     assert age.until >= age.calibrated
-    refuse(["drift", model, *files[:2]])
+    call("drift", model, *files[:2], code=1)
     assert "none of the recordings is that of the last fit" in capsys.readouterr().err
-    refuse(["drift", model, files[2], "--fleet", str(tmp_path)])
+    call("drift", model, files[2], "--fleet", str(tmp_path), code=1)
     assert "expected a folder that parallel-cal fleet -o wrote" in capsys.readouterr().err
+
+
+def test_diagnostics_warn_once_the_date_is_past():
+    pytest.importorskip("diagnostic_msgs")
+    from parallel_cal.nodes.model_server import Attempt, ServedModel
+    from parallel_cal.nodes.tally import model_diagnostics
+
+    stated = Age(1.7e9, (Trust("position", 3e-5, 1e-4, 1.71e9, True),), rate_of("zeros", 0.5, 1))
+    model = replace(fleet.nominal(), history=(stated.entry(),))
+    served = ServedModel(model, None, "", "")
+
+    def at(now, served=served):
+        found = model_diagnostics("node", served, Attempt(True, "", "", ""), "", now)
+        return found, {item.key: item.value for item in found.values}["calibration"]
+
+    found, words = at(1.705e9)
+    assert found.level == found.OK
+    assert words == "position error within 100 um until 2024-03-09 16:00 UTC (95 %)"
+    found, _ = at(1.72e9)
+    assert found.level == found.WARN
+    assert "too old: position error within 100 um" in found.message
+    found, words = at(1.72e9, ServedModel(fleet.nominal(), None, "", ""))
+    assert found.level == found.OK
+    assert words.startswith("unknown: no second calibration")
 
 
 def test_holes_in_mm_are_refused_because_no_robot_reaches_two_of_them():
