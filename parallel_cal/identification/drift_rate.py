@@ -38,7 +38,7 @@ class DriftRate:
     def quantile(self, level: float) -> dict[str, float]:
         """The scale of each part after the time `span`, in usual drifts."""
         sums = np.cumsum(self.weights.sum(axis=1), axis=1)
-        found = [float(SCALES[min(np.searchsorted(s, level), len(SCALES) - 1)]) for s in sums]
+        found = [float(SCALES[min(int(np.searchsorted(s, level)), len(SCALES) - 1)]) for s in sums]
         return dict(zip(PARTS, found, strict=True))
 
     def draw(self, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
