@@ -34,7 +34,8 @@ class Session:
     def of(cls, model: Model, dataset: Dataset, time: float) -> Session:
         """Take the evidence of a recording. The tolerances let few poses determine a fit, and do
         not count as evidence."""
-        return cls(time, Evidence.of(fit(model, dataset, hold_out=0.0, prior=True)))
+        found = fit(model, dataset, hold_out=0.0, prior=True, compared_only=True)
+        return cls(time, Evidence.of(found))
 
 
 def estimate_drift(
@@ -120,10 +121,10 @@ def weigh_laws(
     seen = seen[:, size > RELATIVE_INFORMATION * size[-1]]
     rows = [one[:, own] / tolerance @ seen for one in list_drift_parts(model).values()]
     count, n = len(sessions), seen.shape[1]
-    A = np.zeros((count, n, count, n))
+    blocks = np.zeros((count, n, count, n))
     for k, one in enumerate(told):
-        A[k, :, k] = seen.T @ one.information @ seen
-    A = A.reshape(count * n, count * n)
+        blocks[k, :, k] = seen.T @ one.information @ seen
+    A = blocks.reshape(count * n, count * n)
     g = np.concatenate([seen.T @ one.pull for one in told])
     t = np.array([s.time for s in sessions])
     patterns = [_covariance_in_time((t - t.min()) / span, growth) for growth in GROWTHS]

@@ -8,7 +8,7 @@ from typing import Any
 from parallel_cal.base.units import ERROR_UNITS
 from parallel_cal.identification.age import PROBABILITY, Age
 from parallel_cal.identification.drift_rate import PARTS, DriftRate
-from parallel_cal.reporting.blocks import Column, Number, Table
+from parallel_cal.reporting.blocks import Column, Number, Row, Table
 from parallel_cal.reporting.readable import day, format_percent, number
 from parallel_cal.reporting.watching import iso
 
@@ -49,7 +49,7 @@ def is_past(age: Age, now: float) -> bool:
 def describe_rate(rate: DriftRate) -> Table:
     """Tabulate how far and how each part of the parameters drifts."""
     low, middle, high = (rate.quantile(level) for level in (0.025, 0.5, 0.975))
-    rows = []
+    rows: list[Row] = []
     for k, part in enumerate(PARTS):
         shares = [format_percent(p) for p in rate.weights[k].sum(axis=1)]
         rows.append(
