@@ -9,11 +9,12 @@ drifts by one of four laws, every part with a rate of its own:
 - `steady`: they change at a constant rate;
 - `mixed`: all three together.
 
-The sizes are 0.3, 1, 3 and 10 times those that the package takes as usual. The last session is the calibration, and states until when its rms error stays within
-a limit: 250 um times the size, about twice what one usual drift causes. The true robot then drifts
-on: the share of robots that are within the limit at the stated date is to be 95 % or more. With
-`fleet`, the drift comes from ten other robots, the robot itself has one session only, each size is
-drawn from 0.3, 1 and 3, and the limit is 500 um.
+The sizes are 0.3, 1, 3 and 10 times those that the package takes as usual. The last session is the
+calibration, and states until when its rms error stays within a limit: 250 um times the size, about
+twice what one usual drift causes. The true robot then drifts on: the share of robots that are
+within the limit at the stated date is to be 95 % or more. With `fleet`, the drift comes from ten
+other robots, the robot itself has one session only, each size is drawn from 0.3, 1 and 3, and the
+limit is 500 um.
 Usage: `PYTHONPATH=. python bench/age.py [robots] [fleet] [law ...]`
 """
 
