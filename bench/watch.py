@@ -9,8 +9,8 @@ nobody measures a pose. On the tenth day something changes:
 - the frame, or an arm, is warm (the temperature is recorded, where it is the frame);
 - the reading of one joint scatters by 5 sigmas more, as with a loose ball.
 
-Usage: `PYTHONPATH=. python bench/watch.py [robots] [months] [robot ...]` prints the table of
-docs/watch.md.
+Usage: `PYTHONPATH=. python bench/watch.py [robots] [months] [robot or change ...]` prints the table
+of docs/watch.md, or its rows of some robots and changes; 0 months count no false alarms.
 """
 
 from __future__ import annotations
@@ -301,11 +301,15 @@ def say_days(days: Sequence[int | None]) -> str:
 def main() -> None:
     robots = int(sys.argv[1]) if len(sys.argv) > 1 else 30
     months = int(sys.argv[2]) if len(sys.argv) > 2 else 100
-    chosen = [kind for kind in ROBOTS if not sys.argv[3:] or kind.name in sys.argv[3:]]
+    asked = sys.argv[3:]
+    if unknown := set(asked) - {kind.name for kind in ROBOTS} - set(FAULTS):
+        raise SystemExit(f"{', '.join(unknown)}: expected a robot or one of {', '.join(FAULTS)}")
+    chosen = [kind for kind in ROBOTS if kind.name in asked] or list(ROBOTS)
+    faults = [name for name in FAULTS if name in asked] or list(FAULTS)
     print("| robot | change | robots | days to the alarm | days until a part has 95 % | right |")
     print("|---|---|---|---|---|---|")
     for kind in chosen:
-        for name in FAULTS:
+        for name in faults:
             found = [follow(kind, name, seed) for seed in range(robots)]
             kept = [one for one in found if not one.false]
             named = [one for one in kept if one.named is not None]
@@ -316,12 +320,11 @@ def main() -> None:
             print(
                 f"| {kind.name} | {name} | {len(kept)} | {alarm} | {part} | {right} |", flush=True
             )
-    for kind in chosen:
+    for kind in chosen if months else ():
         alarms, days = count_false_alarms(kind, months)
         low, high = rate_interval(alarms, days)
         rate = f"{alarms * 30 / days:.2f} a month, 95 % interval {low:.2f} to {high:.2f}"
-        months = f"{days / 30:.0f} months"
-        print(f"{kind.name}: {alarms} false alarms in {months}: {rate}", flush=True)
+        print(f"{kind.name}: {alarms} false alarms in {days / 30:.0f} months: {rate}", flush=True)
 
 
 if __name__ == "__main__":

@@ -26,6 +26,7 @@ import virtual_fleet
 import virtual_printer
 
 import parallel_cal as pc
+from bench import age
 from parallel_cal.base.rotation import quaternion_to_matrix
 from parallel_cal.cli import main as cli
 
@@ -253,6 +254,12 @@ def test_the_page_on_watching_shows_what_its_commands_print(tmp_path):
     assert in_order("watch.md", tmp_path) == 2
     for name in ("watch.html", "poses.csv", "belts.watch.json"):
         assert (tmp_path / name).exists()
+
+
+@pytest.mark.wide
+def test_the_page_on_age_shows_what_its_commands_print(tmp_path):
+    age.write_sessions(tmp_path)
+    assert in_order("age.md", tmp_path) == 2
 
 
 @pytest.mark.slow

@@ -275,6 +275,12 @@ def test_the_command_continues_from_day_to_day(tmp_path, capsys, monkeypatch):
     assert "another watch uses" in run("day5.json", expected=1).err
     os.close(lock)
     assert "expected a name that ends with .html" in run("-o", "page.pdf", expected=1).err
+    last = json.loads(run("--json").out)["trend"]
+    assert "taken back: " in run("--undo", "--json").err
+    again = json.loads(run("--json").out)["trend"]
+    assert again == last[:-1]
+    with pytest.raises(DatasetError, match="could be taken back"):
+        Watch(calibrated()).without_last()
     write_model(hexapod.drawn(LEGS), tmp_path / "drawn.yaml")
     with pytest.raises(SystemExit):
         main(["watch", "drawn.yaml", "day0.json", "--state", "drawn.json"])

@@ -368,8 +368,15 @@ def test_a_drift_is_accepted_by_its_evidence_and_the_set_up_is_placed_alike():
     error."""
     assert Drift.of([0.0, -5.0, 3.0, 2.0, -9.0, -9.0]).scale == 1.0
     assert Drift.of([0.0, -5.0, 3.0, 2.0, -9.0, -9.0]).is_shown
-    none = Drift.of([0.0, -1.0, -2.0, -3.0, -9.0, -9.0])
+    doubtful = Drift.of([0.0, -1.0, -2.0, -3.0, -9.0, -9.0])
+    assert not doubtful.is_shown
+    assert not doubtful.is_decided
+    # 1 / (1 + 5 / (e^-1 + e^-2 + e^-3 + 2 e^-9)) = 9.95 %
+    assert "do not decide" in doubtful.warnings[0]
+    assert "that it has: 10 %" in doubtful.warnings[0]
+    none = Drift.of([0.0, -3.0, -4.0, -5.0, -9.0, -9.0])
     assert not none.is_shown
+    assert none.is_decided
     assert none.warnings == ("the samples show no drift since the last calibration",)
     assert "3 times as far as usual" in Drift.of([0.0, 1.0, 2.0, 9.0, 2.0, 0.0]).warnings[0]
     model, before, today, *_ = drifted_delta(0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shlex
 import sys
@@ -142,7 +143,7 @@ def _finish(step: Step, run: _Run, as_json: bool) -> None:
 
     output = run.output
     written = {}
-    following = "the same command with -o FILE, which writes the model"
+    following = _say_what_follows(step, run.model)
     if output is not None:
         # `export` finds the touches of a printer's bed again by the paths of the recordings.
         *earlier, last = step.model.history
@@ -161,6 +162,15 @@ def _finish(step: Step, run: _Run, as_json: bool) -> None:
     if written:
         console.say(f"written: {output} (sha256 {written['hash'][:12]})")
     print_summary(step, following, is_command=bool(written))
+
+
+def _say_what_follows(step: Step, model: Path) -> str:
+    """Say what to do after a command without -o."""
+    drift = step.result.drift
+    if drift is not None and not (drift.is_shown or math.isnan(drift.log_odds)):
+        more = "" if drift.is_decided else "measure more of the planned poses; until then, "
+        return f"{more}keep {model}"
+    return "the same command with -o FILE, which writes the model"
 
 
 def list_options(details: bool, parameters: bool = False) -> list[str]:

@@ -43,6 +43,7 @@ COMMANDS = {
     "workbench": "workbench",
     "fleet": "fleet",
     "watch": "watching",
+    "drift": "drifting",
     "demo": "showing",
     "bench": "showing",
     "session": "session:app",

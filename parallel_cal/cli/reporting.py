@@ -102,6 +102,7 @@ def write_report(
     if output is not None:
         _check_writable(output, PAGE + DOCUMENT, ".html (page) or .json (document)")
     from parallel_cal.base.files import write_atomically
+    from parallel_cal.reporting.age import describe_age
     from parallel_cal.reporting.certificate import CertificateFields
 
     stated = CertificateFields.read(certificate, field)
@@ -129,6 +130,7 @@ def write_report(
     console.say(f"{made.diagnosis.verdict.word}: {made.diagnosis.verdict.summary}")
     for decision in made.conformity:
         console.say(decision.description)
+    console.say(f"trusted: {describe_age(made.age)}")
     for file in filter(None, (output, pdf)):
         console.say(f"written: {file}")
 

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -17,6 +17,9 @@ from parallel_cal.cli.arguments import Data, Details, JointSigma, Json, ModelFil
 from parallel_cal.cli.calibration import list_options
 from parallel_cal.cli.recordings import data_options
 from parallel_cal.reporting import console
+
+if TYPE_CHECKING:
+    from parallel_cal.recordings.dataset import Dataset
 
 STATE_SUFFIX = ".watch.json"
 MAX_CLOCK_ERROR_S = 86400.0  # of a stated time: zones, and clocks that a battery keeps
@@ -50,6 +53,12 @@ def watch(
         float, typer.Option(help="mean time between false alarms, days", min=1e-6)
     ] = 30.0,
     joint_sigma: JointSigma = None,
+    undo: Annotated[
+        bool,
+        typer.Option(
+            "--undo", help="take back the last recording first, such as one of another robot"
+        ),
+    ] = False,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="page to write (.html), with the trend")
     ] = None,
@@ -67,8 +76,8 @@ def watch(
     from parallel_cal.base.files import write_atomically
     from parallel_cal.model.file.modelfile import read_model
     from parallel_cal.recordings.bag import data_hash
-    from parallel_cal.recordings.loading import find_start_time, load_stamped
-    from parallel_cal.reporting.watching import describe_watch, document_watch, iso
+    from parallel_cal.recordings.loading import load_stamped
+    from parallel_cal.reporting.watching import describe_watch, document_watch
     from parallel_cal.watch.confirmation import plan_confirmation
     from parallel_cal.watch.state import continue_watch, write_state
 
@@ -88,6 +97,9 @@ def watch(
         found, anew = continue_watch(file, robot, false_alarm_days)
         if anew:
             console.note(f"{file} is of another model: the watch of {model} starts anew")
+        if undo:
+            console.note(f"taken back: {found.visits[-1].name if found.visits else 'nothing'}")
+            found = found.without_last()
         known = {visit.sha256 for visit in found.visits}
         for k, path in enumerate(paths):
             console.progress(f"reading {path.name}", k / len(paths))
@@ -98,24 +110,16 @@ def watch(
                 path, options, console.progress, mechanism=robot.mechanism
             )
             console.warn(dataset.warnings, brief=not details)
-            stated = find_start_time(dataset, stamp)
-            when = parse_time(time[k]) if time else stated
-            if when and stated and abs(when - stated) > MAX_CLOCK_ERROR_S:
-                raise DatasetError(
-                    f"{path} states that it was recorded on {iso(stated)}, and --time says "
-                    f"{iso(when)}: correct it, or leave it out"
-                )
-            if when is None:
-                raise DatasetError(
-                    f"{path} does not state when it was recorded: give --time for each recording"
-                )
+            when = read_time(path, dataset, stamp, time[k] if time else None)
             found = found.add(replace(dataset, sha256=content), when, joint_sigma, str(path))
             known.add(content)
         console.progress("", 1.0)
-        if not found.visits:
+        if not (found.visits or undo):
             raise ParallelCalError(f"{file} has no recordings yet: give at least one")
-        if (anew or paths) and (kept := write_state(found, file)):
+        if (anew or paths or undo) and (kept := write_state(found, file)):
             console.note(f"the watch of the other model is kept in {kept}")
+    if not found.visits:
+        return console.say(f"{file} has no recordings now")
     confirmation = None
     if found.alarm:
         try:
@@ -148,6 +152,27 @@ def hold(state: Path) -> Iterator[None]:
         yield
     finally:
         os.close(lock)
+
+
+def read_time(path: Path, dataset: Dataset, stamp: int, given: str | None) -> float:
+    """Return when a recording was made (s since 1970), as `given` or by the recording itself.
+
+    DatasetError if neither states it, or if they differ by more than a day."""
+    from parallel_cal.recordings.loading import find_start_time
+    from parallel_cal.reporting.watching import iso
+
+    stated = find_start_time(dataset, stamp)
+    when = parse_time(given) if given is not None else stated
+    if when and stated and abs(when - stated) > MAX_CLOCK_ERROR_S:
+        raise DatasetError(
+            f"{path} states that it was recorded on {iso(stated)}, and --time says {iso(when)}: "
+            "correct it, or leave it out"
+        )
+    if when is None:
+        raise DatasetError(
+            f"{path} does not state when it was recorded: give --time for each recording"
+        )
+    return when
 
 
 def parse_time(text: str) -> float:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,12 @@ from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.fleet.cluster import check_extra_installed, cluster, results
 from parallel_cal.fleet.findings import Findings, findings
 from parallel_cal.fleet.jobs import FleetError, FleetOptions, Job, jobs_of
-from parallel_cal.fleet.judging import Page, Row
+from parallel_cal.fleet.judging import Page, Row, sort_recordings
 from parallel_cal.fleet.rows import Rows
 from parallel_cal.fleet.tolerances import next_robot
+from parallel_cal.identification.drift_estimate import Session, pool_drifts
+from parallel_cal.identification.drift_rate import DriftRate
+from parallel_cal.identification.evidence import Evidence
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
@@ -26,11 +29,13 @@ from parallel_cal.model.shelf import load_effect
 @dataclass(frozen=True)
 class Fleet:
     """The rows of a fleet by robot and recording, its findings, and the model with which to start
-    the next robot's calibration; the last two are None for fewer than four robots."""
+    the next robot's calibration; the last two are None for fewer than four robots. `drift` is None
+    if no robot has two recordings at known times."""
 
     rows: tuple[Row, ...]
     findings: Findings | None = None
     next_robot: Model | None = None
+    drift: DriftRate | None = None
 
     @property
     def failed(self) -> list[Row]:
@@ -46,6 +51,7 @@ class Fleet:
             "robots": len({row["robot"] for row in self.rows}),
             "recordings": len(self.rows),
             "findings": to_json_value(self.findings),
+            "drift": None if self.drift is None else self.drift.document(),
             "failed": [
                 {k: row[k] for k in ("robot", "recording", "reason")} for row in self.failed
             ],
@@ -115,4 +121,18 @@ def _make_fleet(rows: tuple[Row, ...], jobs: Sequence[Job]) -> Fleet:
     )
     drawing = read_model(drawn.model)
     found = findings(rows, drawing)
-    return Fleet(rows, found, next_robot(drawing, found) if found else None)
+    drift = pool_drifts(_list_sessions(judged.values(), kind), drawing)
+    following = next_robot(drawing, found) if found else None
+    if following is not None and drift is not None:
+        entry = {"step": "fleet_drift", **drift.document()}
+        following = replace(following, history=(*following.history, entry))
+    return Fleet(rows, found, following, drift)
+
+
+def _list_sessions(rows: Iterable[Row], mechanism: str) -> list[list[Session]]:
+    """List what each robot's recordings at known times tell about its parameters."""
+    own = (row for row in rows if row["mechanism"] == mechanism and row["time"] is not None)
+    return [
+        [Session(row["time"], Evidence.from_document(row["evidence"])) for row in each]
+        for each in sort_recordings(own).values()
+    ]

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.base.errors import FitError
+from parallel_cal.identification.drift_rate import PARTS, DriftRate
 from parallel_cal.identification.prior import Knowledge, Prior
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Model
@@ -23,6 +24,7 @@ LOOSENING_SHARE = 0.1  # of a tolerance, for each parameter: a joint that settle
 # Of the usual drift, among which the data decide; the first one is none.
 DRIFT_SCALES = (0.0, 1 / 3, 1.0, 3.0, 10.0, 30.0)
 MIN_UNUSUAL_SCALE = 3.0
+DECIDED = math.log(19)  # log odds at which 95 % say that there is a drift, or that there is none
 SHOWN_SIGMAS = 3.0  # a drift of one sigma that moves the touches by so much is shown
 PROBE_POSES = 40
 RIDGE = 1e-6  # of the largest singular value, columns in tolerances
@@ -37,17 +39,41 @@ class Culprit:
 
 
 def list_culprits(model: Model) -> list[Culprit]:
-    """List the usual drifts of a robot: the zero of each joint, and warm lengths."""
+    """List the usual drifts of a robot: the zero of each joint, and warm lengths.
+
+    They are as large as the history of the model states for this robot or its fleet, if it does."""
+    rate = DriftRate.of_model(model)
+    sizes = dict.fromkeys(PARTS, 1.0) if rate is None else rate.quantile(0.5)
+    rows = list_drift_parts(model)
+    zeros = zip(model.joints, rows["zeros"], strict=True)
+    return [
+        *(Culprit(f"zero of {joint}", sizes["zeros"] * shift) for joint, shift in zeros),
+        Culprit("temperature", sizes["temperature"] * rows["temperature"][0]),
+    ]
+
+
+def list_drift_parts(model: Model) -> dict[str, np.ndarray]:
+    """List the parts of the usual drift: for each of `PARTS` independent changes (k, n_parameters),
+    SI, by one sigma. Measuring set-ups and fixed parameters do not loosen."""
     table = model.table
-    found = []
     zero = load_effect("zero_shift").table(model.mechanism)
-    shifts = _express_joint_shifts(model)
-    for joint, shift in zip(model.joints, shifts, strict=True):
-        size = zero[f"zero_shift.{joint}.since1"].tolerance
-        found.append(Culprit(f"zero of {joint}", size * shift))
-    lengths = np.array([p.unit == "m" and p.group not in ("effect", "sensor") for p in table])
+    sizes = np.array([zero[f"zero_shift.{joint}.since1"].tolerance for joint in model.joints])
+    in_m = np.array([p.unit == "m" for p in table])
+    geometry = np.array([p.group not in ("effect", "sensor") for p in table])
     growth = EXPANSION_PER_DEGC * TEMPERATURE_SIGMA_DEGC
-    return [*found, Culprit("temperature", np.where(lengths, growth * model.values, 0.0))]
+    loose = list_robot_parameters(model) & ~np.asarray(model.fixed)
+    settled = np.diag(LOOSENING_SHARE * table.tolerance)
+    return {
+        "zeros": sizes[:, None] * _express_joint_shifts(model),
+        "temperature": np.where(in_m & geometry, growth * model.values, 0.0)[None],
+        "lengths": settled[loose & in_m],
+        "others": settled[loose & ~in_m],
+    }
+
+
+def list_robot_parameters(model: Model) -> np.ndarray:
+    """Return which parameters (n_parameters,) belong to the robot, not to a measuring set-up."""
+    return np.array([p.group != "sensor" for p in model.table])
 
 
 def _express_joint_shifts(model: Model) -> np.ndarray:
@@ -86,14 +112,20 @@ def update_prior(model: Model, scale: float = 1.0) -> Prior:
         )
     table = model.table
     last = Prior.from_model(model).covariance
-    sensor = np.array([p.group == "sensor" for p in table])
+    sensor = ~list_robot_parameters(model)
     last[sensor] = 0.0
     last[:, sensor] = 0.0
     last[sensor, sensor] = table.tolerance[sensor] ** 2
-    settled = np.where(sensor, 0.0, LOOSENING_SHARE * table.tolerance)
-    changes = np.array([c.change for c in list_culprits(model)])
-    drift = np.diag(settled**2) + changes.T @ changes
-    return Prior(model.values, last + scale**2 * drift)
+    return Prior(model.values, last + scale**2 * usual_drift(model))
+
+
+def usual_drift(model: Model) -> np.ndarray:
+    """Return the covariance (n_parameters, n_parameters) of the usual drift, SI, of all parts: of
+    this robot or its fleet, if the history of the model states it."""
+    rate = DriftRate.of_model(model)
+    sizes = dict.fromkeys(PARTS, 1.0) if rate is None else rate.quantile(0.5)
+    parts = list_drift_parts(model).items()
+    return np.asarray(sum(sizes[part] ** 2 * rows.T @ rows for part, rows in parts))
 
 
 @dataclass(frozen=True)
@@ -117,10 +149,22 @@ class Drift:
         return self.log_odds > 0
 
     @property
+    def is_decided(self) -> bool:
+        """Whether it has 95 % that the robot has drifted, or that it has not."""
+        return abs(self.log_odds) >= DECIDED
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """How far the robot drifted, and what to check if it is further than usual."""
         if math.isnan(self.log_odds):
             return ()
+        if not self.is_decided:
+            probability = 100 / (1 + math.exp(-self.log_odds))
+            return (
+                "the samples do not decide whether the robot has drifted since the last "
+                f"calibration (that it has: {probability:.0f} %): measure more of the planned "
+                "poses, and fit them together with these",
+            )
         if not self.is_shown:
             return ("the samples show no drift since the last calibration",)
         if self.scale < MIN_UNUSUAL_SCALE:

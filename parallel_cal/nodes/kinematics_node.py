@@ -44,6 +44,7 @@ from parallel_cal.nodes.run import WorkerThreadGroup, create_steady_timer, forei
 from parallel_cal.nodes.stream_memory import Memory
 from parallel_cal.nodes.streams import Streams
 from parallel_cal.nodes.tally import Tally, model_diagnostics, traffic_diagnostics
+from parallel_cal.reporting.age import describe_age, is_past
 
 PARAMETERS = {
     "model_file": Setting(
@@ -125,6 +126,7 @@ class KinematicsNode(ManagedNode):
         """Report an attempt to load a file, in the log and on ~/model_status."""
         if attempt.ok:
             self.get_logger().info(attempt.reason)
+            self._report_age()
         else:
             self._failure = attempt.reason
             if attempt.source == "startup" and attempt.path and not os.path.lexists(attempt.path):
@@ -140,6 +142,20 @@ class KinematicsNode(ManagedNode):
             message.effects = [effect.name for effect in served.model.effects]
             message.model_file, message.hash = served.path, served.hash
         self._status.publish(message)
+
+    def _report_age(self) -> None:
+        """Say in the log until when the model in use can be trusted."""
+        served = self._server.current
+        if served is None:
+            return
+        words = f"calibration: {describe_age(served.age, self._now)}"
+        log = self.get_logger()
+        log.warning(words) if is_past(served.age, self._now) else log.info(words)
+
+    @property
+    def _now(self) -> float:
+        """The time, s since 1970."""
+        return 1e-9 * self.get_clock().now().nanoseconds
 
     def _publish_description(self) -> None:
         served = self._server.current
@@ -257,7 +273,7 @@ class KinematicsNode(ManagedNode):
         unheard = self._memory.unheard(served.model) if served and self._memory.heard else []
         message = DiagnosticArray(
             status=[
-                model_diagnostics(name, served, self._server.last, self._failure),
+                model_diagnostics(name, served, self._server.last, self._failure, self._now),
                 traffic_diagnostics(name, self._tally, unheard, foreign_publishers(self)),
                 *self._streams.diagnoses(name),
                 *([self._robot_watch.diagnose(name)] if self._robot_watch else []),

@@ -11,9 +11,10 @@ from threading import Lock, Thread
 
 import numpy as np
 
-from parallel_cal.base.errors import ModelFileError, ParallelCalError
+from parallel_cal.base.errors import FitError, ModelFileError, ParallelCalError
 from parallel_cal.campaign.path_guard import Guard
 from parallel_cal.exporting.description import Description, describe
+from parallel_cal.identification.age import Age
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
 from parallel_cal.model.file.modelfile import model_hash, model_text, parse_model
 from parallel_cal.model.mechanism import Mechanism
@@ -41,6 +42,14 @@ class ServedModel:
     def region(self) -> IdentifiedRegion | None:
         """The region in which the model was identified; None if its file states none."""
         return IdentifiedRegion.of_model(self.model)
+
+    @cached_property
+    def age(self) -> Age:
+        """Until when the model can be trusted, as its file states."""
+        try:
+            return Age.of_model(self.model)
+        except FitError as error:
+            return Age(unknown=str(error))
 
     @cached_property
     def guard(self) -> Guard:

@@ -8,6 +8,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from parallel_cal.nodes.model_server import Attempt, ServedModel
+from parallel_cal.reporting.age import describe_age, is_past
 
 
 class Tally:
@@ -29,8 +30,11 @@ class Tally:
         return dict(sorted(texts.items()))
 
 
-def model_diagnostics(name: str, served: ServedModel | None, last: Attempt, failure: str) -> Any:
-    """Return the status of the model: ERROR without one, WARN if the last load failed."""
+def model_diagnostics(
+    name: str, served: ServedModel | None, last: Attempt, failure: str, now: float
+) -> Any:
+    """Return the status of the model: ERROR without one, WARN if the last load failed, or if its
+    calibration can no longer be trusted at the time `now` (s since 1970)."""
     about, Level = f"{name}: model", DiagnosticStatus
     items = {"last attempt": f"{last.source}: {last.reason}", "last failure": failure}
     if served is not None:
@@ -40,11 +44,15 @@ def model_diagnostics(name: str, served: ServedModel | None, last: Attempt, fail
             "mechanism": served.model.mechanism.name,
             "class": served.model.machine_class,
             "effects": ", ".join(e.name for e in served.model.effects),
+            "calibration": describe_age(served.age, now),
         }
     if served is None:
         return diagnostics(about, Level.ERROR, f"no model: {last.reason}", items)
     if not last.ok:
         text = f"the previous model is still in use: {last.reason}"
+        return diagnostics(about, Level.WARN, text, items)
+    if is_past(served.age, now):
+        text = f"the calibration is too old: {describe_age(served.age, now)}"
         return diagnostics(about, Level.WARN, text, items)
     return diagnostics(about, Level.OK, "model in use", items)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from datetime import datetime
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from parallel_cal.diagnosis.verdict_words import describe_verdict
 from parallel_cal.identification.observations import list_noise
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting import drawings, spaces
+from parallel_cal.reporting.age import describe_age
 from parallel_cal.reporting.blocks import Number, Row
 from parallel_cal.reporting.certificate import CertificateFields
 from parallel_cal.reporting.contents import CertifiedErrors
@@ -161,6 +163,7 @@ def certificate(report: Report) -> str:
         "Noise, 1 sigma": _describe_noise(report),
         "Region of the samples": report.diagnosis.base.fitted.region.description,
         "Verdict": sentence(describe_verdict(verdict.word, verdict.text)),
+        "Trusted": sentence(describe_age(report.age, datetime.fromisoformat(p.made).timestamp())),
         "Software": f"parallel_cal {p.version}",
         "Date of this certificate": day(p.made),
     }

@@ -23,6 +23,7 @@ from parallel_cal.diagnosis.patterns import (
     compute_residual_profiles,
     regions,
 )
+from parallel_cal.identification.age import Age
 from parallel_cal.identification.budget import Budget, Iso9283
 from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.position_uncertainty import PositionUncertainty
@@ -107,6 +108,8 @@ class Report:
         The comparison with another model.
     provenance, certificate, certified, conformity
         Where the numbers come from, and the certificate's block with its decision.
+    age : Age
+        Until when the given model can be trusted, as its history states.
     """
 
     diagnosis: Diagnosis
@@ -130,6 +133,7 @@ class Report:
     certificate: CertificateFields
     certified: contents.CertifiedErrors
     conformity: tuple[Conformity, ...]
+    age: Age
 
     def __repr__(self) -> str:
         return f"Report({self.diagnosis!r})"
@@ -231,4 +235,5 @@ def report_of(
         certificate=stated,
         certified=certified,
         conformity=decide(stated, certified.errors, certified.sigmas),
+        age=Age.of_model(found.base.fitted.given.unregistered),
     )

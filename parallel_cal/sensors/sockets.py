@@ -97,6 +97,7 @@ class Sockets(Sensor):
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         check_axes(self, self.axes, mechanism)
         radius, tip = workspace_radius(mechanism), point_parameters("tip", self.tip, 1e-3)
+        self._check_reach(2 * (radius + float(np.linalg.norm(self.tip))))
         if not self.holes:
             places = self.places or spread_places(mechanism, self.n, self.tip)
             rows = [
@@ -115,6 +116,17 @@ class Sockets(Sensor):
             *holes,
             *tip,
         ]
+
+    def _check_reach(self, reach: float) -> None:
+        """Raise ModelError if a ball that moves within `reach` (m) visits one hole at most."""
+        holes = np.array(self.holes, dtype=float).reshape(-1, 3)
+        apart = np.linalg.norm(holes[:, None] - holes, axis=2)[np.triu_indices(len(holes), 1)]
+        if apart.min(initial=np.inf) > reach and len(holes):
+            raise ModelError(
+                f"{self.name}: the nearest two holes are {apart.min():.4g} m apart, but the ball "
+                f"moves within {reach:.4g} m: expected positions in m on one plate that the robot "
+                "reaches"
+            )
 
     def _select_held(self, points: list[list[Parameter]]) -> list[Parameter]:
         """Return the coordinates that a seat holds; the others change nothing."""

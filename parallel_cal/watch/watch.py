@@ -163,6 +163,12 @@ class Watch:
         point = Point(name, time, float(np.exp(min(weights.log_statistic, 700.0))), len(dataset))
         return replace(self, visits=visits, trend=(*self.trend, point), _weights=[weights])
 
+    def without_last(self) -> Watch:
+        """The watch before its last recording; DatasetError if it has none."""
+        if not self.visits:
+            raise DatasetError("the watch has no recording that could be taken back")
+        return replace(self, visits=self.visits[:-1], trend=self.trend[:-1], _weights=[])
+
     @cached_property
     def series(self) -> Series:
         return Series.of(self.visits, self.model)
