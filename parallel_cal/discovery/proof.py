@@ -33,7 +33,6 @@ from parallel_cal.discovery.places import DEVICE
 from parallel_cal.discovery.screening import Targets
 from parallel_cal.discovery.search import Winner
 from parallel_cal.discovery.shape import find_shape
-from parallel_cal.identification.checks import ImplausibleGeometryError
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.model import Model
 from parallel_cal.posterior.scene import Scene
@@ -94,9 +93,8 @@ def _prove(
     name = load_text(write_effect(formula, sentence, where))
     # With the samples in which the law was found.
     judge = partial(add, model, name, dataset, force=True, knocked=())
-    try:
-        step = judge(options=options)
-    except ImplausibleGeometryError:  # geometry imitates the law: known sizes decide how much
+    step = judge(options=options)
+    if step.result.implausible:  # geometry imitates the law: known sizes decide how much
         step = judge(options=replace(options, prior=True))
     refitted = step.result.parameters()
     coefficients = []
