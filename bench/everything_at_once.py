@@ -19,12 +19,10 @@ command fails that was proposed, or if one of the others does not end as it must
 
 from __future__ import annotations
 
-import argparse
 import re
 import shlex
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -126,7 +124,9 @@ def linear_delta(size: float) -> Machine:
         rail = np.concatenate([tilt, np.ones((3, 1))], axis=1)
         rail /= np.linalg.norm(rail, axis=1)[:, None]
         ends = c + np.repeat(q[:, :, None] * rail, 2, axis=1)
-        r = np.stack([0 * q[:, 0], 0 * q[:, 0], q.mean(axis=1) - np.sqrt(rod**2 - (out - inner) ** 2)])
+        r = np.stack(
+            [0 * q[:, 0], 0 * q[:, 0], q.mean(axis=1) - np.sqrt(rod**2 - (out - inner) ** 2)]
+        )
         start = r.T.copy(), np.tile(np.eye(3), (len(q), 1, 1))
         return solve_rods(ends, np.tile(b, (len(q), 1, 1)), np.tile(L, (len(q), 1)), *start)
 
@@ -136,7 +136,9 @@ def linear_delta(size: float) -> Machine:
         return r[:, 2:] + np.sqrt(rod**2 - (away[..., :2] ** 2).sum(axis=2))
 
     g = np.concatenate([C.ravel(), B.ravel(), np.full(6, rod), np.zeros(6)])
-    tolerance = np.concatenate([np.full(18, 5e-4), np.full(18, 1e-4), np.full(6, 2e-4), np.full(6, 5e-3)])
+    tolerance = np.concatenate(
+        [np.full(18, 5e-4), np.full(18, 1e-4), np.full(6, 2e-4), np.full(6, 5e-3)]
+    )
     described = (f"base={out}", f"platform={inner}", f"rod={rod}", f"height={0.1 * size}")
     return Machine(
         ("joint1", "joint2", "joint3"), "m", g, tolerance, np.arange(48) < 42, pose, readings,
@@ -155,7 +157,9 @@ def delta(size: float) -> Machine:
         length, zero, tilt = g[33:36], g[36:39], g[39:].reshape(3, 2)
         a, n = q + zero, len(q)
         # In the chain's frame the axis is y, turned by tilts about x and z.
-        bent = Rotation.from_rotvec(np.stack([tilt[:, 0], 0 * tilt[:, 0], tilt[:, 1]], 1)).as_matrix()
+        bent = Rotation.from_rotvec(
+            np.stack([tilt[:, 0], 0 * tilt[:, 0], tilt[:, 1]], 1)
+        ).as_matrix()
         tip = np.stack([np.cos(a) * length, 0 * a, np.sin(a) * length], axis=2)
         balls = tip[:, :, None] + np.array([-along, along])
         ends = hubs[:, None] + np.einsum("kij,kjl,nksl->nksi", frames, bent, balls)
@@ -205,7 +209,9 @@ def arm(size: float) -> Machine:
         one = {"joint": "R", "theta": theta, "d": float(d), "a": float(a), "alpha": float(alpha)}
         links.append(one | ({"axes": axes[k]} if axes[k] else {}))
     links[1]["theta"] = 0.0
-    text = re.sub(r"'", "", str([{k: v for k, v in one.items()} for one in links]).replace("None", "null"))
+    text = re.sub(
+        r"'", "", str([{k: v for k, v in one.items()} for one in links]).replace("None", "null")
+    )
     text = re.sub(r"np\.float64\(([^)]*)\)", r"\1", text)
     tolerance = np.tile([4e-3, 5e-4, 5e-4, 4e-3, 4e-3], 6)
     tolerance[[4, 14, 19, 24]] = 0.0  # beta where the next axis is not parallel
@@ -236,7 +242,9 @@ class Conditions:
     side: Array  # (n, joints)
 
     def at(self, rows: Array) -> Conditions:
-        return Conditions(*(part[rows] for part in (self.time, self.temperature, self.payload, self.side)))
+        return Conditions(
+            *(part[rows] for part in (self.time, self.temperature, self.payload, self.side))
+        )
 
 
 def find_levers(m: Machine, g: Array, q: Array) -> Array:
@@ -278,7 +286,9 @@ def grown(m: Machine, g: Array, alpha: float, warm: Array, q: Array) -> tuple[Ar
     larger = m.pose(np.where(m.lengths, g * (1 + h), g), q)
     by = alpha * warm / h
     turned = Rotation.from_matrix(larger[1] @ R.transpose(0, 2, 1)).as_rotvec()
-    return r + (larger[0] - r) * by[:, None], Rotation.from_rotvec(turned * by[:, None]).as_matrix() @ R
+    return r + (larger[0] - r) * by[:, None], Rotation.from_rotvec(
+        turned * by[:, None]
+    ).as_matrix() @ R
 
 
 @dataclass(frozen=True)
@@ -414,7 +424,9 @@ def find_possible(s: Session) -> float:
         for d in 1e-6 * np.eye(n)
     ], axis=2)  # fmt: skip
     own = np.diag([s.noise.position**2] * 3 + [s.noise.orientation**2] * 3)
-    whiten = np.linalg.inv(np.linalg.cholesky(own + s.noise.joint**2 * slopes @ slopes.transpose(0, 2, 1)))
+    whiten = np.linalg.inv(
+        np.linalg.cholesky(own + s.noise.joint**2 * slopes @ slopes.transpose(0, 2, 1))
+    )
 
     def errors(x: Array) -> Array:
         g, c, turn, shift = unpack(x)
@@ -423,7 +435,7 @@ def find_possible(s: Session) -> float:
         dr = (r - shift0 - shift) @ frame - pr
         dw = Rotation.from_matrix(frame.T @ R @ pR.transpose(0, 2, 1)).as_rotvec()
         seen = np.einsum("nij,nj->ni", whiten, np.concatenate([dr, dw], axis=1))
-        return np.concatenate([seen.ravel(), x * np.append(on[: -6], np.zeros(6))])
+        return np.concatenate([seen.ravel(), x * np.append(on[:-6], np.zeros(6))])
 
     x = np.zeros(len(usual))
     for _ in range(3):

@@ -182,7 +182,7 @@ def find_addition(
         base = fit(model, keep(aside), limited, progress)
         if base.implausible and knocked is None and base.outliers and not aside:
             # The geometry may follow a few samples that contradict all others.
-            return fit_both(base.outliers)
+            return fit_both(base.outliers.numbers)
         if knocked is None and options.loss == "linear":
             names = list_effects_to_test(base.model, [name for name, _ in asked])
             more = {*Causes.of(see(base), names).find_knocked_samples()} - trusted

@@ -37,7 +37,7 @@ RIGHT_GEOMETRY = (
 )
 
 IMITATES = (
-    "{}. diagnose names what is missing, and add takes it: parallel-cal diagnose MODEL RECORDING "
+    ". diagnose names what is missing, and add takes it: parallel-cal diagnose MODEL RECORDING "
     "(in Python: pc.diagnose(model, dataset))"
 )
 
@@ -94,8 +94,10 @@ def acceptance(
         return Acceptance(used, new.after.summary, False, why)
     then, now = before.select(known).summary, after.select(known).summary
     if new.implausible:
-        advice = IMITATES.format(new.implausible) if old is None else new.implausible
-        return Acceptance(then, now, True, f"{advice}{_describe_foreign_model(new, now)}")
+        why = new.implausible if old is not None else f"{new.implausible}{IMITATES}"
+        if new.outliers is not None:
+            why = f"{new.outliers.description}. With all samples, {new.implausible}"
+        return Acceptance(then, now, True, f"{why}{_describe_foreign_model(new, now)}")
     ratio = held_out_ratio(then, now)
     # The fall must exceed the uncertainty of its mean, pose by pose: a fall that half of the poses
     # contradict is chance.

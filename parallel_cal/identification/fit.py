@@ -60,7 +60,7 @@ from parallel_cal.identification.noise_floor import (
 from parallel_cal.identification.observability import directions_in_words
 from parallel_cal.identification.observations import Observations, blocks, list_noise, observe
 from parallel_cal.identification.options import FitKeywords, FitOptions
-from parallel_cal.identification.outliers import search_outliers
+from parallel_cal.identification.outliers import Outliers, search_outliers
 from parallel_cal.identification.prediction_errors import (
     Errors,
     Summary,
@@ -138,8 +138,8 @@ class FitResult(ShownInNotebook):
     implausible : str
         Why no such robot has the identified geometry, which imitates what the model lacks; empty if
         it is plausible.
-    outliers : tuple of int
-        Numbers of the samples that contradict all others.
+    outliers : Outliers, optional
+        Samples that contradict all others; None if there are none.
     """
 
     model: Model
@@ -158,7 +158,7 @@ class FitResult(ShownInNotebook):
     unusual: Mapping[str, UnusualSize] = field(default_factory=dict)
     drift: Drift | None = None
     implausible: str = ""
-    outliers: tuple[int, ...] = ()
+    outliers: Outliers | None = None
 
     def __repr__(self) -> str:
         return (
@@ -540,7 +540,7 @@ def fit(
     outliers = search_outliers(start, dataset, result.observations, options, known)
     if outliers is not None:
         warnings = (*result.warnings, outliers.description)
-        result = replace(result, warnings=warnings, outliers=outliers.numbers)
+        result = replace(result, warnings=warnings, outliers=outliers)
     if registration is None:
         return result
     motion = compute_base_motion(result.model, result.observations)

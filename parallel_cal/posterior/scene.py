@@ -277,7 +277,7 @@ def columns(
 
 
 def _project_off(columns: np.ndarray, basis: np.ndarray, sizes: np.ndarray | None) -> np.ndarray:
-    """Columns (n,) or (n, k) without the basis, or times S^-1/2 if the `sizes` along it are known."""
+    """Columns (n,) or (n, k) without the basis; times S^-1/2 if its `sizes` are known."""
     onto = basis.T @ columns
     if sizes is not None:
         taken = 1 - 1 / np.sqrt(1 + sizes**2)
