@@ -1,40 +1,43 @@
 """Foreign machines that lack everything at once, gone through as a user would: NumPy and SciPy.
 
-    python -m bench.everything_at_once [--only NAME ...] [--keep FOLDER] [--python]
+    python -m bench.everything_at_once [--only NAME ...]
 
 A Delta, a hexapod, a linear Delta and a serial arm, each in three sizes, have backlash, a drive
 whose gain is 3 % off, compliance or a frame that sinks, thermal growth, a tracker that creeps in a
 frame of its own, and one sample at which somebody knocked it. Nothing of parallel_cal makes them.
-Each session is a table. The commands are those that parallel-cal proposes itself: `fit`, and what
-each `next:` says, until nothing is proposed any more. One line a session: the error (um rms) at
-poses that nobody measured, the one that a fit with the true structure reaches, and the commands.
+Each session is a table, which is fitted, diagnosed and added to until nothing more is proposed.
 
-Beside them: two sessions in which columns are exchanged or in another unit, which must be refused
-with the name of the column, and two of robots whose dimensions are more than ten tolerances off and
-that lack no effect.
+Beside them: two sessions in which columns are exchanged or in another unit, which must be refused,
+and two of robots whose dimensions are 14 tolerances off and that lack no effect.
 
-The exit status is 1 if more than one of the twelve ends above 1.25 times what is possible, if a
-command fails that was proposed, or if one of the others does not end as it must.
+One line a session: the error (um rms) at poses that nobody measured, the one that a fit with the
+true structure reaches, their ratio, and what was said. The exit status is 1 if more than one of the
+twelve ends above 1.25 times what is possible, or if one of the others does not end as it must.
 """
 
 from __future__ import annotations
 
+import argparse
 import re
-import shlex
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+import parallel_cal as pc
+from parallel_cal.kinematics.kinematics import Kinematics
+
 Array = np.ndarray
 G = 9.81
 MAX_RATIO = 1.25
-MAX_COMMANDS = 12
+MAX_ROUNDS = 5
 KNOCK = 8e-4  # m
 
 
@@ -209,9 +212,7 @@ def arm(size: float) -> Machine:
         one = {"joint": "R", "theta": theta, "d": float(d), "a": float(a), "alpha": float(alpha)}
         links.append(one | ({"axes": axes[k]} if axes[k] else {}))
     links[1]["theta"] = 0.0
-    text = re.sub(
-        r"'", "", str([{k: v for k, v in one.items()} for one in links]).replace("None", "null")
-    )
+    text = re.sub(r"'", "", str(links).replace("None", "null"))
     text = re.sub(r"np\.float64\(([^)]*)\)", r"\1", text)
     tolerance = np.tile([4e-3, 5e-4, 5e-4, 4e-3, 4e-3], 6)
     tolerance[[4, 14, 19, 24]] = 0.0  # beta where the next axis is not parallel
@@ -416,17 +417,15 @@ def find_possible(s: Session) -> float:
     first = np.linalg.svd(sum(a @ b.T for a, b in zip(R, drawn_R, strict=True)))
     frame0 = first[0] @ np.diag([1, 1, np.linalg.det(first[0] @ first[2])]) @ first[2]
     shift0 = (r - drawn_r @ frame0.T).mean(axis=0)
-    slopes = np.stack([
-        np.concatenate([
-            (m.pose(m.geometry, q + d)[0] - drawn_r) / 1e-6,
-            Rotation.from_matrix(m.pose(m.geometry, q + d)[1] @ drawn_R.transpose(0, 2, 1)).as_rotvec() / 1e-6,
-        ], axis=1)
-        for d in 1e-6 * np.eye(n)
-    ], axis=2)  # fmt: skip
+    columns, back = [], drawn_R.transpose(0, 2, 1)
+    for step in 1e-6 * np.eye(n):
+        near_r, near_R = m.pose(m.geometry, q + step)
+        turned = Rotation.from_matrix(near_R @ back).as_rotvec()
+        columns.append(np.concatenate([near_r - drawn_r, turned], axis=1) / 1e-6)
+    slopes = np.stack(columns, axis=2)
     own = np.diag([s.noise.position**2] * 3 + [s.noise.orientation**2] * 3)
-    whiten = np.linalg.inv(
-        np.linalg.cholesky(own + s.noise.joint**2 * slopes @ slopes.transpose(0, 2, 1))
-    )
+    seen_by = own + s.noise.joint**2 * slopes @ slopes.transpose(0, 2, 1)
+    whiten = np.linalg.inv(np.linalg.cholesky(seen_by))
 
     def errors(x: Array) -> Array:
         g, c, turn, shift = unpack(x)
@@ -443,26 +442,23 @@ def find_possible(s: Session) -> float:
         x = fitted.x
         g, c, *_ = unpack(x)
         levers = find_levers(m, g, q * (1 + c.gain))
-    chi2 = np.sum(fitted.fun**2) / (6 * len(q) - np.count_nonzero(on))
-    error = measure_error(find_true_pose(m, g, c, s.unseen, s.unseen_at), s)
-    return error, chi2
+    return measure_error(find_true_pose(m, g, c, s.unseen, s.unseen_at), s)
 
 
-def write_table(s: Session, folder: Path, spoil: Callable[[Array], Array] | None = None) -> None:
-    """Write the table of a session, and the map of its columns."""
-    m = s.machine
-    q = s.q if spoil is None else spoil(s.q)
+def write_table(s: Session, folder: Path, spoil: Callable[[Array], Array]) -> Path:
+    """Write the table of a session, with the map of its columns beside it."""
+    m, at = s.machine, s.at
     names = [f"{j} [{m.unit}]" for j in m.joints]
     names += ["x [m]", "y [m]", "z [m]", "qx", "qy", "qz", "qw", "time [s]", "temperature [degC]"]
     names += ["payload [kg]", *[f"direction.{j}" for j in m.joints]]
     quaternion = Rotation.from_matrix(s.R).as_quat()
-    at = s.at
-    rows = np.column_stack([q, s.r, quaternion, at.time, at.temperature, at.payload, at.side])
-    lines = [",".join(names), *(",".join(repr(float(v)) for v in row) for row in rows)]
-    (folder / "data.csv").write_text("\n".join(lines) + "\n")
+    rows = np.column_stack(
+        [spoil(s.q), s.r, quaternion, at.time, at.temperature, at.payload, at.side]
+    )
+    np.savetxt(folder / "data.csv", rows, "%.17g", ",", header=",".join(names), comments="")
     joints = ", ".join(f'{j}: {{column: "{c}"}}' for j, c in zip(m.joints, names, strict=False))
-    known = ["time", "temperature", "payload"]
-    columns = [f'{k}: "{c}"' for k, c in zip(known, names[len(m.joints) + 7 :], strict=False)]
+    known = zip(("time", "temperature", "payload"), names[len(m.joints) + 7 :], strict=False)
+    columns = [f'{key}: "{c}"' for key, c in known]
     columns += [f"direction.{j}: direction.{j}" for j in m.joints]
     (folder / "data.columns.yaml").write_text(
         f"joints: {{{joints}}}\n"
@@ -472,54 +468,94 @@ def write_table(s: Session, folder: Path, spoil: Callable[[Array], Array] | None
         f"noise: {{joint: {s.noise.joint}, position: {s.noise.position}, "
         f"orientation: {s.noise.orientation}}}\n"
     )
+    return folder / "data.csv"
 
 
-@dataclass(frozen=True)
-class Way:
-    """What a user ran, with the exit statuses and what was printed, and the last model written."""
-
-    commands: tuple[str, ...]
-    statuses: tuple[int, ...]
-    said: tuple[str, ...]
-    model: Path | None
+def draw(m: Machine, folder: Path) -> Any:
+    """The model of the drawing, as the command `new` writes it."""
+    options = [word for one in m.new[1:] for word in ("--option", one)]
+    command = [sys.executable, "-m", "parallel_cal.cli", "new", m.new[0], "-o", "model.yaml"]
+    subprocess.run([*command, *options], cwd=folder, check=True, capture_output=True)
+    return pc.read_model(folder / "model.yaml")
 
 
-def run(command: str, folder: Path) -> tuple[int, str]:
-    words = shlex.split(command)
-    done = subprocess.run(
-        [sys.executable, "-m", "parallel_cal.cli", *words[1:]],
-        cwd=folder, capture_output=True, text=True,
-    )  # fmt: skip
-    return done.returncode, done.stdout + done.stderr
+def compute_error(s: Session, model: Any) -> float:
+    """Rms position error (m) of a model at the unseen poses."""
+    at = {"time": s.unseen_at.time, "temperature": s.unseen_at.temperature}
+    at |= {"payload": s.unseen_at.payload}
+    at |= {f"direction.{j}": s.unseen_at.side[:, i] for i, j in enumerate(s.machine.joints)}
+    found = Kinematics(model.robot()).direct(s.unseen, at)
+    return measure_error((np.asarray(found.position), np.asarray(found.R)), s)
 
 
-def follow(s: Session, folder: Path) -> Way:
-    """Go the way that the commands propose, from the drawing."""
-    new = " ".join(["parallel-cal new", s.machine.new[0], "-o model.yaml"])
-    new += "".join(f" --option {shlex.quote(o)}" for o in s.machine.new[1:])
-    ran, statuses, said = [new], [], []
-    status, text = run(new, folder)
-    statuses.append(status), said.append(text)
-    command, model = "parallel-cal fit model.yaml data.csv -o fitted.yaml", None
-    while command and len(ran) < MAX_COMMANDS:
-        status, text = run(command, folder)
-        ran.append(command), statuses.append(status), said.append(text)
-        written = re.search(r"^written: (\S+)", text, re.M)
-        model = folder / written[1] if written else model
-        command = propose(text, ran, model)
-    return Way(tuple(ran), tuple(statuses), tuple(said), model)
+def follow(model: Any, data: Any) -> tuple[Any, list[str]]:
+    """Fit, and go on as the diagnoses propose; return the last model, and what was said."""
+    said = []
+    try:
+        result = pc.fit(model, data)
+        said.append("fit: implausible" if result.implausible else "fit")
+        model = model if result.implausible else result.model
+        for _ in range(MAX_ROUNDS):
+            found = pc.diagnose(model, data)
+            said.append(f"{found.verdict.word}: {'+'.join(found.effects) or '-'}")
+            knocked = [one.sample for one in found.knocked]
+            data = data.excluding(knocked, "because the diagnosis says so")
+            if found.addition is None:
+                break
+            model = pc.add(model, found.addition.text, data).model
+    except pc.ParallelCalError as error:
+        said.append(f"refused: {error}")
+    return model, said
 
 
-def propose(text: str, ran: list[str], model: Path | None) -> str:
-    """The command that a text proposes next, with the user's own files; empty if it proposes none
-    that improves the model, or one that was run before."""
-    found = re.findall(r"(parallel-cal (?:fit|diagnose|add) [^\n]*)", text)
-    for one in found:
-        one = re.split(r" \(in Python|\)\.|; |\. ", one)[0].strip().rstrip(".)")
-        name = "model.yaml" if model is None else model.name
-        for word, own in (("MODEL", name), ("RECORDING", "data.csv")):
-            one = re.sub(rf"\b{word}\b", own, one)
-        one = re.sub(r"\b(FITTED|BETTER)\.yaml", f"step{len(ran)}.yaml", one)
-        if one not in ran:
-            return one
-    return ""
+def exchange(q: Array) -> Array:
+    return q[:, [0, 2, 1, *range(3, q.shape[1])]]
+
+
+# name, kind, size, seed, what happens to the readings, words that a refusal must have; the robot of
+# a plain one lacks no effect
+SESSIONS = [
+    *[
+        (f"{kind}-{i}", kind, size, 10 * i + 1, np.array, "", False)
+        for i, size in enumerate((1.0, 0.6, 1.8))
+        for kind in KINDS
+    ],
+    ("hexapod-exchanged", "hexapod", 1.0, 31, exchange, "leg2", False),
+    ("delta-degrees", "delta", 1.0, 32, np.degrees, "deg", False),
+    ("delta-drawing", "delta", 1.0, 33, np.array, "", True),
+    ("hexapod-drawing", "hexapod", 1.0, 34, np.array, "", True),
+]
+
+
+def main() -> int:
+    arguments = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    arguments.add_argument("--only", nargs="*", default=[], help="parts of names")
+    only, far, wrong = arguments.parse_args().only, 0, 0
+    for name, kind, size, seed, spoil, words, is_plain in SESSIONS:
+        if only and not any(part in name for part in only):
+            continue
+        s = make_session(name, kind, size, seed, is_plain)
+        with tempfile.TemporaryDirectory() as temporary:
+            folder = Path(temporary)
+            model = draw(s.machine, folder)
+            table = write_table(s, folder, spoil)
+            reached, said = follow(model, pc.load_dataset(table, joints=model.joints))
+        if words:
+            wrong += not (said[-1].startswith("refused") and words in said[-1])
+            print(f"{name}: {'; '.join(said)}", flush=True)
+            continue
+        error, best = compute_error(s, reached), find_possible(s)
+        if is_plain:
+            wrong += error > MAX_RATIO * best
+        else:
+            far += error > MAX_RATIO * best
+        print(
+            f"{name}: {1e6 * error:.2f} of {1e6 * best:.2f} um, {error / best:.2f} times; "
+            f"{'; '.join(said)}",
+            flush=True,
+        )
+    return int(far > 1 or wrong > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
