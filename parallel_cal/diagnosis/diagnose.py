@@ -459,8 +459,8 @@ class _Setup:
 
         search = search_from(self.model)
         self.report("identifying the geometry", 0.0)
-        if not aside and (more := self._find_contradicting(search.fit(judged=False))):
-            return self.diagnose_without(more[0], seen=more[1])
+        if not aside and (odd := self._find_contradicting(search.fit(judged=False))):
+            return self.diagnose_without(odd[0], seen=odd[1])
         explanation = Explanation.of(search, self.names, set_aside)
         if more := explanation.knocked:
             everything = seen or search.fit().fitted.observations
