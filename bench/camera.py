@@ -35,10 +35,7 @@ from virtual_effects_hidden import JointCompliance
 from bench.blind import how_named, interval, put_between, rms, select_others
 from bench.slices import add_options, run_missing
 from parallel_cal.diagnosis.diagnose import diagnose
-from parallel_cal.diagnosis.first_effect import rank_first_effects, select_equally_good
-from parallel_cal.identification.checks import ImplausibleGeometryError
 from parallel_cal.identification.fit import fit
-from parallel_cal.identification.options import FitOptions
 from parallel_cal.virtual.robot import Backlash, EncoderEccentricity
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -209,18 +206,10 @@ def look_for(case: Case) -> Finding:
     begin = time.process_time()
     model = cell.drawn.with_sensors((cell.sensor(),))
     seen = cell.seen_by_camera(seed=case.seed)
-    try:
-        found = diagnose(model, seen)
-    except ImplausibleGeometryError:  # the error proposes these effects for the first fit
-        proposed = select_equally_good(rank_first_effects(model, seen, (), FitOptions()))
-        first = proposed[0].chosen
-        verdict, named = "refused", (" or ".join(one.chosen.name for one in proposed),)
-        with_first = model.with_effect(first.name, first.settings)
-        models = model, fit(with_first, seen, hold_out=0).model
-    else:
-        verdict = found.verdict.word
-        named = tuple(" or ".join([name, *found.swaps.get(name, ())]) for name in found.effects)
-        models = found.base.fitted.model, found.best.fitted.model
+    found = diagnose(model, seen)
+    verdict = found.verdict.word
+    named = tuple(" or ".join([name, *found.swaps.get(name, ())]) for name in found.effects)
+    models = found.base.fitted.model, found.best.fitted.model
     seconds = time.process_time() - begin
     before, after = (cell.error_at_unseen_poses(one, UNSEEN) for one in models)
     moved = cell.moved_by_effects(UNSEEN)

@@ -54,10 +54,8 @@ def explain(model: Model, data: Dataset) -> Explanation:
     options = FitOptions(hold_out=0.0)
     given = GivenModel.of(model, data, options.joint_sigma, True)
 
-    def refit(extended: Model, insist: bool, compared_only: bool, near: Any) -> Any:
-        return fit_unjudged(
-            extended, given.dataset, options, given=given, compared_only=compared_only
-        )
+    def refit(extended: Model, insist: bool, near: Any) -> Any:
+        return fit_unjudged(extended, given.dataset, options, given=given)
 
     search = Search(given.start, refit, lambda stage, share: None)
     return Explanation.of(search, list_effects_to_test(given.start), lambda knocked: knocked)

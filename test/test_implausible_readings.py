@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import matrix_to_quaternion
 from parallel_cal.cli import main as cli
-from parallel_cal.diagnosis import first_effect
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.fit import fit
@@ -402,8 +401,7 @@ def test_a_convention_that_tolerances_would_excuse_is_named_where_no_geometry_fi
 
 
 @pytest.mark.wide
-def test_two_mistakes_at_once_are_refused_without_trying_effects(monkeypatch):
-    monkeypatch.setattr(first_effect, "rank_first_effects", None)
+def test_two_mistakes_at_once_are_refused_without_trying_effects():
     data = seen(va.session(va.arm("ur5", 4), 60, 5, va.Tracker()))
     wrong = replace(data, q=data.q[:, [0, 2, 1, 3, 4, 5]] * [1, 1, 1, -1, 1, 1])
     with pytest.raises(FitError, match=r"% of the measured motion is not explained, so no effect"):

@@ -144,6 +144,8 @@ def judge_samples(
         found = diagnose(
             model, fitted, effects=question.effects, options=question.options, progress=tell
         )
+        if words := found.best.fitted.implausible:
+            raise FitError(words)
         best = found.best.fitted.model
         text = readable_text(best, f"the model of the judgement of {len(dataset)} samples")
     except (FitError, ModelFileError) as error:

@@ -152,6 +152,8 @@ def _finish(step: Step, run: _Run, as_json: bool) -> None:
         replace_model(model, output)
         written = {"output": str(output), "hash": model_hash(model)}
         following = command_line(["diagnose", output], model, run.bags, run.data)
+    if implausible := bool(step.result.implausible):
+        following = command_line(["diagnose", run.model], step.model, run.bags, run.data)
     console.progress("", 1.0)
     console.warn(step.warnings, brief=not run.details)
     if as_json:
@@ -161,7 +163,7 @@ def _finish(step: Step, run: _Run, as_json: bool) -> None:
     console.show(describe(step), list_options(run.details, run.parameters))
     if written:
         console.say(f"written: {output} (sha256 {written['hash'][:12]})")
-    print_summary(step, following, is_command=bool(written))
+    print_summary(step, following, is_command=bool(written) or implausible)
 
 
 def _say_what_follows(step: Step, model: Path) -> str:

@@ -26,7 +26,6 @@ from parallel_cal.diagnosis.stations import exclude_device
 from parallel_cal.diagnosis.verdict import robot_or_device
 from parallel_cal.identification.acceptance import Acceptance, acceptance
 from parallel_cal.identification.added_effects import limit_patterns
-from parallel_cal.identification.checks import ImplausibleGeometryError
 from parallel_cal.identification.fit import FitResult, fit, fit_unjudged
 from parallel_cal.identification.fit_warnings import list_setting_warnings
 from parallel_cal.identification.observations import Observations
@@ -162,18 +161,13 @@ def find_addition(
     def keep(aside: Sequence[int]) -> Dataset:
         return dataset.excluding(aside, f"because it is {explain_exclusion(dataset, aside)}")
 
-    def fit_with(extended: Model, base: FitResult, is_plausible: bool) -> FitResult:
-        if is_plausible:
+    def fit_with(extended: Model, base: FitResult) -> FitResult:
+        if not base.implausible:
             return fit(extended, base.dataset, options, progress)
         # The effects would have to be there before the frame of the device can be placed again.
         return fit_unjudged(extended, base.dataset, options, progress, base.given).judge(progress)
 
-    def extend(
-        base: FitResult,
-        aside: Sequence[int],
-        result: FitResult | None = None,
-        is_plausible: bool = True,
-    ) -> Addition:
+    def extend(base: FitResult, aside: Sequence[int], result: FitResult | None = None) -> Addition:
         scene, added = see(base), list[Candidate]()
         # Start where the base started, so that the device's frame is the one registered there.
         extended = base.start
@@ -181,19 +175,14 @@ def find_addition(
             one = candidate(scene, name)  # with the settings that fit the residuals best
             added.append(replace(one, settings=settings or one.settings))
             extended = extended.with_effect(name, added[-1].settings)
-        result = with_given_model_of(result or fit_with(extended, base, is_plausible), base)
+        result = with_given_model_of(result or fit_with(extended, base), base)
         return Addition(keep(aside), base, result, scene, tuple(added), effect, tuple(aside))
 
     def fit_both(aside: Sequence[int], trusted: frozenset[int] = frozenset()) -> Addition:
-        is_plausible = True
-        try:
-            base = fit(model, keep(aside), limited, progress)
-        except ImplausibleGeometryError as error:
-            # The geometry may imitate these effects, unless a few samples contradict all others.
-            if error.outliers:
-                raise
-            is_plausible = False
-            base = fit(model, keep(aside), limited, progress, compared_only=True)
+        base = fit(model, keep(aside), limited, progress)
+        if base.implausible and knocked is None and base.outliers and not aside:
+            # The geometry may follow a few samples that contradict all others.
+            return fit_both(base.outliers.numbers)
         if knocked is None and options.loss == "linear":
             names = list_effects_to_test(base.model, [name for name, _ in asked])
             more = {*Causes.of(see(base), names).find_knocked_samples()} - trusted
@@ -203,16 +192,11 @@ def find_addition(
                 far = list_samples_far_from(model_found, base.dataset, seen, more)
                 innocent = find_innocent_samples(far, more)
                 return fit_both(aside, trusted | innocent) if innocent else others
-        return extend(base, aside, is_plausible=is_plausible)
+        return extend(base, aside)
 
     if known:
         return extend(known[0], (), known[1])
-    try:
-        return fit_both(knocked or ())
-    except ImplausibleGeometryError as error:
-        if knocked is not None or not error.outliers:
-            raise
-        return fit_both(error.outliers)
+    return fit_both(knocked or ())
 
 
 def see(found: FitResult) -> Scene:

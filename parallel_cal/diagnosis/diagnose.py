@@ -23,6 +23,7 @@ from parallel_cal.diagnosis.ambiguity import (
     find_ambiguous_effects,
 )
 from parallel_cal.diagnosis.catalogue import Candidate, candidate
+from parallel_cal.diagnosis.columns import check_samples, naming_wrong_columns
 from parallel_cal.diagnosis.confirmation import Confirmed, FindAddition, format_additions
 from parallel_cal.diagnosis.entries import (
     Entry,
@@ -31,11 +32,6 @@ from parallel_cal.diagnosis.entries import (
 )
 from parallel_cal.diagnosis.explanation import Explanation
 from parallel_cal.diagnosis.field import Field
-from parallel_cal.diagnosis.first_effect import (
-    check_columns,
-    check_motion,
-    proposing_first_effect,
-)
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.noise_shape import NoiseShape
@@ -61,7 +57,6 @@ from parallel_cal.diagnosis.thresholds import (
 from parallel_cal.diagnosis.unusual import UnusualEffect, find_unusual_effects
 from parallel_cal.diagnosis.verdict import UNEXPLAINED_VERDICTS, Findings, Verdict, judge
 from parallel_cal.identification.added_effects import limit_patterns
-from parallel_cal.identification.checks import ImplausibleGeometryError
 from parallel_cal.identification.fit import FitResult, UnjudgedFit, fit, fit_unjudged
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.observations import Observations
@@ -350,8 +345,8 @@ def diagnose(
     Raises
     ------
     FitError
-        If the free parameters cannot be identified. If no plausible geometry describes the samples,
-        the message names the effects that would make it plausible.
+        If the free parameters cannot be identified, or if other columns or conventions of the
+        samples would describe them: the message names these.
 
     Examples
     --------
@@ -364,9 +359,9 @@ def diagnose(
     """
     options = with_changes(options, FitOptions, changes, FitError)
     setup = _Setup.of(model, dataset, effects, also, options, progress or ignore_progress)
-    with proposing_first_effect(setup.model, setup.dataset, setup.any_size, effects, setup.report):
+    with naming_wrong_columns(setup.model, setup.dataset, setup.any_size):
         if options.loss == "linear":
-            return setup.diagnose_all()
+            return setup.diagnose_without([])
         return setup.diagnose_without_mistrusted()
 
 
@@ -376,7 +371,7 @@ class _Setup:
 
     `recorded` are the samples as given for the model that was `asked`; `dataset` those of the
     `model` with the device in its place, and `given` is that model before any fit. `names` are the
-    effects to test. With `from_any_geometry`, the geometry alone may be what no robot has.
+    effects to test.
     """
 
     asked: Model
@@ -388,7 +383,6 @@ class _Setup:
     names: list[str]
     options: FitOptions
     report: Progress
-    from_any_geometry: bool = False
 
     @classmethod
     def of(
@@ -424,27 +418,6 @@ class _Setup:
         effects in any case."""
         return replace(self.options, usual_only=False)
 
-    def diagnose_all(self) -> Diagnosis:
-        """Diagnose all samples. If no plausible geometry describes them, exclude those that
-        contradict all others; if there are none, look for what the implausible geometry
-        imitates."""
-        model, dataset, options = self.model, self.dataset, self.any_size
-        try:
-            return self.diagnose_without([])
-        except ImplausibleGeometryError as error:
-            observations = self.given.observe(model, dataset, options.joint_sigma, options.insist)
-            outliers = search_outliers(model, dataset, observations, options)
-            if outliers is None:
-                check_columns(model, dataset, options, error)
-                check_motion(model, dataset, options, error)
-                found = replace(self, from_any_geometry=True).diagnose_without([])
-                if not found.effects:
-                    raise
-                return found
-            if not are_few(outliers.numbers, dataset):
-                raise outliers.put_before(error) from None
-        return self.diagnose_without([*outliers.numbers], seen=observations)
-
     def diagnose_without_mistrusted(self) -> Diagnosis:
         """Diagnose without the samples that a robust fit trusts least."""
         why, aside = f"by --loss {self.options.loss}", self._find_mistrusted(self.model)
@@ -472,8 +445,7 @@ class _Setup:
         refit = refit_with_equal_weights(self.model, judged, least_squares)
 
         def search_from(smaller: Model) -> Search:
-            usual_only = self.options.usual_only
-            return Search(smaller, refit, self.report, usual_only, self.from_any_geometry)
+            return Search(smaller, refit, self.report, self.options.usual_only)
 
         def set_aside(knocked: Sequence[int]) -> list[int]:
             more = [one for one in knocked if one not in trusted]
@@ -487,6 +459,8 @@ class _Setup:
 
         search = search_from(self.model)
         self.report("identifying the geometry", 0.0)
+        if not aside and (odd := self._find_contradicting(search.fit(judged=False))):
+            return self.diagnose_without(odd[0], seen=odd[1])
         explanation = Explanation.of(search, self.names, set_aside)
         if more := explanation.knocked:
             everything = seen or search.fit().fitted.observations
@@ -499,6 +473,21 @@ class _Setup:
             return found
         best = found.best.fitted.model
         return _with_samples_aside(found, list_samples_far_from(best, self.dataset, seen, aside))
+
+    def _find_contradicting(self, base: Trial) -> tuple[list[int], Observations] | None:
+        """Return the samples that an implausible geometry may follow because they contradict all
+        others, and how all were seen; None if there are none, or more than a few. FitError if the
+        columns or the motion of the samples are the cause."""
+        if base.result is None or not base.result.implausible:
+            return None
+        model, dataset, options = self.model, self.dataset, self.any_size
+        observations = self.given.observe(model, dataset, options.joint_sigma, options.insist)
+        outliers = search_outliers(model, dataset, observations, options)
+        numbers = list(outliers.numbers) if outliers else []
+        few = numbers if are_few(numbers, dataset) else []
+        others = dataset.excluding(few, f"because it is {explain_exclusion(dataset, few)}")
+        check_samples(model, others, options, base.result.implausible)
+        return (few, observations) if few else None
 
     def _find_mistrusted(self, model: Model) -> list[int]:
         return find_mistrusted_samples(fit(model, self.dataset, self.any_size, hold_out=0))
@@ -529,15 +518,11 @@ def refit_with_equal_weights(model: Model, given: GivenModel, options: FitOption
     first fit estimates: only with equal weights can the residuals of two models be compared."""
     noise: Observations | None = None
 
-    def refit(
-        extended: Model, insist: bool, compared_only: bool, near: FitResult | None
-    ) -> UnjudgedFit:
+    def refit(extended: Model, insist: bool, near: FitResult | None) -> UnjudgedFit:
         nonlocal noise
         asked = replace(options, insist=insist or options.insist)
         asked = limit_patterns(asked, extended, model)
-        unjudged = fit_unjudged(
-            extended, given.dataset, asked, None, given, noise, compared_only, near
-        )
+        unjudged = fit_unjudged(extended, given.dataset, asked, None, given, noise, near)
         noise = noise or unjudged.result.observations
         return unjudged
 

@@ -78,7 +78,7 @@ class Explanation:
         by what no effect describes, and by samples that were disturbed alone: the explanation ends
         with those of them that `set_aside` returns."""
         base = search.fit()
-        if search.from_any_geometry:
+        if base.fitted.implausible:
             base = _find_first(search, base, names)
         first, names = base.chosen, [name for name in names if name not in base.names]
         refuted, wrong = dict[str, str](), list[str]()
@@ -353,12 +353,24 @@ def _scene_about(base: Trial, best: Trial) -> Scene:
 
 
 def _find_first(search: Search, base: Trial, names: Sequence[str]) -> Trial:
-    """The fit with that cause of what `base` shows with which a plausible geometry describes the
-    samples best; `base` if there is none."""
-    _, _, chosen = Causes.of(base.scene, names).explain()
-    trials = [search.fit_as_shown(one) for one in chosen]
-    fitted = [one for one in trials if one.result is not None]
-    return min(fitted, key=lambda one: one.fitted.estimate.chi2, default=base)
+    """The fit with that likely cause with which a plausible geometry describes the samples best;
+    `base` if there is none.
+
+    The sum is about the drawing, with the tolerances of the geometry: about a geometry that no
+    robot has, other effects imitate what is missing.
+    """
+    fitted = base.fitted
+    drawn = Scene.of(
+        fitted.start, fitted.dataset, fitted.observations, fitted.free, within_tolerances=True
+    )
+    posterior, _, chosen = Causes.of(drawn, names).explain()
+    likely = {one.name: one for one in chosen}
+    for name, p in posterior.probability.items():
+        if p > 1 - CREDIBLE and posterior.kinds[name] == EFFECT and name not in likely:
+            likely[name] = Chosen(name)
+    trials = [search.fit_as_shown(one, judged=False) for one in likely.values()]
+    plausible = [one for one in trials if one.result is not None]
+    return min(plausible, key=lambda one: one.fitted.estimate.chi2, default=base)
 
 
 def _find_refuted(search: Search, first: tuple[Chosen, ...], more: tuple[Chosen, ...]) -> str:

@@ -11,7 +11,7 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress
 from parallel_cal.base.threads import single_threaded
-from parallel_cal.diagnosis.first_effect import proposing_first_effect
+from parallel_cal.diagnosis.columns import check_samples, naming_wrong_columns
 from parallel_cal.identification import fit as identification
 from parallel_cal.identification.checks import UnexplainedMotionError
 from parallel_cal.identification.fit import FitResult
@@ -93,14 +93,15 @@ def fit(
     FitResult
         `model` is the identified one. `after` holds its errors at the samples, `held_out` those at
         held-out poses, `noise_floor` the noise floor. `parameters()` lists every estimate with its
-        sigma.
+        sigma. `implausible` says, if it is not empty, that no such robot has this geometry: do not
+        use the model, but let `diagnose` name what the geometry imitates.
 
     Raises
     ------
     FitError
         If the data cannot determine the parameters, an estimate is physically impossible, or the
-        fitted model misses more than 3 % of the measured motion. The message names the likeliest
-        cause that was found: other columns or conventions of the samples, or an effect.
+        fitted model misses more than 3 % of the measured motion. If other columns or conventions of
+        the samples describe them, the message names these.
     ModelError
         If an effect is unknown or does not apply to the model.
 
@@ -119,12 +120,13 @@ def fit(
     True
     """
     options = with_changes(options, FitOptions, changes, FitError)
-    tried = None if effects else ()
-    with proposing_first_effect(model, dataset, options, tried, progress):
+    with naming_wrong_columns(model, dataset, options):
         result = identification.fit(model, dataset, options, progress, effects=effects)
         against = describe_unexplained_motion(result)
         if against and not options.insist:
             raise UnexplainedMotionError(f"{against}. {WAYS_ON}")
+    if result.implausible and not result.outliers:
+        check_samples(model, dataset, options, result.implausible)
     if not against:
         return result
     forced = f"{against}: accepted because of --force (in Python: insist)"

@@ -21,7 +21,6 @@ from parallel_cal.diagnosis.thresholds import (
 )
 from parallel_cal.identification.checks import (
     ContradictionError,
-    ImplausibleGeometryError,
     WrongSignError,
 )
 from parallel_cal.identification.estimate import Estimate, NoSolutionError
@@ -31,9 +30,8 @@ from parallel_cal.identification.unusual import describe_by_effect
 from parallel_cal.model.model import Model
 from parallel_cal.posterior.scene import Scene, SharedDerivatives
 
-# Of a model; whether contradictions are accepted, whether the fit is only compared with others, and
-# the fit near which a single step is enough.
-Refit = Callable[[Model, bool, bool, FitResult | None], UnjudgedFit]
+# Of a model; whether contradictions are accepted, and the fit near which a single step is enough.
+Refit = Callable[[Model, bool, FitResult | None], UnjudgedFit]
 
 
 @dataclass(frozen=True)
@@ -64,10 +62,9 @@ class Chosen:
 class Trial:
     """A refit of the model with some effects, or the reason why it has none; `wrong_sign` is the
     effect whose sign physics forbids, if that is the reason, `contradicts` if it is a contradiction
-    that a caller may insist on, `unsolved` if the refit found no solution. `implausible` is the
-    chi2/dof of a refit whose geometry no robot has. `scenes` keeps the scene once it is made; it
-    shares derivatives with other trials. `unjudged` is the fit if its validation errors are not
-    computed yet.
+    that a caller may insist on, `unsolved` if the refit found no solution. `scenes` keeps the scene
+    once it is made; it shares derivatives with other trials. `unjudged` is the fit if its
+    validation errors are not computed yet.
     """
 
     chosen: tuple[Chosen, ...]
@@ -76,7 +73,6 @@ class Trial:
     wrong_sign: str = ""
     contradicts: bool = False
     unsolved: bool = False
-    implausible: float | None = None
     scenes: list[Scene] = field(default_factory=list, repr=False, compare=False)
     shared: SharedDerivatives | None = field(default=None, repr=False, compare=False)
     unjudged: UnjudgedFit | None = field(default=None, repr=False, compare=False)
@@ -93,8 +89,6 @@ class Trial:
     @property
     def fitted(self) -> FitResult:
         """The refit; FitError if it failed."""
-        if self.result is None and self.implausible is not None:
-            raise ImplausibleGeometryError(self.reason, self.implausible)
         if self.result is None:
             raise FitError(self.reason)
         return self.result
@@ -114,8 +108,7 @@ def _fail(chosen: tuple[Chosen, ...], error: FitError) -> Trial:
     wrong_sign = error.effect if isinstance(error, WrongSignError) else ""
     contradicts = isinstance(error, ContradictionError)
     unsolved = isinstance(error, NoSolutionError)
-    absurd = error.chi2_per_dof if isinstance(error, ImplausibleGeometryError) else None
-    return Trial(chosen, None, str(error), wrong_sign, contradicts, unsolved, absurd)
+    return Trial(chosen, None, str(error), wrong_sign, contradicts, unsolved)
 
 
 def _judge(trial: Trial) -> Trial:
@@ -133,8 +126,8 @@ Rivals = Mapping[str, list[Candidate]]  # of each effect, what the data confuse 
 
 class Search:
     """The refits of one diagnosis, each made once. Validation errors cost several fits: they are
-    computed for those refits only that must be judged. With `from_any_geometry`, the fit without
-    further effects may have a geometry that no robot has, as where it imitates what is missing."""
+    computed for those refits only that must be judged. The fit without further effects may have a
+    geometry that no robot has, which imitates what is missing; one with effects must explain it."""
 
     def __init__(
         self,
@@ -142,10 +135,8 @@ class Search:
         refit: Refit,
         progress: Progress,
         usual_only: bool = False,
-        from_any_geometry: bool = False,
     ):
         self._model, self._progress, self._refit = model, progress, refit
-        self.from_any_geometry = from_any_geometry
         self._usual_only = usual_only
         self._shared = SharedDerivatives()
         self._known: dict[tuple[Collection[Chosen], bool, bool], Trial] = {}
@@ -197,8 +188,10 @@ class Search:
         try:
             for one in chosen:
                 model = model.with_effect(one.name, one.settings)
-            unjudged = self._refit(model, insist, self.from_any_geometry and not chosen, near)
+            unjudged = self._refit(model, insist, near)
             trial = Trial(chosen, unjudged.result, shared=self._shared, unjudged=unjudged)
+            if chosen and (words := unjudged.result.implausible):
+                trial = Trial(chosen, None, words)
         except ModelError as error:  # an effect of the larger model, before it: the order matters
             key, trial = (ordered, insist, once), Trial(chosen, None, str(error))
         except FitError as error:

@@ -15,9 +15,9 @@ from parallel_cal.base.options import with_changes
 from parallel_cal.base.parallel import Runner, run_on_cores
 from parallel_cal.base.progress import Progress, ignore_progress, never_falling
 from parallel_cal.base.threads import single_threaded
+from parallel_cal.diagnosis.columns import check_samples, naming_wrong_columns
 from parallel_cal.diagnosis.diagnose import find_mistrusted_samples
 from parallel_cal.diagnosis.field import Field
-from parallel_cal.diagnosis.first_effect import proposing_first_effect
 from parallel_cal.diagnosis.stations import DeviceField, find_stations
 from parallel_cal.diagnosis.thresholds import MAX_HELD_COORDINATE_SIGMAS
 from parallel_cal.discovery.drivers import (
@@ -118,8 +118,10 @@ def discover(
     options = with_changes(options, FitOptions, changes, FitError)
     report("identifying the geometry", 0.0)
     dataset = add_lagged_conditions(name_lags(dataset), dataset)
-    with proposing_first_effect(model, dataset, options, progress=progress):
+    with naming_wrong_columns(model, dataset, options):
         base = fit(model, dataset, options)
+    if base.implausible and not base.outliers:
+        check_samples(model, dataset, options, base.implausible)
     if options.loss != "linear":
         dataset = dataset.excluding(find_mistrusted_samples(base), f"by --loss {options.loss}")
         options = replace(options, loss="linear")

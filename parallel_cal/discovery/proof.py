@@ -33,7 +33,6 @@ from parallel_cal.discovery.places import DEVICE
 from parallel_cal.discovery.screening import Targets
 from parallel_cal.discovery.search import Winner
 from parallel_cal.discovery.shape import find_shape
-from parallel_cal.identification.checks import ImplausibleGeometryError
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.model import Model
@@ -103,9 +102,8 @@ def _prove(
     name = load_text(write_effect(formula, sentence, where))
     # With the samples in which the law was found.
     find = partial(find_addition, proof.model, name, dataset, knocked=())
-    try:
-        found = find(options, known=(proof.fit, None))
-    except ImplausibleGeometryError:  # geometry imitates the law: known sizes decide how much
+    found = find(options, known=(proof.fit, None))
+    if found.result.implausible:  # geometry imitates the law: known sizes decide how much
         found = find(replace(options, prior=True))
     step = step_of(found, force=True)
     refitted = step.result.parameters()

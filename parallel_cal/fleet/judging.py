@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.documents import to_json_value
+from parallel_cal.base.errors import FitError
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.causes.effects import find_missing_conditions, find_new_parameters
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
@@ -42,6 +43,8 @@ def judge_recording(
             found = diagnose(
                 model, dataset, effects=asked.effects, also=asked.also, options=asked.options
             )
+            if words := found.best.fitted.implausible:
+                raise FitError(words)
             when = job.time
             if when is None:
                 when = find_start_time(dataset, start_ns)

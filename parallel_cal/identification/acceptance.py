@@ -36,6 +36,11 @@ RIGHT_GEOMETRY = (
     "pc.diagnose(model, dataset))"
 )
 
+IMITATES = (
+    ". diagnose names what is missing, and add takes it: parallel-cal diagnose MODEL RECORDING "
+    "(in Python: pc.diagnose(model, dataset))"
+)
+
 NOISE_OF_THREE_AXES = 3.0  # squared error that noise alone leaves, in units of its variance
 FOREIGN_SHARE = 0.5  # of the measured motion: a model with a larger error explains hardly any of it
 # Of the motion of joints in m: other sensors, such as a probe, read what is left of this motion
@@ -88,6 +93,11 @@ def acceptance(
         why += ": without a validation error nothing proves that the new model is better"
         return Acceptance(used, new.after.summary, False, why)
     then, now = before.select(known).summary, after.select(known).summary
+    if new.implausible:
+        why = new.implausible if old is not None else f"{new.implausible}{IMITATES}"
+        if new.outliers is not None:
+            why = f"{new.outliers.description}. With all samples, {new.implausible}"
+        return Acceptance(then, now, True, f"{why}{_describe_foreign_model(new, now)}")
     ratio = held_out_ratio(then, now)
     # The fall must exceed the uncertainty of its mean, pose by pose: a fall that half of the poses
     # contradict is chance.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -79,16 +79,8 @@ class ContradictionError(FitError):
 
 
 class ImplausibleGeometryError(FitError):
-    """A parameter of the geometry was identified far outside its plausible range; `chi2_per_dof` is
-    that of this fit, `outliers` the numbers of samples that contradict all others, if it is known.
-    """
-
-    def __init__(self, words: str, chi2_per_dof: float, outliers: tuple[int, ...] = ()):
-        super().__init__(words)
-        self.chi2_per_dof, self.outliers = chi2_per_dof, outliers
-
-    def __reduce__(self) -> tuple[type, tuple[str, float, tuple[int, ...]]]:
-        return type(self), (str(self), self.chi2_per_dof, self.outliers)
+    """All lengths of the geometry share a factor, as from a wrong unit, or one is outside its range
+    although only usual sizes are accepted."""
 
 
 class UnexplainedMotionError(FitError):
@@ -110,8 +102,7 @@ def check_plausible(
     insist: bool = False,
     usual_only: bool = False,
     leaves_noise: bool = False,
-    compared_only: bool = False,
-) -> tuple[Model, dict[str, UnusualSize], list[str]]:
+) -> tuple[Model, dict[str, UnusualSize], str, list[str]]:
     """Judge the size of every identified parameter.
 
     A parameter is out of range if it lies more than three sigmas outside. The sigmas are those that
@@ -119,35 +110,38 @@ def check_plausible(
     written and read again. `estimate.sigma` is infinite for a parameter that the data do not
     determine, and would let any value pass.
 
-    Usual sizes are knowledge about other machines: a parameter of an effect or a sensor outside its
-    range is accepted, and its tolerance is raised to allow it, unless the owner wants `usual_only`.
-    A dimension or zero of the geometry is accepted like this only if the fit `leaves_noise` alone:
-    then the drawing is wrong, and the model is not. It is accepted, too, in a fit to which others
-    are `compared_only`: there it imitates what the model lacks. A factor that all lengths share is
-    refused.
+    Usual sizes are knowledge about other machines: a parameter outside its range is accepted, and
+    its tolerance is raised to allow it, unless the owner wants `usual_only`. If it is a dimension
+    or zero of the geometry, and the fit `leaves_noise` alone, then the drawing is wrong, and the
+    model is not. Otherwise the geometry is implausible: it imitates what the model lacks. A factor
+    that all lengths share is refused, because a unit explains it.
 
     Returns
     -------
     Model
         The model, with raised tolerances.
     dict of str to UnusualSize
-        What is unusual, by parameter.
+        What is unusual of effects and sensors, by parameter.
+    str
+        The parameter of an implausible geometry that is furthest from its nominal value, in words;
+        empty if the geometry is plausible.
     list of str
-        Parameters of the geometry that were accepted, and impossible values of effects that were
+        Parameters of the geometry of a wrong drawing, and impossible values of effects that were
         accepted because the caller insists.
 
     Raises
     ------
     ImplausibleGeometryError
-        If a parameter of the geometry is out of range.
+        If a parameter of the geometry is out of range, and all lengths share a factor or only usual
+        sizes are wanted.
     WrongSignError
         If an elastic or dissipative quantity is negative.
     FitError
-        If another parameter is out of range, values of an effect are impossible together, or a
-        size is unusual and only usual ones are wanted.
+        If another parameter is physically impossible, values of an effect are impossible together,
+        or a size is unusual and only usual ones are wanted.
     """
     unusual, accepted, tolerances = dict[str, UnusualSize](), list[str](), dict(model.tolerances)
-    usual_tolerances = dict(model.usual_tolerances)
+    usual_tolerances, far = dict(model.usual_tolerances), dict[str, float]()
     stated_sigma = np.sqrt(np.maximum(np.diag(estimate.covariance), 0.0))
     low, high = np.array(
         [p.plausible_range(s) for p, s in zip(model.table, stated_sigma.tolist(), strict=True)]
@@ -155,36 +149,23 @@ def check_plausible(
     outside = free & ~((low <= model.values) & (model.values <= high))
     is_geometry = np.array([p.group not in ("effect", "sensor") for p in model.table])
     scale = find_scale_of_lengths(model, free & is_geometry)
-    may_stay = (leaves_noise or compared_only) and not usual_only and scale is None
     for i in np.flatnonzero(outside):
         p, value = model.table[i], float(model.values[i])
         least, most = p.plausible_range()
         if is_geometry[i]:
-            chi2 = estimate.chi2_per_dof
-            found = (
-                f"{p.name} was identified as {_show(p, value)}, "
-                f"{(value - p.nominal) / p.tolerance:+.1f} tolerances from its nominal "
-                f"{p.nominal:.6g}"
-            )
-            if may_stay and p.low <= value <= p.high:
-                tolerances[p.name] = 1.2 * abs(value - p.nominal) / MAX_TOLERANCES
-                usual_tolerances.setdefault(p.name, p.tolerance)
-                why = (
-                    f"It was accepted, with a larger tolerance, because the fit leaves only noise "
-                    f"(chi2/dof {chi2:.3g}): check this dimension or zero in the drawing"
-                    if leaves_noise
-                    else f"It imitates what the model lacks (chi2/dof {chi2:.3g})"
+            found = _describe_place(p, value)
+            if usual_only or scale is not None or not p.low <= value <= p.high:
+                scaled = "" if scale is None else f"{describe_scale_of_lengths(scale)}; "
+                raise ImplausibleGeometryError(
+                    f"{found} (plausible {least:.6g} to {most:.6g}; chi2/dof "
+                    f"{estimate.chi2_per_dof:.3g}): {scaled}check units and mechanism, fix the "
+                    "parameter, use priors (fit --prior), or correct nominal and tolerance in the "
+                    "model file"
                 )
-                accepted.append(f"{found}. {why}")
-                continue
-            scaled = "" if scale is None else f"{describe_scale_of_lengths(scale)}; "
-            raise ImplausibleGeometryError(
-                f"{found} (plausible {least:.6g} to {most:.6g}; chi2/dof {chi2:.3g}): {scaled}"
-                "check units and mechanism, fix the parameter, use priors (fit --prior), correct "
-                "nominal and tolerance in the model file, or find the effect that the geometry "
-                "imitates (diagnose) and identify it, too (add, or fit --effect NAME)",
-                chi2,
-            )
+            tolerances[p.name] = 1.2 * abs(value - p.nominal) / MAX_TOLERANCES
+            usual_tolerances.setdefault(p.name, p.tolerance)
+            far[found] = abs(value - p.nominal) / p.tolerance
+            continue
         bound = least if value < low[i] else most
         if bound == p.nominal:
             side = "negative" if value < p.nominal else "positive"
@@ -196,6 +177,12 @@ def check_plausible(
         tolerances[p.name] = 1.2 * p.tolerance * (value - p.nominal) / (bound - p.nominal)
         usual_tolerances.setdefault(p.name, p.tolerance)
         unusual[p.name] = UnusualSize.of(p, value)
+    if leaves_noise:
+        accepted += [
+            f"{found}. It was accepted, with a larger tolerance, because the fit leaves only noise "
+            f"(chi2/dof {estimate.chi2_per_dof:.3g}): check this dimension or zero in the drawing"
+            for found in far
+        ]
     if scale is not None and abs(scale) > MIN_COMMON_SCALE:
         accepted.append(
             f"{describe_scale_of_lengths(scale)}: check the unit and the scale of the measuring "
@@ -217,7 +204,28 @@ def check_plausible(
             raise ContradictionError(why)
         accepted.append(f"{why}: accepted because of --force (in Python: insist)")
     raised = replace(model, tolerances=tolerances, usual_tolerances=usual_tolerances)
-    return raised, unusual, accepted
+    implausible = "" if leaves_noise else _describe_imitation(far, estimate.chi2_per_dof)
+    return raised, unusual, implausible, accepted
+
+
+def _describe_place(p: Parameter, value: float) -> str:
+    return (
+        f"{p.name} was identified as {_show(p, value)}, "
+        f"{(value - p.nominal) / p.tolerance:+.1f} tolerances from its nominal {p.nominal:.6g}"
+    )
+
+
+def _describe_imitation(far: Mapping[str, float], chi2_per_dof: float) -> str:
+    """Say how far an implausible geometry is from the drawing; `far` has the distances in
+    tolerances."""
+    if not far:
+        return ""
+    worst = max(far, key=far.__getitem__)
+    more = f", and {len(far) - 1} more are too far" if len(far) > 1 else ""
+    return (
+        f"{worst}{more} (chi2/dof {chi2_per_dof:.3g}): no such robot has this geometry, which "
+        "imitates what the model lacks"
+    )
 
 
 def check_joint_errors(model: Model, found: Errors) -> None:

@@ -60,7 +60,7 @@ from parallel_cal.identification.noise_floor import (
 from parallel_cal.identification.observability import directions_in_words
 from parallel_cal.identification.observations import Observations, blocks, list_noise, observe
 from parallel_cal.identification.options import FitKeywords, FitOptions
-from parallel_cal.identification.outliers import search_outliers
+from parallel_cal.identification.outliers import Outliers, search_outliers
 from parallel_cal.identification.prediction_errors import (
     Errors,
     Summary,
@@ -135,6 +135,11 @@ class FitResult(ShownInNotebook):
         Of an update: how far the robot has drifted since its last calibration.
     unusual : dict of str to UnusualSize
         Parameters of effects that are larger than usual for the machine's class, by name.
+    implausible : str
+        Why no such robot has the identified geometry, which imitates what the model lacks; empty if
+        it is plausible.
+    outliers : Outliers, optional
+        Samples that contradict all others; None if there are none.
     """
 
     model: Model
@@ -152,6 +157,8 @@ class FitResult(ShownInNotebook):
     base_motion: BaseMotion | None = None
     unusual: Mapping[str, UnusualSize] = field(default_factory=dict)
     drift: Drift | None = None
+    implausible: str = ""
+    outliers: Outliers | None = None
 
     def __repr__(self) -> str:
         return (
@@ -446,6 +453,7 @@ class FitResult(ShownInNotebook):
             "registration": to_json_value(self.registration),
             "base_motion": to_json_value(self.base_motion),
             "unusual": to_json_value(list(self.unusual.values())),
+            "implausible": self.implausible,
             "warnings": list(self.warnings),
         }
 
@@ -503,15 +511,13 @@ def fit(
     progress: Progress | None = None,
     *,
     effects: Sequence[str] = (),
-    compared_only: bool = False,
     **changes: Unpack[FitKeywords],
 ) -> FitResult:
     """Identify the free parameters of a model from measurements, and take the result as it is.
 
     Arguments, result and errors are those of `parallel_cal.diagnosis.fitting.fit`, which also
-    refuses a result that does not describe the samples, and names the likeliest cause of a
-    refusal. Callers that compare many fits need neither; a fit that is `compared_only` is never
-    written, and may have a geometry that no robot has.
+    refuses a result that does not describe the samples, and names the columns or conventions that
+    do. Callers that compare many fits need neither.
     """
     options = with_changes(options, FitOptions, changes, FitError)
     if not dataset.sha256:  # so that another fit of these samples knows that the first used them
@@ -527,20 +533,14 @@ def fit(
     if options.update:
         drift, options = weigh_drift(start, dataset, options, given)
         dataset = replace(dataset, warnings=(*dataset.warnings, *drift.warnings))
-    try:
-        unjudged = fit_unjudged(
-            start, dataset, options, progress, given, compared_only=compared_only
-        )
-        result = replace(unjudged.judge(progress), drift=drift)
-    except ImplausibleGeometryError as error:
-        observations = given.observe(start, dataset, options.joint_sigma, options.insist)
-        outliers = search_outliers(start, dataset, observations, options)
-        if outliers is None:
-            raise
-        raise outliers.put_before(error) from None
-    outliers = search_outliers(start, dataset, result.observations, options, result.estimate)
+    unjudged = fit_unjudged(start, dataset, options, progress, given)
+    result = replace(unjudged.judge(progress), drift=drift)
+    # An outlier may hide where the geometry follows it.
+    known = None if result.implausible else result.estimate
+    outliers = search_outliers(start, dataset, result.observations, options, known)
     if outliers is not None:
-        result = replace(result, warnings=(*result.warnings, outliers.description))
+        warnings = (*result.warnings, outliers.description)
+        result = replace(result, warnings=warnings, outliers=outliers)
     if registration is None:
         return result
     motion = compute_base_motion(result.model, result.observations)
@@ -558,7 +558,7 @@ def weigh_drift(
     for scale in DRIFT_SCALES:
         prior = update_prior(start, scale)
         how = replace(options, prior=prior, update=False, hold_out=0.0, insist=True)
-        result = fit_unjudged(start, dataset, how, given=given, compared_only=True).result
+        result = fit_unjudged(start, dataset, how, given=given).result
         estimate = result.estimate
         if result.observations.noise_assumed:  # chi2 has no size then
             return Drift(1.0), replace(options, prior=update_prior(start))
@@ -592,15 +592,13 @@ def fit_unjudged(
     progress: Progress | None = None,
     given: GivenModel | None = None,
     noise: Observations | None = None,
-    compared_only: bool = False,
     near: FitResult | None = None,
 ) -> UnjudgedFit:
     """Fit a model that describes where its device stands; leave the validation errors for later.
 
     `given` is the model to compare with, by default the model itself. `noise` are the same samples
-    with noise that another fit estimated, if this fit must use the same weights. A fit that is
-    `compared_only` may have a geometry that no robot has. From one that is `near`, to the same
-    samples, a single step is made.
+    with noise that another fit estimated, if this fit must use the same weights. From one that is
+    `near`, to the same samples, a single step is made.
     """
     given = given or GivenModel(model, model, dataset, options.joint_sigma, options.insist)
     mask, is_partial = chosen_parameters(model, options)
@@ -623,7 +621,7 @@ def fit_unjudged(
             found,
             estimate=add_consider_covariance(found.model, found.observations, mask, found.estimate),
         )
-    fitted, unusual, insisted = _check(found, options, compared_only)
+    fitted, unusual, implausible, insisted = _check(found, options)
     after = errors(fitted, found.observations)
     check_joint_errors(fitted, after)
     result = FitResult(
@@ -640,12 +638,14 @@ def fit_unjudged(
             *dataset.warnings,
             *_list_forced(found.observations, given),
             *describe_by_effect(unusual.values()).values(),
+            *([implausible] if implausible else []),
             *insisted,
             *_list_warnings(found, fitted, after),
             *list_sample_warnings(found.estimate, dataset, options.loss),
         ),
         given=given,
         unusual=unusual,
+        implausible=implausible,
     )
     return UnjudgedFit(result, partial(_judge_fold, identify, found, options))
 
@@ -665,27 +665,20 @@ def _observe(
 
 
 def _check(
-    found: Identified, options: FitOptions, compared_only: bool
-) -> tuple[Model, Mapping[str, UnusualSize], Sequence[str]]:
-    """The fitted model if it is plausible, its parameters of unusual size, and what was insisted
-    on; FitError otherwise."""
+    found: Identified, options: FitOptions
+) -> tuple[Model, Mapping[str, UnusualSize], str, Sequence[str]]:
+    """What `check_plausible` returns of a fitted model."""
     scaled = found.scaled
-    try:
-        return check_plausible(
-            found.fitted,
-            found.estimate,
-            found.free,
-            options.insist,
-            options.usual_only,
-            # A scale that all lengths share, such as mm for m, leaves only noise, too.
-            leaves_noise=scaled is None
-            and leaves_only_noise(found.usual, found.estimate, found.observations),
-            compared_only=compared_only and scaled is None,
-        )
-    except ImplausibleGeometryError as error:
-        if scaled is None:
-            raise
-        raise ImplausibleGeometryError(f"{scaled}. {error}", error.chi2_per_dof) from None
+    # A scale that all lengths share, such as mm for m, leaves only noise, too.
+    leaves_noise = scaled is None and leaves_only_noise(
+        found.usual, found.estimate, found.observations
+    )
+    checked = check_plausible(
+        found.fitted, found.estimate, found.free, options.insist, options.usual_only, leaves_noise
+    )
+    if scaled is not None and checked[2]:
+        raise ImplausibleGeometryError(f"{scaled}. {checked[2]}")
+    return checked
 
 
 def _list_warnings(found: Identified, fitted: Model, after: Errors) -> list[str]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.sample_names import format_sample
-from parallel_cal.identification.checks import ImplausibleGeometryError, chosen_parameters
+from parallel_cal.identification.checks import chosen_parameters
 from parallel_cal.identification.estimate import Estimate
 from parallel_cal.identification.linearisation import Linearisation, System, rms_by_sample
 from parallel_cal.identification.methods import implicit
@@ -99,11 +99,6 @@ class Outliers:
             f"{every}. Check {them}, or exclude {them}: --data "
             f"exclude={','.join(map(str, self.numbers))}"
         )
-
-    def put_before(self, error: ImplausibleGeometryError) -> ImplausibleGeometryError:
-        """Return the error of a fit to all samples, behind what is said of these."""
-        words = f"{self.description}. With all samples, {error}"
-        return ImplausibleGeometryError(words, error.chi2_per_dof, self.numbers)
 
 
 def _find_in(system: System) -> np.ndarray:

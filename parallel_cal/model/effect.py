@@ -123,6 +123,9 @@ class Effect(ABC):
         finer steps change little. Default True.
     title : str
         What messages and tables call it, if its name means nothing to a user. Default: its name.
+    mistaken : float
+        How many times its usual size it has if a person entered a wrong number, such as the lead
+        of another screw. A diagnosis weighs this size, too.
     found_in_data : bool
         Whether its formula was found in data, so that its cause is not known. Default False.
     physics : str
@@ -155,6 +158,7 @@ class Effect(ABC):
     refines: ClassVar[bool] = True
     title: ClassVar[str] = ""
     found_in_data: ClassVar[bool] = False
+    mistaken: ClassVar[float] = 1.0
     physics: ClassVar[str]
     remedy: ClassVar[str] = ""
     source: ClassVar[str]

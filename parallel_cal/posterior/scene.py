@@ -61,6 +61,12 @@ class Scene:
     (N,) is the number of independent rows that remain for each sample, of at most `rows`. Where
     these are fewer than the rows of the closure, `turn` (N, rows, rows of the closure) are their
     orthonormal directions among those.
+
+    The geometry takes a direction of the basis as a whole, unless the scene is one within its
+    tolerances: `sizes` (rank,) are then the standard deviations of the residual along the basis
+    that they allow, in noise units, infinite for frames. Residual and columns are multiplied by
+    S^-1/2, with S = 1 + U diag(sizes^2) U' and U the basis, so that their products are those of the
+    evidence.
     """
 
     model: Model
@@ -76,6 +82,7 @@ class Scene:
     dof: int
     turn: np.ndarray | None = field(default=None, repr=False)
     shared: SharedDerivatives | None = field(default=None, repr=False)
+    sizes: np.ndarray | None = field(default=None, repr=False)
 
     @classmethod
     def of(
@@ -85,9 +92,11 @@ class Scene:
         observations: Observations,
         free: np.ndarray,
         shared: SharedDerivatives | None = None,
+        within_tolerances: bool = False,
     ) -> Scene:
-        """Make the scene of a fitted model; the residual is what its free parameters leave. Scenes
-        of other models of the same samples may have the same `shared` derivatives."""
+        """Make the scene of a fitted model; the residual is what its free parameters leave, or the
+        geometry `within_tolerances` of its nominal values. Scenes of other models of the same
+        samples may have the same `shared` derivatives."""
         x = predict_configurations(model, observations)
         linearise = Linearisation(model, observations, free, True)
         C = np.empty((len(x), model.structure.rows.shape[0], len(model.structure.scale)))
@@ -100,11 +109,21 @@ class Scene:
             whitener, r, J = turn @ whitener, turn @ r, turn @ J
         r = r.reshape(-1)
         J = J.reshape(len(r), -1) * model.table.prior_sigma[free]
+        is_held = np.array([p.group not in ("effect", "sensor") for p in model.table])[free]
+        is_held &= within_tolerances
         basis = compute_orthonormal_basis(
-            J, RELATIVE_RANK, MIN_SIGMAS_PER_TOLERANCE
+            J[:, ~is_held], RELATIVE_RANK, MIN_SIGMAS_PER_TOLERANCE
         )  # what a fit holds takes nothing away
-        residual = r - basis @ (basis.T @ r)
         dof = int(system.informative.sum()) - basis.shape[1]
+        sizes: np.ndarray | None = None
+        if within_tolerances:
+            away = (model.table.nominal - model.values) / model.table.prior_sigma
+            r = r + J[:, is_held] @ away[free][is_held]
+            held = J[:, is_held] - basis @ (basis.T @ J[:, is_held])
+            directions, allowed, _ = np.linalg.svd(held, full_matrices=False)
+            sizes = np.concatenate([np.full(basis.shape[1], np.inf), allowed])
+            basis = np.hstack([basis, directions])
+        residual = _project_off(r, basis, sizes)
         return cls(
             model,
             dataset,
@@ -119,6 +138,7 @@ class Scene:
             dof,
             turn,
             shared,
+            sizes,
         )
 
     def in_units_of(self, variance: float) -> Scene:
@@ -126,7 +146,14 @@ class Scene:
         if variance == 1.0:
             return self
         scale = variance**-0.5
-        return replace(self, residual=scale * self.residual, whitener=scale * self.whitener)
+        residual, sizes = scale * self.residual, self.sizes
+        if sizes is not None:
+            known = np.where(np.isinf(sizes), 0.0, sizes)
+            onto = self.basis.T @ residual
+            residual = residual + self.basis @ ((np.sqrt(1 + known**2) - 1) * onto)
+            sizes = scale * sizes
+            residual = _project_off(residual, self.basis, sizes)
+        return replace(self, residual=residual, whitener=scale * self.whitener, sizes=sizes)
 
     @property
     def rows(self) -> int:
@@ -192,7 +219,7 @@ class Scene:
 
     def project_off_geometry(self, columns: np.ndarray) -> np.ndarray:
         """Remove from columns (n, k) the part that the free parameters can imitate."""
-        return np.asarray(columns - self.basis @ (self.basis.T @ columns))
+        return _project_off(columns, self.basis, self.sizes)
 
     @cached_property
     def places(self) -> np.ndarray:
@@ -247,6 +274,15 @@ def columns(
         by_v = s.columns(tuple(which.tolist()))(scene.x, a, extended.values)[0]
         J = scene.whitener @ by_v.reshape(n, len(which), -1).transpose(0, 2, 1)
     return np.asarray(J.reshape(len(scene.residual), -1) * extended.table.tolerance[new])
+
+
+def _project_off(columns: np.ndarray, basis: np.ndarray, sizes: np.ndarray | None) -> np.ndarray:
+    """Columns (n,) or (n, k) without the basis; times S^-1/2 if its `sizes` are known."""
+    onto = basis.T @ columns
+    if sizes is not None:
+        taken = 1 - 1 / np.sqrt(1 + sizes**2)
+        onto = taken.reshape(-1, *[1] * (onto.ndim - 1)) * onto
+    return np.asarray(columns - basis @ onto)
 
 
 def compute_orthonormal_basis(J: np.ndarray, least: float, weak: float = 0.0) -> np.ndarray:

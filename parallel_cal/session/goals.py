@@ -143,7 +143,8 @@ def examine(
     try:
         report("reading the model file", 0.0)
         found = diagnose(read_model(model_file), dataset, options=options, progress=report)
-        text = readable_text(found.best.fitted.model, "the best model found")
+        best = found.best.fitted
+        text = "" if best.implausible else readable_text(best.model, "the best model found")
     except ParallelCalError as error:
         return Outcome(False, str(error))
     word = found.verdict.word

@@ -14,6 +14,7 @@ import numpy as np
 
 from parallel_cal.base.arguments import check_arguments
 from parallel_cal.base.documents import to_json_value
+from parallel_cal.base.errors import FitError
 from parallel_cal.base.files import write_atomically
 from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
@@ -327,6 +328,8 @@ class Session(History):
         )
         given = self.model if model is None else model
         step = fitted(given, data, True, options=options, progress=progress, effects=effects)
+        if step.result.implausible:  # later steps would start from it
+            raise FitError(step.acceptance.against)
         if (start := self.state).errors:
             # The previous model was fitted to these samples, so its error at them proves nothing.
             # Other samples or parameters are no reason to doubt the new one either. Its validation

@@ -158,7 +158,7 @@ def fitted(
     added = "+".join(n for text in effects for n, _ in parse_effects(text))
     judged = acceptance(result)
     has_prior = how.prior or how.update or result.given.fits_of_these_samples
-    may_help = judged.judged and not has_prior
+    may_help = judged.judged and not (has_prior or result.implausible)
     found = _check_proven(judged, force, PRIORS if may_help else "")
     return _step("fit", result, found, effect=added or None)
 

@@ -145,6 +145,8 @@ def identify(
         data = loop_dataset(robot, loop, dataset, joint_sigma)
         model = loop_model(robot, loop, recorded_home(data))
         result = fit(model, data, prior=True, hold_out=0)
+        if result.implausible:
+            raise FitError(f"its geometry is implausible: {result.implausible}")
     except FitError as error:
         raise FitError(f"loop {loop}: {error}") from None
     _, A = closures(result)(result.model.values)

@@ -1,0 +1,75 @@
+"""Say which columns or conventions of the samples are wrong, where the samples show it.
+
+Where no geometry describes the samples, or only one that no such robot has, an effect may be
+missing. But a wrong column does the same, and with it every effect found would be wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+import numpy as np
+
+from parallel_cal.base.errors import FitError, ModelError
+from parallel_cal.identification.acceptance import FOREIGN_SHARE
+from parallel_cal.identification.checks import (
+    ImplausibleGeometryError,
+    UnexplainedMotionError,
+)
+from parallel_cal.identification.column_doubts import doubt_columns
+from parallel_cal.identification.estimate import NoSolutionError
+from parallel_cal.identification.fit import fit
+from parallel_cal.identification.observations import observe
+from parallel_cal.identification.options import FitOptions
+from parallel_cal.identification.registration import DevicePoses
+from parallel_cal.model.model import Model
+from parallel_cal.recordings.dataset import Dataset
+
+GAIN = "encoder_gain"
+
+
+@contextmanager
+def naming_wrong_columns(model: Model, dataset: Dataset, options: FitOptions) -> Iterator[None]:
+    """If no geometry describes the samples, say which other columns or conventions fit them."""
+    try:
+        yield
+    except (ImplausibleGeometryError, NoSolutionError, UnexplainedMotionError) as error:
+        check_columns(model, dataset, options, str(error))
+        raise
+
+
+def check_samples(model: Model, dataset: Dataset, options: FitOptions, against: str) -> None:
+    """Raise FitError if the samples themselves explain what is said `against` their fit: other
+    columns or conventions fit them, or most of their motion is not explained."""
+    check_columns(model, dataset, options, against)
+    check_motion(model, dataset, options, against)
+
+
+def check_columns(model: Model, dataset: Dataset, options: FitOptions, against: str) -> None:
+    """Raise FitError if other columns or conventions fit the samples."""
+    observations = observe(model, dataset, options.joint_sigma, options.insist)
+    there = DevicePoses.of(model, observations)
+    if words := doubt_columns(model, observations, there, dataset.source, suspected=True):
+        # Joints that contradict each other by a few per cent look like exchanged ones.
+        most = np.inf
+        with suppress(FitError, ModelError):
+            gained = fit(model.with_effect(GAIN), dataset, options, hold_out=0)
+            if (seen := DevicePoses.of(gained.model, gained.observations)) is not None:
+                most = seen.compute_median_error(seen.now)
+        words = doubt_columns(model, observations, there, dataset.source, True, most)
+    if words:
+        raise FitError(f"{words}. As they are, {against}") from None
+
+
+def check_motion(model: Model, dataset: Dataset, options: FitOptions, against: str) -> None:
+    """Raise FitError if most of the measured motion is not explained wherever the device stands: no
+    effect is the cause."""
+    there = DevicePoses.of(model, observe(model, dataset, options.joint_sigma, options.insist))
+    if there is not None and (share := there.find_unexplained_share()) > FOREIGN_SHARE:
+        raise FitError(
+            f"{against}. Wherever the device stands, {100 * share:.0f} % of the measured motion "
+            "is not explained, so no effect was tried. Check the mechanism, and the units, "
+            "columns, signs and zeros of the joints and poses: two of them may be wrong, or "
+            "the rows of joints and poses do not belong together"
+        )
