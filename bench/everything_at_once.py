@@ -110,9 +110,17 @@ def hexapod(size: float) -> Machine:
     )
     g = np.concatenate([C.ravel(), B.ravel(), L0])
     return Machine(
-        tuple(f"leg{i}" for i in range(1, 7)), "m", g, np.full(42, 1e-3), np.ones(42, bool), pose,
-        readings, ("stewart42", *described), False, tuple(range(6)),
-    )  # fmt: skip
+        tuple(f"leg{i}" for i in range(1, 7)),
+        "m",
+        g,
+        np.full(42, 1e-3),
+        np.ones(42, bool),
+        pose,
+        readings,
+        ("stewart42", *described),
+        False,
+        tuple(range(6)),
+    )
 
 
 def linear_delta(size: float) -> Machine:
@@ -144,9 +152,16 @@ def linear_delta(size: float) -> Machine:
     )
     described = (f"base={out}", f"platform={inner}", f"rod={rod}", f"height={0.1 * size}")
     return Machine(
-        ("joint1", "joint2", "joint3"), "m", g, tolerance, np.arange(48) < 42, pose, readings,
-        ("linear_delta", *described), True,
-    )  # fmt: skip
+        ("joint1", "joint2", "joint3"),
+        "m",
+        g,
+        tolerance,
+        np.arange(48) < 42,
+        pose,
+        readings,
+        ("linear_delta", *described),
+        True,
+    )
 
 
 def delta(size: float) -> Machine:
@@ -179,18 +194,36 @@ def delta(size: float) -> Machine:
     tolerance = np.concatenate([np.full(n, t) for n, t in parts])
     described = (f"base={hub}", f"platform={inner}", f"arm={arm}", f"rod={rod}")
     return Machine(
-        ("joint1", "joint2", "joint3"), "rad", g, tolerance, np.arange(45) < 36, pose, readings,
-        ("delta54", *described), False, (0, 1, 2),
-    )  # fmt: skip
+        ("joint1", "joint2", "joint3"),
+        "rad",
+        g,
+        tolerance,
+        np.arange(45) < 36,
+        pose,
+        readings,
+        ("delta54", *described),
+        False,
+        (0, 1, 2),
+    )
 
 
 def arm(size: float) -> Machine:
     # theta, d, a, alpha, beta of each link, which lead from one axis to the next
     h = np.pi / 2
-    rows = size * np.array([0, 1, 1, 0, 0])[None] * np.array(
-        [[0, 0.18, 0.03, 0, 0], [0, 0, 0.45, 0, 0], [0, 0, 0.04, 0, 0], [0, 0.42, 0, 0, 0],
-         [0, 0, 0, 0, 0], [0, 0.09, 0, 0, 0]]
-    )  # fmt: skip
+    rows = (
+        size
+        * np.array([0, 1, 1, 0, 0])[None]
+        * np.array(
+            [
+                [0, 0.18, 0.03, 0, 0],
+                [0, 0, 0.45, 0, 0],
+                [0, 0, 0.04, 0, 0],
+                [0, 0.42, 0, 0, 0],
+                [0, 0, 0, 0, 0],
+                [0, 0.09, 0, 0, 0],
+            ]
+        )
+    )
     rows[:, 3] = [h, 0, h, -h, h, 0]
     home = np.array([0, h * 0.9, 0.3, 0, -0.9, 0])
     axes = ["perpendicular", "parallel", "perpendicular", "perpendicular", "perpendicular", None]
@@ -219,9 +252,17 @@ def arm(size: float) -> Machine:
     tolerance[[6]] = 0.0  # d along parallel axes
     lengths = np.tile([False, True, True, False, False], 6)
     return Machine(
-        tuple(f"joint{i}" for i in range(1, 7)), "rad", rows.ravel(), tolerance, lengths, pose,
-        readings, ("serial", f"links={text}", f"home={home.tolist()}"), False, (1, 2),
-    )  # fmt: skip
+        tuple(f"joint{i}" for i in range(1, 7)),
+        "rad",
+        rows.ravel(),
+        tolerance,
+        lengths,
+        pose,
+        readings,
+        ("serial", f"links={text}", f"home={home.tolist()}"),
+        False,
+        (1, 2),
+    )
 
 
 @dataclass(frozen=True)
@@ -394,11 +435,19 @@ def find_possible(s: Session) -> float:
     q, r, R, at = s.q[kept], s.r[kept], s.R[kept], s.at.at(kept)
     free = np.flatnonzero(m.tolerance > 0)
     plain = not s.causes.gain.any()
-    usual = np.concatenate([
-        m.tolerance[free] * (20 if plain else 1), np.full(n, 0.03), np.full(n, 20 * s.noise.joint),
-        [2e-6, 5e-6] if m.sinks else np.full(n, 3e-4 if m.unit == "rad" else 3e-6), [2e-5, 2e-5],
-        np.full(3, 3e-8), np.full(3, 3e-8), np.full(3, 3.0), np.full(3, 1.0),
-    ])  # fmt: skip
+    usual = np.concatenate(
+        [
+            m.tolerance[free] * (20 if plain else 1),
+            np.full(n, 0.03),
+            np.full(n, 20 * s.noise.joint),
+            [2e-6, 5e-6] if m.sinks else np.full(n, 3e-4 if m.unit == "rad" else 3e-6),
+            [2e-5, 2e-5],
+            np.full(3, 3e-8),
+            np.full(3, 3e-8),
+            np.full(3, 3.0),
+            np.full(3, 1.0),
+        ]
+    )
     ends = np.cumsum([len(free), n, n, len(s.causes.yields), 2, 6, 3])
     on = np.ones(len(usual), bool)
     if plain:

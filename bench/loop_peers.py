@@ -82,9 +82,11 @@ class Peer:
         by up to half a turn."""
         home, rng = model.mechanism.home, np.random.default_rng(0)
         there = Kinematics(model).direct(self.home)
-        known = {self.column(name): value
-                 for name, value in zip(model.mechanism.passive, home.passive, strict=True)
-                 if self.column(name) in self.unknown}  # fmt: skip
+        known = {
+            self.column(name): value
+            for name, value in zip(model.mechanism.passive, home.passive, strict=True)
+            if self.column(name) in self.unknown
+        }
         drawn = self.state(self.start, self.home)
         for k in range(-1, TRIES):  # first where it starts
             change = np.zeros(self.size)
@@ -299,8 +301,18 @@ def without_shapes(text: str) -> str:
     root = ET.fromstring(text)
     for parent in root.iter():
         for part in list(parent):
-            if part.tag in {"asset", "geom", "mesh", "extension", "plugin", "visual", "contact",
-                            "sensor", "tendon", "material"}:  # fmt: skip
+            if part.tag in {
+                "asset",
+                "geom",
+                "mesh",
+                "extension",
+                "plugin",
+                "visual",
+                "contact",
+                "sensor",
+                "tendon",
+                "material",
+            }:
                 parent.remove(part)
     for actuators in root.findall("actuator"):
         for part in list(actuators):

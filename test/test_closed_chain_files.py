@@ -94,9 +94,16 @@ def test_a_ball_that_closes_a_loop_of_a_urdf_is_written_into_both_of_its_links(t
     path = written(tmp_path, "robot.urdf", own.spatial_urdf(), own.SPATIAL_LOOP)
     model = chain([path], "base", "tip").model
     assert "ball.b_x" in model.table.names
-    changes = {f"ball.{side}_{axis}": value for side, axis, value in (
-        ("a", "x", 0.004), ("a", "z", -0.002), ("b", "x", 0.003), ("b", "y", 0.002),
-        ("b", "z", -0.005))}  # fmt: skip
+    changes = {
+        f"ball.{side}_{axis}": value
+        for side, axis, value in (
+            ("a", "x", 0.004),
+            ("a", "z", -0.002),
+            ("b", "x", 0.003),
+            ("b", "y", 0.002),
+            ("b", "z", -0.005),
+        )
+    }
     values = {name: model.value(name) + change for name, change in changes.items()}
     better = model.with_values(model.table.vector(values))
     export_into(better, "urdf", [path])

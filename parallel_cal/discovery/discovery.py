@@ -118,14 +118,7 @@ def discover(
     options = with_changes(options, FitOptions, changes, FitError)
     report("identifying the geometry", 0.0)
     dataset = add_lagged_conditions(name_lags(dataset), dataset)
-    with naming_wrong_columns(model, dataset, options):
-        base = fit(model, dataset, options)
-    if base.implausible and not base.outliers:
-        check_samples(model, dataset, options, base.implausible)
-    if options.loss != "linear":
-        dataset = dataset.excluding(find_mistrusted_samples(base), f"by --loss {options.loss}")
-        options = replace(options, loss="linear")
-        base = fit(model, dataset, options)
+    base, dataset, options = _identify_geometry(model, dataset, options)
     scene, given = _make_scene(base, dataset)
     if scene.dof < 1:
         raise FitError(
@@ -166,6 +159,22 @@ def discover(
     advice = [_advise(scene, winner, drivers) for one in proofs for winner in one.winners]
     held, current = Field.of(scene).held, proofs[-1].model
     return _conclude(model, dataset, found, [words for words in advice if words], current, held)
+
+
+def _identify_geometry(
+    model: Model, dataset: Dataset, options: FitOptions
+) -> tuple[FitResult, Dataset, FitOptions]:
+    """The fit of the samples, with these and its options: those that a robust loss mistrusts are
+    excluded from them."""
+    with naming_wrong_columns(model, dataset, options):
+        base = fit(model, dataset, options)
+    if base.implausible and not base.outliers:
+        check_samples(model, dataset, options, base.implausible)
+    if options.loss != "linear":
+        dataset = dataset.excluding(find_mistrusted_samples(base), f"by --loss {options.loss}")
+        options = replace(options, loss="linear")
+        base = fit(model, dataset, options)
+    return base, dataset, options
 
 
 def _make_scene(base: FitResult, given: Dataset) -> tuple[Scene, Dataset]:

@@ -34,7 +34,7 @@ class Session:
     def of(cls, model: Model, dataset: Dataset, time: float) -> Session:
         """Take the evidence of a recording. The tolerances let few poses determine a fit, and do
         not count as evidence."""
-        found = fit(model, dataset, hold_out=0.0, prior=True, compared_only=True)
+        found = fit(model, dataset, hold_out=0.0, prior=True)
         return cls(time, Evidence.of(found))
 
 
