@@ -91,12 +91,9 @@ def acceptance(
         used = (new.before if old is None else old.after).summary
         why = "too few poses to hold some out" if new.options.hold_out else "no pose was held out"
         why += ": without a validation error nothing proves that the new model is better"
-        return Acceptance(used, new.after.summary, False, why)
+        return Acceptance(used, new.after.summary, False, _describe_imitation(new, old) or why)
     then, now = before.select(known).summary, after.select(known).summary
-    if new.implausible:
-        why = new.implausible if old is not None else f"{new.implausible}{IMITATES}"
-        if new.outliers is not None:
-            why = f"{new.outliers.description}. With all samples, {new.implausible}"
+    if why := _describe_imitation(new, old):
         return Acceptance(then, now, True, f"{why}{_describe_foreign_model(new, now)}")
     ratio = held_out_ratio(then, now)
     # The fall must exceed the uncertainty of its mean, pose by pose: a fall that half of the poses
@@ -160,6 +157,15 @@ def _advise(given: GivenModel) -> str:
         f"; the given model was identified from {sources}{frames}: keep it, or fit all recordings "
         "together"
     )
+
+
+def _describe_imitation(new: FitResult, old: FitResult | None) -> str:
+    """Say that no such robot has the geometry of a model, and what to do; empty if one may."""
+    if not new.implausible:
+        return ""
+    if new.outliers is not None:
+        return f"{new.outliers.description}. With all samples, {new.implausible}"
+    return f"{new.implausible}{IMITATES}" if old is None else new.implausible
 
 
 def _describe_foreign_model(new: FitResult, now: Summary) -> str:
