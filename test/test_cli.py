@@ -179,6 +179,7 @@ def test_help_names_the_commands_that_exist_and_no_other():
         "workbench",
         "fleet",
         "watch",
+        "drift",
         "demo",
         "bench",
         "board",

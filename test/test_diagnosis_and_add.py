@@ -157,7 +157,8 @@ def test_gains_of_some_per_cent_are_not_taken_for_exchanged_columns():
     with pytest.raises(FitError) as refusal:
         fitted(model, data)
     assert "are in the columns of" not in str(refusal.value)
-    assert "fit MODEL RECORDING --effect encoder_gain" in str(refusal.value)
+    assert "diagnose MODEL RECORDING" in str(refusal.value)
+    assert diagnose(model, data).effects == ("encoder_gain",)
     found = fitted(model, data, effects=["encoder_gain"]).result.parameters()
     # What the motor reads is the length times the gain: the effect divides by it.
     identified = [1 + found[f"encoder_gain.{joint}.gain"].value for joint in model.joints]

@@ -107,6 +107,11 @@ def test_bars_stand_on_zero_unless_the_errors_differ_too_much_for_it():
         assert high > 55 if kind == "linear" else 10**high > 55
 
 
+def test_without_an_error_the_axis_shows_the_noise():
+    assert draw_steps(FallingError("position", [], noise=1e-6))["layout"]["yaxis"]["range"][1] > 1
+    assert draw_steps(FallingError("position", []))["data"] == []
+
+
 def test_a_step_on_other_samples_is_joined_by_a_dotted_line():
     found = find_steps(
         history(

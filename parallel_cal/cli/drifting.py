@@ -60,8 +60,10 @@ def drift(
     details: Details = False,
     as_json: Json = False,
 ) -> None:
-    """Estimate how fast a robot drifts, from recordings with measured poses at different times, and
-    until when its calibration can be trusted. With -o the model states it."""
+    """Say until when a calibration can be trusted.
+
+    It estimates how fast the robot drifts, from recordings with measured poses at different times.
+    With -o the model states it."""
     from parallel_cal.base.units import ERROR_UNITS
     from parallel_cal.identification.age import find_calibration, predict_age
     from parallel_cal.identification.drift_estimate import estimate_drift

@@ -119,9 +119,10 @@ def describe_steps(found: FallingError) -> str:
 
 def _make_axis(values: Sequence[float], noise: float | None) -> dict[str, Any]:
     """Make an axis from zero, or a logarithmic one if the errors differ too much for it."""
-    if max(values) > MAX_LINEAR_RATIO * min(values):
-        return log_axis([noise, *values])
-    top = 1.25 * max(noise or 0.0, *values)
+    known = [*([noise] if noise else []), *values]
+    if values and max(values) > MAX_LINEAR_RATIO * min(values):
+        return log_axis(known)
+    top = 1.25 * max(known, default=1.0)
     return {"type": "linear", "range": [0.0, top], "nticks": 5, "title": {"text": ""}}
 
 
