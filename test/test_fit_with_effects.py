@@ -44,7 +44,7 @@ def test_geometry_that_runs_away_alone_is_identified_together_with_the_missing_e
     alone = fit(model, data, hold_out=0)
     assert "tolerances from its nominal" in alone.implausible
     assert alone.implausible in alone.warnings
-    with pytest.raises(UnprovenStepError, match="no such robot has this geometry.*diagnose"):
+    with pytest.raises(UnprovenStepError, match=r"no such robot has this geometry.*diagnose"):
         fitted(model, data, hold_out=0)  # rather than that nothing was held out
     found = fit(model, data, effects=["encoder_gain"], hold_out=0).model
     gains = [found.value(f"encoder_gain.joint{i}.gain") for i in (1, 2, 3)]
