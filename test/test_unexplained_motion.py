@@ -22,7 +22,7 @@ from parallel_cal.identification.conventions import VECTOR, find_numbers
 from parallel_cal.identification.fit import fit as fit_as_it_is
 from parallel_cal.identification.prediction_errors import Errors
 from parallel_cal.identification.unexplained import describe_unexplained_motion
-from parallel_cal.model.file.modelfile import read_model, write_model
+from parallel_cal.model.file.modelfile import write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.session.steps import fitted
 from parallel_cal.virtual import joint_effects as ve
@@ -225,18 +225,20 @@ def test_a_fit_of_a_right_geometry_names_diagnose_as_the_way_on():
 
 
 @pytest.mark.wide
-def test_command_and_python_name_the_effect_that_permits_a_fit_in_both_spellings(tmp_path, capsys):
+def test_command_and_python_name_the_way_on_from_an_implausible_geometry(tmp_path, capsys):
     """Drives that go 6 % too far."""
     data, model = measured(2, effects=[ve.WrongPitch((0.06, 0.055, 0.065))]), new_model("delta54")
     with pytest.raises(FitError) as refused:
-        pc.fit(model, data, hold_out=0)
+        fitted(model, data, hold_out=0)
     words = str(refused.value)
-    assert "parallel-cal fit MODEL RECORDING --effect encoder_gain -o FITTED.yaml" in words
-    assert "pc.fit(model, dataset, effects=['encoder_gain'])" in words
+    assert pc.fit(model, data, hold_out=0).implausible in words
+    assert "parallel-cal diagnose MODEL RECORDING" in words
+    assert "pc.diagnose(model, dataset)" in words
+    assert pc.diagnose(model, data).effects == ("encoder_gain",)
     file, samples, out = (tmp_path / name for name in ("m.yaml", "s.json", "o.yaml"))
     write_model(model, file)
     data.to_json(samples)
     with pytest.raises(SystemExit):
         cli.main(["fit", str(file), str(samples), "-o", str(out), "--hold-out", "0"])
     assert words in capsys.readouterr().err.replace("\n", " ")
-    assert read_model(file).effects == ()
+    assert not out.exists()
