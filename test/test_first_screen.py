@@ -275,7 +275,7 @@ def test_a_stranger_is_led_from_an_empty_page_to_a_saved_model(tmp_path):
             page = browser.new_page(viewport={"width": 1280, "height": 800})
             page.set_default_timeout(1000 * LONG)
             page.goto(served.url)
-            page.locator("#robot").get_by_text("stewart42, 6 joints").wait_for()
+            page.locator("#robot").get_by_text("(stewart42), 6 joints").wait_for()
             page.locator("#machine-words").get_by_text("to scale").wait_for()
             page.get_by_role("button", name="Try it with simulated poses").click()
             page.get_by_role("button", name="next step: Fit").click()

@@ -396,15 +396,15 @@ def test_what_was_meant_is_named_if_it_fits_the_poses(spoil, words, elsewhere):
 
 @pytest.mark.wide
 def test_a_convention_that_tolerances_would_excuse_is_named_where_no_geometry_fits():
-    with pytest.raises(FitError, match=r"the angles are ZYX, not zyx .* As they are, leg"):
+    with pytest.raises(FitError, match=r"the angles are ZYX, not zyx .* As they are, the"):
         fitted(stewart(), about_rotated_axes(legs()))
 
 
 @pytest.mark.wide
-def test_two_mistakes_at_once_are_refused_without_trying_effects():
+def test_two_mistakes_at_once_are_refused_and_the_command_tries_no_effect():
     data = seen(va.session(va.arm("ur5", 4), 60, 5, va.Tracker()))
     wrong = replace(data, q=data.q[:, [0, 2, 1, 3, 4, 5]] * [1, 1, 1, -1, 1, 1])
-    with pytest.raises(FitError, match=r"% of the measured motion is not explained, so no effect"):
+    with pytest.raises(FitError, match=r"No single exchange of columns.* two of them may be wrong"):
         fitted(nominal("ur5"), wrong)
 
 

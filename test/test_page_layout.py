@@ -538,6 +538,8 @@ def test_a_dialog_has_no_fault_of_access(page, name):
     page.get_by_role("button", name=name, exact=True).last.click()
     dialog = page.get_by_role("dialog", name=name, exact=True)
     dialog.get_by_role("heading", name=name).wait_for()
+    bars = "[...document.querySelectorAll('.q-loading-bar')]"  # of Quasar, while files are loaded
+    page.wait_for_function(f"{bars}.every(one => getComputedStyle(one).opacity === '0')")
     # axe takes the backdrop for the ground of a dialog, whose colours are those of the page.
     rules = {"rules": {"color-contrast": {"enabled": False}}}
     found = axe.run(page, options=rules).response["violations"]

@@ -50,7 +50,8 @@ def list_effect_blocks(
         settings = [known[name]] if known.get(name) else settings
         a = conditions(plain, scene.dataset)
         each = [compute_effect_columns(scene, plain, one, a, True) for one in settings]
-        if effect.mistaken > 1:
+        # About a fitted geometry that is plausible, no number of a drive is grossly wrong.
+        if effect.mistaken > 1 and scene.sizes is not None:
             each, settings = [*each, *(effect.mistaken * one for one in each)], 2 * settings
         prior = LOG_PRIOR - np.log(FORMS) if effect.found_in_data else LOG_ODDS
         block = Block.of(scene, name, EFFECT, prior, each, settings, tried)

@@ -18,6 +18,7 @@ import numpy as np
 from parallel_cal.causes.effects import list_effect_blocks, refine_setting, widen
 from parallel_cal.causes.knocks import are_few, list_knock_blocks
 from parallel_cal.causes.unknown_laws import list_unknown_blocks
+from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise import PureError
 from parallel_cal.diagnosis.search import Chosen, Search, Trial
@@ -367,7 +368,7 @@ def _find_first(search: Search, base: Trial, names: Sequence[str]) -> Trial:
     likely = {one.name: one for one in chosen}
     for name, p in posterior.probability.items():
         if p > 1 - CREDIBLE and posterior.kinds[name] == EFFECT and name not in likely:
-            likely[name] = Chosen(name)
+            likely[name] = Chosen.of(candidate(drawn, name))
     trials = [search.fit_as_shown(one, judged=False) for one in likely.values()]
     plausible = [one for one in trials if one.result is not None]
     return min(plausible, key=lambda one: one.fitted.estimate.chi2, default=base)
