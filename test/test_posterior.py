@@ -18,9 +18,12 @@ from parallel_cal.diagnosis.addition import see
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.effects.backlash import Backlash
 from parallel_cal.identification.fit import fit
+from parallel_cal.identification.linearisation import Linearisation
+from parallel_cal.identification.predictions import predict_configurations
 from parallel_cal.model.model import new_model
 from parallel_cal.posterior.blocks import EFFECT, LOG_ODDS, Block, Stack
 from parallel_cal.posterior.evidence import LOG_WEIGHTS, SIZES, STATED, UNKNOWN, Choice, Evidence
+from parallel_cal.posterior.scene import Scene
 from parallel_cal.posterior.search import Sum
 from parallel_cal.virtual import robot as vr
 
@@ -74,6 +77,30 @@ def test_the_evidence_is_the_density_of_a_multivariate_t_distribution():
         assert found.log_p - found.log_prior == pytest.approx(expected, rel=1e-10)
         beside = Evidence(squares, scene.dof, nu, chosen[:1]).weigh(blocks[3].alone)
         assert beside[1, 0] == pytest.approx(found.log_p, rel=1e-10)
+
+
+def test_a_scene_about_the_drawing_has_the_tolerances_of_the_geometry_as_its_prior():
+    """Against the dense covariance of all rows, with the noise as stated and four times as large;
+    about another geometry, the same to first order."""
+    data = measured(0)
+    fitted = fit(MODEL, data, hold_out=0)
+    seen, free = fitted.observations, fitted.free
+    at = predict_configurations(MODEL, seen)
+    system = Linearisation(MODEL, seen, free, True)(MODEL.values, at)
+    r, J = system.residual.ravel(), system.columns * MODEL.table.prior_sigma[free]
+    B = np.random.default_rng(0).standard_normal((len(r), 3))
+    scene = Scene.of(MODEL, data, seen, free, within_tolerances=True)
+    for variance in (1.0, 4.0):
+        weight = np.linalg.inv(np.eye(len(r)) + J @ J.T / variance)
+        own = scene.in_units_of(variance)
+        C = own.project_off_geometry(B)
+        assert own.residual @ own.residual == pytest.approx(r @ weight @ r / variance, rel=1e-6)
+        np.testing.assert_allclose(C.T @ C, B.T @ weight @ B, rtol=1e-6, atol=1e-6)
+        onto = B.T @ weight @ r / variance**0.5
+        np.testing.assert_allclose(C.T @ own.residual, onto, rtol=1e-4, atol=1e-4)
+    near = Scene.of(fitted.model, data, seen, free, within_tolerances=True)
+    squares = [float(one.residual @ one.residual) for one in (near, scene)]
+    assert squares[0] == pytest.approx(squares[1], rel=0.05)
 
 
 @pytest.mark.parametrize("seed", range(4))
