@@ -534,7 +534,7 @@ def compute_error(s: Session, model: Any) -> float:
     at |= {"payload": s.unseen_at.payload}
     at |= {f"direction.{j}": s.unseen_at.side[:, i] for i, j in enumerate(s.machine.joints)}
     found = Kinematics(model.robot()).direct(s.unseen, at)
-    return measure_error((np.asarray(found.position), np.asarray(found.R)), s)
+    return measure_error((np.asarray(found.position), np.asarray(found.rotation)), s)
 
 
 def follow(model: Any, data: Any) -> tuple[Any, list[str]]:
