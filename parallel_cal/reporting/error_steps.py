@@ -25,7 +25,7 @@ MAX_LABEL_WIDTH, MAX_LABEL_LINES = 14, 3  # of the name of a step below the axis
 MANY_STEPS, MAX_UPRIGHT_WIDTH = 6, 26
 HEIGHT, HEIGHT_OF_MANY = 230, 320
 BAR_WIDTH = 0.5  # of the distance between two steps
-MAX_LINEAR_RATIO = 20.0  # of two errors: the smaller one would be a bar of a few pixels
+MAX_LINEAR_RATIO = 5.0  # of two errors: beside a larger one, what is left could not be compared
 MAX_LEVEL_RATIO = 1.05  # of two errors whose line is so flat that it crosses no label
 
 
